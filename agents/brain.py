@@ -9,7 +9,7 @@ from agents.config import AgentConfig
 from agents.controllers import layout
 from agents.decision import Decision, Step
 from agents.errors import ControllerError
-from agents.signals import HEARD, Layout
+from agents.signals import HEARD, SignalLayout
 from netem.wire.messages import Delivery, Nav
 from world.vectors import Vec3, Vec5
 
@@ -21,7 +21,7 @@ class Brain:
 
     def __init__(self, config: AgentConfig) -> None:
         self.config = config
-        self.layout: Layout = layout(config)
+        self.layout: SignalLayout = layout(config)
         self._tick_s = config.tick_ns / 1e9
         self._last_tick: int | None = None
         self._failed = False

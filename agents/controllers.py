@@ -18,7 +18,7 @@ from agents.neighbours import NeighbourTable
 from agents.plugins.fenced_law import FencedLaw
 from agents.plugins.laws import load
 from agents.sample import Command, Sample
-from agents.signals import COMMANDED, HEARD, Layout
+from agents.signals import COMMANDED, HEARD, SignalLayout
 from world.vectors import Vec3
 
 GUIDANCE: dict[str, type[OptimalGuidance] | type[FixedGuidance]] = {
@@ -35,7 +35,7 @@ TRACKING: dict[str, type[NeurodynamicTracking] | type[BacksteppingTracking] | ty
 Notes = list[tuple[int, str]]  # (tick, text) for a person
 
 
-class Pair(NamedTuple):
+class LawPair(NamedTuple):
     """A controller of the paper: its guidance law, its tracking law, and what it is."""
 
     guidance: str
@@ -43,12 +43,12 @@ class Pair(NamedTuple):
     meaning: str
 
 
-CONTROLLERS: dict[str, Pair] = {
-    "nboc": Pair("optimal", "neurodynamic", "neurodynamics-based backstepping optimal control: the paper's"),
-    "boc": Pair("optimal", "backstepping", "backstepping optimal control"),
-    "nbc": Pair("fixed", "neurodynamic", "neurodynamics-based backstepping control"),
-    "bc": Pair("fixed", "backstepping", "backstepping control"),
-    "bsmc": Pair("fixed", "sliding-mode", "backstepping sliding mode control"),
+CONTROLLERS: dict[str, LawPair] = {
+    "nboc": LawPair("optimal", "neurodynamic", "neurodynamics-based backstepping optimal control: the paper's"),
+    "boc": LawPair("optimal", "backstepping", "backstepping optimal control"),
+    "nbc": LawPair("fixed", "neurodynamic", "neurodynamics-based backstepping control"),
+    "bc": LawPair("fixed", "backstepping", "backstepping control"),
+    "bsmc": LawPair("fixed", "sliding-mode", "backstepping sliding mode control"),
 }
 
 BUILT_IN: dict[str, Mapping[str, type[Any]]] = {
@@ -101,7 +101,7 @@ def laws(config: LawChoice) -> dict[str, Law]:
     return {"guidance": config.guidance_law, "tracking": config.tracking_law}
 
 
-def layout(config: LawChoice) -> Layout:
+def layout(config: LawChoice) -> SignalLayout:
     """What an agent with these laws reports.
 
     Raises:
@@ -109,11 +109,11 @@ def layout(config: LawChoice) -> Layout:
     """
     signals = {kind: law_class(kind, law).signals for kind, law in laws(config).items()}
     if "agent" in signals:
-        return Layout((), signals["agent"])
+        return SignalLayout((), signals["agent"])
     if "controller" in signals:
-        return Layout(HEARD, signals["controller"])
+        return SignalLayout(HEARD, signals["controller"])
     keep_apart = () if config.keep_apart is None else KeepApart.signals
-    return Layout((*HEARD, *COMMANDED, *signals["guidance"], *keep_apart), signals["tracking"])
+    return SignalLayout((*HEARD, *COMMANDED, *signals["guidance"], *keep_apart), signals["tracking"])
 
 
 class FencedController:

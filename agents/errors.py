@@ -28,13 +28,3 @@ class ControllerError(AgentError):
         self.tick = tick
         self.problem = problem
         self.where = where
-
-
-class UnknownNameError(AgentError):
-    """No controller or profile has this name."""
-
-    def __init__(self, kind: str, name: str, known: tuple[str, ...]) -> None:
-        super().__init__(f"no {kind} is called {name!r}; there are {', '.join(known)}")
-        self.kind = kind
-        self.name = name
-        self.known = known

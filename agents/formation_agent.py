@@ -30,7 +30,7 @@ from typing import Any
 from agents.agent import Agent
 from agents.config import AgentConfig
 from agents.message import VERSION
-from agents.signals import Layout
+from agents.signals import SignalLayout
 from agents.trajectory import Motion
 from netem.wire.messages import Delivery, Nav
 from world.signal import Signal
@@ -47,7 +47,7 @@ class FormationAgent:
             config: the agent's own slice of the scenario.
         """
         self._agent = Agent(replace(config, agent=None))
-        layout: Layout = self._agent.layout
+        layout: SignalLayout = self._agent.layout
         self._where = {signal.name: (signal.width, place) for _, signal, place in layout.signals()}
         self.signals: tuple[Signal, ...] = (*layout.guidance, *layout.control)  # what `decide` returns values for
 

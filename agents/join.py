@@ -16,7 +16,8 @@ from threading import Event, Thread
 from agents.config import AgentConfig
 from agents.controllers import BUILT_IN, laws
 from agents.join_file import ENDPOINT, JoinError, JoinFile, NotYetError
-from agents.main import begin_life, is_realtime
+from agents.main import begin_life, clock_of
+from netem.clock import Clock
 from netem.errors import BusError, MalformedMessage
 from netem.wire.bus import Bus
 from netem.wire.control import read_map
@@ -53,13 +54,13 @@ def serve(joining: JoinFile, notify: Callable[[str], None], trust: Trust = NOTHI
     lost = Event()
     bus.on_lost(lost.set)
     try:
-        config, incarnation, begin, realtime = _ask(bus, keys, joining.vehicle)
+        config, incarnation, begin, clock = _ask(bus, keys, joining.vehicle)
         _admit(config, trust)
         ended: SimpleQueue[End | BaseException] = SimpleQueue()
 
         def live() -> None:
             try:
-                process = begin_life(bus, keys, config, incarnation, begin, realtime=realtime)
+                process = begin_life(bus, keys, config, incarnation, begin, clock)
                 notify(f"agent {config.id} has joined run {joining.run} at {joining.endpoint}")
                 ended.put(process.serve())
             except BaseException as error:  # a law may raise anything, and ends with SystemExit
@@ -137,8 +138,8 @@ def _reached(endpoint: str) -> bool:
     return True
 
 
-def _ask(bus: Bus, keys: Keys, vehicle: int) -> tuple[AgentConfig, int, int, bool]:
-    """The agent's own slice, which life of it this is, the tick of its first nav, and whether a wall clock is used."""
+def _ask(bus: Bus, keys: Keys, vehicle: int) -> tuple[AgentConfig, int, int, Clock]:
+    """The agent's own slice, which life of it this is, the tick of its first nav, and the clock of the run."""
     answer = bus.ask(keys.cfg(vehicle), timeout_s=ASK_S)
     if answer is None:
         raise NotYetError(
@@ -150,6 +151,6 @@ def _ask(bus: Bus, keys: Keys, vehicle: int) -> tuple[AgentConfig, int, int, boo
         if "error" in values:
             raise NotYetError(str(values["error"]))
         incarnation, begin = int(values["incarnation"]), int(values["begin"])
-        return AgentConfig.from_values(values["agent"]), incarnation, begin, is_realtime(values)
+        return AgentConfig.from_values(values["agent"]), incarnation, begin, clock_of(values)
     except (MalformedMessage, KeyError, TypeError, ValueError) as error:
         raise JoinError(f"the answer on {keys.cfg(vehicle)} is none that this version understands: {error}") from None

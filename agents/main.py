@@ -11,6 +11,7 @@ from agents.loop import AgentLoop
 from agents.make_agent import make_agent
 from agents.process import READY_TIMEOUT_S, RETRY_S, AgentProcess, _give_up
 from agents.realtime_loop import RealtimeLoop
+from netem.clock import Clock
 from netem.errors import BusError
 from netem.wire.access import Credentials, agent_role
 from netem.wire.bus import Bus
@@ -35,24 +36,22 @@ def run(
     keys = Keys(run_id)
     bus = Bus.connect(endpoint, credentials)
     end_with_link(bus, credentials)
-    config, realtime = _ask_config(bus, keys, vehicle)
-    begin_life(bus, keys, config, incarnation, begin, realtime=realtime).serve()
+    config, clock = _ask_config(bus, keys, vehicle)
+    begin_life(bus, keys, config, incarnation, begin, clock).serve()
 
 
-def is_realtime(values: dict[str, Any]) -> bool:
-    """Whether the run of a cfg reply goes by a wall clock: `clock` is "real" then, and else "lockstep" or missing."""
-    return values.get("clock") == "real"
+def clock_of(values: dict[str, Any]) -> Clock:
+    """The clock of the run of a cfg reply, which names it only where it is a wall clock."""
+    return Clock(values.get("clock", Clock.LOCKSTEP))
 
 
-def begin_life(
-    bus: Bus, keys: Keys, config: AgentConfig, incarnation: int, begin: int, *, realtime: bool
-) -> AgentProcess:
+def begin_life(bus: Bus, keys: Keys, config: AgentConfig, incarnation: int, begin: int, clock: Clock) -> AgentProcess:
     """Make an agent that is ready: world and netem have both answered it.
 
     Args:
         incarnation: which life of the agent it is, from 0.
         begin: tick of its first nav.
-        realtime: it answers on a wall clock, not in lockstep.
+        clock: of the run.
 
     Raises:
         BusError: world or netem does not answer.
@@ -66,7 +65,7 @@ def begin_life(
         _give_up(Shell(bus, role, keys.note(role)), vehicle, begin, error)
     m = config.round_ticks
     process: AgentProcess
-    if realtime:
+    if clock is Clock.REAL:
         from agents.realtime_process import RealtimeAgentProcess
 
         process = RealtimeAgentProcess(bus, keys, vehicle, RealtimeLoop(core, m, incarnation=incarnation, begin=begin))
@@ -77,12 +76,12 @@ def begin_life(
     return process
 
 
-def _ask_config(bus: Bus, keys: Keys, vehicle: int) -> tuple[AgentConfig, bool]:
+def _ask_config(bus: Bus, keys: Keys, vehicle: int) -> tuple[AgentConfig, Clock]:
     deadline = monotonic() + READY_TIMEOUT_S
     while monotonic() < deadline:
         answer = bus.ask(keys.cfg(vehicle))
         if answer is not None:
             values = read_map(answer)
-            return AgentConfig.from_values(values["agent"]), is_realtime(values)
+            return AgentConfig.from_values(values["agent"]), clock_of(values)
         sleep(RETRY_S)  # the console does not answer yet: zenoh returns at once
     raise BusError(f"the console did not answer on {keys.cfg(vehicle)} within {READY_TIMEOUT_S:.0f} s")

@@ -9,7 +9,7 @@ from world.vectors import ZERO, Vec3, minus, moved, scale
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class OffsetChange:
     """From `begin` [s] on the offset moves to `offset` [m, NED], where it arrives `blend` [s] later."""
 
     begin: float
@@ -22,7 +22,7 @@ class Offset:
     """An offset that may change: p_i(t), or Delta_ij(t) = p_i(t) - p_j(t)."""
 
     start: Vec3  # m, NED
-    changes: tuple[Change, ...] = field(default=())  # in order of time, none before the one before is complete
+    changes: tuple[OffsetChange, ...] = field(default=())  # in order of time, none before the one before is complete
 
     def at(self, t: float) -> Motion:
         """The offset [m, NED] and its rate [m/s] at time t [s].

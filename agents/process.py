@@ -17,7 +17,7 @@ from netem.wire.bus import Bus
 from netem.wire.codec import encode, expect
 from netem.wire.keys import Keys
 from netem.wire.messages import PROTOCOL_VERSION, End, Hello, Inbox, Message, Nav, Receipt, Transmission
-from netem.wire.queues import Channel, Stamped
+from netem.wire.queues import PutQueue, Stamped
 from netem.wire.shell import Shell
 
 log = logging.getLogger(__name__)
@@ -39,9 +39,9 @@ class AgentProcess:
         self._tx: Callable[[bytes], None] = bus.publisher(keys.tx(vehicle))
         self._cmd: Callable[[bytes], None] = bus.publisher(keys.cmd(vehicle))
         self._navs = bus.channel(keys.nav(vehicle))
-        self._rx: Channel | Stamped = self._listen(bus, keys.rx(vehicle))
+        self._rx: PutQueue | Stamped = self._listen(bus, keys.rx(vehicle))
 
-    def _listen(self, bus: Bus, key: str) -> Channel | Stamped:
+    def _listen(self, bus: Bus, key: str) -> PutQueue | Stamped:
         return bus.channel(key)
 
     def get_ready(self) -> None:
@@ -51,7 +51,7 @@ class AgentProcess:
             BusError: one of them does not answer.
         """
         probe = encode(Hello("agent", self._vehicle, self._loop.incarnation, PROTOCOL_VERSION, False))
-        unheard: dict[Channel | Stamped, Callable[[bytes], None]] = {self._navs: self._cmd, self._rx: self._tx}
+        unheard: dict[PutQueue | Stamped, Callable[[bytes], None]] = {self._navs: self._cmd, self._rx: self._tx}
         deadline = monotonic() + READY_TIMEOUT_S
         patience = RETRY_S
         while unheard:
@@ -71,7 +71,7 @@ class AgentProcess:
     def serve(self) -> End:
         """Answer navs, one after the other, until the world ends this life; processes of our own are ended instead."""
         loop, inboxes = self._loop, self._rx
-        assert isinstance(inboxes, Channel)
+        assert isinstance(inboxes, PutQueue)
         while True:
             # A nav that cannot be answered yet waits for an inbox; inboxes that come early wait in their channel.
             key, data = (inboxes if loop.waits_for_inbox else self._navs).get()

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from agents.config import GuidanceParams, TrackingParams
-from agents.errors import UnknownNameError
+from agents.errors import AgentError
 
 _TRACKING = TrackingParams(
     k_u=10.0,  # listed: K2 = (10, 10, 10), read as (k_u, k_q, k_r)
@@ -109,10 +109,10 @@ def profile(
         tracking: name of the tracking law, likewise.
 
     Raises:
-        UnknownNameError: there is no such profile.
+        AgentError: there is no such profile.
     """
     if name not in PROFILES:
-        raise UnknownNameError("profile", name, tuple(PROFILES))
+        raise AgentError(f"no profile is called {name!r}; there are {', '.join(PROFILES)}")
     for_guidance, for_tracking = PROFILES[name]
     return (
         replace(for_guidance, **LAW_DEFAULTS.get(guidance, {})),

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from world.signal import Signal
 
 
-class Layout(NamedTuple):
+class SignalLayout(NamedTuple):
     """The telemetry of one agent: what its flat tuple of values holds, by the log's topic group, in order."""
 
     guidance: tuple[Signal, ...]  # what the agent knows and where it wants to go

@@ -34,7 +34,7 @@ class Motion(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class StraightLine:
     """start + velocity t: the paper's reference."""
 
     start: Vec3
@@ -231,12 +231,16 @@ class Path:
         return starts, pieces, s
 
 
-Reference = Line | Circle | Path
+Reference = StraightLine | Circle | Path
 
-_REFERENCES: dict[str, type[Line] | type[Circle] | type[Path]] = {"line": Line, "circle": Circle, "path": Path}
+_REFERENCES: dict[str, type[StraightLine] | type[Circle] | type[Path]] = {
+    "line": StraightLine,
+    "circle": Circle,
+    "path": Path,
+}
 
 
-def reference_type(values: dict[str, Any] | None) -> type[Line] | type[Circle] | type[Path] | None:
+def reference_type(values: dict[str, Any] | None) -> type[StraightLine] | type[Circle] | type[Path] | None:
     """The class of a reference that travels as plain values, by its `kind`; None of none.
 
     Raises:

@@ -10,16 +10,12 @@ Exception
 │   │   └── NotYetError
 │   ├── OutOfRange
 │   ├── PathError
-│   ├── PayloadError
-│   └── UnknownNameError
+│   └── PayloadError
 ├── FleetError
 │   ├── BenchError
-│   ├── CertsError
 │   ├── CheckError
 │   ├── CheckLogError
-│   ├── ConformanceError
 │   ├── DataFileError
-│   │   └── VehicleFileError
 │   ├── ExportError
 │   ├── ExternalError
 │   ├── FaultWordsError
@@ -75,19 +71,14 @@ Exception
 │   ├── MalformedMessage
 │   ├── OutOfPlace
 │   └── TextError
-│       ├── GrammarError
-│       ├── PartitionError
 │       └── QuantityError
 ├── OutputError
 └── WorldError
-    ├── CommandError
     ├── FmuError
     ├── IntegrationError
-    │   ├── NonFiniteStateError
     │   └── PlantError
-    ├── PluginError
-    │   └── UntrustedError
-    └── UnknownVehicleError
+    └── PluginError
+        └── UntrustedError
 KeyboardInterrupt
 └── HungUp
 ```

@@ -47,10 +47,10 @@ from netem.config import NetemConfig
 from netem.draws import undecided, uniform
 from netem.faults import ActiveFaults
 from netem.links import Links
-from netem.medium import Place, Round
+from netem.medium import MediumRound, Place
 from netem.modem import AcousticConfig
 from netem.propagation import decibels, power
-from netem.transit import Packet, Transit
+from netem.transit import PendingPacket, Transit
 from netem.wire.messages import Fate
 
 BACK_OFF, SNR = "back-off", "snr"  # purposes of draws
@@ -153,7 +153,7 @@ class AcousticChannel:
         self._air: list[Burst] = []  # transmissions that may still overlap a reception, sorted by (start, src)
         self._receptions: list[Reception] = []  # those that have not ended
 
-    def carry(self, round_: Round) -> None:
+    def carry(self, round_: MediumRound) -> None:
         """Transmit the payloads that start in a round, and decide the receptions that end in it.
 
         Raises:
@@ -288,7 +288,7 @@ class AcousticChannel:
             tick_ns, end = self._config.tick_ns, r.end_ns + r.extra_ns
             due = max(r.start_tick + 1, -(-end // tick_ns))
             delay = end - r.sent_tick * tick_ns
-            packet = Packet(due, r.sent_tick, r.src, r.seq, r.copy, r.dst, delay, r.payload, r.corrupted)
+            packet = PendingPacket(due, r.sent_tick, r.src, r.seq, r.copy, r.dst, delay, r.payload, r.corrupted)
             self._transit.add(packet)
         horizon = min([until * self._config.tick_ns, *(r.begin_ns for r in self._receptions)])
         self._air = [burst for burst in self._air if self._last_ns(burst) > horizon]

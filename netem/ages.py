@@ -25,7 +25,7 @@ from netem.wire.messages import Fate
 
 
 @dataclass(slots=True)
-class Age:
+class InformationAge:
     """The age on one link, counted tick by tick, each tooth in closed form.
 
     Kept are the edges of a histogram (between two edges every age occurred equally often) and the peaks that no later
@@ -67,7 +67,7 @@ class Ages:
     """The ages on all links, from final fates in the order in which the journal has them."""
 
     def __init__(self, links: Iterable[Link]) -> None:
-        self.links: dict[Link, Age] = {link: Age() for link in sorted(links)}
+        self.links: dict[Link, InformationAge] = {link: InformationAge() for link in sorted(links)}
 
     def settle(self, fate: Fate) -> None:
         """Take a final fate.
@@ -85,7 +85,7 @@ class Ages:
     def resume(self, tick: int, heard: list[list[int]]) -> None:
         """Count from a tick on, at which so much had been heard."""
         for src, dst, sent in heard:
-            self.links[src, dst] = Age(sent, tick, tick)
+            self.links[src, dst] = InformationAge(sent, tick, tick)
 
     def count(self, until: int) -> None:
         """Count the ticks below `until`; every fate that was final before it has been taken."""

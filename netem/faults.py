@@ -6,33 +6,26 @@ fault heals by ending, and faults that overlap need no order of ending.
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
-from msgspec import Struct, structs
+from msgspec import structs
 
 from netem.causes import Cause
 from netem.condition import Condition, Link, condition_from_values, condition_values
 from netem.errors import MalformedMessage
+from netem.fault_kinds import FaultKind
+from netem.wire.messages import TimedFault
 
-FaultKind = Literal["link", "down", "up", "partition", "mute", "deaf", "slow"]
 
+class NetFault(TimedFault, frozen=True):
+    """A fault of the network."""
 
-class NetFault(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """One fault: from tick `begin` to before `end` (None: to the end of the run)."""
-
-    id: str
-    begin: int
-    end: int | None
     kind: FaultKind
     links: tuple[Link, ...] = ()  # of link, down, up, partition
     vehicles: tuple[int, ...] = ()  # of mute, deaf, slow
     condition: Condition | None = None  # of link
     ticks: int = 0  # of slow: how late
-
-    def active(self, tick: int) -> bool:
-        """Whether it holds at a tick."""
-        return self.begin <= tick and (self.end is None or tick < self.end)
 
 
 _CONDITION = NetFault.__struct_fields__.index("condition")

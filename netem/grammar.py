@@ -33,7 +33,8 @@ from fractions import Fraction
 from typing import Any
 
 from netem.condition import DEFAULT_LIMIT, Condition, FourState, GilbertElliott
-from netem.parsing import LONGEST_NUMBER, NUMBER, GrammarError, exact_number, nearest, quoted
+from netem.errors import TextError
+from netem.parsing import LONGEST_NUMBER, NUMBER, exact_number, nearest, quoted
 
 _VALUE = re.compile(rf"({NUMBER.pattern})\s*([^\W\d_]+|%)?(?=\s|$)", re.ASCII)
 _WORD = re.compile(r"\S+")
@@ -96,11 +97,11 @@ def parse_condition(text: str) -> Condition:
     """The condition that `text` describes; what it does not mention is perfect.
 
     Raises:
-        GrammarError: unknown or unsupported words, wrong units, values out of range or without effect.
+        TextError: unknown or unsupported words, wrong units, values out of range or without effect.
     """
     found, places = _read(text)
     if found.get("reorder") and not found.get("delay_ns"):
-        raise GrammarError("reorder sends some packets at once, so the others need a delay", places["reorder"].start)
+        raise TextError("reorder sends some packets at once, so the others need a delay", places["reorder"].start)
     return Condition(**found)
 
 
@@ -113,20 +114,20 @@ def with_word(text: str, word: str, value: str) -> str:
         value: everything that is to stand behind the word.
 
     Raises:
-        GrammarError: the condition is none; the word is unknown or has no value; the value is none for this word. The
+        TextError: the condition is none; the word is unknown or has no value; the value is none for this word. The
             column is that in `value` where the value is wrong, else 0.
     """
     if word not in _PARSERS or word == "down":
         valued = ", ".join(name for name in WORDS if name != "down")
         hint = nearest(word, WORDS) if word != "down" else "--net takes whole conditions"
-        raise GrammarError(f'a link condition has no value "{word[:40]}"; it has {valued}', 0, hint)
+        raise TextError(f'a link condition has no value "{word[:40]}"; it has {valued}', 0, hint)
     try:
         _, added = _read(f"{word} {value}")
-    except GrammarError as error:
-        raise GrammarError(error.message, max(0, error.column - len(word) - 1), error.hint) from None
+    except TextError as error:
+        raise TextError(error.message, max(0, error.column - len(word) - 1), error.hint) from None
     if len(added) > 1:
         other = next(name for name in added if name != word)
-        raise GrammarError(f'"{other}" is another word of the condition', max(0, added[other].start - len(word) - 1))
+        raise TextError(f'"{other}" is another word of the condition', max(0, added[other].start - len(word) - 1))
     places = _read(text)[1] if text else {}
     terms = {name: text[place.start : place.stop].strip() for name, place in places.items()}
     return " ".join((terms | {word: f"{word} {value.strip()}"}).values())
@@ -136,13 +137,13 @@ def _read(text: str) -> tuple[dict[str, Any], dict[str, slice]]:
     """The values of a condition, and where each of its words stands with what is behind it."""
     reader = _Reader(text)
     if reader.done():
-        raise GrammarError('expected a link condition such as "delay 200ms 50ms loss 30%", got nothing')
+        raise TextError('expected a link condition such as "delay 200ms 50ms loss 30%", got nothing')
     places: dict[str, slice] = {}
     found: dict[str, Any] = {}
     while not reader.done():
         column, word = reader.at, reader.word()
         if word in places:
-            raise GrammarError(f'"{word}" is given twice', column)
+            raise TextError(f'"{word}" is given twice', column)
         if word not in _PARSERS:
             raise _unknown(word, column)
         found |= _PARSERS[word](reader)
@@ -163,19 +164,19 @@ def _delay(reader: _Reader) -> dict[str, Any]:
         name_column, name = reader.at, reader.word()
         if name not in _DISTRIBUTIONS:
             hint = nearest(name, _DISTRIBUTIONS) or f"known: {', '.join(_DISTRIBUTIONS)}"
-            raise GrammarError(f"no distribution is called {quoted(name)}", name_column, hint)
+            raise TextError(f"no distribution is called {quoted(name)}", name_column, hint)
         if not found.get("jitter_ns"):
-            raise GrammarError("a distribution has no effect without a jitter", column, "write delay 200ms 50ms ...")
+            raise TextError("a distribution has no effect without a jitter", column, "write delay 200ms 50ms ...")
         found["distribution"] = name
     delay, jitter = found["delay_ns"], found.get("jitter_ns", 0)
     if jitter > delay and found.get("distribution", "uniform") == "uniform":
-        raise GrammarError(
+        raise TextError(
             f"the jitter {_print_time(jitter)} is above the delay {_print_time(delay)}: "
             "a packet cannot arrive before it is sent",
             jitter_column,
         )
     if found.get("delay_correlation") and not jitter:
-        raise GrammarError("a correlation has no effect without a jitter", jitter_column)
+        raise TextError("a correlation has no effect without a jitter", jitter_column)
     return found
 
 
@@ -188,7 +189,7 @@ def _loss(reader: _Reader) -> dict[str, Any]:
             model = FourState(p13, p.get("p31", 1.0 - p13), p.get("p32", 0.0), p.get("p23", 1.0), p.get("p14", 0.0))
             for first, second in (("p13", "p14"), ("p31", "p32")):
                 if getattr(model, first) + getattr(model, second) > 1.0 + 1e-12:
-                    raise GrammarError(f"{first} and {second} leave the same state: together at most 100%", reader.at)
+                    raise TextError(f"{first} and {second} leave the same state: together at most 100%", reader.at)
             return {"loss_model": model}
         case "gemodel":
             reader.word()
@@ -222,20 +223,20 @@ def _rate(reader: _Reader) -> dict[str, Any]:
     got = reader.peek()
     value = reader.value()
     if value is None:
-        raise GrammarError(f'expected a rate such as "1kbit", got {quoted(got)}', column)
+        raise TextError(f'expected a rate such as "1kbit", got {quoted(got)}', column)
     number, unit, column = value
     if unit.lower() not in RATE_UNITS:
         text = "has no unit" if not unit else f'takes bit, kbit, mbit (bits) or bps, kbps, mbps (bytes), got "{unit}"'
-        raise GrammarError(f'the rate "{got}" {text}', column, nearest(unit, RATE_UNITS) if unit else "write 1kbit")
+        raise TextError(f'the rate "{got}" {text}', column, nearest(unit, RATE_UNITS) if unit else "write 1kbit")
     bits_per_s = number * RATE_UNITS[unit.lower()]
     if bits_per_s.denominator != 1 or not 0 <= bits_per_s <= 10**12:
-        raise GrammarError("the rate must be a whole number of bits per second, at most 1000 gbit", column)
+        raise TextError("the rate must be a whole number of bits per second, at most 1000 gbit", column)
     found = {"rate_bit_s": bits_per_s.numerator}
     if reader.value_follows():
         column = reader.at
         found["rate_overhead"] = _whole(reader, "packet overhead (bytes)", "20", 0)
         if found["rate_overhead"] and not found["rate_bit_s"]:
-            raise GrammarError("a packet overhead has no effect without a rate", column)
+            raise TextError("a packet overhead has no effect without a rate", column)
     return found
 
 
@@ -262,7 +263,7 @@ def _whole(reader: _Reader, what: str, example: str, least: int, most: int = _MO
     got = reader.peek()
     value = reader.value()
     if value is None or value[1] or value[0].denominator != 1 or not least <= value[0] <= most:
-        raise GrammarError(
+        raise TextError(
             f'the {what} takes a whole number from {least} to {most} such as "{example}", got {quoted(got)}', column
         )
     return value[0].numerator
@@ -283,12 +284,12 @@ def _percent(reader: _Reader, what: str) -> float:
     got = reader.peek()
     value = reader.value()
     if value is None:
-        raise GrammarError(f'expected a {what} such as "30%", got {quoted(got)}', column)
+        raise TextError(f'expected a {what} such as "30%", got {quoted(got)}', column)
     number, unit, column = value
     if unit != "%":
-        raise GrammarError(f'the {what} takes a percentage such as "30%", got {quoted(got)}', column)
+        raise TextError(f'the {what} takes a percentage such as "30%", got {quoted(got)}', column)
     if not 0 <= number <= 100:
-        raise GrammarError(f'the {what} must be between 0% and 100%, got "{got}"', column)
+        raise TextError(f'the {what} must be between 0% and 100%, got "{got}"', column)
     return float(number / 100)
 
 
@@ -297,31 +298,31 @@ def _time(reader: _Reader, what: str, example: str) -> int:
     got = reader.peek()
     value = reader.value()
     if value is None:
-        raise GrammarError(f'expected a {what} such as "{example}", got {quoted(got)}', column)
+        raise TextError(f'expected a {what} such as "{example}", got {quoted(got)}', column)
     number, unit, column = value
     if not unit:
-        raise GrammarError(
+        raise TextError(
             f'the {what} "{got}" has no unit',
             column,
             f'write "{got}ms", or "{got}us", which is how tc reads it',
         )
     if unit not in _TIME_NS:
-        raise GrammarError(f'the {what} takes us, ms or s, got "{unit}"', column, nearest(unit, _TIME_NS))
+        raise TextError(f'the {what} takes us, ms or s, got "{unit}"', column, nearest(unit, _TIME_NS))
     ns = number * _TIME_NS[unit]
     if ns < 0 or ns > _LONGEST_TIME_NS:
-        raise GrammarError(f"the {what} must be between 0 and one day", column)
+        raise TextError(f"the {what} must be between 0 and one day", column)
     if ns.denominator != 1:
-        raise GrammarError(f"the {what} is not a whole number of nanoseconds", column)
+        raise TextError(f"the {what} is not a whole number of nanoseconds", column)
     return ns.numerator
 
 
-def _unknown(word: str, column: int) -> GrammarError:
+def _unknown(word: str, column: int) -> TextError:
     if word in REFUSED:
-        return GrammarError(f'"{word}" of tc-netem is not supported', column, REFUSED[word])
+        return TextError(f'"{word}" of tc-netem is not supported', column, REFUSED[word])
     if word in _INNER:
-        return GrammarError(f'"{word}" belongs behind another word of tc-netem', column, f"first: {', '.join(WORDS)}")
+        return TextError(f'"{word}" belongs behind another word of tc-netem', column, f"first: {', '.join(WORDS)}")
     hint = nearest(word, WORDS) or f"known: {', '.join(WORDS)}"
-    return GrammarError(f'unknown link condition "{word[:40]}"', column, hint)
+    return TextError(f'unknown link condition "{word[:40]}"', column, hint)
 
 
 def print_condition(condition: Condition) -> str:

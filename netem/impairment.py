@@ -83,7 +83,7 @@ class LinkOutcome(NamedTuple):
 
 
 @dataclass(slots=True)
-class LinkState:
+class LinkMemory:
     """What a link remembers from packet to packet."""
 
     last: dict[str, float] = field(default_factory=dict)  # the last correlated number of each purpose
@@ -98,7 +98,7 @@ class LinkState:
         return [last, self.loss_model, self.loss_state, self.since_reordered, list(self.leaving_ns)]
 
     @classmethod
-    def from_values(cls, values: list[Any]) -> LinkState:
+    def from_values(cls, values: list[Any]) -> LinkMemory:
         """The inverse of `to_values`."""
         last, model, loss_state, since, leaving = values
         return cls(dict(last), model, loss_state, since, list(leaving))
@@ -109,17 +109,17 @@ class LinkModel:
 
     __slots__ = ("_key", "_link", "_seed", "_seed_in_use", "_state", "_used", "condition")
 
-    def __init__(self, condition: Condition, seed: int, link: Link, state: LinkState | None = None) -> None:
+    def __init__(self, condition: Condition, seed: int, link: Link, state: LinkMemory | None = None) -> None:
         self.condition = condition  # the link's own
         self._seed = seed
         self._link = link
-        self._state = state or LinkState()
+        self._state = state or LinkMemory()
         self._seed_in_use = seed
         self._key = packed(seed, *link)  # the beginning of the key of all draws
         self._use(condition)
 
     @property
-    def state(self) -> LinkState:
+    def state(self) -> LinkMemory:
         return self._state
 
     def enter(self, now_ns: int, seq: int, payload: bytes, over: Condition | None = None) -> list[LinkOutcome]:

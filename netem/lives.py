@@ -12,8 +12,6 @@ from typing import NamedTuple
 
 from netem.errors import OutOfPlace
 
-WHENEVER = 2**63 - 1  # in place of a tick at which an absence began
-
 
 class Absence(NamedTuple):
     """A vehicle has no agent from tick `begin` to before `end` (None: to the end of the run)."""
@@ -66,11 +64,11 @@ class Lives:
         if not self.without_agent(i, tick):
             self.add(Absence(i, tick, next((end for _, end in self.gaps(i) if end is None or end > tick), None)))
 
-    def restart(self, i: int, begin: int, tick: int) -> None:
-        """The absences of vehicle i that began at `begin` (or WHENEVER) and last at `tick` end there."""
+    def restart(self, i: int, begin: int | None, tick: int) -> None:
+        """The absences of vehicle i that began at `begin` (None: whenever) and last at `tick` end there."""
         self.absences = [
             a._replace(end=tick)
-            if a.vehicle == i and begin in (WHENEVER, a.begin) and a.begin < tick and (a.end is None or tick < a.end)
+            if a.vehicle == i and begin in (None, a.begin) and a.begin < tick and (a.end is None or tick < a.end)
             else a
             for a in self.absences
         ]

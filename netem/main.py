@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from netem.clock import Clock
 from netem.config import NetemConfig
 from netem.process import NetemProcess
 from netem.realtime_process import RealtimeNetemProcess
@@ -14,11 +15,11 @@ from netem.wire.link_loss import end_with_link
 from netem.wire.session import quiet_zenoh
 
 
-def run(endpoint: str, run_id: str, credentials: Credentials, config: NetemConfig, realtime: bool) -> None:
+def run(endpoint: str, run_id: str, credentials: Credentials, config: NetemConfig, clock: Clock) -> None:
     """Serve the network of a run until the process is ended.
 
     Args:
-        realtime: ticks begin when the world says; otherwise the run is in lockstep.
+        clock: with `real`, ticks begin when the world says.
 
     Raises:
         BusError: there is no router at the endpoint, or it refuses the credentials.
@@ -27,7 +28,7 @@ def run(endpoint: str, run_id: str, credentials: Credentials, config: NetemConfi
     keys = Keys(run_id)
     bus = Bus.connect(endpoint, credentials, puts=[keys.rx("*")])
     end_with_link(bus, credentials)
-    if realtime:
+    if clock is Clock.REAL:
         RealtimeNetemProcess(bus, keys, config, RealtimeRounds(config)).serve()
     else:
         NetemProcess(bus, keys, config, Rounds(config)).serve()

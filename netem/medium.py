@@ -10,13 +10,13 @@ from netem.condition import Link
 from netem.config import NetemConfig
 from netem.faults import ActiveFaults
 from netem.links import Links
-from netem.transit import Packet, Transit
+from netem.transit import PendingPacket, Transit
 from netem.wire.messages import Fate
 
 Place = tuple[float, ...]  # x, y, z [m, NED]
 
 
-class Round(NamedTuple):
+class MediumRound(NamedTuple):
     """What a medium is given of one round."""
 
     tick: int  # the round tick k
@@ -29,7 +29,7 @@ class Round(NamedTuple):
 class Medium(Protocol):
     """Turns the payloads of a round into packets and losses in a `Transit`."""
 
-    def carry(self, round_: Round) -> None:
+    def carry(self, round_: MediumRound) -> None:
         """Take the payloads of a round.
 
         Raises:
@@ -54,7 +54,7 @@ class IndependentLinks:
         self._links = links
         self._transit = transit
 
-    def carry(self, round_: Round) -> None:
+    def carry(self, round_: MediumRound) -> None:
         """Let every payload into all links of its sender."""
         for src in sorted(round_.transmissions):
             for payload in round_.transmissions[src]:
@@ -74,7 +74,7 @@ class IndependentLinks:
         for copy, outcome in enumerate(outcomes):
             ticks = -(-outcome.delay_ns // config.tick_ns) + faults.slow.get(src, 0)
             due = tick + (ticks if config.ideal else max(1, ticks))
-            packet = Packet(due, tick, src, seq, copy, dst, outcome.delay_ns, outcome.payload, outcome.corrupted)
+            packet = PendingPacket(due, tick, src, seq, copy, dst, outcome.delay_ns, outcome.payload, outcome.corrupted)
             if outcome.cause is not None:
                 self._transit.lose(packet.fate(tick, outcome.cause))
             else:

@@ -18,10 +18,10 @@ from netem.acoustic import AcousticChannel
 from netem.condition import Condition, Link, condition_from_values, condition_values
 from netem.config import NetemConfig
 from netem.faults import active_faults, fault_from_values, fault_values
-from netem.impairment import LinkModel, LinkState
+from netem.impairment import LinkMemory, LinkModel
 from netem.links import Links
-from netem.medium import IndependentLinks, Medium, Place, Round
-from netem.transit import Packet, Transit
+from netem.medium import IndependentLinks, Medium, MediumRound, Place
+from netem.transit import PendingPacket, Transit
 from netem.wire.messages import Delivery, Fate
 
 # The order of packet records in the log.
@@ -42,8 +42,8 @@ class _State(Struct):
     faults: list[list[Any]]
     next_seq: list[tuple[int, int, int]]
     links: list[tuple[int, int, dict[str, Any], list[Any]]]
-    pending: list[Packet]
-    announced: list[Packet]
+    pending: list[PendingPacket]
+    announced: list[PendingPacket]
     unheard: list[Fate]
     ledger: list[tuple[int, int, dict[str, Any]]]
 
@@ -88,7 +88,7 @@ class Netem:
         faults, ideal, transit = active_faults(self.faults, tick), self.config.ideal, self._transit
         until = tick if ideal else tick + self.config.round_ticks
         alive = transmissions.keys() if positions is None else positions.keys()
-        self._medium.carry(Round(tick, until, transmissions, positions, faults))
+        self._medium.carry(MediumRound(tick, until, transmissions, positions, faults))
         # On an ideal network today's packets are due today, so they are announced before they are settled.
         fates = [] if ideal else transit.settle(tick)
         inboxes, unheard = transit.announce(alive, until, faults)
@@ -143,7 +143,7 @@ class Netem:
         self.faults = tuple(fault_from_values(fault) for fault in state.faults)
         links.next_seq = {(src, dst): seq for src, dst, seq in state.next_seq}
         for src, dst, condition, memory in state.links:
-            link, restored = (src, dst), LinkState.from_values(memory)
+            link, restored = (src, dst), LinkMemory.from_values(memory)
             links.models[link] = LinkModel(condition_from_values(condition), self.config.seed, link, restored)
         for src, dst, account in state.ledger:
             links.ledger.restore((src, dst), account)

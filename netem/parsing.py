@@ -1,4 +1,4 @@
-"""What every reader of text needs: exact numbers, the error of the grammar, the nearest known word."""
+"""What every reader of text needs: exact numbers, the nearest known word."""
 
 from __future__ import annotations
 
@@ -8,14 +8,8 @@ from decimal import Decimal
 from difflib import get_close_matches
 from fractions import Fraction
 
-from netem.errors import TextError
-
 NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d{1,3})?", re.ASCII)
 LONGEST_NUMBER = 40  # characters: keeps exact arithmetic cheap whatever the text
-
-
-class GrammarError(TextError):
-    """A text that is no link condition or link selector."""
 
 
 def exact_number(text: str) -> Fraction | None:

@@ -1,4 +1,4 @@
-"""The netem process: the network core in lockstep, behind zenoh."""
+"""The netem process: the network core behind zenoh; here in lockstep."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import logging
 import os
 import sys
 import traceback
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from threading import Lock
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import msgpack
 import msgspec
@@ -43,15 +44,17 @@ from netem.wire.shell import Probes, Shell
 
 log = logging.getLogger(__name__)
 
+R = TypeVar("R", bound=Rounds | RealtimeRounds)
+
 RECORD_BYTES = 80  # a fate or delivery without its payload, generously
 
 _ECHO = encode(Hello(NETEM, 0, 0, PROTOCOL_VERSION, True))
 
 
-class NetemProcess:
-    """Gives messages and control requests to `Rounds` and publishes inboxes and reports."""
+class NetworkProcess(ABC, Generic[R]):
+    """Gives messages and control requests to the rounds of a clock and publishes inboxes and reports."""
 
-    def __init__(self, bus: Bus, keys: Keys, config: NetemConfig, rounds: Rounds | RealtimeRounds) -> None:
+    def __init__(self, bus: Bus, keys: Keys, config: NetemConfig, rounds: R) -> None:
         self._round_key = keys.round
         self._rounds = rounds
         self._shell = Shell(bus, NETEM, keys.note(NETEM))
@@ -64,18 +67,21 @@ class NetemProcess:
         self._listen(bus, keys)
         bus.token(keys.alive(NETEM))
 
+    @abstractmethod
     def _listen(self, bus: Bus, keys: Keys) -> None:
-        # Transmissions and rounds: an agent owes one at a time.
-        self._in = bus.channel(keys.tx("*"), capacity=max(64, 3 * len(self._inbox)))
-        bus.answer(keys.ctl(NETEM), self._query)
+        """Subscribe to transmissions and rounds, and answer control requests."""
 
+    @abstractmethod
     def serve(self) -> None:
         """Handle one message after the other, until the process is ended."""
-        take = self._in.get
-        while True:
-            key, data = take()
-            with self._lock:
-                self._put(key, data)
+
+    @abstractmethod
+    def _from_agent(self, i: int, message: Message) -> None:
+        """Take what agent i sent. Raises MalformedMessage or OutOfPlace."""
+
+    @abstractmethod
+    def _from_world(self, message: Message) -> None:
+        """Take what the world sent. Raises MalformedMessage or OutOfPlace."""
 
     def _put(self, key: str, data: bytes) -> None:
         try:
@@ -113,12 +119,6 @@ class NetemProcess:
         else:
             self._from_agent(i, message)
 
-    def _from_agent(self, i: int, message: Message) -> None:
-        if not isinstance(message, Transmission):
-            raise MalformedMessage("receipt", "receipts belong to realtime runs")
-        self._rounds.transmission(i, message)
-        self._exchange()
-
     def _world_put(self, data: bytes) -> None:
         """Handle a put of the world: a Round, a Hello, or in real time a Pace."""
         message = expect(data, Round, Hello, Pace)
@@ -127,19 +127,6 @@ class NetemProcess:
             return
         self._counts["received"]["round"] += isinstance(message, Round)
         self._from_world(message)
-
-    def _from_world(self, message: Message) -> None:
-        if not isinstance(message, Round):
-            raise MalformedMessage("pace", "a pace belongs to realtime runs")
-        self._rounds.round(message)
-        self._exchange()
-
-    def _exchange(self) -> None:
-        assert isinstance(self._rounds, Rounds)
-        while (outcome := self._rounds.exchange()) is not None:
-            inboxes, report = outcome
-            self._hand_out(inboxes)
-            self._report(report)
 
     def _hand_out(self, inboxes: list[tuple[int, Inbox]]) -> None:
         for i, inbox in inboxes:
@@ -180,6 +167,41 @@ class NetemProcess:
                 respond(msgpack.packb(values | {"timing": self._rounds.timing()}))
             case other:
                 raise MalformedMessage("control", f"no operation {other!r:.40}")
+
+
+class NetemProcess(NetworkProcess[Rounds]):
+    """The network in lockstep: a round is over when everybody has sent."""
+
+    def _listen(self, bus: Bus, keys: Keys) -> None:
+        # Transmissions and rounds: an agent owes one at a time.
+        self._in = bus.channel(keys.tx("*"), capacity=max(64, 3 * len(self._inbox)))
+        bus.answer(keys.ctl(NETEM), self._query)
+
+    def serve(self) -> None:
+        """Handle one message after the other, until the process is ended."""
+        take = self._in.get
+        while True:
+            key, data = take()
+            with self._lock:
+                self._put(key, data)
+
+    def _from_agent(self, i: int, message: Message) -> None:
+        if not isinstance(message, Transmission):
+            raise MalformedMessage("receipt", "receipts belong to realtime runs")
+        self._rounds.transmission(i, message)
+        self._exchange()
+
+    def _from_world(self, message: Message) -> None:
+        if not isinstance(message, Round):
+            raise MalformedMessage("pace", "a pace belongs to realtime runs")
+        self._rounds.round(message)
+        self._exchange()
+
+    def _exchange(self) -> None:
+        while (outcome := self._rounds.exchange()) is not None:
+            inboxes, report = outcome
+            self._hand_out(inboxes)
+            self._report(report)
 
 
 def _absences(values: Any) -> list[Absence]:

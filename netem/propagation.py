@@ -87,13 +87,6 @@ def noise_level(f_khz: float, bandwidth_hz: float, shipping: float, wind_mps: fl
     return noise_density(f_khz, shipping, wind_mps) + 10.0 * log10(bandwidth_hz)
 
 
-def signal_to_noise(
-    source_level_db: float, transmission_loss_db: float, noise_level_db: float, directivity_db: float = 0.0
-) -> float:
-    """The signal-to-noise ratio [dB] at the receiver."""
-    return source_level_db - transmission_loss_db - (noise_level_db - directivity_db)
-
-
 def bit_error_rate(snr_db: float) -> float:
     """Bit errors after decoding, of coded non-coherent FSK in Rayleigh fading: a bound, so it may exceed 1."""
     p = 1.0 / (2.0 + power(snr_db))

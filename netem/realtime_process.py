@@ -5,9 +5,8 @@ from __future__ import annotations
 from contextlib import suppress
 from queue import Empty
 from time import monotonic_ns
-from typing import cast
 
-from netem.process import NetemProcess
+from netem.process import NetworkProcess
 from netem.realtime_rounds import RealtimeRounds
 from netem.wire.access import NETEM
 from netem.wire.bus import Bus, Respond
@@ -20,7 +19,7 @@ REST_S = 0.1
 MOST_REST = 10_000
 
 
-class RealtimeNetemProcess(NetemProcess):
+class RealtimeNetemProcess(NetworkProcess[RealtimeRounds]):
     """Exchanges when a tick is half over. The world sends the pace anew every round."""
 
     _pace = Pace(0, 0, 1)
@@ -31,7 +30,7 @@ class RealtimeNetemProcess(NetemProcess):
 
     def serve(self) -> None:
         """Tick by tick, until the process is ended."""
-        rounds, shell = cast(RealtimeRounds, self._rounds), self._shell
+        rounds, shell = self._rounds, self._shell
         while True:
             wait = (self._middle_ns(rounds.tick) - monotonic_ns()) / 1e9 if rounds.known else None
             if wait is None or wait > 0:
@@ -79,14 +78,13 @@ class RealtimeNetemProcess(NetemProcess):
         return self._pace.at_ns + (tick - self._pace.tick) * self._pace.period_ns
 
     def _from_agent(self, i: int, message: Message) -> None:
-        rounds = cast(RealtimeRounds, self._rounds)
         if isinstance(message, Receipt):
-            rounds.receipt(i, message, self._begin_ns)
+            self._rounds.receipt(i, message, self._begin_ns)
         elif isinstance(message, Transmission):
-            rounds.transmission(i, message)
+            self._rounds.transmission(i, message)
 
     def _from_world(self, message: Message) -> None:
         if isinstance(message, Pace):
             self._pace = message
         elif isinstance(message, Round):
-            cast(RealtimeRounds, self._rounds).round(message)
+            self._rounds.round(message)

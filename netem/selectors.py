@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from netem.condition import Link
-from netem.parsing import GrammarError, quoted
+from netem.errors import TextError
+from netem.parsing import quoted
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,16 +40,16 @@ def parse_selector(text: str) -> Selector:
     """The links that `text` names.
 
     Raises:
-        GrammarError: the text is no selector.
+        TextError: the text is no selector.
     """
     if text.strip() == "*":
         return Selector(None, None)
     match = _SELECTOR.fullmatch(text)
     if match is None:
-        raise GrammarError(f'{quoted(text)} is no link: write "*", "1->2", "1<->2", "1->*" or "*->2"')
+        raise TextError(f'{quoted(text)} is no link: write "*", "1->2", "1<->2", "1->*" or "*->2"')
     src, arrow, dst = match.groups()
     if src == dst and src != "*":
-        raise GrammarError(f"vehicle {src} has no link to itself")
+        raise TextError(f"vehicle {src} has no link to itself")
     ends = [None if side == "*" else int(side) for side in (src, dst)]
     return Selector(ends[0], ends[1], arrow == "<->" and ends != [None, None])
 

@@ -14,7 +14,7 @@ from netem.faults import ActiveFaults
 from netem.wire.messages import Delivery, Fate
 
 
-class Packet(NamedTuple):
+class PendingPacket(NamedTuple):
     """A payload under way; packets sort by the order in which their receiver sees them."""
 
     due_tick: int
@@ -48,11 +48,13 @@ class Transit:
     """A medium adds packets and losses; rounds take inboxes and final fates out."""
 
     def __init__(self, config: NetemConfig) -> None:
-        self.pending: dict[int, list[Packet]] = {i: [] for i in config.vehicles}  # heaps of what is in no inbox yet
-        self.announced: list[Packet] = []  # in an inbox, not yet due
+        self.pending: dict[int, list[PendingPacket]] = {
+            i: [] for i in config.vehicles
+        }  # heaps of what is in no inbox yet
+        self.announced: list[PendingPacket] = []  # in an inbox, not yet due
         self.lost: list[Fate] = []  # their final tick is still to come
 
-    def add(self, packet: Packet) -> None:
+    def add(self, packet: PendingPacket) -> None:
         """A packet is on its way to its receiver."""
         heapq.heappush(self.pending[packet.dst], packet)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from netem.lives import Absence
-from world.faults import WorldFault
+from netem.wire.messages import WorldFault
 from world.tumble import LIMIT_RAD
 from world.vectors import Vec3, Vec5
 from world.vehicle import VehicleParams

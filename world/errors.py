@@ -7,25 +7,6 @@ class WorldError(Exception):
     """Base of every error of this package."""
 
 
-class UnknownVehicleError(WorldError):
-    """The world has no vehicle of this number."""
-
-    def __init__(self, vehicle: int, known: tuple[int, ...]) -> None:
-        super().__init__(f"vehicle {vehicle} is not in this world, which has {list(known)}")
-        self.vehicle = vehicle
-        self.known = known
-
-
-class CommandError(WorldError):
-    """A command is not three finite numbers."""
-
-    def __init__(self, vehicle: int, tick: int, tau: tuple[float, ...]) -> None:
-        super().__init__(f"vehicle {vehicle}, tick {tick}: expected tau as three finite numbers, got {tau!r}")
-        self.vehicle = vehicle
-        self.tick = tick
-        self.tau = tau
-
-
 class IntegrationError(WorldError):
     """The vehicle's motion cannot be integrated over a tick; the world stays as it was before the tick.
 
@@ -39,10 +20,6 @@ class IntegrationError(WorldError):
         self.theta = theta
         self.vehicle = vehicle
         self.tick = tick
-
-
-class NonFiniteStateError(IntegrationError):
-    """The integration left the range of finite numbers."""
 
 
 class PlantError(IntegrationError):

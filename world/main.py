@@ -6,6 +6,7 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
+from netem.clock import Clock
 from netem.wire.access import WORLD as WORLD
 from netem.wire.access import Credentials, Listener
 from netem.wire.audit import Refusals, listen
@@ -26,7 +27,8 @@ def run(
     private: Path,
     config: WorldConfig,
     frame_every: int,
-    speed: float | None,
+    clock: Clock,
+    speed: float,
     most_asked: int,
     listener: Listener | None = None,
     certified: Listener | None = None,
@@ -41,7 +43,8 @@ def run(
         private: a folder that only this user can read, for the router's files.
         config: the world's part of the scenario.
         frame_every: a frame is due every so many ticks.
-        speed: how fast ticks begin, times real time; None: lockstep.
+        clock: what decides when a tick begins.
+        speed: how fast ticks begin on a wall clock, times real time.
         most_asked: agents that are asked at a time, in lockstep.
         listener: where the router listens besides; None: only at `endpoint`.
         certified: where a second router listens for agents without a password; None: nowhere.
@@ -49,7 +52,7 @@ def run(
     """
     keys = Keys(run_id)
     bus, refusals = host(endpoint, keys, credentials, private, config, listener, certified, audit=audit)
-    _process(bus, keys, config, frame_every, speed, most_asked, refusals).serve_or_give_up()
+    _process(bus, keys, config, frame_every, clock, speed, most_asked, refusals).serve_or_give_up()
 
 
 def host(
@@ -84,7 +87,8 @@ def join(
     credentials: Credentials,
     config: WorldConfig,
     frame_every: int,
-    speed: float | None,
+    clock: Clock,
+    speed: float,
     most_asked: int,
 ) -> None:
     """Serve the sea of a run through a router that is there already; as `run` otherwise.
@@ -95,7 +99,7 @@ def join(
     quiet_zenoh()
     bus = Bus.connect(endpoint, credentials)
     end_with_link(bus, credentials)
-    _process(bus, Keys(run_id), config, frame_every, speed, most_asked).serve_or_give_up()
+    _process(bus, Keys(run_id), config, frame_every, clock, speed, most_asked).serve_or_give_up()
 
 
 def _process(
@@ -103,11 +107,12 @@ def _process(
     keys: Keys,
     config: WorldConfig,
     frame_every: int,
-    speed: float | None,
+    clock: Clock,
+    speed: float,
     most_asked: int,
     refusals: Refusals | None = None,
 ) -> WorldProcess:
-    if speed is None:
+    if clock is Clock.LOCKSTEP:
         if most_asked < len(config.vehicles):
             share_processor()
         return WorldProcess(bus, keys, Lockstep(config, frame_every=frame_every), refusals, most_asked)

@@ -36,12 +36,12 @@ from netem.wire.messages import (
     Restart,
     Round,
     VehicleFrame,
+    WorldFault,
     WorldFaults,
 )
 from netem.wire.parts import PART_BYTES, pieces, split
 from netem.wire.shell import Probes, Shell
 from world.errors import IntegrationError
-from world.faults import WorldFault
 from world.lockstep import Lockstep, NavTo, Out
 from world.realtime import RealtimeRun
 from world.turns import Turns
@@ -148,12 +148,12 @@ class WorldProcess:
             case Grant():
                 self._publish(run.grant(message.until))
             case WorldFaults():
-                state.world.faults = tuple(map(WorldFault.from_values, msgpack.unpackb(message.faults)))
+                state.world.faults = _checked(message.faults)
             case Death(vehicle=i) if i in self._ids:
-                if message.tick:
-                    state.lives.add(Absence(i, message.tick, message.until or None))
+                if message.tick is not None:
+                    state.lives.add(Absence(i, message.tick, message.until))
                     return
-                out = run.end(i, message.incarnation, message.until or None)
+                out = run.end(i, message.incarnation, message.until)
                 if i not in dict(run.waiting_for):
                     # A nav whose agent has ended was not lost on the way.
                     self._sent["nav"] -= self._turns.holds(i)
@@ -296,6 +296,14 @@ class WorldProcess:
     def _timing(self) -> dict[str, Any]:
         """How the world and the agents kept up with the wall clock; empty in lockstep."""
         return {}
+
+
+def _checked(faults: tuple[WorldFault, ...]) -> tuple[WorldFault, ...]:
+    for fault in faults:
+        if len(fault.values) != (expected := fault.kind.numbers):
+            got = len(fault.values)
+            raise MalformedMessage("faults", f"{fault.id!r:.40}: {fault.kind} has {expected} values, not {got}")
+    return faults
 
 
 def _row_bytes(row: VehicleFrame) -> int:

@@ -12,14 +12,15 @@ from math import isfinite
 from typing import Any, cast
 
 from netem.draws import undecided, uniform
+from netem.fault_kinds import WorldFaultKind
+from netem.wire.messages import WorldFault
 from world.api import PlantConfig
 from world.config import NavNoise, VehicleSetup, WorldConfig
 from world.current import GaussMarkov, gust, purpose
 from world.current import draws as draws_of_drift
 from world.disturbance import disturbance
 from world.dynamics import Coefficients, State, coefficients, rk4_step
-from world.errors import CommandError, NonFiniteStateError, UnknownVehicleError
-from world.faults import WorldFault
+from world.errors import IntegrationError, WorldError
 from world.plants.fenced_plant import FencedPlant
 from world.sensors import Measured, measure, split
 from world.vectors import Vec2, Vec3, Vec5, Vec6, plus
@@ -30,11 +31,11 @@ Stages = tuple[tuple[Vec5, Vec5, Vec5], ...]  # the disturbance at start, middle
 def draws(fault: WorldFault) -> list[str]:
     """The purposes of the draws that decide what a fault does; none if all seeds give the same."""
     match fault.kind:
-        case "noise":
+        case WorldFaultKind.NOISE:
             return [_purpose(fault)] if any(fault.values) else []
-        case "dropout":
+        case WorldFaultKind.DROPOUT:
             return [_purpose(fault)] if undecided(fault.values[0]) else []
-        case "current":
+        case WorldFaultKind.CURRENT:
             return draws_of_drift(fault.id, fault.values[3:6])
     return []
 
@@ -71,7 +72,7 @@ class _Vehicles(dict[int, _Vehicle]):
     """The vehicles by number."""
 
     def __missing__(self, i: int) -> _Vehicle:
-        raise UnknownVehicleError(i, tuple(self))
+        raise WorldError(f"vehicle {i} is not in this world, which has {list(self)}")
 
 
 class World:
@@ -138,15 +139,15 @@ class World:
             return measured
         for fault in self._active(i, tick):
             match fault.kind:
-                case "noise":
+                case WorldFaultKind.NOISE:
                     extra = NavNoise(*fault.values)
                     measured = measure(measured, extra, self.config.seed, i, tick, _purpose(fault))
-                case "bias":
+                case WorldFaultKind.BIAS:
                     # Twelve numbers, of which a vehicle without roll has no use for the last two.
                     measured = split([a + b for a, b in zip(_joined(measured), fault.values, strict=False)])
-                case "freeze":
+                case WorldFaultKind.FREEZE:
                     measured = split(self._held.setdefault((fault.id, i), _joined(measured)))
-                case "dropout":
+                case WorldFaultKind.DROPOUT:
                     known = self._held.get((fault.id, i))
                     if known is None or uniform(self.config.seed, _purpose(fault), i, tick) >= fault.values[0]:
                         self._held[fault.id, i] = _joined(measured)
@@ -165,11 +166,11 @@ class World:
             The same within +-tau_max, and with the faults of the actuators.
 
         Raises:
-            CommandError: not three finite numbers.
+            WorldError: not three finite numbers.
         """
         vehicle = self._vehicles[i]
         if len(tau) != 3 or not all(map(isfinite, tau)):
-            raise CommandError(i, vehicle.tick, tau)
+            raise WorldError(f"vehicle {i}, tick {vehicle.tick}: expected tau as three finite numbers, got {tau!r}")
         t1, t2, t3 = tau
         l1, l2, l3 = vehicle.tau_max
         applied = max(-l1, min(l1, t1)), max(-l2, min(l2, t2)), max(-l3, min(l3, t3))
@@ -179,15 +180,15 @@ class World:
         """The force and moments [N, N m] that faulty actuators apply instead of `tau`."""
         for fault in self._active(i, tick):
             match fault.kind:
-                case "efficiency":
+                case WorldFaultKind.EFFICIENCY:
                     f1, f2, f3 = fault.values
                     tau = (f1 * tau[0], f2 * tau[1], f3 * tau[2])
-                case "saturate":
+                case WorldFaultKind.SATURATE:
                     l1, l2, l3 = fault.values
                     tau = max(-l1, min(l1, tau[0])), max(-l2, min(l2, tau[1])), max(-l3, min(l3, tau[2]))
-                case "off":
+                case WorldFaultKind.OFF:
                     tau = (0.0, 0.0, 0.0)
-                case "stuck":
+                case WorldFaultKind.STUCK:
                     t1, t2, t3 = self._held.setdefault((fault.id, i), tau)
                     tau = (t1, t2, t3)
         return tau
@@ -217,7 +218,7 @@ class World:
         """Integrate vehicle i, and it alone, to its next tick with `tau` [N, N m] held.
 
         Raises:
-            NonFiniteStateError: the motion left the range of finite numbers; the state stays that of the tick before.
+            IntegrationError: the motion left the range of finite numbers; the state stays that of the tick before.
             PlantError: the vehicle's plant failed; likewise.
         """
         vehicle = self._vehicles[i]
@@ -238,9 +239,9 @@ class World:
                 state = rk4_step(k, state, tau, d, h, current)
         except (OverflowError, ValueError):
             # math.sin of an infinite angle is a ValueError, not a NaN.
-            raise NonFiniteStateError("the motion left the finite numbers", state[3], i, tick) from None
+            raise IntegrationError("the motion left the finite numbers", state[3], i, tick) from None
         if not isfinite(sum(state)):
-            raise NonFiniteStateError("the motion left the finite numbers", state[3], i, tick)
+            raise IntegrationError("the motion left the finite numbers", state[3], i, tick)
         vehicle.state = state
         vehicle.tick = tick + 1
 
@@ -259,16 +260,16 @@ class World:
     def _with_sea_faults(self, i: int, tick: int, current: Vec3, forces: Stages) -> tuple[Vec3, Stages]:
         """Current [m/s, NED] and disturbance [N, N m] with the faults of the sea added."""
         for fault in self._active(i, tick):
-            if fault.kind == "current":
+            if fault.kind == WorldFaultKind.CURRENT:
                 x, y, z, *sigma, time_constant = fault.values
                 current = plus(current, (x, y, z))
                 if any(sigma):
                     drift = self._drift(fault.id, (sigma[0], sigma[1], sigma[2]), time_constant)
                     current = plus(current, drift.at(tick - fault.begin))
-            elif fault.kind == "gust":
+            elif fault.kind == WorldFaultKind.GUST:
                 x, y, z, over_s = fault.values
                 current = plus(current, gust((x, y, z), over_s, (tick - fault.begin) * self._tick_s))
-            elif fault.kind == "wrench":
+            elif fault.kind == WorldFaultKind.WRENCH:
                 w1, w2, w3, w4, w5 = fault.values
                 start, middle, end = (
                     [(a + w1, b + w2, c + w3, d + w4, e + w5) for a, b, c, d, e in column]
@@ -284,13 +285,13 @@ class World:
 
     def paused(self, i: int, tick: int) -> bool:
         """Whether vehicle i's agent is suspended at a tick by a fault."""
-        return bool(self._faults) and any(fault.kind == "pause" for fault in self._active(i, tick))
+        return bool(self._faults) and any(fault.kind == WorldFaultKind.PAUSE for fault in self._active(i, tick))
 
     def slow(self, i: int, tick: int) -> int:
         """How many ticks later than usual the command of vehicle i's agent for a tick takes effect."""
         if not self._faults:
             return 0
-        return max((int(f.values[0]) for f in self._active(i, tick) if f.kind == "slow"), default=0)
+        return max((int(f.values[0]) for f in self._active(i, tick) if f.kind == WorldFaultKind.SLOW), default=0)
 
     def hold(self, i: int) -> None:
         """Let a tick pass without integrating vehicle i, whose motion diverged: it stays where it was."""

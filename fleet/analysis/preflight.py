@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from itertools import combinations
 from math import dist
 
+from fleet.analysis.forgetting import forgetting_warnings
 from fleet.analysis.keep_apart import keep_apart_warnings
 from fleet.analysis.stability import oldest_s
 from fleet.quantities import vehicle_numbers
@@ -24,7 +25,7 @@ BY_ROUND = frozenset(OF_THE_NETWORK) - {"slow"}  # faults that act at round tick
 def warnings(scenario: Scenario) -> list[str]:
     """One sentence for each setting that is valid and hardly intended."""
     return [*_never_judged(scenario), *_recoveries(scenario), *_too_near(scenario), *_too_old(scenario),
-            *_idle_faults(scenario), *_correlated(scenario),
+            *_idle_faults(scenario), *_correlated(scenario), *forgetting_warnings(scenario),
             *keep_apart_warnings(scenario), *_large_log(scenario)]  # fmt: skip
 
 

@@ -46,12 +46,12 @@ def _parts(scenario: Scenario) -> Iterator[tuple[str, list[str]]]:
     yield from _acoustic(scenario)
     yield "faults", nemesis.draws(scenario.undrawn, scenario.graph.links)
     for number, section in enumerate(spec.faults, start=1):
-        if section.partition:
+        if section.partition and section.at // spec.tick < scenario.ticks:
             yield "faults", partitions.draws(section.partition, spec.vehicles, section.id or f"f{number}")
     for fault in scenario.faults.world:
-        yield "faults", sea.draws(fault) if fault.begin < scenario.ticks else []
+        yield "faults", sea.draws(fault)
     for over in scenario.faults.network:
-        yield "faults", _of_fault(over, scenario.conditions) if over.begin < scenario.ticks else []
+        yield "faults", _of_fault(over, scenario.conditions)
     if scenario.other_laws:
         yield f"{PERHAPS}laws of yours", []
     if scenario.plants:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from fleet.execution.clock import Clock
+from fleet.execution.clock import GrantPolicy
 from fleet.execution.in_process import InProcess
 from fleet.recorder.journal import Journal
 from fleet.scenario.loading import load_scenario
@@ -74,6 +74,6 @@ def share_of_a_run(seconds: float) -> float:
         def snapshot(self, _: object) -> None: ...
 
     began = time.process_time()
-    InProcess(run, Journal(run, Nowhere())).serve(Clock.of(run), lambda: None)
+    InProcess(run, Journal(run, Nowhere())).serve(GrantPolicy.of(run), lambda: None)
     whole_s = time.process_time() - began
     return _exchanges_s(run.netem_config, run.ticks // run.round_ticks) / whole_s

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from fleet.bench.plain_log import PlainLog
-from fleet.execution.clock import Clock
+from fleet.execution.clock import GrantPolicy
 from fleet.execution.in_process import InProcess
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile
@@ -33,7 +33,7 @@ class Calls:
     def of(cls, scenario: Scenario) -> Calls:
         """Those of a run in this process."""
         calls = cls()
-        InProcess(scenario, Journal(scenario, calls)).serve(Clock.of(scenario), lambda: None)
+        InProcess(scenario, Journal(scenario, calls)).serve(GrantPolicy.of(scenario), lambda: None)
         return calls
 
     def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None:

@@ -17,7 +17,7 @@ from msgspec import Meta, Struct
 from fleet.bench.errors import BenchError
 from fleet.bench.memory import pss_mb
 from fleet.errors import RunBroken
-from fleet.execution.clock import Clock
+from fleet.execution.clock import GrantPolicy
 from fleet.execution.console import Console
 from fleet.execution.directory import RunDirectory
 from fleet.execution.in_process import InProcess
@@ -148,10 +148,10 @@ def _measured(scenario: Scenario, *, in_process: bool) -> tuple[_Meter, float]:
             meter = _Meter(journal, scenario.ticks)
             try:
                 if in_process:
-                    InProcess(scenario, journal).serve(Clock.of(scenario), meter)
+                    InProcess(scenario, journal).serve(GrantPolicy.of(scenario), meter)
                     return meter, 0.0
                 console = Console(scenario, directory, journal, options, "5ca1e", lambda _: None)
-                console.serve(Clock.of(scenario), meter)
+                console.serve(GrantPolicy.of(scenario), meter)
                 return meter, console.started_s
             except RunBroken as error:
                 lines = "; ".join(error.lines[:3])

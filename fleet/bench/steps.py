@@ -9,7 +9,7 @@ from pathlib import Path
 from statistics import median
 
 from fleet.bench.agent_step import agent_steps
-from fleet.execution.clock import Clock
+from fleet.execution.clock import GrantPolicy
 from fleet.execution.in_process import InProcess
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile
@@ -56,7 +56,7 @@ def _log_tick(ticks: int) -> float:
         files = [LogFile(Path(folder) / name) for name in ("a.mcap", "b.mcap")]
         logs = [LogWriter(file, scenario) for file in files]
         first = JournalWithMemory(scenario, logs[0])
-        clock = Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, 1)
+        clock = GrantPolicy(scenario.ticks, scenario.tick_ns, scenario.round_ticks, 1)
         InProcess(scenario, first).serve(clock, lambda: None)
         second = Journal(scenario, logs[1])
         began = time.process_time()

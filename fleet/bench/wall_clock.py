@@ -21,6 +21,7 @@ from fleet.execution.outcome import Result
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.terminal.table import columns, show
+from netem.clock import Clock
 
 
 class WallClockRow(Struct, frozen=True):
@@ -71,7 +72,7 @@ def measure_wall_clock(
 
 
 def _on_wall_clock(folder: Path, speed: float) -> Options:
-    return Options(folder, quiet=True, realtime_speed=speed, most_missed=1.0)
+    return Options(folder, quiet=True, clock=Clock.REAL, speed=speed, most_missed=1.0)
 
 
 def _row(n: int, speed: float, scenario: Scenario, found: Result, same: Result) -> WallClockRow:

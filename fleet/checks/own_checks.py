@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from math import isfinite
 
-from agents.signals import Layout
+from agents.signals import SignalLayout
 from fleet.checks.api import Failure, Fault
 from fleet.checks.last_messages import LastMessages
 from fleet.checks.python_check import RunningPythonCheck, SeenVehicle, facts_of, packets_of
@@ -161,7 +161,7 @@ class OwnChecks:
         )
 
 
-def reported(scenario: Scenario, i: int) -> tuple[Layout | None, tuple[Signal, ...] | None]:
+def reported(scenario: Scenario, i: int) -> tuple[SignalLayout | None, tuple[Signal, ...] | None]:
     """What agent i and the plant of vehicle i report.
 
     None: its laws are not known here, because those of a log may not run; it has no plant. A plant that may not run

@@ -13,7 +13,7 @@ from fleet.checks.verdict import Moment, Verdict, who
 from fleet.errors import FleetError
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.python_checks import load_check, parameters_of
-from fleet.scenario.sections.signals import Place
+from fleet.scenario.sections.signals import SignalPlace
 from netem.parsing import nearest
 from netem.wire.messages import Fate
 from world.errors import PluginError
@@ -41,7 +41,7 @@ class SeenVehicle:
     __slots__ = ("_asked", "_places", "_values", "alive", "id")
 
     def __init__(
-        self, number: int, alive: bool, values: TickValues, places: Mapping[str, Place], asked: dict[str, None]
+        self, number: int, alive: bool, values: TickValues, places: Mapping[str, SignalPlace], asked: dict[str, None]
     ) -> None:
         """Show a vehicle; `asked` is filled with the names of the signals that are looked at."""
         self.id, self.alive = number, alive
@@ -184,7 +184,7 @@ def _error(class_name: str, tick: int, problem: str, where: str) -> CheckError:
     return CheckError(class_name, problem, where)
 
 
-def facts_of(scenario: Scenario, begin: int, places: Mapping[int, Mapping[str, Place]]) -> Facts:
+def facts_of(scenario: Scenario, begin: int, places: Mapping[int, Mapping[str, SignalPlace]]) -> Facts:
     """What checks may know of a scenario whose run begins at a tick."""
     return Facts(
         scenario=scenario.name,

@@ -11,7 +11,7 @@ from fleet.checks.verdict import Moment, Verdict, who
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.checks import EVERY
 from fleet.scenario.sections.signal_checks import AskedOfSignal
-from fleet.scenario.sections.signals import Place
+from fleet.scenario.sections.signals import SignalPlace
 from fleet.scenario.sections.timeline import Event
 
 Unit = tuple[int, ...]  # the vehicle that a number belongs to, or those that make a spread or are true
@@ -26,7 +26,7 @@ class RunningSignalCheck:
         name: str,
         asked: AskedOfSignal,
         scenario: Scenario,
-        vehicles: Mapping[int, Mapping[str, Place]],
+        vehicles: Mapping[int, Mapping[str, SignalPlace]],
         begin: int,
     ) -> None:
         """Begin with the run.

@@ -54,9 +54,9 @@ def meeting(scenario: Scenario, options: dict[str, Any], *, in_process: bool) ->
     given = [name for name in names if options[name]]
     if not given:
         return None
+    from fleet.hosts.certificates import HostsError
     from fleet.hosts.rendezvous import (
         CERTIFIED,
-        HostsError,
         Rendezvous,
         check_free,
         listening,
@@ -174,7 +174,8 @@ def acl(
     from secrets import token_hex
 
     from fleet.hosts import router_config as lists
-    from fleet.hosts.rendezvous import HostsError, parse_endpoint, run_id
+    from fleet.hosts.certificates import HostsError
+    from fleet.hosts.rendezvous import parse_endpoint, run_id
     from fleet.scenario.loading import load_scenario
 
     vehicles = load_scenario(scenario, overrides, imports=False).vehicles

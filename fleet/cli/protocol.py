@@ -70,7 +70,8 @@ def check(
       fleet protocol check --id 3 --listen-certified tls/127.0.0.1:7448 --certs certs
     """
     from fleet.errors import printable
-    from fleet.hosts.rendezvous import CERTIFIED, HostsError, Rendezvous, check_free, listening_for_certificates
+    from fleet.hosts.certificates import HostsError
+    from fleet.hosts.rendezvous import CERTIFIED, Rendezvous, check_free, listening_for_certificates
     from fleet.protocol.conformance import Examination
     from fleet.scenario.loading import load_scenario
     from netem.wire.session import quiet_zenoh

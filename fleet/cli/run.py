@@ -18,6 +18,7 @@ from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import OVERRIDES, Duration, Share, Speed, Whole, disturbances
 from fleet.terminal.folding import say, stdout
 from fleet.terminal.output import OutputError, give_up_output
+from netem.clock import Clock
 
 if TYPE_CHECKING:
     from fleet.execution.outcome import Result
@@ -51,8 +52,8 @@ MOST_FAULTS = 20  # of the scenario, said before it runs
 )
 @click.option(
     "--clock",
-    type=click.Choice(["lockstep", "real"]),
-    default="lockstep",
+    type=click.Choice([each.value for each in Clock]),
+    default=Clock.LOCKSTEP.value,
     show_default=True,
     help="real: ticks begin by the wall clock and wait for nobody; the result says who was late.",
 )
@@ -161,7 +162,7 @@ def run(
     meeting = cli_hosts.meeting(loaded, hosts, in_process=bool(one_process))
     for warning in meeting.warnings if meeting else ():
         terminal.print(f"warning: {warning}", style="bold red", highlight=False, markup=False, soft_wrap=True)
-    pace = _realtime_speed(speed, clock, one_process)
+    _check_clock(speed, clock, one_process)
     if audit and (one_process or (meeting and meeting.router)):
         raise click.UsageError("--audit reads the log of the router that a run hosts; this run hosts none")
     if view and one_process:
@@ -169,13 +170,13 @@ def run(
     options = Options(
         out,
         in_process=in_process,
-        speed_limit=speed,
+        clock=Clock(clock),
+        speed=speed,
         quiet=quiet,
         publish=publish or view,
         wait=wait_for_subscribers,
         port=port,
         start=start,
-        realtime_speed=pace,
         most_missed=max_missed,
         start_order=_shuffle(start_order),
         join_timeout_s=join_timeout / 1e9,
@@ -252,21 +253,20 @@ def _warnings(scenario: Scenario, *, seed_given: bool) -> list[str]:
     return [*analyse(scenario).warnings, *warnings(scenario), *idle]
 
 
-def _realtime_speed(speed: float | None, clock: str, one_process: str) -> float | None:
-    """How many times as fast as real time ticks begin with --clock real; None: in lockstep.
+def _check_clock(speed: float | None, clock: str, one_process: str) -> None:
+    """Refuse options that do not go with the clock.
 
     Args:
         one_process: which option or key asks for a run in one process, or "".
     """
-    if clock != "real":
+    if clock != Clock.REAL:
         if _is_given("max_missed"):
             raise click.UsageError("--max-missed is for --clock real: in lockstep nobody misses a tick")
-        return None
+        return
     if speed is None and _is_given("speed"):
         raise click.UsageError("--clock real has no max: --speed 2 is twice as fast as the wall clock")
     if one_process:
         raise click.UsageError(f"--clock real is of processes that answer as they can; not with {one_process}")
-    return speed or 1.0
 
 
 def _is_given(name: str) -> bool:

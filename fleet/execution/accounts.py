@@ -5,16 +5,17 @@ from __future__ import annotations
 from typing import Any
 
 from fleet.errors import RunBroken
+from netem.clock import Clock
 
 
-def lost_messages(counts: dict[str, Any], *, barrier: bool = True) -> int:
+def lost_messages(counts: dict[str, Any], clock: Clock = Clock.LOCKSTEP) -> int:
     """How many messages left one process of a completed run and never arrived at the other.
 
     Every nav is answered by one command; agents' own counts are not needed.
 
     Args:
         counts: by process (`world`, `netem`, `console`), how many messages of each kind it sent and received.
-        barrier: whether the run was in lockstep. Without, an agent may skip navs, and commands are not counted.
+        clock: on a wall clock an agent may skip navs, and commands are not counted.
 
     Raises:
         RunBroken: a process did not report what it sent and received.
@@ -24,7 +25,7 @@ def lost_messages(counts: dict[str, Any], *, barrier: bool = True) -> int:
         netem_sent, netem_received = counts["netem"]["sent"], counts["netem"]["received"]
         console = counts["console"]
         pairs = [
-            *([(world_sent["nav"], world_received["cmd"])] if barrier else []),
+            *([(world_sent["nav"], world_received["cmd"])] if clock is Clock.LOCKSTEP else []),
             (world_sent["round"], netem_received["round"]),
             (world_sent["frame"], console["frame"]),
             (netem_sent["links"], console["links"]),

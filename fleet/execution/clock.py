@@ -7,14 +7,16 @@ slow disk slows the run and loses nothing, and with a speed limit at most that m
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Self
 
 from fleet.scenario.scenario import Scenario, frame_every
+from netem.clock import Clock
 
 WINDOW_NS = 500_000_000  # sim time; also the latency of a live action
 
 
 @dataclass(frozen=True, slots=True)
-class Clock:
+class GrantPolicy:
     """A grant policy over integer ticks. It keeps no state: `until` depends on what is written and on the wall time."""
 
     ticks: int
@@ -26,8 +28,8 @@ class Clock:
     begin: int = 0  # the tick at which the run begins, from which the speed counts
 
     @classmethod
-    def of(cls, scenario: Scenario, speed_limit: float | None = None, *, lead_ns: int = 0, begin: int = 0) -> Clock:
-        """The clock of a scenario."""
+    def of(cls, scenario: Scenario, speed_limit: float | None = None, *, lead_ns: int = 0, begin: int = 0) -> Self:
+        """The policy for a scenario."""
         m = scenario.round_ticks
         return cls(scenario.ticks, scenario.tick_ns, m, frame_every(scenario), speed_limit, lead_ns, begin)
 
@@ -50,16 +52,16 @@ class Clock:
 class LiveClock:
     """A grant policy that an operator may pause, step, slow down and speed up while it runs."""
 
-    def __init__(self, clock: Clock, now: float) -> None:
-        self._clock = clock
-        self._speed_limit = clock.speed_limit
+    def __init__(self, policy: GrantPolicy, now: float) -> None:
+        self._policy = policy
+        self._speed_limit = policy.speed_limit
         self._origin = now, 0  # wall time and tick from which the speed counts
         self._now = now
         self._held: int | None = None  # paused at this grant
 
     @property
     def ticks(self) -> int:
-        return self._clock.ticks
+        return self._policy.ticks
 
     @property
     def speed_limit(self) -> float | None:
@@ -67,9 +69,9 @@ class LiveClock:
         return self._speed_limit
 
     @property
-    def realtime(self) -> bool:
-        """Whether ticks begin by the wall clock, whose speed nobody changes."""
-        return self._clock.lead_ns > 0
+    def clock(self) -> Clock:
+        """What decides when a tick begins; the speed of a wall clock is not changed."""
+        return Clock.REAL if self._policy.lead_ns else Clock.LOCKSTEP
 
     @property
     def held(self) -> int:
@@ -84,14 +86,14 @@ class LiveClock:
     def until(self, written: int, now: float) -> int:
         """The grant when ticks up to `written` are in the log, at wall time `now` [s]."""
         self._now = now
-        limit = replace(self._clock, speed_limit=None).until(written, 0.0)
+        limit = replace(self._policy, speed_limit=None).until(written, 0.0)
         if self._held is not None:
             return min(limit, self._held)
         if self._speed_limit is None:
             return limit
         since, tick = self._origin
-        passed = int((now - since) * self._speed_limit * 1e9) + self._clock.lead_ns
-        return min(limit, tick + passed // self._clock.tick_ns + 1)
+        passed = int((now - since) * self._speed_limit * 1e9) + self._policy.lead_ns
+        return min(limit, tick + passed // self._policy.tick_ns + 1)
 
     def pause(self, granted: int) -> None:
         """Grant nothing more."""
@@ -105,7 +107,7 @@ class LiveClock:
 
     def step(self, granted: int, ticks: int) -> None:
         """Grant so many ticks and pause."""
-        self._held = min(granted + ticks, self._clock.ticks)
+        self._held = min(granted + ticks, self._policy.ticks)
 
     def set_speed_limit(self, granted: int, speed_limit: float | None) -> None:
         """Go at most so many times real time from now on; None: as fast as it goes."""

@@ -15,7 +15,7 @@ import msgpack
 
 from fleet.errors import RunBroken, StoppedError
 from fleet.execution.accounts import lost_messages
-from fleet.execution.clock import Clock, LiveClock
+from fleet.execution.clock import GrantPolicy, LiveClock
 from fleet.execution.directory import RunDirectory
 from fleet.execution.events import EXPECTED, EventKind, EventQueue
 from fleet.execution.external_agents import ExternalAgents
@@ -33,6 +33,7 @@ from fleet.processes.interrupts import deferring_interrupts
 from fleet.recorder.journal import Journal
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.timeline import Kill
+from netem.clock import Clock
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.faults import NetFault, fault_values
 from netem.lives import Absence
@@ -51,9 +52,9 @@ from netem.wire.messages import (
     LinkReport,
     Message,
     Restart,
+    WorldFault,
     WorldFaults,
 )
-from world.faults import WorldFault
 
 READY_S = 20.0
 READY_PER_VEHICLE_S = 0.2
@@ -83,7 +84,6 @@ class Console:
         """
         self._scenario, self._directory, self._journal, self._options = scenario, directory, journal, options
         self._vehicles = range(1, scenario.vehicles + 1)
-        self._lockstep = options.realtime_speed is None
         self._keys = Keys(run)
         self._events = EventQueue()
         self._children = Children(partial(self._events.put, EventKind.EXIT))
@@ -109,7 +109,7 @@ class Console:
     def notes(self) -> list[str]:
         return self._notes.lines
 
-    def serve(self, clock: Clock, progress: Callable[[], None]) -> None:
+    def serve(self, policy: GrantPolicy, progress: Callable[[], None]) -> None:
         """Run to the end.
 
         Raises:
@@ -123,7 +123,7 @@ class Console:
             self._get_ready(progress)
             self.started_s = time.monotonic() - began
             try:
-                self._record(clock, progress)
+                self._record(policy, progress)
             except (StoppedError, KeyboardInterrupt):
                 self.closing = Closing(timing=self._timing_so_far())
                 raise
@@ -157,7 +157,7 @@ class Console:
 
     def _open(self, bus: Bus) -> None:
         self._session = session = Session(bus, self._keys)
-        clock = {} if self._lockstep else {"clock": "real"}
+        clock = {} if self._options.clock is Clock.LOCKSTEP else {"clock": self._options.clock}
         slices = {i: {"agent": self._scenario.agent_config(i).to_values()} | clock for i in self._vehicles}
         session.listen(self._events, self._notes)
         session.configure(slices, self._external, self._events)
@@ -186,14 +186,14 @@ class Console:
             for event in self._events.take_for(POLL_S):
                 self._handle(*event)
 
-    def _record(self, clock: Clock, progress: Callable[[], None]) -> None:
+    def _record(self, policy: GrantPolicy, progress: Callable[[], None]) -> None:
         """Grant ticks as far as the clock, the log and the supervisor allow, until all frames are there."""
         journal = self._journal
         moved = asked = time.monotonic()
-        live = LiveClock(clock, moved)
+        live = LiveClock(policy, moved)
         self._operator = operator = Operator(self._scenario, journal, live, self)
         self.waiting = ""
-        while journal.framed < clock.ticks:
+        while journal.framed < policy.ticks:
             self._supervisor.poll()
             now = time.monotonic()
             until = min(live.until(journal.written, now), hold := self._supervisor.next_restart())
@@ -221,7 +221,7 @@ class Console:
     def _close(self) -> Closing:
         """Wait for the last reports, and settle the accounts."""
         journal = self._journal
-        if self._lockstep:
+        if self._options.clock is Clock.LOCKSTEP:
             # The last round has no barrier: the world may be at the end before netem has what belongs to it.
             m = self._scenario.round_ticks
             last = (self._scenario.ticks - 1) // m * m
@@ -230,7 +230,7 @@ class Console:
         self._take_until(lambda: journal.complete, "netem did not report its last packets")
         world = self.ask(WORLD, "close", timeout_s=CLOSE_S)
         counts = {"world": world.get("counts", {}), "netem": network.get("counts", {}), "console": self._received}
-        self.middleware_lost = lost_messages(counts, barrier=self._lockstep)
+        self.middleware_lost = lost_messages(counts, clock=self._options.clock)
         return Closing(
             entered={(src, dst): (sent, copies) for src, dst, sent, copies in network.get("entered", ())},
             rejected={**world.get("rejected", {}), **network.get("rejected", {}), **self._notes.rejected},
@@ -239,7 +239,7 @@ class Console:
 
     def _timing_so_far(self) -> dict[str, Any]:
         """How late everyone was in a realtime run; empty in lockstep, or without an answer."""
-        if self._lockstep:
+        if self._options.clock is Clock.LOCKSTEP:
             return {}
         world, network = self.ask(WORLD, "close"), self.ask(NETEM, "timing")
         return {**world["timing"], "netem": network["timing"]} if world and network else {}
@@ -275,7 +275,7 @@ class Console:
 
     def set_world_faults(self, faults: Sequence[WorldFault]) -> None:
         # On the key of the grants, so it arrives before any tick that is granted later.
-        self._put(WorldFaults(msgpack.packb([fault.to_values() for fault in faults])))
+        self._put(WorldFaults(tuple(faults)))
 
     def set_absences(self, absences: Sequence[Absence]) -> None:
         if "tick" not in self.ask(NETEM, "absences", absences=[list(absence) for absence in absences]):
@@ -301,7 +301,7 @@ class Console:
     def end_agents(self, kill: Kill) -> None:
         self._supervisor.end_agents(kill)
 
-    def restart_agent(self, i: int, begin: int, tick: int) -> None:
+    def restart_agent(self, i: int, begin: int | None, tick: int) -> None:
         self._supervisor.restart_agent(i, begin, tick)
 
     # Events.

@@ -15,7 +15,7 @@ from fleet.analysis.first_sample import try_plants
 from fleet.checks.own_checks import OwnChecks
 from fleet.cores import cores
 from fleet.errors import RunBroken, StoppedError
-from fleet.execution.clock import WINDOW_NS, Clock
+from fleet.execution.clock import WINDOW_NS, GrantPolicy
 from fleet.execution.directory import RunDirectory
 from fleet.execution.external_agents import ExternalError, refuse
 from fleet.execution.in_process import InProcess
@@ -35,6 +35,7 @@ from fleet.recorder.writer import LogWriter
 from fleet.replay.publisher import PublishError
 from fleet.scenario.scenario import Scenario
 from fleet.terminal.status_line import StatusLine
+from netem.clock import Clock
 from world.errors import WorldError
 
 
@@ -56,7 +57,7 @@ class _Run:
 
     @property
     def realtime(self) -> bool:
-        return self.options.realtime_speed is not None
+        return self.options.clock is Clock.REAL
 
 
 def execute(scenario: Scenario, options: Options, terminal: Terminal | None = None) -> Result:
@@ -111,9 +112,8 @@ def _prepare(
     publication: Publication | NoPublication = NoPublication()
     if options.publish:
         publication = Publication(number, directory.observe, text, line.print, wait=options.wait)
-    lockstep = options.realtime_speed is None
     log = NoLog() if scenario.spec.log.none else LogFile(directory.log)
-    writer = LogWriter(log, scenario, options.start, publication.publisher, lockstep=lockstep)
+    writer = LogWriter(log, scenario, options.start, publication.publisher, clock=options.clock)
     publication.open()
     if options.publish and options.on_published is not None:
         options.on_published(directory.path)
@@ -137,7 +137,7 @@ def _serve(run: _Run) -> None:
         began = time.monotonic()
         with run.line:
             progress = ProgressLine(run.scenario, run.journal, run.line, lambda: run.runner.waiting)
-            run.runner.serve(_clock(run.scenario, run.options), progress)
+            run.runner.serve(_policy(run.scenario, run.options), progress)
     except RunBroken as error:
         result.status, result.reason, result.lines = Status.BROKEN, error.reason, error.lines
         if found := next((line.strip() for line in error.lines if NO_THREAD in line), ""):
@@ -182,7 +182,7 @@ def _report(run: _Run) -> None:
     result.values |= run.publication.summary()
     if run.realtime and closing.timing:
         name, reasons = punctuality.label(closing.timing)
-        timing = {"clock": "real", "speed": run.options.realtime_speed, "label": name, "reasons": reasons}
+        timing = {"clock": Clock.REAL, "speed": run.options.speed or 1.0, "label": name, "reasons": reasons}
         result.values["timing"] = timing | closing.timing
     result.values["rejected"] = closing.rejected
     result.values["deaths"] = {str(i): how for i, how in runner.deaths.items()}
@@ -194,8 +194,8 @@ def _report(run: _Run) -> None:
         run.directory.remove_result()
 
 
-def _clock(scenario: Scenario, options: Options) -> Clock:
-    if options.realtime_speed is None:
-        begin = 0 if options.start is None else options.start.snapshot.tick
-        return Clock.of(scenario, options.speed_limit, begin=begin)
-    return Clock.of(scenario, options.realtime_speed, lead_ns=WINDOW_NS)
+def _policy(scenario: Scenario, options: Options) -> GrantPolicy:
+    if options.clock is Clock.REAL:
+        return GrantPolicy.of(scenario, options.speed or 1.0, lead_ns=WINDOW_NS)
+    begin = 0 if options.start is None else options.start.snapshot.tick
+    return GrantPolicy.of(scenario, options.speed, begin=begin)

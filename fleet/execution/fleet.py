@@ -8,8 +8,7 @@ from typing import Any, Protocol
 from fleet.scenario.sections.timeline import Kill
 from netem.faults import NetFault
 from netem.lives import Absence
-from netem.wire.messages import Death, Restart
-from world.faults import WorldFault
+from netem.wire.messages import Death, Restart, WorldFault
 
 
 class Fleet(Protocol):
@@ -51,5 +50,5 @@ class Fleet(Protocol):
     def end_agents(self, kill: Kill) -> None:
         """End agents because the operator asks for it."""
 
-    def restart_agent(self, i: int, begin: int, tick: int) -> None:
-        """Start vehicle i's agent again at a tick; it has been missing since tick `begin`."""
+    def restart_agent(self, i: int, begin: int | None, tick: int) -> None:
+        """Start vehicle i's agent again at a tick; it has been missing since tick `begin` (None: whenever)."""

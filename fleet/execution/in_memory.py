@@ -13,7 +13,7 @@ import numpy as np
 
 from agents.errors import AgentError
 from fleet.errors import RunBroken
-from fleet.execution.clock import Clock
+from fleet.execution.clock import GrantPolicy
 from fleet.execution.in_process import InProcess
 from fleet.recorder.journal import Journal
 from fleet.recorder.metrics import VehicleError
@@ -111,7 +111,7 @@ def record(scenario: Scenario, progress: Callable[[float], None] = lambda _: Non
     """
     capture = _Capture(scenario)
     journal = Journal(scenario, capture)
-    clock = Clock.of(scenario)
+    policy = GrantPolicy.of(scenario)
     broken = ""
     next_report = 0.0
 
@@ -123,7 +123,7 @@ def record(scenario: Scenario, progress: Callable[[float], None] = lambda _: Non
             progress(max(0, journal.written) * scenario.tick_ns / 1e9)
 
     try:
-        InProcess(scenario, journal).serve(clock, report)
+        InProcess(scenario, journal).serve(policy, report)
     except (AgentError, WorldError, RunBroken) as error:
         broken = str(error)
     return capture.recording(scenario, broken)

@@ -18,7 +18,7 @@ from agents.errors import ControllerError
 from agents.loop import AgentLoop
 from agents.make_agent import make_agent
 from fleet.errors import RunBroken
-from fleet.execution.clock import Clock
+from fleet.execution.clock import GrantPolicy
 from fleet.execution.notes import note_text
 from fleet.execution.runner import Closing
 from fleet.recorder.journal import Journal
@@ -71,7 +71,7 @@ class InProcess:
         self._speaker = WORLD  # whose message is being taken
         self._post: deque[tuple[int, int, bytes]] = deque()  # (from, to, message) for agents
 
-    def serve(self, clock: Clock, progress: Callable[[], None]) -> None:
+    def serve(self, policy: GrantPolicy, progress: Callable[[], None]) -> None:
         """Run to the end.
 
         Raises:
@@ -86,7 +86,7 @@ class InProcess:
             self._resume(self._begin)
         try:
             while not self._world.finished:
-                until = clock.until(self._journal.written, time.monotonic() - began)
+                until = policy.until(self._journal.written, time.monotonic() - began)
                 self._granted = max(self._granted, until)
                 self._from_world(self._world.grant(until))
                 if not self._post:
@@ -143,12 +143,12 @@ class InProcess:
         deaths = self.deaths.setdefault(i, [])
         self._note(error.tick, f"agent {i}", f"controller failed: {error}")
         restart = self._scenario.spec.on_death == "restart" and len(deaths) < MOST_RESTARTS
-        until = self._scenario.next_round(self._granted) if restart else 0
+        until = self._scenario.next_round(self._granted) if restart else None
         deaths.append("controller failed")
         self._dead.add((i, self._loops[i].incarnation))
-        if until:
+        if until is not None:
             self.rounds.lives.add(Absence(i, until - 1, until))
-        self._from_world(self._world.end(i, self._loops[i].incarnation, until or None))
+        self._from_world(self._world.end(i, self._loops[i].incarnation, until))
 
     def _deliver(self, sender: int, i: int, data: bytes) -> None:
         """Give agent i a message, and its answers to the world and to netem."""

@@ -12,7 +12,7 @@ from agents.errors import AgentError
 from fleet.checks.own_checks import OwnChecks
 from fleet.cores import cores
 from fleet.errors import RunBroken
-from fleet.execution.clock import Clock
+from fleet.execution.clock import GrantPolicy
 from fleet.execution.external_agents import refuse
 from fleet.execution.in_process import InProcess
 from fleet.execution.outcome import Result, Status, judge_run, outcome_values, settle
@@ -106,7 +106,7 @@ def judged(
 
     began = time.monotonic()
     try:
-        runner.serve(Clock.of(scenario), tell)
+        runner.serve(GrantPolicy.of(scenario), tell)
         tell()
     except RunBroken as error:
         result.status, result.reason, result.lines = Status.BROKEN, error.reason, error.lines

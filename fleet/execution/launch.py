@@ -116,7 +116,7 @@ class Launch:
         scenario = self._scenario
         # An agent elsewhere may take long to answer, and keep the turn of one that would not.
         most_asked = scenario.vehicles if scenario.external else ASKED_PER_CPU * processors()
-        sea = scenario.world_config, frame_every(scenario), self._options.realtime_speed, most_asked
+        sea = scenario.world_config, frame_every(scenario), self._options.clock, self._options.speed or 1.0, most_asked
         if self.joins_router:
             return world.main.join, (self.endpoint, self._keys.run, self.credentials[WORLD], *sea)
         clients = {role: known for role, known in self.credentials.items() if role != WORLD}
@@ -124,7 +124,7 @@ class Launch:
         return world.main.run, (self.endpoint, self._keys.run, clients, self._private.path, *sea, *listening)
 
     def _netem(self) -> Target:
-        network = self._scenario.netem_config, self._options.realtime_speed is not None
+        network = self._scenario.netem_config, self._options.clock
         return netem.main.run, (self.endpoint, self._keys.run, self.credentials[NETEM], *network)
 
     def _other_endpoints(self) -> Listener | None:

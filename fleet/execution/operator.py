@@ -21,9 +21,9 @@ from fleet.recorder.journal import Journal
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultSection
 from fleet.scenario.sections.timeline import Event, Kill, Part, action, begin_and_end, parts, with_end, words
+from netem.clock import Clock
 from netem.faults import NetFault
-from netem.lives import WHENEVER
-from world.faults import WorldFault
+from netem.wire.messages import WorldFault
 
 JUDGE_EVERY_S = 0.5  # at most, whoever asks
 JUDGE_SHARE = 0.01  # of the console's time
@@ -131,43 +131,55 @@ class Operator:
         return end.tick
 
     def _heal(self, name: Any) -> dict[str, Any]:
-        tick = self.fleet.granted
-        m = self.scenario.round_ticks
-        round_tick = -(-tick // m) * m  # of a restart
+        """End a fault, or all that are active: at once, but agents begin again with a round."""
+        tick, last = self.fleet.granted, self.scenario.ticks
         lasting = [part for part in self.faults if part.active(tick)]
-        dead = {death.fault: i for i, death in self.journal.deaths.items()}
-        became = {event.fault: event.what for event in self._states()}
-        ill = {part.id for part in lasting} | dead.keys()
-        if name is not None and not isinstance(name, str):
-            raise RefusedError("expected the id of a fault, or none for all of them")
-        if name in became:
-            raise RefusedError(f"{name} is no fault ({became[name]}): it is what became of the vehicle")
-        if name is not None and name not in ill:
-            known = f"active: {', '.join(sorted(ill))}" if ill else "none is active"
-            raise RefusedError(f"there is no active fault {name!r}; {known}")
-        healed = ill if name is None else {name}
-        if name is None and round_tick >= self.scenario.ticks:  # too late for agents, not for the rest
-            healed -= {part.id for part in lasting if isinstance(part, Kill)} | dead.keys()
-        kills = [part for part in lasting if isinstance(part, Kill) and part.id in healed]
-        restarted = [dead[fault] for fault in healed & dead.keys()]
-        if any(kill.begin >= round_tick for kill in kills):
-            round_tick += m  # a process may have been ended already
-        for part in lasting:
-            if isinstance(part, Kill) and part.id not in healed and (both := set(part.vehicles) & set(restarted)):
-                raise RefusedError(f"agent {min(both)} was killed by {part.id}, too: heal that one first")
-        acts = round_tick if kills or restarted else tick
-        if acts >= self.scenario.ticks:
+        dead = {event.fault: i for i, event in self.journal.deaths.items()}  # agents that no fault has killed
+        healed = self._chosen(name, {part.id for part in lasting} | dead.keys())
+        kills = [part for part in lasting if isinstance(part, Kill)]
+        of_agents = {kill.id for kill in kills} | dead.keys()
+        round_tick = self._round_of_restart(tick, [kill for kill in kills if kill.id in healed])
+        if name is None and round_tick >= last:
+            healed = healed - of_agents  # for them it is too late, not for the rest
+        restarted = [i for fault, i in dead.items() if fault in healed]
+        for kill in kills:
+            if kill.id not in healed and (both := set(kill.vehicles) & set(restarted)):
+                raise RefusedError(f"agent {min(both)} was killed by {kill.id}, too: heal that one first")
+        acts = round_tick if healed & of_agents else tick
+        if acts >= last:
             raise RefusedError("no round is left in which an agent could begin again", BROKEN)
+
         ends = {part: round_tick if isinstance(part, Kill) else tick for part in lasting if part.id in healed}
         self._replace([with_end(part, ends[part]) if part in ends else part for part in self.faults])
         for i in restarted:
-            self.fleet.restart_agent(i, WHENEVER, round_tick)
+            self.fleet.restart_agent(i, None, round_tick)
         for kill in kills:
-            for i in kill.vehicles:
+            for i in kill.vehicles if kill in ends else ():
                 self.fleet.restart_agent(i, kill.begin, round_tick)
-        for fault in sorted({(part.id, end) for part, end in ends.items()}):
-            self.journal.end_event(*fault)
+        for fault, end in sorted({(part.id, end) for part, end in ends.items()}):
+            self.journal.end_event(fault, end)
         return {"healed": sorted(healed), "at_s": self._seconds(acts)}
+
+    def _chosen(self, name: Any, active: set[str]) -> set[str]:
+        """The ids of the faults that a request wants to end: the one that it names, or all."""
+        if name is None:
+            return active
+        if not isinstance(name, str):
+            raise RefusedError("expected the id of a fault, or none for all of them")
+        became = {event.fault: event.what for event in self._states()}
+        if name in became:
+            raise RefusedError(f"{name} is no fault ({became[name]}): it is what became of the vehicle")
+        if name not in active:
+            known = f"active: {', '.join(sorted(active))}" if active else "none is active"
+            raise RefusedError(f"there is no active fault {name!r}; {known}")
+        return {name}
+
+    def _round_of_restart(self, tick: int, kills: Sequence[Kill]) -> int:
+        """The first round tick, from `tick` on, at which agents that were killed can begin again."""
+        m = self.scenario.round_ticks
+        first = -(-tick // m) * m
+        # Of a kill that begins right there, a process may have been ended already.
+        return first + m if any(kill.begin >= first for kill in kills) else first
 
     def _replace(self, faults: Sequence[Part]) -> None:
         ordered = sorted(faults, key=lambda fault: fault.begin)
@@ -185,7 +197,7 @@ class Operator:
             case "step", int(count) if count > 0:
                 self.clock.step(self.fleet.granted, count)
                 return {"clock": self.clock.describe(), "at_s": self._seconds(self.clock.held)}
-            case "speed", _ if self.clock.realtime:
+            case "speed", _ if self.clock.clock is Clock.REAL:
                 raise RefusedError("a run on a wall clock keeps the pace with which it began (fleet run --speed)")
             case "speed", (int() | float() | None) as speed if speed is None or 0 < speed <= MOST_SPEED:
                 self.clock.set_speed_limit(self.fleet.granted, None if speed is None else float(speed))

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fleet.analysis.punctuality import MOST_MISSED
+from netem.clock import Clock
 
 if TYPE_CHECKING:
     from fleet.hosts.rendezvous import Rendezvous
@@ -20,20 +21,20 @@ JOIN_TIMEOUT_S = 300.0  # for agents that somebody else starts
 class Options:
     """How to run. In lockstep nothing here changes a byte of the log.
 
-    There are two speeds. In lockstep everyone waits for everyone, and `speed_limit` only holds the run back. With a
-    `realtime_speed` ticks begin by the wall clock and wait for nobody, so agents can be late.
+    In lockstep everyone waits for everyone, and `speed` only holds the run back. With the clock `real` ticks begin by
+    the wall clock, `speed` times as fast, and wait for nobody, so agents can be late.
     """
 
     out: Path = Path("runs")  # where the run directory is made
     in_process: bool = False
-    speed_limit: float | None = None  # of a run in lockstep: at most so many times real time; None: no limit
+    clock: Clock = Clock.LOCKSTEP
+    speed: float | None = None  # times real time; None: in lockstep as fast as it goes, else 1
     quiet: bool = False
     publish: bool = False  # the journal on zenoh, while the run goes on
     wait: bool = False  # with `publish`: begin when there is a subscriber
     on_published: Callable[[Path], None] | None = None  # is told the run's directory when its journal can be read
     port: int | None = None  # of loopback, where the run's router listens as well
     start: Start | None = None  # where it goes on from another run; in-process only
-    realtime_speed: float | None = None  # times real time; None: lockstep
     most_missed: float = MOST_MISSED  # share of its ticks that an agent may miss in real time
     start_order: Callable[[list[str]], list[str]] | None = None  # of roles; None: the usual order
     audit: bool = False  # report also which messages the router refuses

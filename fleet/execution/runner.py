@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from fleet.execution.clock import Clock
+from fleet.execution.clock import GrantPolicy
 from netem.condition import Link
 
 
@@ -44,7 +44,7 @@ class Runner(Protocol):
     def middleware_lost(self) -> int:
         """Messages that zenoh lost; any makes the run invalid."""
 
-    def serve(self, clock: Clock, progress: Callable[[], None]) -> None:
+    def serve(self, policy: GrantPolicy, progress: Callable[[], None]) -> None:
         """Run to the end; `progress` is called all the time.
 
         Raises:

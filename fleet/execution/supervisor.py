@@ -63,14 +63,14 @@ class Supervisor:
         """End agents because the operator asks for it."""
         for absence in kill.absences:
             self._lives.add(absence)
-            self._fleet.announce(Death(absence.vehicle, kill.begin, 0, kill.end or 0))
+            self._fleet.announce(Death(absence.vehicle, kill.begin, 0, kill.end))
         self._fleet.set_absences(self._lives.absences)
 
-    def restart_agent(self, i: int, begin: int, tick: int) -> None:
+    def restart_agent(self, i: int, begin: int | None, tick: int) -> None:
         """Start vehicle i's agent again at a tick because the operator asks for it.
 
         Args:
-            begin: the tick since which it has been missing.
+            begin: the tick since which it has been missing; None: whatever that is.
         """
         self._lives.restart(i, begin, tick)
         self._fleet.announce(Restart(i, begin, tick))
@@ -176,7 +176,7 @@ class Supervisor:
         life, granted = self._incarnation[i], self._fleet.granted
         gap = self._gap(i)
         begin = self.starting.pop(i, None)
-        until = 0
+        until = None
         if gap is None or gap[0] > granted:
             restart = self._scenario.spec.on_death == "restart" and i not in self._journal.diverged
             if restart and self._restarts.get(i, 0) < MOST_RESTARTS:
@@ -184,13 +184,13 @@ class Supervisor:
                 until = self._scenario.next_round(granted)
             # The world will report when it was; here it matters only when another one takes over.
             since = max(self._journal.framed, 0 if life == 0 else self._lives.gaps(i)[life - 1][1] or 0)
-            self._lives.add(Absence(i, since, until or (gap and gap[1])))
+            self._lives.add(Absence(i, since, gap[1] if until is None and gap else until))
         # An agent that was never ready got no nav: its life ends where it would have begun.
-        self._fleet.announce(Death(i, begin or 0, life, until))
-        if until:
+        self._fleet.announce(Death(i, begin, life, until))
+        if until is not None:
             self._fleet.set_absences(self._lives.absences)
         self.deaths.setdefault(i, []).append(how)
-        then = f", another one takes over at {tick_text(until, self._scenario.tick_ns)}" if until else ""
+        then = f", another one takes over at {tick_text(until, self._scenario.tick_ns)}" if until is not None else ""
         fate = "is not integrated any more" if i in self._journal.diverged else f"drifts without thrust{then}"
         self._notes.add(self._journal.framed, who, f"its vehicle {fate}{last}")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from fleet.hosts.certificates import Pair
+from fleet.hosts.certificates import KeyPair
 from netem.whole_file import write_whole
 from netem.wire.access import agent_role
 from netem.wire.keys import Keys
@@ -22,7 +22,7 @@ class JoinFolder:
     endpoints: tuple[str, ...]
     lease_ms: int
     ca: str  # PEM
-    pair: Pair
+    pair: KeyPair
 
     def write(self, path: Path, keys: Keys, incarnation: int, begin: int) -> None:
         """Make the folder, or replace its files one by one; only this user can enter it.

@@ -13,13 +13,12 @@ from typing import Annotated, Any
 
 import msgspec
 
-from fleet.errors import FleetError
 from fleet.hosts.certificates import (
     ALWAYS,
     OWN,
     SERVER,
-    CertsError,
-    Pair,
+    HostsError,
+    KeyPair,
     ServerCertificate,
     host_name,
     read_ca,
@@ -45,12 +44,8 @@ IN_CLEAR = (
 )
 
 
-class HostsError(FleetError):
-    """Options for several hosts that cannot be used."""
-
-
 @dataclass(frozen=True, slots=True)
-class Endpoint:
+class RouterEndpoint:
     """`tcp/HOST:PORT` or `tls/HOST:PORT`."""
 
     protocol: str
@@ -83,7 +78,7 @@ class Rendezvous:
     listener: Listener | None = None  # where the run's own router listens for other hosts
     reached: str = ""  # endpoints for join files, with commas between them; empty: those of this host
     ca: str = ""  # PEM: goes into join files
-    certificates: dict[str, Pair] = field(default_factory=dict)  # of external agents, by role
+    certificates: dict[str, KeyPair] = field(default_factory=dict)  # of external agents, by role
     certified: Listener | None = None  # where the run listens for agents that have a certificate and no password
     folders: dict[int, JoinFolder] = field(default_factory=dict)  # what these join with, by vehicle
     lease_ms: int | None = None  # between hosts; None on one host
@@ -91,12 +86,12 @@ class Rendezvous:
 
     def external_credentials(self, role: str, known: Credentials) -> Credentials:
         """The credentials with which an external agent joins, given those for this host."""
-        own = self.certificates.get(role, Pair("", ""))
+        own = self.certificates.get(role, KeyPair("", ""))
         lease_ms = known.lease_ms if self.lease_ms is None else self.lease_ms
         return Credentials(known.user, known.password, self.ca, own.certificate, own.key, lease_ms)
 
 
-def parse_endpoint(text: str, option: str) -> Endpoint:
+def parse_endpoint(text: str, option: str) -> RouterEndpoint:
     """Read an endpoint as zenoh writes it.
 
     Args:
@@ -111,11 +106,11 @@ def parse_endpoint(text: str, option: str) -> Endpoint:
     known = slash and protocol in ("tcp", "tls")
     if not known or not colon or not host or not port.isdecimal() or not 0 < int(port) < 65536:
         raise HostsError(f"{option}: expected tls/HOST:PORT or tcp/HOST:PORT such as tls/0.0.0.0:7447, got {text!r}")
-    endpoint = Endpoint(protocol, host, int(port))
+    endpoint = RouterEndpoint(protocol, host, int(port))
     if not endpoint.wildcard:
         try:
             host_name(host)
-        except CertsError as error:
+        except HostsError as error:
             raise HostsError(f"{option}: {error}") from None
     return endpoint
 
@@ -140,17 +135,17 @@ def listening(
 
     Raises:
         HostsError: these do not go together.
-        CertsError: the certificates cannot be used.
+        HostsError: the certificates cannot be used.
     """
     endpoint = parse_endpoint(listen, "--listen")
     if endpoint.protocol == "tcp" and (certs or mutual):
         raise HostsError(
-            f"--certs and --mutual-tls are for tls: --listen {Endpoint('tls', endpoint.host, endpoint.port)}"
+            f"--certs and --mutual-tls are for tls: --listen {RouterEndpoint('tls', endpoint.host, endpoint.port)}"
         )
     hosts = [_advertised(host) for host in advertise]
     if endpoint.protocol == "tcp":
         hosts = hosts or [_own_address() if endpoint.wildcard else endpoint.host]
-        reached = ",".join(str(Endpoint("tcp", host, endpoint.port)) for host in hosts)
+        reached = ",".join(str(RouterEndpoint("tcp", host, endpoint.port)) for host in hosts)
         warnings = () if endpoint.loopback else (IN_CLEAR.format(endpoint=endpoint),)
         return Rendezvous(
             listener=Listener((str(endpoint),), lease_ms), reached=reached, lease_ms=lease_ms, warnings=warnings
@@ -187,11 +182,11 @@ def listening_for_certificates(
 
     Raises:
         HostsError: these do not go together.
-        CertsError: the certificates cannot be used, or an external agent has none.
+        HostsError: the certificates cannot be used, or an external agent has none.
     """
     endpoint = parse_endpoint(listen, CERTIFIED)
     if endpoint.protocol != "tls":
-        safe = Endpoint("tls", endpoint.host, endpoint.port)
+        safe = RouterEndpoint("tls", endpoint.host, endpoint.port)
         raise HostsError(f"{CERTIFIED}: certificates are shown with tls only: {CERTIFIED} {safe}")
     if certs is None:
         raise HostsError(
@@ -253,20 +248,20 @@ def through_router(
 
     Raises:
         HostsError: these do not go together, or the file is not of such a run.
-        CertsError: the certificates cannot be used.
+        HostsError: the certificates cannot be used.
     """
     endpoint = parse_endpoint(router, "--router")
     if endpoint.wildcard:
         raise HostsError(f"--router: {router} is where one listens; expected the router's own address")
     if endpoint.protocol == "tcp" and (certs or mutual):
         raise HostsError(
-            f"--certs and --mutual-tls are for tls: --router {Endpoint('tls', endpoint.host, endpoint.port)}"
+            f"--certs and --mutual-tls are for tls: --router {RouterEndpoint('tls', endpoint.host, endpoint.port)}"
         )
     if mutual and certs is None:
         raise HostsError("--mutual-tls needs the certificates: --certs DIR")
     run, known = read_credentials(credentials, vehicles)
     ca = read_ca(certs) if certs else ""
-    own = read_client(certs, OWN) if certs and mutual else Pair("", "")
+    own = read_client(certs, OWN) if certs and mutual else KeyPair("", "")
     roles = [agent_role(i) for i in external] if mutual else []
     return Rendezvous(
         run=run,
@@ -331,11 +326,11 @@ def run_id(text: str) -> str:
 def _advertised(host: str) -> str:
     try:
         return host_name(host)
-    except CertsError as error:
+    except HostsError as error:
         raise HostsError(f"--advertise: {error}") from None
 
 
-def _reached(endpoint: Endpoint, hosts: list[str], server: ServerCertificate, certs: Path) -> tuple[str, ...]:
+def _reached(endpoint: RouterEndpoint, hosts: list[str], server: ServerCertificate, certs: Path) -> tuple[str, ...]:
     """The endpoints under which agents reach a tls listener, at `hosts` or else at those of its certificate.
 
     Raises:
@@ -354,7 +349,7 @@ def _reached(endpoint: Endpoint, hosts: list[str], server: ServerCertificate, ce
                 f"{' '.join(f'--host {name}' for name in (*named, host) if name not in ALWAYS)} --force; "
                 "or --advertise one of those"
             )
-    return tuple(str(Endpoint("tls", host, endpoint.port)) for host in hosts)
+    return tuple(str(RouterEndpoint("tls", host, endpoint.port)) for host in hosts)
 
 
 def _own_address() -> str:

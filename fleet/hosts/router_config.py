@@ -6,8 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from fleet.hosts.certificates import CA, OWN, SERVER, path
-from fleet.hosts.rendezvous import HostsError, new_credentials
+from fleet.hosts.certificates import CA, OWN, SERVER, HostsError, path
+from fleet.hosts.rendezvous import new_credentials
 from netem.whole_file import write_whole
 from netem.wire.access import CONSOLE, NETEM, OPERATOR, WORLD, access_control, agent_role
 from netem.wire.keys import Keys

@@ -22,7 +22,7 @@ from fleet.scenario.sections import signals
 from world.signal import Signal
 
 PACKAGE = "uuv_fleet"
-CLOCK, REAL = "clock", "real"  # key and value in metadata `run`: no lockstep, so not repeatable
+CLOCK = "clock"  # key in metadata `run`, where the run was not in lockstep, and so is not repeatable
 START = "start.msgpack"  # the attachment of a log that holds where its run began, if that went on from another
 FROM, FROM_TICK, ANEW = "from", "from tick", "without memory"  # what the metadata of such a run say of it
 DOUBLE = descriptor_pb2.FieldDescriptorProto.TYPE_DOUBLE

@@ -26,7 +26,7 @@ from fleet.pictures.thresholds import Threshold, draw_thresholds
 from fleet.scenario.schema.checks import SignalCheck
 from fleet.scenario.sections.checked_signals import checked_signals
 from fleet.scenario.sections.signal_checks import AskedOfSignal, SignalCheckError, ask
-from fleet.scenario.sections.signals import GROUPS, Place, SignalName, parse_name
+from fleet.scenario.sections.signals import GROUPS, SignalName, SignalPlace, parse_name
 from netem.parsing import nearest
 
 MOST_AXES = 8  # components of a vector
@@ -252,7 +252,7 @@ def _as_asked(run: Run, check: SignalCheck, name: SignalName) -> AskedOfSignal |
     each = {}
     for i in run.log.vehicles:
         found = _find_of(run, i, name)
-        each[i] = {} if found is None else {name.name: Place(slice(0, 1), found)}
+        each[i] = {} if found is None else {name.name: SignalPlace(slice(0, 1), found)}
     try:
         return ask(check, each)
     except SignalCheckError:

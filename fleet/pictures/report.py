@@ -47,7 +47,7 @@ class RunResult:
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
+class RunSection:
     """What the page shows of one run."""
 
     anchor: str
@@ -103,7 +103,7 @@ def page(runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> str:
     )
 
 
-def _section(number: int, run: Run, result: RunResult, kinds: Sequence[str], view: View, share: Tell) -> Section:
+def _section(number: int, run: Run, result: RunResult, kinds: Sequence[str], view: View, share: Tell) -> RunSection:
     """The section of a run: `number` counts from 1; 0 for the only one."""
     log, scenario, values = run.log, run.scenario, result.values or {}
     name, path = run_name(log.path), log.path.resolve()
@@ -120,7 +120,7 @@ def _section(number: int, run: Run, result: RunResult, kinds: Sequence[str], vie
     faults = [(fault.id, f"{fault.begin:g}", f"{fault.end:g}", fault.what) for fault in log.faults]
     events = vehicle_events((event.what, event.begin) for event in log.events)
     first, pictures = _pictures(kinds, [run], view, share, [] if number else telling(run))
-    return Section(
+    return RunSection(
         anchor=f"run-{number}",
         name=name,
         missing=log.missing,

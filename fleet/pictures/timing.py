@@ -12,11 +12,12 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from fleet.logs.result_file import ResultError, read_timing
-from fleet.logs.schemas import CLOCK, REAL
+from fleet.logs.schemas import CLOCK
 from fleet.palette import COLOURS
 from fleet.pictures.axes import MOST_NAMED, legend_of
 from fleet.pictures.runs import NothingToDraw, Run, View
 from fleet.pictures.style import COLUMN_IN, LABEL_PT, STYLES, THIN, panels
+from netem.clock import Clock
 
 GREY = "#999999"
 
@@ -59,7 +60,7 @@ def punctuality(runs: Sequence[Run], view: View) -> Figure:
 
 def on_wall_clock(run: Run) -> bool:
     """Whether anything could be late in it."""
-    return run.log.run.get(CLOCK) == REAL
+    return run.log.run.get(CLOCK) == Clock.REAL
 
 
 def _timing(run: Run) -> dict[str, Any]:

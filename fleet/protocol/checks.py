@@ -28,7 +28,7 @@ CHECKS = (
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
+class ProtocolCheck:
     """One verdict; None if the exchange did not get that far."""
 
     what: str

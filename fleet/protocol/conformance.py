@@ -40,7 +40,7 @@ from fleet.protocol.checks import (
     TOKEN,
     TRANSMITS,
     UNASKED,
-    Check,
+    ProtocolCheck,
 )
 from fleet.protocol.emulated_fleet import EmulatedFleet
 from fleet.scenario.scenario import Scenario
@@ -66,10 +66,6 @@ from netem.wire.messages import (
 ANSWER_S = 5.0  # until an answer counts as missing
 SILENCE_S = 0.3  # how long nothing must come where nothing may
 LIFE, BEGIN_ROUNDS = 1, 3  # the life that is asked for, and the round in which it begins: not what one might assume
-
-
-class ConformanceError(FleetError):
-    """The exchange cannot begin."""
 
 
 class _BrokenOffError(Exception):
@@ -98,18 +94,16 @@ class Examination:
             meeting: where the agent may join with a certificate alone; its folder goes beside `file`.
 
         Raises:
-            ConformanceError: there is no such vehicle, the network is ideal, or the file or the folder exists.
+            FleetError: there is no such vehicle, the network is ideal, or the file or the folder exists.
         """
         if not 1 <= vehicle <= scenario.vehicles:
-            raise ConformanceError(
-                f"there is no vehicle {vehicle} in {scenario.name}: they are 1 to {scenario.vehicles}"
-            )
+            raise FleetError(f"there is no vehicle {vehicle} in {scenario.name}: they are 1 to {scenario.vehicles}")
         if scenario.ideal:
-            raise ConformanceError("nobody can join an ideal network: take a scenario with another")
+            raise FleetError("nobody can join an ideal network: take a scenario with another")
         self._meeting = meeting or Rendezvous()
         for path in (file, *([file.with_suffix("")] if vehicle in self._meeting.folders else [])):
             if path.exists():
-                raise ConformanceError(f"{path} is there already: choose another place with --join-file FILE")
+                raise FleetError(f"{path} is there already: choose another place with --join-file FILE")
         self._m = scenario.round_ticks
         self._config = replace(scenario.agent_config(vehicle), memory_ticks=2 * self._m)
         self._telemetry = scenario.layout(vehicle).size
@@ -124,7 +118,7 @@ class Examination:
         self.notes: list[str] = []  # texts of the agent's Note messages
         self.slowest_s = 0.0  # longest wait for an answer
 
-    def run(self, timeout_s: float, show: Callable[[str], None]) -> list[Check]:
+    def run(self, timeout_s: float, show: Callable[[str], None]) -> list[ProtocolCheck]:
         """Wait for the agent, examine it, and return a verdict for each of `CHECKS`.
 
         Args:
@@ -132,7 +126,7 @@ class Examination:
             show: called with a line that names the join file.
 
         Raises:
-            ConformanceError: no agent came, or the endpoint or the file cannot be made.
+            FleetError: no agent came, or the endpoint or the file cannot be made.
         """
         i, begin = self._i, BEGIN_ROUNDS * self._m
         user = generate((i,))[agent_role(i)]
@@ -145,7 +139,7 @@ class Examination:
             try:
                 self._fleet = EmulatedFleet(endpoint, self._keys, i, user, private, answer, self._meeting.certified)
             except BusError as error:
-                raise ConformanceError(str(error)) from None
+                raise FleetError(str(error)) from None
         folder = self._file.with_suffix("")
         try:
             joining.write(self._file)
@@ -159,7 +153,7 @@ class Examination:
             self.notes = self._fleet.notes
             return self._verdicts()
         except OSError as error:
-            raise ConformanceError(f"cannot write {error.filename or self._file}: {error.strerror}") from None
+            raise FleetError(f"cannot write {error.filename or self._file}: {error.strerror}") from None
         finally:
             self._file.unlink(missing_ok=True)
             if i in self._meeting.folders:
@@ -185,13 +179,13 @@ class Examination:
     def _fail(self, check: str, expected: str, got: object) -> None:
         self._failed.setdefault(check, (expected, str(got)))
 
-    def _verdicts(self) -> list[Check]:
+    def _verdicts(self) -> list[ProtocolCheck]:
         found = []
         for check in CHECKS:
             if check in self._failed:
-                found.append(Check(check, False, *self._failed[check]))
+                found.append(ProtocolCheck(check, False, *self._failed[check]))
             else:
-                found.append(Check(check, True if check in self._reached else None))
+                found.append(ProtocolCheck(check, True if check in self._reached else None))
         return found
 
     # ------------------------------------------------------------------------------------- the script
@@ -242,7 +236,7 @@ class Examination:
                 steps, deadline = done, time.monotonic() + 2 * ANSWER_S
             taken = self._take(deadline)
             if taken is None and not steps:
-                raise ConformanceError(f"nobody came within {timeout_s:g} s: no query of cfg, no hello, no token")
+                raise FleetError(f"nobody came within {timeout_s:g} s: no query of cfg, no hello, no token")
             if taken is None:
                 break
             key, message = taken

@@ -11,7 +11,6 @@ from netem.wire.access import LEASE_MS
 from netem.wire.messages import PROTOCOL_VERSION
 from netem.wire.settings import MAX_BYTES
 from netem.wire.wire_types import Field, declared, fields_of, records, texts
-from world import faults
 
 _HEAD = f"""# Wire protocol, version {PROTOCOL_VERSION}
 
@@ -123,17 +122,6 @@ The map `agent`; its values are maps, arrays and scalars of MessagePack. Keys ma
 """
 
 
-# What a fault is inside `ailments`: `world.faults.WorldFault`, with whose fields a test compares these.
-FAULT = {
-    "id": Field("str", "", "name of the fault, unique in a run"),
-    "begin": Field("uint", "tick", "first tick at which it holds"),
-    "end": Field("uint or nil", "tick", "first tick at which it holds no more; nil: it holds to the end of the run"),
-    "kind": Field("str", "", "one of the kinds below"),
-    "vehicles": Field("uint[*]", "", "the vehicles concerned; empty: all"),
-    "values": Field("real[*]", "", "the numbers of its kind, in the order of the table below"),
-}
-
-
 def page() -> str:
     """The whole page as Markdown."""
     parts = [_HEAD]
@@ -144,7 +132,6 @@ def page() -> str:
     parts += [f"### `{name}`\n\n{getdoc(cls)}\n\n{_table(fields_of(cls))}" for name, cls in sorted(records().items())]
     for name, enum in texts().items():
         parts.append(f"### `{name}`\n\n{getdoc(enum)} One of these texts: {', '.join(f'`{text}`' for text in enum)}.\n")
-    parts.append(f"### `Fault`\n\nOne fault of a sensor, an actuator or the sea.\n\n{_table(FAULT)}\n{_kinds()}")
     parts.append(f"## The payload of our own agents\n\nOpaque to the network.\n\n{getdoc(payload)}\n")
     parts.append(f"### The compact payload\n\n{getdoc(compact)}\n")
     return "\n".join(parts)
@@ -154,9 +141,3 @@ def _table(fields: Mapping[str, Field]) -> str:
     rows = ["| field | type | unit | meaning |", "|---|---|---|---|"]
     rows += [f"| {name} | {field.wire} | {field.unit} | {field.meaning} |" for name, field in fields.items()]
     return "\n".join(rows) + "\n"
-
-
-def _kinds() -> str:
-    """The kinds of faults with their values, which the docstring of `world.faults` has as a table."""
-    table = [line for line in (getdoc(faults) or "").splitlines() if line.startswith("|")]
-    return "\n".join(table) + "\n"

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from agents.config import AgentConfig, Cylinder, GuidanceParams, KeepApartParams, Law, Neighbour, TrackingParams
-from agents.offset import Change, Offset
-from agents.trajectory import Circle, Line, Path
+from agents.offset import Offset, OffsetChange
+from agents.trajectory import Circle, Path, StraightLine
 from world.vehicle import VehicleParams
 
 Meaning = tuple[str, str, str]  # type, unit, meaning
@@ -19,7 +19,7 @@ FIELDS: dict[type, dict[str, Meaning]] = {
         "round_ticks": ("uint", "tick", "m, between two round ticks: tick k is one if m divides it"),
         "offset": ("Offset", "m", "p_i(t), where the vehicle belongs relative to the reference"),
         "reference": (
-            "Line, Circle, Path or null",
+            "StraightLine, Circle, Path or null",
             "",
             "the trajectory eta_1^d(t), by its `kind`; null: not told",
         ),
@@ -51,14 +51,14 @@ FIELDS: dict[type, dict[str, Meaning]] = {
     },
     Offset: {
         "start": ("real[3]", "m", "NED, until the first change"),
-        "changes": ("Change[*]", "", "in order of time, none before the one before is complete"),
+        "changes": ("OffsetChange[*]", "", "in order of time, none before the one before is complete"),
     },
-    Change: {
+    OffsetChange: {
         "begin": ("real", "s", "when the offset begins to move"),
         "blend": ("real", "s", "how long that takes: with x from 0 to 1 it goes 10 x^3 - 15 x^4 + 6 x^5 of the way"),
         "offset": ("real[3]", "m", "NED, where it arrives"),
     },
-    Line: {
+    StraightLine: {
         "start": ("real[3]", "m", "NED, at t = 0"),
         "velocity": ("real[3]", "m/s", "NED; the position is start + velocity t"),
         "kind": ("str", "", "line"),

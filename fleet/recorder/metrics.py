@@ -18,7 +18,7 @@ from statistics import median
 from typing import Any, NamedTuple
 
 from agents.offset import Offset
-from agents.signals import Layout
+from agents.signals import SignalLayout
 from fleet.recorder.protocol import Protocol
 from fleet.recorder.settling import below_from, least_s, settling_time, stayed
 from fleet.scenario.scenario import Scenario, frame_every
@@ -85,7 +85,7 @@ class _Places(NamedTuple):
     rejected: int | None
 
     @classmethod
-    def of(cls, layout: Layout) -> _Places:
+    def of(cls, layout: SignalLayout) -> _Places:
         places = [layout.where(name) for name in ("u_cmd", "qp_failures", "payloads_rejected")]
         return cls(*(None if place is None else place.start for place in places))
 

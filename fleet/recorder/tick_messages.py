@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.signals import Layout
+from agents.signals import SignalLayout
 from fleet.logs.batch import HEAD, MESSAGE, STAMP_BYTES, Batch
 from fleet.logs.schemas import COMMAND, ERROR, ROLL, STATE, Doubles, pose_parts, signal_columns
 from fleet.recorder.metrics import VehicleError
@@ -79,7 +79,7 @@ class _Slot(NamedTuple):
 class _Kind(NamedTuple):
     """What vehicles report."""
 
-    agent: Layout
+    agent: SignalLayout
     plant: tuple[Signal, ...] | None  # None: they have none
 
 
@@ -89,7 +89,7 @@ class TickMessages:
     def __init__(
         self,
         topics: Mapping[str, Mapping[int, Topic]],
-        agents: Mapping[int, Layout],
+        agents: Mapping[int, SignalLayout],
         plants: Mapping[int, tuple[Signal, ...]],
     ) -> None:
         """Lay out the pool.

@@ -29,7 +29,6 @@ from fleet.logs.schemas import (
     FROM,
     FROM_TICK,
     PACKET,
-    REAL,
     ROLL,
     SNAPSHOT,
     START,
@@ -50,6 +49,7 @@ from fleet.recorder.transforms import TRANSFORMS_UNITS, Transforms
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.log_rates import without_snapshots
 from fleet.scenario.sections.timeline import Event
+from netem.clock import Clock
 from netem.wire.messages import Command, Fate, Frame
 from world.plants.classes import plant_class
 from world.plugins.loading import fingerprint
@@ -84,15 +84,14 @@ class LogWriter:
         scenario: Scenario,
         start: Start | None = None,
         tap: Tap | None = None,
-        *,
-        lockstep: bool = True,
+        clock: Clock = Clock.LOCKSTEP,
     ) -> None:
         """Write the scenario and declare all channels.
 
         Args:
             start: where the run goes on from a snapshot of another run.
             tap: receives a copy of every message.
-            lockstep: False if the run is on a wall clock, which its metadata then says.
+            clock: of the run; its metadata names a wall clock.
 
         Raises:
             LogError: the sink is a file and cannot be written; so do all methods.
@@ -106,7 +105,7 @@ class LogWriter:
         sink.attachment("scenario.yaml", "application/yaml", scenario.to_yaml().encode())
         if start is not None:
             sink.attachment(START, "application/msgpack", start.snapshot.to_bytes())
-        sink.metadata("run", run_metadata(scenario, start) | ({} if lockstep else {CLOCK: REAL}))
+        sink.metadata("run", run_metadata(scenario, start) | ({} if clock is Clock.LOCKSTEP else {CLOCK: clock}))
         signals = {i: scenario.plant_signals(i) for i in range(1, scenario.vehicles + 1)}
         plants = {i: own for i, own in signals.items() if own is not None}
         self._ticks = TickMessages(

@@ -13,7 +13,7 @@ from typing import Any
 
 from agents.decision import Decision
 from agents.loop import AgentLoop
-from agents.signals import Layout
+from agents.signals import SignalLayout
 from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
 from fleet.logs.reader import LogReader
@@ -35,7 +35,7 @@ class RecordedAgent:
     """What one agent sent, by tick."""
 
     vehicle: int
-    layout: Layout
+    layout: SignalLayout
     round_ticks: int
     last: int  # tick of the last message in the log
     commands: dict[int, Vec3] = field(default_factory=dict)

@@ -11,7 +11,7 @@ from typing import Any
 from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
 from fleet.logs.reader import LogReader, Record, Tell, log_path
-from fleet.logs.schemas import CLOCK, FAULT, REAL, START
+from fleet.logs.schemas import CLOCK, FAULT, START
 from fleet.quantities import show_time
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
@@ -20,6 +20,7 @@ from fleet.scenario.sections.vehicle_events import is_fault
 from fleet.scenario.text.fault_words import FaultWordsError, read_fault
 from fleet.scenario.text.overrides import Override
 from fleet.scenario.trust import READING, Policy
+from netem.clock import Clock
 
 MOST_EVENTS = 200_000  # of faults: one begins and one ends every second for a day
 MOST_TEXT = 64 << 20  # bytes of all of them
@@ -45,7 +46,7 @@ class Recorded:
         Raises:
             ScriptError: it is one.
         """
-        if self.reader.metadata.get("run", {}).get(CLOCK) == REAL:
+        if self.reader.metadata.get("run", {}).get(CLOCK) == Clock.REAL:
             raise ScriptError(
                 f"{self.path} was recorded with --clock real: when each agent answered was the machine's affair, so "
                 f"{what}; the same scenario in lockstep can be repeated: fleet script {self.path} > again.yaml"

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from agents.errors import AgentError
 from fleet.errors import FleetError, RunBroken
-from fleet.execution.clock import Clock
+from fleet.execution.clock import GrantPolicy
 from fleet.execution.external_agents import named
 from fleet.execution.in_process import InProcess
 from fleet.logs.batch import Batch
@@ -254,7 +254,7 @@ def _run_again(
     # No further than the recording went: it may have ended because the next tick cannot be computed.
     every, m = frame_every(scenario), scenario.round_ticks
     until = min(scenario.ticks, max(-(-tick // every) * every, -(-tick // m) * m) + 1)
-    clock = Clock(until, scenario.tick_ns, m, every)
+    policy = GrantPolicy(until, scenario.tick_ns, m, every)
     seen = -2
 
     def moved() -> None:
@@ -265,7 +265,7 @@ def _run_again(
 
     try:
         agents = {i: agent.loop for i, agent in comparison.external.items()}
-        InProcess(scenario, journal, start, agents).serve(clock, moved)
+        InProcess(scenario, journal, start, agents).serve(policy, moved)
     except _Over:
         pass
     except NotRecordedError as error:

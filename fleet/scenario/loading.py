@@ -12,7 +12,7 @@ from fleet.scenario.catalogue import shipped_scenarios, shipped_text
 from fleet.scenario.scenario import Reading, Scenario
 from fleet.scenario.text.overrides import Override, apply
 from fleet.scenario.text.yaml_reader import Mapping, Scalar, Source, read
-from fleet.scenario.trust import READING, TYPED, Origin, Policy, stranger
+from fleet.scenario.trust import READING, TYPED, OverrideOrigin, Policy, stranger
 from fleet.scenario.validation import validate
 from netem.parsing import nearest
 from netem.whole_file import read_bounded, read_file
@@ -28,7 +28,7 @@ def load_scenario(
     *,
     imports: bool = True,
     refused: list[Problem] | None = None,
-    origin: Origin = TYPED,
+    origin: OverrideOrigin = TYPED,
 ) -> Scenario:
     """The scenario of a shipped name or of a file, with overrides applied.
 

@@ -156,7 +156,7 @@ class Parts:
         """Parameters and limits [N, N m, N m] of the vehicles that these entries name.
 
         Raises:
-            VehicleFileError: their model cannot be read.
+            DataFileError: their model cannot be read.
         """
         if entries not in self._vehicles:
             section = self.choice(entries).vehicle
@@ -166,7 +166,7 @@ class Parts:
 
     @cached_property
     def controls(self) -> tuple[Control, ...]:
-        """What each vehicle is and runs. Raises VehicleFileError: a model cannot be read."""
+        """What each vehicle is and runs. Raises DataFileError: a model cannot be read."""
         tick, apart = self.spec.tick, keep_apart_params(self.spec.keep_apart)
         made = {e: per_vehicle.control(choice, tick, self.vehicle(e), apart) for e, choice in self.choices()}
         return tuple(made[self.entries(i)] for i in range(1, self.spec.vehicles + 1))
@@ -189,6 +189,6 @@ class Parts:
         return self.spec.model_copy(update={"faults": faults, "nemesis": None})
 
     @cached_property
-    def faults(self) -> timeline.Plan:
+    def faults(self) -> timeline.FaultPlan:
         """Every fault, for the cores; the faults must be valid."""
         return timeline.plan(self.explicit, self.links)

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 from agents.config import AgentConfig, Law, Neighbour
 from agents.controllers import BUILT_IN, laws, layout
-from agents.offset import Change, Offset
-from agents.signals import Layout
+from agents.offset import Offset, OffsetChange
+from agents.signals import SignalLayout
 from agents.trajectory import Reference
 from fleet.quantities import vehicle_numbers
 from fleet.scenario.parts import Parts
@@ -25,7 +25,7 @@ from fleet.scenario.sections.graph import Graph
 from fleet.scenario.sections.log_rates import log_every, memory_ticks
 from fleet.scenario.sections.modem_files import shipped_modems
 from fleet.scenario.sections.per_vehicle import Control, inlined_vehicle, model_name
-from fleet.scenario.sections.timeline import Plan
+from fleet.scenario.sections.timeline import FaultPlan
 from fleet.scenario.sections.vehicle_files import shipped_vehicles
 from fleet.scenario.text import yaml_writer
 from fleet.scenario.text.overrides import Override
@@ -63,13 +63,13 @@ class Scenario:
     initial: tuple[tuple[Vec5, Vec5], ...]  # (eta0, nu0) of each vehicle
     conditions: dict[Link, Condition]  # of every link that is not perfect at the start
     controls: tuple[Control, ...]  # what each vehicle is and runs
-    faults: Plan
+    faults: FaultPlan
     other_laws: tuple[tuple[str, Law], ...]  # kind and law of those that are not built in, each name once
     acoustic: AcousticConfig | None  # None: the network is not acoustic
     undrawn: ScenarioSpec = field(compare=False, repr=False)  # with the nemesis in place of the faults that it drew
     reading: Reading = field(compare=False, repr=False)
     source: str = field(default="", compare=False)  # the shipped name or the path it was loaded from
-    _layouts: dict[int, Layout] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _layouts: dict[int, SignalLayout] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @classmethod
     def compile(cls, parts: Parts, reading: Reading, source: str = "") -> Scenario:
@@ -123,11 +123,11 @@ class Scenario:
         """m, ticks per network round; an ideal network exchanges at every tick."""
         return 1 if self.ideal else self.spec.network.period // self.spec.tick
 
-    def next_round(self, tick: int) -> int:
-        """The first round tick after a tick; 0 if the run is over by then."""
+    def next_round(self, tick: int) -> int | None:
+        """The first round tick after a tick; None if the run is over by then."""
         m = self.round_ticks
         after = (tick // m + 1) * m
-        return after if after < self.ticks else 0
+        return after if after < self.ticks else None
 
     @property
     def ideal(self) -> bool:
@@ -211,7 +211,7 @@ class Scenario:
         """What the plant of vehicle i reports; None: it has none. Raises PluginError: it cannot be used."""
         return self.controls[i - 1].plant_signals()
 
-    def layout(self, i: int) -> Layout:
+    def layout(self, i: int) -> SignalLayout:
         """What agent i reports. Raises PluginError: one of its laws cannot be used."""
         if i not in self._layouts:  # one by one: another agent's laws may be such as must not be imported
             self._layouts[i] = layout(self.agent_config(i))
@@ -334,7 +334,7 @@ def _difference(a: Offset, b: Offset) -> Offset:
     """a - b; both change at the same times."""
     changes = zip(a.changes, b.changes, strict=True)
     return Offset(
-        minus(a.start, b.start), tuple(Change(x.begin, x.blend, minus(x.offset, y.offset)) for x, y in changes)
+        minus(a.start, b.start), tuple(OffsetChange(x.begin, x.blend, minus(x.offset, y.offset)) for x, y in changes)
     )
 
 

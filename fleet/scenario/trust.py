@@ -59,20 +59,20 @@ RECORDS = ("run.mcap", "result.json")  # in the directory of a run; one of them 
 
 
 @dataclass(frozen=True, slots=True)
-class Origin:
+class OverrideOrigin:
     """Where overrides come from: the command line, or the file of a study."""
 
     stranger: str = ""  # why only installed modules may be named, in the scenario, too; "": the user's own
     typed: bool = True  # a law that they name may lie in the current directory
 
 
-TYPED = Origin()
+TYPED = OverrideOrigin()
 
 
-def origin(file: Path) -> Origin:
+def origin(file: Path) -> OverrideOrigin:
     """That of the overrides in a file, which obeys the rules of a scenario's file."""
     why = stranger(file)
-    return Origin(why, not why and file.parent.resolve() == Path().resolve())
+    return OverrideOrigin(why, not why and file.parent.resolve() == Path().resolve())
 
 
 def stranger(file: Path) -> str:

@@ -23,7 +23,7 @@ from fleet.study.errors import StudyError
 from netem.private_folder import PrivateFolder
 from world.plants.classes import file_of, module_of
 from world.plugins.loading import unit_file
-from world.plugins.trust import Permission, Place, Trust, find, permit
+from world.plugins.trust import ModulePlace, Permission, Trust, find, permit
 
 MOST_BYTES = 4_000_000  # of all files that travel: they go with each batch of runs
 _writing = threading.Lock()
@@ -111,7 +111,7 @@ def packed(modules: Modules) -> Modules:
     return modules._replace(folder=None, carried=tuple(sorted(found.items())))
 
 
-def _imported_from(place: Place) -> list[str]:
+def _imported_from(place: ModulePlace) -> list[str]:
     """The files of modules that were imported from a folder of the user's: what its laws need."""
     folder = Path(place.folder).resolve()
     found = []

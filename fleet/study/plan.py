@@ -10,7 +10,7 @@ from itertools import product
 from math import prod
 
 from fleet.scenario.text.overrides import SET, Override
-from fleet.scenario.trust import TYPED, Origin
+from fleet.scenario.trust import TYPED, OverrideOrigin
 from fleet.study.errors import StudyError
 from fleet.study.measures import STANDING
 from fleet.study.settings import LARGEST_SEED, MOST_ALLOWED, NOTHING_MORE, Settings
@@ -61,7 +61,7 @@ class Plan:
     zipped: bool = False
     seeds: tuple[int, ...] = (1,)
     draw: int = 1
-    origin: Origin = TYPED
+    origin: OverrideOrigin = TYPED
     settings: Settings = NOTHING_MORE
     points: tuple[Point, ...] = field(init=False)
 

@@ -16,7 +16,7 @@ from fleet.scenario.text.overrides import FAULT, NET, SET, Override
 from fleet.scenario.text.plain_yaml import inline, yaml_text
 from fleet.scenario.text.yaml_reader import Items, Source, plain, read
 from fleet.scenario.text.yaml_reader import Mapping as Tree
-from fleet.scenario.trust import TYPED, Origin
+from fleet.scenario.trust import TYPED, OverrideOrigin
 from fleet.study.errors import StudyError
 from fleet.study.plan import Plan, parse_seeds
 from fleet.study.settings import MOST_SEEDS, KeepLogs, Settings
@@ -93,7 +93,7 @@ class StudySpec(msgspec.Struct, frozen=True, omit_defaults=True):
             **{key: value for key, value in given.items() if value is not None},
         )
 
-    def plan(self, origin: Origin = TYPED) -> Plan:
+    def plan(self, origin: OverrideOrigin = TYPED) -> Plan:
         """What it runs.
 
         Args:

@@ -11,8 +11,8 @@ from fleet.errors import Problem, ScenarioError, printable
 from fleet.quantities import QuantityError, describe_value, time_ns
 from fleet.scenario.catalogue import shipped_scenarios
 from fleet.scenario.text.plain_yaml import inline
-from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Place, Scalar, Source, plain, read
-from fleet.scenario.trust import TYPED, Origin, origin
+from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Scalar, Source, TextPlace, plain, read
+from fleet.scenario.trust import TYPED, OverrideOrigin, origin
 from fleet.study.catalogue import shipped_studies, study_text
 from fleet.study.errors import StudyError
 from fleet.study.plan import parse_seeds
@@ -32,7 +32,7 @@ class NamedStudy(NamedTuple):
     """A study that somebody wrote down, and where it comes from."""
 
     spec: StudySpec
-    origin: Origin = TYPED
+    origin: OverrideOrigin = TYPED
 
 
 def study_named(name: str) -> NamedStudy | None:
@@ -127,7 +127,7 @@ class _Reader:
             "budget": self._time,
         }
 
-    def tell(self, place: Place, message: str, hint: str = "") -> None:
+    def tell(self, place: TextPlace, message: str, hint: str = "") -> None:
         """Tell a mistake."""
         self.problems.append(place.problem(message, hint))
 

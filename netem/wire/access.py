@@ -95,52 +95,11 @@ def access_control(
 
     for i in vehicles:
         allow(agent_role(i), *_agent_grants(keys, i))
-    allow(
-        NETEM,
-        ("ingress", ["put"], [keys.rx("*"), keys.links, keys.note(NETEM)]),
-        ("ingress", ["declare_subscriber"], [keys.tx("*")]),
-        ("ingress", ["declare_queryable", "reply"], [keys.ctl(NETEM)]),
-        ("ingress", ["liveliness_token"], [keys.alive(NETEM)]),
-        ("egress", ["put"], [keys.tx("*")]),
-        ("egress", ["query"], [keys.ctl(NETEM)]),
-        ("egress", ["declare_subscriber"], [keys.rx("*"), keys.links, keys.note("*")]),
-    )
-    allow(
-        CONSOLE,
-        ("ingress", ["put"], [keys.grant, f"{keys.prefix}/log/**"]),
-        ("ingress", ["declare_subscriber"], [keys.frame, keys.links, keys.note("*")]),
-        ("ingress", ["query"], [f"{keys.prefix}/ctl/**"]),
-        ("ingress", ["declare_queryable", "reply"], [keys.cfg("*"), f"{keys.op}/**"]),
-        ("ingress", ["liveliness_token"], [keys.alive(CONSOLE)]),
-        ("ingress", ["declare_liveliness_subscriber", "liveliness_query"], [keys.alive("*")]),
-        ("egress", ["put"], [keys.frame, keys.links, keys.note("*")]),
-        ("egress", ["query"], [keys.cfg("*"), f"{keys.op}/**"]),
-        ("egress", ["reply"], [f"{keys.prefix}/ctl/**"]),
-        ("egress", ["declare_subscriber"], [keys.cmd("*"), f"{keys.prefix}/log/**"]),
-        ("egress", ["declare_queryable"], [f"{keys.prefix}/ctl/**"]),
-        ("egress", ["liveliness_token"], [keys.alive("*")]),
-    )
-    allow(
-        OPERATOR,
-        ("ingress", ["query"], [f"{keys.op}/**"]),
-        ("ingress", ["declare_subscriber"], [f"{keys.prefix}/log/**"]),
-        ("egress", ["reply"], [f"{keys.op}/**"]),
-        ("egress", ["declare_queryable"], [f"{keys.op}/**"]),
-        ("egress", ["put"], [f"{keys.prefix}/log/**"]),
-    )
+    allow(NETEM, *_netem_grants(keys))
+    allow(CONSOLE, *_console_grants(keys))
+    allow(OPERATOR, *_operator_grants(keys))
     if world:
-        allow(
-            WORLD,
-            ("ingress", ["put"], [keys.nav("*"), keys.round, keys.frame, keys.note(WORLD)]),
-            ("ingress", ["declare_subscriber"], [keys.cmd("*")]),
-            ("ingress", ["declare_queryable", "reply"], [keys.ctl(WORLD)]),
-            ("ingress", ["liveliness_token"], [keys.alive(WORLD)]),
-            ("ingress", ["declare_liveliness_subscriber", "liveliness_query"], [keys.alive("*")]),
-            ("egress", ["put"], [keys.cmd("*")]),
-            ("egress", ["query"], [keys.ctl(WORLD)]),
-            ("egress", ["declare_subscriber"], [keys.nav("*"), keys.tx("*"), keys.frame, keys.note("*")]),
-            ("egress", ["liveliness_token"], [keys.alive("*")]),
-        )
+        allow(WORLD, *_world_grants(keys))
     return listed.values()
 
 
@@ -169,6 +128,59 @@ def observer_control(keys: Keys) -> dict[str, Any]:
         ("egress", ["reply", "declare_queryable"], asked),
     )
     return listed.values()
+
+
+def _netem_grants(keys: Keys) -> tuple[Grant, ...]:
+    return (
+        ("ingress", ["put"], [keys.rx("*"), keys.links, keys.note(NETEM)]),
+        ("ingress", ["declare_subscriber"], [keys.tx("*")]),
+        ("ingress", ["declare_queryable", "reply"], [keys.ctl(NETEM)]),
+        ("ingress", ["liveliness_token"], [keys.alive(NETEM)]),
+        ("egress", ["put"], [keys.tx("*")]),
+        ("egress", ["query"], [keys.ctl(NETEM)]),
+        ("egress", ["declare_subscriber"], [keys.rx("*"), keys.links, keys.note("*")]),
+    )
+
+
+def _console_grants(keys: Keys) -> tuple[Grant, ...]:
+    return (
+        ("ingress", ["put"], [keys.grant, f"{keys.prefix}/log/**"]),
+        ("ingress", ["declare_subscriber"], [keys.frame, keys.links, keys.note("*")]),
+        ("ingress", ["query"], [f"{keys.prefix}/ctl/**"]),
+        ("ingress", ["declare_queryable", "reply"], [keys.cfg("*"), f"{keys.op}/**"]),
+        ("ingress", ["liveliness_token"], [keys.alive(CONSOLE)]),
+        ("ingress", ["declare_liveliness_subscriber", "liveliness_query"], [keys.alive("*")]),
+        ("egress", ["put"], [keys.frame, keys.links, keys.note("*")]),
+        ("egress", ["query"], [keys.cfg("*"), f"{keys.op}/**"]),
+        ("egress", ["reply"], [f"{keys.prefix}/ctl/**"]),
+        ("egress", ["declare_subscriber"], [keys.cmd("*"), f"{keys.prefix}/log/**"]),
+        ("egress", ["declare_queryable"], [f"{keys.prefix}/ctl/**"]),
+        ("egress", ["liveliness_token"], [keys.alive("*")]),
+    )
+
+
+def _operator_grants(keys: Keys) -> tuple[Grant, ...]:
+    return (
+        ("ingress", ["query"], [f"{keys.op}/**"]),
+        ("ingress", ["declare_subscriber"], [f"{keys.prefix}/log/**"]),
+        ("egress", ["reply"], [f"{keys.op}/**"]),
+        ("egress", ["declare_queryable"], [f"{keys.op}/**"]),
+        ("egress", ["put"], [f"{keys.prefix}/log/**"]),
+    )
+
+
+def _world_grants(keys: Keys) -> tuple[Grant, ...]:
+    return (
+        ("ingress", ["put"], [keys.nav("*"), keys.round, keys.frame, keys.note(WORLD)]),
+        ("ingress", ["declare_subscriber"], [keys.cmd("*")]),
+        ("ingress", ["declare_queryable", "reply"], [keys.ctl(WORLD)]),
+        ("ingress", ["liveliness_token"], [keys.alive(WORLD)]),
+        ("ingress", ["declare_liveliness_subscriber", "liveliness_query"], [keys.alive("*")]),
+        ("egress", ["put"], [keys.cmd("*")]),
+        ("egress", ["query"], [keys.ctl(WORLD)]),
+        ("egress", ["declare_subscriber"], [keys.nav("*"), keys.tx("*"), keys.frame, keys.note("*")]),
+        ("egress", ["liveliness_token"], [keys.alive("*")]),
+    )
 
 
 def _agent_grants(keys: Keys, i: int) -> list[Grant]:

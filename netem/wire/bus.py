@@ -17,7 +17,7 @@ from netem.wire.access import LEASE_MS, Credentials, Listener, access_control
 from netem.wire.keys import Keys
 from netem.wire.linger import never_linger
 from netem.wire.parts import PART_BYTES, pieces
-from netem.wire.queues import Channel, Stamped
+from netem.wire.queues import PutQueue, Stamped
 from netem.wire.session import open_session, reason, users_file
 from netem.wire.settings import MAX_BYTES, client_settings, client_tls, listening, router_settings, server_tls
 
@@ -168,7 +168,7 @@ class Bus:
         origin = zenoh.Locality.REMOTE if of_others else zenoh.Locality.ANY
         self._held.append(self._session.declare_subscriber(key, receive, allowed_origin=origin))
 
-    def channel(self, key: str, capacity: int = 4096) -> Channel:
+    def channel(self, key: str, capacity: int = 4096) -> PutQueue:
         """A queue of every put on `key`, filled by zenoh without a Python callback.
 
         A callback needs the interpreter lock and so interrupts the main thread; in the main loops of world and agents
@@ -178,7 +178,7 @@ class Bus:
         `capacity` is the number of puts. It should be small where foreign programs can put: each put in the queue may
         hold 0.5 MB (measured: zenoh keeps the whole buffer in which it was received).
         """
-        return Channel(self._session.declare_subscriber(key, zenoh.handlers.FifoChannel(capacity)))
+        return PutQueue(self._session.declare_subscriber(key, zenoh.handlers.FifoChannel(capacity)))
 
     def stamped(self, key: str) -> Stamped:
         """A queue of every put on `key` with its time of arrival [ns, CLOCK_MONOTONIC]; each put costs a callback."""

@@ -14,6 +14,7 @@ from typing import Annotated, ClassVar, NamedTuple
 from msgspec import Meta, Struct
 
 from netem.causes import Cause
+from netem.fault_kinds import WorldFaultKind
 
 PROTOCOL_VERSION = 1
 RUN_OVER = "the run is over"  # the reason of nearly every End
@@ -127,6 +128,30 @@ class Frame(Record, frozen=True):
     tumbles: Annotated[tuple[Tumble, ...], about("likewise")]
     vehicles: Annotated[tuple[VehicleFrame, ...], about("ascending by id")]
     memory: Annotated[bytes, about("of the world and all agents before this tick, as MessagePack; mostly empty")]
+
+
+class TimedFault(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
+    """What all faults have: a name, a beginning and an end."""
+
+    id: Annotated[Text, about("name of the fault, unique in a run")]
+    begin: Annotated[Uint, about("first tick at which it acts", "tick")]
+    end: Annotated[Uint | None, about("first tick at which it does not act any more; nil: it lasts to the end", "tick")]
+
+    def active(self, tick: int) -> bool:
+        """Whether the fault acts at a tick."""
+        return self.begin <= tick and (self.end is None or tick < self.end)
+
+
+class WorldFault(TimedFault, frozen=True):
+    """A fault of sensors, actuators or sea."""
+
+    kind: Annotated[WorldFaultKind, about("what it does")]
+    vehicles: Annotated[tuple[Uint, ...], about("the vehicles concerned; empty: all")]
+    values: Annotated[Reals, about("the numbers of its kind, in their order")]
+
+    def concerns(self, i: int) -> bool:
+        """Whether the fault acts on vehicle i."""
+        return not self.vehicles or i in self.vehicles
 
 
 # ------------------------------------------------------------------------------------------ messages
@@ -275,9 +300,11 @@ class Death(Record, frozen=True, tag="death"):
     route: ClassVar[Route] = Route("cmd/grant", "console", "world")
 
     vehicle: Annotated[Uint, about("vehicle number")]
-    tick: Annotated[Uint, about("first tick without an agent; 0: its process has ended, it is the next one", "tick")]
+    tick: Annotated[Uint | None, about("first tick without an agent; nil: the process has ended, the next", "tick")]
     incarnation: Annotated[Uint, about("the life that ended, if it has")]
-    until: Annotated[Uint, about("round tick at which another agent takes over; 0: no other than planned", "tick")]
+    until: Annotated[
+        Uint | None, about("round tick at which another agent takes over; nil: no other than planned", "tick")
+    ]
 
 
 class Restart(Record, frozen=True, tag="restart"):
@@ -286,16 +313,16 @@ class Restart(Record, frozen=True, tag="restart"):
     route: ClassVar[Route] = Route("cmd/grant", "console", "world")
 
     vehicle: Annotated[Uint, about("vehicle number")]
-    begin: Annotated[Uint, about("since when it has none; 2^63 - 1: whenever", "tick")]
+    begin: Annotated[Uint | None, about("since when it has none; nil: since whenever", "tick")]
     tick: Annotated[Uint, about("round tick, its first sample", "tick")]
 
 
-class WorldFaults(Record, frozen=True, tag="ailments"):
+class WorldFaults(Record, frozen=True, tag="faults"):
     """The faults of sensors, actuators and sea, all of them: they replace those sent before."""
 
     route: ClassVar[Route] = Route("cmd/grant", "console", "world")
 
-    faults: Annotated[bytes, about("MessagePack: Fault[*]")]
+    faults: Annotated[tuple[WorldFault, ...], about("in the order in which they begin")]
 
 
 class Note(Record, frozen=True, tag="note"):

@@ -8,7 +8,7 @@ from time import monotonic_ns
 from typing import Any
 
 
-class Channel:
+class PutQueue:
     """The puts on a key expression, in order."""
 
     def __init__(self, subscriber: Any) -> None:

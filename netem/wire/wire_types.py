@@ -1,7 +1,7 @@
 """The declared messages and records as rows of a table: field, wire type, unit, meaning.
 
 A wire type is uint, bool, str, bin, the name of a record or of an enumeration of texts, or an array of one of these or
-of reals: `real[3]` of a declared length, `[*]` of any.
+of reals: `real[3]` of a declared length, `[*]` of any. What may be left open is `or nil`.
 """
 
 from __future__ import annotations
@@ -12,13 +12,15 @@ from typing import NamedTuple, get_args
 from msgspec import inspect
 
 from netem.causes import Cause
-from netem.wire.messages import Message, Record, Route
+from netem.fault_kinds import WorldFaultKind
+from netem.wire.messages import Message, Record, Route, TimedFault, WorldFault
 
 _SCALARS: dict[type[inspect.Type], str] = {
     inspect.IntType: "uint",
     inspect.FloatType: "real",
     inspect.BoolType: "bool",
     inspect.StrType: "str",
+    inspect.NoneType: "nil",
     inspect.BytesType: "bin",
 }
 
@@ -36,17 +38,20 @@ def declared() -> dict[str, tuple[type[Record], Route]]:
     return {cls.__struct_config__.tag: (cls, cls.route) for cls in get_args(Message)}
 
 
-def records() -> dict[str, type[Record]]:
+def records() -> dict[str, type[Record | TimedFault]]:
     """Every record that a field may name, in the order of declaration."""
-    return {cls.__name__: cls for cls in Record.__subclasses__() if cls.__struct_config__.tag is None}
+    found: list[type[Record | TimedFault]] = [
+        cls for cls in Record.__subclasses__() if cls.__struct_config__.tag is None
+    ]
+    return {cls.__name__: cls for cls in (*found, WorldFault)}
 
 
 def texts() -> dict[str, type[StrEnum]]:
     """Every enumeration of texts that a field may name."""
-    return {Cause.__name__: Cause}
+    return {cls.__name__: cls for cls in (Cause, WorldFaultKind)}
 
 
-def fields_of(cls: type[Record]) -> dict[str, Field]:
+def fields_of(cls: type[Record | TimedFault]) -> dict[str, Field]:
     """The fields of a message or record, in wire order."""
     info = inspect.type_info(cls)
     assert isinstance(info, inspect.StructType)
@@ -64,6 +69,8 @@ def _wire_type(declared: inspect.Type) -> str:
     match declared:
         case inspect.StructType(cls=cls) | inspect.EnumType(cls=cls):
             return cls.__name__
+        case inspect.UnionType(types=types):
+            return " or ".join(map(_wire_type, types))
         case inspect.VarTupleType(item_type=item, min_length=size):
             return f"{_wire_type(item)}[{'*' if size is None else size}]"
     return _SCALARS[type(declared)]

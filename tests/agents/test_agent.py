@@ -21,7 +21,7 @@ from agents.agent import Agent
 from agents.api import Command, NeighbourState, Sample
 from agents.config import AgentConfig, Neighbour
 from agents.controllers import CONTROLLERS
-from agents.errors import AgentError, ControllerError, PayloadError, UnknownNameError
+from agents.errors import AgentError, ControllerError, PayloadError
 from agents.laws import gain_qp
 from agents.laws.backstepping import NeurodynamicTracking
 from agents.laws.consensus import consensus_error
@@ -343,7 +343,7 @@ def test_every_profile_leaves_room_round_the_reference(name: str) -> None:
 
 
 def test_unknown_names_list_the_known_ones() -> None:
-    with pytest.raises(UnknownNameError, match="paper, consistent, hardened"):
+    with pytest.raises(AgentError, match="paper, consistent, hardened"):
         profile("papper")
 
 

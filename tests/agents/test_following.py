@@ -14,7 +14,7 @@ from agents.agent import Agent
 from agents.api import NeighbourState
 from agents.config import AgentConfig
 from agents.following import followed
-from agents.offset import Change, Offset
+from agents.offset import Offset, OffsetChange
 from agents.payload import StateMessage, encode
 from fleet.analysis.seed import seeded
 from fleet.errors import ScenarioError
@@ -65,7 +65,7 @@ def test_who_hears_nobody_stays_where_it_is() -> None:
 
 def test_a_formation_that_changes_moves_the_place() -> None:
     """Delta_ij moves by 10 m in 10 s: at its middle 1.875 m/s, the peak of the quintic."""
-    offset = Offset((0.0, 0.0, 0.0), (Change(0.0, 10.0, (10.0, 0.0, 0.0)),))
+    offset = Offset((0.0, 0.0, 0.0), (OffsetChange(0.0, 10.0, (10.0, 0.0, 0.0)),))
     heard = [NeighbourState(1, 1.0, offset.at(5.0).position, (0.0, 0.0, 0.0), (0.5, 0.0, 0.0), 0.0)]
     found = followed((0.0, 0.0, 0.0), heard, {1: offset}, 5.0)
     assert found.position == pytest.approx((5.0, 0.0, 0.0))

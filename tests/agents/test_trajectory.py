@@ -15,9 +15,9 @@ from loops import agent_config
 
 from agents.config import AgentConfig, Neighbour
 from agents.neighbours import NeighbourTable
-from agents.offset import Change, Offset
+from agents.offset import Offset, OffsetChange
 from agents.payload import StateMessage, encode
-from agents.trajectory import Circle, Line, Path, PathError, Reference
+from agents.trajectory import Circle, Path, PathError, Reference, StraightLine
 from netem.wire.messages import Delivery
 from world.vectors import minus, plus
 
@@ -31,7 +31,7 @@ def references(draw: st.DrawFn) -> Reference:
     kind = draw(st.sampled_from(["line", "circle", "path"]))
     speed = draw(st.floats(0.1, 3.0))
     if kind == "line":
-        return Line(draw(points), (speed, draw(st.floats(-1.0, 1.0)), 0.0))
+        return StraightLine(draw(points), (speed, draw(st.floats(-1.0, 1.0)), 0.0))
     if kind == "circle":
         sense, sink = draw(st.sampled_from([-1.0, 1.0])), draw(st.floats(-0.3, 0.3))
         return Circle(draw(points), draw(st.floats(1.0, 100.0)), speed, draw(st.floats(-7.0, 7.0)), sense, sink)
@@ -47,7 +47,7 @@ def references(draw: st.DrawFn) -> Reference:
 offsets = st.builds(
     lambda start, ends, times, blends: Offset(
         start,
-        tuple(Change(sum(times[: n + 1]) + sum(blends[:n]), blends[n], end) for n, end in enumerate(ends)),
+        tuple(OffsetChange(sum(times[: n + 1]) + sum(blends[:n]), blends[n], end) for n, end in enumerate(ends)),
     ),
     points,
     st.lists(points, max_size=3),
@@ -176,7 +176,7 @@ def test_points_on_one_line_need_no_arc(start: Any, ahead: Any, steps: list[floa
 def test_velocity_bounds_are_tight(reference: Reference) -> None:
     """To a percent: wider ones would refuse scenarios that can be flown. Sampled to 0.02 rad of a turn."""
     low, high = reference.velocity_bounds()
-    if isinstance(reference, Line):
+    if isinstance(reference, StraightLine):
         assert low == high == reference.velocity
         return
     length = reference.length if isinstance(reference, Path) else 2.0 * math.pi * reference.radius
@@ -277,9 +277,9 @@ def test_only_the_reference_knows_the_turn_and_the_change(mode: Any, in_place: b
     """On a circle, half-way through a change of the formation, with news two seconds old: the other two modes leave
     the neighbour where it was, or on the tangent."""
     circle = Circle((0.0, 0.0, 10.0), 20.0, 0.6, 0.4, -1.0)
-    own = Offset((0.0, 0.0, 0.0), (Change(10.0, 20.0, (0.0, 4.0, 0.0)),))
-    other = Offset((-5.0, 0.0, 0.0), (Change(10.0, 20.0, (0.0, 9.0, 2.0)),))
-    delta = Offset((5.0, 0.0, 0.0), (Change(10.0, 20.0, (0.0, -5.0, -2.0)),))
+    own = Offset((0.0, 0.0, 0.0), (OffsetChange(10.0, 20.0, (0.0, 4.0, 0.0)),))
+    other = Offset((-5.0, 0.0, 0.0), (OffsetChange(10.0, 20.0, (0.0, 9.0, 2.0)),))
+    delta = Offset((5.0, 0.0, 0.0), (OffsetChange(10.0, 20.0, (0.0, -5.0, -2.0)),))
     table = NeighbourTable((Neighbour(2, 1.0, delta),), mode, circle, own, 0.01)
     then, now = (
         [plus(a, b) for a, b in zip(circle.at(t), other.at(t), strict=True)] for t in (18.0, 20.0)

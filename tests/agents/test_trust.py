@@ -414,7 +414,7 @@ def test_packages_are_found_without_running_them(tmp_path: Path, monkeypatch: py
     init.write_text(dedent("from pathlib import Path; Path(__file__).with_suffix('.mark').touch()"))
     write_laws(tmp_path / package, "law")
     place = trust.find(f"{package}.law", [tmp_path])
-    assert place == trust.Place(str(tmp_path), (str(init), str(tmp_path / package / "law.py")), False)
+    assert place == trust.ModulePlace(str(tmp_path), (str(init), str(tmp_path / package / "law.py")), False)
     sums = [hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in place.files]
     arguments = ("controller", f"{package}.law:Main")
     with pytest.raises(PluginError, match=f"would run {package}/__init__.py and {package}/law.py"):

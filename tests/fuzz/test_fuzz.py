@@ -37,7 +37,7 @@ from agents.payload import StateMessage
 from agents.payload import encode as state_payload
 from fleet.cli.main import cli
 from fleet.errors import FleetError, ScenarioError
-from fleet.execution.clock import Clock, LiveClock
+from fleet.execution.clock import GrantPolicy, LiveClock
 from fleet.execution.execute import execute
 from fleet.execution.operator import Operator
 from fleet.execution.options import Options
@@ -439,7 +439,7 @@ def test_every_operation_is_answered(asked: list[dict[str, Any]]) -> None:
 
 
 def an_operator(granted: int = 3) -> Operator:
-    clock = LiveClock(Clock(SCENARIO.ticks, SCENARIO.tick_ns, SCENARIO.round_ticks, 1, None), 0.0)
+    clock = LiveClock(GrantPolicy(SCENARIO.ticks, SCENARIO.tick_ns, SCENARIO.round_ticks, 1, None), 0.0)
     journal = Journal(SCENARIO, Silent())  # type: ignore[arg-type]
     return Operator(SCENARIO, journal, clock, Obedient(granted))
 

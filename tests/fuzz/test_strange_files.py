@@ -25,9 +25,9 @@ from fleet.errors import ScenarioError
 from fleet.execution.connection import live_runs
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.hosts.certificates import CertsError
+from fleet.hosts.certificates import HostsError
 from fleet.hosts.certificates import _read as read_pem
-from fleet.hosts.rendezvous import HostsError, read_credentials
+from fleet.hosts.rendezvous import read_credentials
 from fleet.logs.result_file import ResultError, read_result, read_timing
 from fleet.pictures.report import page
 from fleet.pictures.runs import Run, View, load
@@ -74,7 +74,7 @@ def read_all(pipe: Path) -> None:
         (lambda: load_modem(str(pipe)), Exception),
         (lambda: JoinFile.read(pipe), JoinError),
         (lambda: read_credentials(pipe, 4), HostsError),
-        (lambda: read_pem(pipe), CertsError),
+        (lambda: read_pem(pipe), HostsError),
     )
     for reader, kind in readers:
         try:

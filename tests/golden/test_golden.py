@@ -15,7 +15,7 @@ from repository import GOLDEN
 
 from agents.agent import Agent
 from agents.config import AgentConfig, Extrapolation
-from agents.signals import Layout
+from agents.signals import SignalLayout
 from world.config import Harmonic
 from world.disturbance import PAPER
 from world.sea import World
@@ -51,7 +51,7 @@ CASES = {
 TOLERANCE = {"eta": 1e-6, "nu": 1e-6, "e": 1e-6, "rho": 1e-6, "cmd": 1e-6, "K": 1e-5, "x": 1e-5, "tau": 1e-4}
 
 
-def layout(case: Case) -> Layout:
+def layout(case: Case) -> SignalLayout:
     return Agent(case_config(1, case)).layout
 
 

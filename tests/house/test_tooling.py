@@ -7,14 +7,13 @@ import subprocess
 import sys
 from dataclasses import fields
 from pathlib import Path
-from typing import get_args
 
 import pytest
 from repository import ROOT
 
 from fleet.protocol import slice_fields
-from fleet.protocol.page import FAULT, page
-from world.faults import WorldFault, WorldFaultKind
+from fleet.protocol.page import page
+from netem.fault_kinds import WorldFaultKind
 
 CHECKS = {
     "ruff check": [sys.executable, "-m", "ruff", "check", "."],
@@ -97,9 +96,8 @@ def test_the_protocol_page_defines_every_type_that_it_names() -> None:
     assert "world.faults" not in text
 
 
-def test_the_protocol_page_knows_every_field_of_a_fault() -> None:
-    assert list(FAULT) == list(WorldFault.__annotations__)
-    assert all(f"\n| {kind}" in page() or f", {kind} |" in page() for kind in get_args(WorldFaultKind))
+def test_the_protocol_page_knows_every_kind_of_fault() -> None:
+    assert all(f"\n| {kind} |" in page() for kind in WorldFaultKind)
 
 
 def test_protocol_page_is_current() -> None:

@@ -12,7 +12,7 @@ from msgspec.structs import astuple
 
 from fleet.recorder.connectivity import Connectivity
 from fleet.recorder.separation import Separation
-from netem.ages import Age, Ages
+from netem.ages import Ages, InformationAge
 from netem.condition import Condition
 from netem.config import NetemConfig
 from netem.faults import NetFault
@@ -111,7 +111,7 @@ def test_ages_of_what_the_network_does(conditions: Any, cut: int, deaf: bool, en
 
 def test_a_round_of_a_perfect_link() -> None:
     """What is sent at k is usable at k + 1, so that the ages of a round of ten ticks are 1 to 10."""
-    age = Age()
+    age = InformationAge()
     for k in range(0, 1000, 10):
         age.hear(k, k + 1)
     age.count(1001)
@@ -122,7 +122,7 @@ def test_a_round_of_a_perfect_link() -> None:
 
 def test_what_is_kept_does_not_grow_with_the_run() -> None:
     """A link that works, and one that never does, in a run of ten million ticks."""
-    works, silent = Age(), Age()
+    works, silent = InformationAge(), InformationAge()
     for k in range(0, 1_000_000, 10):
         works.hear(k, k + 1 + k // 10 % 7)
     works.count(10_000_000)

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from netem.condition import Condition, FourState, GilbertElliott
-from netem.errors import NetemError
+from netem.errors import NetemError, TextError
 from netem.grammar import REFUSED, parse_condition, print_condition, with_word
-from netem.parsing import GrammarError, exact_number
+from netem.parsing import exact_number
 from netem.selectors import Selector, parse_selector, select
 
 
@@ -95,7 +95,7 @@ def test_reads_tc_netem(text: str, condition: Condition) -> None:
     ],
 )
 def test_points_at_what_is_wrong(text: str, column: int, words: str) -> None:
-    with pytest.raises(GrammarError) as caught:
+    with pytest.raises(TextError) as caught:
         parse_condition(text)
     assert words in caught.value.message
     assert caught.value.column == column
@@ -103,13 +103,13 @@ def test_points_at_what_is_wrong(text: str, column: int, words: str) -> None:
 
 @pytest.mark.parametrize("word", REFUSED)
 def test_the_rest_of_tc_netem_is_refused_by_name(word: str) -> None:
-    with pytest.raises(GrammarError, match="of tc-netem is not supported") as caught:
+    with pytest.raises(TextError, match="of tc-netem is not supported") as caught:
         parse_condition(f"{word} 5%")
     assert caught.value.hint
 
 
 def test_names_the_nearest_word() -> None:
-    with pytest.raises(GrammarError) as caught:
+    with pytest.raises(TextError) as caught:
         parse_condition("delay 1ms losss 3%")
     assert caught.value.hint == 'did you mean "loss"?'
     assert isinstance(caught.value, NetemError)
@@ -119,7 +119,7 @@ def test_names_the_nearest_word() -> None:
 def test_any_text_is_a_condition_or_a_grammar_error(text: str) -> None:
     try:
         condition = parse_condition(text)
-    except GrammarError as error:
+    except TextError as error:
         assert 0 <= error.column <= len(text)  # noqa: PT017 - most texts are errors, all must be ours
     else:
         assert parse_condition(print_condition(condition)) == condition
@@ -155,7 +155,7 @@ def test_selectors_read_back(src: int | None, dst: int | None, both: bool) -> No
 
 @pytest.mark.parametrize("text", ["", "1", "1-2", "->", "2<-1", "1->1", "a->b", "1->2->3", "9" * 100 + "->1"])
 def test_what_is_no_selector_is_refused(text: str) -> None:
-    with pytest.raises(GrammarError):
+    with pytest.raises(TextError):
         parse_selector(text)
 
 
@@ -192,7 +192,7 @@ def test_the_other_words_of_a_condition_stay(condition: Condition, hundredths: i
     ],
 )
 def test_a_word_that_cannot_be_changed_so(word: str, value: str, message: str, column: int) -> None:
-    with pytest.raises(GrammarError) as caught:
+    with pytest.raises(TextError) as caught:
         with_word("delay 200ms loss 30%", word, value)
     assert message in str(caught.value)
     assert caught.value.column == column

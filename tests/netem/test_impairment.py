@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from netem.condition import Condition, FourState, GilbertElliott, condition_from_values, condition_values
 from netem.config import NetemConfig
-from netem.impairment import LinkModel, LinkOutcome, LinkState
+from netem.impairment import LinkMemory, LinkModel, LinkOutcome
 from netem.network import Netem
 
 FloatArray = np.ndarray[Any, np.dtype[np.float64]]
@@ -320,7 +320,7 @@ def test_a_link_goes_on_from_its_plain_values(condition: Condition, seed: int) -
     for k in range(20):
         one.enter(k * MS, k, PAYLOAD)
     values = msgpack.unpackb(msgpack.packb([condition_values(one.condition), one.state.to_values()]))
-    other = LinkModel(condition_from_values(values[0]), seed, (1, 2), LinkState.from_values(values[1]))
+    other = LinkModel(condition_from_values(values[0]), seed, (1, 2), LinkMemory.from_values(values[1]))
     assert other.condition == condition
     assert [other.enter(k * MS, k, PAYLOAD) for k in range(20, 40)] == [
         one.enter(k * MS, k, PAYLOAD) for k in range(20, 40)

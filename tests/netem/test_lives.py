@@ -24,8 +24,8 @@ from fleet.execution.outcome import Result, Status
 from fleet.logs.reader import digest
 from fleet.repeat.recorded_run import script
 from fleet.scenario.loading import load_scenario, parse_scenario
-from netem.lives import WHENEVER, Absence, Lives
-from world.faults import WorldFault
+from netem.lives import Absence, Lives
+from netem.wire.messages import WorldFault
 from world.lockstep import Lockstep, NavTo
 
 END = 40
@@ -57,7 +57,7 @@ def test_an_agent_that_dies_before_it_was_to_be_killed_comes_back_when_that_woul
     assert lives.gaps(1) == [(10, 30), (50, None)]
     lives.end(1, 40)
     assert lives.gaps(1) == [(10, 30), (40, None)]
-    lives.restart(1, WHENEVER, 60)
+    lives.restart(1, None, 60)
     assert lives.gaps(1) == [(10, 30), (40, 60)]
     lives.restart(1, 7, 25)  # nothing began there
     assert lives.gaps(1) == [(10, 30), (40, 60)]

@@ -15,6 +15,7 @@ RECORDS = records()
 KINDS = sorted(declared())
 UINTS = st.one_of(st.integers(0, 300), st.integers(0, 2**64 - 1))
 REALS = st.floats(allow_nan=False, allow_infinity=False)
+OR_NIL = " or nil"
 ARRAY = re.compile(r"(.*)\[(\*|\d+)\]")
 
 
@@ -24,6 +25,8 @@ def values(wire: str) -> SearchStrategy[Any]:
         return messages(RECORDS[wire])
     if wire in texts():
         return st.sampled_from([*texts()[wire]])
+    if wire.endswith(OR_NIL):
+        return st.none() | values(wire.removesuffix(OR_NIL))
     if match := ARRAY.fullmatch(wire):
         item, size = match.groups()
         least, most = (0, 4) if size == "*" else (int(size), int(size))

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from fleet.execution import in_process
-from fleet.execution.clock import Clock
+from fleet.execution.clock import GrantPolicy
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile
 from fleet.recorder.writer import LogWriter
@@ -84,7 +84,7 @@ def run(vehicles: int, ticks: int, log: Path) -> tuple[Counter[str], Counter[str
         patch.setattr(in_process, "encode", counting)
         sys.setprofile(count)
         try:
-            fleet.serve(Clock.of(scenario), lambda: None)
+            fleet.serve(GrantPolicy.of(scenario), lambda: None)
         finally:
             sys.setprofile(before)
     file.close()

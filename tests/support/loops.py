@@ -15,7 +15,7 @@ from agents.config import AgentConfig, Extrapolation, Law, Neighbour
 from agents.controllers import CONTROLLERS
 from agents.offset import Offset
 from agents.profiles import profile
-from agents.trajectory import Line
+from agents.trajectory import StraightLine
 from world.config import DEFAULT_SUBSTEPS, Harmonic, VehicleSetup, WorldConfig
 from world.sea import World
 from world.vectors import Vec3, Vec5, minus
@@ -36,7 +36,7 @@ PARAMS = VehicleParams(
 )  # fmt: skip
 TAU_MAX: Vec3 = (20.0, 20.0, 20.0)
 NU0: Vec5 = (0.1, 0.0, 0.0, 0.0, 0.0)
-REFERENCE = Line(start=(5.0, 1.0, 5.0), velocity=(0.7, 0.1, 0.0))
+REFERENCE = StraightLine(start=(5.0, 1.0, 5.0), velocity=(0.7, 0.1, 0.0))
 # a_ij: a vehicle listens to the one before it with weight 1, to the one after it with 0.8.
 WEIGHTS = {(2, 1): 1.0, (3, 2): 1.0, (4, 3): 1.0, (1, 2): 0.8, (2, 3): 0.8, (3, 4): 0.8}
 

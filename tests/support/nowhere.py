@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from netem.errors import BusError
-from netem.process import NetemProcess
+from netem.process import NetworkProcess
 from netem.wire.settings import MAX_BYTES
 from world.process import WorldProcess
 
@@ -61,6 +61,6 @@ class Nowhere:
         return self.queue.popleft() if self.queue else None
 
 
-def serve(process: WorldProcess | NetemProcess) -> None:
+def serve(process: WorldProcess | NetworkProcess[Any]) -> None:
     with pytest.raises(OverError):
         process.serve()

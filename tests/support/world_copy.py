@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import msgpack
+import msgspec
 
-from world.faults import WorldFault
+from netem.wire.messages import WorldFault
 from world.sea import World
 
 
@@ -14,7 +15,7 @@ def state_values(world: World) -> dict[str, Any]:
     """Everything that changes in a world, as plain MessagePack values."""
     return {
         "vehicles": [[i, world.memory(i)] for i in world.ids],
-        "faults": [fault.to_values() for fault in world.faults],
+        "faults": msgspec.to_builtins(world.faults),
     }
 
 
@@ -22,7 +23,7 @@ def restore(world: World, values: dict[str, Any]) -> None:
     """Continue from `state_values` of a world with the same configuration."""
     for i, memory in values["vehicles"]:
         world.remember(i, memory)
-    world.faults = tuple(WorldFault.from_values(fault) for fault in values["faults"])
+    world.faults = msgspec.convert(values["faults"], tuple[WorldFault, ...])
 
 
 def copy_state(source: World, target: World) -> None:

@@ -164,7 +164,7 @@ class Intruder:
     def run(self, tmp_path: Path, *overrides: str) -> Result:
         scenario = load_scenario("paper", [CHECKS, "duration=4 s", *overrides])
         try:
-            return execute(scenario, Options(tmp_path / "runs", quiet=True, speed_limit=4.0))
+            return execute(scenario, Options(tmp_path / "runs", quiet=True, speed=4.0))
         finally:
             self._over.set()
             if self._thread is not None:

@@ -26,7 +26,7 @@ from live import LiveRun
 from repository import ROOT
 from waiting import wait_for
 
-from fleet.hosts.certificates import Pair
+from fleet.hosts.certificates import KeyPair
 from fleet.hosts.join_folder import JoinFolder
 from fleet.hosts.rendezvous import Rendezvous, listening_for_certificates
 from fleet.protocol.conformance import CHECKS, Examination
@@ -164,7 +164,7 @@ def test_the_agent_in_c_passes_the_protocol_check(made: Path, program: Path, tmp
 def test_the_agent_in_c_survives_garbage(program: Path, tmp_path: Path) -> None:
     """Cut, changed and invented messages: nothing is read or written where it should not be, which the sanitizers of
     the compiler watch."""
-    JoinFolder(2, ("tls/a:1", "tls/b:1"), 1, "", Pair("", "")).write(tmp_path / "join-2", Keys("ab"), 0, 0)
+    JoinFolder(2, ("tls/a:1", "tls/b:1"), 1, "", KeyPair("", "")).write(tmp_path / "join-2", Keys("ab"), 0, 0)
     command = [str(program), str(tmp_path / "join-2")]
     slice_ = load_scenario("paper").agent_config(2).to_values()
     answer = msgpack.packb({"agent": slice_, "incarnation": 0, "begin": 0, "version": 1})
@@ -189,7 +189,7 @@ def test_the_agent_in_c_survives_garbage(program: Path, tmp_path: Path) -> None:
         (tmp_path / "join-2" / "join.conf").write_text(entry)
         refused = subprocess.run(command, input=b"", capture_output=True, timeout=LIMIT_S, check=False)
         assert (refused.returncode, refused.stderr[:6]) == (2, b"usage:")
-    JoinFolder(2, ("tls/a:1",), 1, "", Pair("", "")).write(tmp_path / "join-2", Keys("ab"), 0, 0)
+    JoinFolder(2, ("tls/a:1",), 1, "", KeyPair("", "")).write(tmp_path / "join-2", Keys("ab"), 0, 0)
     for cut in range(0, len(answer), 150):
         refused = subprocess.run(
             command, input=frame("g", answer[:cut]), capture_output=True, timeout=LIMIT_S, check=False

@@ -117,8 +117,8 @@ def test_another_seed_gives_another_log(alone: Alone) -> None:
 def test_speed_changes_nothing(tmp_path: Path, alone: Alone) -> None:
     """Grants paced by the wall clock come in other portions than grants ahead of it; neither is a result."""
     fast = once(alone, "thinned log")
-    assert_same_bytes(fast, run(tmp_path, "thinned log", in_process=True, speed_limit=6.0))
-    assert_same_bytes(fast, run(tmp_path, "thinned log", speed_limit=4.0))
+    assert_same_bytes(fast, run(tmp_path, "thinned log", in_process=True, speed=6.0))
+    assert_same_bytes(fast, run(tmp_path, "thinned log", speed=4.0))
 
 
 # --- what the log holds ----------------------------------------------------

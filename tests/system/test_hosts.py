@@ -26,8 +26,8 @@ from agents.join_file import JoinFile
 from fleet.cli.main import cli
 from fleet.execution.connection import ask, find
 from fleet.hosts import certificates, router_config
+from fleet.hosts.certificates import HostsError
 from fleet.hosts.rendezvous import (
-    HostsError,
     read_credentials,
     run_id,
     through_router,

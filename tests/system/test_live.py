@@ -14,7 +14,7 @@ from hand import Hand
 from live import LiveRun
 from tool import tool
 
-from fleet.execution.clock import Clock, LiveClock
+from fleet.execution.clock import GrantPolicy, LiveClock
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.reader import digest
@@ -30,7 +30,7 @@ SLOW = ["--speed", "1", "--set", CHECKS]
 
 
 def live_clock(speed: float | None = None) -> LiveClock:
-    return LiveClock(Clock(1000, TICK_NS, 10, 1, speed), 100.0)
+    return LiveClock(GrantPolicy(1000, TICK_NS, 10, 1, speed), 100.0)
 
 
 def test_a_paused_clock_grants_nothing_more() -> None:

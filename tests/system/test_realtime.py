@@ -24,6 +24,7 @@ from fleet.repeat.recorded_run import ScriptError
 from fleet.repeat.verify import verify
 from fleet.repeat.what_if import what_if
 from fleet.scenario.loading import load_scenario
+from netem.clock import Clock
 
 SLEEPER = """
     from time import sleep
@@ -43,7 +44,7 @@ SLEEPER = """
 
 def test_a_real_run_is_on_time_and_lockstep_or_says_why_not(tmp_path: Path) -> None:
     scenario = load_scenario("paper", ["duration=2 s", "checks={ledger: balanced, middleware_loss: {at_most: 0}}"])
-    found = execute(scenario, Options(tmp_path, quiet=True, realtime_speed=0.5, most_missed=1.0))
+    found = execute(scenario, Options(tmp_path, quiet=True, clock=Clock.REAL, speed=0.5, most_missed=1.0))
     same = execute(scenario, Options(tmp_path, quiet=True, in_process=True))
     assert (found.status, found.reason) == (Status.PASS, "")
     measured = found.values["timing"]
@@ -74,7 +75,7 @@ def test_an_agent_too_slow_for_its_ticks_is_named(tmp_path: Path, monkeypatch: p
     scenario = load_scenario(
         "paper", ["duration=2 s", "checks={}", "per_vehicle={2: {controller: 'sleeper:Sleeper'}}", "graph.shape=path"]
     )
-    found = execute(scenario, Options(tmp_path, quiet=True, realtime_speed=1.0))
+    found = execute(scenario, Options(tmp_path, quiet=True, clock=Clock.REAL, speed=1.0))
     assert found.status is Status.CHECK_FAILED
     rows = found.values["timing"]["vehicles"]
     # Twenty times it sleeps, and each time seven more ticks go by; fewer where the machine stops the world, too.

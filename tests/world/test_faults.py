@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import msgpack
 import numpy as np
 import pytest
 from hypothesis import given
@@ -15,8 +14,9 @@ from small_scenario import only_problem, small
 from world_copy import copy_state
 
 from fleet.scenario.loading import parse_scenario
+from netem.wire.codec import decode, encode
+from netem.wire.messages import WorldFault, WorldFaults
 from world.current import GaussMarkov, gust
-from world.faults import WorldFault
 from world.sea import World
 
 KINDS = {
@@ -188,7 +188,7 @@ def test_what_a_scenario_says(entry: str, kind: str, values: tuple[float, ...]) 
     (found,) = s.world_config.faults
     assert (found.kind, found.begin, found.end, found.values) == (kind, 10, 30, values)
     assert parse_scenario(s.to_yaml(), "again.yaml") == s
-    assert WorldFault.from_values(msgpack.unpackb(msgpack.packb(found.to_values()))) == found
+    assert decode(encode(WorldFaults((found,)))) == WorldFaults((found,))
 
 
 def test_vehicles_that_are_not_there() -> None:

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from agents.decision import Decision
 from agents.loop import AgentLoop
-from fleet.execution.clock import Clock
+from fleet.execution.clock import GrantPolicy
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile
 from fleet.recorder.writer import LogWriter
@@ -149,7 +149,7 @@ def test_an_agent_refuses_what_is_out_of_place() -> None:
 )
 def test_the_clock_never_deadlocks(ticks: int, round_ticks: int, every: int, tick_ns: int) -> None:
     """With any round and frame length, writing what a grant allows leads to a greater grant, up to the end."""
-    clock = Clock(ticks, tick_ns, round_ticks, every)
+    clock = GrantPolicy(ticks, tick_ns, round_ticks, every)
     written, granted = -1, 0
     while granted < ticks:
         until = clock.until(written, 0.0)
@@ -161,11 +161,13 @@ def test_the_clock_never_deadlocks(ticks: int, round_ticks: int, every: int, tic
 
 
 def test_the_clock_paces_by_wall_time() -> None:
-    clock = Clock(6000, 10_000_000, 10, 1, speed_limit=2.0)
+    clock = GrantPolicy(6000, 10_000_000, 10, 1, speed_limit=2.0)
     assert clock.until(5999, 0.0) == 1
     assert clock.until(5999, 1.0) == 201
-    assert Clock(6000, 10_000_000, 10, 1).until(-1, 0.0) == 50
-    later = Clock(6000, 10_000_000, 10, 1, speed_limit=2.0, begin=2000)  # what goes on from there paces from there
+    assert GrantPolicy(6000, 10_000_000, 10, 1).until(-1, 0.0) == 50
+    later = GrantPolicy(
+        6000, 10_000_000, 10, 1, speed_limit=2.0, begin=2000
+    )  # what goes on from there paces from there
     assert (later.until(5999, 0.0), later.until(5999, 1.0)) == (2001, 2201)
 
 

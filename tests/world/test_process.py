@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import msgpack
 import pytest
 from nowhere import Nowhere, serve
 
 from fleet.scenario.loading import load_scenario
+from netem.fault_kinds import WorldFaultKind
 from netem.wire.codec import decode, encode
 from netem.wire.keys import Keys
-from netem.wire.messages import Command, Frames, Grant, Nav, Note, Round
+from netem.wire.messages import Command, Frames, Grant, Nav, Note, Round, WorldFault, WorldFaults
 from world import process
 from world.lockstep import Lockstep
 from world.process import WorldProcess
@@ -29,9 +32,13 @@ class Fleet:
         self.asked: dict[int, Nav] = {}
         self.said: list[Frames | Round | Note] = []
 
-    def put(self, key: str, message: Command | Grant) -> None:
+    def put(self, key: str, message: Command | Grant | WorldFaults) -> None:
         """Give the world a message, and take what it says."""
-        self.bus.queue.append((key, encode(message)))
+        self.put_bytes(key, encode(message))
+
+    def put_bytes(self, key: str, data: bytes) -> None:
+        """The same with bytes that may be no message."""
+        self.bus.queue.append((key, data))
         serve(self.world)
         for where, data in self.bus.put:
             message = decode(data)
@@ -100,3 +107,23 @@ def test_who_has_not_been_asked_is_not_waited_for(monkeypatch: pytest.MonkeyPatc
     fleet.bus.answers[KEYS.ctl("world")](KEYS.ctl("world"), msgpack.packb({"op": "waiting"}), answers.append)
     assert [i for i, _ in msgpack.unpackb(answers[0])["waiting"]] == [asked]
     assert fleet.world._frames == []
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        (["f", 5, None, "leak", [], []], "faults[0][3]: Invalid enum value 'leak'"),
+        (["f", -5, None, "off", [], []], "faults[0][1]: expected an unsigned integer"),
+        (["f", 5, None, "off", []], "faults[0]: Expected `array` of at least length 6, got 5"),
+        (["f", 5, None, "gust", [], [1.0]], "'f': gust has 4 values, not 1"),
+        (b"\x90", "faults[0]: Expected `array`, got `bytes`"),
+    ],
+)
+def test_malformed_faults_are_refused_and_those_before_stay(fault: Any, said: str) -> None:
+    fleet = Fleet()
+    fleet.put(KEYS.grant, WorldFaults((WorldFault("before", 0, None, WorldFaultKind.OFF, (), ()),)))
+    fleet.put_bytes(KEYS.grant, msgpack.packb(["faults", [fault]]))
+    (note,) = fleet.said
+    assert isinstance(note, Note)
+    assert note.text == f"rejected on {KEYS.grant}: malformed faults message: {said}"
+    assert [fault.id for fault in fleet.world._state.world.faults] == ["before"]

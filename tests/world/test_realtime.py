@@ -14,7 +14,7 @@ from realtime import PERIOD_NS, SHORT
 
 from agents.make_agent import make_agent
 from agents.realtime_loop import RealtimeLoop
-from fleet.execution.clock import Clock
+from fleet.execution.clock import GrantPolicy
 from fleet.execution.in_process import InProcess
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile
@@ -103,7 +103,9 @@ class Virtual:
 def lockstep(scenario: Scenario, path: Path) -> str:
     log = LogFile(path)
     fleet = InProcess(scenario, Journal(scenario, LogWriter(log, scenario)))
-    fleet.serve(Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, frame_every(scenario)), lambda: None)
+    fleet.serve(
+        GrantPolicy(scenario.ticks, scenario.tick_ns, scenario.round_ticks, frame_every(scenario)), lambda: None
+    )
     log.close()
     return log.digest
 
@@ -271,6 +273,6 @@ def test_ticks_never_begin_early_and_every_moved_moment_is_accounted_for(late: l
 
 
 def test_grants_on_a_wall_clock_go_ahead_of_it() -> None:
-    clock = Clock(10_000, PERIOD_NS, 10, 1, speed_limit=1.0, lead_ns=500_000_000)
+    clock = GrantPolicy(10_000, PERIOD_NS, 10, 1, speed_limit=1.0, lead_ns=500_000_000)
     assert clock.until(-1, 0.0) == 51
     assert clock.until(40, 0.4) == 91

@@ -24,7 +24,7 @@ from math import cos, exp, pi, sin
 from typing import ClassVar
 
 from world.api import PlantConfig, PlantState, Signal, Vec3, Vec6, Water
-from world.plants.rigid_body import RigidBody, added_coriolis, euler_rates, flow, rk4, rotation, to_earth
+from world.plants.rigid_body import RigidBody, SixDegrees, added_coriolis, euler_rates, flow, rk4, rotation, to_earth
 
 G = 9.82  # [m/s^2]: table A1, as all numbers down to THRUST_MAX where nothing else is said
 FRESH_WATER = 1000.0  # density of the pool [kg/m^3]
@@ -85,7 +85,7 @@ def allocation(X: float, M: float, N: float) -> tuple[float, ...]:
     return ahead - turn, ahead + turn, ahead - turn, ahead + turn, lift, lift, -lift, -lift
 
 
-class BlueROV2:
+class BlueROV2(SixDegrees):
     """BlueROV2 Heavy: the state is pose, velocity and the eight thrusts."""
 
     model: ClassVar[str] = "bluerov2"
@@ -133,14 +133,6 @@ class BlueROV2:
             *to_earth(R, (u, v, w)), *euler_rates(phi, theta, p, q, r),
             u_dot + du, v_dot + dv, w_dot + dw, p_dot, q_dot, r_dot,
         )  # fmt: skip
-
-    def pose(self, state: PlantState) -> Vec6:
-        x, y, z, phi, theta, psi = state[:6]
-        return x, y, z, phi, theta, psi
-
-    def velocity(self, state: PlantState) -> Vec6:
-        u, v, w, p, q, r = state[6:12]
-        return u, v, w, p, q, r
 
     def report(self, state: PlantState) -> Mapping[str, tuple[float, ...]]:
         return {"thrust": state[12:]}

@@ -27,7 +27,7 @@ from world.plants.fmu_variables import (
     CURRENT,
     MOTION,
     WRENCH,
-    Facts,
+    UnitFacts,
     Variables,
     describe,
     variables,
@@ -63,7 +63,7 @@ class FmuPlant:
     """A vehicle inside an FMU. Its state is the time [s] and the outputs; the rest is inside the unit."""
 
     plugin_file: ClassVar[Path]  # by which the log knows it again
-    facts: ClassVar[Facts]
+    facts: ClassVar[UnitFacts]
     uses: ClassVar[Variables]
     signals: ClassVar[tuple[Signal, ...]] = ()
 

@@ -80,7 +80,7 @@ class Variables:
 
 
 @dataclass(frozen=True, slots=True)
-class Facts:
+class UnitFacts:
     """What starting a unit needs to know."""
 
     version: int  # 2 or 3
@@ -90,7 +90,7 @@ class Facts:
     saves: bool  # whether it can give and take its state as bytes
 
 
-def describe(path: Path) -> tuple[Description, Facts]:
+def describe(path: Path) -> tuple[Description, UnitFacts]:
     """The model description of an FMU, and what starting it needs. Nothing of the unit runs.
 
     Raises:
@@ -104,7 +104,7 @@ def describe(path: Path) -> tuple[Description, Facts]:
 
 
 @lru_cache(maxsize=16)
-def _describe(path: Path, changed: int, size: int) -> tuple[Description, Facts]:
+def _describe(path: Path, changed: int, size: int) -> tuple[Description, UnitFacts]:
     if find_spec("fmpy") is None:
         raise FmuError("needs the package FMPy", "pip install 'uuv-fleet[fmu]'")
     with archive(path) as opened:
@@ -119,7 +119,7 @@ def _describe(path: Path, changed: int, size: int) -> tuple[Description, Facts]:
         raise FmuError(
             f"has no {library[:200]}, which this machine ({here}) needs; {listed}", "build it for this platform"
         )
-    return model, Facts(model.version, model.model, model.guid, library, model.saves)
+    return model, UnitFacts(model.version, model.model, model.guid, library, model.saves)
 
 
 _SUFFIX = {"win32": ".dll", "darwin": ".dylib"}

@@ -26,7 +26,7 @@ from typing import ClassVar, Literal
 
 from world.api import PlantConfig, PlantState, Signal, Vec3, Vec6, Water
 from world.plants import remus100_prestero as prestero
-from world.plants.rigid_body import RigidBody, euler_rates, flow, rk4, rotation, to_earth
+from world.plants.rigid_body import RigidBody, SixDegrees, euler_rates, flow, rk4, rotation, to_earth
 
 RHO = 1026.0  # density of sea water [kg/m^3]: Fossen 2021
 G = 9.81  # [m/s^2]
@@ -129,7 +129,7 @@ _FINS: dict[Hull, tuple[float, float]] = {
 }
 
 
-class Remus100:
+class Remus100(SixDegrees):
     """A REMUS 100: commands become revolution and fin angles, which follow with their lags and within their limits.
 
     The state is pose (6), velocity (6), n, delta_r, delta_s, and their commands.
@@ -161,16 +161,6 @@ class Remus100:
         through = flow(rotation(phi, theta, psi), (u, v, w), (p, q, r), water.current)
         commands = allocate(tau, through.velocity, self._hull)
         return (*moved(state[:15], commands, water, dt, self._hull), *commands)
-
-    def pose(self, state: PlantState) -> Vec6:
-        """x, y, z [m, NED], phi, theta, psi [rad]."""
-        x, y, z, phi, theta, psi = state[:6]
-        return x, y, z, phi, theta, psi
-
-    def velocity(self, state: PlantState) -> Vec6:
-        """u, v, w [m/s, body, over ground], p, q, r [rad/s]."""
-        u, v, w, p, q, r = state[6:12]
-        return u, v, w, p, q, r
 
     def report(self, state: PlantState) -> Mapping[str, float]:
         """The actuators and their commands [rpm, rad], by the names in `signals`."""

@@ -26,6 +26,20 @@ from world.vectors import Vec3, Vec6
 Rotation = tuple[Vec3, Vec3, Vec3]  # its rows: north, east, down in body axes
 
 
+class SixDegrees:
+    """A plant whose state begins with its pose and its velocity."""
+
+    def pose(self, state: tuple[float, ...]) -> Vec6:
+        """x, y, z [m, NED], phi, theta, psi [rad]."""
+        x, y, z, phi, theta, psi = state[:6]
+        return x, y, z, phi, theta, psi
+
+    def velocity(self, state: tuple[float, ...]) -> Vec6:
+        """u, v, w [m/s, body, over ground], p, q, r [rad/s]."""
+        u, v, w, p, q, r = state[6:12]
+        return u, v, w, p, q, r
+
+
 def rotation(phi: float, theta: float, psi: float) -> Rotation:
     """The matrix that turns a vector in body axes into NED, R = Rz(psi) Ry(theta) Rx(phi)."""
     sph, cph = sin(phi), cos(phi)

@@ -55,7 +55,7 @@ ONLY_INSTALLED = Permission()
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class ModulePlace:
     """Where a module lies."""
 
     folder: str  # where the search for its first name found it
@@ -147,7 +147,7 @@ def _need_trust(kind: str, name: str, files: tuple[str, ...], folder: str, trust
     trust.notify(f"{kind} {name} runs {shown} ({listed}), as --trust allows")
 
 
-def find(module: str, folders: Iterable[Path]) -> Place | None:
+def find(module: str, folders: Iterable[Path]) -> ModulePlace | None:
     """Where importing a module would find it if the folders stood at the end of the search path; None: nowhere."""
     first, *rest = module.split(".")
     spec = _first(first)
@@ -164,7 +164,7 @@ def find(module: str, folders: Iterable[Path]) -> Place | None:
             break
         specs.append(below)
     files = tuple(s.origin for s in specs if s.origin is not None and s.has_location)
-    return Place(_folder(spec), files, any(p is not None and _same(p, spec) for p in places))
+    return ModulePlace(_folder(spec), files, any(p is not None and _same(p, spec) for p in places))
 
 
 def _first(name: str) -> ModuleSpec | None:
@@ -203,7 +203,7 @@ def _folder(spec: ModuleSpec) -> str:
     return os.path.dirname(next(iter(inside)) if inside else spec.origin or "")
 
 
-def _allow(module: str, place: Place) -> None:
+def _allow(module: str, place: ModulePlace) -> None:
     _allowed.add(module)
     if place.folder not in sys.path[1:]:
         # At the end, so that nothing there takes the place of an installed module; agents get this path, too.

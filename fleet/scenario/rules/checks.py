@@ -17,7 +17,7 @@ from fleet.scenario.rules.report import LINKS_SHOWN, Report, vehicles_exist, who
 from fleet.scenario.schema.checks import CHECK_NAME, EVERY, OF_THE_SCHEMA
 from fleet.scenario.sections.python_checks import load_check, parameters_of
 from fleet.scenario.sections.signal_checks import SignalCheckError, ask, of_a_plugin
-from fleet.scenario.sections.signals import Place, places
+from fleet.scenario.sections.signals import SignalPlace, places
 from netem.selectors import parse_selector, select
 from world.errors import PluginError
 
@@ -110,7 +110,7 @@ def signal(parts: Parts, report: Report) -> None:
             _ends(report, (*path, "fault"), check.fault, *fault_names(parts))
 
 
-def _signals(parts: Parts, report: Report) -> dict[int, Mapping[str, Place]] | None:
+def _signals(parts: Parts, report: Report) -> dict[int, Mapping[str, SignalPlace]] | None:
     """The signals of every vehicle; None: they are not known, because a law is wrong or must not be imported."""
     try:
         controls = parts.controls

@@ -11,9 +11,10 @@ from fleet.scenario.rules.report import Report, known_links, no_whole_ticks, who
 from fleet.scenario.schema.faults import ACTIONS, FaultAction, FaultSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.nemesis import fault_count
-from fleet.scenario.sections.partitions import PartitionError, is_drawn, partition
+from fleet.scenario.sections.partitions import is_drawn, partition
 from fleet.scenario.sections.timeline import OF_THE_WORLD, does_nothing, vehicles_of
 from netem.condition import Link
+from netem.errors import TextError
 from netem.selectors import parse_selector, select
 
 MOST_FAULTS = 5000  # of one scenario, those of its nemesis included: the cores test each in every tick
@@ -132,7 +133,7 @@ def _target_problems(
         assert fault.partition is not None
         try:
             cut = partition(fault.partition, spec.vehicles, spec.seed, "", links)
-        except PartitionError as error:
+        except TextError as error:
             yield FaultProblem(kind, error.message, error.hint)
             return
         if not cut and not is_drawn(fault.partition):  # one that is drawn may cut no link, this time

@@ -15,8 +15,9 @@ from fleet.scenario.parts import Parts, UnknownValueError
 from fleet.scenario.rules.plugins import plugin
 from fleet.scenario.rules.report import Report, packed
 from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.sections.data_files import DataFileError
 from fleet.scenario.sections.per_vehicle import Entries, given, law_names, used, wrong_model
-from fleet.scenario.sections.vehicle_files import VehicleFileError, mass_problems
+from fleet.scenario.sections.vehicle_files import mass_problems
 from world.vectors import Vec3
 
 _BLEND_SAMPLES = 40  # of a change of the formation
@@ -98,7 +99,7 @@ def vehicles(parts: Parts, report: Report) -> None:
         assert choice.model_error is not None
         try:
             params, _ = parts.vehicle(entries)
-        except VehicleFileError as error:
+        except DataFileError as error:
             for problem in error.problems:
                 report.add(report.origin(entries, "vehicle", "model") or ("vehicle", "model"), problem)
             continue

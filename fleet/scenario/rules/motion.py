@@ -10,12 +10,12 @@ from fleet.quantities import show_time, vehicle_numbers
 from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import Report, dotted
 from fleet.scenario.schema.motion import FormationShape
-from fleet.scenario.schema.shapes import FORMATION, GRAPH, REFERENCE, Keys
+from fleet.scenario.schema.shapes import FORMATION, GRAPH, REFERENCE, ShapeKeys
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.graph import parse_edge
 from netem.condition import Link
 
-Table = dict[str, Keys]
+Table = dict[str, ShapeKeys]
 
 
 def reference(parts: Parts, report: Report) -> None:

@@ -8,7 +8,7 @@ from fleet.scenario.rules.report import Report, known_links, whole_multiple
 from fleet.scenario.sections.acoustic import SIZES, extent_m, guard_ns, speed_of_sound
 from fleet.scenario.sections.data_files import DataFileError
 from fleet.scenario.sections.modem_files import modem_problems
-from netem.parsing import GrammarError
+from netem.errors import TextError
 from netem.selectors import parse_selector
 
 
@@ -21,7 +21,7 @@ def links(parts: Parts, report: Report) -> None:
         path = ("network", "links", text)
         try:
             selector = parse_selector(text)
-        except GrammarError:
+        except TextError:
             continue  # reported by the schema
         if str(selector) in written:
             report.add(path, f'the same links as "{written[str(selector)]}"', key=True)

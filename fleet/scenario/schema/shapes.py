@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 
-class Keys(NamedTuple):
+class ShapeKeys(NamedTuple):
     """The keys that a shape needs, and those that it may have."""
 
     needed: tuple[str, ...]
@@ -16,29 +16,29 @@ class Keys(NamedTuple):
         return self.needed + self.optional
 
 
-REFERENCE: dict[str, Keys] = {
-    "line": Keys(("start", "velocity")),
-    "circle": Keys(("center", "radius", "speed"), ("bearing", "turn")),
-    "helix": Keys(("center", "radius", "speed", "sink"), ("bearing", "turn")),
-    "lawn-mower": Keys(("start", "leg", "legs", "spacing", "speed"), ("heading", "turn")),
-    "waypoints": Keys(("points", "speed", "acceleration"), ("closed",)),
+REFERENCE: dict[str, ShapeKeys] = {
+    "line": ShapeKeys(("start", "velocity")),
+    "circle": ShapeKeys(("center", "radius", "speed"), ("bearing", "turn")),
+    "helix": ShapeKeys(("center", "radius", "speed", "sink"), ("bearing", "turn")),
+    "lawn-mower": ShapeKeys(("start", "leg", "legs", "spacing", "speed"), ("heading", "turn")),
+    "waypoints": ShapeKeys(("points", "speed", "acceleration"), ("closed",)),
 }
-FORMATION: dict[str, Keys] = {
-    "offsets": Keys(("offsets",)),
-    "line": Keys((), ("spacing", "heading")),
-    "column": Keys((), ("spacing", "heading")),
-    "wedge": Keys((), ("spacing", "heading")),
-    "circle": Keys((), ("spacing", "heading")),
-    "grid": Keys((), ("spacing", "heading")),
+FORMATION: dict[str, ShapeKeys] = {
+    "offsets": ShapeKeys(("offsets",)),
+    "line": ShapeKeys((), ("spacing", "heading")),
+    "column": ShapeKeys((), ("spacing", "heading")),
+    "wedge": ShapeKeys((), ("spacing", "heading")),
+    "circle": ShapeKeys((), ("spacing", "heading")),
+    "grid": ShapeKeys((), ("spacing", "heading")),
 }
-GRAPH: dict[str, Keys] = {
-    "edges": Keys(("edges",)),
-    "path": Keys((), ("ahead", "behind")),
-    "ring": Keys((), ("ahead", "behind")),
-    "star": Keys((), ("hub", "weight")),
-    "complete": Keys((), ("weight",)),
-    "nearest": Keys((), ("count", "weight")),
-    "random": Keys((), ("probability", "weight")),
+GRAPH: dict[str, ShapeKeys] = {
+    "edges": ShapeKeys(("edges",)),
+    "path": ShapeKeys((), ("ahead", "behind")),
+    "ring": ShapeKeys((), ("ahead", "behind")),
+    "star": ShapeKeys((), ("hub", "weight")),
+    "complete": ShapeKeys((), ("weight",)),
+    "nearest": ShapeKeys((), ("count", "weight")),
+    "random": ShapeKeys((), ("probability", "weight")),
 }
 
 DEFAULT_SPACING_M = 10.0  # the sides of the paper's square

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from math import cos, pi, sin
 
-from agents.offset import Change, Offset
+from agents.offset import Offset, OffsetChange
 from agents.trajectory import Motion
 from fleet.scenario.schema.motion import FormationSection, FormationShape, InitialSection
 from fleet.scenario.schema.shapes import DEFAULT_SPACING_M
@@ -25,7 +25,7 @@ def plans(formation: FormationSection, vehicles: int) -> tuple[Offset, ...]:
     start = offsets(formation, vehicles)
     changes = [(change, offsets(change, vehicles)) for change in formation.changes or ()]
     return tuple(
-        Offset(place, tuple(Change(c.at / 1e9, c.over / 1e9, places[i]) for c, places in changes))
+        Offset(place, tuple(OffsetChange(c.at / 1e9, c.over / 1e9, places[i]) for c, places in changes))
         for i, place in enumerate(start)
     )
 

@@ -15,15 +15,11 @@ NAMED_PARTITIONS = ("halves", *DRAWN_PARTITIONS, "isolate:N")
 _ISOLATE = re.compile(r"isolate:\s*(\d{1,9})", re.ASCII)
 
 
-class PartitionError(TextError):
-    """A text that names no partition of the vehicles."""
-
-
 def partition(text: str, vehicles: int, seed: int, name: str, among: Iterable[Link] | None = None) -> set[Link]:
     """The directed links that a partition cuts, of all there could be, or of those given.
 
     Raises:
-        PartitionError: the text names no partition of these vehicles.
+        TextError: the text names no partition of these vehicles.
     """
     cut = _cut(text, vehicles, seed, name)
     return {(a, b) for a, b in (_all(vehicles) if among is None else among) if cut(a, b)}
@@ -74,7 +70,7 @@ def _cut(text: str, vehicles: int, seed: int, name: str) -> Callable[[int, int],
         case _ if (isolated := _ISOLATE.fullmatch(which)) and 1 <= int(isolated[1]) <= vehicles:
             alone = int(isolated[1])
             return lambda a, b: (a == alone) != (b == alone)
-    raise PartitionError(
+    raise TextError(
         f'"{text[:40]}" is no partition of vehicles 1 to {vehicles}',
         hint=f'write groups such as "1,2 / 3,4", or one of {", ".join(NAMED_PARTITIONS)}',
     )
@@ -86,12 +82,12 @@ def _groups(text: str, vehicles: int) -> list[list[int]]:
         try:
             group = vehicle_numbers(part)
         except QuantityError as error:
-            raise PartitionError(error.message, hint='write groups such as "1,2 / 3,4"') from None
+            raise TextError(error.message, hint='write groups such as "1,2 / 3,4"') from None
         for i in group:
             if not 1 <= i <= vehicles:
-                raise PartitionError(f"there is no vehicle {i}: they are 1 to {vehicles}")
+                raise TextError(f"there is no vehicle {i}: they are 1 to {vehicles}")
             if any(i in other for other in groups):
-                raise PartitionError(f"vehicle {i} is in two groups")
+                raise TextError(f"vehicle {i} is in two groups")
         groups.append(group)
     return groups
 

@@ -147,7 +147,7 @@ def _law(section: LawSection | None) -> Law | None:
 
 
 def vehicle(section: VehicleSection, folder: Path | None) -> tuple[VehicleParams, Vec3]:
-    """The parameters of a vehicle and its limits [N, N m, N m]. Raises VehicleFileError."""
+    """The parameters of a vehicle and its limits [N, N m, N m]. Raises DataFileError."""
     model = vehicle_files.load_vehicle(model_name(section), folder)
     changes = given(section)
     params = replace(model.params, **{key: changes[key] for key in vehicle_files.PARAMETERS.keys() & changes.keys()})

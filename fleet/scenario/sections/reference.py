@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import cos, sin
 
-from agents.trajectory import Circle, Line, Path, Reference
+from agents.trajectory import Circle, Path, Reference, StraightLine
 from fleet.scenario.schema.motion import ReferenceSection
 from world.vectors import Vec3
 
@@ -18,7 +18,7 @@ def build(section: ReferenceSection) -> Reference:
     match s.shape:
         case None | "line":
             assert s.start is not None and s.velocity is not None
-            return Line(s.start, s.velocity)
+            return StraightLine(s.start, s.velocity)
         case "circle" | "helix":
             assert s.center is not None and s.radius is not None and s.speed is not None
             sense = -1.0 if s.turn == "port" else 1.0

@@ -22,9 +22,9 @@ from fleet.scenario.schema.checks import CONDITIONS, EVERY, SignalCheck
 from fleet.scenario.sections.signals import (
     OF_THE_LAWS,
     OF_THE_PLANT,
-    Place,
     SignalError,
     SignalName,
+    SignalPlace,
     parse_name,
     places,
     unit_of,
@@ -44,7 +44,7 @@ class SignalCheckError(FleetError):
 
 
 @dataclass(frozen=True, slots=True)
-class Condition:
+class SignalCondition:
     """Values for which something holds: those from `low` to `high`, without these two if it is `strict`."""
 
     over: Over
@@ -75,7 +75,7 @@ class AskedOfSignal:
     signal: SignalName
     unit: str
     vehicles: tuple[int, ...]
-    condition: Condition
+    condition: SignalCondition
     negated: bool
     within_ns: int | None
     least_ns: int
@@ -84,7 +84,7 @@ class AskedOfSignal:
     words: str
 
 
-def ask(check: SignalCheck, vehicles: Mapping[int, Mapping[str, Place]]) -> AskedOfSignal:
+def ask(check: SignalCheck, vehicles: Mapping[int, Mapping[str, SignalPlace]]) -> AskedOfSignal:
     """What a check asks.
 
     Args:
@@ -147,7 +147,7 @@ def _check_times(check: SignalCheck) -> None:
         raise SignalCheckError("fault", 'needs "eventually_within"', "the time after the end of the fault")
 
 
-def _condition(check: SignalCheck, unit: str) -> Condition:
+def _condition(check: SignalCheck, unit: str) -> SignalCondition:
     given = _given(check)
     if not given:
         raise SignalCheckError("topic", "nothing is asked of it", f"one of {', '.join(CONDITIONS)}")
@@ -159,33 +159,33 @@ def _condition(check: SignalCheck, unit: str) -> Condition:
     match key:
         case "below":
             assert value is not None
-            return Condition("each", -inf, value, True, f"below {shown}", value)
+            return SignalCondition("each", -inf, value, True, f"below {shown}", value)
         case "above":
             assert value is not None
-            return Condition("each", value, inf, True, f"above {shown}", value)
+            return SignalCondition("each", value, inf, True, f"above {shown}", value)
         case "spread_below":
             assert value is not None
-            return Condition("spread", -inf, value, True, f"spread over the vehicles below {shown}", value)
+            return SignalCondition("spread", -inf, value, True, f"spread over the vehicles below {shown}", value)
         case "equals":
             assert value is not None
             return _equals(check, value, shown, unit)
         case "at_most_one":
-            return Condition("true", -inf, 1.0, False, "true in at most one vehicle", 1.0)
+            return SignalCondition("true", -inf, 1.0, False, "true in at most one vehicle", 1.0)
         case "agree_within":
-            return Condition("spread", 0.0, 0.0, False, "the same in all vehicles")
+            return SignalCondition("spread", 0.0, 0.0, False, "the same in all vehicles")
         case _:
             return _range(check.within, unit)
 
 
-def _equals(check: SignalCheck, value: float, shown: str, unit: str) -> Condition:
+def _equals(check: SignalCheck, value: float, shown: str, unit: str) -> SignalCondition:
     if isinstance(check.within, list):
         raise SignalCheckError("within", 'beside "equals" it is one value', "how far off the signal may be")
     off = 0.0 if check.within is None else _number("within", check.within, unit)
     words = f"equals {shown}" + (f" within {_shown(check.within)}" if off else "")
-    return Condition("each", value - off, value + off, False, words)
+    return SignalCondition("each", value - off, value + off, False, words)
 
 
-def _range(given: Any, unit: str) -> Condition:
+def _range(given: Any, unit: str) -> SignalCondition:
     if not isinstance(given, list):
         problem = f"expected a range such as [0, 30], got {describe_value(given)}"
         raise SignalCheckError("within", problem, 'one value stands beside "equals"')
@@ -194,7 +194,7 @@ def _range(given: Any, unit: str) -> Condition:
         problem = f"{_shown(given[0])} is above {_shown(given[1])}"
         raise SignalCheckError("within", problem, "the lower one comes first")
     words = f"between {_shown(given[0])} and {_shown(given[1])}"
-    return Condition("each", low, high, False, words)
+    return SignalCondition("each", low, high, False, words)
 
 
 def _number(key: str, given: Any, unit: str) -> float:
@@ -221,7 +221,7 @@ def _shown(given: Any) -> str:
     return " ".join(given.split()) if isinstance(given, str) else str(given).lower()
 
 
-def _when(check: SignalCheck, condition: Condition) -> str:
+def _when(check: SignalCheck, condition: SignalCondition) -> str:
     words = [condition.words]
     if check.never:
         words = ["never", *words]

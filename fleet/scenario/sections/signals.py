@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from math import hypot
 from typing import NamedTuple
 
-from agents.signals import Layout
+from agents.signals import SignalLayout
 from fleet.errors import FleetError
 from netem.parsing import nearest
 from world.signal import Signal
@@ -54,7 +54,7 @@ class SignalError(FleetError):
         self.hint = hint
 
 
-class Place(NamedTuple):
+class SignalPlace(NamedTuple):
     """Where a signal is among the values of its topic group."""
 
     values: slice
@@ -91,28 +91,28 @@ def parse_name(text: str) -> SignalName | None:
     return None if found is None else SignalName(found["name"], found["bar"] is not None)
 
 
-def places(layout: Layout | None, plant: tuple[Signal, ...] | None) -> dict[str, Place]:
+def places(layout: SignalLayout | None, plant: tuple[Signal, ...] | None) -> dict[str, SignalPlace]:
     """Every signal of a vehicle, vectors and their components, by name.
 
     Args:
         layout: what its agent reports; None: that is not known.
         plant: what its plant reports; None: it has none.
     """
-    found: dict[str, Place] = {}
+    found: dict[str, SignalPlace] = {}
     for group, (start, signals) in _groups(layout, plant).items():
         for signal in signals:
             name, width = f"{group}.{signal.name}", signal.width
             units = signal.unit.split(", ") if ", " in signal.unit else [signal.unit] * width
-            found[name] = Place(slice(start, start + width), signal.unit)
+            found[name] = SignalPlace(slice(start, start + width), signal.unit)
             if width > 1:
                 for k, unit in enumerate(units):
-                    found.setdefault(f"{name}_{k}", Place(slice(start + k, start + k + 1), unit))
+                    found.setdefault(f"{name}_{k}", SignalPlace(slice(start + k, start + k + 1), unit))
             start += width
     return found
 
 
 def flat_signals(
-    layout: Layout | None, plant: tuple[Signal, ...] | None
+    layout: SignalLayout | None, plant: tuple[Signal, ...] | None
 ) -> dict[str, tuple[int, list[tuple[str, int]]]]:
     """By topic group where its values begin, and name and number of values of each signal; as `places` has them."""
     return {
@@ -121,7 +121,7 @@ def flat_signals(
     }
 
 
-def _groups(layout: Layout | None, plant: tuple[Signal, ...] | None) -> dict[str, tuple[int, tuple[Signal, ...]]]:
+def _groups(layout: SignalLayout | None, plant: tuple[Signal, ...] | None) -> dict[str, tuple[int, tuple[Signal, ...]]]:
     groups = {group: (0, signals) for group, signals in _ALWAYS.items()}
     if plant is not None:
         groups |= dict.fromkeys(("state", "nav"), (0, STATE + ROLL)) | {OF_THE_PLANT: (0, plant)}
@@ -130,7 +130,7 @@ def _groups(layout: Layout | None, plant: tuple[Signal, ...] | None) -> dict[str
     return groups
 
 
-def unit_of(signal: SignalName, vehicles: Iterable[Mapping[str, Place]]) -> str:
+def unit_of(signal: SignalName, vehicles: Iterable[Mapping[str, SignalPlace]]) -> str:
     """The unit of a signal, which some of these vehicles have; "1": it has none.
 
     Args:

@@ -16,7 +16,7 @@ The named partitions are Jepsen's. What is drawn depends on (seed, id of the fau
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import get_args
 
 from msgspec import structs
@@ -27,14 +27,15 @@ from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.partitions import partition
 from fleet.scenario.sections.vehicle_events import is_fault
 from netem.condition import Link
-from netem.faults import FaultKind, NetFault
+from netem.fault_kinds import FaultKind, WorldFaultKind
+from netem.faults import NetFault
 from netem.grammar import print_condition
 from netem.lives import Absence
 from netem.selectors import parse_selector, select
-from world.faults import WorldFault, WorldFaultKind
+from netem.wire.messages import TimedFault, WorldFault
 
 OF_THE_NETWORK: tuple[str, ...] = get_args(FaultKind)
-OF_THE_WORLD: tuple[str, ...] = tuple(kind for kind in get_args(WorldFaultKind) if kind not in ("pause", "slow"))
+OF_THE_WORLD: tuple[str, ...] = tuple(kind for kind in WorldFaultKind if kind not in ("pause", "slow"))
 MOST_RESTARTS = 3  # of one agent that no fault has killed: its next life would end the same way
 
 
@@ -53,19 +54,11 @@ class Event:
         return is_fault(self.what)
 
 
-@dataclass(frozen=True, slots=True)
-class Kill:
+class Kill(TimedFault, frozen=True):
     """Agents that end at tick `begin` and, unless `end` is None, are started again at tick `end`."""
 
-    id: str
-    begin: int
-    end: int | None
     vehicles: tuple[int, ...]
     kind: str = "kill"
-
-    def active(self, tick: int) -> bool:
-        """Whether the agents are missing at a tick."""
-        return self.begin <= tick and (self.end is None or tick < self.end)
 
     @property
     def absences(self) -> list[Absence]:
@@ -77,11 +70,11 @@ Part = NetFault | WorldFault | Kill  # of a fault: what one core does
 
 def with_end(part: Part, end: int) -> Part:
     """The same part of a fault, which ends before tick `end`."""
-    return structs.replace(part, end=end) if isinstance(part, NetFault) else replace(part, end=end)
+    return structs.replace(part, end=end)
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class FaultPlan:
     """Every fault of a scenario, as the cores get it."""
 
     parts: tuple[Part, ...]  # in order of time
@@ -100,11 +93,11 @@ class Plan:
         return tuple(absence for part in self.parts if isinstance(part, Kill) for absence in part.absences)
 
 
-def plan(spec: ScenarioSpec, links: Sequence[Link]) -> Plan:
+def plan(spec: ScenarioSpec, links: Sequence[Link]) -> FaultPlan:
     """The faults of a valid scenario.
 
     Raises:
-        PartitionError: a partition cannot be made.
+        TextError: a partition cannot be made.
     """
     all_parts: list[Part] = []
     events: list[Event] = []
@@ -116,7 +109,7 @@ def plan(spec: ScenarioSpec, links: Sequence[Link]) -> Plan:
             events += begin_and_end(of_this, section, last)
     all_parts.sort(key=lambda part: part.begin)
     events.sort(key=event_order)
-    return Plan(tuple(all_parts), tuple(events))
+    return FaultPlan(tuple(all_parts), tuple(events))
 
 
 def event_order(event: Event) -> tuple[int, bool, str]:
@@ -136,7 +129,7 @@ def parts(section: FaultSection, name: str, spec: ScenarioSpec, links: Sequence[
     """The parts of one fault, called `name`, one for each core that it concerns.
 
     Raises:
-        PartitionError: a partition cannot be made.
+        TextError: a partition cannot be made.
     """
     begin = section.at // spec.tick
     end = None if section.for_ is None else begin + section.for_ // spec.tick
@@ -160,7 +153,7 @@ def parts(section: FaultSection, name: str, spec: ScenarioSpec, links: Sequence[
             late = section.slow.by
             return [
                 NetFault(name, begin, end, kind, vehicles=vehicles, ticks=late),
-                WorldFault(name, begin, end, kind, who, (float(late),)),
+                WorldFault(name, begin, end, WorldFaultKind.SLOW, who, (float(late),)),
             ]
         case "kill":
             if end is not None:
@@ -173,11 +166,11 @@ def parts(section: FaultSection, name: str, spec: ScenarioSpec, links: Sequence[
             assert section.gust is not None
             over = begin + -(-section.gust.over // spec.tick)
             end = over if end is None else min(end, over)
-    return [WorldFault(name, begin, end, kind, who, _numbers_of(section))]  # type: ignore[arg-type]
+    return [WorldFault(name, begin, end, WorldFaultKind(kind), who, _numbers_of(section))]
 
 
 def _numbers_of(section: FaultAction) -> tuple[float, ...]:
-    """The values of a fault of the world, as `world.faults` lists them."""
+    """The values of a fault of the world, as `WorldFault` lists them."""
     if (n := section.noise) is not None:
         return n.position_noise, n.angle_noise, n.velocity_noise, n.rate_noise
     if (b := section.bias) is not None:

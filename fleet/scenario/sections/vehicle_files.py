@@ -35,15 +35,8 @@ LIMITS: dict[str, q.Dimension] = {"surge_force": q.FORCE, "pitch_moment": q.MOME
 NOT_NEGATIVE = frozenset(LIMITS) | {key for key, d in PARAMETERS.items() if d in (q.DAMPING, q.ROTATION_DAMPING)}
 
 
-class VehicleFileError(DataFileError):
-    """A vehicle file that is not there or not right."""
-
-    def __init__(self, name: str, problems: list[str]) -> None:
-        super().__init__("vehicle", name, problems)
-
-
 @dataclass(frozen=True, slots=True)
-class Vehicle:
+class VehicleModel:
     """The numbers of a vehicle file, in SI units."""
 
     name: str
@@ -57,35 +50,29 @@ def shipped_vehicles() -> list[str]:
     return data_files.shipped(_PACKAGE)
 
 
-def load_vehicle(name: str, folder: Path | None = None) -> Vehicle:
+def load_vehicle(name: str, folder: Path | None = None) -> VehicleModel:
     """A shipped vehicle by its name, or that of a file in `folder` (the scenario's) or in the current directory.
 
     Raises:
-        VehicleFileError: with every mistake that was found.
+        DataFileError: with every mistake that was found.
     """
     if name in shipped_vehicles():
         return _shipped(name)
-    try:
-        return parse_vehicle(*data_files.find("vehicle", name, _PACKAGE, folder))
-    except DataFileError as error:
-        raise VehicleFileError(name, error.problems) from None
+    return parse_vehicle(*data_files.find("vehicle", name, _PACKAGE, folder))
 
 
 @cache
-def _shipped(name: str) -> Vehicle:
+def _shipped(name: str) -> VehicleModel:
     return parse_vehicle(*data_files.find("vehicle", name, _PACKAGE, None), shipped=True)
 
 
-def parse_vehicle(data: bytes, name: str, *, shipped: bool = False) -> Vehicle:
+def parse_vehicle(data: bytes, name: str, *, shipped: bool = False) -> VehicleModel:
     """The vehicle in the bytes of a file.
 
     Raises:
-        VehicleFileError: with every mistake that was found.
+        DataFileError: with every mistake that was found.
     """
-    try:
-        values = data_files.read("vehicle", data, name)
-    except DataFileError as error:
-        raise VehicleFileError(name, error.problems) from None
+    values = data_files.read("vehicle", data, name)
     problems = [f"unknown key {key!r}" for key in values if key not in ("name", "title", "parameters", "limits")]
     params = table(values, "parameters", PARAMETERS, problems)
     limits = table(values, "limits", LIMITS, problems)
@@ -95,8 +82,8 @@ def parse_vehicle(data: bytes, name: str, *, shipped: bool = False) -> Vehicle:
     if not problems:
         problems += mass_problems(VehicleParams(**params))
     if problems:
-        raise VehicleFileError(name, problems)
-    return Vehicle(
+        raise DataFileError("vehicle", name, problems)
+    return VehicleModel(
         str(values.get("name", name)),
         VehicleParams(**params),
         (limits["surge_force"], limits["pitch_moment"], limits["yaw_moment"]),

@@ -21,7 +21,7 @@ from fleet.errors import FleetError, Problem
 from fleet.quantities import TIME
 from fleet.scenario.schema.faults import ACTIONS, FaultAction
 from fleet.scenario.schema.section import section_of
-from fleet.scenario.text.yaml_reader import Mapping, Node, Place, Scalar, Source, plain
+from fleet.scenario.text.yaml_reader import Mapping, Node, Scalar, Source, TextPlace, plain
 from netem.parsing import exact_number, nearest, quoted
 
 _EXAMPLES = {
@@ -192,8 +192,8 @@ class _Reader:
     def _nothing(self) -> Mapping:
         return Mapping({}, {}, self._place(None))
 
-    def _place(self, word: _Word | None) -> Place:
-        return Place(self.source, 1, 1 if word is None else word.column + 1)
+    def _place(self, word: _Word | None) -> TextPlace:
+        return TextPlace(self.source, 1, 1 if word is None else word.column + 1)
 
     def _wrong(self, word: _Word | None, message: str, hint: str = "") -> FaultWordsError:
         return FaultWordsError(self._place(word).problem(message, hint))

@@ -24,16 +24,16 @@ from fleet.errors import Problem
 from fleet.quantities import describe_value
 from fleet.scenario.text.fault_words import FaultWordsError, fault_entry, link_entries
 from fleet.scenario.text.scaling import scale
-from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Place, Scalar, Source, plain, read
+from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Scalar, Source, TextPlace, plain, read
+from netem.errors import TextError
 from netem.grammar import WORDS, with_word
-from netem.parsing import GrammarError
 from netem.selectors import parse_selector
 
 SET, NET, FAULT = "--set", "--net", "--fault"
 _MAX_STEPS = 10
 _LINK_WORD = re.compile(r"network\.links\.(?P<selector>[^.]+)\.(?P<word>[^.]+)")
 
-Step = tuple[str, Place]
+Step = tuple[str, TextPlace]
 Change = Callable[[Mapping], Mapping]
 
 
@@ -70,7 +70,7 @@ def apply(root: Mapping, overrides: Sequence[str | Override]) -> tuple[Mapping, 
         path, equals, _ = override.text.partition("=")
         if not equals or not all(path.split(".")) or path.count(".") > _MAX_STEPS:
             hint = "write key.path=value, such as network.period=50ms"
-            problems.append(Place(source, 1, 1).problem("not an override", hint))
+            problems.append(TextPlace(source, 1, 1).problem("not an override", hint))
             continue
         if _LINK_WORD.fullmatch(path):
             changes.append(partial(_with_link_word, source))
@@ -80,7 +80,7 @@ def apply(root: Mapping, overrides: Sequence[str | Override]) -> tuple[Mapping, 
         if value is None:
             continue
         if path == "vehicles":
-            root = scale(root, root.with_entry("vehicles", Place(source, 1, 1), value))
+            root = scale(root, root.with_entry("vehicles", TextPlace(source, 1, 1), value))
         else:
             changes.append(partial(_with_value, _steps(path, source), value))
     for change in (*changes, *words):
@@ -102,7 +102,7 @@ class _MistakeError(Exception):
 def _steps(path: str, source: Source) -> list[Step]:
     steps, column = [], 1
     for key in path.split("."):
-        steps.append((key, Place(source, 1, column)))
+        steps.append((key, TextPlace(source, 1, column)))
         column += len(key) + 1
     return steps
 
@@ -137,7 +137,7 @@ def _set(node: Node | None, steps: list[Step], value: Node) -> Node:
 
 def _with_links(source: Source, root: Mapping) -> Mapping:
     """The tree with more conditions of links; a section that is wrong stays, and is reported when it is read."""
-    entries, start = link_entries(source), Place(source, 1, 1)
+    entries, start = link_entries(source), TextPlace(source, 1, 1)
     network, links = _network(root, start)
     if network is None or links is None:
         return root
@@ -150,7 +150,7 @@ def _with_links(source: Source, root: Mapping) -> Mapping:
 
 def _with_link_word(source: Source, root: Mapping) -> Mapping:
     """The tree with one word of a link's condition changed, which keeps its place among the others."""
-    start = Place(source, 1, 1)
+    start = TextPlace(source, 1, 1)
     path, _, value = source.text.partition("=")
     match = _LINK_WORD.fullmatch(path)
     assert match is not None
@@ -170,7 +170,7 @@ def _with_link_word(source: Source, root: Mapping) -> Mapping:
         return root
     try:
         condition = Scalar(with_word(text, word, value), start.shifted(len(path) + 1))
-    except GrammarError as error:
+    except TextError as error:
         column = match.start("word") if not value.strip() or word not in WORDS else len(path) + 1 + error.column
         raise _MistakeError(start.shifted(column).problem(error.message, error.hint)) from None
     if same is None:
@@ -180,7 +180,7 @@ def _with_link_word(source: Source, root: Mapping) -> Mapping:
     return _with_network(root, network, links, start)
 
 
-def _network(root: Mapping, start: Place) -> tuple[Mapping | None, Mapping | None]:
+def _network(root: Mapping, start: TextPlace) -> tuple[Mapping | None, Mapping | None]:
     """The sections of the network and of its links; None where a section is wrong."""
     network = root.entries.get("network")
     if isinstance(network, Scalar) and network.value == "ideal":
@@ -192,12 +192,12 @@ def _network(root: Mapping, start: Place) -> tuple[Mapping | None, Mapping | Non
     return section, None if section is None else _mapping(section.entries.get("links"), start)
 
 
-def _with_network(root: Mapping, network: Mapping, links: Mapping, start: Place) -> Mapping:
+def _with_network(root: Mapping, network: Mapping, links: Mapping, start: TextPlace) -> Mapping:
     network = network.with_entry("links", network.keys.get("links", start), links)
     return root.with_entry("network", root.keys.get("network", start), network)
 
 
-def _mapping(node: Node | None, place: Place) -> Mapping | None:
+def _mapping(node: Node | None, place: TextPlace) -> Mapping | None:
     """A section that may be left out or empty; None if it is something else."""
     if node is None or (isinstance(node, Scalar) and node.value is None):
         return Mapping({}, {}, place)
@@ -208,13 +208,13 @@ def _links_of(selector: str) -> str:
     """What a selector means, however it is written; a text that is none means itself."""
     try:
         return str(parse_selector(selector))
-    except GrammarError:
+    except TextError:
         return selector
 
 
 def _with_fault(source: Source, root: Mapping) -> Mapping:
     """The tree with one fault more; faults that are no list stay, and are reported when they are read."""
-    fault, start = fault_entry(source), Place(source, 1, 1)
+    fault, start = fault_entry(source), TextPlace(source, 1, 1)
     if "at" not in fault.entries:
         raise _MistakeError(start.problem("when does it begin?", "write at and a time in front, as in at 20s"))
     faults = root.entries.get("faults")

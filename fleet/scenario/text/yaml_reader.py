@@ -54,7 +54,7 @@ class Source:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class TextPlace:
     """A character of a source; line and column count from 1."""
 
     source: Source
@@ -64,8 +64,8 @@ class Place:
     def problem(self, message: str, hint: str = "", key: str = "") -> Problem:
         return Problem(self.source.name, self.line, self.column, message, hint, self.source.line(self.line), key)
 
-    def shifted(self, columns: int) -> Place:
-        return Place(self.source, self.line, self.column + columns)
+    def shifted(self, columns: int) -> TextPlace:
+        return TextPlace(self.source, self.line, self.column + columns)
 
     @property
     def order(self) -> tuple[int, int, int]:
@@ -77,8 +77,8 @@ class Scalar:
     """A scalar; `text` is its first character if it stands in the source letter by letter, else None."""
 
     value: str | int | float | bool | None
-    place: Place
-    text: Place | None = None
+    place: TextPlace
+    text: TextPlace | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ class Items:
     """A sequence."""
 
     items: tuple[Node, ...]
-    place: Place
+    place: TextPlace
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,10 +94,10 @@ class Mapping:
     """A mapping; `keys` holds the place of each key."""
 
     entries: dict[str, Node]
-    keys: dict[str, Place]
-    place: Place
+    keys: dict[str, TextPlace]
+    place: TextPlace
 
-    def with_entry(self, key: str, key_place: Place, node: Node) -> Mapping:
+    def with_entry(self, key: str, key_place: TextPlace, node: Node) -> Mapping:
         """A copy with one entry set, at the end even if the key was there: for link rules the last wins."""
         entries = {k: v for k, v in self.entries.items() if k != key}
         return Mapping(entries | {key: node}, self.keys | {key: key_place}, self.place)
@@ -118,7 +118,7 @@ def plain(node: Node) -> Any:
     return {key: plain(value) for key, value in node.entries.items()}
 
 
-def locate(root: Node, path: Sequence[str | int], *, key: bool = False) -> Place:
+def locate(root: Node, path: Sequence[str | int], *, key: bool = False) -> TextPlace:
     """The place of the value at `path` (of its key, if `key`), or of its nearest ancestor that exists."""
     node, place = root, root.place
     for step in path:
@@ -133,7 +133,7 @@ def locate(root: Node, path: Sequence[str | int], *, key: bool = False) -> Place
     return place
 
 
-def text_place(root: Node, path: Sequence[str | int], column: int) -> Place:
+def text_place(root: Node, path: Sequence[str | int], column: int) -> TextPlace:
     """The place of the character `column` of the text at `path`, as exactly as the source allows."""
     node = root
     for step in path:
@@ -262,7 +262,7 @@ class _Reader:
     def _mapping(self, event: Any, events: Iterator[Any], depth: int) -> tuple[Mapping, int]:
         place, size = self._place(event.start_mark), 1
         entries: dict[str, Node] = {}
-        keys: dict[str, Place] = {}
+        keys: dict[str, TextPlace] = {}
         while not isinstance(item := next(events), yaml.MappingEndEvent):
             mark = item.start_mark
             key_node, _ = self._node(item, events, depth + 1)
@@ -280,14 +280,14 @@ class _Reader:
                 entries[key], keys[key] = value, self._place(mark)
         return Mapping(entries, keys, place), size
 
-    def _place(self, mark: Any) -> Place:
+    def _place(self, mark: Any) -> TextPlace:
         column = mark.column + 1 + (self.start if mark.line == 0 else 0)
-        return Place(self.source, mark.line + 1, column)
+        return TextPlace(self.source, mark.line + 1, column)
 
     def _note(self, mark: Any, message: str, hint: str = "") -> None:
-        place = self._place(mark) if mark else Place(self.source, 1, 1 + self.start)
+        place = self._place(mark) if mark else TextPlace(self.source, 1, 1 + self.start)
         while place.line > 1 and not self.source.line(place.line).strip():  # the end of the text: show its last line
-            place = Place(self.source, place.line - 1, len(self.source.line(place.line - 1)) + 1)
+            place = TextPlace(self.source, place.line - 1, len(self.source.line(place.line - 1)) + 1)
         self.problems.append(place.problem(message, hint))
 
     def _fail(self, mark: Any, message: str, hint: str = "") -> None:

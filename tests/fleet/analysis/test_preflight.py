@@ -48,6 +48,34 @@ def test_doubts(overrides: list[str], words: str) -> None:
     assert (len(found) == 1 and words in found[0]) if words else found == [], found
 
 
+AVERAGE = "agent={law: 'fleet.protocols.average:ExactAverage', parameters: {%s}}"
+
+
+@pytest.mark.parametrize(
+    ("parameters", "network", "words"),
+    [
+        ("forget_after_s: 2", "loss 60%", "4e-05; forget_after_s: 2.3 makes it 1e-05"),
+        ("", "loss 80%", "= 2 s, and the link 2->1 loses 80%"),  # the default of the class
+        ("forget_after_s: 5", "loss 80%", "forget_after_s: 5.2 makes it 1e-05"),
+        ("forget_after_s: 5.2", "loss 80%", ""),
+        ("forget_after_s: 10", "loss 90%", "forget_after_s: 11 makes it 1e-05"),
+        ("forget_after_s: 2", "loss 50%", ""),
+        ("forget_after_s: 2", "loss 100%", ""),  # silent for good
+    ],
+)
+def test_doubts_about_a_time_after_which_neighbours_are_forgotten(parameters: str, network: str, words: str) -> None:
+    found = warnings(small(AVERAGE % parameters, "network.period=100 ms", f"network.links={{'*': {network}}}"))
+    assert (len(found) == 1 and words in found[0]) if words else found == [], found
+
+
+def test_doubts_about_forgetting_during_a_fault() -> None:
+    fault = "faults=[{at: 100 ms, for: 500 ms, link 3->2: loss 80%}]"
+    (found,) = warnings(small(AVERAGE % "forget_after_s: 2", "network.period=100 ms", fault))
+    assert found.startswith(
+        "agent 2 takes a neighbour for gone after forget_after_s = 2 s, and the link 3->2 loses 80%"
+    )
+
+
 RECOVERY = "checks={recovery_time: {fault: %s, below: 1 s, within: 1 m}}"
 
 

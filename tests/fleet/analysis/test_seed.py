@@ -140,6 +140,11 @@ def test_every_purpose_that_is_drawn_for_is_declared(monkeypatch: pytest.MonkeyP
     assert purposes <= found
 
 
+def test_what_begins_after_the_run_draws_nothing() -> None:
+    late = "faults=[{at: 2 s, partition: one}, {at: 2 s, dropout: {probability: 30 %}}, {at: 2 s, link 1->2: loss 10%}]"
+    assert seeded(small("initial.scatter=0 m", late)) == []
+
+
 def test_every_module_that_draws_is_asked_what_it_draws() -> None:
     asked = ast.parse(Path(analysis.__file__).read_text("utf-8"))
     calls = {

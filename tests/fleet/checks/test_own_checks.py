@@ -12,7 +12,7 @@ from study_engine import Here
 
 from fleet.analysis.verdicts import standing
 from fleet.checks.own_checks import OwnChecks
-from fleet.execution.clock import Clock
+from fleet.execution.clock import GrantPolicy
 from fleet.execution.execute import execute
 from fleet.execution.in_process import InProcess
 from fleet.execution.judged import judged
@@ -74,7 +74,7 @@ def test_checks_stand_as_they_do_while_a_run_goes_on() -> None:
         if journal.written >= 0:
             seen.append({row["check"]: row["passed"] for row in standing(scenario, journal)})
 
-    InProcess(scenario, journal).serve(Clock.of(scenario), look)
+    InProcess(scenario, journal).serve(GrantPolicy.of(scenario), look)
     names = ("low", "late", "soon", "fine")
     assert [seen[0][name] for name in names] == [False, None, None, True]
 

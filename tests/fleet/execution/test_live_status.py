@@ -7,7 +7,7 @@ from itertools import pairwise
 import pytest
 
 from fleet.bench.recorder import Calls
-from fleet.execution.clock import Clock
+from fleet.execution.clock import GrantPolicy
 from fleet.execution.in_process import InProcess
 from fleet.execution.live_status import WORST_LINKS, WORST_VEHICLES, event_rows, link_rows, vehicle_rows
 from fleet.recorder.journal import Journal
@@ -31,7 +31,7 @@ def run() -> tuple[Scenario, Journal]:
     """A run that is over, with a link that is down for its last two seconds, and one that loses half."""
     scenario = load_scenario("paper", OVERRIDES)
     journal = Journal(scenario, Calls())
-    InProcess(scenario, journal).serve(Clock.of(scenario), lambda: None)
+    InProcess(scenario, journal).serve(GrantPolicy.of(scenario), lambda: None)
     return scenario, journal
 
 

@@ -98,7 +98,7 @@ class Rig:
 def test_an_agent_that_dies_under_continue_leaves_its_vehicle_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, "on_death=continue")
     assert rig.supervisor.ended(Exit("agent-2", 1, 7))
-    assert rig.fleet.announced == [Death(2, 0, 0, 0)]
+    assert rig.fleet.announced == [Death(2, None, 0, None)]
     assert rig.supervisor.deaths == {2: ["exited with status 1"]}
     assert rig.supervisor.without_agent() == [2]
     assert rig.notes.lines == [
@@ -118,8 +118,8 @@ def test_an_agent_that_dies_under_restart_gets_another_life_three_times(monkeypa
         if life == 3:
             break
         begin = rig.fleet.announced[-1].until  # type: ignore[union-attr]
-        assert rig.fleet.announced[-1] == Death(2, 0, life, begin)
-        assert begin >= rig.fleet.granted and begin % 10 == 0
+        assert rig.fleet.announced[-1] == Death(2, None, life, begin)
+        assert begin is not None and begin >= rig.fleet.granted and begin % 10 == 0
         assert rig.supervisor.next_restart() == begin
         assert rig.fleet.absences[-1].end == begin
         rig.fleet.granted = begin
@@ -128,7 +128,7 @@ def test_an_agent_that_dies_under_restart_gets_another_life_three_times(monkeypa
         rig.fleet.answers["ready"] = {"ready": [[2, life + 1]]}
         rig.supervisor.poll()
         assert rig.supervisor.starting == {}
-    assert rig.fleet.announced[-1] == Death(2, 0, 3, 0)
+    assert rig.fleet.announced[-1] == Death(2, None, 3, None)
     assert len(rig.fleet.started) == 3
     assert rig.supervisor.next_restart() == 400
 

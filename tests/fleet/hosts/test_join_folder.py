@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from fleet.execution.directory import remove_secrets
-from fleet.hosts.certificates import Pair
+from fleet.hosts.certificates import KeyPair
 from fleet.hosts.join_folder import JoinFolder
 from netem.wire.keys import Keys
 
-FOLDER = JoinFolder(3, ("tls/sea:1", "tls/192.0.2.7:1"), 20_000, "the CA\n", Pair("the certificate\n", "the key\n"))
+FOLDER = JoinFolder(3, ("tls/sea:1", "tls/192.0.2.7:1"), 20_000, "the CA\n", KeyPair("the certificate\n", "the key\n"))
 
 
 def test_it_holds_everything_as_plain_text_and_is_for_this_user_only(tmp_path: Path) -> None:

@@ -23,9 +23,8 @@ from fleet.cli.group import command_of
 from fleet.cli.hosts import meeting
 from fleet.cli.main import cli
 from fleet.hosts import router_config
-from fleet.hosts.certificates import CertsError
+from fleet.hosts.certificates import HostsError
 from fleet.hosts.rendezvous import (
-    HostsError,
     Rendezvous,
     listening,
     listening_for_certificates,
@@ -77,7 +76,7 @@ def test_mutual_tls_takes_the_external_agents_certificates(made: Path) -> None:
     found = listening("tls/0.0.0.0:1", made, external=[2], mutual=True)
     assert found.listener and found.listener.certified == {"agent-2"}
     assert found.certificates["agent-2"].certificate == (made / "agent-2.pem").read_text()
-    with pytest.raises(CertsError, match=r"agent-3\.pem is missing; make it: fleet certs .* --agents 3"):
+    with pytest.raises(HostsError, match=r"agent-3\.pem is missing; make it: fleet certs .* --agents 3"):
         listening("tls/0.0.0.0:1", made, external=[3], mutual=True)
 
 
@@ -94,7 +93,7 @@ def test_agents_may_come_with_certificates_alone(made: Path) -> None:
     alone = listening_for_certificates(Rendezvous(), "tls/127.0.0.1:2", made, external=[2])
     assert (alone.listener, alone.lease_ms, alone.folders[2].endpoints) == (None, None, ("tls/127.0.0.1:2",))
     assert "PRIVATE KEY" not in repr(alone)
-    with pytest.raises(CertsError, match=r"agent-3\.pem is missing; make it: fleet certs .* --agents 3"):
+    with pytest.raises(HostsError, match=r"agent-3\.pem is missing; make it: fleet certs .* --agents 3"):
         listening_for_certificates(Rendezvous(), "tls/127.0.0.1:2", made, external=[2, 3])
     with pytest.raises(HostsError, match="two routers: give them a port each, not both 1"):
         listening_for_certificates(both, "tls/127.0.0.1:1", made)

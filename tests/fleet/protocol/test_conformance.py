@@ -21,12 +21,13 @@ from repository import ROOT
 from waiting import wait_for
 
 from fleet.cli.main import cli
-from fleet.hosts.certificates import Pair
+from fleet.errors import FleetError
+from fleet.hosts.certificates import KeyPair
 from fleet.hosts.join_folder import JoinFolder
 from fleet.hosts.rendezvous import Rendezvous
 from fleet.protocol import checks, conformance
-from fleet.protocol.checks import CHECKS, Check
-from fleet.protocol.conformance import ConformanceError, Examination
+from fleet.protocol.checks import CHECKS, ProtocolCheck
+from fleet.protocol.conformance import Examination
 from fleet.repeat.verify import verification_lines, verify
 from fleet.scenario.loading import load_scenario
 
@@ -48,7 +49,7 @@ def start(*arguments: str) -> subprocess.Popen[str]:
     )
 
 
-def examine(file: Path, *agent: str) -> dict[str, Check]:
+def examine(file: Path, *agent: str) -> dict[str, ProtocolCheck]:
     """The verdicts on an agent that is started once the join file is there."""
     started: list[subprocess.Popen[str]] = []
     try:
@@ -130,7 +131,7 @@ def test_a_broken_agent_fails_the_right_check(how: str, tmp_path: Path, monkeypa
 def test_what_the_check_needs(tmp_path: Path) -> None:
     """Nobody comes; no such vehicle; a file that is in the way."""
     file = tmp_path / "join-3.json"
-    with pytest.raises(ConformanceError, match=r"^nobody came within 0\.05 s"):
+    with pytest.raises(FleetError, match=r"^nobody came within 0\.05 s"):
         Examination(load_scenario("paper"), 3, file).run(0.05, lambda _: None)
     assert not file.exists()
     result = CliRunner().invoke(cli, ["protocol", "check", "--id", "9"])
@@ -140,10 +141,10 @@ def test_what_the_check_needs(tmp_path: Path) -> None:
     assert (result.exit_code, "is there already" in result.output) == (2, True)
     file.unlink()
     file.with_suffix("").mkdir()  # where an agent with a certificate would find what it needs
-    with pytest.raises(ConformanceError, match="nobody came"):
+    with pytest.raises(FleetError, match="nobody came"):
         Examination(load_scenario("paper"), 3, file).run(0.05, lambda _: None)
-    meeting = Rendezvous(folders={3: JoinFolder(3, (), 0, "", Pair("", ""))})
-    with pytest.raises(ConformanceError, match=r"join-3 is there already"):
+    meeting = Rendezvous(folders={3: JoinFolder(3, (), 0, "", KeyPair("", ""))})
+    with pytest.raises(FleetError, match=r"join-3 is there already"):
         Examination(load_scenario("paper"), 3, file, meeting=meeting)
 
 

@@ -14,7 +14,7 @@ from fault_histories import EVERYTHING
 from small_scenario import only_problem, small
 
 from fleet.cli.main import cli
-from fleet.execution.execute import _clock, execute
+from fleet.execution.execute import _policy, execute
 from fleet.execution.options import Options
 from fleet.execution.outcome import Result, Status
 from fleet.logs.open_log import open_log
@@ -196,7 +196,7 @@ def test_times_and_speed_count_from_its_start(tmp_path: Path) -> None:
     scenario, start = continuation(first.directory, 2_000_000_000)
     again = run(scenario, tmp_path, start)
     assert (first.values["from_s"], again.values["from_s"], again.values["sim_s"]) == (0.0, 2.0, 12.0)
-    assert _clock(scenario, Options(tmp_path, start=start, speed_limit=2.0)).begin == 200
+    assert _policy(scenario, Options(tmp_path, start=start, speed=2.0)).begin == 200
     wall = again.values["wall"]
     assert wall["x_real_time"] == pytest.approx(10.0 / wall["run_s"])
     for i, row in again.values["vehicles"].items():

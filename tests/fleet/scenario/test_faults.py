@@ -24,13 +24,14 @@ from fleet.execution.options import Options
 from fleet.execution.outcome import Result, Status
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.schema.faults import ACTIONS, DrawnKind
-from fleet.scenario.sections.partitions import PartitionError, partition
+from fleet.scenario.sections.partitions import partition
 from netem.condition import Condition
 from netem.config import NetemConfig
-from netem.faults import NO_FAULTS, FaultKind, NetFault, active_faults
+from netem.errors import TextError
+from netem.fault_kinds import FaultKind, WorldFaultKind
+from netem.faults import NO_FAULTS, NetFault, active_faults
 from netem.lives import Absence
 from netem.network import Netem
-from world.faults import WorldFaultKind
 from world.lockstep import Lockstep, NavTo
 from world.lockstep import Out as WorldOut
 
@@ -94,7 +95,7 @@ def test_bridge_leaves_one_that_both_halves_see() -> None:
      ("isolate:9", "is no partition"), ("a / b", "expected vehicle numbers"), ("", "is no partition")],
 )  # fmt: skip
 def test_bad_partitions(text: str, words: str) -> None:
-    with pytest.raises(PartitionError, match=words):
+    with pytest.raises(TextError, match=words):
         partition(text, 4, 1, 1)
 
 
@@ -255,7 +256,7 @@ def test_each_rule_of_faults_speaks(entry: str, words: str) -> None:
 
 def test_every_kind_of_fault_has_a_core() -> None:
     """The schema lists the kinds; what no core knows would be accepted and do nothing."""
-    assert set(ACTIONS) == {*get_args(FaultKind), "kill", *get_args(WorldFaultKind)}
+    assert set(ACTIONS) == {*get_args(FaultKind), "kill", *WorldFaultKind}
     assert set(get_args(DrawnKind)) <= set(ACTIONS)
 
 

@@ -19,7 +19,7 @@ from small_scenario import SMALL, WILD, only_problem, places, small
 from agents.config import GuidanceParams, Neighbour, TrackingParams
 from agents.offset import Offset
 from agents.profiles import PROFILES, profile
-from agents.trajectory import Line
+from agents.trajectory import StraightLine
 from fleet.errors import FleetError, ScenarioError
 from fleet.scenario.catalogue import list_scenarios
 from fleet.scenario.loading import load_scenario, parse_scenario
@@ -62,7 +62,7 @@ def test_the_paper_is_the_paper() -> None:
     assert world.noise.off
     agent = s.agent_config(2)
     assert agent.neighbours == (Neighbour(1, 1.0, Offset((0, -10, 0))), Neighbour(3, 0.8, Offset((-10, 0, 0))))
-    assert agent.reference == Line((5, 1, 5), (0.7, 0.1, 0))
+    assert agent.reference == StraightLine((5, 1, 5), (0.7, 0.1, 0))
     assert agent.offset == Offset((0, -10, 0))
     assert agent.reference_weight == 1
     assert (agent.guidance, agent.tracking) == profile("paper")

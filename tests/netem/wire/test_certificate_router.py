@@ -71,7 +71,7 @@ class Run:
         Raises:
             zenoh.ZError: it is not let in.
         """
-        shown = certificates.read_client(certs or self._certs, who) if who else certificates.Pair("", "")
+        shown = certificates.read_client(certs or self._certs, who) if who else certificates.KeyPair("", "")
         tls = client_tls(Credentials("", "", certificates.read_ca(self._certs), shown.certificate, shown.key))
         settings = client_settings([self.endpoint], None, 700) | tls | UNIVERSAL
         bus = Bus(open_session("client", settings), self.endpoint)

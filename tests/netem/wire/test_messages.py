@@ -12,7 +12,7 @@ from typing import Any
 
 import msgpack
 import pytest
-from any_message import ANY_MESSAGE, ARRAY, KINDS, RECORDS, messages
+from any_message import ANY_MESSAGE, ARRAY, KINDS, OR_NIL, RECORDS, messages
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -29,6 +29,8 @@ def plainest(wire: str) -> Any:
         return [plainest(field.wire) for field in fields_of(RECORDS[wire]).values()]
     if wire in texts():
         return min(texts()[wire]).value
+    if wire.endswith(OR_NIL):
+        return None
     if match := ARRAY.fullmatch(wire):
         item, size = match.groups()
         return [plainest(item)] * (1 if size == "*" else int(size))
@@ -43,6 +45,8 @@ def spoilt(wire: str) -> Iterator[Any]:
         for index, field in enumerate(fields_of(RECORDS[wire]).values()):
             yield from ([*good[:index], bad, *good[index + 1 :]] for bad in spoilt(field.wire))
         yield from (good[:-1], [*good, 0], [], None, 0, {}, "")
+    elif wire.endswith(OR_NIL):
+        yield from (bad for bad in spoilt(wire.removesuffix(OR_NIL)) if bad is not None)
     elif match := ARRAY.fullmatch(wire):
         item, size = match.groups()
         for index in range(len(good)):

@@ -10,9 +10,9 @@ import msgpack
 import pytest
 from loops import world_config
 
+from netem.wire.messages import WorldFault
 from world.config import NavNoise, PlantSetup, WorldConfig
 from world.errors import PlantError, PluginError
-from world.faults import WorldFault
 from world.plants import fenced_plant
 from world.run_state import RunState
 from world.sea import World
@@ -83,7 +83,7 @@ def test_the_sensor_knows_roll() -> None:
     assert 0.0 < abs(roll[0] - 0.2) < 0.1
     faults = (
         WorldFault("b", 5, 10, "bias", (), (*(0.0,) * 10, 0.05, -0.02)),
-        WorldFault("f", 20, 30, "freeze", (2,)),
+        WorldFault("f", 20, 30, "freeze", (2,), ()),
     )
     sea, well = World(replace(config(), faults=faults)), World(config())
     measured = []

@@ -1,0 +1,12 @@
+"""Whether a run is in lockstep or follows the wall clock."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class Clock(StrEnum):
+    """What decides when a tick begins."""
+
+    LOCKSTEP = "lockstep"  # everybody waits for everybody, so the log does not depend on the machine
+    REAL = "real"  # the wall clock: nobody waits, so processes can be late

@@ -1,0 +1,63 @@
+"""The kinds of faults: of the network, and of sensors, actuators and sea."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Literal
+
+FaultKind = Literal["link", "down", "up", "partition", "mute", "deaf", "slow"]
+
+
+class WorldFaultKind(StrEnum):
+    """What a fault of sensors, actuators or sea does, and which numbers it has.
+
+    | kind | values | what it does to a vehicle |
+    |---|---|---|
+    | noise | sigma of position [m], angle [rad], velocity [m/s], rate [rad/s] | white noise beside the sensor's own |
+    | bias | twelve numbers on eta, nu, phi and p [m, rad, m/s, rad/s] | added to what is measured |
+    | freeze | | the sensor repeats the measurement of the tick at which the fault began |
+    | dropout | probability | of a tick at which the sensor repeats its last measurement |
+    | efficiency | three factors | multiply the force and moments that the actuators apply |
+    | saturate | three limits [N, N m, N m] | in place of the actuators' own where they are smaller |
+    | off | | the actuators apply no force |
+    | stuck | | they go on with the force of the tick at which the fault began |
+    | current | x, y, z [m/s, NED], three sigma [m/s], time constant [s] | added to the sea's own, for every vehicle |
+    | gust | x, y, z [m/s, NED], how long it blows [s] | a current that rises and falls once: (1 - cos) / 2 |
+    | wrench | five forces and moments [N, N m, body] | added to the disturbance |
+    | pause | | the agent is suspended: no samples; the vehicle holds its last command |
+    | slow | ticks | commands take effect so much later |
+
+    The last two act on simulated time, not on a process.
+    """
+
+    NOISE = "noise"
+    BIAS = "bias"
+    FREEZE = "freeze"
+    DROPOUT = "dropout"
+    EFFICIENCY = "efficiency"
+    SATURATE = "saturate"
+    OFF = "off"
+    STUCK = "stuck"
+    CURRENT = "current"
+    GUST = "gust"
+    WRENCH = "wrench"
+    PAUSE = "pause"
+    SLOW = "slow"
+
+    @property
+    def numbers(self) -> int:
+        """How many values a fault of this kind has."""
+        return _NUMBERS.get(self, 0)
+
+
+_NUMBERS = {
+    WorldFaultKind.NOISE: 4,
+    WorldFaultKind.BIAS: 12,
+    WorldFaultKind.DROPOUT: 1,
+    WorldFaultKind.EFFICIENCY: 3,
+    WorldFaultKind.SATURATE: 3,
+    WorldFaultKind.CURRENT: 7,
+    WorldFaultKind.GUST: 4,
+    WorldFaultKind.WRENCH: 5,
+    WorldFaultKind.SLOW: 1,
+}

@@ -107,8 +107,11 @@ def _extensions(folder: str) -> Any:
     from mypyc.build import mypycify
 
     settings = Path(folder) / "mypy.ini"
-    # The dependencies are not there when a wheel is built: what comes from them is Any.
-    settings.write_text("[mypy]\nfollow_imports = silent\nignore_missing_imports = True\n", "utf-8")
+    # The dependencies are not there when a wheel is built: what comes from them is Any. So it is where they are
+    # installed, too: the same C everywhere, and mypy does not read them, which took most of its time.
+    settings.write_text(
+        "[mypy]\nfollow_imports = silent\nignore_missing_imports = True\nno_site_packages = True\n", "utf-8"
+    )
     extensions = mypycify([f"--config-file={settings}", f"--cache-dir={folder}/cache", *MODULES],
                           target_dir=folder, opt_level=LEVEL, debug_level="0", strip_asserts=False)  # fmt: skip
     for extension in extensions:

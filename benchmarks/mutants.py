@@ -1,8 +1,8 @@
 """How many small mistakes in the code do the tests notice? A mutation score, on a random sample.
 
 It clones the project's newest commit into a folder of its own, makes one small mistake at a time (a mutant), and runs
-the tests of the room with `-x`. A mutant is killed if a test fails, or the tests take far too long. The score is the
-share of the mutants that are killed. Some survivors are equivalent: no test can tell them from the code.
+the tests of the room with `-x`. A mutant is killed if a test fails, or the tests take far too much CPU time. The score
+is the share of the mutants that are killed. Some survivors are equivalent: no test can tell them from the code.
 
 Of a room's tests, those run that have entered the function of the mistake, the quickest first; all of the room, if it
 stands outside functions. What runs only in processes that a test starts is not seen, and counts as never entered.
@@ -32,7 +32,8 @@ from typing import Any, NamedTuple
 ROOT = Path(__file__).resolve().parent.parent
 ROOMS = ("netem", "agents", "world", "fleet/protocols")
 MEMORY = 4 << 30  # bytes that a mutant's tests may take
-LEAST_S = 60.0  # for the tests of a mutant, beside a multiple of what they take without it
+LEAST_S = 30.0  # of CPU time for the tests of a mutant, beside a multiple of what they take without it
+HANGS_S = 600.0  # of wall time: it waits for something; pytest-timeout ends a test that hangs earlier
 COMPARED: dict[type[ast.cmpop], type[ast.cmpop]] = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
     ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
@@ -173,19 +174,34 @@ def mutants_of(root: Path, room: str) -> list[Mutant]:
 
 
 def pytest_collection() -> None:
-    """Examples that fail are not made smaller: that takes long, and says nothing here."""
+    """Fewer examples, and those that fail are not made smaller: that takes long, and says nothing here."""
     from hypothesis import Phase, settings
 
-    settings.register_profile("mutants", settings.get_profile("laws"), phases=[Phase.explicit, Phase.generate])
+    phases = [Phase.explicit, Phase.generate]
+    settings.register_profile("mutants", settings.get_profile("laws"), max_examples=25, phases=phases)
     settings.load_profile("mutants")
 
 
+def pytest_unconfigure(config: Any) -> None:
+    """End at once: a thread of a session that a test left open would be waited for, for ever."""
+    status = getattr(config, "mutants_status", None)
+    if status is not None:
+        sys.stdout.flush()
+        os._exit(status)
+
+
+def pytest_sessionfinish(session: Any, exitstatus: int) -> None:
+    """Keep the exit code for the end."""
+    session.config.mutants_status = int(exitstatus)
+
+
 class Entered:
-    """Which functions each test enters, and how long it takes; written as JSON at the end."""
+    """Which functions each test enters, and its CPU time; written as JSON at the end."""
 
     def __init__(self, root: Path, out: Path) -> None:
         self._root, self._out = f"{root}/", out
         self._codes: set[Any] = set()
+        self._began = 0.0
         self._tests: dict[str, dict[str, Any]] = {}
         self._files: dict[str, set[tuple[str, int]]] = {}  # by file, what fixtures enter that may serve several tests
 
@@ -198,6 +214,7 @@ class Entered:
         return {(name.removeprefix(self._root), line) for name, line in here if name.startswith(self._root)}
 
     def pytest_runtest_setup(self, item: Any) -> None:
+        self._began = time.process_time()
         sys.settrace(self._trace)
         threading.settrace(self._trace)
 
@@ -205,11 +222,8 @@ class Entered:
         self._files.setdefault(str(item.nodeid).split("::")[0], set()).update(self._taken())
 
     def pytest_runtest_teardown(self, item: Any) -> None:
-        self._tests[item.nodeid] = {"entered": sorted(self._taken()), "s": 0.0}
-
-    def pytest_runtest_logreport(self, report: Any) -> None:
-        if report.nodeid in self._tests:
-            self._tests[report.nodeid]["s"] += report.duration
+        took = time.process_time() - self._began
+        self._tests[item.nodeid] = {"entered": sorted(self._taken()), "s": took}
 
     def pytest_sessionfinish(self) -> None:
         sys.settrace(None)
@@ -233,7 +247,7 @@ class Bench:
         subprocess.run(["git", "clone", "-q", str(ROOT), str(self.root)], check=True)
 
     def pytest(self, tests: list[str], limit_s: float, **more: str) -> int | None:
-        """Run tests; returns pytest's exit code, None: they took longer than `limit_s`."""
+        """Run tests; returns pytest's exit code, None: they took longer than `limit_s` of CPU time, or hang."""
         (self._scratch / "tests").write_text("\n".join(tests), "utf-8")
         here = str(Path(__file__).resolve().parent)
         env = {**os.environ, "CI": "1", "PYTHONPATH": f"{self.root}:{here}", **more}
@@ -241,10 +255,11 @@ class Bench:
         command += ["--basetemp", str(self._scratch / "temp"), f"@{self._scratch / 'tests'}"]
         with open(self._scratch / "output", "wb") as output, subprocess.Popen(
             command, cwd=self.root, env=env, stdout=output, stderr=output, start_new_session=True,
-            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY)),
+            preexec_fn=lambda: _limit(round(limit_s)),
         ) as process:  # fmt: skip
             try:
-                return process.wait(limit_s)
+                code = process.wait(20.0 * limit_s + HANGS_S)
+                return None if code == -signal.SIGXCPU else code
             except subprocess.TimeoutExpired:
                 return None
             finally:
@@ -252,7 +267,7 @@ class Bench:
                     os.killpg(process.pid, signal.SIGKILL)  # also what the tests have left behind
 
     def entered(self, room: str) -> dict[str, dict[str, Any]]:
-        """What each test of a room enters, and its time [s]."""
+        """What each test of a room enters, and its CPU time [s]."""
         out = self._scratch / "entered.json"
         if code := self.pytest([f"tests/{room}"], 3600.0, MUTANTS_ENTERED=str(out)):
             raise SystemExit(f"tests/{room} fail without a mutant, exit code {code}: {self._scratch / 'output'}")
@@ -273,11 +288,17 @@ class Bench:
         try:
             file.write_text(mutant.apply(text), "utf-8")
             _forget_bytecode(file)
-            code = self.pytest(names, LEAST_S + 10.0 * sum(chosen.values()), PYTHONDONTWRITEBYTECODE="1")
+            code = self.pytest(names, LEAST_S + 10.0 * sum(chosen.values()))
         finally:
             file.write_text(text, "utf-8")
             _forget_bytecode(file)
         return "timeout" if code is None else "killed" if code else "survived"
+
+
+def _limit(cpu_s: int) -> None:
+    """Bound what this process and each of its children may take."""
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s + 5))
 
 
 def _quickest_file_first(chosen: dict[str, float]) -> list[str]:

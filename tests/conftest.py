@@ -1,6 +1,7 @@
 """What holds for all tests."""
 
 import os
+import sys
 from collections.abc import Iterator
 
 import pytest
@@ -8,10 +9,20 @@ from hypothesis import HealthCheck, settings
 
 pytest_plugins = ["in_process_runs"]
 
+# Some containers set it: each of the hundreds of processes, and pytest itself, would compile everything again.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
 # Property tests are about laws, not about how fast the machine is that checks them.
-# Where CI is set a commit gets the same examples each time: what is new is found at the desk, not in a landing.
+# Where CI is set a commit gets the same examples each time: what is new is found at the desk, not in a landing. So it
+# gets fewer.
+CI = bool(os.environ.get("CI"))
 settings.register_profile(
-    "laws", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=bool(os.environ.get("CI"))
+    "laws",
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+    derandomize=CI,
+    max_examples=50 if CI else 100,
 )
 settings.register_profile("few", settings.get_profile("laws"), max_examples=15)  # --hypothesis-profile=few
 settings.load_profile("laws")
@@ -23,6 +34,11 @@ def own_registry(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("runtime")))
         yield
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests that may take longer than others begin first, or several workers would wait for one at the end."""
+    items.sort(key=lambda item: item.get_closest_marker("timeout") is None)
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -516,14 +516,14 @@ def test_a_print_from_a_library_is_where_it_was_called(module: Callable[[str], s
 def test_a_law_over_its_budget(line: str, policy: str, module: Callable[[str], str], tmp_path: Path) -> None:
     """Also one that would never return: the message has the line at which it was."""
     name = module(failing(20, line))
-    s = scenario(f"per_vehicle.2.controller={name}:Law", f"on_controller_error={policy}", "controller_budget=500 ms")
+    s = scenario(f"per_vehicle.2.controller={name}:Law", f"on_controller_error={policy}", "controller_budget=2 s")
     results = [run(s, tmp_path, in_process=in_process) for in_process in (True, False)]
     for result in results:
         said = "\n".join([result.reason, *result.lines, *result.values["notes"]])
         assert result.status is (Status.BROKEN if policy == "abort" else Status.PASS)
         assert "agent 2" in said
         assert "tick 20" in said
-        assert "Law took longer than its budget of 500 ms" in said
+        assert "Law took longer than its budget of 2000 ms" in said
         assert f"{name}.py:10)" in said
     assert policy == "abort" or same_bytes(*results)
 
@@ -553,8 +553,8 @@ def test_the_budget_gives_the_timer_back(module: Callable[[str], str]) -> None:
 
 def test_the_budget_in_a_thread(module: Callable[[str], str]) -> None:
     """No signal comes there, so a law is judged when it is back."""
-    code = failing(1, "time.sleep(0.6)", vehicle=1)
-    agent = make_agent(replace(agent_config(1), controller=Law(f"{module(code)}:Law"), budget_s=0.5))
+    code = failing(1, "time.sleep(2.1)", vehicle=1)
+    agent = make_agent(replace(agent_config(1), controller=Law(f"{module(code)}:Law"), budget_s=2.0))
     raised: list[str] = []
 
     def work() -> None:
@@ -568,7 +568,7 @@ def test_the_budget_in_a_thread(module: Callable[[str], str]) -> None:
     thread.start()
     thread.join()
     assert len(raised) == 1
-    assert "agent 1, tick 1: Law took longer than its budget of 500 ms" in raised[0]
+    assert "agent 1, tick 1: Law took longer than its budget of 2000 ms" in raised[0]
 
 
 def test_a_law_that_cannot_be_made(module: Callable[[str], str], tmp_path: Path) -> None:

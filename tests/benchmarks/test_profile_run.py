@@ -168,7 +168,7 @@ def test_an_interrupt_lets_the_run_end_by_itself_and_leaves_nobody(tmp_path: Pat
         nonlocal session
         with profile._session(["sh", "-c", f"{script} sleep 60"], subprocess.DEVNULL) as process:
             session = process.pid
-            wait_for((tmp_path / "ready").exists, 10.0, "the run")
+            wait_for((tmp_path / "ready").exists, 60.0, "the run")
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

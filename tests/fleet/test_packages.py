@@ -47,7 +47,13 @@ def at(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def python(*arguments: str, path: Path) -> subprocess.CompletedProcess[str]:
     environment = os.environ | {"PYTHONPATH": str(path)}
     return subprocess.run(
-        [sys.executable, *arguments], env=environment, cwd=path, capture_output=True, text=True, timeout=60, check=False
+        [sys.executable, *arguments],
+        env=environment,
+        cwd=path,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
     )
 
 

@@ -15,7 +15,6 @@ from time import process_time
 from typing import Any
 
 import pytest
-from live import Stopwatch
 from live_directory import live_directory
 from repository import ROOT
 
@@ -59,7 +58,7 @@ def test_a_pipe_is_no_input(pipe: Path) -> None:
         "import test_strange_files as t; from pathlib import Path; t.read_all(Path(sys.argv[1]))"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code, str(pipe)], cwd=ROOT, capture_output=True, text=True, check=False, timeout=60
+        [sys.executable, "-c", code, str(pipe)], cwd=ROOT, capture_output=True, text=True, check=False, timeout=120
     )
     assert done.returncode == 0, done.stderr
     said = done.stdout.splitlines()
@@ -115,7 +114,7 @@ def test_a_scenario_from_a_command() -> None:
     ):
         done = subprocess.run(
             ["bash", "-c", script, "bash", sys.executable, "-m", "fleet", "check"],
-            cwd=ROOT, capture_output=True, text=True, check=False, timeout=60,
+            cwd=ROOT, capture_output=True, text=True, check=False, timeout=120,
         )  # fmt: skip
         assert (done.returncode, done.stderr) == (0, "")
         assert done.stdout.startswith("paper: valid.")
@@ -140,9 +139,9 @@ def problems(text: str) -> str:
 def test_a_nemesis_of_millions_of_faults_is_refused_before_they_are_made() -> None:
     nemesis = "tick: 1 ms\nnemesis: {every: 1 ms, for: 10 ms, pick: [kill, {link: {'*': loss 40%}}]}\n"
     text = PAPER.replace("duration: 60 s ", "duration: 3600 s ").replace("tick: 10 ms ", "#") + nemesis
-    watch = Stopwatch()
+    began = process_time()
     said = problems(text)
-    assert watch.s < 5.0
+    assert process_time() - began < 5.0
     assert "nemesis.every: 3599990 faults, one every 1 ms, expected at most 5000 in a scenario" in said
     with_check = text.replace(
         "  ledger: balanced\n", "  ledger: balanced\n  recovery_time: {within: 1 s, below: 1 m}\n"
@@ -166,9 +165,9 @@ def test_a_list_of_too_many_faults() -> None:
 
 def test_thousands_of_mistakes_are_counted_and_the_first_shown() -> None:
     """Looking for the key that was meant took 7 ms for each of them."""
-    watch = Stopwatch()
+    began = process_time()
     said = problems(PAPER + "faults: [" + ",".join(["{a: 1}"] * 3000) + "]\n")
-    assert watch.s < 10.0
+    assert process_time() - began < 10.0
     assert said.count("x.yaml:") == 200
     assert said.endswith(" problems; the first 200 are shown")
 
@@ -254,7 +253,7 @@ def _places(values: Any) -> Iterator[tuple[Any, Any]]:
             yield from _places(values[key])
 
 
-@pytest.mark.parametrize("seeds", [range(100), pytest.param(range(100, 500), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seeds", [range(100), pytest.param(range(100, 250), marks=pytest.mark.slow)])
 def test_no_result_stops_a_report(seeds: range, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of every variant: the page is made, with the verdicts or with what is wrong where; and tables from the log."""
     monkeypatch.setattr("fleet.pictures.report.WHAT", {})

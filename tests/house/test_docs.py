@@ -35,7 +35,7 @@ def test_the_site_builds_without_a_warning_and_needs_nothing_from_outside(tmp_pa
         "docs",
         tmp_path / "site",
     ]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=110, check=False)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=280, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     pages = {
         path.relative_to(tmp_path / "site"): path.read_text("utf-8") for path in (tmp_path / "site").rglob("*.html")

@@ -69,6 +69,13 @@ def test_it_is_for_this_user_only_and_ends_with_its_context(place: Path) -> None
     assert not list(place.iterdir())
 
 
+def test_a_pipe_with_the_name_of_a_folder_holds_nobody_up(place: Path) -> None:
+    """In /tmp a stranger may make one, and to open it without its writer would wait for ever."""
+    os.mkfifo(place / f"{PREFIX}pipe")
+    sweep()
+    assert (place / f"{PREFIX}pipe").exists()
+
+
 def test_what_a_killed_owner_left_is_removed_when_the_next_is_made(place: Path) -> None:
     found = left(place)
     assert (found / "deep" / "file").exists()

@@ -53,7 +53,7 @@ class Attack:
         bus = self._join(endpoint, CONSOLE)
         for key in (keys.ctl("world"), keys.ctl("netem")):
             ask = partial(bus.ask, key, request("waiting"), timeout_s=0.5)
-            wait_for(ask, 20.0, f"an answer on {key}")
+            wait_for(ask, 60.0, f"an answer on {key}")
 
     def _join(self, endpoint: str, role: str) -> Bus:
         self._sessions.append(Bus.connect(endpoint, self.credentials[role]))

@@ -28,7 +28,7 @@ def build(directory: Path) -> Path:
     options = ["-std=c11", "-O1", "-ffp-contract=off", "-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror"]
     checks = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
     files = [str(SOURCE / name) for name in ("pipes.c", "agent.c", "msgpack.c", "join.c")]
-    subprocess.run([compiler, *options, *checks, *files, "-lm", "-o", str(program)], check=True, timeout=60)
+    subprocess.run([compiler, *options, *checks, *files, "-lm", "-o", str(program)], check=True, timeout=120)
     return program
 
 
@@ -116,7 +116,7 @@ class CAgent:
         assert self._process.stderr is not None
         said = self._process.stderr.read()
         assert said == b"", said.decode()
-        return self._process.wait(10)
+        return self._process.wait(60)
 
     def _give(self, letter: str, data: bytes) -> None:
         assert self._process.stdin is not None

@@ -43,7 +43,7 @@ def counted_apart(vehicles: int, folder: Path) -> tuple[dict[str, float], dict[s
     """As `counted`, whatever this process has done before."""
     command = [sys.executable, "-c", _APART, str(vehicles), str(folder)]
     found = os.environ | {"PYTHONPATH": str(Path(__file__).parent)}
-    done = subprocess.run(command, env=found, capture_output=True, text=True, timeout=100, check=False)
+    done = subprocess.run(command, env=found, capture_output=True, text=True, timeout=280, check=False)
     assert done.returncode == 0, done.stderr
     calls, messages = json.loads(done.stdout)
     return calls, messages

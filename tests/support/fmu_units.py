@@ -51,7 +51,7 @@ def library(version: int) -> bytes:
         built = Path(folder, "unit.so")
         options = ["-std=gnu11", "-O1", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC"]
         command = [compiler, *options, f"-DFMI={version}", str(SOURCE), str(stubs), "-lm", "-o", str(built)]
-        subprocess.run(command, check=True, timeout=60)
+        subprocess.run(command, check=True, timeout=120)
         return built.read_bytes()
 
 

@@ -36,7 +36,7 @@ class Hand:
         self.clock("pause")
         while True:
             granted = round(float(ask(self.run, "clock", do="pause", value=None)["at_s"]) / 0.01)
-            wait_for(lambda: round(self.now() / 0.01) == granted - 1, 10.0, "the clock to hold")  # noqa: B023
+            wait_for(lambda: round(self.now() / 0.01) == granted - 1, 60.0, "the clock to hold")  # noqa: B023
             if granted % 10 == 0:
                 return
             self.clock("step", 10 - granted % 10)

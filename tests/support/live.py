@@ -59,7 +59,7 @@ class LiveRun:
         for process in left:
             with contextlib.suppress(psutil.NoSuchProcess):
                 process.kill()
-        self._process.wait(10)
+        self._process.wait(60)
         self._printed.unlink()
 
     @property

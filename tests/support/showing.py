@@ -58,7 +58,7 @@ def going_on(run: Callable[[Fingers, StatusLine], None]) -> Iterator[Fingers]:
         yield fingers
     finally:
         fingers.presses.put(None)
-        thread.join(30)
+        thread.join(60)
     assert not thread.is_alive()
     if raised:
         raise raised[0]

@@ -52,7 +52,7 @@ class Command:
 
     def __exit__(self, *_: object) -> None:
         self._process.kill()
-        self._process.wait(10)
+        self._process.wait(60)
         self._printed.unlink()
 
     @property

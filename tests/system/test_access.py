@@ -41,7 +41,7 @@ RUN = "5ec7e7"
 KEYS = Keys(RUN)
 VEHICLES = (1, 2)
 WORLD = "world"
-LIMIT_S = 20.0
+LIMIT_S = 60.0
 
 # Everything that anybody can put, and who may. The world is the router itself.
 PUTS: dict[str, set[str]] = {

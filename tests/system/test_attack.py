@@ -171,7 +171,7 @@ def test_a_flood_changes_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
         flooded = execute(load_scenario("paper", SHORT), Options(tmp_path / "a", quiet=True))
     finally:
         over.set()
-        threads[0].join(20)
+        threads[0].join(60)
         attack.close()
     alone = execute(load_scenario("paper", SHORT), Options(tmp_path / "b", quiet=True, in_process=True))
     assert (flooded.status, flooded.reason, flooded.lines) == (Status.PASS, "", [])
@@ -242,9 +242,9 @@ def test_the_observer_of_a_published_run_only_listens(tmp_path: Path) -> None:
             journal.put(b"said", None)
             return (keys.log("x"), b"said") in overheard
 
-        wait_for(journal_heard, 30.0, "the journal")
+        wait_for(journal_heard, 60.0, "the journal")
         # Nothing of what the first one put. The router itself may hear a put after those who are linked to it.
-        wait_for(lambda: {what for _, what in heard} >= {b"said", b"secret"}, 30.0, "the router's own")
+        wait_for(lambda: {what for _, what in heard} >= {b"said", b"secret"}, 60.0, "the router's own")
         assert {what for _, what in heard} == {b"said", b"secret"}
         assert {what for _, what in overheard} == {b"said"}
     finally:

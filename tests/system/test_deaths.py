@@ -28,7 +28,7 @@ from fleet.execution.outcome import Status
 from fleet.logs.reader import LogReader
 from fleet.scenario.loading import load_scenario
 
-END_S = 5.0  # promised: 2 s
+END_S = 30.0  # promised: 2 s; this long only tells a hang, also on a machine that does other things
 
 
 def assert_readable(run: LiveRun, least_s: float = 1.0) -> None:
@@ -41,7 +41,7 @@ def assert_readable(run: LiveRun, least_s: float = 1.0) -> None:
         capture_output=True,
         text=True,
         check=False,
-        timeout=60,
+        timeout=120,
     )
     assert (info.returncode, info.stderr) == (0, "")
     assert json.loads(info.stdout)["end_s"] == last
@@ -107,14 +107,14 @@ def test_death_before_everyone_is_ready(victim: str, tmp_path: Path) -> None:
     """A process that dies while the others are still starting is explained as well, and not waited for."""
     with LiveRun(tmp_path / "runs", "paper", *LONG) as run:
         if victim == FORKSERVER:  # it starts before the scenario is read, and until it has a child nobody needs it
-            wait_for(lambda: appeared(run, "world"), 30.0, "world")
-        found = wait_for(lambda: appeared(run, victim), 30.0, victim)
+            wait_for(lambda: appeared(run, "world"), 60.0, "world")
+        found = wait_for(lambda: appeared(run, victim), 60.0, victim)
         watch = Stopwatch()
         found.kill()
         assert run.status() == 3
         run.until_nobody_is_left()
         print(f"{victim} killed at the start: over after {watch.s:.2f} s")
-        assert watch.s < 2 * END_S
+        assert watch.s < END_S
         assert "run broke: " in run.said
         assert "SIGKILL" in run.said or (victim == FORKSERVER and "could not be started" in run.said)
         assert "Traceback" not in run.said
@@ -147,7 +147,7 @@ def test_ctrl_c(tmp_path: Path) -> None:
 def test_ctrl_c_while_starting(moment: str, tmp_path: Path) -> None:
     """As soon as a process appears, others are being started: none of them is forgotten."""
     with LiveRun(tmp_path / "runs", "paper", *LONG) as run:
-        wait_for(lambda: appeared(run, moment), 30.0, moment)
+        wait_for(lambda: appeared(run, moment), 60.0, moment)
         run.send(signal.SIGINT, group=True)
         assert run.status() == 130
         run.until_nobody_is_left()
@@ -168,7 +168,7 @@ def test_ctrl_c_again_and_again(tmp_path: Path) -> None:
                 pressed += 1
             return run.over
 
-        wait_for(press, 30.0, "the end")
+        wait_for(press, 60.0, "the end")
         assert pressed > 1
         assert run.status() == 130
         run.until_nobody_is_left()
@@ -186,7 +186,7 @@ def test_suspended_process_is_a_stall_that_names_it(suspended: str, tmp_path: Pa
         assert run.status() == 3
         run.until_nobody_is_left()
         print(f"{suspended} suspended: over after {watch.s:.2f} s")
-        assert watch.s < 2 * END_S
+        assert watch.s < END_S
         assert "nothing moved for 1 s at t = " in run.said
         assert suspended in run.said.split("nothing moved")[1].splitlines()[0]
         assert f"(pid {process.pid} is suspended)" in run.said
@@ -202,7 +202,7 @@ def test_suspension_shorter_than_the_timeout_changes_nothing(tmp_path: Path, alo
         agent.suspend()
         stood = run.logged_s()
         # Nothing is written any more once what was under way has arrived.
-        wait_for(lambda: agent.status() == psutil.STATUS_STOPPED, 5.0, "the suspension")
+        wait_for(lambda: agent.status() == psutil.STATUS_STOPPED, 60.0, "the suspension")
         assert run.logged_s() - stood <= 1.0
         agent.resume()
         assert run.status() == 0, run.printed
@@ -223,7 +223,7 @@ def test_taken_port(tmp_path: Path) -> None:
             assert run.status() == 3
             run.until_nobody_is_left()
             print(f"port taken: over after {watch.s:.2f} s")
-            assert watch.s < 15.0
+            assert watch.s < END_S
             assert str(port) in run.said
             assert "Traceback" not in run.said
 
@@ -240,7 +240,7 @@ def test_impossible_output_directory(kind: str, tmp_path: Path, read_only: Path)
         capture_output=True,
         text=True,
         check=False,
-        timeout=60,
+        timeout=120,
     )
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith(f"fleet: cannot make a run directory in {out}: ")

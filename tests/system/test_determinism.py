@@ -98,7 +98,7 @@ def test_hash_seed_and_shuffled_starts_change_nothing(tmp_path: Path, alone: Alo
             env=os.environ | {"PYTHONHASHSEED": seed},
             capture_output=True,
             text=True,
-            timeout=60,
+            timeout=120,
             check=False,
         )
         assert (done.returncode, done.stderr) == (0, "")

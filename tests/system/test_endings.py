@@ -46,7 +46,7 @@ def test_a_suspended_fork_server_does_not_keep_a_run_from_ending(number: signal.
         watch = Stopwatch()
         run.send(number)
         assert run.status() == 130
-        assert watch.s < 10.0
+        assert watch.s < 30.0
         run.until_nobody_is_left()
         assert "Traceback" not in run.said
         assert LogReader(run.log).missing == ""
@@ -88,7 +88,7 @@ def test_nothing_starts_behind_a_suspended_fork_server(tmp_path: Path, monkeypat
         with pytest.raises(TimeoutError, match=rf"the fork server \(pid {server.pid}\) is suspended, for 0.3 s now"):
             ours.start("two", "fleet two [test]", tmp_path / "two.log", time.sleep, 3600)
         monkeypatch.setattr(children, "START_S", 20.0)
-        wait_for(lambda: gone(server), 5.0, "the end of the fork server")
+        wait_for(lambda: gone(server), 60.0, "the end of the fork server")
         theirs.start("three", "fleet three [test]", tmp_path / "three.log", time.sleep, 3600)
         assert psutil.pid_exists(theirs.by_role["three"].pid)
         # What is started beside it knows nothing of that: it would take us for its parent, and end at once.
@@ -105,7 +105,7 @@ def test_a_run_does_not_go_on_with_another_fork_server(tmp_path: Path) -> None:
         ours.start("one", "fleet one [test]", tmp_path / "one.log", time.sleep, 3600)
         server = psutil.Process(children._forkserver_pid() or 0)
         server.kill()
-        wait_for(lambda: gone(server), 5.0, "the end of the fork server")
+        wait_for(lambda: gone(server), 60.0, "the end of the fork server")
         with pytest.raises(ChildProcessError, match=rf"the fork server \(pid {server.pid}\) was killed by SIGKILL"):
             ours.start("two", "fleet two [test]", tmp_path / "two.log", time.sleep, 3600)
     finally:
@@ -188,7 +188,7 @@ def test_a_terminal_that_is_gone(tmp_path: Path) -> None:
     os.close(terminal)
     status = _status(pid)
     assert status == 129, seen[-2000:]
-    wait_for(lambda: all(gone(process) for process in family), 5.0, "the end of the others")
+    wait_for(lambda: all(gone(process) for process in family), 60.0, "the end of the others")
     assert LogReader(log).missing == ""
     assert json.loads((log.parent / "result.json").read_text())["status"] == "hung_up"
 
@@ -326,7 +326,7 @@ print(early == forkserver._forkserver._forkserver_pid)
 
 def test_a_fork_server_that_was_started_before_is_the_one_that_starts_processes(tmp_path: Path) -> None:
     arguments = [sys.executable, "-c", EARLY, str(tmp_path)]
-    done = subprocess.run(arguments, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(arguments, capture_output=True, text=True, timeout=120, check=False)
     assert (done.stdout, done.stderr) == ("True\n", "")
     assert (tmp_path / "role.log").read_text() == "begun\n"
 
@@ -348,5 +348,5 @@ print(process.exitcode)
 def test_a_process_whose_run_is_over_before_it_begins_says_nothing(tmp_path: Path) -> None:
     """A signal in the first moments of a run of `fleet bench`: its directory is gone when the process opens its log."""
     arguments = [sys.executable, "-c", BEGUN_TOO_LATE, str(tmp_path / "gone")]
-    done = subprocess.run(arguments, capture_output=True, text=True, timeout=30, check=False)
+    done = subprocess.run(arguments, capture_output=True, text=True, timeout=120, check=False)
     assert (done.stdout, done.stderr) == ("1\n", "")

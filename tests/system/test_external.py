@@ -32,7 +32,7 @@ from netem.wire.messages import PROTOCOL_VERSION
 
 SHORT = ["duration=3 s", "checks={tumbled: waived}"]
 EXTERNAL = "per_vehicle={3: {external: true}}"
-READY_S = 30.0
+READY_S = 60.0
 
 
 def sets(*overrides: str) -> list[str]:

@@ -42,7 +42,7 @@ def test_what_is_healed_at_the_tick_at_which_it_began_never_was(tmp_path: Path) 
         assert hand.heal() == ["live-1"]
         agent = run.role("agent 2")
         hand.inject(kill="2")  # its process is ended at once, so it must come back
-        wait_for(lambda: not agent.is_running(), 10.0, "the end of agent 2")
+        wait_for(lambda: not agent.is_running(), 60.0, "the end of agent 2")
         assert hand.heal() == ["live-2"]
         hand.clock("resume")
         runs_again(run, tmp_path)
@@ -68,7 +68,7 @@ def test_a_tumbled_vehicle_is_not_healed(tmp_path: Path) -> None:
     heavy = ["--set", "vehicle={beta_b: 1 kN m, beta_q: 300 kg m^2/s, tumble_pitch: 10 deg}"]
     with LiveRun(tmp_path, "paper", *CALM, *heavy, "--set", f"faults={wrench}").until_running() as run:
         hand = Hand(tmp_path)
-        wait_for(lambda: any(e["id"] == "tumbled-2" for e in ask(hand.run, "faults")["events"]), 30.0, "a tumble")
+        wait_for(lambda: any(e["id"] == "tumbled-2" for e in ask(hand.run, "faults")["events"]), 60.0, "a tumble")
         with pytest.raises(RemoteError, match="tumbled-2 is no fault"):
             hand.heal("tumbled-2")
         assert "tumbled-2" not in hand.heal()

@@ -88,7 +88,7 @@ class Hosts:
     def fleet(self, *words: str) -> str:
         """A command of the operator, beside the run."""
         done = subprocess.run([*self.on("sea"), sys.executable, "-m", "fleet", *words], capture_output=True, text=True,
-                              timeout=30, check=False)  # fmt: skip
+                              timeout=120, check=False)  # fmt: skip
         return done.stdout + done.stderr
 
     def remove(self) -> None:

@@ -43,7 +43,7 @@ def fleet_run(folder: Path, soft: int, hard: int) -> subprocess.CompletedProcess
         capture_output=True,
         text=True,
         check=False,
-        timeout=60,
+        timeout=120,
     )
 
 

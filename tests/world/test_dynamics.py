@@ -344,3 +344,13 @@ def test_noise_has_its_standard_deviation() -> None:
         world.advance(1, REST)
     assert abs(fmean(errors)) < 0.05
     assert pstdev(errors) == pytest.approx(0.5, rel=0.06)
+
+
+def test_the_disturbance_goes_on_from_step_to_step_and_from_tick_to_tick() -> None:
+    """Each RK4 step ends with the force with which the next one begins; in its middle and at its end it is another."""
+    world = World(world_config(PAPER))
+    steps = [step for tick in range(3) for step in world._stage_forces_at(tick)]
+    assert len(steps) == 6
+    for (start, middle, end), (following, _, _) in pairwise(steps):
+        assert end == pytest.approx(following)
+        assert start != middle != end

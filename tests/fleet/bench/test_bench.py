@@ -123,7 +123,7 @@ def test_a_soak_that_is_ended_leaves_nothing_behind(tmp_path: Path, monkeypatch:
     (tmp_path / "t").mkdir()
     soak = Soak("one", ["paper", "--speed", "1"], tmp_path)
     try:
-        wait_for(lambda: list(tmp_path.glob("one/*/connection.json")) or not soak.running, 30.0, "the run")
+        wait_for(lambda: list(tmp_path.glob("one/*/connection.json")) or not soak.running, 60.0, "the run")
         assert soak.running
     finally:
         soak.stop()

@@ -65,7 +65,7 @@ def shell(*arguments: str | Path, script: bool = False, **environment: str) -> A
         capture_output=True,
         text=True,
         check=False,
-        timeout=100,
+        timeout=280,
     )
 
 
@@ -208,7 +208,7 @@ def test_a_reader_that_has_seen_enough() -> None:
         assert process.stderr is not None
         process.stdout.close()
         assert process.stderr.read() == b""
-        assert process.wait(30) in (0, 1, 141)
+        assert process.wait(60) in (0, 1, 141)
 
 
 # --- scenarios -------------------------------------------------------------

@@ -21,7 +21,7 @@ def imported(*arguments: str, **environment: str) -> set[str]:
     )
     ended = subprocess.run(
         [sys.executable, "-c", code, *arguments],
-        env=os.environ | environment, capture_output=True, text=True, timeout=60,
+        env=os.environ | environment, capture_output=True, text=True, timeout=120,
     )  # fmt: skip
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout

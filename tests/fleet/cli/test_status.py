@@ -11,6 +11,8 @@ from typing import Any
 import msgspec
 import pytest
 from click.testing import CliRunner
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 from live_directory import live_directory
 from rich.console import Console
 
@@ -88,9 +90,12 @@ def test_a_status_in_80_columns() -> None:
     ]
 
 
-@pytest.mark.parametrize("height", [10, 16, 24, 40, 100])
-@pytest.mark.parametrize("vehicles", [1, 4, 10, 500])
-@pytest.mark.parametrize("links", [1, 5, 500])
+@settings(max_examples=25)
+@given(height=st.integers(10, 100), vehicles=st.integers(1, 500), links=st.integers(1, 500))
+@example(height=10, vehicles=1, links=1)
+@example(height=10, vehicles=500, links=500)
+@example(height=16, vehicles=4, links=5)
+@example(height=100, vehicles=500, links=1)
 def test_it_fits_any_screen(height: int, vehicles: int, links: int) -> None:
     """The time, who is waited for and at least the worst vehicle and the worst link stay."""
     lines = shown(answer(vehicles, links, waiting="waiting for agent 3, 4 s"), height)

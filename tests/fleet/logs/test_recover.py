@@ -419,7 +419,7 @@ def test_a_recorder_killed_at_random_moments_loses_a_second_at_most(tmp_path: Pa
         [sys.executable, str(SUPPORT / "bare_recorder.py"), str(tmp_path), "50", "1"],
         capture_output=True,
         text=True,
-        timeout=100,
+        timeout=280,
         check=True,
     )
     killed = [json.loads(line) for line in done.stdout.splitlines()]
@@ -472,7 +472,7 @@ def test_a_file_that_may_not_grow(tmp_path: Path) -> None:
         [sys.executable, "-m", "fleet", "run", "paper", "--in-process", "-q", "--out", str(tmp_path)],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=120,
         check=False,
         preexec_fn=limit,
     )

@@ -541,6 +541,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("few")
+@pytest.mark.usefixtures("few")
 def test_report_says_what_is_missing(directories: dict[str, Path], tmp_path: Path) -> None:
     words = " ".join(Page(page([*load([directories["cut"]])], View())).words)
     assert "There is no result.json beside this log" in words

@@ -31,7 +31,7 @@ def started(place: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     """A process that starts a fork server."""
     environment = os.environ | {"TMPDIR": str(place), "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-c", START, *arguments]
-    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
 
 
 @pytest.mark.parametrize("place", ["/tmp/" + "long" * 30, "/tmp/what?", "/tmp/a#b", "/tmp/a,b", "/tmp/ä b"])

@@ -33,7 +33,7 @@ from fleet.scenario.loading import load_scenario
 
 EXAMPLE = ROOT / "docs" / "examples" / "foreign_agent.py"
 SOURCE = EXAMPLE.read_text("utf-8")
-LIMIT_S = 30.0
+LIMIT_S = 60.0
 
 
 def start(*arguments: str) -> subprocess.Popen[str]:

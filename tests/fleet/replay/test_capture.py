@@ -176,7 +176,7 @@ def test_recording_ends_by_itself(tmp_path: Path) -> None:
     """--duration and --max-size end with status 0 and a whole file."""
     done = subprocess.run(
         [sys.executable, "-m", "fleet", "record", "-k", "x", "-o", tmp_path / "a.mcap", "--duration", "100 ms"],
-        capture_output=True, text=True, timeout=60, check=False,
+        capture_output=True, text=True, timeout=120, check=False,
     )  # fmt: skip
     assert done.returncode == 0 and "recorded 0 messages" in done.stderr
     assert LogReader(tmp_path / "a.mcap").missing == ""

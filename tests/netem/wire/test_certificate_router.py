@@ -26,7 +26,7 @@ from netem.wire.settings import MAX_BYTES, UNIVERSAL, client_settings, client_tl
 pytest.importorskip("cryptography", reason="cryptography is not installed: pip install 'uuv-fleet[hosts]'")
 
 KEYS = Keys("5ea")
-LIMIT_S = 20.0
+LIMIT_S = 60.0
 
 
 class Run:

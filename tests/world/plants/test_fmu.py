@@ -315,10 +315,10 @@ os.kill(os.getpid(), 9)
 """
     environment = os.environ | {"TMPDIR": str(tmp_path)}
     command = [sys.executable, "-c", code, str(tmp_path / "auv.fmu")]
-    done = subprocess.run(command, env=environment, cwd=ROOT, stdout=subprocess.PIPE, timeout=60, check=False)
+    done = subprocess.run(command, env=environment, cwd=ROOT, stdout=subprocess.PIPE, timeout=120, check=False)
     assert done.returncode == -9
     number = int(done.stdout)
-    wait_for(lambda: not Path(f"/proc/{number}").exists() and not unpacked(tmp_path), 30, "the end of the process")
+    wait_for(lambda: not Path(f"/proc/{number}").exists() and not unpacked(tmp_path), 60, "the end of the process")
 
 
 def test_a_unit_that_nobody_let_in_does_not_run(tmp_path: Path) -> None:

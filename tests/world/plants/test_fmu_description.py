@@ -164,5 +164,5 @@ def ended(*_):
 signal.signal(signal.SIGTERM, ended)
 fmu_description.parse(b'<fmiModelDescription fmiVersion="2.0"><a/></fmiModelDescription>')
 """
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False, timeout=120)
     assert done.returncode == 7

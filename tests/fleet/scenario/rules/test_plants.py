@@ -93,7 +93,7 @@ def fleet(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-P", "-m", "fleet", *arguments]
     support = str(Path(__file__).parents[3] / "support")
     return subprocess.run(
-        command, cwd=folder, capture_output=True, text=True, timeout=60, env={"PYTHONPATH": support, "PATH": ""}
+        command, cwd=folder, capture_output=True, text=True, timeout=120, env={"PYTHONPATH": support, "PATH": ""}
     )
 
 

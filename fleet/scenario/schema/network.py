@@ -10,8 +10,11 @@ from agents.config import Codec
 from fleet.quantities import describe_value, show_time
 from fleet.scenario.schema.section import Section
 from fleet.scenario.schema.value_types import (
+    AirtimeCurve,
     BitRate,
     Bytes,
+    CaptureCurve,
+    DeliveryCurve,
     Fraction,
     Frequency,
     Length,
@@ -20,12 +23,15 @@ from fleet.scenario.schema.value_types import (
     LinkSelector,
     Period,
     PositiveLength,
+    PositiveLevel,
     PositiveSpeed,
     Salinity,
+    Scatter,
     Speed,
     Spreading,
     Temperature,
     Time,
+    VehicleNumbers,
     mistake,
 )
 from netem.grammar import print_condition
@@ -39,8 +45,8 @@ class WaterSection(Section):
     depth: Length
 
 
-class AcousticSection(Section):
-    """The acoustic channel: a modem (shipped, or a TOML file) and changes of its numbers; medium access; the water."""
+class ModemSection(Section):
+    """A modem, shipped or a TOML file, and changes of its numbers."""
 
     modem: str = "s2c"
     bit_rate: BitRate | None = None
@@ -55,8 +61,34 @@ class AcousticSection(Section):
     lost_below: Level | None = None
     clear_above: Level | None = None
     capture: Level | None = None
-    mac: Literal["aloha", "tdma"] = "aloha"
-    backoff: Time | None = None  # aloha: the largest; by default that of the highest throughput
+    processing: Time | None = None
+    tries: Annotated[int, Field(ge=0, le=100)] | None = None
+    timeout: Time | None = None
+    acknowledgement: Bytes | None = None
+    airtime: AirtimeCurve | None = None  # as measured, over the size
+    delivery: DeliveryCurve | None = None  # as measured, over the distance
+    captured: CaptureCurve | None = None  # as measured, over signal to interference
+
+
+class FadingSection(Section):
+    """How the level of a directed link varies: slowly (log-normal shadowing), and from packet to packet."""
+
+    shadowing: PositiveLevel | None = None  # standard deviation
+    correlation: Period | None = None  # time after which the shadowing's correlation is 1/e; never, if it is left out
+    packets: Scatter | None = None
+
+
+def _modem(value: Any) -> Any:
+    """A modem may be given by its name alone."""
+    return {"modem": value} if isinstance(value, str) else value
+
+
+class AcousticSection(ModemSection):
+    """The acoustic channel: the modems, the medium access, and the water."""
+
+    modems: dict[VehicleNumbers, Annotated[ModemSection, BeforeValidator(_modem)]] = {}  # of some vehicles
+    mac: Literal["aloha", "csma", "tdma"] = "aloha"
+    backoff: Time | None = None  # aloha, csma: the largest; by default that of the highest throughput of aloha
     slot: Period | None = None  # tdma
     guard: Time | None = None  # tdma; 100 ms
     buffer: Annotated[int, Field(ge=1, le=1000)] = 1  # payloads that wait
@@ -65,11 +97,12 @@ class AcousticSection(Section):
     spreading: Spreading = 1.5
     shipping: Fraction = 0.5
     wind: Speed = 5.0
+    fading: FadingSection | None = None
 
 
 def _acoustic(value: Any) -> Any:
     """A modem may be given by its name alone, and an empty section has all defaults."""
-    return {"modem": value} if isinstance(value, str) else {} if value is None else value
+    return {} if value is None else _modem(value)
 
 
 class NetworkSection(Section):

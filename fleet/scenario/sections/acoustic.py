@@ -17,22 +17,26 @@ from __future__ import annotations
 
 from math import sqrt
 from pathlib import Path
+from typing import TypeVar
 
 from agents import compact, payload
 from agents.config import Codec
 from agents.offset import Offset
-from fleet.scenario.schema.network import AcousticSection, NetworkSection
+from fleet.scenario.schema.network import AcousticSection, FadingSection, ModemSection, NetworkSection
 from fleet.scenario.sections.aloha import Talking, talking
-from fleet.scenario.sections.modem_files import NUMBERS, load_modem
+from fleet.scenario.sections.modem_files import CURVES, NUMBERS, Values, changed, load_modem, without_replaced
 from netem.modem import DEFAULT_GUARD_NS, SOUND_SPEED, AcousticConfig, Modem
 from netem.propagation import sound_speed
 
 DEFAULT_MODEM: str = AcousticSection().modem
+_Modem = TypeVar("_Modem", bound=ModemSection)
+_KEYS = (*NUMBERS, *CURVES)
+_TIMES = ("preamble", "processing", "timeout")  # nanoseconds in a section
 SIZES: dict[Codec, int] = {"full": payload.SIZE, "compact": compact.SIZE}
 
 
-def modem_numbers(section: AcousticSection, folder: Path | None) -> dict[str, float]:
-    """The numbers of a section's modem: those of its file, unless the section gives another value.
+def modem_values(section: ModemSection, folder: Path | None) -> Values:
+    """The values of a section's modem: those of its file, unless the section gives another value.
 
     Units as in `netem.modem.Modem`; `folder` is that of the scenario.
 
@@ -40,32 +44,32 @@ def modem_numbers(section: AcousticSection, folder: Path | None) -> dict[str, fl
         DataFileError: the modem file is missing or wrong.
     """
     base = load_modem(section.modem, folder).modem
-    return {key: _given(section, key, getattr(base, key)) for key in NUMBERS}
+    given = {key: getattr(section, key) for key in _KEYS if getattr(section, key) is not None}
+    changes = {key: value / 1e9 if key in _TIMES else value for key, value in given.items()}
+    return changed({key: getattr(base, key) for key in _KEYS}, changes)
 
 
-def _given(section: AcousticSection, key: str, otherwise: float) -> float:
-    value = getattr(section, key)
-    return otherwise if value is None else value / 1e9 if key == "preamble" else value
-
-
-def inlined_modem(section: AcousticSection, folder: Path | None) -> AcousticSection:
-    """The same section with all numbers of the modem in it: it does not need the modem file. Raises DataFileError."""
-    values = modem_numbers(section, folder)
-    written = {key: round(value * 1e9) if key == "preamble" else value for key, value in values.items()}
+def inlined_modem(section: _Modem, folder: Path | None) -> _Modem:
+    """The same section with all values of the modem in it: it does not need the modem file. Raises DataFileError."""
+    values = modem_values(section, folder)
+    shown = without_replaced(values)
+    written = {key: round(value * 1e9) if key in _TIMES else value for key, value in shown.items()}
     return section.model_copy(update={"modem": DEFAULT_MODEM, **written})
 
 
 def compile_acoustic(
-    section: AcousticSection, modem: Modem, codec: Codec, vehicles: int, tick_ns: int
+    section: AcousticSection, modem: Modem, codec: Codec, vehicles: int, tick_ns: int, modems: dict[int, Modem]
 ) -> AcousticConfig:
     """The configuration of the channel that a valid section describes.
 
     Args:
+        modems: of the vehicles that carry another one.
         codec: the encoding of the agents' payloads.
         vehicles: number of vehicles on the channel.
         tick_ns: control period [ns]; the back-off is rounded up to ticks, the slot down.
     """
-    backoff = backoff_ns(section, modem, codec, vehicles) if section.mac == "aloha" else 0
+    backoff = backoff_ns(section, modem, codec, vehicles) if section.mac != "tdma" else 0
+    fading = section.fading or FadingSection()
     return AcousticConfig(
         modem=modem,
         mac=section.mac,
@@ -77,6 +81,10 @@ def compile_acoustic(
         spreading=section.spreading,
         shipping=section.shipping,
         wind=section.wind,
+        shadowing=fading.shadowing or 0.0,
+        shadowing_ns=fading.correlation or 0,
+        rician=fading.packets,
+        modems=modems,
     )
 
 

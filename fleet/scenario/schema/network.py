@@ -21,6 +21,7 @@ from fleet.scenario.schema.value_types import (
     Level,
     LinkCondition,
     LinkSelector,
+    NoBytes,
     Period,
     PositiveLength,
     PositiveLevel,
@@ -64,7 +65,7 @@ class ModemSection(Section):
     processing: Time | None = None
     tries: Annotated[int, Field(ge=0, le=100)] | None = None
     timeout: Time | None = None
-    acknowledgement: Bytes | None = None
+    acknowledgement: NoBytes | None = None
     airtime: AirtimeCurve | None = None  # as measured, over the size
     delivery: DeliveryCurve | None = None  # as measured, over the distance
     captured: CaptureCurve | None = None  # as measured, over signal to interference

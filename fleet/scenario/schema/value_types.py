@@ -171,6 +171,7 @@ Scatter = Annotated[float, Text(_scatter, _show_scatter)]  # power of the steady
 Temperature = Annotated[float, _scalar(q.TEMPERATURE)]
 Salinity = Annotated[float, _scalar(q.NUMBER)]
 Bytes = Annotated[int, Text(_bytes, lambda value: f"{value} bytes", "positive")]
+NoBytes = Annotated[int, Text(_bytes, lambda value: f"{value} bytes", "not negative")]  # or some
 Fraction = Annotated[float, Text(_fraction, float)]
 Spreading = Annotated[float, Text(_spreading, float)]
 Gain = Annotated[float, _scalar(q.RATE, "positive")]

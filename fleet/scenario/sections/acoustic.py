@@ -161,6 +161,8 @@ def describe_turns(network: NetworkSection, acoustic: AcousticConfig, vehicles: 
     if acoustic.mac == "tdma":
         slot = acoustic.slot_ticks * tick_ns / 1e9
         return f"{line}; with slots of {slot:g} s each vehicle talks every {mean:.4g} s"
+    if acoustic.mac == "csma":
+        return f"{line}; each vehicle listens before it talks, every {mean:.4g} s on average if nobody else does"
     alone = _talking(network, acoustic, vehicles, tick_ns).alone
     return f"{line}; each vehicle talks every {mean:.4g} s on average, {alone:.0%} of it with nobody else"
 
@@ -168,6 +170,10 @@ def describe_turns(network: NetworkSection, acoustic: AcousticConfig, vehicles: 
 def describe_noise(network: NetworkSection, acoustic: AcousticConfig, plans: tuple[Offset, ...]) -> str:
     """One line of text: whether packets are lost in noise, and beyond which range."""
     modem, size = acoustic.modem, SIZES[network.payload]
+    if modem.delivery is not None:
+        extent = extent_m(plans)
+        share = 100 * modem.delivery.at(extent)
+        return f"delivery as measured: {share:.3g}% at {extent:.4g} m, the largest distance in the formation"
     snr = acoustic.snr(modem.max_range)
     if acoustic.packet_error_rate(modem.max_range, size) == 0.0:
         return (

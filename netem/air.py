@@ -9,7 +9,7 @@ from netem import fading
 from netem.causes import Cause
 from netem.draws import undecided, uniform
 from netem.medium import Place
-from netem.modem import AcousticConfig
+from netem.modem import AcousticConfig, Modem
 from netem.propagation import decibels, power
 from netem.station import ANSWER, Burst, Reception
 
@@ -23,18 +23,23 @@ def draws(acoustic: AcousticConfig, ranges: Iterable[float] | None = None) -> li
         ranges: from sender to receiver [m]; None: all up to that of the modem.
     """
     found = [BACK_OFF] if acoustic.mac != "tdma" and acoustic.backoff_ticks else []
-    modem = acoustic.modem
-    if ranges is None:  # the farther, the more packets are lost
-        noisy = acoustic.packet_error_rate(modem.max_range, 1) > 0.0
-    else:
-        noisy = any(undecided(acoustic.packet_error_rate(r, 1)) for r in ranges if r <= modem.max_range)
+    found += [fading.SHADOWING] if acoustic.shadowing else []
+    found += [fading.SCATTER] if acoustic.rician is not None else []
+    modems = [acoustic.modem, *acoustic.modems.values()]
+    if any(modem.captured is not None for modem in modems):
+        found.append(CAPTURE)
+    return [*found, SNR] if any(_noisy(acoustic, modem, ranges) for modem in modems) else found
+
+
+def _noisy(acoustic: AcousticConfig, modem: Modem, ranges: Iterable[float] | None) -> bool:
+    """Whether a draw may decide on a packet that nobody else disturbs."""
     if modem.delivery is not None:
-        noisy = any(undecided(share) for _, share in modem.delivery.points)
-    if acoustic.shadowing:
-        found.append(fading.SHADOWING)
-    if acoustic.rician is not None:
-        found.append(fading.SCATTER)
-    return [*found, SNR] if noisy else found
+        return any(undecided(share) for _, share in modem.delivery.points)
+    if acoustic.shadowing or acoustic.rician is not None:
+        return modem.lost_below < modem.clear_above
+    if ranges is None:  # the farther, the more packets are lost
+        return acoustic.packet_error_rate(modem.max_range, 1, modem, modem) > 0.0
+    return any(undecided(acoustic.packet_error_rate(r, 1, modem, modem)) for r in ranges if r <= modem.max_range)
 
 
 class Air:

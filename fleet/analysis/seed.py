@@ -82,6 +82,7 @@ def _acoustic(scenario: Scenario) -> Iterator[tuple[str, list[str]]]:
     surely, anywhere = air.draws(channel, ranges), air.draws(channel)
     yield f"backoff of {channel.mac}", [purpose for purpose in surely if purpose == air.BACK_OFF]
     yield "acoustic fading", [purpose for purpose in surely if purpose in (fading.SHADOWING, fading.SCATTER)]
+    yield f"{PERHAPS}collisions", [purpose for purpose in surely if purpose == air.CAPTURE]
     errors = [purpose for purpose in anywhere if purpose == air.SNR]
     if errors:
         yield "acoustic packet errors" if air.SNR in surely else f"{PERHAPS}acoustic packet errors", errors

@@ -76,6 +76,7 @@ class AcousticConfig:
     buffer: int = 1  # payloads that wait in a modem
     sound_speed: float = SOUND_SPEED  # m/s
     spreading: float = 1.5  # 1 cylindrical, 1.5 practical, 2 spherical
+    excess: float = 0.0  # dB, lost in addition to spreading and absorption
     shipping: float = 0.5  # 0 none, 1 heavy
     wind: float = 5.0  # m/s
     shadowing: float = 0.0  # dB, standard deviation of the slow gain of a directed link
@@ -102,7 +103,8 @@ class AcousticConfig:
     def received_level(self, range_m: float, sender: Modem | None = None) -> float:
         """The level [dB re 1 uPa] of a modem's signal at a range [m]."""
         modem = self.modem if sender is None else sender
-        return modem.source_level - propagation.transmission_loss(range_m, modem.carrier / 1e3, self.spreading)
+        loss = propagation.transmission_loss(range_m, modem.carrier / 1e3, self.spreading)
+        return modem.source_level - loss - self.excess
 
     def packet_error_rate(
         self,

@@ -126,7 +126,9 @@ class Parts:
             for numbers, other in section.modems.items()
             for i in vehicle_numbers(numbers)
         }
-        return compile_acoustic(section, self.modem, spec.network.payload, spec.vehicles, spec.tick, others)
+        return compile_acoustic(
+            section, self.modem, spec.network.payload, spec.vehicles, spec.tick, others, self.folder
+        )
 
     # --- vehicles -------------------------------------------------------------------------------------------------
 

@@ -9,6 +9,7 @@ from fleet.scenario.schema.network import AcousticSection, ModemSection
 from fleet.scenario.sections.acoustic import SIZES, extent_m, guard_ns, modem_values, speed_of_sound
 from fleet.scenario.sections.data_files import DataFileError
 from fleet.scenario.sections.modem_files import modem_of, modem_problems
+from fleet.scenario.sections.site_files import load_site
 from netem.modem import Modem
 from netem.parsing import GrammarError
 from netem.selectors import parse_selector
@@ -51,18 +52,7 @@ def acoustic(parts: Parts, report: Report) -> None:
     for key in ("slot", "backoff"):
         if getattr(section, key):
             whole_multiple(report, (*at, key), getattr(section, key), spec.tick)
-    if section.water is not None:
-        if section.sound_speed is not None:
-            report.add((*at, "sound_speed"), "either a speed or the water that it follows from, not both", key=True)
-        for key, low, high, unit in (
-            ("temperature", 2, 30, "degC"),
-            ("salinity", 25, 40, "ppt"),
-            ("depth", 0, 8000, "m"),
-        ):
-            value = getattr(section.water, key)
-            if not low <= value <= high:
-                text = f"{value:g} {unit} is outside {low} to {high} {unit}, for which the formula was made"
-                report.add((*at, "water", key), text, "give sound_speed instead")
+    _water(parts, report, section)
     if section.sound_speed is not None and not 100.0 <= section.sound_speed <= 10_000.0:
         report.add((*at, "sound_speed"), f"must be between 100 and 10000 m/s, is {section.sound_speed:g}")
     if section.wind > 100.0:
@@ -71,6 +61,31 @@ def acoustic(parts: Parts, report: Report) -> None:
     fading = section.fading
     if fading is not None and fading.correlation is not None and fading.shadowing is None:
         report.add((*at, "fading", "correlation"), "has no effect without shadowing", key=True)
+
+
+def _water(parts: Parts, report: Report, section: AcousticSection) -> None:
+    """Temperature and depth together, within the formula's limits; a site that can be read."""
+    water, at = section.water, ("network", "acoustic")
+    if water is None:
+        return
+    given = [key for key in ("temperature", "salinity", "depth") if getattr(water, key) is not None]
+    if section.sound_speed is not None and given:
+        report.add((*at, "sound_speed"), "either a speed or the water that it follows from, not both", key=True)
+    if given or water.site is None:
+        for key in ("temperature", "depth"):
+            if key not in given:
+                report.add_missing((*at, "water"), key, ", which the speed of sound needs")
+    for key, low, high, unit in (("temperature", 2, 30, "degC"), ("salinity", 25, 40, "ppt"), ("depth", 0, 8000, "m")):
+        value = getattr(water, key)
+        if value is not None and not low <= value <= high:
+            text = f"{value:g} {unit} is outside {low} to {high} {unit}, for which the formula was made"
+            report.add((*at, "water", key), text, "give sound_speed instead")
+    if water.site is not None:
+        try:
+            load_site(water.site, parts.folder)
+        except DataFileError as error:
+            for problem in error.problems:
+                report.add((*at, "water", "site"), problem)
 
 
 def _modems(parts: Parts, report: Report, section: AcousticSection) -> None:

@@ -39,11 +39,12 @@ from netem.grammar import print_condition
 
 
 class WaterSection(Section):
-    """The properties of water from which the speed of sound follows."""
+    """The properties of water from which the speed of sound follows, or a site where others have measured."""
 
-    temperature: Temperature
-    salinity: Salinity = 35.0  # ppt
-    depth: Length
+    temperature: Temperature | None = None
+    salinity: Salinity | None = None  # 35 ppt
+    depth: Length | None = None
+    site: str | None = None  # shipped, or a TOML file: spreading, further loss, and fading
 
 
 class ModemSection(Section):
@@ -95,7 +96,7 @@ class AcousticSection(ModemSection):
     buffer: Annotated[int, Field(ge=1, le=1000)] = 1  # payloads that wait
     sound_speed: PositiveSpeed | None = None  # 1500 m/s
     water: WaterSection | None = None  # in place of a speed
-    spreading: Spreading = 1.5
+    spreading: Spreading | None = None  # that of the site, or 1.5
     shipping: Fraction = 0.5
     wind: Speed = 5.0
     fading: FadingSection | None = None

@@ -25,10 +25,13 @@ from agents.offset import Offset
 from fleet.scenario.schema.network import AcousticSection, FadingSection, ModemSection, NetworkSection
 from fleet.scenario.sections.aloha import Talking, talking
 from fleet.scenario.sections.modem_files import CURVES, NUMBERS, Values, changed, load_modem, without_replaced
+from fleet.scenario.sections.site_files import SiteFile, load_site
 from netem.modem import DEFAULT_GUARD_NS, SOUND_SPEED, AcousticConfig, Modem
 from netem.propagation import sound_speed
 
 DEFAULT_MODEM: str = AcousticSection().modem
+DEFAULT_SPREADING = 1.5
+DEFAULT_SALINITY = 35.0  # ppt
 _Modem = TypeVar("_Modem", bound=ModemSection)
 _KEYS = (*NUMBERS, *CURVES)
 _TIMES = ("preamble", "processing", "timeout")  # nanoseconds in a section
@@ -57,19 +60,39 @@ def inlined_modem(section: _Modem, folder: Path | None) -> _Modem:
     return section.model_copy(update={"modem": DEFAULT_MODEM, **written})
 
 
+def site_of(section: AcousticSection, folder: Path | None) -> SiteFile | None:
+    """The site of a section; None: it names none. Raises DataFileError: its file is missing or wrong."""
+    water = section.water
+    return None if water is None or water.site is None else load_site(water.site, folder)
+
+
 def compile_acoustic(
-    section: AcousticSection, modem: Modem, codec: Codec, vehicles: int, tick_ns: int, modems: dict[int, Modem]
+    section: AcousticSection,
+    modem: Modem,
+    codec: Codec,
+    vehicles: int,
+    tick_ns: int,
+    modems: dict[int, Modem],
+    folder: Path | None = None,
 ) -> AcousticConfig:
     """The configuration of the channel that a valid section describes.
 
     Args:
         modems: of the vehicles that carry another one.
+        folder: of the scenario, where a site's file may lie.
+
+    Raises:
+        DataFileError: the site's file is missing or wrong.
         codec: the encoding of the agents' payloads.
         vehicles: number of vehicles on the channel.
         tick_ns: control period [ns]; the back-off is rounded up to ticks, the slot down.
     """
     backoff = backoff_ns(section, modem, codec, vehicles) if section.mac != "tdma" else 0
-    fading = section.fading or FadingSection()
+    site = site_of(section, folder)
+    fading = section.fading
+    if fading is None and site is not None:
+        fading = FadingSection.model_construct(shadowing=site.shadowing, packets=site.rician)
+    fading = fading or FadingSection()
     return AcousticConfig(
         modem=modem,
         mac=section.mac,
@@ -78,7 +101,8 @@ def compile_acoustic(
         guard_ns=guard_ns(section),
         buffer=section.buffer,
         sound_speed=speed_of_sound(section),
-        spreading=section.spreading,
+        spreading=section.spreading or (site.spreading if site is not None else DEFAULT_SPREADING),
+        excess=0.0 if site is None else site.excess,
         shipping=section.shipping,
         wind=section.wind,
         shadowing=fading.shadowing or 0.0,
@@ -103,8 +127,10 @@ def guard_ns(section: AcousticSection) -> int:
 def speed_of_sound(section: AcousticSection) -> float:
     """The speed of sound [m/s]: from the water's properties, or as given, or by default 1500."""
     water = section.water
-    if water is not None:
-        return sound_speed(water.temperature, water.salinity, water.depth)
+    if water is not None and water.temperature is not None and water.depth is not None:
+        return sound_speed(
+            water.temperature, DEFAULT_SALINITY if water.salinity is None else water.salinity, water.depth
+        )
     return SOUND_SPEED if section.sound_speed is None else section.sound_speed
 
 

@@ -162,6 +162,34 @@ def show_vector(values: tuple[float, ...], dimension: Dimension) -> str:
     raise AssertionError(f"{dimension.name} has no SI unit")
 
 
+def curve(value: Any, x: Dimension, y: Dimension) -> tuple[tuple[float, float], ...]:
+    """Points such as `12 m 95 %, 24 m 70 %`, one after the other or one per line, in SI units.
+
+    Raises:
+        QuantityError: not at least two points, or x does not ascend.
+    """
+    example = f"{x.example} {y.example}"
+    if not isinstance(value, str):
+        raise QuantityError(f'expected points such as "{example}, ...", got {describe_value(value)}')
+    points: list[tuple[float, float]] = []
+    for item in re.split(r"\s*,\s*|\s*\n\s*", value.strip(", \n")):
+        match = re.fullmatch(r"\s*([-+.\deE]+)\s*([^\s\d.+-]\S*)\s+(.*)", item)
+        if match is None:
+            raise QuantityError(f'expected a point such as "{example}", got {describe_value(item.strip())}')
+        point = scalar(f"{match[1]} {match[2]}", x), scalar(match[3], y)
+        if points and point[0] <= points[-1][0]:
+            raise QuantityError(f'points must ascend: "{_short(item.strip())}" follows {show(points[-1][0], x)}')
+        points.append(point)
+    if len(points) < 2:
+        raise QuantityError(f'expected at least two points such as "{example}, ...", got {describe_value(value)}')
+    return tuple(points)
+
+
+def show_curve(points: tuple[tuple[float, float], ...], x: Dimension, y: Dimension) -> str:
+    """The inverse of `curve`."""
+    return ", ".join(f"{show(a, x)} {show(b, y)}" for a, b in points)
+
+
 def show_time(ns: int) -> str:
     """The text of a time, exactly, in the largest of s, ms, us and ns that does not make it less than 1."""
     for unit, size in (("s", 10**9), ("ms", 10**6), ("us", 10**3)):

@@ -6,14 +6,18 @@ m ticks. In the round that begins at tick k, that is in the ticks k to k + m - 1
 1. A payload enters the transmit buffer of its modem. If the buffer is full, the oldest payload in it is `replaced`. A
    start tick that is already fixed does not change, so a new payload never delays a transmission.
 2. The MAC (medium access control) fixes the starts in the round, at whole ticks and never before the modem is free.
-   `aloha`: a seeded random back-off after the payload is in the buffer and the modem is free. `tdma`: at the start of
-   the vehicle's next slot. A payload whose start is in a later round stays in the buffer.
+   `aloha`: a seeded random back-off after the payload is in the buffer and the modem is free. `csma`: likewise, but a
+   modem that hears somebody at its start draws another back-off from the end of what it hears. `tdma`: at the start
+   of the vehicle's next slot. A payload whose start is in a later round stays in the buffer.
 3. All distances are between the positions at round tick k; a vehicle without an agent keeps its last known position.
    The active faults, and which vehicles have an agent, are also those at tick k. So a run with faults that a user
    injected while it was running can be repeated.
 4. Whether a reception succeeds is decided in the round in which it ends. Then all transmissions that started before
    its end are known, so every transmission that overlaps it at the receiver is taken into account. Transmissions are
    in the order (start, src).
+5. A modem with `tries` sends a payload to one neighbour after the other. The neighbour answers at the first whole tick
+   after it has the payload, unless it transmits itself. Without an answer the sender tries again, and gives up after
+   `tries`. A payload that arrives twice is delivered once. Conditions of links act on each try, not on answers.
 
 The causes of a loss, in the order in which they are checked (`final at`: when the packet's fate is final):
 
@@ -25,112 +29,44 @@ The causes of a loss, in the order in which they are checked (`final at`: when t
 | `mute`, `partition`, `down`, `loss`, `queue` | start | a fault or the link's condition, besides the acoustic causes |
 | `range` | end of reception | the receiver is beyond the modem's range |
 | `half duplex` | likewise | the receiver itself transmits during a part of the reception |
-| `collision` | likewise | its level is less than `capture` [dB] above the sum of all that overlap it |
+| `collision` | likewise | its level is less than `capture` [dB] above the sum of all that overlap it; or by a draw |
 | `snr` | likewise | lost in noise: a seeded random number in [0, 1) is below the packet error rate |
 | `dead receiver`, `deaf` | likewise | as with independent links |
 
-A payload whose reception ends at time t is usable from the first tick at or after t, but never before the tick after
-its start tick.
+A payload whose reception ends at time t is usable from the first tick at or after t plus the modem's `processing`, but
+never before the tick after its start tick. A payload that is not acknowledged has the cause of its last try.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from math import sqrt
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 from msgspec import Struct
 
+from netem.air import BACK_OFF, Air
 from netem.causes import Cause
 from netem.config import NetemConfig
-from netem.draws import undecided, uniform
+from netem.draws import uniform
 from netem.faults import ActiveFaults
 from netem.links import Links
 from netem.medium import MediumRound, Place
-from netem.modem import AcousticConfig
-from netem.propagation import decibels, power
+from netem.station import ANSWER, Answer, Burst, Reception, Station, Transfer, Waiting
 from netem.transit import PendingPacket, Transit
 from netem.wire.messages import Fate
 
-BACK_OFF, SNR = "back-off", "snr"  # purposes of draws
+_TRY = 1 << 40  # what one more try adds to a packet's number in draws
 
 
-def draws(acoustic: AcousticConfig, ranges: Iterable[float] | None = None) -> list[str]:
-    """The purposes of the draws that decide on packets; none if all seeds give the same.
-
-    Args:
-        ranges: from sender to receiver [m]; None: all up to that of the modem.
-    """
-    found = [BACK_OFF] if acoustic.mac == "aloha" and acoustic.backoff_ticks else []
-    modem = acoustic.modem
-    if ranges is None:  # the farther, the more packets are lost
-        noisy = acoustic.packet_error_rate(modem.max_range, 1) > 0.0
-    else:
-        noisy = any(undecided(acoustic.packet_error_rate(r, 1)) for r in ranges if r <= modem.max_range)
-    return [*found, SNR] if noisy else found
-
-
-class Waiting(NamedTuple):
-    """A payload that is not yet transmitted.
-
-    `sent_tick` is the round tick of the payload; at `ready_tick` it enters the modem (later if the agent is slow).
-    """
-
-    ready_tick: int
-    seq: int
-    sent_tick: int
-    payload: bytes
-
-
-class Burst(NamedTuple):
-    """A transmission. `heard`: vehicles within the interference range, as (vehicle, range [m], propagation [ns])."""
-
-    start_tick: int
-    src: int
-    airtime_ns: int
-    heard: tuple[tuple[int, float, int], ...]
-
-
-class Reception(NamedTuple):
-    """A transmission as one graph neighbour `dst` of the sender receives it, from `begin_ns` to `end_ns`.
-
-    `extra_ns` is the delay that the link's condition adds after `end_ns`; `copy` is 0, or 1 and more for duplicates.
-    """
-
-    begin_ns: int
-    end_ns: int
-    start_tick: int
-    range_m: float
-    extra_ns: int
-    src: int
-    dst: int
-    seq: int
-    copy: int
-    sent_tick: int
-    payload: bytes
-    corrupted: bool
-
-
-class Station(Struct, array_like=True):
-    """The modem of one vehicle: its transmit buffer, the payloads still on their way to it, and its next start."""
-
-    vehicle: int
-    late: list[Waiting] = []  # not yet in the modem, in order of ready_tick
-    waiting: list[Waiting] = []  # the transmit buffer, oldest first
-    start_tick: int | None = None  # of the first payload in the buffer; None: the buffer is empty
-    free_tick: int = 0  # first tick at which the modem can start again
-    seq: int = 0  # number of payloads taken from the agent so far
-    draws: int = 0  # number of random back-offs used so far
-
-
-class _State(Struct):
+class _State(Struct, omit_defaults=True):
     """What the channel adds to the state of the network."""
 
     stations: list[Station]
     places: list[tuple[int, Place]]
     air: list[Burst]
     receptions: list[Reception]
+    transfers: list[tuple[int, Transfer]] = []
+    answers: list[Answer] = []
 
 
 class AcousticChannel:
@@ -147,10 +83,11 @@ class AcousticChannel:
         self._links = links
         self._transit = transit
         self._acoustic = config.acoustic
-        self._longest = config.acoustic.longest(config.tick_ns)
+        self._longest = {i: config.acoustic.longest(config.tick_ns, i) for i in config.vehicles}
         self._stations = {i: Station(i) for i in sorted(config.vehicles)}
-        self._places: dict[int, Place] = {}
-        self._air: list[Burst] = []  # transmissions that may still overlap a reception, sorted by (start, src)
+        self._transfers: dict[int, Transfer] = {}  # of modems with `tries`
+        self._answers: list[Answer] = []  # acknowledgements that are due
+        self._air = Air(config.acoustic, config.seed, config.tick_ns)
         self._receptions: list[Reception] = []  # those that have not ended
 
     def carry(self, round_: MediumRound) -> None:
@@ -162,18 +99,23 @@ class AcousticChannel:
         tick, until, transmissions, positions, faults = round_
         if positions is None:
             raise ValueError("an acoustic channel needs the vehicles' positions")
-        self._places.update(positions)
+        self._air.places.update(positions)
         for src in sorted(transmissions):
             for payload in transmissions[src]:
                 self._accept(tick, src, payload, faults)
-        bursts = []
+        alive = [station for src, station in self._stations.items() if src in positions]
         for src, station in self._stations.items():
-            if src in positions:
-                bursts += [self._transmit(src, start, sent, faults) for start, sent in self._starts(src, until, faults)]
-            else:
-                self._drop_waiting(tick, src, station)
-        self._air = sorted([*self._air, *bursts])
-        self._decide_receptions(until)
+            if src not in positions:
+                self._drop(tick, src, station)
+        self._answers = [answer for answer in self._answers if answer.src in positions]
+        # The earliest event first: what a modem hears, and whether it is answered, depends on all that came before.
+        while (now := self._next_event(alive, until)) is not None:
+            if self._transfers or self._answers:
+                self._decide_receptions(now, faults)
+                self._answer(now, faults)
+            for station in alive:
+                self._advance(station, now, faults)
+        self._decide_receptions(until, faults)
 
     def close(self, end_tick: int) -> None:
         """End the run before tick `end_tick`: record every payload that waits or is being received as in flight."""
@@ -181,9 +123,12 @@ class AcousticChannel:
             for sent in (*station.late, *station.waiting):
                 self._lose_unsent(src, sent, end_tick, Cause.IN_FLIGHT)
             station.late, station.waiting = [], []
+        for src, transfer in self._transfers.items():
+            self._lose_transfer(src, transfer, end_tick, Cause.IN_FLIGHT)
         for reception in self._receptions:
-            self._transit.lose(_lost(reception, self._end_tick(reception), Cause.IN_FLIGHT))
-        self._receptions = []
+            if not self._acoustic.modem_of(reception.src).tries and reception.copy != ANSWER:
+                self._transit.lose(_lost(reception, self._end_tick(reception), Cause.IN_FLIGHT))
+        self._receptions, self._transfers, self._answers = [], {}, []
 
     # ---------------------------------------------------------------------------------- the modems
 
@@ -194,40 +139,84 @@ class AcousticChannel:
         station.seq += 1
         for dst in self._links.receivers[src]:
             self._links.ledger.enter((src, dst), sent=1)
-        if len(payload) > self._longest:
+        if len(payload) > self._longest[src]:
             self._lose_unsent(src, sent, tick, Cause.MTU)
         else:
             station.late = sorted([*station.late, sent])
 
-    def _starts(self, src: int, until: int, faults: ActiveFaults) -> Iterator[tuple[int, Waiting]]:
-        """The transmissions that a modem starts before tick `until`, as (start tick, payload)."""
-        station = self._stations[src]
-        while True:
-            joins = station.late[0] if station.late and station.late[0].ready_tick < until else None
-            before = until if joins is None else joins.ready_tick
-            while station.waiting and station.start_tick is not None and station.start_tick < before:
-                start, sent = station.start_tick, station.waiting.pop(0)
-                if src in faults.mute:
-                    self._lose_unsent(src, sent, start, Cause.MUTE)
-                    station.free_tick = start + 1
-                else:
-                    ends_ns = start * self._config.tick_ns + self._acoustic.modem.airtime_ns(len(sent.payload))
-                    station.free_tick = max(start + 1, -(-ends_ns // self._config.tick_ns))
-                    yield start, sent
-                station.start_tick = self._next_start(src, station.free_tick) if station.waiting else None
-            if joins is None:
-                return
-            station.late.pop(0)
+    def _next_event(self, alive: list[Station], until: int) -> int | None:
+        """The next tick before `until` at which a modem has something to do; None: no modem has."""
+        ticks = [answer.start_tick for answer in self._answers]
+        for station in alive:
+            ticks += [sent.ready_tick for sent in station.late[:1]]
+            transfer = self._transfers.get(station.vehicle)
+            if transfer is not None and station.start_tick is None:
+                ticks.append(transfer.deadline_tick)
+            elif station.start_tick is not None:
+                ticks.append(station.start_tick)
+        if self._transfers:
+            ticks += [self._end_tick(r) for r in self._receptions]
+        return min((tick for tick in ticks if tick < until), default=None)
+
+    def _advance(self, station: Station, now: int, faults: ActiveFaults) -> None:
+        """Let a modem do what it does at a tick: take a payload, give up waiting for an answer, start."""
+        src = station.vehicle
+        transfer = self._transfers.get(src)
+        if transfer is not None and station.start_tick is None and now >= transfer.deadline_tick:
+            self._failed(station, transfer, now)
+        while station.late and station.late[0].ready_tick <= now:
+            joins = station.late.pop(0)
             if len(station.waiting) >= self._acoustic.buffer:
                 self._lose_unsent(src, station.waiting.pop(0), joins.ready_tick, Cause.REPLACED)
             station.waiting.append(joins)
-            if station.start_tick is None:
-                station.start_tick = self._next_start(src, max(joins.ready_tick, station.free_tick))
+            self._schedule(station, joins.ready_tick)
+        if station.start_tick is None or station.start_tick > now:
+            return
+        if station.free_tick > now:  # it is answering somebody
+            station.start_tick = self._next_start(src, station.free_tick)
+        elif self._acoustic.mac == "csma" and (idle := self._air.idle_tick(src, now)) > now:
+            station.start_tick = self._next_start(src, idle)
+        else:
+            self._start(station, now, faults)
+
+    def _schedule(self, station: Station, earliest: int) -> None:
+        """Fix the next start of a modem that has something to send, unless it is fixed or waits for an answer."""
+        if station.start_tick is None and station.waiting and station.vehicle not in self._transfers:
+            station.start_tick = self._next_start(station.vehicle, max(earliest, station.free_tick))
+
+    def _start(self, station: Station, start: int, faults: ActiveFaults) -> None:
+        """Transmit the first payload of the buffer, or once more the one that nobody has acknowledged."""
+        src, modem, station.start_tick = station.vehicle, self._acoustic.modem_of(station.vehicle), None
+        transfer = self._transfers.get(src)
+        if transfer is None:
+            sent = station.waiting.pop(0)
+            receivers = self._links.receivers[src]
+            if modem.tries and receivers:
+                transfer = self._transfers[src] = Transfer(sent, list(receivers))
+        else:
+            sent = transfer.sent
+        ends_ns = start * self._config.tick_ns + modem.airtime_ns(len(sent.payload))
+        station.free_tick = max(start + 1, -(-ends_ns // self._config.tick_ns))
+        if transfer is not None:
+            transfer.tried += 1
+            transfer.deadline_tick = max(
+                station.free_tick, -(-(ends_ns + round(modem.timeout * 1e9)) // self._config.tick_ns)
+            )
+        if src in faults.mute:
+            if transfer is None:
+                self._lose_unsent(src, sent, start, Cause.MUTE)
+                station.free_tick = start + 1
+            else:
+                transfer.cause = Cause.MUTE
+        else:
+            self._transmit(src, start, sent, transfer, faults)
+        if transfer is None:
+            self._schedule(station, station.free_tick)
 
     def _next_start(self, src: int, earliest: int) -> int:
         """The start tick that the MAC gives to a modem that is ready to transmit from tick `earliest` on."""
         acoustic, station = self._acoustic, self._stations[src]
-        if acoustic.mac == "aloha":
+        if acoustic.mac != "tdma":
             station.draws += 1
             drawn = uniform(self._config.seed, BACK_OFF, src, station.draws)
             return earliest + int(drawn * (acoustic.backoff_ticks + 1))
@@ -236,9 +225,12 @@ class AcousticChannel:
         first = vehicles.index(src) * slot
         return first + max(0, -(-(earliest - first) // turn)) * turn
 
-    def _drop_waiting(self, tick: int, src: int, station: Station) -> None:
+    def _drop(self, tick: int, src: int, station: Station) -> None:
+        """Forget what is in the modem of a vehicle without an agent."""
         for sent in (*station.late, *station.waiting):
             self._lose_unsent(src, sent, tick, Cause.DEAD_SENDER)
+        if (transfer := self._transfers.pop(src, None)) is not None:
+            self._lose_transfer(src, transfer, tick, Cause.DEAD_SENDER)
         station.late, station.waiting, station.start_tick = [], [], None
 
     def _lose_unsent(self, src: int, sent: Waiting, tick: int, cause: Cause) -> None:
@@ -246,89 +238,145 @@ class AcousticChannel:
         for dst in self._links.receivers[src]:
             self._transit.lose(Fate(tick, src, dst, sent.seq, 0, sent.sent_tick, tick, 0, cause, False, sent.payload))
 
+    # ---------------------------------------------------------------------------------- acknowledgements
+
+    def _failed(self, station: Station, transfer: Transfer, now: int) -> None:
+        """Nobody has answered in time: try again, or give up this neighbour."""
+        if transfer.tried < self._acoustic.modem_of(station.vehicle).tries:
+            station.start_tick = self._next_start(station.vehicle, max(now, station.free_tick))
+        else:
+            self._finish(station, transfer, now)
+
+    def _finish(self, station: Station, transfer: Transfer, now: int) -> None:
+        """Go on with the next neighbour, or with the next payload; the first has the payload, or will not get it."""
+        src, dst = station.vehicle, transfer.to.pop(0)
+        if not transfer.arrived:
+            sent, cause = transfer.sent, transfer.cause or Cause.RANGE
+            self._transit.lose(Fate(now, src, dst, sent.seq, 0, sent.sent_tick, now, 0, cause, False, sent.payload))
+        transfer.tried, transfer.arrived, transfer.cause = 0, False, None
+        if transfer.to:
+            station.start_tick = self._next_start(src, max(now, station.free_tick))
+        else:
+            del self._transfers[src]
+            self._schedule(station, now)
+
+    def _answer(self, now: int, faults: ActiveFaults) -> None:
+        """Send the acknowledgements that are due, unless their modem transmits already."""
+        due = [answer for answer in self._answers if answer.start_tick <= now]
+        self._answers = [answer for answer in self._answers if answer.start_tick > now]
+        for start, src, dst, seq in due:
+            station = self._stations[src]
+            if station.free_tick > now or src in faults.mute or src in faults.deaf:
+                continue
+            modem, tick_ns = self._acoustic.modem_of(src), self._config.tick_ns
+            airtime = modem.airtime_ns(modem.acknowledgement)
+            station.free_tick = max(start + 1, -(-(start * tick_ns + airtime) // tick_ns))
+            self._air.transmit(src, start, airtime)
+            range_m = self._air.range_m(src, dst)
+            if (src, dst) not in faults.cut and range_m is not None:
+                begin = start * tick_ns + self._acoustic.delay_ns(range_m)
+                size = bytes(modem.acknowledgement)
+                self._receptions.append(
+                    Reception(begin, begin + airtime, start, range_m, 0, src, dst, seq, ANSWER, start, size, False)
+                )
+
+    def _lose_transfer(self, src: int, transfer: Transfer, tick: int, cause: Cause) -> None:
+        sent = transfer.sent
+        for dst in transfer.to[1:] if transfer.arrived else transfer.to:
+            self._transit.lose(Fate(tick, src, dst, sent.seq, 0, sent.sent_tick, tick, 0, cause, False, sent.payload))
+
     # ---------------------------------------------------------------------------------- the channel
 
-    def _transmit(self, src: int, start: int, sent: Waiting, faults: ActiveFaults) -> Burst:
+    def _transmit(self, src: int, start: int, sent: Waiting, transfer: Transfer | None, faults: ActiveFaults) -> None:
         """Transmit a payload: on each link of the sender it is either lost at once or becomes a reception."""
-        tick_ns, modem = self._config.tick_ns, self._acoustic.modem
-        airtime = modem.airtime_ns(len(sent.payload))
-        reach = {i: _distance(self._places[src], place) for i, place in self._places.items() if i != src}
-        for dst in self._links.receivers[src]:
+        tick_ns = self._config.tick_ns
+        airtime = self._acoustic.modem_of(src).airtime_ns(len(sent.payload))
+        number = sent.seq + (_TRY * (transfer.tried - 1) if transfer is not None else 0)
+        for dst in self._links.receivers[src] if transfer is None else transfer.to[:1]:
             link = (src, dst)
-            at, end = start * tick_ns, start * tick_ns + airtime
-            if dst in reach:
-                at, end = (t + self._acoustic.delay_ns(reach[dst]) for t in (at, end))
+            range_m = self._air.range_m(src, dst)
+            flight = 0 if range_m is None else self._acoustic.delay_ns(range_m)
+            begin = start * tick_ns + flight
+            end = begin + airtime
             whole = Reception(
-                at, end, start, reach.get(dst, 0.0), 0, src, dst, sent.seq, 0, sent.sent_tick, sent.payload, False
+                begin, end, start, range_m or 0.0, 0, src, dst, sent.seq, 0, sent.sent_tick, sent.payload, False
             )
+            if transfer is not None:  # its fate is known before the modem gives up
+                transfer.deadline_tick = max(transfer.deadline_tick, self._end_tick(whole))
             if link in faults.cut:
-                self._transit.lose(_lost(whole, start, faults.cut[link]))
+                self._lose(whole, start, faults.cut[link])
                 continue
-            outcomes = self._links.enter(start * tick_ns, link, sent.seq, sent.payload, faults)
-            self._links.ledger.enter(link, duplicated=len(outcomes) - 1)
+            outcomes = self._links.enter(start * tick_ns, link, number, sent.payload, faults)
+            if transfer is None:
+                self._links.ledger.enter(link, duplicated=len(outcomes) - 1)
+            else:  # a modem that acknowledges knows what it has already
+                outcomes = sorted(outcomes, key=lambda o: o.cause is not None)[:1]
             for copy, o in enumerate(outcomes):
                 one = whole._replace(copy=copy, extra_ns=o.delay_ns, payload=o.payload, corrupted=o.corrupted)
                 if o.cause is not None:
-                    self._transit.lose(_lost(one, start, o.cause))
-                elif dst in reach:
+                    self._lose(one, start, o.cause)
+                elif range_m is not None:
                     self._receptions.append(one)
                 else:  # this vehicle has never had an agent, so its position is unknown
-                    self._transit.lose(_lost(one, self._end_tick(one), Cause.DEAD_RECEIVER))
-        heard = [(i, r, self._acoustic.delay_ns(r)) for i, r in sorted(reach.items()) if r <= modem.interference_range]
-        return Burst(start, src, airtime, tuple(heard))
+                    self._lose(one, self._end_tick(one), Cause.DEAD_RECEIVER)
+        self._air.transmit(src, start, airtime)
 
-    def _decide_receptions(self, until: int) -> None:
+    def _decide_receptions(self, until: int, faults: ActiveFaults) -> None:
         """Decide every reception that ends by tick `until`; delete transmissions that can overlap no other."""
         ended = sorted(r for r in self._receptions if self._end_tick(r) <= until)
         self._receptions = [r for r in self._receptions if self._end_tick(r) > until]
         for r in ended:
-            if (cause := self._cause(r)) is not None:
-                self._transit.lose(_lost(r, self._end_tick(r), cause))
-                continue
-            tick_ns, end = self._config.tick_ns, r.end_ns + r.extra_ns
-            due = max(r.start_tick + 1, -(-end // tick_ns))
-            delay = end - r.sent_tick * tick_ns
-            packet = PendingPacket(due, r.sent_tick, r.src, r.seq, r.copy, r.dst, delay, r.payload, r.corrupted)
-            self._transit.add(packet)
-        horizon = min([until * self._config.tick_ns, *(r.begin_ns for r in self._receptions)])
-        self._air = [burst for burst in self._air if self._last_ns(burst) > horizon]
+            cause = self._air.cause(r)
+            if r.copy == ANSWER:
+                self._answered(r, cause)
+            elif cause is not None:
+                self._lose(r, self._end_tick(r), cause)
+            else:
+                self._receive(r)
+        self._air.forget(min([until * self._config.tick_ns, *(r.begin_ns for r in self._receptions)]))
 
-    def _cause(self, r: Reception) -> Cause | None:
-        """The cause of the loss of a reception; None: it succeeds."""
-        acoustic, modem = self._acoustic, self._acoustic.modem
-        if r.range_m > modem.max_range:
-            return Cause.RANGE
-        others = 0.0
-        for burst in self._air:
-            begin = burst.start_tick * self._config.tick_ns
-            if burst.src == r.dst:
-                if begin < r.end_ns and r.begin_ns < begin + burst.airtime_ns:
-                    return Cause.HALF_DUPLEX
-            elif burst.src != r.src:
-                for i, range_m, delay in burst.heard:
-                    if i == r.dst and begin + delay < r.end_ns and r.begin_ns < begin + delay + burst.airtime_ns:
-                        others += power(acoustic.received_level(range_m))
-        if others and acoustic.received_level(r.range_m) - decibels(others) < modem.capture:
-            return Cause.COLLISION
-        lost = acoustic.packet_error_rate(r.range_m, len(r.payload))
-        if lost and uniform(self._config.seed, SNR, r.src, r.dst, r.seq) < lost:
-            return Cause.SNR
-        return None
+    def _receive(self, r: Reception) -> None:
+        tick_ns, processing = self._config.tick_ns, round(self._acoustic.modem_of(r.dst).processing * 1e9)
+        end = r.end_ns + processing + r.extra_ns
+        due = max(r.start_tick + 1, -(-end // tick_ns))
+        transfer = self._transfers.get(r.src)
+        if transfer is not None:
+            self._answers.append(
+                Answer(max(self._end_tick(r), -(-(r.end_ns + processing) // tick_ns)), r.dst, r.src, r.seq)
+            )
+            if transfer.arrived:
+                return
+            transfer.arrived = True
+        delay = end - r.sent_tick * tick_ns
+        self._transit.add(PendingPacket(due, r.sent_tick, r.src, r.seq, r.copy, r.dst, delay, r.payload, r.corrupted))
+
+    def _answered(self, r: Reception, cause: Cause | None) -> None:
+        """What an acknowledgement does that has ended at the sender of the payload."""
+        transfer = self._transfers.get(r.dst)
+        if cause is None and transfer is not None and (r.seq, r.src) == (transfer.sent.seq, transfer.to[0]):
+            station = self._stations[r.dst]
+            station.start_tick = None
+            self._finish(station, transfer, self._end_tick(r))
+
+    def _lose(self, r: Reception, tick: int, cause: Cause) -> None:
+        """A transmission is lost on a link; if it is acknowledged, only its sender's last try decides."""
+        if (transfer := self._transfers.get(r.src)) is not None:
+            transfer.cause = cause
+        else:
+            self._transit.lose(_lost(r, tick, cause))
 
     def _end_tick(self, r: Reception) -> int:
         """The first tick at or after the end of a reception, and after its start tick; `extra_ns` is not included."""
         return max(r.start_tick + 1, -(-r.end_ns // self._config.tick_ns))
 
-    def _last_ns(self, burst: Burst) -> int:
-        """The time [ns] at which a transmission has ended at the farthest vehicle that it can disturb."""
-        farthest = max((delay for _, _, delay in burst.heard), default=0)
-        return burst.start_tick * self._config.tick_ns + burst.airtime_ns + farthest
-
     # ---------------------------------------------------------------------------------- the state
 
     def state(self) -> dict[str, Any]:
         """The part of the channel's state that determines the rest of the run, as plain values."""
-        state = _State([*self._stations.values()], sorted(self._places.items()), self._air, self._receptions)
+        state = _State(
+            [*self._stations.values()], sorted(self._air.places.items()), self._air.bursts, self._receptions,
+            sorted(self._transfers.items()), self._answers,
+        )  # fmt: skip
         values: dict[str, Any] = msgspec.to_builtins(state, builtin_types=(bytes,))
         return values
 
@@ -340,13 +388,10 @@ class AcousticChannel:
         """
         state = msgspec.convert(values, _State)
         self._stations = {station.vehicle: station for station in state.stations}
-        self._places = dict(state.places)
-        self._air, self._receptions = state.air, state.receptions
+        self._air.places, self._air.bursts = dict(state.places), state.air
+        self._receptions = state.receptions
+        self._transfers, self._answers = dict(state.transfers), state.answers
 
 
 def _lost(r: Reception, tick: int, cause: Cause) -> Fate:
     return Fate(tick, r.src, r.dst, r.seq, r.copy, r.sent_tick, tick, 0, cause, r.corrupted, r.payload)
-
-
-def _distance(a: Place, b: Place) -> float:
-    return sqrt(sum((x - y) * (x - y) for x, y in zip(a, b, strict=True)))

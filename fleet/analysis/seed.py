@@ -11,7 +11,7 @@ from math import dist
 
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections import formation, graph, nemesis, partitions
-from netem import acoustic, impairment
+from netem import air, fading, impairment
 from netem.condition import Condition, Link
 from netem.faults import NetFault
 from world import current, sea, sensors
@@ -79,8 +79,10 @@ def _acoustic(scenario: Scenario) -> Iterator[tuple[str, list[str]]]:
         return
     places = [position for (position, _) in scenario.initial]
     ranges = [dist(places[src - 1][:3], places[dst - 1][:3]) for src, dst in scenario.graph.links]
-    surely, anywhere = acoustic.draws(channel, ranges), acoustic.draws(channel)
-    yield "backoff of aloha", [purpose for purpose in surely if purpose == acoustic.BACK_OFF]
-    errors = [purpose for purpose in anywhere if purpose == acoustic.SNR]
+    surely, anywhere = air.draws(channel, ranges), air.draws(channel)
+    yield f"backoff of {channel.mac}", [purpose for purpose in surely if purpose == air.BACK_OFF]
+    yield "acoustic fading", [purpose for purpose in surely if purpose in (fading.SHADOWING, fading.SCATTER)]
+    yield f"{PERHAPS}collisions", [purpose for purpose in surely if purpose == air.CAPTURE]
+    errors = [purpose for purpose in anywhere if purpose == air.SNR]
     if errors:
-        yield "acoustic packet errors" if acoustic.SNR in surely else f"{PERHAPS}acoustic packet errors", errors
+        yield "acoustic packet errors" if air.SNR in surely else f"{PERHAPS}acoustic packet errors", errors

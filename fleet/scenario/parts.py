@@ -19,10 +19,10 @@ from fleet.scenario.schema.control import GuidanceSection, VehicleOverrides
 from fleet.scenario.schema.shapes import REFERENCE
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections import formation, graph, nemesis, per_vehicle, reference, timeline
-from fleet.scenario.sections.acoustic import compile_acoustic, modem_numbers
+from fleet.scenario.sections.acoustic import compile_acoustic, modem_values
 from fleet.scenario.sections.graph import Graph
 from fleet.scenario.sections.keep_apart import keep_apart_params
-from fleet.scenario.sections.modem_files import modem_of
+from fleet.scenario.sections.modem_files import Values, modem_of
 from fleet.scenario.sections.per_vehicle import Control, Entries
 from netem.condition import Condition, Link
 from netem.modem import AcousticConfig, Modem
@@ -105,23 +105,30 @@ class Parts:
         return {link: written[link] for link in self.links if written.get(link, Condition()) != Condition()}
 
     @cached_property
-    def modem_numbers(self) -> dict[str, float]:
-        """The numbers of the modem, which may make none. Raises DataFileError: its file cannot be read."""
+    def modem_values(self) -> Values:
+        """The values of the modem, which may make none. Raises DataFileError: its file cannot be read."""
         assert self.spec.network.acoustic is not None
-        return modem_numbers(self.spec.network.acoustic, self.folder)
+        return modem_values(self.spec.network.acoustic, self.folder)
 
     @cached_property
     def modem(self) -> Modem:
-        """The modem, if its numbers make one. Raises DataFileError: its file cannot be read."""
-        return modem_of(self.modem_numbers)
+        """The modem, if its values make one. Raises DataFileError: its file cannot be read."""
+        return modem_of(self.modem_values)
 
     @cached_property
     def acoustic(self) -> AcousticConfig | None:
-        """The acoustic channel; None without one. Raises DataFileError: its modem's file cannot be read."""
-        spec = self.spec
-        if spec.network.acoustic is None:
+        """The acoustic channel; None without one. Raises DataFileError: a modem's file cannot be read."""
+        spec, section = self.spec, self.spec.network.acoustic
+        if section is None:
             return None
-        return compile_acoustic(spec.network.acoustic, self.modem, spec.network.payload, spec.vehicles, spec.tick)
+        others = {
+            i: modem_of(modem_values(other, self.folder))
+            for numbers, other in section.modems.items()
+            for i in vehicle_numbers(numbers)
+        }
+        return compile_acoustic(
+            section, self.modem, spec.network.payload, spec.vehicles, spec.tick, others, self.folder
+        )
 
     # --- vehicles -------------------------------------------------------------------------------------------------
 

@@ -319,8 +319,12 @@ def _without_files(spec: ScenarioSpec, folder: Path | None) -> ScenarioSpec:
         for numbers, overrides in spec.per_vehicle.items()
     }
     network, acoustic = spec.network, spec.network.acoustic
-    if acoustic is not None and acoustic.modem not in shipped_modems():
-        network = network.model_copy(update={"acoustic": inlined_modem(acoustic, folder)})
+    if acoustic is not None:
+        own = [section for section in (acoustic, *acoustic.modems.values()) if section.modem not in shipped_modems()]
+        others = {n: inlined_modem(s, folder) if s in own else s for n, s in acoustic.modems.items()}
+        acoustic = inlined_modem(acoustic, folder) if acoustic in own else acoustic
+        if own:
+            network = network.model_copy(update={"acoustic": acoustic.model_copy(update={"modems": others})})
     changes = {"vehicle": in_numbers(spec.vehicle), "per_vehicle": per_vehicle, "network": network}
     return spec.model_copy(update=changes)
 

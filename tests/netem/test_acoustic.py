@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import exp, log10, sqrt
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,10 @@ from hypothesis import strategies as st
 from msgspec.structs import astuple
 
 from netem.acoustic import AcousticChannel
-from netem.causes import LOSSES
+from netem.causes import LOSSES, Cause
 from netem.condition import Condition, Link
 from netem.config import NetemConfig
+from netem.curve import Curve
 from netem.faults import NetFault
 from netem.ledger import Ledger
 from netem.links import Links
@@ -541,3 +543,130 @@ def test_a_quiet_vehicle_more_shifts_no_draw() -> None:
     many = run(channel(acoustic, ((1, 2),)), sent, places | {3: (0.0, 500.0, 0.0)})
     assert few == many
     assert {f.cause for f in few} == {"delivered", "snr"}
+
+
+# --- listen before talk ----------------------------------------------------
+
+
+def test_who_hears_somebody_waits_until_he_has_ended() -> None:
+    """2 begins at tick 0, for 30 ticks. 1, a tick of sound away, gets its payload late, hears 2 and begins at 31."""
+    csma = AcousticConfig(MODEM, "csma")
+    late = NetFault("late", 0, None, "slow", vehicles=(1,), ticks=10)
+    fates = run(channel(csma, faults=(late,)), [{1: (b"abc",), 2: (bytes(30),)}, {}])
+    assert {(f.src, f.dst): (f.cause, f.delay_ns // TICK_NS) for f in fates} == {
+        (2, 1): ("delivered", 31), (2, 3): ("delivered", 32),
+        (1, 2): ("delivered", 31 + 3 + 1), (1, 3): ("delivered", 31 + 3 + 2),
+    }  # fmt: skip
+    rash = run(channel(AT_ONCE, faults=(late,)), [{1: (b"abc",), 2: (bytes(30),)}, {}])
+    assert Cause.HALF_DUPLEX in {f.cause for f in rash}
+
+
+@pytest.mark.parametrize("load", [0.3, 1.0, 3.0])
+def test_csma_carries_what_the_formula_says(load: float) -> None:
+    """Non-persistent CSMA: S = G exp(-a G) / (G (1 + 2 a) + exp(-a G)), Kleinrock and Tobagi 1975, for many vehicles.
+
+    Airtimes of 20 ticks and no propagation to speak of, so that a is one tick at most: a start in the same tick is
+    not heard. Thirty vehicles attempt G starts per airtime together.
+    """
+    n, airtime, rounds = 30, 20, 400
+    backoff = round(2 * (n * airtime / load))  # attempts of one vehicle are so far apart on average
+    csma = AcousticConfig(MODEM, "csma", backoff_ticks=backoff)
+    links = tuple((i, i % n + 1) for i in range(1, n + 1))
+    places = {i: (0.1 * i, 0.0, 0.0) for i in range(1, n + 1)}
+    fates = run(
+        channel(csma, links, vehicles=tuple(range(1, n + 1))), [{i: (bytes(airtime),) for i in places}] * rounds, places
+    )
+    carried = sum(f.cause == "delivered" for f in fates) * airtime / (ROUND * rounds)
+    a = 1 / airtime
+    formula = [load * exp(-x * load) / (load * (1 + 2 * x) + exp(-x * load)) for x in (a, 0.0)]
+    assert 0.9 * formula[0] < carried < 1.1 * formula[1]
+
+
+# --- acknowledgements ------------------------------------------------------
+
+ARQ = AcousticConfig(replace(MODEM, tries=3, timeout=0.2, acknowledgement=2))
+
+
+def test_each_neighbour_is_served_in_turn_until_it_answers() -> None:
+    """10 ticks of payload, a tick of sound, 2 ticks of answer, a tick back: the next begins at tick 14."""
+    fates = run(channel(ARQ), [{1: (bytes(10),)}, {}])
+    assert {f.dst: (f.cause, f.delay_ns // TICK_NS) for f in fates} == {2: ("delivered", 11), 3: ("delivered", 26)}
+
+
+def test_a_lost_try_is_made_again_and_a_lost_answer_delivers_nothing_twice() -> None:
+    """The link from 1 to 2 is lossy; the way back from 3 is cut, so 3 gets it once and answers in vain."""
+    lossy = {(1, 2): Condition(loss=0.5)}
+    cut = NetFault("cut", 0, None, "down", links=((3, 1),))
+    fates = run(
+        channel(ARQ, conditions=lossy, faults=(cut,)), [{1: (bytes(5),)} if k % 2 == 0 else {} for k in range(80)]
+    )
+    found = causes(fates)
+    assert found[1, 3] == ["delivered"] * 40
+    assert 1 - 0.5**3 - 0.15 < found[1, 2].count("delivered") / 40 <= 1.0
+    assert set(found[1, 2]) <= {"delivered", "loss", "in flight"}
+
+
+def test_who_never_answers_is_given_up_with_the_cause_of_the_last_try() -> None:
+    far = CLOSE | {2: (4000.0, 0.0, 0.0)}
+    fates = run(channel(ARQ), [{1: (bytes(10),)}, *[{}] * 12], far)
+    assert causes(fates) == {(1, 2): ["range"], (1, 3): ["delivered"]}
+
+
+def test_a_run_that_ends_within_a_transfer_accounts_for_everything() -> None:
+    netem = channel(replace(ARQ, buffer=3))
+    fates = [*play(netem, [{1: (bytes(60), bytes(60))}, {}]), *netem.close(ROUND)]
+    assert sorted((f.src, f.dst, f.seq) for f in fates) == [(1, dst, seq) for dst in (2, 3) for seq in (0, 1)]
+
+
+@given(st.integers(0, 2**32), st.integers(1, 7))
+@settings(max_examples=20, deadline=None)
+def test_transfers_and_listening_resume(seed: int, split: int) -> None:
+    both = replace(ARQ, mac="csma", backoff_ticks=40, buffer=2, shadowing=6.0, shadowing_ns=10**9, rician=1.0)
+    traffic: list[Traffic] = [{i: (bytes(8),) for i in (1, 2, 3)} for _ in range(8)]
+    places = {1: (0.0, 0.0, 0.0), 2: (900.0, 0.0, 0.0), 3: (0.0, 1500.0, 0.0)}
+    whole = channel(both, seed=seed)
+    expected = [*play(whole, traffic, places), *whole.close(ROUND * 8)]
+    first, second = channel(both, seed=seed), channel(both, seed=seed)
+    found = play(first, traffic[:split], places)
+    second.restore(msgpack.unpackb(msgpack.packb(first.state()), strict_map_key=False))
+    found += [*play(second, traffic[split:], places, split), *second.close(ROUND * 8)]
+    assert found == expected
+
+
+# --- curves, fading, several modems ----------------------------------------
+
+
+def test_a_curve_is_a_line_between_its_points() -> None:
+    curve = Curve(((10.0, 1.0), (20.0, 0.5), (40.0, 0.0)))
+    assert [curve.at(x) for x in (0.0, 10.0, 15.0, 20.0, 30.0, 50.0)] == [1.0, 1.0, 0.75, 0.5, 0.25, 0.0]
+
+
+def test_delivery_follows_the_curve() -> None:
+    """4,000 packets at 15 m, where the curve says 60 %: within four standard deviations."""
+    measured = AcousticConfig(replace(MODEM, delivery=Curve(((10.0, 0.7), (20.0, 0.5)))))
+    found = causes(run(channel(measured, links=((1, 2),)), [{1: (b"a",)}] * 4000))[1, 2]
+    assert abs(found.count("delivered") / 4000 - 0.6) < 4 * sqrt(0.6 * 0.4 / 4000)
+    assert set(found) == {"delivered", "snr"}
+
+
+def test_capture_follows_the_curve() -> None:
+    """3 is twice as far from 2 as 1 is: 4.52 dB less at a spreading of 1.5, where the curve says 25 %."""
+    level = 10 * 1.5 * log10(2.0)
+    capture = Curve(((0.0, 0.0), (4 * level, 1.0)))
+    acoustic = AcousticConfig(replace(MODEM, captured=capture, carrier=400.0))
+    places = {1: (-100.0, 0.0, 0.0), 2: (0.0, 0.0, 0.0), 3: (200.0, 0.0, 0.0)}
+    found = causes(run(channel(acoustic, links=((1, 2), (3, 2))), [{1: (bytes(30),), 3: (bytes(30),)}] * 2000, places))
+    assert abs(found[1, 2].count("delivered") / 2000 - 0.25) < 4 * sqrt(0.25 * 0.75 / 2000) + 0.001
+    assert set(found[3, 2]) == {"collision"}
+
+
+def test_each_vehicle_has_the_airtime_and_the_limits_of_its_modem() -> None:
+    acoustic = AcousticConfig(
+        MODEM, modems={2: replace(MODEM, bit_rate=80.0, mtu=5), 3: replace(MODEM, max_range=20.0)}
+    )
+    fates = run(channel(acoustic), [{1: (bytes(6),)}, {2: (bytes(6),)}, {2: (bytes(4),)}, {3: (bytes(4),)}, {}])
+    assert {(f.src, f.dst, f.seq): f.cause for f in fates} == {
+        (1, 2, 0): "delivered", (1, 3, 0): "delivered", (2, 1, 0): "mtu", (2, 3, 0): "mtu",
+        (2, 1, 1): "delivered", (2, 3, 1): "delivered", (3, 1, 0): "range", (3, 2, 0): "range",
+    }  # fmt: skip
+    assert {f.delay_ns for f in fates if (f.src, f.seq) == (2, 1)} >= {410_000_000}

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from fleet.quantities import show_time
+from fleet.quantities import show_time, vehicle_numbers
 from fleet.scenario.parts import Parts
-from fleet.scenario.rules.report import Report, known_links, whole_multiple
-from fleet.scenario.sections.acoustic import SIZES, extent_m, guard_ns, speed_of_sound
+from fleet.scenario.rules.report import Report, known_links, vehicles_exist, whole_multiple
+from fleet.scenario.schema.network import AcousticSection, ModemSection
+from fleet.scenario.sections.acoustic import SIZES, extent_m, guard_ns, modem_values, speed_of_sound
 from fleet.scenario.sections.data_files import DataFileError
-from fleet.scenario.sections.modem_files import modem_problems
+from fleet.scenario.sections.modem_files import modem_of, modem_problems
+from fleet.scenario.sections.site_files import load_site
 from netem.errors import TextError
+from netem.modem import Modem
 from netem.selectors import parse_selector
 
 
@@ -39,38 +42,82 @@ def acoustic(parts: Parts, report: Report) -> None:
     if section is None:
         return
     at = ("network", "acoustic")
-    others = {"aloha": ("slot", "guard"), "tdma": ("backoff",)}
+    others = {"aloha": ("slot", "guard"), "csma": ("slot", "guard"), "tdma": ("backoff",)}
     for key in others[section.mac]:
         if getattr(section, key) is not None:
-            other = "tdma" if section.mac == "aloha" else "aloha"
+            other = "aloha and csma" if section.mac == "tdma" else "tdma"
             report.add((*at, key), f"has no effect on mac {section.mac}: it belongs to {other}", key=True)
     if section.mac == "tdma" and section.slot is None:
         report.add_missing(at, "slot", ", which mac tdma needs")
     for key in ("slot", "backoff"):
         if getattr(section, key):
             whole_multiple(report, (*at, key), getattr(section, key), spec.tick)
-    if section.water is not None:
-        if section.sound_speed is not None:
-            report.add((*at, "sound_speed"), "either a speed or the water that it follows from, not both", key=True)
-        for key, low, high, unit in (
-            ("temperature", 2, 30, "degC"),
-            ("salinity", 25, 40, "ppt"),
-            ("depth", 0, 8000, "m"),
-        ):
-            value = getattr(section.water, key)
-            if not low <= value <= high:
-                text = f"{value:g} {unit} is outside {low} to {high} {unit}, for which the formula was made"
-                report.add((*at, "water", key), text, "give sound_speed instead")
+    _water(parts, report, section)
     if section.sound_speed is not None and not 100.0 <= section.sound_speed <= 10_000.0:
         report.add((*at, "sound_speed"), f"must be between 100 and 10000 m/s, is {section.sound_speed:g}")
     if section.wind > 100.0:
         report.add((*at, "wind"), f"must be at most 100 m/s, is {section.wind:g}")
-    try:
-        wrong = modem_problems(parts.modem_numbers)
-    except DataFileError as error:
-        wrong = error.problems
-    for problem in wrong:
-        report.add((*at, "modem"), problem)
+    _modems(parts, report, section)
+    fading = section.fading
+    if fading is not None and fading.correlation is not None and fading.shadowing is None:
+        report.add((*at, "fading", "correlation"), "has no effect without shadowing", key=True)
+
+
+def _water(parts: Parts, report: Report, section: AcousticSection) -> None:
+    """Temperature and depth together, within the formula's limits; a site that can be read."""
+    water, at = section.water, ("network", "acoustic")
+    if water is None:
+        return
+    given = [key for key in ("temperature", "salinity", "depth") if getattr(water, key) is not None]
+    if section.sound_speed is not None and given:
+        report.add((*at, "sound_speed"), "either a speed or the water that it follows from, not both", key=True)
+    if given or water.site is None:
+        for key in ("temperature", "depth"):
+            if key not in given:
+                report.add_missing((*at, "water"), key, ", which the speed of sound needs")
+    for key, low, high, unit in (("temperature", 2, 30, "degC"), ("salinity", 25, 40, "ppt"), ("depth", 0, 8000, "m")):
+        value = getattr(water, key)
+        if value is not None and not low <= value <= high:
+            text = f"{value:g} {unit} is outside {low} to {high} {unit}, for which the formula was made"
+            report.add((*at, "water", key), text, "give sound_speed instead")
+    if water.site is not None:
+        try:
+            load_site(water.site, parts.folder)
+        except DataFileError as error:
+            for problem in error.problems:
+                report.add((*at, "water", "site"), problem)
+
+
+def _modems(parts: Parts, report: Report, section: AcousticSection) -> None:
+    """The values of each modem, and whether all share a band."""
+    at = ("network", "acoustic")
+    named: set[int] = set()
+    for numbers in section.modems:
+        vehicles_exist(parts.spec, report, (*at, "modems", numbers), numbers)
+        if twice := sorted(named.intersection(vehicle_numbers(numbers))):
+            report.add((*at, "modems", numbers), f"vehicle {twice[0]} has a modem already", key=True)
+        named |= set(vehicle_numbers(numbers))
+    places: list[tuple[tuple[str, ...], ModemSection]] = [(at, section)]
+    places += [((*at, "modems", numbers), other) for numbers, other in section.modems.items()]
+    good: list[Modem] = []
+    for path, chosen in places:
+        try:
+            values = modem_values(chosen, parts.folder)
+            wrong = modem_problems(values)
+        except DataFileError as error:
+            wrong = error.problems
+        for problem in wrong:
+            report.add((*path, "modem"), problem)
+        for key in ("bit_rate", "preamble"):
+            if getattr(chosen, key) is not None and chosen.airtime is not None:
+                report.add((*path, key), "has no effect beside airtime", key=True)
+        if wrong:
+            continue
+        modem = modem_of(values)
+        if good and not modem.shares_band(good[0]):
+            bands = " and ".join(f"{m.carrier / 1e3:g} kHz ({m.bandwidth / 1e3:g} kHz wide)" for m in (good[0], modem))
+            report.add((*path, "modem"), f"does not share a band with the others: {bands}")
+        good.append(modem)
 
 
 def talking(parts: Parts, report: Report) -> None:
@@ -81,7 +128,7 @@ def talking(parts: Parts, report: Report) -> None:
         return
     at = ("network", "acoustic")
     try:
-        if modem_problems(parts.modem_numbers):
+        if modem_problems(parts.modem_values):
             return
         modem = parts.modem
     except DataFileError:
@@ -95,6 +142,15 @@ def talking(parts: Parts, report: Report) -> None:
             (*at, "modem"), f"the {codec} payload of {size} bytes is longer than its mtu, {modem.mtu} bytes", hint
         )
         return
+    extent = extent_m(parts.plans)
+    crossing = extent / speed_of_sound(section)
+    if modem.tries:
+        answer = 2 * crossing + modem.processing + modem.airtime_ns(modem.acknowledgement) / 1e9
+        if modem.timeout < answer + spec.tick / 1e9:
+            across = f"over the {extent:.4g} m of the formation"
+            text = f"{modem.timeout:g} s are too short: an acknowledgement takes {answer:.4g} s {across}"
+            path = (*at, "timeout" if section.timeout is not None else "modem")
+            report.add(path, text, f"at least {answer + spec.tick / 1e9:.3g} s")
     if section.mac != "tdma" or section.slot is None:
         return
     airtime, guard = modem.airtime_ns(size) if built_in else modem.airtime_ns(0), guard_ns(section)
@@ -104,8 +160,6 @@ def talking(parts: Parts, report: Report) -> None:
             f"and the guard is {show_time(guard)}"
         )
         report.add((*at, "slot"), text, f"at least {(airtime + guard) / 1e9:g} s")
-    extent = extent_m(parts.plans)
-    crossing = extent / speed_of_sound(section)
     if crossing * 1e9 > guard:
         text = (
             f"{show_time(guard)} are too short: sound takes {crossing:.4g} s over the {extent:.4g} m of the formation"

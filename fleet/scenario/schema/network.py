@@ -10,37 +10,45 @@ from agents.config import Codec
 from fleet.quantities import describe_value, show_time
 from fleet.scenario.schema.section import Section
 from fleet.scenario.schema.value_types import (
+    AirtimeCurve,
     BitRate,
     Bytes,
+    CaptureCurve,
+    DeliveryCurve,
     Fraction,
     Frequency,
     Length,
     Level,
     LinkCondition,
     LinkSelector,
+    NoBytes,
     Period,
     PositiveLength,
+    PositiveLevel,
     PositiveSpeed,
     Salinity,
+    Scatter,
     Speed,
     Spreading,
     Temperature,
     Time,
+    VehicleNumbers,
     mistake,
 )
 from netem.grammar import print_condition
 
 
 class WaterSection(Section):
-    """The properties of water from which the speed of sound follows."""
+    """The properties of water from which the speed of sound follows, or a site where others have measured."""
 
-    temperature: Temperature
-    salinity: Salinity = 35.0  # ppt
-    depth: Length
+    temperature: Temperature | None = None
+    salinity: Salinity | None = None  # 35 ppt
+    depth: Length | None = None
+    site: str | None = None  # shipped, or a TOML file: spreading, further loss, and fading
 
 
-class AcousticSection(Section):
-    """The acoustic channel: a modem (shipped, or a TOML file) and changes of its numbers; medium access; the water."""
+class ModemSection(Section):
+    """A modem, shipped or a TOML file, and changes of its numbers."""
 
     modem: str = "s2c"
     bit_rate: BitRate | None = None
@@ -55,21 +63,48 @@ class AcousticSection(Section):
     lost_below: Level | None = None
     clear_above: Level | None = None
     capture: Level | None = None
-    mac: Literal["aloha", "tdma"] = "aloha"
-    backoff: Time | None = None  # aloha: the largest; by default that of the highest throughput
+    processing: Time | None = None
+    tries: Annotated[int, Field(ge=0, le=100)] | None = None
+    timeout: Time | None = None
+    acknowledgement: NoBytes | None = None
+    airtime: AirtimeCurve | None = None  # as measured, over the size
+    delivery: DeliveryCurve | None = None  # as measured, over the distance
+    captured: CaptureCurve | None = None  # as measured, over signal to interference
+
+
+class FadingSection(Section):
+    """How the level of a directed link varies: slowly (log-normal shadowing), and from packet to packet."""
+
+    shadowing: PositiveLevel | None = None  # standard deviation
+    correlation: Period | None = None  # time after which the shadowing's correlation is 1/e; never, if it is left out
+    packets: Scatter | None = None
+
+
+def _modem(value: Any) -> Any:
+    """A modem may be given by its name alone."""
+    return {"modem": value} if isinstance(value, str) else value
+
+
+class AcousticSection(ModemSection):
+    """The acoustic channel: the modems, the medium access, and the water."""
+
+    modems: dict[VehicleNumbers, Annotated[ModemSection, BeforeValidator(_modem)]] = {}  # of some vehicles
+    mac: Literal["aloha", "csma", "tdma"] = "aloha"
+    backoff: Time | None = None  # aloha, csma: the largest; by default that of the highest throughput of aloha
     slot: Period | None = None  # tdma
     guard: Time | None = None  # tdma; 100 ms
     buffer: Annotated[int, Field(ge=1, le=1000)] = 1  # payloads that wait
     sound_speed: PositiveSpeed | None = None  # 1500 m/s
     water: WaterSection | None = None  # in place of a speed
-    spreading: Spreading = 1.5
+    spreading: Spreading | None = None  # that of the site, or 1.5
     shipping: Fraction = 0.5
     wind: Speed = 5.0
+    fading: FadingSection | None = None
 
 
 def _acoustic(value: Any) -> Any:
     """A modem may be given by its name alone, and an empty section has all defaults."""
-    return {"modem": value} if isinstance(value, str) else {} if value is None else value
+    return {} if value is None else _modem(value)
 
 
 class NetworkSection(Section):

@@ -18,8 +18,10 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 from fleet import quantities as q
 from fleet.quantities import vehicle_numbers
 from netem.condition import Condition
+from netem.curve import Curve
 from netem.errors import TextError
 from netem.grammar import parse_condition, print_condition
+from netem.propagation import decibels, power
 from netem.selectors import parse_selector
 from world.vectors import Vec3
 
@@ -63,6 +65,22 @@ def _scalar(dimension: q.Dimension, bound: Literal["any", "positive", "not negat
 
 def _vector(dimension: q.Dimension, bound: Literal["any", "positive", "not negative"] = "any") -> Text:
     return Text(lambda v: q.vector(v, dimension), lambda v: q.show_vector(v, dimension), bound)
+
+
+def _curve(x: q.Dimension, y: q.Dimension) -> Text:
+    return Text(lambda value: Curve(q.curve(value, x, y)), lambda curve: q.show_curve(curve.points, x, y))
+
+
+def _scatter(value: Any) -> float:
+    if value == "rayleigh":
+        return 0.0
+    if isinstance(value, str) and value.startswith("rician "):
+        return power(q.scalar(value.removeprefix("rician "), q.LEVEL))
+    raise q.QuantityError(f'expected "rayleigh", or "rician 6 dB", got {q.describe_value(value)}')
+
+
+def _show_scatter(k: float) -> str:
+    return f"rician {decibels(k)!r} dB" if k else "rayleigh"
 
 
 def _show_ticks(number: int) -> str:
@@ -145,9 +163,15 @@ Probability = Annotated[float, Text(_probability, lambda value: q.show(value, q.
 BitRate = Annotated[float, _scalar(q.BIT_RATE, "positive")]
 Frequency = Annotated[float, _scalar(q.FREQUENCY, "positive")]
 Level = Annotated[float, _scalar(q.LEVEL)]
+PositiveLevel = Annotated[float, _scalar(q.LEVEL, "positive")]
+AirtimeCurve = Annotated[InstanceOf[Curve], _curve(q.SIZE, q.TIME)]
+DeliveryCurve = Annotated[InstanceOf[Curve], _curve(q.LENGTH, q.RATIO)]
+CaptureCurve = Annotated[InstanceOf[Curve], _curve(q.LEVEL, q.RATIO)]
+Scatter = Annotated[float, Text(_scatter, _show_scatter)]  # power of the steady path over the scattered
 Temperature = Annotated[float, _scalar(q.TEMPERATURE)]
 Salinity = Annotated[float, _scalar(q.NUMBER)]
 Bytes = Annotated[int, Text(_bytes, lambda value: f"{value} bytes", "positive")]
+NoBytes = Annotated[int, Text(_bytes, lambda value: f"{value} bytes", "not negative")]  # or some
 Fraction = Annotated[float, Text(_fraction, float)]
 Spreading = Annotated[float, Text(_spreading, float)]
 Gain = Annotated[float, _scalar(q.RATE, "positive")]

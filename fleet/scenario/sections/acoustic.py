@@ -17,22 +17,29 @@ from __future__ import annotations
 
 from math import sqrt
 from pathlib import Path
+from typing import TypeVar
 
 from agents import compact, payload
 from agents.config import Codec
 from agents.offset import Offset
-from fleet.scenario.schema.network import AcousticSection, NetworkSection
+from fleet.scenario.schema.network import AcousticSection, FadingSection, ModemSection, NetworkSection
 from fleet.scenario.sections.aloha import Talking, talking
-from fleet.scenario.sections.modem_files import NUMBERS, load_modem
+from fleet.scenario.sections.modem_files import CURVES, NUMBERS, Values, changed, load_modem, without_replaced
+from fleet.scenario.sections.site_files import SiteFile, load_site
 from netem.modem import DEFAULT_GUARD_NS, SOUND_SPEED, AcousticConfig, Modem
 from netem.propagation import sound_speed
 
 DEFAULT_MODEM: str = AcousticSection().modem
+DEFAULT_SPREADING = 1.5
+DEFAULT_SALINITY = 35.0  # ppt
+_Modem = TypeVar("_Modem", bound=ModemSection)
+_KEYS = (*NUMBERS, *CURVES)
+_TIMES = ("preamble", "processing", "timeout")  # nanoseconds in a section
 SIZES: dict[Codec, int] = {"full": payload.SIZE, "compact": compact.SIZE}
 
 
-def modem_numbers(section: AcousticSection, folder: Path | None) -> dict[str, float]:
-    """The numbers of a section's modem: those of its file, unless the section gives another value.
+def modem_values(section: ModemSection, folder: Path | None) -> Values:
+    """The values of a section's modem: those of its file, unless the section gives another value.
 
     Units as in `netem.modem.Modem`; `folder` is that of the scenario.
 
@@ -40,32 +47,52 @@ def modem_numbers(section: AcousticSection, folder: Path | None) -> dict[str, fl
         DataFileError: the modem file is missing or wrong.
     """
     base = load_modem(section.modem, folder).modem
-    return {key: _given(section, key, getattr(base, key)) for key in NUMBERS}
+    given = {key: getattr(section, key) for key in _KEYS if getattr(section, key) is not None}
+    changes = {key: value / 1e9 if key in _TIMES else value for key, value in given.items()}
+    return changed({key: getattr(base, key) for key in _KEYS}, changes)
 
 
-def _given(section: AcousticSection, key: str, otherwise: float) -> float:
-    value = getattr(section, key)
-    return otherwise if value is None else value / 1e9 if key == "preamble" else value
-
-
-def inlined_modem(section: AcousticSection, folder: Path | None) -> AcousticSection:
-    """The same section with all numbers of the modem in it: it does not need the modem file. Raises DataFileError."""
-    values = modem_numbers(section, folder)
-    written = {key: round(value * 1e9) if key == "preamble" else value for key, value in values.items()}
+def inlined_modem(section: _Modem, folder: Path | None) -> _Modem:
+    """The same section with all values of the modem in it: it does not need the modem file. Raises DataFileError."""
+    values = modem_values(section, folder)
+    shown = without_replaced(values)
+    written = {key: round(value * 1e9) if key in _TIMES else value for key, value in shown.items()}
     return section.model_copy(update={"modem": DEFAULT_MODEM, **written})
 
 
+def site_of(section: AcousticSection, folder: Path | None) -> SiteFile | None:
+    """The site of a section; None: it names none. Raises DataFileError: its file is missing or wrong."""
+    water = section.water
+    return None if water is None or water.site is None else load_site(water.site, folder)
+
+
 def compile_acoustic(
-    section: AcousticSection, modem: Modem, codec: Codec, vehicles: int, tick_ns: int
+    section: AcousticSection,
+    modem: Modem,
+    codec: Codec,
+    vehicles: int,
+    tick_ns: int,
+    modems: dict[int, Modem],
+    folder: Path | None = None,
 ) -> AcousticConfig:
     """The configuration of the channel that a valid section describes.
 
     Args:
+        modems: of the vehicles that carry another one.
+        folder: of the scenario, where a site's file may lie.
+
+    Raises:
+        DataFileError: the site's file is missing or wrong.
         codec: the encoding of the agents' payloads.
         vehicles: number of vehicles on the channel.
         tick_ns: control period [ns]; the back-off is rounded up to ticks, the slot down.
     """
-    backoff = backoff_ns(section, modem, codec, vehicles) if section.mac == "aloha" else 0
+    backoff = backoff_ns(section, modem, codec, vehicles) if section.mac != "tdma" else 0
+    site = site_of(section, folder)
+    fading = section.fading
+    if fading is None and site is not None:
+        fading = FadingSection.model_construct(shadowing=site.shadowing, packets=site.rician)
+    fading = fading or FadingSection()
     return AcousticConfig(
         modem=modem,
         mac=section.mac,
@@ -74,9 +101,14 @@ def compile_acoustic(
         guard_ns=guard_ns(section),
         buffer=section.buffer,
         sound_speed=speed_of_sound(section),
-        spreading=section.spreading,
+        spreading=section.spreading or (site.spreading if site is not None else DEFAULT_SPREADING),
+        excess=0.0 if site is None else site.excess,
         shipping=section.shipping,
         wind=section.wind,
+        shadowing=fading.shadowing or 0.0,
+        shadowing_ns=fading.correlation or 0,
+        rician=fading.packets,
+        modems=modems,
     )
 
 
@@ -95,8 +127,10 @@ def guard_ns(section: AcousticSection) -> int:
 def speed_of_sound(section: AcousticSection) -> float:
     """The speed of sound [m/s]: from the water's properties, or as given, or by default 1500."""
     water = section.water
-    if water is not None:
-        return sound_speed(water.temperature, water.salinity, water.depth)
+    if water is not None and water.temperature is not None and water.depth is not None:
+        return sound_speed(
+            water.temperature, DEFAULT_SALINITY if water.salinity is None else water.salinity, water.depth
+        )
     return SOUND_SPEED if section.sound_speed is None else section.sound_speed
 
 
@@ -153,6 +187,8 @@ def describe_turns(network: NetworkSection, acoustic: AcousticConfig, vehicles: 
     if acoustic.mac == "tdma":
         slot = acoustic.slot_ticks * tick_ns / 1e9
         return f"{line}; with slots of {slot:g} s each vehicle talks every {mean:.4g} s"
+    if acoustic.mac == "csma":
+        return f"{line}; each vehicle listens before it talks, every {mean:.4g} s on average if nobody else does"
     alone = _talking(network, acoustic, vehicles, tick_ns).alone
     return f"{line}; each vehicle talks every {mean:.4g} s on average, {alone:.0%} of it with nobody else"
 
@@ -160,6 +196,10 @@ def describe_turns(network: NetworkSection, acoustic: AcousticConfig, vehicles: 
 def describe_noise(network: NetworkSection, acoustic: AcousticConfig, plans: tuple[Offset, ...]) -> str:
     """One line of text: whether packets are lost in noise, and beyond which range."""
     modem, size = acoustic.modem, SIZES[network.payload]
+    if modem.delivery is not None:
+        extent = extent_m(plans)
+        share = 100 * modem.delivery.at(extent)
+        return f"delivery as measured: {share:.3g}% at {extent:.4g} m, the largest distance in the formation"
     snr = acoustic.snr(modem.max_range)
     if acoustic.packet_error_rate(modem.max_range, size) == 0.0:
         return (

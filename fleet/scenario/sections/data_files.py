@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Collection
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from fleet import quantities as q
 from fleet.errors import FleetError
+from netem.curve import Curve
 from netem.parsing import nearest
 from netem.whole_file import read_file
 
@@ -73,27 +75,35 @@ def read(kind: str, data: bytes, name: str) -> dict[str, Any]:
         raise DataFileError(kind, name, [f"not TOML: {error}"]) from None
 
 
-def table(values: dict[str, Any], section: str, known: dict[str, q.Dimension], problems: list[str]) -> dict[str, float]:
+def table(
+    values: dict[str, Any],
+    section: str,
+    known: dict[str, q.Dimension],
+    problems: list[str],
+    optional: Collection[str] = (),
+) -> dict[str, float]:
     """The numbers of a section, in SI units. A number with a mistake is left out.
 
     Args:
         values: the content of the file, from `read`.
         section: name of the TOML table.
-        known: the dimension of each number; all of them must be in the table.
+        known: the dimension of each number.
         problems: one line of text is appended for each mistake.
+        optional: keys that may be missing; what is in `optional` alone is no number, and is not looked at.
     """
     entries = values.get(section)
     if not isinstance(entries, dict):
         problems.append(f"there is no [{section}]")
         return {}
-    for key in [key for key in entries if key not in known]:
-        hint = nearest(key, known)
+    for key in [key for key in entries if key not in known and key not in optional]:
+        hint = nearest(key, [*known, *optional])
         problems.append(f"unknown {section}.{key}" + (f" ({hint})" if hint else ""))
     numbers = {}
     for key, dimension in known.items():
         entry = entries.get(key)
         if entry is None:
-            problems.append(f"{section}.{key} is missing")
+            if key not in optional:
+                problems.append(f"{section}.{key} is missing")
             continue
         if not isinstance(entry, dict) or set(entry) != {"value", "unit", "source"}:
             problems.append(f'{section}.{key}: expected {{ value = 1.0, unit = "...", source = "..." }}')
@@ -110,3 +120,35 @@ def table(values: dict[str, Any], section: str, known: dict[str, q.Dimension], p
         except q.QuantityError as error:
             problems.append(f"{section}.{key}: {error.message}")
     return numbers
+
+
+def curves(
+    values: dict[str, Any], section: str, known: dict[str, tuple[q.Dimension, q.Dimension]], problems: list[str]
+) -> dict[str, Curve]:
+    """The curves of a section, whose points are texts such as `12 m 95 %`; one with a mistake is left out.
+
+    Args:
+        values: the content of the file, from `read`.
+        section: name of the TOML table.
+        known: the dimensions of x and y of each curve; each may be missing.
+        problems: one line of text is appended for each mistake.
+    """
+    found = {}
+    entries = values.get(section)
+    if not isinstance(entries, dict):
+        return {}  # `table` reports it
+    for key, (x, y) in known.items():
+        entry = entries.get(key)
+        if entry is None:
+            continue
+        example = f"{x.example} {y.example}, ..."
+        if not isinstance(entry, dict) or set(entry) != {"value", "source"}:
+            problems.append(f'{section}.{key}: expected {{ value = "{example}", source = "..." }}')
+        elif not isinstance(entry["source"], str) or not entry["source"].strip():
+            problems.append(f"{section}.{key}: say where the points come from")
+        else:
+            try:
+                found[key] = Curve(q.curve(entry["value"], x, y))
+            except q.QuantityError as error:
+                problems.append(f"{section}.{key}: {error.message}")
+    return found

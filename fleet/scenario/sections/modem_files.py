@@ -5,6 +5,7 @@ name = "my-modem"
 title = "what it is"
 [modem]
 bit_rate = { value = 400, unit = "bit/s", source = "data sheet, 2024, p. 2" }
+delivery = { value = "12 m 95 %, 24 m 70 %", source = "lake trial, May 2024" }
 ...
 ```
 
@@ -13,9 +14,10 @@ bit_rate = { value = 400, unit = "bit/s", source = "data sheet, 2024, p. 2" }
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 from fleet import quantities as q
 from fleet.scenario.sections import data_files
@@ -36,7 +38,22 @@ NUMBERS: dict[str, q.Dimension] = {
     "lost_below": q.LEVEL,
     "clear_above": q.LEVEL,
     "capture": q.LEVEL,
+    "processing": q.TIME,
+    "tries": q.NUMBER,
+    "timeout": q.TIME,
+    "acknowledgement": q.SIZE,
 }
+# What was measured at some points. A curve of airtimes takes the place of two numbers, one of deliveries of two others.
+CURVES: dict[str, tuple[q.Dimension, q.Dimension]] = {
+    "airtime": (q.SIZE, q.TIME),
+    "delivery": (q.LENGTH, q.RATIO),
+    "captured": (q.LEVEL, q.RATIO),
+}
+_IN_PLACE = {"airtime": ("bit_rate", "preamble"), "delivery": ("lost_below", "clear_above")}
+_LEFT_OUT: dict[str, float] = {"processing": 0.0, "tries": 0, "timeout": 0.0, "acknowledgement": 0}
+WHOLE = ("mtu", "tries", "acknowledgement")
+_OF = {"mtu": " of bytes", "acknowledgement": " of bytes"}
+Values = dict[str, Any]  # of a modem: numbers, and curves or None
 # The ranges in which the formulas hold; wider than those of any real modem.
 BOUNDS: dict[str, tuple[float, float]] = {
     "bit_rate": (0.1, 1e8),
@@ -51,6 +68,10 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "lost_below": (-200.0, 200.0),
     "clear_above": (-200.0, 200.0),
     "capture": (0.0, 200.0),
+    "processing": (0.0, 3600.0),
+    "tries": (0.0, 100.0),
+    "timeout": (0.0, 3600.0),
+    "acknowledgement": (0.0, 1e6),
 }
 
 
@@ -85,27 +106,69 @@ def parse_modem(data: bytes, name: str) -> ModemFile:
     """
     values = data_files.read("modem", data, name)
     problems = [f"unknown key {key!r}" for key in values if key not in ("name", "title", "modem")]
-    numbers = table(values, "modem", NUMBERS, problems)
-    problems = problems or modem_problems(numbers)
+    curves = data_files.curves(values, "modem", CURVES, problems)
+    replaced = {key: 0.0 for curve in curves for key in _IN_PLACE.get(curve, ())}
+    numbers = table(values, "modem", NUMBERS, problems, {*CURVES, *_LEFT_OUT, *replaced})
+    given = values.get("modem")
+    if isinstance(given, dict):
+        problems += [
+            f"modem.{key} has no effect beside a curve that takes its place" for key in replaced if key in given
+        ]
+    found = replaced | _LEFT_OUT | numbers | dict.fromkeys(CURVES) | curves
+    problems = problems or modem_problems(found)
     if problems:
         raise DataFileError("modem", name, problems)
-    return ModemFile(str(values.get("name", name)), str(values.get("title", "")), modem_of(numbers))
+    return ModemFile(str(values.get("name", name)), str(values.get("title", "")), modem_of(found))
 
 
-def modem_of(numbers: Mapping[str, float]) -> Modem:
-    """The modem with these numbers."""
-    return Modem(**dict(numbers) | {"mtu": int(numbers["mtu"])})  # type: ignore[arg-type]
+def changed(values: Values, changes: Values) -> Values:
+    """The values of a modem with some that differ; a line in place of a curve removes the curve, and the other way."""
+    gone: Values = {}
+    for curve, line in _IN_PLACE.items():
+        if changes.get(curve) is not None:
+            gone |= dict.fromkeys(line, 0.0)
+        elif any(key in changes for key in line):
+            gone[curve] = None
+    return values | gone | changes
 
 
-def modem_problems(numbers: Mapping[str, float]) -> list[str]:
-    """A line for each number that no modem can have."""
+def without_replaced(values: Values) -> Values:
+    """The values that count: without curves that are not there, and without what a curve takes the place of."""
+    replaced = {key for curve, keys in _IN_PLACE.items() if values[curve] is not None for key in keys}
+    return {key: value for key, value in values.items() if value is not None and key not in replaced}
+
+
+def modem_of(values: Values) -> Modem:
+    """The modem with these values."""
+    return Modem(**values | {key: int(values[key]) for key in WHOLE})
+
+
+def modem_problems(values: Values) -> list[str]:
+    """A line for each value that no modem can have."""
     problems = []
+    counted = without_replaced(values)
     for key, (low, high) in BOUNDS.items():
-        if not low <= numbers[key] <= high:
+        if key in counted and not low <= values[key] <= high:
             unit = next(unit for unit, size in NUMBERS[key].units.items() if size == 1)
-            problems.append(f"{key} must be between {low:g} and {high:g} {unit}, is {numbers[key]:g}")
-    if numbers["mtu"] != int(numbers["mtu"]):
-        problems.append(f"mtu must be a whole number of bytes, is {numbers['mtu']:g}")
-    if numbers["lost_below"] > numbers["clear_above"]:
-        problems.append(f"lost_below {numbers['lost_below']:g} dB is above clear_above {numbers['clear_above']:g} dB")
+            problems.append(f"{key} must be between {low:g} and {high:g} {unit}, is {values[key]:g}".replace("  ", " "))
+    problems += [
+        f"{key} must be a whole number{_OF.get(key, '')}, is {values[key]:g}" for key in WHOLE if values[key] % 1
+    ]
+    if values["lost_below"] > values["clear_above"]:
+        problems.append(f"lost_below {values['lost_below']:g} dB is above clear_above {values['clear_above']:g} dB")
+    if values["tries"] and not values["timeout"]:
+        problems.append("tries needs a timeout: how long the modem waits for an acknowledgement")
+    airtime = values["airtime"]
+    if airtime is not None:
+        last = airtime.points[-1][0]
+        if last < values["mtu"]:
+            problems.append(f"airtime ends at {last:g} bytes, before the mtu of {values['mtu']:g} bytes")
+        if any(y1 < y0 for (_, y0), (_, y1) in pairwise(airtime.points)):
+            problems.append("airtime must not fall: a longer payload is not shorter on the air")
+    shares = {key: values[key].points for key in ("delivery", "captured") if values[key] is not None}
+    problems += [
+        f"{key} must be between 0 and 100 %"
+        for key, points in shares.items()
+        if not all(0.0 <= share <= 1.0 for _, share in points)
+    ]
     return problems

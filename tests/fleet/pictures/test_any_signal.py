@@ -19,7 +19,7 @@ from fleet.logs.signal_names import signal_names
 from fleet.pictures.any_signal import signals_of_checks
 from fleet.pictures.gallery import WHAT, check_signals, draw
 from fleet.pictures.report import page
-from fleet.pictures.runs import Run, View, PictureError, load
+from fleet.pictures.runs import PictureError, Run, View, load
 from fleet.pictures.telling import telling
 from fleet.scenario.loading import load_scenario
 

@@ -1,0 +1,126 @@
+"""What is in the air, as engineers say of sound in water: who hears whom, and which receptions succeed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import sqrt
+
+from netem import fading
+from netem.causes import Cause
+from netem.draws import undecided, uniform
+from netem.medium import Place
+from netem.modem import AcousticConfig, Modem
+from netem.propagation import decibels, power
+from netem.station import ANSWER, Burst, Reception
+
+BACK_OFF, SNR, CAPTURE, ACKNOWLEDGEMENT = "back-off", "snr", "capture", "acknowledgement"  # purposes of draws
+
+
+def draws(acoustic: AcousticConfig, ranges: Iterable[float] | None = None) -> list[str]:
+    """The purposes of the draws that decide on packets; none if all seeds give the same.
+
+    Args:
+        ranges: from sender to receiver [m]; None: all up to that of the modem.
+    """
+    found = [BACK_OFF] if acoustic.mac != "tdma" and acoustic.backoff_ticks else []
+    found += [fading.SHADOWING] if acoustic.shadowing else []
+    found += [fading.SCATTER] if acoustic.rician is not None else []
+    modems = [acoustic.modem, *acoustic.modems.values()]
+    if any(modem.captured is not None for modem in modems):
+        found.append(CAPTURE)
+    return [*found, SNR] if any(_noisy(acoustic, modem, ranges) for modem in modems) else found
+
+
+def _noisy(acoustic: AcousticConfig, modem: Modem, ranges: Iterable[float] | None) -> bool:
+    """Whether a draw may decide on a packet that nobody else disturbs."""
+    if modem.delivery is not None:
+        return any(undecided(share) for _, share in modem.delivery.points)
+    if acoustic.shadowing or acoustic.rician is not None:
+        return modem.lost_below < modem.clear_above
+    if ranges is None:  # the farther, the more packets are lost
+        return acoustic.packet_error_rate(modem.max_range, 1, modem, modem) > 0.0
+    return any(undecided(acoustic.packet_error_rate(r, 1, modem, modem)) for r in ranges if r <= modem.max_range)
+
+
+class Air:
+    """The transmissions of a run that can still be heard, and the places between which they travel."""
+
+    def __init__(self, acoustic: AcousticConfig, seed: int, tick_ns: int) -> None:
+        self.places: dict[int, Place] = {}  # the last that is known of each vehicle
+        self.bursts: list[Burst] = []  # sorted by (start, src)
+        self._acoustic = acoustic
+        self._seed = seed
+        self._tick_ns = tick_ns
+
+    def range_m(self, src: int, dst: int) -> float | None:
+        """The distance between two vehicles; None: one of them has never had an agent."""
+        a, b = self.places.get(src), self.places.get(dst)
+        return None if a is None or b is None else _distance(a, b)
+
+    def transmit(self, src: int, start: int, airtime_ns: int) -> None:
+        """A vehicle begins to transmit at tick `start`."""
+        reach = self._acoustic.modem_of(src).interference_range
+        away = ((i, _distance(self.places[src], place)) for i, place in sorted(self.places.items()) if i != src)
+        heard = tuple((i, r, self._acoustic.delay_ns(r)) for i, r in away if r <= reach)
+        self.bursts.append(Burst(start, src, airtime_ns, heard))
+
+    def idle_tick(self, src: int, now: int) -> int:
+        """The first tick at which a vehicle hears none of those that it hears now; `now` if it hears nobody."""
+        tick_ns, ends = self._tick_ns, now * self._tick_ns
+        for burst in self.bursts:
+            for i, _, delay in burst.heard:
+                begin = burst.start_tick * tick_ns + delay
+                if i == src and begin <= now * tick_ns < begin + burst.airtime_ns:
+                    ends = max(ends, begin + burst.airtime_ns)
+        return -(-ends // tick_ns)
+
+    def cause(self, r: Reception) -> Cause | None:
+        """The cause of the loss of a reception; None: it succeeds."""
+        acoustic, sender, receiver = self._acoustic, self._acoustic.modem_of(r.src), self._acoustic.modem_of(r.dst)
+        if r.range_m > sender.max_range:
+            return Cause.RANGE
+        others = 0.0
+        for burst in self.bursts:
+            begin = burst.start_tick * self._tick_ns
+            if burst.src == r.dst:
+                if begin < r.end_ns and r.begin_ns < begin + burst.airtime_ns:
+                    return Cause.HALF_DUPLEX
+            elif burst.src != r.src:
+                for i, range_m, delay in burst.heard:
+                    if i == r.dst and begin + delay < r.end_ns and r.begin_ns < begin + delay + burst.airtime_ns:
+                        level = acoustic.received_level(range_m, acoustic.modem_of(burst.src))
+                        others += power(level + self._gain(burst.src, r.dst, burst.start_tick))
+        gain, start = self._gain(r.src, r.dst, r.start_tick), (r.start_tick,) if sender.tries else ()
+        if others:
+            share = receiver.survives(acoustic.received_level(r.range_m, sender) + gain - decibels(others))
+            if share < 1.0 and uniform(self._seed, CAPTURE, r.src, r.dst, r.start_tick) >= share:
+                return Cause.COLLISION
+        lost = acoustic.packet_error_rate(r.range_m, len(r.payload), sender, receiver, gain)
+        if (
+            lost
+            and uniform(self._seed, ACKNOWLEDGEMENT if r.copy == ANSWER else SNR, r.src, r.dst, r.seq, *start) < lost
+        ):
+            return Cause.SNR
+        return None
+
+    def _gain(self, src: int, dst: int, start_tick: int) -> float:
+        """What fading adds to the level [dB] of a transmission."""
+        acoustic = self._acoustic
+        if not acoustic.shadowing and acoustic.rician is None:
+            return 0.0
+        at = start_tick * self._tick_ns
+        seed = self._seed
+        return fading.gain_db(seed, src, dst, at, acoustic.shadowing, acoustic.shadowing_ns, acoustic.rician)
+
+    def forget(self, before_ns: int) -> None:
+        """Delete the transmissions that everybody has heard before a time [ns]."""
+        self.bursts = sorted(burst for burst in self.bursts if self._last_ns(burst) > before_ns)
+
+    def _last_ns(self, burst: Burst) -> int:
+        """The time [ns] at which a transmission has ended at the farthest vehicle that it can disturb."""
+        farthest = max((delay for _, _, delay in burst.heard), default=0)
+        return burst.start_tick * self._tick_ns + burst.airtime_ns + farthest
+
+
+def _distance(a: Place, b: Place) -> float:
+    return sqrt(sum((x - y) * (x - y) for x, y in zip(a, b, strict=True)))

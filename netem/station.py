@@ -1,0 +1,84 @@
+"""The modem of one vehicle on the acoustic channel: what waits in it, and what it is working on."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from msgspec import Struct
+
+from netem.causes import Cause
+
+ANSWER = -1  # the `copy` of a reception that is an acknowledgement
+
+
+class Waiting(NamedTuple):
+    """A payload that is not yet transmitted.
+
+    `sent_tick` is the round tick of the payload; at `ready_tick` it enters the modem (later if the agent is slow).
+    """
+
+    ready_tick: int
+    seq: int
+    sent_tick: int
+    payload: bytes
+
+
+class Station(Struct, array_like=True):
+    """The modem of one vehicle: its transmit buffer, the payloads still on their way to it, and its next start."""
+
+    vehicle: int
+    late: list[Waiting] = []  # not yet in the modem, in order of ready_tick
+    waiting: list[Waiting] = []  # the transmit buffer, oldest first
+    start_tick: int | None = None  # of the first payload in the buffer; None: the buffer is empty
+    free_tick: int = 0  # first tick at which the modem can start again
+    seq: int = 0  # number of payloads taken from the agent so far
+    draws: int = 0  # number of random back-offs used so far
+
+
+class Transfer(Struct, array_like=True):
+    """A payload that a modem sends to one neighbour after the other, until each has acknowledged it."""
+
+    sent: Waiting
+    to: list[int]  # neighbours to whom it is still sent; the first is addressed now
+    tried: int = 0  # transmissions to the first so far
+    deadline_tick: int = 0  # when the last of them counts as failed
+    arrived: bool = False  # the first has it
+    cause: Cause | None = None  # why the last try to the first failed
+
+
+class Answer(NamedTuple):
+    """An acknowledgement that a receiver sends at `start_tick`."""
+
+    start_tick: int
+    src: int  # who received the payload
+    dst: int  # who sent it
+    seq: int
+
+
+class Burst(NamedTuple):
+    """A transmission. `heard`: vehicles within the interference range, as (vehicle, range [m], propagation [ns])."""
+
+    start_tick: int
+    src: int
+    airtime_ns: int
+    heard: tuple[tuple[int, float, int], ...]
+
+
+class Reception(NamedTuple):
+    """A transmission as one graph neighbour `dst` of the sender receives it, from `begin_ns` to `end_ns`.
+
+    `extra_ns` is the delay that the link's condition adds after `end_ns`; `copy` is 0, or 1 and more for duplicates.
+    """
+
+    begin_ns: int
+    end_ns: int
+    start_tick: int
+    range_m: float
+    extra_ns: int
+    src: int
+    dst: int
+    seq: int
+    copy: int
+    sent_tick: int
+    payload: bytes
+    corrupted: bool

@@ -39,23 +39,31 @@ never before the tick after its start tick. A payload that is not acknowledged h
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
 from msgspec import Struct
 
-from netem.air import BACK_OFF, Air
+from netem.air import Air
 from netem.causes import Cause
 from netem.config import NetemConfig
 from netem.draws import uniform
 from netem.faults import ActiveFaults
 from netem.links import Links
 from netem.medium import MediumRound, Place
+from netem.modem import AcousticConfig
 from netem.station import ANSWER, Answer, Burst, Reception, Station, Transfer, Waiting
 from netem.transit import PendingPacket, Transit
 from netem.wire.messages import Fate
 
+BACK_OFF = "back-off"  # purpose of draws
 _TRY = 1 << 40  # what one more try adds to a packet's number in draws
+
+
+def draws(acoustic: AcousticConfig) -> list[str]:
+    """The purposes of the draws that decide when modems talk."""
+    return [BACK_OFF] if acoustic.mac != "tdma" and acoustic.backoff_ticks else []
 
 
 class _State(Struct, omit_defaults=True):
@@ -124,7 +132,7 @@ class AcousticChannel:
                 self._lose_unsent(src, sent, end_tick, Cause.IN_FLIGHT)
             station.late, station.waiting = [], []
         for src, transfer in self._transfers.items():
-            self._lose_transfer(src, transfer, end_tick, Cause.IN_FLIGHT)
+            self._lose_unsent(src, transfer.sent, end_tick, Cause.IN_FLIGHT, transfer.missing())
         for reception in self._receptions:
             if not self._acoustic.modem_of(reception.src).tries and reception.copy != ANSWER:
                 self._transit.lose(_lost(reception, self._end_tick(reception), Cause.IN_FLIGHT))
@@ -190,9 +198,8 @@ class AcousticChannel:
         transfer = self._transfers.get(src)
         if transfer is None:
             sent = station.waiting.pop(0)
-            receivers = self._links.receivers[src]
-            if modem.tries and receivers:
-                transfer = self._transfers[src] = Transfer(sent, list(receivers))
+            if modem.tries and self._links.receivers[src]:
+                transfer = self._transfers[src] = Transfer(sent, list(self._links.receivers[src]))
         else:
             sent = transfer.sent
         ends_ns = start * self._config.tick_ns + modem.airtime_ns(len(sent.payload))
@@ -230,12 +237,14 @@ class AcousticChannel:
         for sent in (*station.late, *station.waiting):
             self._lose_unsent(src, sent, tick, Cause.DEAD_SENDER)
         if (transfer := self._transfers.pop(src, None)) is not None:
-            self._lose_transfer(src, transfer, tick, Cause.DEAD_SENDER)
+            self._lose_unsent(src, transfer.sent, tick, Cause.DEAD_SENDER, transfer.missing())
         station.late, station.waiting, station.start_tick = [], [], None
 
-    def _lose_unsent(self, src: int, sent: Waiting, tick: int, cause: Cause) -> None:
-        """Record a payload that was not transmitted as lost on every link of its sender."""
-        for dst in self._links.receivers[src]:
+    def _lose_unsent(
+        self, src: int, sent: Waiting, tick: int, cause: Cause, receivers: Sequence[int] | None = None
+    ) -> None:
+        """Record a payload as lost, before it is transmitted, on every link of its sender or to some receivers."""
+        for dst in self._links.receivers[src] if receivers is None else receivers:
             self._transit.lose(Fate(tick, src, dst, sent.seq, 0, sent.sent_tick, tick, 0, cause, False, sent.payload))
 
     # ---------------------------------------------------------------------------------- acknowledgements
@@ -251,8 +260,7 @@ class AcousticChannel:
         """Go on with the next neighbour, or with the next payload; the first has the payload, or will not get it."""
         src, dst = station.vehicle, transfer.to.pop(0)
         if not transfer.arrived:
-            sent, cause = transfer.sent, transfer.cause or Cause.RANGE
-            self._transit.lose(Fate(now, src, dst, sent.seq, 0, sent.sent_tick, now, 0, cause, False, sent.payload))
+            self._lose_unsent(src, transfer.sent, now, transfer.cause or Cause.RANGE, [dst])
         transfer.tried, transfer.arrived, transfer.cause = 0, False, None
         if transfer.to:
             station.start_tick = self._next_start(src, max(now, station.free_tick))
@@ -279,11 +287,6 @@ class AcousticChannel:
                 self._receptions.append(
                     Reception(begin, begin + airtime, start, range_m, 0, src, dst, seq, ANSWER, start, size, False)
                 )
-
-    def _lose_transfer(self, src: int, transfer: Transfer, tick: int, cause: Cause) -> None:
-        sent = transfer.sent
-        for dst in transfer.to[1:] if transfer.arrived else transfer.to:
-            self._transit.lose(Fate(tick, src, dst, sent.seq, 0, sent.sent_tick, tick, 0, cause, False, sent.payload))
 
     # ---------------------------------------------------------------------------------- the channel
 

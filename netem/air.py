@@ -13,21 +13,17 @@ from netem.modem import AcousticConfig, Modem
 from netem.propagation import decibels, power
 from netem.station import ANSWER, Burst, Reception
 
-BACK_OFF, SNR, CAPTURE, ACKNOWLEDGEMENT = "back-off", "snr", "capture", "acknowledgement"  # purposes of draws
+SNR, CAPTURE, ACKNOWLEDGEMENT = "snr", "capture", "acknowledgement"  # purposes of draws
 
 
 def draws(acoustic: AcousticConfig, ranges: Iterable[float] | None = None) -> list[str]:
-    """The purposes of the draws that decide on packets; none if all seeds give the same.
+    """The purposes of the draws that decide on packets, beside those of fading; none if all seeds give the same.
 
     Args:
         ranges: from sender to receiver [m]; None: all up to that of the modem.
     """
-    found = [BACK_OFF] if acoustic.mac != "tdma" and acoustic.backoff_ticks else []
-    found += [fading.SHADOWING] if acoustic.shadowing else []
-    found += [fading.SCATTER] if acoustic.rician is not None else []
     modems = [acoustic.modem, *acoustic.modems.values()]
-    if any(modem.captured is not None for modem in modems):
-        found.append(CAPTURE)
+    found = [CAPTURE] if any(modem.captured is not None for modem in modems) else []
     return [*found, SNR] if any(_noisy(acoustic, modem, ranges) for modem in modems) else found
 
 

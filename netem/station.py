@@ -45,6 +45,10 @@ class Transfer(Struct, array_like=True):
     arrived: bool = False  # the first has it
     cause: Cause | None = None  # why the last try to the first failed
 
+    def missing(self) -> list[int]:
+        """The neighbours that do not have it."""
+        return self.to[1:] if self.arrived else self.to
+
 
 class Answer(NamedTuple):
     """An acknowledgement that a receiver sends at `start_tick`."""

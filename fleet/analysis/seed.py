@@ -11,7 +11,7 @@ from math import dist
 
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections import formation, graph, nemesis, partitions
-from netem import air, fading, impairment
+from netem import acoustic, air, fading, impairment
 from netem.condition import Condition, Link
 from netem.faults import NetFault
 from world import current, sea, sensors
@@ -80,9 +80,10 @@ def _acoustic(scenario: Scenario) -> Iterator[tuple[str, list[str]]]:
     places = [position for (position, _) in scenario.initial]
     ranges = [dist(places[src - 1][:3], places[dst - 1][:3]) for src, dst in scenario.graph.links]
     surely, anywhere = air.draws(channel, ranges), air.draws(channel)
-    yield f"backoff of {channel.mac}", [purpose for purpose in surely if purpose == air.BACK_OFF]
-    yield "acoustic fading", [purpose for purpose in surely if purpose in (fading.SHADOWING, fading.SCATTER)]
-    yield f"{PERHAPS}collisions", [purpose for purpose in surely if purpose == air.CAPTURE]
+    yield f"backoff of {channel.mac}", acoustic.draws(channel)
+    yield "acoustic fading", fading.draws(channel.shadowing, channel.rician)
+    if air.CAPTURE in surely:
+        yield f"{PERHAPS}collisions", [air.CAPTURE]
     errors = [purpose for purpose in anywhere if purpose == air.SNR]
     if errors:
         yield "acoustic packet errors" if air.SNR in surely else f"{PERHAPS}acoustic packet errors", errors

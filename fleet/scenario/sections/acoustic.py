@@ -209,8 +209,9 @@ def describe_noise(network: NetworkSection, acoustic: AcousticConfig, plans: tup
     extent = extent_m(plans)
     across = 100 * acoustic.packet_error_rate(extent, size)
     some, half = (_range_of(acoustic, size, share) for share in (0.01, 0.5))
+    steady = " with levels that do not fade" if acoustic.shadowing or acoustic.rician is not None else ""
     return (
-        f"noise loses packets (cause snr): 1% of {size} bytes at {some:.4g} m, half at {half:.4g} m; "
+        f"noise loses packets (cause snr){steady}: 1% of {size} bytes at {some:.4g} m, half at {half:.4g} m; "
         f"{across:.3g}% at {extent:.4g} m, the largest distance in the formation"
     )
 

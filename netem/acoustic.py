@@ -247,8 +247,6 @@ class AcousticChannel:
         for dst in self._links.receivers[src] if receivers is None else receivers:
             self._transit.lose(Fate(tick, src, dst, sent.seq, 0, sent.sent_tick, tick, 0, cause, False, sent.payload))
 
-    # ---------------------------------------------------------------------------------- acknowledgements
-
     def _failed(self, station: Station, transfer: Transfer, now: int) -> None:
         """Nobody has answered in time: try again, or give up this neighbour."""
         if transfer.tried < self._acoustic.modem_of(station.vehicle).tries:

@@ -291,10 +291,10 @@ def test_check_says_how_often_each_talks() -> None:
 
 
 def test_check_counts_the_wait_for_news() -> None:
-    """`acoustic-s2c`: T of 0.84 s and B of 2 T 7, and one s of a round at most to wait for news."""
+    """`acoustic-s2c`: T of 0.31 s and B of 2 T 7, and one s of a round at most to wait for news."""
     s = load_scenario("acoustic-s2c")
     lines = "\n".join(stability.report(s, stability.analyse(s)))
-    assert "each vehicle talks every 6.772 s on average, 43% of it with nobody else" in lines
+    assert "each vehicle talks every 2.753 s on average, 46% of it with nobody else" in lines
 
 
 def test_check_says_whether_noise_loses_anything() -> None:

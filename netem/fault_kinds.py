@@ -17,6 +17,9 @@ class WorldFaultKind(StrEnum):
     | bias | twelve numbers on eta, nu, phi and p [m, rad, m/s, rad/s] | added to what is measured |
     | freeze | | the sensor repeats the measurement of the tick at which the fault began |
     | dropout | probability | of a tick at which the sensor repeats its last measurement |
+    | dvl | probability, bias on three axes [m/s, body], sigma [m/s], probability | samples lost, biased, jumping |
+    | compass | probability, bias [rad], sigma [rad], probability | the same of the heading sensor |
+    | fix | probability, bias north and east [m], sigma [m], probability | the same of fixes |
     | efficiency | three factors | multiply the force and moments that the actuators apply |
     | saturate | three limits [N, N m, N m] | in place of the actuators' own where they are smaller |
     | off | | the actuators apply no force |
@@ -34,6 +37,9 @@ class WorldFaultKind(StrEnum):
     BIAS = "bias"
     FREEZE = "freeze"
     DROPOUT = "dropout"
+    DVL = "dvl"
+    COMPASS = "compass"
+    FIX = "fix"
     EFFICIENCY = "efficiency"
     SATURATE = "saturate"
     OFF = "off"
@@ -54,6 +60,9 @@ _NUMBERS = {
     WorldFaultKind.NOISE: 4,
     WorldFaultKind.BIAS: 12,
     WorldFaultKind.DROPOUT: 1,
+    WorldFaultKind.DVL: 6,
+    WorldFaultKind.COMPASS: 4,
+    WorldFaultKind.FIX: 5,
     WorldFaultKind.EFFICIENCY: 3,
     WorldFaultKind.SATURATE: 3,
     WorldFaultKind.CURRENT: 7,

@@ -8,6 +8,7 @@ from typing import Any
 
 from netem.lives import Absence
 from netem.wire.messages import WorldFault
+from world.navigation.config import Navigation
 from world.tumble import LIMIT_RAD
 from world.vectors import Vec3, Vec5
 from world.vehicle import VehicleParams
@@ -66,6 +67,7 @@ class VehicleSetup:
     tumble_limit: float = LIMIT_RAD  # |pitch| beyond which it tumbles [rad]
     telemetry_size: int | None = None  # how many values a command's telemetry must have; None: any number
     plant: PlantSetup | None = None
+    navigation: Navigation | None = None  # None: it knows where it is
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,10 +14,10 @@ import msgpack
 from netem.errors import OutOfPlace
 from netem.lives import Absence
 from netem.wire.codec import encode
-from netem.wire.messages import Command, Frame, Memory, Nav, Round, VehicleFrame
+from netem.wire.messages import Command, Frame, Memory, Nav, Round
 from world.config import WorldConfig
 from world.run_memory import VehicleMemory
-from world.run_state import RunState
+from world.run_state import NOT_SENSED, RunState
 from world.vectors import ZERO, Vec3
 
 
@@ -103,13 +103,13 @@ class Lockstep:
         world, k = state.world, nav.tick
         if (known := self._agents.pop(i, None)) is not None:
             self._complete_memory(i, k, known)
-        eta, nu = world.state(i)
+        place = world.position(i)
         tau = world.actuate(i, state.effective(i, k, command.tau))
         if state.frames.due(k):
             sent = encode(command) if raw is None else raw
-            state.frames.row(k, VehicleFrame(i, eta, nu, nav.eta + nav.nu + nav.roll, tau, sent, world.of_plant(i)))
+            state.frames.row(k, state.row(i, (nav.eta + nav.nu + nav.roll, nav.belief), tau, sent))
         out: list[Out] = []
-        self._pass(i, k, tau, eta[:3], out)
+        self._pass(i, k, tau, place, out)
         self._start(i, out)
         return self._with_frames(out)
 
@@ -171,14 +171,14 @@ class Lockstep:
             absent = state.enter_tick(i, k)
             self._note_memory(i, k, asked=not absent)
             if not absent and not world.paused(i, k):
-                self._awaiting[i] = nav = Nav(state.life[i], k, *world.sense(i))
+                self._awaiting[i] = nav = state.nav(i, state.life[i], k)
                 out.append(NavTo(i, nav))
                 return
-            eta, nu = world.state(i)
+            place = world.position(i)
             tau = ZERO if absent else world.actuate(i, state.tau[i])
             if state.frames.due(k):
-                state.frames.row(k, VehicleFrame(i, eta, nu, (), tau, b"", world.of_plant(i)))
-            self._pass(i, k, tau, None if absent else eta[:3], out, paused=not absent)
+                state.frames.row(k, state.row(i, NOT_SENSED, tau, b""))
+            self._pass(i, k, tau, None if absent else place, out, paused=not absent)
             k += 1
 
     def _with_frames(self, out: list[Out]) -> list[Out]:

@@ -25,10 +25,10 @@ from typing import Any
 from netem.errors import OutOfPlace
 from netem.lives import Absence
 from netem.wire.codec import encode
-from netem.wire.messages import Command, Memory, Nav, Round, VehicleFrame
+from netem.wire.messages import Command, Memory, Nav, Round
 from world.config import WorldConfig
 from world.lockstep import NavTo, Out
-from world.run_state import RunState
+from world.run_state import NOT_SENSED, RunState
 from world.vectors import ZERO
 
 
@@ -105,7 +105,7 @@ class RealtimeRun:
                 self._heard[i] = k
                 paused.append(i)
             else:
-                nav = Nav(state.lives.incarnation(i, k), k, *world.sense(i))
+                nav = state.nav(i, state.lives.incarnation(i, k), k)
                 self._awaiting[i] = nav
                 self.punctuality[i].asked += 1
                 if self._is_to_get(i, k):
@@ -185,8 +185,7 @@ class RealtimeRun:
         for i in state.ids:
             nav = self._awaiting.pop(i, None)
             newest = self._newest.pop(i, None)
-            eta, nu = world.state(i)
-            measured: tuple[float, ...] = ()
+            measured = NOT_SENSED
             sent = b""
             if state.enter_tick(i, k):
                 self._commanded[i] = tau = ZERO
@@ -199,9 +198,9 @@ class RealtimeRun:
                     x, y, z = command.tau
                     self._commanded[i] = (x, y, z)
                 tau = world.actuate(i, state.effective(i, k, self._commanded[i]))
-                measured = nav.eta + nav.nu + nav.roll
+                measured = nav.eta + nav.nu + nav.roll, nav.belief
             if state.frames.due(k):
-                state.frames.row(k, VehicleFrame(i, eta, nu, measured, tau, sent, world.of_plant(i)))
+                state.frames.row(k, state.row(i, measured, tau, sent))
             state.integrate(i, k, tau)
         return [*state.frames.complete(lambda tick: b"")]
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from netem.errors import OutOfPlace
 from netem.lives import Lives
-from netem.wire.messages import Command, Life, Tumble, VehicleFrame
+from netem.wire.messages import Command, Life, Nav, Tumble, VehicleFrame
 from world.config import WorldConfig
 from world.errors import IntegrationError
 from world.frames import FrameAssembly
@@ -17,6 +17,11 @@ from world.run_memory import DIVERGED, Tumbling, VehicleMemory, vehicle_memories
 from world.sea import World
 from world.tumble import tumbles
 from world.vectors import ZERO, Vec3
+
+
+Sensed = tuple[tuple[float, ...], tuple[float, ...]]  # eta, nu and roll; the covariance of the estimate, or nothing
+NOT_SENSED: Sensed = ((), ())
+NO_ROLL = (0.0, 0.0)
 
 
 class RunState:
@@ -141,7 +146,33 @@ class RunState:
             else:
                 self._watch_pitch(i, k + 1, before, self.world.pitch(i))
         if k + 1 == self.config.ticks:
-            self.frames.row(k + 1, VehicleFrame(i, *self.world.state(i), (), (), b"", self.world.of_plant(i)))
+            self.frames.row(k + 1, self.row(i, NOT_SENSED, (), b""))
+
+    def nav(self, i: int, life: int, k: int) -> Nav:
+        """What the agent of vehicle i gets at tick k."""
+        world = self.world
+        eta, nu, roll = world.sense(i)
+        navigation = world.navigation(i)
+        belief = () if navigation is None else navigation.covariance()
+        return Nav(life, k, eta, nu, (roll or NO_ROLL) if belief else roll, belief)
+
+    def row(self, i: int, sensed: Sensed, tau: tuple[float, ...], command: bytes) -> VehicleFrame:
+        """Vehicle i in the frame of the tick that it has reached.
+
+        Args:
+            sensed: what its sensor reported, and the covariance.
+            tau: applied force and moments [N, N m].
+            command: the agent's, encoded.
+        """
+        world = self.world
+        plant = world.of_plant(i)
+        navigation = world.navigation(i)
+        if navigation is None:
+            return VehicleFrame(i, *world.state(i), sensed[0], tau, command, plant)
+        nav, belief = sensed
+        if belief and not plant:
+            nav = nav[: -len(NO_ROLL)]
+        return VehicleFrame(i, *world.state(i), nav, tau, command, plant, belief, navigation.take_fixes())
 
     def memory(self, i: int, agent: bytes | None) -> VehicleMemory | None:
         """All that the next ticks of vehicle i depend on; None, with a note, where its plant cannot say that.

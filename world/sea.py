@@ -21,9 +21,13 @@ from world.current import draws as draws_of_drift
 from world.disturbance import disturbance
 from world.dynamics import Coefficients, State, coefficients, rk4_step
 from world.errors import IntegrationError, WorldError
+from world.navigation.faults import fault_draws
+from world.navigation.kinds import navigation_of
+from world.navigation.navigator import Navigator
+from world.navigation.replay import ReplayedError
 from world.plants.fenced_plant import FencedPlant
 from world.sensors import Measured, measure, split
-from world.vectors import Vec2, Vec3, Vec5, Vec6, plus
+from world.vectors import ZERO, Vec2, Vec3, Vec5, Vec6, plus
 
 Stages = tuple[tuple[Vec5, Vec5, Vec5], ...]  # the disturbance at start, middle and end of each RK4 step
 
@@ -37,6 +41,8 @@ def draws(fault: WorldFault) -> list[str]:
             return [_purpose(fault)] if undecided(fault.values[0]) else []
         case WorldFaultKind.CURRENT:
             return draws_of_drift(fault.id, fault.values[3:6])
+        case WorldFaultKind.DVL | WorldFaultKind.COMPASS | WorldFaultKind.FIX:
+            return fault_draws(fault)
     return []
 
 
@@ -47,7 +53,7 @@ def _purpose(fault: WorldFault) -> str:
 class _Vehicle:
     """One vehicle: its constants, its tick, and its state there; its plant, if it is one, knows more than that."""
 
-    __slots__ = ("k", "plant", "state", "tau_max", "tick")
+    __slots__ = ("k", "navigation", "plant", "state", "tau_max", "tick")
 
     def __init__(self, setup: VehicleSetup, config: WorldConfig) -> None:
         self.k: Coefficients = coefficients(setup.params)
@@ -66,6 +72,7 @@ class _Vehicle:
             t1, t2, t3 = self.tau_max
             l1, l2, l3 = self.plant.limits
             self.tau_max = min(t1, l1), min(t2, l2), min(t3, l3)
+        self.navigation = navigation_of(setup.navigation, config.seed, setup.id, config.tick_ns, self.state)
 
 
 class _Vehicles(dict[int, _Vehicle]):
@@ -128,10 +135,12 @@ class World:
 
     def sense(self, i: int) -> Measured:
         """Measured eta [m, rad], nu [m/s, rad/s] and roll (phi [rad], p [rad/s]; () without a plant) of vehicle i at
-        its tick, with noise and faults of its sensor."""
+        its tick: the truth or what its navigation believes, with noise and faults of its sensor."""
         eta, nu = self.state(i)
         vehicle = self._vehicles[i]
         measured: Measured = (eta, nu, () if vehicle.plant is None else vehicle.plant.roll)
+        if vehicle.navigation is not None:
+            measured = vehicle.navigation.believed(vehicle.state, measured[2])
         tick = vehicle.tick
         if self._noise is not None:
             measured = measure(measured, self._noise, self.config.seed, i, tick)
@@ -154,6 +163,10 @@ class World:
                     else:
                         measured = split(known)
         return measured
+
+    def navigation(self, i: int) -> Navigator | ReplayedError | None:
+        """What vehicle i believes of itself, how sure it is, and its fixes; None: it knows where it is."""
+        return self._vehicles[i].navigation
 
     def actuate(self, i: int, tau: tuple[float, ...]) -> Vec3:
         """The force and moments that the actuators of vehicle i apply for a command.
@@ -242,8 +255,17 @@ class World:
             raise IntegrationError("the motion left the finite numbers", state[3], i, tick) from None
         if not isfinite(sum(state)):
             raise IntegrationError("the motion left the finite numbers", state[3], i, tick)
-        vehicle.state = state
+        before, vehicle.state = vehicle.state, state
         vehicle.tick = tick + 1
+        if vehicle.navigation is not None:
+            self._navigate(i, before, current)
+
+    def _navigate(self, i: int, before: State, current: Vec3) -> None:
+        """Let vehicle i measure what it did in the tick before: its state was `before`, and the current [m/s, NED]."""
+        vehicle = self._vehicles[i]
+        faults = self._active(i, vehicle.tick) if self._faults else []
+        phi = 0.0 if vehicle.plant is None else vehicle.plant.roll[0]
+        vehicle.navigation.step(before, vehicle.state, current, faults, phi)
 
     def _advance_plant(self, i: int, tau: Vec3, current: Vec3, forces: Stages) -> None:
         """The same for a vehicle that is a plant, which gets the disturbance at the middle of each step."""
@@ -251,8 +273,10 @@ class World:
         plant, tick = vehicle.plant, vehicle.tick
         wrenches: list[Vec6] = [(x, y, z, 0.0, m, n) for _, (x, y, z, m, n), _ in forces]
         plant.advance(tick, tau, current, wrenches, self._h)
-        vehicle.state = _of_plant(plant)
+        before, vehicle.state = vehicle.state, _of_plant(plant)
         vehicle.tick = tick + 1
+        if vehicle.navigation is not None:
+            self._navigate(i, before, current)
         if plant.notes:
             self.notes += [(i, k, text) for k, text in plant.notes]
             plant.notes.clear()
@@ -295,7 +319,10 @@ class World:
 
     def hold(self, i: int) -> None:
         """Let a tick pass without integrating vehicle i, whose motion diverged: it stays where it was."""
-        self._vehicles[i].tick += 1
+        vehicle = self._vehicles[i]
+        vehicle.tick += 1
+        if vehicle.navigation is not None:
+            self._navigate(i, vehicle.state, ZERO)
 
     def close(self) -> None:
         """End what the plants hold; no vehicle is moved afterwards."""
@@ -311,7 +338,8 @@ class World:
             moves: whether it is still integrated; a plant that failed is not asked what it remembers.
 
         Returns:
-            MessagePack values [tick, state, held], and behind them what its plant remembers, for `remember`.
+            MessagePack values [tick, state, held], and behind them what its plant remembers (None without one), and
+            its navigation, for `remember`.
 
         Raises:
             PlantError: its plant cannot say what it remembers.
@@ -319,6 +347,8 @@ class World:
         held = [[fault, list(values)] for (fault, j), values in sorted(self._held.items()) if j == i]
         vehicle = self._vehicles[i]
         own = [] if vehicle.plant is None else [vehicle.plant.memory(vehicle.tick, moves=moves)]
+        if vehicle.navigation is not None:
+            own = [own[0] if own else None, vehicle.navigation.memory()]
         return [vehicle.tick, list(vehicle.state), held, *own]
 
     def remember(self, i: int, values: list[Any]) -> None:
@@ -335,6 +365,8 @@ class World:
         if vehicle.plant is not None:
             vehicle.plant.restore(vehicle.tick, own[0] if own else None, (x, y, z, theta, psi), (u, v, w, q, r))
             vehicle.state = _of_plant(vehicle.plant)
+        if vehicle.navigation is not None:
+            vehicle.navigation.restore(vehicle.tick, own[1] if len(own) > 1 else None, vehicle.state)
         self._held |= {(fault, i): tuple(known) for fault, known in held}
 
     def _stage_forces_at(self, tick: int) -> tuple[tuple[Vec5, Vec5, Vec5], ...]:

@@ -16,7 +16,7 @@ from msgspec import Meta, Struct
 from netem.causes import Cause
 from netem.fault_kinds import WorldFaultKind
 
-PROTOCOL_VERSION = 1
+PROTOCOL_VERSION = 2
 RUN_OVER = "the run is over"  # the reason of nearly every End
 
 _GREATEST = 1.7976931348623157e308  # the greatest finite double
@@ -28,6 +28,7 @@ Reals = tuple[Real, ...]
 Reals2 = Annotated[Reals, Meta(min_length=2, max_length=2)]
 Reals3 = Annotated[Reals, Meta(min_length=3, max_length=3)]
 Reals5 = Annotated[Reals, Meta(min_length=5, max_length=5)]
+Reals10 = Annotated[Reals, Meta(min_length=10, max_length=10)]
 
 
 def about(meaning: str, unit: str = "") -> Meta:
@@ -78,6 +79,18 @@ class Fate(Record, frozen=True):
     payload: Annotated[bytes, about("the payload's bytes")]
 
 
+class Fix(Record, frozen=True):
+    """A fix of a vehicle's position, when its navigation got it."""
+
+    source: Annotated[Text, about("gps, usbl or lbl")]
+    measured: Annotated[Uint, about("when it was measured", "tick")]
+    tick: Annotated[Uint, about("when it was there", "tick")]
+    position: Annotated[Reals2, about("north, east", "m")]
+    sigma: Annotated[Real, about("standard deviation that it has by itself, on each axis", "m")]
+    nis: Annotated[Real, about("its innovation squared, normalised by the filter's covariance, 2 degrees of freedom")]
+    used: Annotated[bool, about("false when the filter refused it")]
+
+
 class VehicleFrame(Record, frozen=True):
     """One vehicle at one tick, as the world computed it."""
 
@@ -88,6 +101,8 @@ class VehicleFrame(Record, frozen=True):
     tau: Annotated[Reals, about("applied thrust and moments after limits; empty at the end", "N, N m")]
     command: Annotated[bytes, about("the agent's Command message; empty when none")]
     plant: Annotated[Reals, about("true phi, p and what its plant reports, in that order; empty without a plant")]
+    belief: Annotated[Reals, about("covariance of what it reported, as in nav; empty where nav has none")] = ()
+    fixes: Annotated[tuple[Fix, ...], about("those that its navigation got since the frame before")] = ()
 
 
 class Arrival(Record, frozen=True):
@@ -170,7 +185,7 @@ class Hello(Record, frozen=True, tag="hello"):
 
 
 class Nav(Record, frozen=True, tag="nav"):
-    """The vehicle's own measured pose and velocity at a tick, and nothing else."""
+    """What the vehicle measured, or believes, of its own pose and velocity at a tick, and nothing else."""
 
     route: ClassVar[Route] = Route("nav/{i}", "world", "agent i")
 
@@ -178,7 +193,14 @@ class Nav(Record, frozen=True, tag="nav"):
     tick: Annotated[Uint, about("control tick; consecutive on this key", "tick")]
     eta: Annotated[Reals5, about("x, y, z (NED), theta, psi (unwrapped)", "m, rad")]
     nu: Annotated[Reals5, about("u, v, w (body, over ground), q, r", "m/s, rad/s")]
-    roll: Annotated[Reals2, about("phi, p; **left out** where the vehicle has no roll", "rad, rad/s")] = ()
+    roll: Annotated[
+        Reals2,
+        about("phi, p; **left out** where the vehicle has no roll, and 0, 0 there if belief follows", "rad, rad/s"),
+    ] = ()
+    belief: Annotated[
+        Reals10,
+        about("covariance of x, y, z, psi: upper triangle, row by row; **left out** without a filter", "m^2, m rad, rad^2"),
+    ] = ()
 
 
 class End(Record, frozen=True, tag="end"):

@@ -1,0 +1,173 @@
+"""What a vehicle believes of itself: the estimate that its agent gets in place of the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import cos, sin
+from typing import Any
+
+from netem.draws import normal
+from netem.wire.messages import Fix, WorldFault
+from world.navigation.config import DeadReckoning
+from world.navigation.filter import BOTTOM, CE, CN, LOST, PSI, WATER, E, N, NavigationFilter, S
+from world.navigation.fixes import Fixes
+from world.navigation.instruments import PURPOSE, Instruments
+from world.vectors import Vec3, Vec5
+
+# x, y, z [m, NED], theta, psi [rad], u, v, w [m/s, body, over ground], q, r [rad/s]
+State = tuple[float, float, float, float, float, float, float, float, float, float]
+Believed = tuple[Vec5, Vec5, tuple[float, ...]]  # eta, nu, roll
+
+
+class Navigator:
+    """Dead reckoning of one vehicle: its instruments, its fixes and its filter."""
+
+    def __init__(self, config: DeadReckoning, seed: int, i: int, tick_ns: int, state: State) -> None:
+        """Begin with the true state at the start.
+
+        Args:
+            seed: of the run.
+            i: the vehicle.
+        """
+        self._config = config
+        self._dt = tick_ns / 1e9
+        self._seed, self._i = seed, i
+        self._instruments = Instruments(config, seed, i, tick_ns)
+        self._fixes = Fixes(config.fixes, seed, i, tick_ns)
+        self.filter: NavigationFilter = self._begin(state)
+        self._tick: int = 0
+        self._current: Vec3 = (0.0, 0.0, 0.0)
+        self._tell: list[Fix] = []  # fixes that nobody has asked for yet
+
+    def _begin(self, state: State) -> NavigationFilter:
+        """The filter of a vehicle that is told where it is, and reads its heading sensor."""
+        start, purpose = self._config.start, f"{PURPOSE} start"
+        off = [start * normal(self._seed, purpose, self._i, axis) if start else 0.0 for axis in range(2)]
+        heading = self._instruments.heading(0, state[4])
+        assert heading is not None  # there is one at the start
+        return NavigationFilter(self._config, state[0] + off[0], state[1] + off[1], heading)
+
+    def step(self, before: State, after: State, current: Vec3, faults: Sequence[WorldFault], phi: float) -> None:
+        """Take what is measured on the way to the next tick.
+
+        Args:
+            before: the true state at the tick.
+            after: the same at the next one.
+            current: in between [m/s, NED].
+            faults: those that act on this vehicle at the next tick.
+            phi: true roll at the next tick [rad].
+        """
+        tick, dt = self._tick + 1, self._dt
+        self._tick = tick
+        instruments, known = self._instruments, self.filter
+        x0, y0, z0, x1, y1, z1 = before[0], before[1], before[2], after[0], after[1], after[2]
+        turn = after[4] - before[4] + instruments.gyro[0] * dt
+        moved = x1 - x0, y1 - y0, z1 - z0
+        forward, starboard = instruments.displacement(moved, current, 0.5 * (before[4] + after[4]), dt)
+        known.advance(turn, forward, starboard, dt, instruments.mode)
+        self._current = current
+        instruments.turn_rates(tick)
+        velocity = instruments.held if instruments.mode == LOST else self._velocity(after, phi)
+        if instruments.velocity(tick, z1, faults):
+            known.settle()
+            if instruments.mode == LOST:
+                instruments.held = velocity
+        instruments.pressure(tick)
+        heading = instruments.heading(tick, after[4], faults)
+        if heading is not None:
+            known.heading(heading, self._config.grade.heading_noise)
+        if self._config.fixes:
+            true: Vec3 = (x1, y1, z1)
+            self._fixes.measure(tick, true, known, faults)
+            self._tell += self._fixes.use(tick, known)
+
+    def _velocity(self, state: State, phi: float) -> list[float]:
+        """What the DVL measures of the velocity [m/s, body]: over ground, or through the water."""
+        instruments = self._instruments
+        own = [state[5], state[6], state[7]]
+        if instruments.mode == WATER:
+            drift = body(self._current, phi, state[3], state[4])
+            own = [own[0] - drift[0], own[1] - drift[1], own[2] - drift[2]]
+        scale, off = instruments.scale, instruments.dvl
+        return [scale * own[0] + off[0], scale * own[1] + off[1], scale * own[2] + off[2]]
+
+    def believed(self, state: State, roll: tuple[float, ...]) -> Believed:
+        """Eta, nu and roll as the vehicle believes them.
+
+        Args:
+            state: the truth.
+            roll: true phi [rad] and p [rad/s], or nothing.
+        """
+        instruments, x = self._instruments, self.filter.x
+        pitch, lean = instruments.tilt
+        theta = state[3] + pitch
+        phi = roll[0] if roll else 0.0
+        if instruments.mode == LOST:
+            u, v, w = instruments.held
+        else:
+            u, v, w = self._velocity(state, phi)
+        scale = 1.0 + x[S]
+        u, v, w = u / scale, v / scale, w / scale
+        if instruments.mode != BOTTOM:
+            drift = body((x[CN], x[CE], 0.0), phi, theta, x[PSI])
+            u, v, w = u + drift[0], v + drift[1], w + drift[2]
+        yaw, q, p = instruments.gyro
+        eta = x[N], x[E], state[2] + instruments.depth, theta, x[PSI]
+        nu = u, v, w, state[8] + q, state[9] + yaw
+        return eta, nu, (roll[0] + lean, roll[1] + p) if roll else ()
+
+    def covariance(self) -> tuple[float, ...]:
+        """Of x, y, z and psi, since the last sample: the upper triangle, row by row [m^2, m rad, rad^2]."""
+        p = self.filter.p
+        depth = self._instruments.depth_sigma() ** 2
+        return (p[N][N], p[N][E], 0.0, p[N][PSI], p[E][E], 0.0, p[E][PSI], depth, 0.0, p[PSI][PSI])
+
+    def take_fixes(self) -> tuple[Fix, ...]:
+        """The fixes since the last call."""
+        if not self._tell:
+            return ()
+        taken = tuple(self._tell)
+        self._tell = []
+        return taken
+
+    def memory(self) -> list[Any]:
+        """All that the next steps depend on, as MessagePack values."""
+        told = [[f.source, f.measured, f.tick, list(f.position), f.sigma, f.nis, f.used] for f in self._tell]
+        return [
+            self.filter.memory(),
+            self._instruments.memory(),
+            self._fixes.memory(),
+            list(self._current),
+            told,
+        ]
+
+    def restore(self, tick: int, values: list[Any] | None, state: State) -> None:
+        """Continue at a tick from `memory()`; None: the vehicle had no filter before, and begins with it now.
+
+        Args:
+            state: the truth at that tick.
+        """
+        if not values:
+            self.filter = self._begin(state)
+            self._tick = tick
+            return
+        known, instruments, fixes, (x, y, z), told = values
+        self._tick = tick
+        self.filter.restore(known)
+        self._instruments.restore(instruments)
+        self._fixes.restore(fixes)
+        self._current = x, y, z
+        self._tell = [Fix(a, b, c, tuple(d), e, f, g) for a, b, c, d, e, f, g in told]
+
+
+def body(vector: Vec3, phi: float, theta: float, psi: float) -> Vec3:
+    """A vector in NED in the axes of a body: R_bn v, with R_nb = Rz(psi) Ry(theta) Rx(phi)."""
+    x, y, z = vector
+    c, s = cos(psi), sin(psi)
+    x, y = c * x + s * y, c * y - s * x
+    c, s = cos(theta), sin(theta)
+    x, z = c * x - s * z, s * x + c * z
+    if phi:
+        c, s = cos(phi), sin(phi)
+        y, z = c * y + s * z, c * z - s * y
+    return x, y, z

@@ -50,7 +50,13 @@ LENGTH = Dimension("a length", "0.1 m", _units(m=1, mm="1/1000", cm="1/100", km=
 SPEED = Dimension("a speed", "0.7 m/s", {"m/s": Fraction(1), "cm/s": Fraction(1, 100), "kn": Fraction(1852, 3600)})
 ACCELERATION = Dimension("an acceleration", "0.3 m/s^2", {"m/s^2": Fraction(1), "m/s2": Fraction(1)})
 ANGLE = Dimension("an angle", "20 deg", {"deg": _DEG, "rad": Fraction(1)})
-ANGULAR_RATE = Dimension("an angular rate", "5 deg/s", {"deg/s": _DEG, "rad/s": Fraction(1)})
+ANGULAR_RATE = Dimension(
+    "an angular rate", "5 deg/s", {"deg/s": _DEG, "rad/s": Fraction(1), "deg/h": _DEG / 3600}
+)
+ANGLE_WALK = Dimension(
+    "a random walk of an angle", "0.1 deg/sqrt(h)", {"deg/sqrt(h)": _DEG / 60, "rad/sqrt(s)": Fraction(1)}
+)
+SAMPLE_RATE = Dimension("a rate", "5 Hz", _units(Hz=1, kHz=1000))
 FORCE = Dimension("a force", "20 N", _units(N=1, mN="1/1000", kN=1000))
 MOMENT = Dimension("a moment", "20 N m", {"N m": Fraction(1), "Nm": Fraction(1), "kN m": Fraction(1000)})
 RATE = Dimension("a gain per second", "0.3 1/s", {"1/s": Fraction(1), "/s": Fraction(1)})
@@ -75,7 +81,7 @@ NUMBER = Dimension("a number", "0.8", {"": Fraction(1)})
 
 DIMENSIONS = (
     TIME, LENGTH, SPEED, ACCELERATION, ANGLE, ANGULAR_RATE, FORCE, MOMENT, RATE, MASS, INERTIA, DAMPING,
-    ROTATION_DAMPING, TICKS, BIT_RATE, FREQUENCY, LEVEL, SIZE, TEMPERATURE, RATIO, NUMBER,
+    ROTATION_DAMPING, ANGLE_WALK, TICKS, BIT_RATE, FREQUENCY, LEVEL, SIZE, TEMPERATURE, RATIO, NUMBER,
 )  # fmt: skip
 
 

@@ -23,6 +23,7 @@ from fleet.scenario.sections.acoustic import compile_acoustic, modem_values
 from fleet.scenario.sections.graph import Graph
 from fleet.scenario.sections.keep_apart import keep_apart_params
 from fleet.scenario.sections.modem_files import Values, modem_of
+from fleet.scenario.sections.navigation import navigation_of
 from fleet.scenario.sections.per_vehicle import Control, Entries
 from netem.condition import Condition, Link
 from netem.modem import AcousticConfig, Modem
@@ -175,7 +176,10 @@ class Parts:
     def controls(self) -> tuple[Control, ...]:
         """What each vehicle is and runs. Raises DataFileError: a model cannot be read."""
         tick, apart = self.spec.tick, keep_apart_params(self.spec.keep_apart)
-        made = {e: per_vehicle.control(choice, tick, self.vehicle(e), apart) for e, choice in self.choices()}
+        made = {
+            e: per_vehicle.control(choice, tick, self.vehicle(e), apart, navigation_of(choice.navigation, self.folder))
+            for e, choice in self.choices()
+        }
         return tuple(made[self.entries(i)] for i in range(1, self.spec.vehicles + 1))
 
     def sections(self, key: str) -> Iterator[tuple[tuple[str, ...], Any]]:

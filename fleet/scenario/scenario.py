@@ -24,6 +24,7 @@ from fleet.scenario.sections.formation import initial_rolls
 from fleet.scenario.sections.graph import Graph
 from fleet.scenario.sections.log_rates import log_every, memory_ticks
 from fleet.scenario.sections.modem_files import shipped_modems
+from fleet.scenario.sections.navigation import inlined_navigation
 from fleet.scenario.sections.per_vehicle import Control, inlined_vehicle, model_name
 from fleet.scenario.sections.timeline import FaultPlan
 from fleet.scenario.sections.vehicle_files import shipped_vehicles
@@ -205,7 +206,14 @@ class Scenario:
             rolls = initial_rolls(self.spec.initial, self.vehicles)
             file = str(file_of(section.name) or "")
             plant = PlantSetup(section.name, section.parameters or {}, section.budget / 1e9, *rolls[i - 1], file)
-        return VehicleSetup(i, eta0, nu0, control.vehicle, control.tau_max, control.tumble_limit, size, plant)
+        limit = control.tumble_limit
+        return VehicleSetup(
+            i, eta0, nu0, control.vehicle, control.tau_max, limit, size, plant, control.navigation
+        )
+
+    def navigates(self, i: int) -> bool:
+        """Whether vehicle i has to find out where it is."""
+        return self.controls[i - 1].navigation is not None
 
     def plant_signals(self, i: int) -> tuple[Signal, ...] | None:
         """What the plant of vehicle i reports; None: it has none. Raises PluginError: it cannot be used."""
@@ -315,7 +323,12 @@ def _without_files(spec: ScenarioSpec, folder: Path | None) -> ScenarioSpec:
         return inlined_vehicle(section, folder)
 
     per_vehicle = {
-        numbers: overrides.model_copy(update={"vehicle": in_numbers(overrides.vehicle)})
+        numbers: overrides.model_copy(
+            update={
+                "vehicle": in_numbers(overrides.vehicle),
+                "navigation": inlined_navigation(overrides.navigation, folder),
+            }
+        )
         for numbers, overrides in spec.per_vehicle.items()
     }
     network, acoustic = spec.network, spec.network.acoustic
@@ -325,7 +338,12 @@ def _without_files(spec: ScenarioSpec, folder: Path | None) -> ScenarioSpec:
         acoustic = inlined_modem(acoustic, folder) if acoustic in own else acoustic
         if own:
             network = network.model_copy(update={"acoustic": acoustic.model_copy(update={"modems": others})})
-    changes = {"vehicle": in_numbers(spec.vehicle), "per_vehicle": per_vehicle, "network": network}
+    changes = {
+        "vehicle": in_numbers(spec.vehicle),
+        "navigation": inlined_navigation(spec.navigation, folder),
+        "per_vehicle": per_vehicle,
+        "network": network,
+    }
     return spec.model_copy(update=changes)
 
 

@@ -20,6 +20,9 @@ from world.navigation.instruments import PURPOSE, due
 from world.vectors import Vec3
 
 
+MOST_SOURCES = 8
+
+
 class Fixes:
     """The fixes of one vehicle: those under way."""
 
@@ -68,16 +71,18 @@ class Fixes:
             found.append(Fix(self._sources[number].kind, measured, tick, (north, east), sigma, nis, used))
         return found
 
-    def _key(self, tick: int, number: int) -> int:
-        return tick * len(self._sources) + number
+    @staticmethod
+    def _key(tick: int, number: int) -> int:
+        return tick * MOST_SOURCES + number
 
     def memory(self) -> list[list[float]]:
         """All that the next fixes depend on."""
         return [list(one) for one in self._under_way]
 
-    def restore(self, values: list[list[float]]) -> None:
-        """Continue from `memory()`."""
-        self._under_way = [list(one) for one in values]
+    def restore(self, values: list[list[float]], estimate: NavigationFilter) -> None:
+        """Continue from `memory()`; fixes of a source that is not there any more are lost."""
+        self._under_way = [list(one) for one in values if int(one[2]) < len(self._sources)]
+        estimate.keep_only({self._key(int(one[1]), int(one[2])) for one in self._under_way})
 
 
 def _sigma(source: FixSource, true: Vec3) -> float:

@@ -155,7 +155,7 @@ class Navigator:
         self._tick = tick
         self.filter.restore(known)
         self._instruments.restore(instruments)
-        self._fixes.restore(fixes)
+        self._fixes.restore(fixes, self.filter)
         self._current = x, y, z
         self._tell = [Fix(a, b, c, tuple(d), e, f, g) for a, b, c, d, e, f, g in told]
 

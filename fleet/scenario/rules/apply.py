@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from fleet.scenario.parts import Parts, UnknownValueError
-from fleet.scenario.rules import checks, faults, laws, motion, network, plants, timing
+from fleet.scenario.rules import checks, faults, laws, motion, navigation, network, plants, timing
 from fleet.scenario.rules.report import Report
 
 
@@ -39,6 +39,7 @@ RULES: tuple[Callable[[Parts, Report], None], ...] = (
     network.acoustic,
     network.talking,
     laws.per_vehicle,
+    navigation.navigation,
     faults.faults,
     faults.nemesis,
     checks.checks,
@@ -47,6 +48,7 @@ RULES: tuple[Callable[[Parts, Report], None], ...] = (
     checks.recovery_time,
     laws.laws,
     plants.plants,
+    navigation.faults,
     checks.signal,
     checks.python,
     checks.names,

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, PlainSerializer
 
 from agents.config import Angles, Cost, Extrapolation
+from fleet.scenario.schema.navigation import NavigationChoice
 from fleet.scenario.schema.section import Section, named
 from fleet.scenario.schema.value_types import (
     Acceleration,
@@ -106,5 +107,6 @@ class VehicleOverrides(Section):
     neighbours: NeighboursSection | None = None
     vehicle: VehicleSection | None = None
     model_error: ModelErrorSection | None = None
+    navigation: NavigationChoice | None = None
     external: bool | None = None  # the run does not start its agent
     knows_reference: bool | None = None

@@ -10,18 +10,22 @@ from fleet.quantities import describe_value
 from fleet.scenario.schema.sea import Current, SensorsSection
 from fleet.scenario.schema.section import Section
 from fleet.scenario.schema.value_types import (
+    Angle,
     AnyMoment,
     Force,
     ForceVector,
+    Length,
     LinkCondition,
     LinkSelector,
     Moment,
     Period,
+    PlanPosition,
     Position,
     Probability,
     Ratio,
     SignedAngle,
     SignedAngularRate,
+    Speed,
     Ticks,
     Time,
     VehicleNumbers,
@@ -83,6 +87,36 @@ class Dropout(Section):
     probability: Probability
 
 
+class DvlFault(Section):
+    """The DVL of vehicles that navigate: samples that are lost, biased, or jump."""
+
+    vehicles: VehicleNumbers | None = None
+    lost: Probability = 0.0  # of each sample
+    bias: Velocity = (0.0, 0.0, 0.0)  # body
+    jump: Speed = 0.0  # standard deviation on each axis
+    chance: Probability = 0.1  # that a sample jumps
+
+
+class CompassFault(Section):
+    """The same of the heading sensor."""
+
+    vehicles: VehicleNumbers | None = None
+    lost: Probability = 0.0
+    bias: SignedAngle = 0.0
+    jump: Angle = 0.0
+    chance: Probability = 0.1
+
+
+class FixFault(Section):
+    """The same of the fixes of the position."""
+
+    vehicles: VehicleNumbers | None = None
+    lost: Probability = 0.0
+    bias: PlanPosition = (0.0, 0.0)  # north, east
+    jump: Length = 0.0
+    chance: Probability = 0.1
+
+
 class Slow(Section):
     """The commands and the messages of an agent are late."""
 
@@ -129,6 +163,9 @@ class FaultAction(Section):
     bias: SensorBias | None = None
     freeze: VehicleNumbers | None = None  # the same measurement again and again
     dropout: Dropout | None = None
+    dvl: DvlFault | None = None
+    compass: CompassFault | None = None
+    fix: FixFault | None = None
     efficiency: Efficiency | None = None
     saturate: Saturation | None = None
     off: VehicleNumbers | None = None  # no force, no moments

@@ -35,6 +35,7 @@ from fleet.scenario.schema.motion import (
     read_initial,
     show_initial,
 )
+from fleet.scenario.schema.navigation import NavigationChoice
 from fleet.scenario.schema.network import NetworkSection, read_network, show_network
 from fleet.scenario.schema.sea import SeaSection, SensorsSection
 from fleet.scenario.schema.section import Section
@@ -113,6 +114,7 @@ class ScenarioSpec(Section):
     vehicle: VehicleSection = VehicleSection()
     sea: SeaSection = SeaSection()
     sensors: SensorsSection = SensorsSection()
+    navigation: NavigationChoice | None = None  # ideal: they know where they are
     model_error: ModelErrorSection = ModelErrorSection()
     external: bool | None = None  # true: the run starts no agent
     knows_reference: bool | None = None  # false: only those in graph.reference and graph.standby know it

@@ -51,10 +51,23 @@ def find(kind: str, name: str, package: str, folder: Path | None) -> tuple[bytes
     if not name.endswith(".toml"):
         hint = nearest(name, known) or "a file ends in .toml"
         raise DataFileError(kind, name, [f"there is no such {kind}; there are {', '.join(known)} ({hint})"])
+    return find_beside(kind, name, folder, _MAX_BYTES)
+
+
+def find_beside(kind: str, name: str, folder: Path | None, most: int) -> tuple[bytes, str]:
+    """Content and path of a file of the user's, which is searched in `folder`, then in the current directory.
+
+    Args:
+        kind: what the file describes; for the texts of errors.
+        most: bytes that it may have.
+
+    Raises:
+        DataFileError: there is no such file, it cannot be read, or it is larger.
+    """
     places = [folder / name] if folder is not None else []
     for path in [*places, Path(name)]:
         try:
-            return read_file(path, _MAX_BYTES), str(path)
+            return read_file(path, most), str(path)
         except FileNotFoundError:
             continue
         except (OSError, ValueError) as error:  # ValueError: the name has a null byte

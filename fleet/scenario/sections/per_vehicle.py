@@ -14,8 +14,11 @@ from agents.profiles import profile
 from fleet.scenario.schema.control import GuidanceSection, LawSection, TrackingSection, VehicleOverrides
 from fleet.scenario.schema.section import Section
 from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.schema.navigation import NavigationSection
 from fleet.scenario.schema.vehicle import ModelErrorSection, PlantSection, VehicleSection
 from fleet.scenario.sections import vehicle_files
+from fleet.scenario.sections.navigation import navigation_over
+from world.navigation.config import Navigation
 from world.plants.classes import model_of, signals_of
 from world.signal import Signal
 from world.tumble import LIMIT_RAD
@@ -51,6 +54,7 @@ class Control:
     external: bool  # the run does not start its agent
     knows_reference: bool  # also if it does not follow it
     keep_apart: KeepApartParams | None  # of all vehicles
+    navigation: Navigation | None  # None: it knows where it is
 
     def plant_signals(self) -> tuple[Signal, ...] | None:
         """What its plant reports; None: it has none. Raises PluginError: it cannot be used."""
@@ -79,6 +83,8 @@ def _over(below: VehicleOverrides, above: VehicleOverrides) -> VehicleOverrides:
             values[key] = high
         elif isinstance(high, VehicleSection) and (high.model is not None or high.plant is not None):
             values[key] = high  # another vehicle, not this one with some of its numbers
+        elif isinstance(high, NavigationSection):
+            values[key] = navigation_over(low, high)
         else:
             # What was written, not what has a default: a vehicle's own timeout leaves its extrapolation alone.
             written = {name: value for name, value in given(high).items() if name in high.model_fields_set}
@@ -107,7 +113,11 @@ def law_names(choice: VehicleOverrides) -> tuple[str, str] | None:
 
 
 def control(
-    choice: VehicleOverrides, tick_ns: int, vehicle: tuple[VehicleParams, Vec3], keep_apart: KeepApartParams | None
+    choice: VehicleOverrides,
+    tick_ns: int,
+    vehicle: tuple[VehicleParams, Vec3],
+    keep_apart: KeepApartParams | None,
+    navigation: Navigation | None,
 ) -> Control:
     """What a vehicle of a valid scenario is and runs.
 
@@ -115,6 +125,7 @@ def control(
         choice: every section as it holds for this vehicle.
         vehicle: its parameters and its limits [N, N m, N m].
         keep_apart: the filter of all vehicles.
+        navigation: of this vehicle.
     """
     assert choice.controller is not None and choice.guidance is not None and choice.tracking is not None
     assert choice.neighbours is not None and choice.vehicle is not None and choice.model_error is not None
@@ -139,6 +150,7 @@ def control(
         external=bool(choice.external),
         knows_reference=choice.knows_reference is not False,
         keep_apart=keep_apart,
+        navigation=navigation,
     )
 
 

@@ -185,6 +185,12 @@ def _numbers_of(section: FaultAction) -> tuple[float, ...]:
         return *section.gust.velocity, section.gust.over / 1e9
     if section.dropout is not None:
         return (section.dropout.probability,)
+    if (d := section.dvl) is not None:
+        return d.lost, *d.bias, d.jump, d.chance
+    if (compass := section.compass) is not None:
+        return compass.lost, compass.bias, compass.jump, compass.chance
+    if (fix := section.fix) is not None:
+        return fix.lost, *fix.bias, fix.jump, fix.chance
     if (w := section.wrench) is not None:
         return *w.force, w.pitch_moment, w.yaw_moment
     return ()
@@ -205,6 +211,9 @@ def does_nothing(section: FaultAction) -> bool:
             return not any(numbers[:6])  # but for the time constant
         case "gust":
             return not any(numbers[:3])
+        case "dvl" | "compass" | "fix":
+            jumps = numbers[-2] and numbers[-1]
+            return not any(numbers[:-2]) and not jumps
         case "noise" | "bias" | "wrench" | "dropout":
             return not any(numbers)
     return False

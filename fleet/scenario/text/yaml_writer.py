@@ -62,7 +62,7 @@ def _supplied(spec: ScenarioSpec) -> dict[str, tuple[str, dict[str, Any]]]:
     if names is not None:
         guidance, tracking = names
         profile = f"profile {spec.profile}"
-        params = control(choice, spec.tick, vehicle(spec.vehicle, None), None)
+        params = control(choice, spec.tick, vehicle(spec.vehicle, None), None, None)
         shown_guidance = guidance_section(params.guidance, guidance, spec.tick).model_dump()
         shown_tracking = tracking_section(params.tracking, tracking).model_dump()
         supplied["guidance"] = f"{profile}, law {guidance}", shown_guidance

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Protocol
 
+from fleet.checks.belief import belief_values
 from fleet.scenario.sections.signals import ROLL
 from netem.wire.messages import Command, Frame, VehicleFrame
 from world.vectors import Vec3
@@ -45,6 +46,8 @@ def values_of(group: str, row: VehicleFrame, command: Command | None, error: Err
             return tuple(row.plant[ROLL_SIZE:])
         case "nav":
             return tuple(row.nav)
+        case "belief":
+            return belief_values(row, error)
         case "error":
             return (*error.e, error.e_norm, *error.formation, error.formation_norm)
         case "command":

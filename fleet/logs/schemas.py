@@ -58,7 +58,19 @@ def signal_columns(declared: tuple[Signal, ...]) -> tuple[Column, ...]:
     return tuple(Column(s.name, s.unit, s.meaning, 0 if s.width == 1 else s.width) for s in declared)
 
 
-STATE, ROLL, COMMAND, ERROR = map(signal_columns, (signals.STATE, signals.ROLL, signals.COMMAND, signals.ERROR))
+STATE, ROLL, COMMAND, ERROR, BELIEF = map(
+    signal_columns, (signals.STATE, signals.ROLL, signals.COMMAND, signals.ERROR, signals.BELIEF)
+)
+FIX = (
+    Column("source", "", "gps, usbl or lbl", type=STRING),
+    Column("measured", "s", "when it was measured"),
+    Column("at", "s", "when the navigation got it"),
+    Column("north", "m", "the fix"),
+    Column("east", "m", "the fix"),
+    Column("sigma", "m", "standard deviation that it has by itself, on each axis"),
+    Column("nis", "1", "normalised square of its innovation; chi-square with 2 degrees of freedom"),
+    Column("used", "", "false: the filter refused it", type=BOOL),
+)
 FAULT = (
     Column("fault", "", "its id", type=STRING),
     Column("action", "", "begins or ends", type=STRING),
@@ -80,6 +92,7 @@ OURS = {
     f"{PACKAGE}.{name}": columns
     for name, columns in (
         *(("State", STATE), ("StateWithRoll", STATE + ROLL), ("Command", COMMAND), ("Error", ERROR)),
+        *(("Belief", BELIEF), ("Fix", FIX)),
         *(("Fault", FAULT), ("Snapshot", SNAPSHOT), ("Packet", PACKET)),
     )
 }

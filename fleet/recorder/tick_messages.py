@@ -8,7 +8,7 @@ depends on which messages the tick has, and on the length of its timestamp.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from struct import Struct, pack
 from typing import Any, NamedTuple
 
@@ -16,8 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.signals import SignalLayout
+from fleet.checks.belief import SIZE as BELIEF_SIZE
+from fleet.checks.belief import belief_values
 from fleet.logs.batch import HEAD, MESSAGE, STAMP_BYTES, Batch
-from fleet.logs.schemas import COMMAND, ERROR, ROLL, STATE, Doubles, pose_parts, signal_columns
+from fleet.logs.schemas import BELIEF, COMMAND, ERROR, ROLL, STATE, Doubles, pose_parts, signal_columns
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.transforms import quaternion
 from fleet.scene.primitives import NED
@@ -25,9 +27,11 @@ from netem.wire.messages import Command, Frame
 from world.signal import Signal, width_of
 
 # The doubles of one vehicle: the number of each kind's first one. Telemetry comes behind them, since its size is the
-# agent's, and last what only a vehicle with a plant has: phi, p, the values of the plant's signals, measured phi, p.
+# agent's, then what only a vehicle with a plant has: phi, p, the values of the plant's signals, measured phi, p. Last is the
+# belief of a vehicle that does not know where it is.
 _STATE, _NAV, _COMMAND, _ERROR, _QUATERNION, _TELEMETRY = 0, 10, 20, 26, 34, 38
 _VALUES = Struct(f"<{_TELEMETRY}d").pack_into  # all but telemetry
+_BELIEF = Struct(f"<{BELIEF_SIZE}d").pack_into
 _NO_NAV: tuple[float, ...] = (0.0,) * 10
 _NO_ROLL: tuple[float, ...] = (0.0,) * 2
 _NO_TAU: tuple[float, ...] = (0.0,) * 3
@@ -74,6 +78,7 @@ class _Slot(NamedTuple):
     telemetry: Callable[..., None]  # packs it, behind the rest
     plant: Callable[..., None] | None  # packs what its plant adds; None: it has none
     behind: int  # where that begins
+    believed: int  # where its belief begins; 0: it knows where it is
     kind: int  # what it reports: a number among those that differ
 
 
@@ -82,6 +87,7 @@ class _Kind(NamedTuple):
 
     agent: SignalLayout
     plant: tuple[Signal, ...] | None  # None: they have none
+    navigates: bool  # they do not know where they are
 
 
 class TickMessages:
@@ -92,6 +98,7 @@ class TickMessages:
         topics: Mapping[str, Mapping[int, VehicleTopic]],
         agents: Mapping[int, SignalLayout],
         plants: Mapping[int, tuple[Signal, ...]],
+        navigating: Collection[int] = (),
     ) -> None:
         """Lay out the pool.
 
@@ -99,9 +106,10 @@ class TickMessages:
             topics: of every topic group and vehicle.
             agents: what the agent of each vehicle reports.
             plants: likewise the plant of each vehicle that has one.
+            navigating: the vehicles that do not know where they are.
         """
         self._topics = topics
-        kinds = {i: _Kind(agent, plants.get(i)) for i, agent in agents.items()}
+        kinds = {i: _Kind(agent, plants.get(i), i in navigating) for i, agent in agents.items()}
         self._kinds = list(dict.fromkeys(kinds.values()))  # those that differ
         number = {kind: k for k, kind in enumerate(self._kinds)}
         self._slots: dict[int, _Slot] = {}
@@ -110,8 +118,11 @@ class TickMessages:
             behind = place + 8 * (_TELEMETRY + kind.agent.size)
             added = 0 if kind.plant is None else 2 * len(ROLL) + width_of(kind.plant)
             telemetry, plant = (Struct(f"<{size}d").pack_into for size in (kind.agent.size, added))
-            self._slots[i] = _Slot(place, telemetry, plant if added else None, behind, number[kind])
-            place = behind + 8 * added
+            believed = behind + 8 * added
+            self._slots[i] = _Slot(
+                place, telemetry, plant if added else None, behind, believed if kind.navigates else 0, number[kind]
+            )
+            place = believed + 8 * (BELIEF_SIZE if kind.navigates else 0)
         self._pool = bytearray(place)
         self._constants: dict[bytes, int] = {}  # their places
         self._size, self._added = place, list[bytes]()  # of the pool with what is still to be put at its end
@@ -144,7 +155,9 @@ class TickMessages:
             command = commands.get(i)
             tau, applied = (_NO_TAU, _NO_TAU) if command is None else (command.tau, row.tau)
             e, e_norm, formation, formation_norm = errors[i]
-            place, pack_telemetry, pack_plant, behind, _ = self._slots[i]
+            place, pack_telemetry, pack_plant, behind, believed, _ = self._slots[i]
+            if believed and nav:
+                _BELIEF(pool, believed, *belief_values(row, errors[i]))
             phi = 0.0
             if pack_plant is not None:
                 phi = row.plant[0]
@@ -182,7 +195,7 @@ class TickMessages:
         for group in groups:
             topics = self._topics[group]
             for i, nav, command, telemetry in there:
-                has = {"nav": nav, "command": command, "guidance": telemetry, "control": telemetry}
+                has = {"nav": nav, "belief": nav, "command": command, "guidance": telemetry, "control": telemetry}
                 if i in topics and has.get(group, True):
                     messages.append((topics[i].channel, *self._message(group, i, stamp)))
         none = [np.empty(0, np.int32)]
@@ -235,7 +248,10 @@ class TickMessages:
 
 def _parts(group: str, kind: _Kind) -> list[bytes | int]:
     """The parts of a message of a topic group."""
-    agent, plant = kind
+    agent, plant, _ = kind
+    if group == "belief":
+        size = 0 if plant is None else 2 * len(ROLL) + width_of(plant)
+        return Doubles(BELIEF, _TELEMETRY + agent.size + size).parts
     if group in ("guidance", "control"):
         return Doubles(signal_columns(getattr(agent, group)), _TELEMETRY + agent.group(group).start).parts
     if plant is None or group not in ("state", "nav", "plant"):

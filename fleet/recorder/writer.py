@@ -22,10 +22,12 @@ from agents.controllers import law_class, laws
 from fleet.logs.batch import Batch
 from fleet.logs.schemas import (
     ANEW,
+    BELIEF,
     CLOCK,
     COMMAND,
     ERROR,
     FAULT,
+    FIX,
     FROM,
     FROM_TICK,
     PACKET,
@@ -108,6 +110,7 @@ class LogWriter:
         sink.metadata("run", run_metadata(scenario, start) | ({} if clock is Clock.LOCKSTEP else {CLOCK: clock}))
         signals = {i: scenario.plant_signals(i) for i in range(1, scenario.vehicles + 1)}
         plants = {i: own for i, own in signals.items() if own is not None}
+        navigating = [i for i in range(1, scenario.vehicles + 1) if scenario.navigates(i)]
         self._ticks = TickMessages(
             {
                 group: {i: self._topic(f"uuv/{i}/{group}", schema) for i, schema in schemas.items()}
@@ -115,7 +118,11 @@ class LogWriter:
             },
             {i: scenario.layout(i) for i in range(1, scenario.vehicles + 1)},
             plants,
+            navigating,
         )
+        fix = flat_schema("Fix", FIX) if navigating else None
+        self._fix = None if fix is None else fix.message
+        self._fixes = {} if fix is None else {i: self._channel(f"uuv/{i}/fix", fix) for i in navigating}
         self._scene = Scene(scenario, None if start is None else start.snapshot)
         self._drawn: dict[str, tuple[int, Callable[[Frame, bytes], bytes]]] = {}
         for group, drawn, draw in (
@@ -174,6 +181,8 @@ class LogWriter:
                 if (name, signals) not in made:
                     made[name, signals] = flat_schema(name, signal_columns(signals))
                 found["plant"][i] = made[name, signals]
+        if navigating := [i for i in ids if self._scenario.navigates(i)]:
+            found["belief"] = dict.fromkeys(navigating, flat_schema("Belief", BELIEF))
         return found
 
     def _topic(self, name: str, schema: Schema) -> VehicleTopic:
@@ -200,6 +209,8 @@ class LogWriter:
             if self._tap is not None:
                 for message in batch.messages():
                     self._tap.message(*message)
+        if self._fixes:
+            self._write_fixes(frame, at_ns)
         for group in due:
             if group in self._drawn:
                 channel, draw = self._drawn[group]
@@ -207,6 +218,20 @@ class LogWriter:
         self._sink.flush(at_ns)
         if self._tap is not None:
             self._tap.flush()
+
+    def _write_fixes(self, frame: Frame, at_ns: int) -> None:
+        """Write the fixes that came since the frame before."""
+        tick_s = self._tick_ns / 1e9
+        for row in frame.vehicles:
+            for fix in row.fixes:
+                assert self._fix is not None
+                north, east = fix.position
+                message = self._fix(
+                    source=fix.source, measured=fix.measured * tick_s, at=fix.tick * tick_s, north=north, east=east,
+                    sigma=fix.sigma, nis=fix.nis, used=fix.used,
+                )  # fmt: skip
+                measured_ns = fix.measured * self._tick_ns
+                self._add(self._fixes[row.id], at_ns, measured_ns, fix.measured, message.SerializeToString())
 
     def packet(self, fate: Fate) -> None:
         """Write one packet's final fate."""

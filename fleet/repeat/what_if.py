@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from math import isnan
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from agents.plugged_agent import PluggedAgent
 from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
 from fleet.logs.reader import LogReader, Record, Tell, log_path
-from fleet.logs.schemas import COMMAND, PACKET, ROLL, STATE, Column
+from fleet.logs.schemas import BELIEF, COMMAND, PACKET, ROLL, STATE, Column
 from fleet.recorder.snapshot import Start
 from fleet.repeat.recorded_run import recorded as read
 from fleet.repeat.resume import start_of
@@ -103,7 +104,7 @@ def what_if(
         raise WhatIfError("another number of vehicles, or another tick, is another run: use fleet run")
     if not 1 <= agent <= scenario.vehicles:
         raise WhatIfError(f"there is no agent {agent}: they are 1 to {scenario.vehicles}")
-    for group in ("nav", "command"):
+    for group in ("nav", "command", *(("belief",) if recorded.navigates(agent) else ())):
         if (every := recorded.log_every[group]) > 1:
             raise WhatIfError(f"{path} has every {every}th {group} only: an agent needs all (log.{group}: 1 tick)")
     try:
@@ -114,7 +115,7 @@ def what_if(
         scenario.layout(agent)
     except (AgentError, PluginError) as error:
         raise WhatIfError(f"{path}: {error}") from None
-    navs, commands, deliveries, start = _read(path, agent, scenario.tick_ns, progress)
+    navs, beliefs, commands, deliveries, start = _read(path, agent, scenario.tick_ns, progress)
     if not navs:
         raise WhatIfError(f"{path} has no navigation of agent {agent}")
     memory = None if start is None or navs[0][0] != start.snapshot.tick else start.snapshot.memories.get(agent)
@@ -153,7 +154,7 @@ def what_if(
             due.append(deliveries[waiting])
             waiting += 1
         try:
-            step = core.step(Nav(life, tick, measured[:5], measured[5:10], measured[10:]), due)
+            step = core.step(_nav(life, tick, measured, beliefs.get(tick, ())), due)
         except (AgentError, PluginError) as error:
             raise LawFailedError(str(error)) from None
         result.notes += [f"t = {at * scenario.tick_ns / 1e9:.2f} s: {text}" for at, text in core.take_notes()]
@@ -177,6 +178,13 @@ def what_if(
     )
 
 
+def _nav(life: int, tick: int, measured: tuple[float, ...], belief: tuple[float, ...]) -> Nav:
+    """What the agent got: eta, nu and roll, and how sure it was."""
+    if not belief or isnan(belief[0]):
+        return Nav(life, tick, measured[:5], measured[5:10], measured[10:])
+    return Nav(life, tick, measured[:5], measured[5:10], measured[10:] or (0.0, 0.0), belief)
+
+
 def _law(scenario: Scenario, agent: int) -> object:
     """What must be the same for an agent to take the memory of another."""
     return laws(scenario.controls[agent - 1]), scenario.graph.links
@@ -193,9 +201,17 @@ class _Answers:
 
 def _read(
     path: Path, agent: int, tick_ns: int, tell: Tell
-) -> tuple[list[tuple[int, tuple[float, ...]]], dict[int, tuple[float, ...]], list[Delivery], Start | None]:
-    """(tick, measured eta, nu, roll) of every sample; commands by tick; what was delivered, in order; its beginning."""
+) -> tuple[
+    list[tuple[int, tuple[float, ...]]],
+    dict[int, tuple[float, ...]],
+    dict[int, tuple[float, ...]],
+    list[Delivery],
+    Start | None,
+]:
+    """(tick, measured eta, nu, roll) of every sample; covariances by tick; commands by tick; what was delivered, in
+    order; its beginning."""
     navs: list[tuple[int, tuple[float, ...]]] = []
+    beliefs: dict[int, tuple[float, ...]] = {}
     commands: dict[int, tuple[float, ...]] = {}
     deliveries: list[Delivery] = []
     reader = LogReader(path, tell)
@@ -206,12 +222,14 @@ def _read(
             raise WhatIfError(f"{path}: a message of {record.topic} at t = {record.log_ns / 1e9:g} s is damaged")
         return message
 
-    nav, command = f"uuv/{agent}/nav", f"uuv/{agent}/command"
+    nav, belief, command = (f"uuv/{agent}/{group}" for group in ("nav", "belief", "command"))
     for record in reader:
         if record.topic == nav:
             m = decode(record, STATE)
             columns = STATE + ROLL if "phi" in m.DESCRIPTOR.fields_by_name else STATE
             navs.append((record.log_ns // tick_ns, tuple(getattr(m, column.name) for column in columns)))
+        elif record.topic == belief:
+            beliefs[record.log_ns // tick_ns] = tuple(decode(record, BELIEF).covariance)
         elif record.topic == command:
             commands[record.log_ns // tick_ns] = tuple(decode(record, COMMAND[:1]).tau)
         elif record.topic.startswith("link/") and record.topic.endswith(f"-{agent}"):
@@ -220,4 +238,4 @@ def _read(
                 src = int(record.topic.removeprefix("link/").split("-")[0])
                 sent = record.publish_ns // tick_ns
                 deliveries.append(Delivery(record.log_ns // tick_ns, sent, src, m.seq, m.copy, m.payload))
-    return navs, commands, sorted(deliveries, key=astuple), start_of(reader)
+    return navs, beliefs, commands, sorted(deliveries, key=astuple), start_of(reader)

@@ -118,7 +118,10 @@ def _signals(parts: Parts, report: Report) -> dict[int, Mapping[str, SignalPlace
         others = any(law.name not in BUILT_IN[kind] for kind, law in running)
         if others and (not report.policy.imports or report.mistaken("agent", "controller", "guidance", "tracking")):
             return None
-        return {i: places(layout(control), control.plant_signals()) for i, control in enumerate(controls, start=1)}
+        return {
+            i: places(layout(control), control.plant_signals(), control.navigation is not None)
+            for i, control in enumerate(controls, start=1)
+        }
     except (FleetError, PluginError):  # reported where it is about
         return None
 

@@ -8,6 +8,7 @@ from math import gcd, lcm
 from agents.config import Law
 from agents.controllers import law_class
 from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.sections.signals import OF_NAVIGATION
 from world.errors import PluginError
 from world.plugins.checks import resumable
 
@@ -26,6 +27,7 @@ def snapshot_grid(spec: ScenarioSpec) -> int:
 def log_every(spec: ScenarioSpec) -> dict[str, int]:
     """Ticks between two records of each topic group; 0 for never."""
     groups = (*LOG_GROUPS, PLANT_GROUP) if _has_plants(spec) else LOG_GROUPS
+    groups = (*groups, OF_NAVIGATION) if _navigate(spec) else groups
     every = {group: getattr(spec.log, group) or spec.log.every for group in groups}
     step = gcd(*every.values())  # what is drawn shall need no frame of its own
     for group, about_ns in DRAWN_GROUPS.items():
@@ -37,6 +39,11 @@ def log_every(spec: ScenarioSpec) -> dict[str, int]:
 def _has_plants(spec: ScenarioSpec) -> bool:
     sections = [spec.vehicle, *(overrides.vehicle for overrides in spec.per_vehicle.values())]
     return any(section is not None and section.plant is not None for section in sections)
+
+
+def _navigate(spec: ScenarioSpec) -> bool:
+    sections = [spec.navigation, *(overrides.navigation for overrides in spec.per_vehicle.values())]
+    return any(section is not None and not section.ideal for section in sections)
 
 
 def memory_ticks(spec: ScenarioSpec, others: Iterable[tuple[str, Law]]) -> int:

@@ -50,9 +50,7 @@ LENGTH = Dimension("a length", "0.1 m", _units(m=1, mm="1/1000", cm="1/100", km=
 SPEED = Dimension("a speed", "0.7 m/s", {"m/s": Fraction(1), "cm/s": Fraction(1, 100), "kn": Fraction(1852, 3600)})
 ACCELERATION = Dimension("an acceleration", "0.3 m/s^2", {"m/s^2": Fraction(1), "m/s2": Fraction(1)})
 ANGLE = Dimension("an angle", "20 deg", {"deg": _DEG, "rad": Fraction(1)})
-ANGULAR_RATE = Dimension(
-    "an angular rate", "5 deg/s", {"deg/s": _DEG, "rad/s": Fraction(1), "deg/h": _DEG / 3600}
-)
+ANGULAR_RATE = Dimension("an angular rate", "5 deg/s", {"deg/s": _DEG, "rad/s": Fraction(1), "deg/h": _DEG / 3600})
 ANGLE_WALK = Dimension(
     "a random walk of an angle", "0.1 deg/sqrt(h)", {"deg/sqrt(h)": _DEG / 60, "rad/sqrt(s)": Fraction(1)}
 )

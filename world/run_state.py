@@ -18,7 +18,6 @@ from world.sea import World
 from world.tumble import tumbles
 from world.vectors import ZERO, Vec3
 
-
 Sensed = tuple[tuple[float, ...], tuple[float, ...]]  # eta, nu and roll; the covariance of the estimate, or nothing
 NOT_SENSED: Sensed = ((), ())
 NO_ROLL = (0.0, 0.0)

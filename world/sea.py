@@ -21,13 +21,12 @@ from world.current import draws as draws_of_drift
 from world.disturbance import disturbance
 from world.dynamics import Coefficients, State, coefficients, rk4_step
 from world.errors import IntegrationError, WorldError
-from world.navigation.faults import fault_draws
 from world.navigation.kinds import navigation_of
 from world.navigation.navigator import Navigator
 from world.navigation.replay import ReplayedError
 from world.plants.fenced_plant import FencedPlant
 from world.sensors import Measured, measure, split
-from world.vectors import ZERO, Vec2, Vec3, Vec5, Vec6, plus
+from world.vectors import Vec2, Vec3, Vec5, Vec6, plus
 
 Stages = tuple[tuple[Vec5, Vec5, Vec5], ...]  # the disturbance at start, middle and end of each RK4 step
 
@@ -41,8 +40,6 @@ def draws(fault: WorldFault) -> list[str]:
             return [_purpose(fault)] if undecided(fault.values[0]) else []
         case WorldFaultKind.CURRENT:
             return draws_of_drift(fault.id, fault.values[3:6])
-        case WorldFaultKind.DVL | WorldFaultKind.COMPASS | WorldFaultKind.FIX:
-            return fault_draws(fault)
     return []
 
 
@@ -255,17 +252,21 @@ class World:
             raise IntegrationError("the motion left the finite numbers", state[3], i, tick) from None
         if not isfinite(sum(state)):
             raise IntegrationError("the motion left the finite numbers", state[3], i, tick)
-        before, vehicle.state = vehicle.state, state
-        vehicle.tick = tick + 1
         if vehicle.navigation is not None:
-            self._navigate(i, before, current)
+            self._navigate(i, state, current)
+        vehicle.state = state
+        vehicle.tick = tick + 1
 
-    def _navigate(self, i: int, before: State, current: Vec3) -> None:
-        """Let vehicle i measure what it did in the tick before: its state was `before`, and the current [m/s, NED]."""
+    def _navigate(self, i: int, after: State, current: Vec3) -> None:
+        """Let vehicle i measure what it does in a tick, in a current [m/s, NED]; `after` is its state at the next."""
         vehicle = self._vehicles[i]
-        faults = self._active(i, vehicle.tick) if self._faults else []
+        faults = self._active(i, vehicle.tick + 1) if self._faults else []
         phi = 0.0 if vehicle.plant is None else vehicle.plant.roll[0]
-        vehicle.navigation.step(before, vehicle.state, current, faults, phi)
+        assert vehicle.navigation is not None
+        try:
+            vehicle.navigation.step(vehicle.state, after, current, faults, phi)
+        except (OverflowError, ValueError, ZeroDivisionError):
+            raise IntegrationError("its navigation left the finite numbers", after[3], i, vehicle.tick) from None
 
     def _advance_plant(self, i: int, tau: Vec3, current: Vec3, forces: Stages) -> None:
         """The same for a vehicle that is a plant, which gets the disturbance at the middle of each step."""
@@ -273,10 +274,11 @@ class World:
         plant, tick = vehicle.plant, vehicle.tick
         wrenches: list[Vec6] = [(x, y, z, 0.0, m, n) for _, (x, y, z, m, n), _ in forces]
         plant.advance(tick, tau, current, wrenches, self._h)
-        before, vehicle.state = vehicle.state, _of_plant(plant)
-        vehicle.tick = tick + 1
+        after = _of_plant(plant)
         if vehicle.navigation is not None:
-            self._navigate(i, before, current)
+            self._navigate(i, after, current)
+        vehicle.state = after
+        vehicle.tick = tick + 1
         if plant.notes:
             self.notes += [(i, k, text) for k, text in plant.notes]
             plant.notes.clear()
@@ -319,10 +321,7 @@ class World:
 
     def hold(self, i: int) -> None:
         """Let a tick pass without integrating vehicle i, whose motion diverged: it stays where it was."""
-        vehicle = self._vehicles[i]
-        vehicle.tick += 1
-        if vehicle.navigation is not None:
-            self._navigate(i, vehicle.state, ZERO)
+        self._vehicles[i].tick += 1
 
     def close(self) -> None:
         """End what the plants hold; no vehicle is moved afterwards."""

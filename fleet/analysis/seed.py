@@ -15,6 +15,8 @@ from netem import acoustic, air, fading, impairment
 from netem.condition import Condition, Link
 from netem.faults import NetFault
 from world import current, sea, sensors
+from world.navigation import fixes, instrument_faults, instruments, navigator
+from world.navigation.config import DeadReckoning
 
 NOTHING = "nothing in this scenario depends on the seed: every seed gives the same run"
 HINT = "initial: {scatter: 1 m}, sensors.position_noise or a loss would make seeds differ"
@@ -40,6 +42,9 @@ def _parts(scenario: Scenario) -> Iterator[tuple[str, list[str]]]:
     yield "initial scatter", formation.draws(spec.initial)
     yield "random graph", graph.draws(spec.graph, spec.vehicles)
     yield "sensor noise", sensors.draws(scenario.noise)
+    for control in scenario.controls:
+        if isinstance(control.navigation, DeadReckoning):
+            yield "navigation", _navigation(control.navigation)
     yield "current", current.draws("", spec.sea.current.sigma)
     for condition in scenario.conditions.values():
         yield "link conditions", _of_condition(condition)
@@ -50,12 +55,18 @@ def _parts(scenario: Scenario) -> Iterator[tuple[str, list[str]]]:
             yield "faults", partitions.draws(section.partition, spec.vehicles, section.id or f"f{number}")
     for fault in scenario.faults.world:
         yield "faults", sea.draws(fault)
+        yield "faults", instrument_faults.draws(fault)
     for over in scenario.faults.network:
         yield "faults", _of_fault(over, scenario.conditions)
     if scenario.other_laws:
         yield f"{PERHAPS}laws of yours", []
     if scenario.plants:
         yield f"{PERHAPS}plants", []
+
+
+def _navigation(config: DeadReckoning) -> list[str]:
+    of_fixes = [purpose for source in config.fixes for purpose in fixes.draws(source)]
+    return [*navigator.draws(config), *instruments.draws(config), *of_fixes]
 
 
 def _of_condition(condition: Condition) -> list[str]:

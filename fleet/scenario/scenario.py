@@ -207,9 +207,7 @@ class Scenario:
             file = str(file_of(section.name) or "")
             plant = PlantSetup(section.name, section.parameters or {}, section.budget / 1e9, *rolls[i - 1], file)
         limit = control.tumble_limit
-        return VehicleSetup(
-            i, eta0, nu0, control.vehicle, control.tau_max, limit, size, plant, control.navigation
-        )
+        return VehicleSetup(i, eta0, nu0, control.vehicle, control.tau_max, limit, size, plant, control.navigation)
 
     def navigates(self, i: int) -> bool:
         """Whether vehicle i has to find out where it is."""

@@ -22,7 +22,7 @@ from fleet.recorder.metrics import VehicleError
 from fleet.recorder.separation import Separation
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.checked_signals import checked_signals
-from fleet.scenario.sections.signals import SIGNAL, SignalError, SignalName, places, read_name, unit_of
+from fleet.scenario.sections.signals import SIGNAL, SignalError, SignalName, SignalPlace, places, read_name, unit_of
 from fleet.study.errors import StudyError
 from fleet.study.measures import MORE_IS_BETTER, SEPARATION, STANDING, Column
 from netem.parsing import nearest

@@ -199,7 +199,9 @@ class Nav(Record, frozen=True, tag="nav"):
     ] = ()
     belief: Annotated[
         Reals10,
-        about("covariance of x, y, z, psi: upper triangle, row by row; **left out** without a filter", "m^2, m rad, rad^2"),
+        about(
+            "covariance of x, y, z, psi: upper triangle, row by row; **left out** without a filter", "m^2, m rad, rad^2"
+        ),
     ] = ()
 
 

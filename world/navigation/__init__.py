@@ -1,1 +1,1 @@
-"""Where a vehicle believes it is: instruments, fixes and the filter, and the grades of navigation that ship, as data."""
+"""Where a vehicle believes it is: instruments, fixes and the filter; and the grades that ship, as data."""

@@ -12,7 +12,7 @@ FixKind = Literal["gps", "usbl", "lbl"]
 
 @dataclass(frozen=True, slots=True)
 class Grade:
-    """The errors of a set of instruments. A bias is the standard deviation of what is drawn once per run and vehicle."""
+    """The errors of a set of instruments; a bias is the standard deviation of what is drawn per run and vehicle."""
 
     heading_rate: float  # samples per second [Hz], as of each instrument
     heading_bias: float  # rad

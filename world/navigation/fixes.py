@@ -10,17 +10,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import hypot
 
-from netem.draws import normal, uniform
+from netem.draws import normal, undecided, uniform
 from netem.fault_kinds import WorldFaultKind
 from netem.wire.messages import Fix, WorldFault
 from world.navigation.config import FixSource
-from world.navigation.faults import jumps, lost
 from world.navigation.filter import NavigationFilter
+from world.navigation.instrument_faults import jumps, lost
 from world.navigation.instruments import PURPOSE, due
 from world.vectors import Vec3
 
-
 MOST_SOURCES = 8
+NOISE, LOSS = f"{PURPOSE} fix", f"{PURPOSE} fix loss"
+
+
+def draws(source: FixSource) -> list[str]:
+    """The purposes of the draws of a vehicle's fixes."""
+    found = [LOSS] if undecided(source.loss) else []
+    return [*found, NOISE] if source.loss < 1.0 and (source.noise or source.growth) else found
 
 
 class Fixes:
@@ -43,10 +49,10 @@ class Fixes:
             if not due(tick, self._tick_ns, source.period_ns):
                 continue
             sigma = _sigma(source, true)
-            if sigma < 0.0 or (source.loss > 0.0 and uniform(seed, f"{PURPOSE} fix loss", i, tick, number) < source.loss):
+            if sigma < 0.0 or (source.loss > 0.0 and uniform(seed, LOSS, i, tick, number) < source.loss):
                 continue
             gone = False
-            off = [sigma * normal(seed, f"{PURPOSE} fix", i, tick, number, axis) for axis in range(2)]
+            off = [sigma * normal(seed, NOISE, i, tick, number, axis) for axis in range(2)]
             for fault in faults:
                 if fault.kind == WorldFaultKind.FIX:
                     gone = gone or lost(fault, seed, i, tick, number)

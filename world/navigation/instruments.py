@@ -1,10 +1,10 @@
-"""What the instruments of a vehicle measure: heading sensor, gyros, DVL, pressure sensor, each with its rate and errors.
+"""What the instruments of a vehicle measure: heading sensor, gyros, DVL and pressure sensor, each with its rate.
 
 | symbol | meaning | unit |
 |---|---|---|
 | psi + b + w + n | heading sensor: bias, random walk of the bias, noise of the sample | rad |
 | q + g + n | gyro on each axis: bias; noise that makes an angle random walk | rad/s |
-| (1 + s) v + n | DVL: scale error, noise of the sample; v over ground, or through the water where the floor is out of sight | m/s |
+| (1 + s) v + n | DVL: scale error, noise of the sample; v over ground, or through the water out of sight of the floor | m/s |
 | z + b + n | pressure sensor: bias, noise of the sample | m |
 
 Between two samples of the DVL and of the pressure sensor the accelerometers carry what was measured on: the error stays
@@ -21,12 +21,30 @@ from netem.draws import normal
 from netem.fault_kinds import WorldFaultKind
 from netem.wire.messages import WorldFault
 from world.navigation.config import DeadReckoning
-from world.navigation.faults import jumps, lost
 from world.navigation.filter import BOTTOM, LOST, WATER
+from world.navigation.instrument_faults import jumps, lost
 from world.vectors import Vec3
 
 PURPOSE = "navigation"
 NO_FAULTS: Sequence[WorldFault] = ()
+
+
+def draws(config: DeadReckoning) -> list[str]:
+    """The purposes of the draws of a vehicle's instruments; none of those without errors."""
+    grade = config.grade
+    drawn = {
+        "heading bias": grade.heading_bias,
+        "heading walk": grade.heading_walk,
+        "heading": grade.heading_noise,
+        "gyro bias": grade.gyro_bias,
+        "gyro": grade.gyro_walk,
+        "dvl scale": grade.dvl_scale,
+        "dvl": grade.dvl_noise,
+        "depth bias": grade.depth_bias,
+        "depth": grade.depth_noise,
+        "tilt": grade.tilt,
+    }
+    return [f"{PURPOSE} {what}" for what, sigma in drawn.items() if sigma]
 
 
 def due(tick: int, tick_ns: int, period_ns: int) -> bool:
@@ -40,9 +58,8 @@ class Instruments:
     def __init__(self, config: DeadReckoning, seed: int, i: int, tick_ns: int) -> None:
         grade = config.grade
         self._config, self._seed, self._i, self._tick_ns = config, seed, i, tick_ns
-        self._heading_ns, self._gyro_ns, self._dvl_ns, self._depth_ns = (
-            max(1, round(1e9 / rate)) for rate in (grade.heading_rate, grade.gyro_rate, grade.dvl_rate, grade.depth_rate)
-        )
+        rates = (grade.heading_rate, grade.gyro_rate, grade.dvl_rate, grade.depth_rate)
+        self._heading_ns, self._gyro_ns, self._dvl_ns, self._depth_ns = (max(1, round(1e9 / rate)) for rate in rates)
         self._heading_s: float = max(self._heading_ns, tick_ns) / 1e9  # from sample to sample
         self._gyro_s: float = max(self._gyro_ns, tick_ns) / 1e9
         # What stays for the whole run.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import cos, sin
+from math import cos, isfinite, sin
 from typing import Any
 
 from netem.draws import normal
@@ -16,7 +16,13 @@ from world.vectors import Vec3, Vec5
 
 # x, y, z [m, NED], theta, psi [rad], u, v, w [m/s, body, over ground], q, r [rad/s]
 State = tuple[float, float, float, float, float, float, float, float, float, float]
+START = f"{PURPOSE} start"
 Believed = tuple[Vec5, Vec5, tuple[float, ...]]  # eta, nu, roll
+
+
+def draws(config: DeadReckoning) -> list[str]:
+    """The purpose of the draws of where a vehicle believes it begins."""
+    return [START] if config.start else []
 
 
 class Navigator:
@@ -41,7 +47,7 @@ class Navigator:
 
     def _begin(self, state: State) -> NavigationFilter:
         """The filter of a vehicle that is told where it is, and reads its heading sensor."""
-        start, purpose = self._config.start, f"{PURPOSE} start"
+        start, purpose = self._config.start, START
         off = [start * normal(self._seed, purpose, self._i, axis) if start else 0.0 for axis in range(2)]
         heading = self._instruments.heading(0, state[4])
         assert heading is not None  # there is one at the start
@@ -56,39 +62,44 @@ class Navigator:
             current: in between [m/s, NED].
             faults: those that act on this vehicle at the next tick.
             phi: true roll at the next tick [rad].
+
+        Raises:
+            OverflowError, ValueError, ZeroDivisionError: the estimate left the finite numbers.
         """
         tick, dt = self._tick + 1, self._dt
         self._tick = tick
-        instruments, known = self._instruments, self.filter
+        measure, known = self._instruments, self.filter
         x0, y0, z0, x1, y1, z1 = before[0], before[1], before[2], after[0], after[1], after[2]
-        turn = after[4] - before[4] + instruments.gyro[0] * dt
+        turn = after[4] - before[4] + measure.gyro[0] * dt
         moved = x1 - x0, y1 - y0, z1 - z0
-        forward, starboard = instruments.displacement(moved, current, 0.5 * (before[4] + after[4]), dt)
-        known.advance(turn, forward, starboard, dt, instruments.mode)
+        forward, starboard = measure.displacement(moved, current, 0.5 * (before[4] + after[4]), dt)
+        known.advance(turn, forward, starboard, dt, measure.mode)
         self._current = current
-        instruments.turn_rates(tick)
-        velocity = instruments.held if instruments.mode == LOST else self._velocity(after, phi)
-        if instruments.velocity(tick, z1, faults):
+        measure.turn_rates(tick)
+        velocity = measure.held if measure.mode == LOST else self._velocity(after, phi)
+        if measure.velocity(tick, z1, faults):
             known.settle()
-            if instruments.mode == LOST:
-                instruments.held = velocity
-        instruments.pressure(tick)
-        heading = instruments.heading(tick, after[4], faults)
+            if measure.mode == LOST:
+                measure.held = velocity
+        measure.pressure(tick)
+        heading = measure.heading(tick, after[4], faults)
         if heading is not None:
             known.heading(heading, self._config.grade.heading_noise)
         if self._config.fixes:
             true: Vec3 = (x1, y1, z1)
             self._fixes.measure(tick, true, known, faults)
             self._tell += self._fixes.use(tick, known)
+        if not isfinite(sum(known.x)):
+            raise OverflowError("the estimate is not finite")
 
     def _velocity(self, state: State, phi: float) -> list[float]:
         """What the DVL measures of the velocity [m/s, body]: over ground, or through the water."""
-        instruments = self._instruments
+        measure = self._instruments
         own = [state[5], state[6], state[7]]
-        if instruments.mode == WATER:
+        if measure.mode == WATER:
             drift = body(self._current, phi, state[3], state[4])
             own = [own[0] - drift[0], own[1] - drift[1], own[2] - drift[2]]
-        scale, off = instruments.scale, instruments.dvl
+        scale, off = measure.scale, measure.dvl
         return [scale * own[0] + off[0], scale * own[1] + off[1], scale * own[2] + off[2]]
 
     def believed(self, state: State, roll: tuple[float, ...]) -> Believed:
@@ -98,21 +109,21 @@ class Navigator:
             state: the truth.
             roll: true phi [rad] and p [rad/s], or nothing.
         """
-        instruments, x = self._instruments, self.filter.x
-        pitch, lean = instruments.tilt
+        measure, x = self._instruments, self.filter.x
+        pitch, lean = measure.tilt
         theta = state[3] + pitch
         phi = roll[0] if roll else 0.0
-        if instruments.mode == LOST:
-            u, v, w = instruments.held
+        if measure.mode == LOST:
+            u, v, w = measure.held
         else:
             u, v, w = self._velocity(state, phi)
         scale = 1.0 + x[S]
         u, v, w = u / scale, v / scale, w / scale
-        if instruments.mode != BOTTOM:
+        if measure.mode != BOTTOM:
             drift = body((x[CN], x[CE], 0.0), phi, theta, x[PSI])
             u, v, w = u + drift[0], v + drift[1], w + drift[2]
-        yaw, q, p = instruments.gyro
-        eta = x[N], x[E], state[2] + instruments.depth, theta, x[PSI]
+        yaw, q, p = measure.gyro
+        eta = x[N], x[E], state[2] + measure.depth, theta, x[PSI]
         nu = u, v, w, state[8] + q, state[9] + yaw
         return eta, nu, (roll[0] + lean, roll[1] + p) if roll else ()
 
@@ -151,11 +162,11 @@ class Navigator:
             self.filter = self._begin(state)
             self._tick = tick
             return
-        known, instruments, fixes, (x, y, z), told = values
+        known, measured, under_way, (x, y, z), told = values
         self._tick = tick
         self.filter.restore(known)
-        self._instruments.restore(instruments)
-        self._fixes.restore(fixes, self.filter)
+        self._instruments.restore(measured)
+        self._fixes.restore(under_way, self.filter)
         self._current = x, y, z
         self._tell = [Fix(a, b, c, tuple(d), e, f, g) for a, b, c, d, e, f, g in told]
 

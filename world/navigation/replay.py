@@ -1,4 +1,4 @@
-"""The navigation error of a real vehicle, replayed: what its agent believes is the truth plus the error of the trace."""
+"""The navigation error of a real vehicle, replayed: its agent believes the truth plus the error of the trace."""
 
 from __future__ import annotations
 

@@ -13,10 +13,10 @@ from fleet.scenario.sections.navigation import DEFAULTS, KINDS, NUMBERS, grade_o
 from fleet.scenario.sections.timeline import action, vehicles_of
 from netem.fault_kinds import WorldFaultKind
 from world.navigation.config import DeadReckoning, Navigation
+from world.navigation.instrument_faults import KINDS as KINDS_OF_FAULT
 
 MOST_UNDER_WAY = 20  # fixes: the filter keeps a past position for each
 _NOT_OF = {"gps": ("at", "noise_per_distance", "reach"), "usbl": ("depth",), "lbl": ("depth",)}
-_FAULTS = (WorldFaultKind.DVL, WorldFaultKind.COMPASS, WorldFaultKind.FIX)
 
 
 def navigation(parts: Parts, report: Report) -> None:
@@ -76,12 +76,12 @@ def faults(parts: Parts, report: Report) -> None:
     vehicles = range(1, parts.spec.vehicles + 1)
     for index, fault in enumerate(parts.spec.faults):
         kind = action(fault)
-        if kind not in _FAULTS:
+        if kind not in KINDS_OF_FAULT:
             continue
         some = vehicles_of(fault) or vehicles
         if not any(_has(kind, parts.controls[i - 1].navigation) for i in some):
             what = "fixes" if kind == WorldFaultKind.FIX else "dead reckoning"
-            hint = f'give it one, as in {dotted(("navigation",))}: {"{usbl: ...}" if what == "fixes" else "tactical"}'
+            hint = f"give it one, as in {dotted(('navigation',))}: {'{usbl: ...}' if what == 'fixes' else 'tactical'}"
             report.add(("faults", index, kind), f"has no effect: none of these vehicles has {what}", hint, key=True)
 
 

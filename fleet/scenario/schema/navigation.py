@@ -98,6 +98,4 @@ def _show_navigation(section: NavigationSection | None) -> Any:
     return values["grade"] if set(values) == {"grade"} else values or "dead-reckoning"  # a section without a key
 
 
-NavigationChoice = Annotated[
-    NavigationSection, BeforeValidator(_read_navigation), PlainSerializer(_show_navigation)
-]
+NavigationChoice = Annotated[NavigationSection, BeforeValidator(_read_navigation), PlainSerializer(_show_navigation)]

@@ -12,9 +12,9 @@ from agents.config import Extrapolation, GuidanceParams, KeepApartParams, Law, T
 from agents.controllers import CONTROLLERS, GUIDANCE, TRACKING
 from agents.profiles import profile
 from fleet.scenario.schema.control import GuidanceSection, LawSection, TrackingSection, VehicleOverrides
+from fleet.scenario.schema.navigation import NavigationSection
 from fleet.scenario.schema.section import Section
 from fleet.scenario.schema.spec import ScenarioSpec
-from fleet.scenario.schema.navigation import NavigationSection
 from fleet.scenario.schema.vehicle import ModelErrorSection, PlantSection, VehicleSection
 from fleet.scenario.sections import vehicle_files
 from fleet.scenario.sections.navigation import navigation_over

@@ -1,4 +1,4 @@
-"""The filter is consistent, and its drift is that of the closed formulas. No world: a course, instruments, the filter."""
+"""The filter is consistent, and its drift is that of the closed formulas: a course, instruments, the filter, no world."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from netem.wire.messages import Fix, WorldFault
 from world.navigation.config import DeadReckoning, FixSource, Grade
-from world.navigation.filter import GATE, NavigationFilter, E, N
+from world.navigation.filter import GATE, E, N, NavigationFilter
 from world.navigation.navigator import Navigator, State
 
 TICK_NS = 100_000_000
@@ -74,8 +74,8 @@ def covariance(navigator: Navigator) -> np.ndarray:
     ids=["dead reckoning", "with fixes", "through the water"],
 )
 def test_the_filter_is_consistent(setup: DeadReckoning, current: float) -> None:
-    """NEES of 100 seeds has a chi-square distribution with as many degrees of freedom as the state (95 % interval of its
-    mean), and so has NIS of the fixes (Bar-Shalom, Li and Kirubarajan 2001, ch. 5.4)."""
+    """NEES of 100 seeds has a chi-square distribution with four degrees of freedom (95 % interval of its mean), and NIS
+    of the fixes one with two (Bar-Shalom, Li and Kirubarajan 2001, ch. 5.4)."""
     nees, nis = [], []
     drawn = np.random.default_rng(1).normal(0.0, 1.0, (100, 2))
     for seed in range(100):
@@ -165,7 +165,8 @@ def test_many_fixes_in_a_row_that_agree_are_right() -> None:
 )
 def test_faults_change_what_is_believed(kind: str, values: tuple[float, ...]) -> None:
     setup = config(ALL, replace(USBL, loss=0.0), start=1.0)
-    well, ill = (voyage(setup, 60.0, turning=0.05, faults=faults) for faults in ((), (WorldFault("f", 0, None, kind, (), values),)))  # type: ignore[arg-type]
+    fault = WorldFault("f", 0, None, kind, (), values)  # type: ignore[arg-type]
+    well, ill = (voyage(setup, 60.0, turning=0.05, faults=faults) for faults in ((), (fault,)))
     assert abs(well[1] - ill[1]).max() > 1e-3
     if kind == "dvl" and values[0] == 1.0:
         assert ill[0].filter.sigma(N) > 1.5 * well[0].filter.sigma(N)  # and it knows

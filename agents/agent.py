@@ -107,7 +107,7 @@ class Agent(Brain):
         if not self._failed:
             seed = f"{self._seed}{tick}"
             velocity = earth_velocity(eta, nu, nav.roll[0] if nav.roll else 0.0)
-            sample = Sample(tick, t, dt, eta, nu, velocity, desired, heard, e, c, seed, nav.roll)
+            sample = Sample(tick, t, dt, eta, nu, velocity, desired, heard, e, c, seed, nav.roll, nav.belief)
             try:
                 demand, values = self._control(sample)
                 telemetry = known + values

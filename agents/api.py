@@ -117,7 +117,9 @@ class WholeAgent(Protocol):
 
         Args:
             nav: the own measured state: `tick`, `eta` (x, y, z [m, NED], theta, psi [rad]), `nu` (u, v, w [m/s,
-                body, over ground], q, r [rad/s]), and `roll` (phi [rad], p [rad/s]; empty without a plant).
+                body, over ground], q, r [rad/s]), `roll` (phi [rad], p [rad/s]; empty, or zero, without a plant), and
+                `belief` (covariance of x, y, z, psi [m, rad]: the upper triangle, row by row; empty where the vehicle
+                does not know it).
         """
 
     def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> tuple[Vec3, Telemetry]:

@@ -44,6 +44,7 @@ class Sample(NamedTuple):
     c: float  # sum of the weights in e [1]
     seed: str  # of this vehicle's random numbers at this tick
     roll: tuple[float, ...] = ()  # own measured phi [rad], p [rad/s] of a vehicle with a plant; in `velocity` already
+    belief: tuple[float, ...] = ()  # covariance of own x, y, z, psi [m, rad]: upper triangle, row by row; () if unknown
 
     def rng(self) -> Random:
         """A random generator for this vehicle and tick; call this once per sample.

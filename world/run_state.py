@@ -167,7 +167,7 @@ class RunState:
         plant = world.of_plant(i)
         navigation = world.navigation(i)
         if navigation is None:
-            return VehicleFrame(i, *world.state(i), sensed[0], tau, command, plant)
+            return VehicleFrame(i, *world.state(i), sensed[0], tau, command, plant, (), ())
         nav, belief = sensed
         if belief and not plant:
             nav = nav[: -len(NO_ROLL)]

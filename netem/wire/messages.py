@@ -101,8 +101,8 @@ class VehicleFrame(Record, frozen=True):
     tau: Annotated[Reals, about("applied thrust and moments after limits; empty at the end", "N, N m")]
     command: Annotated[bytes, about("the agent's Command message; empty when none")]
     plant: Annotated[Reals, about("true phi, p and what its plant reports, in that order; empty without a plant")]
-    belief: Annotated[Reals, about("covariance of what it reported, as in nav; empty where nav has none")] = ()
-    fixes: Annotated[tuple[Fix, ...], about("those that its navigation got since the frame before")] = ()
+    belief: Annotated[Reals, about("covariance of what it reported, as in nav; empty where nav has none")]
+    fixes: Annotated[tuple[Fix, ...], about("those that its navigation got since the frame before")]
 
 
 class Arrival(Record, frozen=True):

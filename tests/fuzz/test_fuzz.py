@@ -389,7 +389,7 @@ def test_faults_that_are_meant_are_taken(text: str) -> None:
 # --- the operator ------------------------------------------------------------
 
 FAULTS = ["link", "down", "up", "partition", "kill", "mute", "deaf", "slow", "pause", "noise", "bias", "freeze",
-          "dropout", "efficiency", "saturate", "off", "stuck", "current", "gust", "wrench"]  # fmt: skip
+          "dropout", "dvl", "compass", "fix", "efficiency", "saturate", "off", "stuck", "current", "gust", "wrench"]  # fmt: skip
 PLAUSIBLE = st.one_of(
     ANYTHING,
     st.sampled_from(
@@ -399,6 +399,7 @@ PLAUSIBLE = st.one_of(
             {"vehicles": 2, "by": "5 ticks"}, {"vehicles": 1, "position_noise": "10 cm"}, {"probability": "30 %"},
             {"velocity": "0 0.5 0 m/s", "over": "10s"}, {"velocity": "1e308 0 0 m/s", "over": "0 s"},
             {"mean": "0.2 0 0 m/s", "sigma": "5 5 0 cm/s", "time_constant": "20s"}, {"vehicles": [0]},
+            {"lost": "30 %", "jump": "1 m", "chance": "20 %"}, {"bias": "1e308 0 0 m/s"}, {"bias": "1e308 deg"},
         ]
     ),
 )  # fmt: skip

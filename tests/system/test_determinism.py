@@ -34,9 +34,14 @@ NOISE = [
 ]
 ROUGH = "network.links={'*': 'delay 200ms 50ms loss 30%'}"
 
+INSTRUMENTS = (
+    "faults=[{at: 1 s, for: 1 s, dvl: {lost: 50 %, jump: 1 m/s}}, {at: 1 s, compass: {bias: 5 deg}}, "
+    "{at: 500 ms, fix: {jump: 2 m, chance: 50 %}}]"
+)
+
 # What each adds: nothing; loss, jitter and the disturbance; draws in the world process; frames that are not sent
-# every tick, and an end tick between two of them; a last round that is cut; the tightest coupling there is; a
-# graph in which vehicles hear more than one other, and numbers of two digits; a QP at every tick.
+# every tick, and an end tick between two of them; a last round that is cut; the tightest coupling there is; estimates
+# with fixes under way; a graph in which vehicles hear more than one other, and numbers of two digits; a QP at every tick.
 CASES: dict[str, tuple[str, list[str]]] = {
     "paper": ("paper", ["duration=4 s"]),
     "rough-sea": ("rough-sea", ["duration=6 s"]),
@@ -45,6 +50,7 @@ CASES: dict[str, tuple[str, list[str]]] = {
     "short last round": ("paper", ["duration=3.07 s", ROUGH]),
     "a round per tick": ("paper", ["duration=2 s", "network.period=10 ms", ROUGH]),
     "kept apart": ("crossing", ["duration=3 s", "keep_apart.distance=25 m", "checks={tumbled: waived}"]),
+    "dead reckoning": ("dead-reckoning", ["duration=3 s", INSTRUMENTS, "log.every=3 ticks"]),
     "twelve in a ring": ("paper", ["vehicles=12", "graph.shape=ring", "duration=2 s", *NOISE, ROUGH]),
 }
 

@@ -49,6 +49,8 @@ class Navigator:
         """The filter of a vehicle that is told where it is, and reads its heading sensor."""
         start, purpose = self._config.start, START
         off = [start * normal(self._seed, purpose, self._i, axis) if start else 0.0 for axis in range(2)]
+        self._instruments.turn_rates(0)
+        self._instruments.velocity(0, state[2])
         heading = self._instruments.heading(0, state[4])
         assert heading is not None  # there is one at the start
         return NavigationFilter(self._config, state[0] + off[0], state[1] + off[1], heading)

@@ -28,6 +28,10 @@ def digests_differ(scenario: Scenario) -> bool:
     return any(run(scenario, seed=seed).digest != first for seed in SEEDS[1:])
 
 
+GRADE = (
+    "{heading_bias: 0 deg, heading_noise: 0 deg, heading_walk: 0 deg/sqrt(h), gyro_bias: 0 deg/h, gyro_walk: 0 deg/sqrt(h), \
+dvl_scale: 0 %, dvl_noise: 0 m/s, depth_bias: 0 m, depth_noise: 0 m, tilt: 0 deg, start: 0 m}"
+)
 NEMESIS = "{{every: 200 ms, for: 100 ms, pick: [{}]}}"
 PARTS: dict[str, list[str]] = {
     "initial": ["{scatter: 0 m}", "{scatter: 1 m}"],
@@ -40,6 +44,10 @@ PARTS: dict[str, list[str]] = {
         "{'*': delay 100ms reorder 100%}",
     ],
     "sensors.position_noise": ["0 m", "1 cm"],
+    "navigation": [
+        "ideal", "tactical", GRADE, GRADE.replace("}", ", dvl_noise: 1 cm/s}"), GRADE.replace("}", ", gps: {depth: 9 m}}"),
+        GRADE.replace("}", ", start: 1 m}"),
+    ],
     "sea.current": ["0 0 0 m/s", "{sigma: 5 5 0 cm/s}"],
     "faults": [
         "[]", "[{at: 200 ms, dropout: {probability: 100 %}}]", "[{at: 200 ms, dropout: {probability: 50 %}}]",
@@ -105,10 +113,12 @@ EVERYTHING = [
     "initial={scatter: 1 m}",
     "graph={shape: random}",
     "sensors.position_noise=1 cm",
+    "navigation={grade: mems, usbl: {at: 0 0 0 m, period: 100 ms, delay: 20 ms}}",
     "sea.current={sigma: 5 5 0 cm/s}",
     "network.links={'*': delay 60ms 20ms 25% loss 20% 25% duplicate 20% 25% corrupt 20% 25% reorder 20% 25%, "
     "'1->2': loss gemodel 20% 50%}",
     "faults=[{at: 100 ms, dropout: {probability: 50 %}}, {at: 100 ms, noise: {position_noise: 1 cm}}, "
+    "{at: 100 ms, fix: {lost: 50 %, jump: 1 m}}, {at: 100 ms, dvl: {jump: 1 m/s, chance: 100 %}}, "
     "{at: 100 ms, current: {sigma: 1 1 0 cm/s}}, {at: 100 ms, for: 100 ms, partition: ring}]",
     f"nemesis={NEMESIS.format('mute, partition')}",
 ]

@@ -28,6 +28,9 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.overrides import FAULT, NET, Override
 
 LINKS = 'network.links={"*": delay 60ms 30ms 20% loss gemodel 10% 30% duplicate 20% corrupt 20% rate 20kbit}'
+INSTRUMENTS = (
+    "faults=[{at: 1 s, for: 1 s, dvl: {lost: 50 %}}, {at: 1 s, compass: {bias: 5 deg}}, {at: 1 s, fix: {jump: 2 m}}]"
+)
 NEMESIS = (
     "nemesis={every: 500 ms, for: 250 ms, pick: [pause, kill, partition, freeze, stuck, off, {slow: {by: 7 ticks}}, "
     "{link *: delay 100ms loss 40%}, {gust: {velocity: 0 1 0 m/s, over: 200 ms}}, {dropout: {probability: 30 %}}]}"
@@ -58,6 +61,7 @@ def since(directory: Path, ns: int) -> list[Record]:
             marks=pytest.mark.slow,
         ),
         ("nemesis", ["duration=4 s", NEMESIS, "sea.current={sigma: 5 5 0 cm/s, time_constant: 2 s}"]),
+        ("dead-reckoning", ["duration=4 s", "per_vehicle.1.navigation.usbl={period: 400 ms, delay: 1 s}", INSTRUMENTS]),
         ("crossing", ["duration=2 s", "keep_apart.distance=25 m"]),
         pytest.param("helix", ["duration=2 s", "sensors.position_noise=5 cm"], marks=pytest.mark.slow),
         ("rough-sea", ["duration=2 s", "per_vehicle={'2': {controller: bsmc}}", "network.payload=compact"]),

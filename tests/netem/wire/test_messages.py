@@ -113,6 +113,9 @@ def test_a_nav_without_roll_is_the_one_that_it_always_was() -> None:
     rolled = Nav(0, 3, nav.eta, nav.nu, (0.1, -0.2))
     assert msgpack.unpackb(encode(rolled)) == [*msgpack.unpackb(old), [0.1, -0.2]]
     assert decode(encode(rolled)) == rolled
+    sure = Nav(0, 3, nav.eta, nav.nu, (0.0, 0.0), tuple(map(float, range(10))))
+    assert msgpack.unpackb(encode(sure))[5:] == [[0.0, 0.0], [*sure.belief]]
+    assert decode(encode(sure)) == sure
     with pytest.raises(MalformedMessage, match="roll"):
         decode(msgpack.packb([*msgpack.unpackb(old), []]))
 

@@ -1,0 +1,102 @@
+"""What an agent is told of itself is what its vehicle believes, and nothing of the truth reaches it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import pytest
+from in_process_runs import Alone, log_of
+
+from agents.agent import Agent
+from agents.payload import decode as decode_payload
+from fleet.execution.judged import run
+from fleet.logs.open_log import open_log
+from fleet.scenario.loading import load_scenario
+from netem.wire.messages import Delivery, Nav
+from world.navigation.config import NavigationTrace, TracePoint
+from world.navigation.replay import ReplayedError
+from world.sea import World
+
+FAULTS = "faults=[{at: 500 ms, for: 1 s, fix: {lost: 50 %}}]"
+SHORT = ["duration=2 s", "checks={}", "navigation.tilt=1 deg", FAULTS]
+
+
+def test_no_truth_reaches_an_agent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every number of a nav differs from the truth of its tick, and so does every position that is sent to others."""
+    told: list[tuple[int, Nav]] = []
+    sent: list[Any] = []
+    true: dict[tuple[int, int], tuple[float, ...]] = {}
+    sense, decide, transmit = World.sense, Agent.decide, Agent.transmit
+
+    def spied_sense(self: World, i: int) -> Any:
+        eta, nu = self.state(i)
+        true[i, self.tick(i)] = (*eta, *nu)
+        return sense(self, i)
+
+    def spied_decide(self: Agent, nav: Nav, deliveries: Iterable[Delivery]) -> Any:
+        told.append((self.config.id, nav))
+        return decide(self, nav, deliveries)
+
+    def spied_transmit(self: Agent, nav: Nav) -> Any:
+        payloads = transmit(self, nav)
+        sent.extend(map(decode_payload, payloads))
+        return payloads
+
+    monkeypatch.setattr(World, "sense", spied_sense)
+    monkeypatch.setattr(Agent, "decide", spied_decide)
+    monkeypatch.setattr(Agent, "transmit", spied_transmit)
+    run(load_scenario("dead-reckoning", SHORT))
+    assert len(told) == 4 * 200
+    assert len(sent) == 4 * 20
+    for i, nav in told:
+        assert not {*nav.eta, *nav.nu} & {*true[i, nav.tick]}
+        assert len(nav.belief) == 10
+    for message in sent:
+        assert not {*message.position, *message.velocity} & {*true[message.sender, message.tick]}
+
+
+def test_an_agent_does_what_it_would_do_if_the_belief_were_true() -> None:
+    """The agents' configuration is the same with and without navigation: they have no other source."""
+    navigating, ideal = (
+        load_scenario("dead-reckoning"),
+        load_scenario("dead-reckoning", ["navigation=ideal", "per_vehicle=null"]),
+    )
+    assert all(navigating.agent_config(i) == ideal.agent_config(i) for i in range(1, 5))
+
+
+def test_the_log_has_truth_and_belief(alone: Alone) -> None:
+    log = open_log(log_of(alone("dead-reckoning", "duration=9 s", "checks={}", "per_vehicle.2.navigation=ideal")))
+    belief, state, nav, error = (log[f"uuv/1/{group}"] for group in ("belief", "state", "nav", "error"))
+    off = np.column_stack([nav.x, nav.y, nav.z]) - np.column_stack([state.x, state.y, state.z])[:-1]
+    assert belief.off == pytest.approx(off)
+    assert belief.formation == pytest.approx(error.formation[:-1] + off)
+    assert belief.sd[:, 0] ** 2 == pytest.approx(belief.covariance[:, 0])
+    assert belief.units["sd"] == "m"
+    fix = log["uuv/1/fix"]
+    assert [*fix.source] == ["usbl"] * len(fix)
+    assert [*fix.measured] == [5.0]
+    assert [*fix.t] == [6.0]
+    before, after = (belief.sd[np.searchsorted(belief.t, at), 0] for at in (5.95, 6.05))
+    assert after < before
+    assert "uuv/2/belief" not in log and "uuv/2/fix" not in log
+    assert not len(log["uuv/3/fix"])
+
+
+def test_a_replayed_error_is_that_of_the_trace() -> None:
+    """Linear between its points, constant outside; the velocity is that of the belief."""
+    replayed = ReplayedError(
+        NavigationTrace((TracePoint(1.0, 1.0, 0.0, 0.0), TracePoint(3.0, 5.0, -2.0, 1.0, 0.2))), 10**9
+    )
+    truth = (10.0, 20.0, 30.0, 0.0, 0.0, 0.7, 0.0, 0.0, 0.0, 0.0)
+    found = []
+    for _ in range(5):
+        found.append(replayed.believed(truth, ()))
+        replayed.step(truth, truth, (0.0, 0.0, 0.0), (), 0.0)
+    assert [eta[:3] for eta, _, _ in found] == pytest.approx(
+        [(11.0, 20.0, 30.0), (11.0, 20.0, 30.0), (13.0, 19.0, 30.5), (15.0, 18.0, 31.0), (15.0, 18.0, 31.0)]
+    )
+    assert found[2][1][:3] == pytest.approx((2.7, -1.0, 0.5))
+    assert found[2][0][4] == pytest.approx(0.1)
+    assert replayed.covariance() == ()

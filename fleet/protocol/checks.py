@@ -17,13 +17,14 @@ MALFORMED = "drops malformed messages and goes on"
 EARLIER = "ignores nav, rx and end of an earlier life"
 GAP = "goes on after ticks in which it was not asked"
 ROLLS = "answers a nav with roll, its sixth field"
+BELIEVES = "answers a nav with belief, its seventh field"
 MEMORY = "puts memory, if at all, before the cmd of a tick at which it is asked for"
 UNASKED = "puts nothing that it was not asked for"
 FORM = "puts well-formed messages of its own kinds only"
 ENDS = "closes its session when it is told the end"
 CHECKS = (
     *(ASKS, HELLO, READY, TOKEN, COMMANDS, TRANSMITS, LATE, PARTS, DAMAGED),
-    *(MALFORMED, EARLIER, GAP, ROLLS, MEMORY, UNASKED, FORM, ENDS),
+    *(MALFORMED, EARLIER, GAP, ROLLS, BELIEVES, MEMORY, UNASKED, FORM, ENDS),
 )
 
 

@@ -23,6 +23,7 @@ from fleet.processes.ports import free_port
 from fleet.protocol.canned_messages import damaged, junk_of
 from fleet.protocol.checks import (
     ASKS,
+    BELIEVES,
     CHECKS,
     COMMANDS,
     DAMAGED,
@@ -35,12 +36,12 @@ from fleet.protocol.checks import (
     MALFORMED,
     MEMORY,
     PARTS,
+    ProtocolCheck,
     READY,
     ROLLS,
     TOKEN,
     TRANSMITS,
     UNASKED,
-    ProtocolCheck,
 )
 from fleet.protocol.emulated_fleet import EmulatedFleet
 from fleet.scenario.scenario import Scenario
@@ -109,6 +110,7 @@ class Examination:
         self._telemetry = scenario.layout(vehicle).size
         self._state = scenario.initial[vehicle - 1]
         self._roll: tuple[float, ...] = ()
+        self._belief: tuple[float, ...] = ()
         self._neighbours = [neighbour.id for neighbour in self._config.neighbours]
         self._i, self._file, self._port = vehicle, file, port
         self._keys = Keys(token_hex(4))
@@ -223,7 +225,10 @@ class Examination:
         self._roll = (0.05, 0.01)
         self._ask(tick + 1, ROLLS)
         self._reached.add(ROLLS)
-        for k in range(tick + 2, tick + 3 * m + 1):
+        self._belief = (0.25, 0.0, 0.0, 0.01, 0.25, 0.0, 0.0, 0.01, 0.0, 0.001)
+        self._ask(tick + 2, BELIEVES)
+        self._reached.add(BELIEVES)
+        for k in range(tick + 3, tick + 3 * m + 1):
             self._ask(k)
         self._end(tick + 3 * m + 1)
 
@@ -338,7 +343,7 @@ class Examination:
                 self._fail(UNASKED, "nothing after the end", _shown(taken[1]))
 
     def _send_nav(self, tick: int) -> None:
-        self._fleet.nav(encode(Nav(LIFE, tick, *self._state, self._roll)))
+        self._fleet.nav(encode(Nav(LIFE, tick, *self._state, self._roll, self._belief)))
 
     def _send_inbox(self, deliveries: tuple[Delivery, ...] = (), *, more: bool = False) -> None:
         self._fleet.rx(encode(Inbox(LIFE, self._known + self._m, more, deliveries)))

@@ -26,8 +26,9 @@ Every message is a MessagePack array `[kind, field, field, ...]` put on a key be
 the order of the tables below. `uint` is an unsigned integer, `bool`, `str` (at most 4096 characters) and `bin` (bytes)
 are MessagePack's own, `real[n]` is an array of n IEEE-754 doubles (`*`: any number), finite unless said otherwise; an
 integer is taken where a real is expected. `x[*]` is an array of x, and records are arrays of their fields. Nothing may
-be left out and nothing may follow, but for `roll`, the last field of `nav`: only a vehicle with a plant has it, and an
-agent that has no use for it passes over it. **A message has at most {MAX_BYTES} bytes**: the transport loses longer
+be left out and nothing may follow, but for `roll` and `belief`, the last fields of `nav`: only a vehicle with a plant
+has the one, and only one that navigates by a filter the other (with `roll` zero if it has none). An agent that has no
+use for them passes over them. **A message has at most {MAX_BYTES} bytes**: the transport loses longer
 ones without a word.
 
 Ticks count control periods Ts from the start of the run; what happens at tick k happens at time t = k Ts. Round ticks

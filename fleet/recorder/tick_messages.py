@@ -27,8 +27,8 @@ from netem.wire.messages import Command, Frame
 from world.signal import Signal, width_of
 
 # The doubles of one vehicle: the number of each kind's first one. Telemetry comes behind them, since its size is the
-# agent's, then what only a vehicle with a plant has: phi, p, the values of the plant's signals, measured phi, p. Last is
-# the belief of a vehicle that does not know where it is.
+# agent's, then what only a vehicle with a plant has: phi, p, the values of the plant's signals, measured phi, p. Last
+# is the belief of a vehicle that does not know where it is.
 _STATE, _NAV, _COMMAND, _ERROR, _QUATERNION, _TELEMETRY = 0, 10, 20, 26, 34, 38
 _VALUES = Struct(f"<{_TELEMETRY}d").pack_into  # all but telemetry
 _BELIEF = Struct(f"<{BELIEF_SIZE}d").pack_into

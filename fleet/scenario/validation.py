@@ -167,7 +167,7 @@ def _nearest_key(loc: Loc) -> str:
         return hint
     elsewhere = [path for path in _everywhere() if path.rpartition(".")[2] == key]
     if elsewhere:
-        return f'did you mean "{elsewhere[0]}"?'
+        return f'did you mean "{min(elsewhere, key=lambda path: path.count("."))}"?'
     return f"known here: {', '.join(siblings)}"
 
 

@@ -389,7 +389,8 @@ def test_faults_that_are_meant_are_taken(text: str) -> None:
 # --- the operator ------------------------------------------------------------
 
 FAULTS = ["link", "down", "up", "partition", "kill", "mute", "deaf", "slow", "pause", "noise", "bias", "freeze",
-          "dropout", "dvl", "compass", "fix", "efficiency", "saturate", "off", "stuck", "current", "gust", "wrench"]  # fmt: skip
+          "dropout", "dvl", "compass", "fix", "efficiency", "saturate", "off", "stuck", "current", "gust",
+          "wrench"]  # fmt: skip
 PLAUSIBLE = st.one_of(
     ANYTHING,
     st.sampled_from(

@@ -35,13 +35,14 @@ NOISE = [
 ROUGH = "network.links={'*': 'delay 200ms 50ms loss 30%'}"
 
 INSTRUMENTS = (
-    "faults=[{at: 1 s, for: 1 s, dvl: {lost: 50 %, jump: 1 m/s}}, {at: 1 s, compass: {bias: 5 deg}}, "
+    "faults=[{at: 1 s, for: 1 s, dvl: {lost: 50 %, jump: 10 cm/s}}, {at: 1 s, compass: {bias: 1 deg}}, "
     "{at: 500 ms, fix: {jump: 2 m, chance: 50 %}}]"
 )
 
 # What each adds: nothing; loss, jitter and the disturbance; draws in the world process; frames that are not sent
 # every tick, and an end tick between two of them; a last round that is cut; the tightest coupling there is; estimates
-# with fixes under way; a graph in which vehicles hear more than one other, and numbers of two digits; a QP at every tick.
+# in place of the truth; a graph in which vehicles hear more than one other, and numbers of two digits; a QP at every
+# tick.
 CASES: dict[str, tuple[str, list[str]]] = {
     "paper": ("paper", ["duration=4 s"]),
     "rough-sea": ("rough-sea", ["duration=6 s"]),

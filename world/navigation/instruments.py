@@ -4,7 +4,7 @@
 |---|---|---|
 | psi + b + w + n | heading sensor: bias, random walk of the bias, noise of the sample | rad |
 | q + g + n | gyro on each axis: bias; noise that makes an angle random walk | rad/s |
-| (1 + s) v + n | DVL: scale error, noise of the sample; v over ground, or through the water out of sight of the floor | m/s |
+| (1 + s) v + n | DVL: scale error, noise of the sample; v over ground, or through the water | m/s |
 | z + b + n | pressure sensor: bias, noise of the sample | m |
 
 Between two samples of the DVL and of the pressure sensor the accelerometers carry what was measured on: the error stays

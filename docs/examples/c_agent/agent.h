@@ -10,7 +10,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define PROTOCOL_VERSION 1
+#define PROTOCOL_VERSION 2
 #define MOST_NEIGHBOURS 32
 #define MOST_WAITING 1024 /* deliveries that are not due yet */
 

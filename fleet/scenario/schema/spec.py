@@ -115,7 +115,6 @@ class ScenarioSpec(Section):
     vehicle: VehicleSection = VehicleSection()
     sea: SeaSection = SeaSection()
     sensors: SensorsSection = SensorsSection()
-    navigation: NavigationChoice | None = None  # ideal: they know where they are
     model_error: ModelErrorSection = ModelErrorSection()
     external: bool | None = None  # true: the run starts no agent
     knows_reference: bool | None = None  # false: only those in graph.reference and graph.standby know it
@@ -130,6 +129,7 @@ class ScenarioSpec(Section):
     keep_apart: KeepApartSection | None = None  # between guidance and tracking
     per_vehicle: dict[VehicleNumbers, VehicleOverrides] = {}  # "3" or "2-4, 7"; later ones over earlier ones
     network: Annotated[NetworkSection, BeforeValidator(read_network), PlainSerializer(show_network)]
+    navigation: NavigationChoice | None = None  # ideal: they know where they are
     physics: PhysicsSection = PhysicsSection()
     log: Annotated[LogSection, BeforeValidator(_read_log), PlainSerializer(_show_log)] = LogSection()
     faults: list[FaultEntry] = []

@@ -28,10 +28,12 @@ def digests_differ(scenario: Scenario) -> bool:
     return any(run(scenario, seed=seed).digest != first for seed in SEEDS[1:])
 
 
-GRADE = (
-    "{heading_bias: 0 deg, heading_noise: 0 deg, heading_walk: 0 deg/sqrt(h), gyro_bias: 0 deg/h, gyro_walk: 0 deg/sqrt(h), \
-dvl_scale: 0 %, dvl_noise: 0 m/s, depth_bias: 0 m, depth_noise: 0 m, tilt: 0 deg, start: 0 m}"
-)
+_NONE = {
+    "m": ("depth_bias", "depth_noise", "start"), "m/s": ("dvl_noise",), "%": ("dvl_scale",),
+    "deg": ("heading_bias", "heading_noise", "tilt"), "deg/h": ("gyro_bias",),
+    "deg/sqrt(h)": ("heading_walk", "gyro_walk"),
+}  # fmt: skip
+GRADE = "{" + ", ".join(f"{key}: 0 {unit}" for unit, keys in _NONE.items() for key in keys)  # without an error
 NEMESIS = "{{every: 200 ms, for: 100 ms, pick: [{}]}}"
 PARTS: dict[str, list[str]] = {
     "initial": ["{scatter: 0 m}", "{scatter: 1 m}"],
@@ -45,8 +47,8 @@ PARTS: dict[str, list[str]] = {
     ],
     "sensors.position_noise": ["0 m", "1 cm"],
     "navigation": [
-        "ideal", "tactical", GRADE, GRADE.replace("}", ", dvl_noise: 1 cm/s}"), GRADE.replace("}", ", gps: {depth: 9 m}}"),
-        GRADE.replace("}", ", start: 1 m}"),
+        "ideal", "tactical", GRADE + "}", GRADE + ", gps: {depth: 9 m}}", GRADE + ", gps: {depth: 9 m, noise: 0 m}}",
+        GRADE.replace("dvl_noise: 0", "dvl_noise: 1") + "}", GRADE.replace("start: 0", "start: 1") + "}",
     ],
     "sea.current": ["0 0 0 m/s", "{sigma: 5 5 0 cm/s}"],
     "faults": [

@@ -100,7 +100,7 @@ def test_a_log_needs_no_file(tmp_path: Path) -> None:
         (['navigation={trace: "time\\n0, 0, 0, 0\\n"}'], "line 1: expected the columns"),
         (["faults=[{at: 0 s, dvl: {lost: 10 %}}]"], "has no effect: none of these vehicles has dead reckoning"),
         (["navigation=mems", "faults=[{at: 0 s, fix: {lost: 10 %}}]"], "none of these vehicles has fixes"),
-        (["navigation=mems", "faults=[{at: 0 s, dvl: {chance: 10 %}}]"], "does nothing"),
+        (["navigation=mems", "faults=[{at: 0 s, dvl: {chance: 10 %}}]"], "changes nothing: give it a value"),
         (["checks={signal: [{topic: belief.nees, below: 9}]}"], "there is no signal belief.nees"),
     ],
 )

@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle
+from matplotlib.patches import Circle, Ellipse
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
@@ -22,6 +22,7 @@ from fleet.pictures.axes import MOST_NAMED, marks_legend
 from fleet.pictures.bands import outliers, spread
 from fleet.pictures.runs import NothingToDraw, Run, View
 from fleet.pictures.style import COLUMN_IN, LABEL_PT, LEGEND_PT, NORMAL, STYLE_NAMES, STYLES, THIN
+from fleet.pictures.track_beliefs import believed_way
 from fleet.pictures.track_marks import Happening, directions, happenings, places, told
 from fleet.scene.model import SceneModel
 from fleet.scene.primitives import CylinderShape, LineShape, Primitive
@@ -37,6 +38,8 @@ _MARK = 3.5  # pt
 _FAINT: dict[str, Any] = {"linewidths": 0.3, "alpha": 0.4, "zorder": 2, "gid": "others"}
 _CYLINDER: dict[str, Any] = {"facecolor": "0.85", "edgecolor": "0.4", "linewidth": 0.5, "zorder": 1, "gid": "obstacle"}
 _LINE: dict[str, Any] = {"color": PRINT.colour(COURSE), "linewidth": THIN, "linestyle": ":", "gid": "reference"}
+_BELIEVED: dict[str, Any] = {"linewidth": 0.6, "linestyle": (0, (2, 1))}
+_ELLIPSE: dict[str, Any] = {"alpha": 0.2, "linewidth": 0.5, "zorder": 1.5}
 _DOTS: dict[str, Any] = {"s": 1.5, "linewidths": 0, "zorder": 2, "gid": "ends"}
 
 
@@ -64,6 +67,7 @@ def top(runs: Sequence[Run], view: View) -> Figure:
     for thing in standing:
         _paint(ax, thing)
     distinct = _draw_from_above(ax, tracks)
+    beliefs = _draw_beliefs(ax, [track for track in tracks if track.vehicle in distinct], view)
     for place in (place for w in wanted for i, place in w.items() if i in distinct):
         ax.plot(place[1], place[0], "+", color="black", markersize=6, markeredgewidth=THIN, zorder=5, gid="place")
     happened = _happened(runs, view, tracks)
@@ -71,6 +75,8 @@ def top(runs: Sequence[Run], view: View) -> Figure:
         ax.plot(one.position[1], one.position[0], one.mark, color=colour, markeredgecolor="black", markeredgewidth=0.5,
                 markersize=6, zorder=6, gid=f"{one.what}-{one.vehicle}")  # fmt: skip
     entries += _explained(happened, runs, standing, linked=bool(edges), flat=True)
+    if beliefs:
+        entries.append(Line2D([], [], label="as believed, 95 % ellipses", **_BELIEVED, color="0.3"))
     _finish(figure, runs, [one for one, _ in happened], [])
     if tall:
         figure.legend(handles=entries, loc="outside right upper", handlelength=1.8)
@@ -129,6 +135,20 @@ def _draw_from_above(ax: Axes, tracks: list[VehicleTrack]) -> set[int]:
             ax.annotate(str(track.vehicle), (p[-1, 1], p[-1, 0]), xytext=(3, 1), textcoords="offset points",
                         fontsize=LABEL_PT, color="0.25", gid="number")  # fmt: skip
     return {track.vehicle for track in distinct}
+
+
+def _draw_beliefs(ax: Axes, tracks: list[VehicleTrack], view: View) -> bool:
+    """Where these vehicles believed that they were; whether one of them did not know it."""
+    found = [(track, way) for track in tracks if (way := believed_way(track.run, track.vehicle, view)) is not None]
+    for track, way in found:
+        gid = f"belief-{track.vehicle}"
+        ax.plot(way.positions[:, 1], way.positions[:, 0], color=track.colour, zorder=2.2, gid=gid, **_BELIEVED)
+        for one in way.ellipses:
+            degrees = 90.0 - np.degrees(one.bearing)  # from east to north
+            look = {"facecolor": track.colour, "edgecolor": track.colour, "gid": f"ellipse-{track.vehicle}"}
+            axes = 2 * one.long, 2 * one.short
+            ax.add_patch(Ellipse((one.at.east, one.at.north), *axes, angle=degrees, **look, **_ELLIPSE))
+    return bool(found)
 
 
 def space(runs: Sequence[Run], view: View) -> Figure:

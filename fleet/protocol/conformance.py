@@ -36,12 +36,12 @@ from fleet.protocol.checks import (
     MALFORMED,
     MEMORY,
     PARTS,
-    ProtocolCheck,
     READY,
     ROLLS,
     TOKEN,
     TRANSMITS,
     UNASKED,
+    ProtocolCheck,
 )
 from fleet.protocol.emulated_fleet import EmulatedFleet
 from fleet.scenario.scenario import Scenario

@@ -1,0 +1,41 @@
+"""How sure a vehicle is of its place: the ellipse that holds it with 95 %, from the covariance of its estimate.
+
+| symbol | meaning | unit |
+|---|---|---|
+| P = [[a, b], [b, c]] | covariance of north and east | m^2 |
+| l = (a + c) / 2 +- sqrt(((a - c) / 2)^2 + b^2) | its eigenvalues | m^2 |
+| sqrt(5.991 l) | half axes; 5.991 is the 95 % quantile of chi-square with 2 degrees of freedom | m |
+| atan2(2 b, a - c) / 2 | bearing of the long one | rad |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import atan2, hypot, isfinite, sqrt
+
+from fleet.scene.primitives import NED, EllipseShape, FramePoint
+from fleet.scene.styles import VEHICLE
+
+_MOST_M = 1e6  # a larger ellipse would be no picture
+
+
+def ellipse(vehicle: int, place: Sequence[float], covariance: Sequence[float]) -> EllipseShape | None:
+    """The ellipse of a vehicle; None: it does not know how sure it is, or not at all.
+
+    Args:
+        place: where it believes it is: north, east, down [m].
+        covariance: of x, y, z and psi, as the topic `belief` has it: upper triangle, row by row.
+    """
+    if len(covariance) != 10:
+        return None
+    a, b, c = covariance[0], covariance[1], covariance[4]
+    middle, radius = (a + c) / 2.0, hypot((a - c) / 2.0, b)
+    if not all(map(isfinite, (middle, radius, *place))) or middle < radius * (1.0 - 1e-9):
+        return None
+    long, short = sqrt(5.991 * (middle + radius)), sqrt(5.991 * max(0.0, middle - radius))
+    if long > _MOST_M:
+        return None
+    north, east, down = place
+    return EllipseShape(
+        f"{VEHICLE} {vehicle}", FramePoint(NED, north, east, down), long, short, atan2(2 * b, a - c) / 2
+    )

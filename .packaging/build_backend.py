@@ -38,6 +38,8 @@ SWITCH = "UUV_FLEET_COMPILE"
 MODULES = (
     "world/dynamics.py", "world/frames.py", "world/lockstep.py", "world/run_state.py", "world/sea.py",
     "world/sensors.py", "world/tumble.py", "world/vectors.py",
+    "world/navigation/filter.py", "world/navigation/fixes.py", "world/navigation/instruments.py",
+    "world/navigation/navigator.py",
     "agents/agent.py", "agents/brain.py", "agents/compact.py", "agents/controllers.py", "agents/loop.py",
     "agents/neighbours.py", "agents/payload.py", "agents/plugged_agent.py", "agents/realtime_loop.py",
     "agents/laws/backstepping.py", "agents/laws/consensus.py", "agents/laws/filters.py", "agents/laws/gain_qp.py",

@@ -50,8 +50,6 @@ Exception
 │   ├── SnapshotError
 │   ├── StoppedError
 │   ├── StudyError
-│   │   └── ValuesError
-│   ├── TimedOut
 │   ├── TopicsError
 │   ├── UnknownValueError
 │   ├── ViewerError

@@ -15,7 +15,7 @@ from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.group import EPILOG
 from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES, Duration, Share, Speed, Whole, disturbances, is_given
+from fleet.cli.types import OVERRIDES, Duration, Share, Speed, Whole, disturbances, is_given, key_options
 from fleet.terminal.folding import say, stdout
 from fleet.terminal.output import OutputError, give_up_output
 from netem.clock import Clock
@@ -127,7 +127,7 @@ def run(
     if as_json and show_config:
         raise click.UsageError("--show-config prints YAML: not together with --json")
     changes: list[str | Override] = [*overrides, *net, *fault]
-    changes += [f"{key}={value}" for key, value in (("seed", seed), ("duration", duration)) if value is not None]
+    changes += key_options(seed=seed, duration=duration)
     if scenario is not None and begin is None and not how["in_process"] and not show_config:
         from fleet.processes.children import start_forkserver
 

@@ -11,6 +11,7 @@ import click
 
 from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
+from fleet.cli.study_options import WORKERS, least_options
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import OVERRIDES, Whole, disturbances
 from fleet.terminal.folding import say
@@ -29,12 +30,10 @@ MOST_RUNS = 2000
 @OVERRIDES
 @disturbances
 @click.option("--check", metavar="NAME", help="The check that must still fail; by default the first one that does.")
-@click.option("-o", "--out", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
-              help="Where the least scenario goes; by default NAME-least.yaml.")  # fmt: skip
-@click.option("--force", is_flag=True, help="Replace that file if it is there.")
+@least_options
 @click.option("--most-runs", metavar="N", type=Whole(1), default=MOST_RUNS, show_default=True,
               help="Stop making it less after so many runs.")  # fmt: skip
-@click.option("--workers", metavar="N", type=Whole(1, 1024), help="Runs at a time; by default one per core.")
+@WORKERS
 @trust_option
 @json_option
 def shrink(

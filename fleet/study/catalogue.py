@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
 
 
-class Listed(NamedTuple):
+class ListedStudy(NamedTuple):
     """One row of the list."""
 
     name: str
@@ -38,18 +38,18 @@ def study_text(name: str) -> str:
     return (_folder() / f"{name}.yaml").read_text("utf-8")
 
 
-def list_studies() -> list[Listed]:
+def list_studies() -> list[ListedStudy]:
     """Every study that ships, by name."""
     return [_listed(name) for name in shipped_studies()]
 
 
-def _listed(name: str) -> Listed:
+def _listed(name: str) -> ListedStudy:
     root, _ = read(Source(name, study_text(name)))
     assert root is not None, name
     study: dict[str, Any] = plain(root)["study"]
     axes = [axis(key, values_text(values)) for key, values in study["vary"].items()]
     runs = prod(len(axis.values) for axis in axes) * study["seeds"]
-    return Listed(name, study["title"], study["scenario"], runs, runs * time_ns(study["run_takes"]) / 1e9)
+    return ListedStudy(name, study["title"], study["scenario"], runs, runs * time_ns(study["run_takes"]) / 1e9)
 
 
 def _folder() -> Traversable:

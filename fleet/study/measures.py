@@ -19,7 +19,7 @@ Join = Callable[[list[float]], float]
 Values = Mapping[str, Any]  # of a run, as result.json has them
 
 
-class Column(msgspec.Struct, frozen=True):
+class MeasureColumn(msgspec.Struct, frozen=True):
     """A number that every row of a study has.
 
     Attributes:
@@ -43,7 +43,7 @@ class Column(msgspec.Struct, frozen=True):
 class Measure:
     """A number of a run that every study has."""
 
-    column: Column
+    column: MeasureColumn
     what: str  # in words
     of: Callable[[Values], float]  # computes it
 
@@ -126,13 +126,13 @@ _LARGEST = frozenset(  # where they are missing; else nothing is known
     }
 )
 MEASURES: dict[str, Measure] = {
-    name: Measure(Column(name, unit, name in _LARGEST), what, of)
+    name: Measure(MeasureColumn(name, unit, name in _LARGEST), what, of)
     for name, unit, what, of in (
         *((name, unit, what, _over_vehicles(key, join)) for name, key, unit, what, join in _VEHICLES),
         *((name, unit, what, _over_links(key, max)) for name, key, unit, what in _LINKS),
         *_RUN,
     )
 }
-SEPARATION = Column("separation_min_m", "m")  # least distance of two vehicles
+SEPARATION = MeasureColumn("separation_min_m", "m")  # least distance of two vehicles
 MORE_IS_BETTER = frozenset({"packets_delivered", "sim_s", SEPARATION.name})  # of all others less is
 STANDING = (*(measure.column for measure in MEASURES.values()), SEPARATION)  # of every study

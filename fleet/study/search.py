@@ -19,7 +19,7 @@ from fleet.study.errors import StudyError
 from fleet.study.modules import NO_MODULES, Modules
 from fleet.study.one_run import JUDGED, Task, failed_checks, scenario_of
 from fleet.study.plan import run_key
-from fleet.study.settings import LARGEST_SEED
+from fleet.study.spec import LARGEST_SEED
 from fleet.study.statistics import most_failures
 
 # Each lasts half of a tenth of the run; the last is over after three quarters of it, so that time to recover is left.

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fleet.study.settings import Settings
 from small_scenario import SMALL, small
 
 from fleet.execution.execute import execute
@@ -17,7 +18,6 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.overrides import SET, Override
 from fleet.study.errors import StudyError
 from fleet.study.plan import Plan
-from fleet.study.settings import Settings
 from fleet.study.signal_measures import Samples, find_columns, measures_of_checks, parse_signal, signal_columns_of
 from fleet.study.summary import DEFAULT
 from fleet.study.sweep import prepare

@@ -11,6 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from failing_laws import failing
+from fleet.study.settings import Settings
 from pandas.testing import assert_frame_equal
 from small_scenario import SMALL
 from study_engine import Here
@@ -22,7 +23,6 @@ from fleet.scenario.text.overrides import SET, Override
 from fleet.study.errors import StudyError
 from fleet.study.parquet_file import MOST_ROWS
 from fleet.study.plan import Plan
-from fleet.study.settings import Settings
 from fleet.study.spec import StudySpec
 from fleet.study.store import Store
 from fleet.study.study import Study, open_study

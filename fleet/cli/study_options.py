@@ -100,15 +100,17 @@ def _click_option(field: Field) -> Callable[[F], F]:
     elif field.shape in (list, dict):
         about |= {"multiple": True, "type": _Text(field) if field.shape is list else str}
     else:
-        kinds = {
-            int: lambda: Whole(*field.limits),
-            float: lambda: click.FLOAT,
-            Literal: lambda: click.Choice(field.words),
-        }
-        kind = kinds.get(field.shape, lambda: _Text(field))()
-        about |= {"type": kind, "default": field.default or None, "show_default": bool(field.default)}
+        about |= {"type": _type(field), "default": field.default or None, "show_default": bool(field.default)}
     assert field.flag is not None  # else a file alone has it
     return click.option(field.flag, field.name, **about)
+
+
+def _type(field: Field) -> click.ParamType[Any]:
+    if field.shape is int:
+        return Whole(*field.limits)
+    if field.shape is float:
+        return click.FLOAT
+    return click.Choice(field.words) if field.shape is Literal else _Text(field)
 
 
 class _Text(click.ParamType[str]):

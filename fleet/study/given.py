@@ -47,9 +47,10 @@ def read(field: Field, value: object, key: str = "") -> Any:
         return _checked(value, isinstance(value, int | float) and not isinstance(value, bool), "a number")
     if field.shape is Literal:
         return _checked(value, value in field.words, f"one of {', '.join(field.words)}")
-    text = _text(field.option.kind, key, value)
+    text = _text(field.option.kind, value)
     if printable(text) != text:  # it is shown on terminals
         raise StudyError("a line break or a control character is in it")
+    _check(field.option.kind, key, text)
     return text
 
 
@@ -59,32 +60,32 @@ def _checked(value: object, fits: bool, expected: str) -> Any:
     return value
 
 
-def _text(kind: Kind, key: str, value: object) -> str:
-    """The text of a value, which is one of its kind. Raises StudyError."""
-    match kind:
-        case Kind.SEEDS:
-            text = seeds_text(value)
-            parse_seeds(text)
-        case Kind.VALUES:
-            text = values_text(value)
-            axis(key, text)
-        case Kind.VALUE:
-            text = value if isinstance(value, str) else inline(value)
-        case _:
-            text = _checked(value, isinstance(value, str), "a text")
-    if not text:
-        return text
-    match kind:
-        case Kind.TIME:
-            try:
-                _checked(text, time_ns(text) >= 0, "a time that is not negative")
-            except QuantityError as error:
-                raise StudyError(f"{error.message}{f'; {error.hint}' if error.hint else ''}") from None
-        case Kind.MEASURE:
-            check_name(text)
-        case Kind.UNTIL:
-            check_until(text)
-    return text
+def _text(kind: Kind, value: object) -> str:
+    """The text of a value. Raises StudyError."""
+    if kind is Kind.SEEDS:
+        return seeds_text(value)
+    if kind is Kind.VALUES:
+        return values_text(value)
+    if kind is Kind.VALUE and not isinstance(value, str):
+        return inline(value)
+    return str(_checked(value, isinstance(value, str), "a text"))
+
+
+def _check(kind: Kind, key: str, text: str) -> None:
+    """Raises StudyError: a text is none of its kind. An empty one stands for nothing."""
+    if kind is Kind.SEEDS:
+        parse_seeds(text)
+    elif kind is Kind.VALUES:
+        axis(key, text)
+    elif kind is Kind.MEASURE and text:
+        check_name(text)
+    elif kind is Kind.UNTIL and text:
+        check_until(text)
+    elif kind is Kind.TIME and text:
+        try:
+            _checked(text, time_ns(text) >= 0, "a time that is not negative")
+        except QuantityError as error:
+            raise StudyError(f"{error.message}{f'; {error.hint}' if error.hint else ''}") from None
 
 
 def keywords(spec: Spec, options: Mapping[str, object]) -> dict[str, Any]:

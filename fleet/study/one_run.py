@@ -25,6 +25,7 @@ from fleet.recorder.log_file import LogFile
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy
+from fleet.study.errors import StudyError
 from fleet.study.measures import MEASURES
 from fleet.study.modules import NO_MODULES, Modules, folder_of
 from fleet.study.signal_measures import Samples
@@ -50,11 +51,9 @@ class Task(NamedTuple):
     log: str = ""  # the run directory that is to be made; empty: none
 
 
-class TimedOut(FleetError):
-    """A run took too long."""
-
-    def __init__(self, task: Task) -> None:
-        super().__init__(f"took longer than {task.timeout_s:g} s")
+def late(task: Task) -> StudyError:
+    """The error of a run that takes too long."""
+    return StudyError(f"took longer than {task.timeout_s:g} s")
 
 
 class _AbandonedError(BaseException):
@@ -88,7 +87,7 @@ def make_run_in_time(task: Task) -> dict[str, Any]:
     thread.join(task.timeout_s + GRACE_S)
     if thread.is_alive():
         ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident or 0), ctypes.py_object(_AbandonedError))
-    return _whole(task, rows[0] if rows else _failed(TimedOut(task)))
+    return _whole(task, rows[0] if rows else _failed(late(task)))
 
 
 def _whole(task: Task, row: dict[str, Any]) -> dict[str, Any]:
@@ -101,7 +100,7 @@ def _made(task: Task) -> dict[str, Any]:
 
     def check(_: float) -> None:
         if time.monotonic() - began > task.timeout_s:
-            raise TimedOut(task)
+            raise late(task)
 
     try:
         scenario = scenario_of(task)

@@ -95,8 +95,7 @@ def read_record(directory: Path) -> StudyRecord:
         record = msgspec.json.decode(data, type=StudyRecord)
         if record.settings is not None:
             record.measures = record.settings.measures
-        for spec in filter(None, (record.spec, record.border)):
-            _ = spec.timeout_s, getattr(spec, "budget_s", None)
+        _ = record.rules.timeout_s, record.rules.budget_s, record.border and record.border.timeout_s
     except FileNotFoundError:
         raise StudyError(f"{directory} is no study: it has no {NAME}") from None
     except OSError as error:

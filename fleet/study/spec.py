@@ -209,7 +209,7 @@ def fields(spec: Spec) -> dict[str, Field]:
     for info in msgspec.structs.fields(spec):
         what, *about = get_args(hints[info.name])
         option = next(each for each in about if isinstance(each, Option))
-        limits = next(((each.ge, each.le) for each in about if isinstance(each, Meta)), (None, None))
+        limits: Any = next(((each.ge, each.le) for each in about if isinstance(each, Meta)), (None, None))
         shape = get_origin(what) or what
         default = info.default if info.default_factory is NODEFAULT else info.default_factory()
         found[info.name] = Field(

@@ -81,7 +81,8 @@ def median(values: Sequence[float], confidence: float = CONFIDENCE) -> Estimate:
     if runs == 0:
         return Estimate(nan, nan, nan, 0)
     below, above = (float(there[place]) for place in ((runs - 1) // 2, runs // 2))
-    middle = below if below == above else 0.5 * below + 0.5 * above  # two infinite ones, and no overflow
+    # Two infinite ones of one sign stay what they are, those of two signs are even, and nothing overflows.
+    middle = below if below == above else 0.0 if below == -above else 0.5 * below + 0.5 * above
     k, level = _ranks(runs, confidence)
     if k == 0:
         return Estimate(middle, nan, nan, runs)

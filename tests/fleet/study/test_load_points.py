@@ -35,5 +35,5 @@ def test_a_wrong_value_of_some_points_is_reported_once() -> None:
 
 def test_two_mistakes_stay_two() -> None:
     found = mistakes("loss=0 %, 5 %", "delya=1 s, 2 s", change=Override(NET, "* loss {loss}"))
-    assert [problem.file for problem in found] == ["--set delya=1 s"]
+    assert [problem.file for problem in found] == ["--vary delya=1 s"]
     assert len(mistakes("lss=0 %, 5 %", "delya=1 s, 2 s")) == 2

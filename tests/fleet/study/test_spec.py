@@ -13,8 +13,10 @@ from fleet.errors import printable
 from fleet.scenario.text.overrides import FAULT, NET, SET, Override
 from fleet.scenario.text.yaml_reader import Source
 from fleet.study.errors import StudyError
-from fleet.study.spec import StudySpec, is_file, seeds_text, set_values, varied
-from fleet.study.study_file import parse_study
+from fleet.study.given import seeds_text, set_values, varied
+from fleet.study.plan import plan_of
+from fleet.study.spec import StudySpec
+from fleet.study.study_file import is_file, parse_study, study_yaml
 from fleet.study.values import axis
 
 TEXTS = st.text(max_size=30).filter(lambda text: printable(text) == text) | st.sampled_from(
@@ -43,12 +45,12 @@ SPECS = st.builds(
 
 @given(SPECS)
 def test_a_study_that_is_printed_is_read_as_the_same(spec: StudySpec) -> None:
-    assert parse_study(Source("printed", spec.to_yaml())) == spec
+    assert parse_study(Source("printed", study_yaml(spec))) == spec
 
 
 def test_what_is_printed_reads_well() -> None:
     spec = StudySpec("paper", vary={"a": "1 s, 2 s"}, set=set_values(["log={every: 10 ticks}"]), net=["* loss {a}"])
-    assert spec.to_yaml().splitlines() == [
+    assert study_yaml(spec).splitlines() == [
         "study:",
         "  scenario: paper",
         "  vary:",
@@ -66,7 +68,7 @@ def test_the_file_of_a_scenario_is_printed_so_that_it_is_found_from_everywhere(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert not is_file("paper")
-    assert f'scenario: "{tmp_path}/my.yaml"' in StudySpec("my.yaml").to_yaml()
+    assert f'scenario: "{tmp_path}/my.yaml"' in study_yaml(StudySpec("my.yaml"))
 
 
 def test_options_add_to_a_study_and_overrule_it() -> None:
@@ -85,7 +87,6 @@ def test_options_add_to_a_study_and_overrule_it() -> None:
         net=["1->2 loss 5%"],
         fault=["at 1s off 1"],
         seeds="3",
-        measures=None,
     )
     assert found == StudySpec(
         "paper",
@@ -105,7 +106,7 @@ def test_a_plan_has_all_that_the_study_says() -> None:
     spec = StudySpec(
         "paper", vary={"x": "1, 2"}, set={"a": "{x}"}, net=["* loss 1%"], fault=["at 1s off 1"], seeds="4,2", draw=7
     )
-    plan = spec.plan()
+    plan = plan_of(spec)
     assert plan.changes == (Override(SET, "a={x}"), Override(NET, "* loss 1%"), Override(FAULT, "at 1s off 1"))
     assert (plan.scenario, plan.axes, plan.seeds, plan.draw) == ("paper", (axis("x", "1, 2"),), (4, 2), 7)
     assert spec.timeout_s == inf

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.study.errors import ValuesError
+from fleet.study.errors import StudyError
 from fleet.study.values import Axis, AxisValue, axis, parse_axis, values_text
 
 
@@ -72,7 +72,7 @@ def test_a_range_has_every_step_and_both_ends(low: int, step: int, count: int) -
 def test_any_text_is_values_or_an_error(text: str) -> None:
     try:
         found = axis("key", text)
-    except ValuesError:
+    except StudyError:
         return
     assert found.sampled or found.values
 
@@ -107,7 +107,7 @@ def test_any_text_is_values_or_an_error(text: str) -> None:
     ],
 )
 def test_what_is_wrong_is_said(text: str, message: str) -> None:
-    with pytest.raises(ValuesError) as caught:
+    with pytest.raises(StudyError) as caught:
         parse_axis(text)
     assert message in str(caught.value)
 

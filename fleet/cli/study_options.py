@@ -9,7 +9,7 @@ from typing import Any, Literal, TypeVar
 import click
 
 from fleet.cli.types import FORCE, OVERRIDES, Whole, disturbances, is_given
-from fleet.study.spec import Field, Kind, Spec, fields
+from fleet.study.spec import Kind, Spec, SpecField, fields
 from fleet.terminal.folding import say
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -33,7 +33,7 @@ def spec_options(spec: Spec) -> Callable[[F], F]:
 
     def add(command: F) -> F:
         for field in reversed(fields(spec).values()):
-            if field.option.kind is Kind.VALUE:  # of --set, which other commands have, too, as well as the next two
+            if field.kind is Kind.VALUE:  # of --set, which other commands have, too, as well as the next two
                 command = OVERRIDES(disturbances(command))
             elif field.flag is not None and field.name not in ("net", "fault"):
                 command = _click_option(field)(command)
@@ -55,12 +55,12 @@ def given(spec: Spec, options: Mapping[str, Any]) -> dict[str, Any]:
 
     found: dict[str, Any] = {}
     for name, field in fields(spec).items():
-        parameter = "overrides" if field.option.kind is Kind.VALUE else name
+        parameter = "overrides" if field.kind is Kind.VALUE else name
         if field.flag is None or not is_given(parameter):
             continue
         value = options[parameter]
         if field.shape is dict:
-            found[name] = set_values(value) if field.option.kind is Kind.VALUE else varied(value, field.flag)
+            found[name] = set_values(value) if field.kind is Kind.VALUE else varied(value, field.flag)
         elif field.shape is list:
             found[name] = [item if isinstance(item, str) else item.text for item in value]
         else:
@@ -93,8 +93,8 @@ def warning(*, quiet: bool = False) -> Callable[[str], None]:
     return lambda text: None if quiet else say(f"warning: {text}", err=True)
 
 
-def _click_option(field: Field) -> Callable[[F], F]:
-    about: dict[str, Any] = {"help": field.option.help, "metavar": field.option.metavar}
+def _click_option(field: SpecField) -> Callable[[F], F]:
+    about: dict[str, Any] = {"help": field.option.help, "metavar": field.option.metavar or field.kind.value}
     if field.shape is bool:
         about["is_flag"] = True
     elif field.shape in (list, dict):
@@ -105,7 +105,7 @@ def _click_option(field: Field) -> Callable[[F], F]:
     return click.option(field.flag, field.name, **about)
 
 
-def _type(field: Field) -> click.ParamType[Any]:
+def _type(field: SpecField) -> click.ParamType[Any]:
     if field.shape is int:
         return Whole(*field.limits)
     if field.shape is float:
@@ -116,7 +116,7 @@ def _type(field: Field) -> click.ParamType[Any]:
 class _Text(click.ParamType[str]):
     """A text of a field, checked as in a file."""
 
-    def __init__(self, field: Field) -> None:
+    def __init__(self, field: SpecField) -> None:
         self.name, self._field = field.name, field
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:

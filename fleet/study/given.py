@@ -18,7 +18,7 @@ from fleet.scenario.text.plain_yaml import inline
 from fleet.study.errors import StudyError
 from fleet.study.plan import parse_seeds
 from fleet.study.signal_measures import check_name
-from fleet.study.spec import Field, Kind, Spec, fields
+from fleet.study.spec import Kind, Spec, SpecField, fields
 from fleet.study.stopping import check_until
 from fleet.study.values import axis, parse_axis, values_text
 from netem.parsing import nearest
@@ -27,7 +27,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 _QUOTED = re.compile(r"'([^']*)'")
 
 
-def read(field: Field, value: object, key: str = "") -> Any:
+def read(field: SpecField, value: object, key: str = "") -> Any:
     """One value of a field: the whole of it, an entry of its list, or what it has for a key.
 
     Args:
@@ -47,10 +47,10 @@ def read(field: Field, value: object, key: str = "") -> Any:
         return _checked(value, isinstance(value, int | float) and not isinstance(value, bool), "a number")
     if field.shape is Literal:
         return _checked(value, value in field.words, f"one of {', '.join(field.words)}")
-    text = _text(field.option.kind, value)
+    text = _text(field.kind, value)
     if printable(text) != text:  # it is shown on terminals
         raise StudyError("a line break or a control character is in it")
-    _check(field.option.kind, key, text)
+    _check(field.kind, key, text)
     return text
 
 
@@ -101,7 +101,7 @@ def keywords(spec: Spec, options: Mapping[str, object]) -> dict[str, Any]:
             hint = nearest(keyword, known) or f"known here: {', '.join(known)}"
             raise TypeError(f"there is no argument {keyword!r}; {hint}")
         field = known[keyword]
-        if value is None or (field.option.kind is Kind.TIME and value == inf):
+        if value is None or (field.kind is Kind.TIME and value == inf):
             continue
         try:
             given[field.name] = _of_script(field, value)
@@ -110,10 +110,10 @@ def keywords(spec: Spec, options: Mapping[str, object]) -> dict[str, Any]:
     return given
 
 
-def _of_script(field: Field, value: Any) -> Any:
-    if field.option.kind is Kind.VALUE:
+def _of_script(field: SpecField, value: Any) -> Any:
+    if field.kind is Kind.VALUE:
         value = set_values(override_texts(value))
-    if field.option.kind is Kind.TIME:
+    if field.kind is Kind.TIME:
         fits = isinstance(value, int | float) and isfinite(value) and value >= 0
         value = show_time(round(_checked(value, fits, "a number of seconds") * 1e9))
     if field.shape is dict:
@@ -123,7 +123,7 @@ def _of_script(field: Field, value: Any) -> Any:
     return read(field, value)
 
 
-def _by_keyword(spec: Spec) -> dict[str, Field]:
+def _by_keyword(spec: Spec) -> dict[str, SpecField]:
     return {field.keyword: field for field in fields(spec).values() if field.flag is not None}
 
 
@@ -143,8 +143,8 @@ def takes(spec: Spec) -> Callable[[F], F]:
     return describe
 
 
-def _described(field: Field) -> str:
-    unit = " [s]" if field.option.kind is Kind.TIME else ""
+def _described(field: SpecField) -> str:
+    unit = " [s]" if field.kind is Kind.TIME else ""
     default = f" By default {field.default}." if field.default not in ("", [], {}, False) else ""
     return _QUOTED.sub(r"`\1`", field.option.help.removesuffix(".")) + f"{unit}.{default}"
 

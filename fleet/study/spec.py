@@ -10,7 +10,6 @@ it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
 from enum import Enum
 from math import inf
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
@@ -24,16 +23,16 @@ LARGEST_SEED = 2**63 - 1
 
 
 class Kind(Enum):
-    """What the text of a field has to be; `fleet.study.given` checks it."""
+    """What a text has to be, which `fleet.study.given` checks; its value stands for the text in `--help`."""
 
-    TEXT = "any text"
-    SCENARIO = "a shipped name or a file"
-    TIME = "a time with a unit; a script gives seconds"
-    SEEDS = "how many seeds, or which"
-    VALUES = "values to vary a key over"
-    VALUE = "the value of a key"
-    MEASURE = "a measure"
-    UNTIL = "a margin"
+    TEXT = None
+    SCENARIO = "SCENARIO"
+    TIME = "TIME"  # a script gives seconds
+    SEEDS = "SEEDS"
+    VALUES = "KEY=VALUES"
+    VALUE = "KEY=VALUE"
+    MEASURE = "NAME"
+    UNTIL = "'pass ±5 %'"
 
 
 class Option(NamedTuple):
@@ -41,8 +40,7 @@ class Option(NamedTuple):
 
     Attributes:
         help: as `--help` and Python's `help` have it.
-        metavar: stands for the value in `--help`.
-        kind: of its text, or of each of its texts.
+        metavar: stands for the value in `--help`, if its kind says nothing.
         flag: on the command line, where it is not `--` and the name of the field; None: a file alone has it.
         keyword: in Python, where it is not the name of the field.
         later: whether it may be given anew when a study goes on.
@@ -50,90 +48,61 @@ class Option(NamedTuple):
 
     help: str
     metavar: str | None = None
-    kind: Kind = Kind.TEXT
     flag: str | None = ""
     keyword: str = ""
     later: bool = False
 
 
-Set = Annotated[
-    dict[str, str], Option("What is changed for every run; {key} stands for a varied value.", kind=Kind.VALUE)
-]
-Net = Annotated[list[str], Option("Conditions of links, for every run; {key} stands for a varied value.")]
-Fault = Annotated[list[str], Option("Faults of every run; {key} stands for a varied value.")]
-Timeout = Annotated[
-    str, Option("Wall time that one run may take, e.g. '5 min'.", "TIME", Kind.TIME, later=True)
-]  # fmt: skip
+Time = Annotated[str, Kind.TIME]
+Seeds = Annotated[str, Kind.SEEDS]
+Values = Annotated[dict[str, str], Kind.VALUES]
+Set = Annotated[dict[str, str], Kind.VALUE, Option("What is changed in every run; {key} stands for what varies.")]
+Net = Annotated[list[str], Option("Conditions of links in every run; {key} stands for what varies.")]
+Fault = Annotated[list[str], Option("Faults of every run; {key} stands for what varies.")]
+Timeout = Annotated[Time, Option("Wall time that one run may take, e.g. '5 min'.", later=True)]
 
 
 class StudySpec(msgspec.Struct, frozen=True, omit_defaults=True):
     """A study of `fleet sweep`. Values are texts, as on the command line."""
 
-    scenario: Annotated[str, Option("A shipped name or a file.", kind=Kind.SCENARIO, flag=None)]
+    scenario: Annotated[str, Kind.SCENARIO, Option("A shipped name or a file.", flag=None)]
     title: Annotated[str, Option("What the study asks.", flag=None)] = ""
-    run_takes: Annotated[str, Option("Time that one run takes a core, roughly.", kind=Kind.TIME, flag=None)] = ""
-    vary: Annotated[
-        dict[str, str], Option("What varies over which values; repeatable.", "KEY=VALUES", Kind.VALUES)
-    ] = {}
+    run_takes: Annotated[Time, Option("Time that one run takes a core, roughly.", flag=None)] = ""
+    vary: Annotated[Values, Option("What varies over which values; repeatable.")] = {}
     zip: Annotated[bool, Option("Values go together, first with first; else each with each.", keyword="zipped")] = False
-    seeds: Annotated[
-        str, Option("How many runs each point has, or their seeds: 20, 5..24 or 3,7,9.", "SEEDS", Kind.SEEDS)
-    ] = "10"
+    seeds: Annotated[Seeds, Option("How many runs each point has, or their seeds: 20, 5..24 or 3,7,9.")] = "10"
     draw: Annotated[int, Meta(ge=0), Option("Seed of values that are drawn.")] = 1
     set: Set = {}
     net: Net = []
     fault: Fault = []
-    measures: Annotated[
-        list[str],
-        Option("What the table shows; repeatable. An unknown name lists all that are measured; 'p95 |error.e|' and the "
-               "like measure a signal.", "NAME", Kind.MEASURE, flag="--measure", later=True),
-    ] = []  # fmt: skip
-    until: Annotated[
-        str,
-        Option("Add seeds to each point until half its interval is no wider, e.g. 'e_rms_m ±10 %'.", "'pass ±5 %'",
-               Kind.UNTIL),
-    ] = ""  # fmt: skip
-    most_seeds: Annotated[int, Meta(ge=1, le=MOST_ALLOWED), Option("How many a point may have with --until.", "N")] = (
-        1000
-    )
-    keep_logs: Annotated[
-        KeepLogs, Option("Keep the logs of runs that failed, or of all, below the study.", later=True)
-    ] = "none"
+    measures: Annotated[list[str], Kind.MEASURE, Option(
+        "What the table shows; repeatable. An unknown name lists all that are measured; 'p95 |error.e|' and the like "
+        "measure a signal.", flag="--measure", later=True)] = []  # fmt: skip
+    until: Annotated[str, Kind.UNTIL, Option(
+        "Add seeds to each point until half its interval is no wider, e.g. 'e_rms_m ±10 %'.")] = ""  # fmt: skip
+    most_seeds: Annotated[int, Meta(ge=1, le=MOST_ALLOWED), Option(
+        "How many a point may have with --until.", "N")] = 1000  # fmt: skip
+    keep_logs: Annotated[KeepLogs, Option(
+        "Keep the logs of runs that failed, or of all, below the study.", later=True)] = "none"  # fmt: skip
     timeout: Timeout = ""
-    budget: Annotated[
-        str,
-        Option("Wall time after which no run is made any more, e.g. '10 min'.", "TIME", Kind.TIME, later=True),
-    ] = ""  # fmt: skip
+    budget: Annotated[Time, Option(
+        "Wall time after which no run is made any more, e.g. '10 min'.", later=True)] = ""  # fmt: skip
 
-    def changed(
-        self,
-        *,
-        vary: Mapping[str, str] = {},
-        set: Mapping[str, str] = {},
-        net: Iterable[str] = (),
-        fault: Iterable[str] = (),
-        zip: bool = False,
-        **given: Any,
-    ) -> StudySpec:
+    def changed(self, **given: Any) -> StudySpec:
         """The study with options added.
 
-        A key that an option sets or varies is no longer what the file said of it; conditions of links and faults come
-        behind those of the file.
-
-        Args:
-            given: other keys, in place of those of the file.
+        A key that an option sets or varies is no longer what the file said of it. Conditions of links and faults come
+        behind those of the file, values go together if either says so, and other keys take the place of the file's.
         """
-        kept = {key: text for key, text in self.vary.items() if key not in set or key in vary}
-        still = {key: text for key, text in self.set.items() if key not in set and key not in vary}
-        return msgspec.structs.replace(
-            self,
-            vary=kept | dict(vary),
-            set=still | dict(set),
-            net=[*self.net, *net],
-            fault=[*self.fault, *fault],
-            zip=self.zip or zip,
-            **given,
-        )
+        vary, set = given.get("vary", {}), given.get("set", {})
+        together = {
+            "vary": {key: text for key, text in self.vary.items() if key not in set or key in vary} | vary,
+            "set": {key: text for key, text in self.set.items() if key not in set and key not in vary} | set,
+            "net": [*self.net, *given.get("net", ())],
+            "fault": [*self.fault, *given.get("fault", ())],
+            "zip": self.zip or given.get("zip", False),
+        }
+        return msgspec.structs.replace(self, **given | together)
 
     @property
     def timeout_s(self) -> float:
@@ -150,17 +119,12 @@ class BoundarySpec(msgspec.Struct, frozen=True, kw_only=True):
     """A study of `fleet boundary`: where the pass rate falls through a level."""
 
     along: Annotated[str, Option("Along what the border is looked for.", "KEY=LOW..HIGH")] = ""
-    per: Annotated[
-        dict[str, str], Option("One border for each of these values; repeatable.", "KEY=VALUES", Kind.VALUES)
-    ] = {}
+    per: Annotated[Values, Option("One border for each of these values; repeatable.")] = {}
     level: Annotated[float, Option("The pass rate at the border.", "RATE")] = 0.5
-    width: Annotated[float, Option("How wide the interval of a border may stay, as a share of the range.", "SHARE")] = (
-        0.1
-    )
-    seeds: Annotated[
-        str,
-        Option("How many runs a border gets at most, each with its own seed, or those seeds.", "SEEDS", Kind.SEEDS),
-    ] = "60"  # fmt: skip
+    width: Annotated[float, Option(
+        "How wide the interval of a border may stay, as a share of the range.", "SHARE")] = 0.1  # fmt: skip
+    seeds: Annotated[Seeds, Option(
+        "How many runs a border gets at most, each with its own seed, or those seeds.")] = "60"  # fmt: skip
     set: Set = {}
     net: Net = []
     fault: Fault = []
@@ -175,11 +139,12 @@ class BoundarySpec(msgspec.Struct, frozen=True, kw_only=True):
 Spec = type[StudySpec] | type[BoundarySpec]
 
 
-class Field(NamedTuple):
+class SpecField(NamedTuple):
     """A field of a spec, as its readers need it.
 
     Attributes:
         shape: `dict`: texts by key; `list`: several texts; else the type of its one value, or Literal.
+        kind: of its texts.
         default: None: it has to be given.
         limits: the least and the largest number; None: there is none.
         words: of a Literal.
@@ -187,10 +152,11 @@ class Field(NamedTuple):
 
     name: str
     shape: Any
+    kind: Kind
     default: Any
     option: Option
-    limits: tuple[int | None, int | None] = (None, None)
-    words: tuple[str, ...] = ()
+    limits: tuple[int | None, int | None]
+    words: tuple[str, ...]
 
     @property
     def flag(self) -> str | None:
@@ -200,23 +166,25 @@ class Field(NamedTuple):
     @property
     def keyword(self) -> str:
         """In Python; of a time with its unit."""
-        return self.option.keyword or (f"{self.name}_s" if self.option.kind is Kind.TIME else self.name)
+        return self.option.keyword or (f"{self.name}_s" if self.kind is Kind.TIME else self.name)
 
 
-def fields(spec: Spec) -> dict[str, Field]:
+def fields(spec: Spec) -> dict[str, SpecField]:
     """The fields of a spec by name, in their order."""
     hints, found = get_type_hints(spec, include_extras=True), {}
-    for info in msgspec.structs.fields(spec):
-        what, *about = get_args(hints[info.name])
+    for name, default in ((each.name, _default(each)) for each in msgspec.structs.fields(spec)):
+        what, *about = get_args(hints[name])
+        kind = next((each for each in about if isinstance(each, Kind)), Kind.TEXT)
         option = next(each for each in about if isinstance(each, Option))
         limits: Any = next(((each.ge, each.le) for each in about if isinstance(each, Meta)), (None, None))
-        shape = get_origin(what) or what
-        default = info.default if info.default_factory is NODEFAULT else info.default_factory()
-        found[info.name] = Field(
-            info.name, shape, None if default is NODEFAULT else default, option, limits,
-            get_args(what) if shape is Literal else (),
-        )  # fmt: skip
+        words = get_args(what) if get_origin(what) is Literal else ()
+        found[name] = SpecField(name, get_origin(what) or what, kind, default, option, limits, words)
     return found
+
+
+def _default(field: msgspec.structs.FieldInfo) -> Any:
+    made = field.default if field.default_factory is NODEFAULT else field.default_factory()
+    return None if made is NODEFAULT else made
 
 
 def texts(spec: msgspec.Struct) -> list[str]:

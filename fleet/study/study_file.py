@@ -17,7 +17,7 @@ from fleet.scenario.trust import TYPED, OverrideOrigin, origin
 from fleet.study.catalogue import shipped_studies, study_text
 from fleet.study.errors import StudyError
 from fleet.study.given import read as read_value
-from fleet.study.spec import Field, Kind, StudySpec, fields
+from fleet.study.spec import Kind, SpecField, StudySpec, fields
 from netem.parsing import nearest
 from netem.whole_file import read_file
 
@@ -131,7 +131,7 @@ class _Reader:
             self.tell(node.place, f'"scenario" is missing in "{_KEY}"', "a shipped name, or a file beside this one")
         return values
 
-    def _value(self, field: Field, node: Node) -> Any:
+    def _value(self, field: SpecField, node: Node) -> Any:
         if field.shape is list:
             return [self._one(field, item) for item in (node.items if isinstance(node, Items) else [node])]
         if field.shape is not dict:
@@ -141,13 +141,13 @@ class _Reader:
         self.expected("a mapping of keys of the scenario to values", node, field.name)
         return {}
 
-    def _one(self, field: Field, node: Node, key: str = "") -> Any:
+    def _one(self, field: SpecField, node: Node, key: str = "") -> Any:
         try:
             value = read_value(field, plain(node), key)
         except StudyError as error:
             self.tell(node.place, f"{field.name}: {error}")
             return None
-        if field.option.kind is Kind.SCENARIO and self._folder is not None and is_file(value, self._folder):
+        if field.kind is Kind.SCENARIO and self._folder is not None and is_file(value, self._folder):
             return str(self._folder / value)
         return value
 

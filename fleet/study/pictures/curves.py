@@ -49,7 +49,9 @@ def curves(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale
             continue
         if quantity.kind == "difference":
             limit(ax, 0.0)
-        strips = sum(drawn.line(ax, shown[k], number) for number in range(len(drawn.names)))
+        strips = 0
+        for number in range(len(drawn.names)):
+            strips += drawn.line(ax, shown[k], number, strips)
         drawn.scales(ax, strips, log_scale)
         if k % columns == 0:
             ax.set_ylabel(quantity_label(quantity))
@@ -77,10 +79,9 @@ class _Curves:
         self._logs = logarithmic(self._places.tolist())
         self._edges = _edges(self._places, self._logs)
         self._bars = len(self.names) > _MOST_BANDS and len(self._places) <= _MOST_BARS
-        self._strips: dict[Axes, int] = {}  # lines of a panel that lack a number somewhere
 
-    def line(self, ax: Axes, panel: Panel, number: int) -> bool:
-        """Draw one line with its intervals; returns whether some of its runs lack the number."""
+    def line(self, ax: Axes, panel: Panel, number: int, strip: int) -> bool:
+        """Draw one line with its intervals; returns whether some of its runs lack the number, hatched in a strip."""
         name, lines = self.names[number], self._layout.lines
         fixed = {} if name is None or lines is None else {lines: name}
         keys = (self._layout.key(panel, fixed | {self._x: value}) for value in self.along.values)
@@ -95,7 +96,7 @@ class _Curves:
         ax.plot(where, found[:, 0], color=colour, linestyle=STYLES[number], marker=_MARKERS[number],
                 linewidth=0.6 if self._bars else None, markersize=3.0 if len(self._places) < 40 else 1.5,
                 gid="curve")  # fmt: skip
-        return self._hatched(ax, cells, colour)
+        return self._hatched(ax, cells, strip, colour)
 
     def _estimates(self, cells: Sequence[Cell | None]) -> Array:
         """Value and interval at each place; NaN where there is none, and no end of an interval is infinite."""
@@ -106,12 +107,10 @@ class _Curves:
         found[~np.isfinite(found)] = np.nan
         return found
 
-    def _hatched(self, ax: Axes, cells: Sequence[Cell | None], colour: str) -> bool:
-        """Hatch a strip of its own below the line, where runs lack the number; whether there are any."""
+    def _hatched(self, ax: Axes, cells: Sequence[Cell | None], strip: int, colour: str) -> bool:
+        """Hatch places where runs lack the number; returns whether there are any."""
         if not any(cell is not None and any(cell.lack) for cell in cells):
             return False
-        strip = self._strips.get(ax, 0)
-        self._strips[ax] = strip + 1
         for at, cell in enumerate(cells):
             if cell is not None:
                 width = self._edges[at + 1] - self._edges[at]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,9 +16,11 @@ from fleet.study.spec import BoundarySpec
 from fleet.terminal.folding import say, stdout
 
 if TYPE_CHECKING:
-    from fleet.study.borders import Border, Borders, Tell
+    from fleet.study.borders import Border, Borders
     from fleet.study.modules import Modules
     from fleet.study.sweep import Progress
+    from fleet.terminal.fitting import Piece
+    from fleet.terminal.status_line import StatusLine
     from world.plugins.trust import Trust
 
 OUTSIDE = ("below", "above")
@@ -109,12 +109,13 @@ def _prepared(name: str, asked: dict[str, Any], out: Path, trust: Trust) -> tupl
 
 def _run(borders: Borders, modules: Modules, timeout_s: float, engine: tuple[int | None, str | None]) -> None:
     """Make runs until every border is known; `engine`: the workers and the scheduler that were asked for."""
+    from fleet.cli.study_output import showing
     from fleet.study.borders import find_borders
     from fleet.study.local_engine import engine_of
 
     directory, most = borders.store.directory, len(borders.store.record.seeds)
     say(f"{directory}: borders: {borders.count}, each with {most} runs at most", err=True)
-    with _showing() as tell, engine_of(*engine) as workers:
+    with showing(_pieces) as tell, engine_of(*engine) as workers:
         try:
             find_borders(borders, workers, tell, modules=modules, timeout_s=timeout_s)
         except KeyboardInterrupt:
@@ -137,25 +138,13 @@ def _picture(borders: Borders, trust: Trust) -> Path | None:
     return picture
 
 
-@contextmanager
-def _showing() -> Iterator[Tell]:
-    """A function that shows how many borders are found; call it as often as you like."""
-    from rich.console import Console as Terminal
-
+def _pieces(line: StatusLine, progress: Progress, *, known: int, of: int) -> list[Piece]:
+    """How many borders are found."""
     from fleet.cli.study_output import progress_pieces
     from fleet.terminal.fitting import Piece
-    from fleet.terminal.status_line import StatusLine
 
-    with StatusLine(Terminal(stderr=True), quiet=False) as line:
-
-        def tell(progress: Progress, *, known: int, of: int) -> None:
-            if not line.due():
-                return
-            of_all, shown = Piece(0, [f"{known} / {of} borders"]), Piece(2, [f"{progress.made} runs"])
-            drawn, rate, failed = progress_pieces(line, known / of, progress)
-            line.show([of_all, drawn, shown, rate, failed])
-
-        yield tell
+    drawn, rate, failed = progress_pieces(line, known / of, progress)
+    return [Piece(0, [f"{known} / {of} borders"]), drawn, Piece(2, [f"{progress.made} runs"]), rate, failed]
 
 
 def _show(borders: Borders, found: list[Border]) -> None:

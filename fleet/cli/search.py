@@ -10,7 +10,7 @@ import click
 
 from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
-from fleet.cli.shrink import MOST_RUNS, place_of, show_least, telling, write_least
+from fleet.cli.shrink import MOST_RUNS, pieces, place_of, show_least, write_least
 from fleet.cli.study_options import SCHEDULER, WORKERS, least_options
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import OVERRIDES, Budget, disturbances
@@ -65,6 +65,7 @@ def search(
       fleet search paper --nemesis --budget '10 min' --set 'network={period: 100 ms}'
       fleet search my.yaml --set seed=201 --check formation_error
     """
+    from fleet.cli.study_output import showing
     from fleet.study.errors import StudyError
     from fleet.study.local_engine import engine_of
     from fleet.study.search import search as first_that_fails
@@ -74,7 +75,7 @@ def search(
     path = place_of(tried, out, force=force)
     most_runs, budget_s = budget
     least = None
-    with telling() as tell, engine_of(workers, scheduler) as engine:
+    with showing(pieces) as tell, engine_of(workers, scheduler) as engine:
         modules = engine.carry(modules)
         found = first_that_fails(tried, engine, lambda runs: tell("seeds", runs), check=check, most_runs=most_runs,
                                  budget_s=budget_s, modules=modules)  # fmt: skip

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from datetime import timedelta
 from math import isfinite
 from pathlib import Path
@@ -26,6 +24,8 @@ if TYPE_CHECKING:
     from fleet.study.store import Store
     from fleet.study.study_file import NamedStudy
     from fleet.study.sweep import Progress
+    from fleet.terminal.fitting import Piece
+    from fleet.terminal.status_line import StatusLine
     from world.plugins.trust import Trust
 
 _MOST_TOLD = 10  # logs that are not kept
@@ -78,21 +78,14 @@ def sweep(
 
     need_extra()
     asked = given(StudySpec, options)
-    modules = None  # those of a study that is whole are not needed
-    if (directory := study_directory(scenario, StudySpec, asked)) is not None:
-        store, spec = _opened(directory, asked, only_shown=show_config)
-    else:
-        study = _asked_for(scenario, asked)
-        spec = study.spec
-        if show_config:
-            _check_points(study, trust)
-        else:
-            store, modules = _prepared(study, scenario, out, trust, quiet=quiet)
+    directory = study_directory(scenario, StudySpec, asked)
     if show_config:
-        from fleet.study.study_file import study_yaml
-
-        click.echo(study_yaml(spec), nl=False)
+        click.echo(_as_file(scenario, directory, asked, trust), nl=False)
         return
+    if directory is None:
+        store, spec, modules = _prepared(scenario, asked, out, trust, quiet=quiet)
+    else:
+        store, spec, modules = *_opened(directory, asked), None
     shown = _columns(store, spec)
     _run(store, spec, modules, trust, (workers, scheduler), quiet=quiet)
     if as_json:
@@ -105,20 +98,31 @@ def sweep(
         _show(store, shown)
 
 
-def _opened(directory: Path, asked: dict[str, Any], *, only_shown: bool) -> tuple[Store, StudySpec]:
-    """The study of a directory, and its spec with what was asked now; a budget is that of one command.
-
-    Raises:
-        StudyError: it is none of `fleet sweep`, or is to be shown and was not written down.
-    """
+def _as_file(name: str, directory: Path | None, asked: dict[str, Any], trust: Trust) -> str:
+    """The study as a file, with the options in it. Raises what would be raised before the first run."""
     from fleet.study.errors import StudyError
+    from fleet.study.load_points import load_points
+    from fleet.study.plan import plan_of
+    from fleet.study.study_file import study_yaml
+    from fleet.study.sweep import declared
+
+    if directory is None:
+        study = _asked_for(name, asked)
+        declared(study.spec, load_points(plan_of(*study), trust, refused=[]))  # laws that may not run are no mistake
+        return study_yaml(study.spec)
+    store, spec = _opened(directory, asked)
+    if store.record.spec is None:
+        raise StudyError(f"{directory}: the fleet that made this study did not write down what was asked")
+    return study_yaml(spec)
+
+
+def _opened(directory: Path, asked: dict[str, Any]) -> tuple[Store, StudySpec]:
+    """The study of a directory, and its spec with what was asked now; a budget is that of one command."""
     from fleet.study.store import Store
     from fleet.study.sweep import refuse_border
 
     store = Store.open(directory)
     refuse_border(store)
-    if only_shown and store.record.spec is None:
-        raise StudyError(f"{directory}: the fleet that made this study did not write down what was asked")
     return store, store.record.rules.changed(**{"budget": "", **asked})
 
 
@@ -133,25 +137,28 @@ def _asked_for(name: str, asked: dict[str, Any]) -> NamedStudy:
     return study._replace(spec=spec)
 
 
-def _check_points(study: NamedStudy, trust: Trust) -> None:
-    """Refuse what would be refused before the first run; laws that may not run are no mistake."""
-    from fleet.study.load_points import load_points
-    from fleet.study.plan import plan_of
-    from fleet.study.sweep import declared
-
-    declared(study.spec, load_points(plan_of(*study), trust, refused=[]))
-
-
-def _prepared(study: NamedStudy, name: str, out: Path, trust: Trust, *, quiet: bool) -> tuple[Store, Modules]:
-    """The directory of a new study."""
+def _prepared(
+    name: str, asked: dict[str, Any], out: Path, trust: Trust, *, quiet: bool
+) -> tuple[Store, StudySpec, Modules]:
+    """A new study in a directory of its own."""
     from fleet.study.plan import plan_of
     from fleet.study.study import new_directory
     from fleet.study.sweep import prepare
 
+    study = _asked_for(name, asked)
     plan = plan_of(*study)
     if not study.spec.vary:
         _nothing_varied(plan, trust, quiet=quiet)
-    return prepare(plan, new_directory(name, out), trust, study.spec, warn=warning(quiet=quiet))
+    store, modules = prepare(plan, new_directory(name, out), trust, study.spec, warn=warning(quiet=quiet))
+    return store, study.spec, modules
+
+
+def _columns(store: Store, spec: StudySpec) -> list[MeasureColumn]:
+    """The measures that the table shows. Raises StudyError: the study does not have one."""
+    from fleet.study.signal_measures import find_columns
+    from fleet.study.summary import DEFAULT
+
+    return find_columns(spec.measures or store.record.measures or DEFAULT, store.record.columns)
 
 
 def _run(
@@ -166,9 +173,10 @@ def _run(
     """Make the runs that are missing, then the logs.
 
     Args:
-        modules: that the runs need; None: they are looked for, if there is a run to make.
+        modules: that the runs need; None: they are looked for, if there is a run to make: a whole study needs none.
         engine: workers and scheduler that were asked for.
     """
+    from fleet.cli.study_output import showing
     from fleet.study.local_engine import engine_of
     from fleet.study.sweep import logs_to_make, modules_again, run_study
 
@@ -179,7 +187,7 @@ def _run(
         return
     if modules is None:
         modules = modules_again(store, trust)
-    with _showing(quiet) as tell, engine_of(*engine) as workers:
+    with showing(_pieces, quiet=quiet) as tell, engine_of(*engine) as workers:
         try:
             progress = run_study(
                 store, workers, tell, modules=modules, timeout_s=spec.timeout_s, budget_s=spec.budget_s,
@@ -189,14 +197,6 @@ def _run(
             _tell_what_is_missing(store, spec.keep_logs, [])
             raise
     _tell_what_is_missing(store, spec.keep_logs, progress.not_kept)
-
-
-def _columns(store: Store, spec: StudySpec) -> list[MeasureColumn]:
-    """The measures that the table shows. Raises StudyError: the study does not have one."""
-    from fleet.study.signal_measures import find_columns
-    from fleet.study.summary import DEFAULT
-
-    return find_columns(spec.measures or store.record.measures or DEFAULT, store.record.columns)
 
 
 def _nothing_varied(plan: Plan, trust: Trust, *, quiet: bool) -> None:
@@ -241,35 +241,16 @@ def _tell_what_is_missing(store: Store, logs: KeepLogs, not_kept: list[str]) -> 
         say(f"{short} points have {most} seeds, and are not yet known to {until}; see --most-seeds", err=True)
 
 
-@contextmanager
-def _showing(quiet: bool) -> Iterator[Callable[[Progress], None]]:
-    """A function that shows where a study is; call it as often as you like."""
-    from rich.console import Console as Terminal
-
+def _pieces(line: StatusLine, progress: Progress) -> list[Piece]:
+    """Where a study is."""
     from fleet.cli.study_output import progress_pieces
     from fleet.terminal.fitting import Piece
-    from fleet.terminal.status_line import StatusLine
 
-    with StatusLine(Terminal(stderr=True), quiet=quiet) as line:
-
-        def tell(progress: Progress) -> None:
-            if not line.due():
-                return
-            share = progress.made / max(1, progress.runs)
-            left = f"{timedelta(seconds=round(progress.left_s))} left" if isfinite(progress.left_s) else ""
-            drawn, rate, failed = progress_pieces(line, share, progress)
-            line.show(
-                [
-                    Piece(0, [f"{progress.made} / {progress.runs} {progress.doing}"]),
-                    drawn,
-                    rate,
-                    Piece(2, [left, ""]),
-                    Piece(4, [f"passed {_share(progress.passing)}", f"passed {progress.passing.value:.0%}", ""]),
-                    failed,
-                ]
-            )
-
-        yield tell
+    left = f"{timedelta(seconds=round(progress.left_s))} left" if isfinite(progress.left_s) else ""
+    drawn, rate, failed = progress_pieces(line, progress.made / max(1, progress.runs), progress)
+    made = Piece(0, [f"{progress.made} / {progress.runs} {progress.doing}"])
+    passed = Piece(4, [f"passed {_share(progress.passing)}", f"passed {progress.passing.value:.0%}", ""])
+    return [made, drawn, rate, Piece(2, [left, ""]), passed, failed]
 
 
 def _show(store: Store, measures: list[MeasureColumn]) -> None:

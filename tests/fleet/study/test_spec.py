@@ -188,7 +188,7 @@ def test_each_option_is_the_same_on_the_command_line_in_a_file_in_python_and_in_
         assert keywords_of[name] in signature(fleet.sweep).parameters
     whole = StudySpec("paper", **{name: kept for name, (*_, kept) in SWEEP.items()})
     assert msgspec.json.decode(msgspec.json.encode(whole), type=StudySpec) == whole
-    assert list(BOUNDARY) + ["set", "net", "fault", "timeout"] == list(fields(BoundarySpec))
+    assert [*BOUNDARY, "set", "net", "fault", "timeout"] == list(fields(BoundarySpec))
     for name, (args, _, in_python, kept) in BOUNDARY.items():
         assert name in signature(fleet.boundary).parameters
         assert keywords(BoundarySpec, {name: in_python}) == {name: kept}

@@ -1,6 +1,6 @@
-"""What is given for a field of a study, as the spec keeps it: from a file, a script or the command line.
+"""Reads the value of a field of a study from a file, a script or the command line, as the spec keeps it.
 
-Every mistake is a StudyError in words. It does not name the field, because each of the three names it in its own way.
+Every mistake is a StudyError in words. It does not name the field, because each of the three has its own name for it.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def read(field: SpecField, value: object, key: str = "") -> Any:
         return _checked(value, isinstance(value, bool), "true or false")
     if field.shape is int:
         least, most = field.limits
-        fits = type(value) is int and (least or 0) <= value <= (inf if most is None else most)
+        fits = type(value) is int and (least is None or value >= least) and (most is None or value <= most)
         return _checked(value, fits, f"a whole number from {least} {'on' if most is None else f'to {most}'}")
     if field.shape is float:
         return _checked(value, isinstance(value, int | float) and not isinstance(value, bool), "a number")

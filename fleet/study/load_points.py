@@ -59,7 +59,7 @@ def point_warnings(plan: Plan, scenarios: Sequence[Scenario]) -> list[str]:
 
 
 def _same(problem: Problem, point: Point) -> str:
-    """What a mistake is apart from the value that is varied."""
+    """A text that is the same for the same mistake of another point."""
     words = _without_values(f"{problem.message}\n{problem.hint}", point)
     if problem.file.startswith("--"):  # its value may be the one that is varied, so columns differ
         return f"{_without_values(problem.file, point)}\n{words}"
@@ -74,7 +74,7 @@ def _without_values(text: str, point: Point) -> str:
 
 
 def _with_points(problem: Problem, points: list[Point], plan: Plan) -> Problem:
-    """The mistake, in which points it is if not in all, and how else to vary a condition of links."""
+    """The mistake with its points, if not all have it. A wrong word of links gets the two ways to vary it as a hint."""
     hint = problem.hint
     key = next((axis.key for axis in plan.axes if problem.file.startswith(f"{axis.option} {axis.key}=")), "")
     word = key.rpartition(".")[2]

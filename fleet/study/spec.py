@@ -1,4 +1,4 @@
-"""What a study is, as people write it. Each option is declared here, once.
+"""The specs of studies, as people write them. Each option is declared here, once.
 
 A field of `StudySpec` is an option of `fleet sweep`, a keyword of `fleet.sweep`, a key in the file of a study, and a
 key in study.json. One of `BoundarySpec` is an option of `fleet boundary`, a keyword of `fleet.boundary`, and a key in
@@ -23,7 +23,7 @@ LARGEST_SEED = 2**63 - 1
 
 
 class Kind(Enum):
-    """What a text has to be, which `fleet.study.given` checks; its value stands for the text in `--help`."""
+    """The kinds of texts, which `fleet.study.given` checks. The value of a kind stands for the text in `--help`."""
 
     TEXT = None
     SCENARIO = "SCENARIO"
@@ -36,7 +36,7 @@ class Kind(Enum):
 
 
 class Option(NamedTuple):
-    """What people are told of a field, and how they name it.
+    """The words about a field, and its names.
 
     Attributes:
         help: as `--help` and Python's `help` have it.

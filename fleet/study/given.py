@@ -77,6 +77,8 @@ def _check(kind: Kind, key: str, text: str) -> None:
         parse_seeds(text)
     elif kind is Kind.VALUES:
         axis(key, text)
+    elif kind is Kind.ALONG:
+        parse_axis(text, fine=1)
     elif kind is Kind.MEASURE and text:
         check_name(text)
     elif kind is Kind.UNTIL and text:

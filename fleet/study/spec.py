@@ -30,6 +30,7 @@ class Kind(Enum):
     TIME = "TIME"  # a script gives seconds
     SEEDS = "SEEDS"
     VALUES = "KEY=VALUES"
+    ALONG = "KEY=LOW..HIGH"
     VALUE = "KEY=VALUE"
     MEASURE = "NAME"
     UNTIL = "'pass ±5 %'"
@@ -118,7 +119,7 @@ class StudySpec(msgspec.Struct, frozen=True, omit_defaults=True):
 class BoundarySpec(msgspec.Struct, frozen=True, kw_only=True):
     """A study of `fleet boundary`: where the pass rate falls through a level."""
 
-    along: Annotated[str, Option("Along what the border is looked for.", "KEY=LOW..HIGH")] = ""
+    along: Annotated[str, Kind.ALONG, Option("Along what the border is looked for.")] = ""
     per: Annotated[Values, Option("One border for each of these values; repeatable.")] = {}
     level: Annotated[float, Option("The pass rate at the border.", "RATE")] = 0.5
     width: Annotated[float, Option(

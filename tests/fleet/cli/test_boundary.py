@@ -101,6 +101,7 @@ def test_the_time_of_a_run_is_kept_and_may_be_given_anew(monkeypatch: pytest.Mon
     [
         (["small.yaml"], "along what? give --along"),
         (["small.yaml", "--along", "loss=0 %..9 %"], '--along loss=0 %: unknown key "loss"'),
+        (["small.yaml", "--along", "loss=0..5x"], "Invalid value for '--along': loss=0..5x: expected a range"),
         ([*ARGS, "--per", "dley=1, 2"], '--per dley=1: unknown key "dley"'),
         (["small.yaml", "--along", "loss=0 %..9 %", "--per", "delay"], "--per: expected KEY=VALUES"),
         (["small.yaml", "--along", "loss=0 %..9 % latin 3", "--net", "* loss {loss}"], "are not drawn"),

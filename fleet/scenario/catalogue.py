@@ -6,14 +6,13 @@ who wait. A test compares it with the loaded scenarios.
 
 from __future__ import annotations
 
-from importlib import resources
-from typing import TYPE_CHECKING, NamedTuple
+from importlib.resources import files
+from typing import NamedTuple
 
 from fleet.quantities import time_ns
 from fleet.scenario.text.yaml_reader import Mapping, Scalar, Source, read
 
-if TYPE_CHECKING:
-    from importlib.resources.abc import Traversable
+_PACKAGE = "fleet.scenario.shipped"
 
 
 class Listed(NamedTuple):
@@ -29,12 +28,22 @@ class Listed(NamedTuple):
 
 def shipped_scenarios() -> list[str]:
     """The names of the scenarios that come with the package."""
-    return sorted(entry.name.removesuffix(".yaml") for entry in _folder().iterdir() if entry.name.endswith(".yaml"))
+    return names_in(_PACKAGE)
 
 
 def shipped_text(name: str) -> str:
     """The text of a shipped scenario, with its comments."""
-    return (_folder() / f"{name}.yaml").read_text("utf-8")
+    return text_in(_PACKAGE, name)
+
+
+def names_in(package: str) -> list[str]:
+    """The names of the YAML files of a package."""
+    return sorted(path.name.removesuffix(".yaml") for path in files(package).iterdir() if path.name.endswith(".yaml"))
+
+
+def text_in(package: str, name: str) -> str:
+    """The text of a YAML file of a package."""
+    return (files(package) / f"{name}.yaml").read_text("utf-8")
 
 
 def list_scenarios() -> list[Listed]:
@@ -51,7 +60,3 @@ def _listed(name: str) -> Listed:
     duration_s = time_ns(top["duration"]) / 1e9
     words = {key: str(top.get(key, none)) for key, none in (("name", name), ("group", ""), ("expect", "pass"))}
     return Listed(words["name"], words["group"], str(top["title"]), vehicles, duration_s, words["expect"])
-
-
-def _folder() -> Traversable:
-    return resources.files("fleet.scenario.shipped")

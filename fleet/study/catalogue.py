@@ -6,16 +6,15 @@ studies.
 
 from __future__ import annotations
 
-from importlib import resources
 from math import prod
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from fleet.quantities import time_ns
+from fleet.scenario.catalogue import names_in, text_in
 from fleet.scenario.text.yaml_reader import Source, plain, read
 from fleet.study.values import axis, values_text
 
-if TYPE_CHECKING:
-    from importlib.resources.abc import Traversable
+_PACKAGE = "fleet.study.shipped"
 
 
 class ListedStudy(NamedTuple):
@@ -30,12 +29,12 @@ class ListedStudy(NamedTuple):
 
 def shipped_studies() -> list[str]:
     """The names of the studies that come with the package."""
-    return sorted(entry.name.removesuffix(".yaml") for entry in _folder().iterdir() if entry.name.endswith(".yaml"))
+    return names_in(_PACKAGE)
 
 
 def study_text(name: str) -> str:
     """The text of a shipped study, with its comments."""
-    return (_folder() / f"{name}.yaml").read_text("utf-8")
+    return text_in(_PACKAGE, name)
 
 
 def list_studies() -> list[ListedStudy]:
@@ -50,7 +49,3 @@ def _listed(name: str) -> ListedStudy:
     axes = [axis(key, values_text(values)) for key, values in study["vary"].items()]
     runs = prod(len(axis.values) for axis in axes) * study["seeds"]
     return ListedStudy(name, study["title"], study["scenario"], runs, runs * time_ns(study["run_takes"]) / 1e9)
-
-
-def _folder() -> Traversable:
-    return resources.files("fleet.study.shipped")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from fleet.bench.errors import BenchError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Result, Status
+from fleet.result.result import Result, Status
 from fleet.scenario.scenario import Scenario
 
 
@@ -21,7 +21,7 @@ def measured_run(scenario: Scenario, options: Options, *, checked: bool = True) 
     result = execute(scenario, options)
     which = f"the run with {scenario.vehicles} vehicles"
     if result.status in (Status.INTERRUPTED, Status.HUNG_UP):
-        raise BenchError(f"{which} was ended: {result.reason}", result.status)
+        raise BenchError(f"{which} was ended: {result.reason}", result.status.exit)
     if result.status is Status.BROKEN:
         raise BenchError(f"{which} broke: {result.reason}")
     if checked and result.status is not Status.PASS:

@@ -17,7 +17,7 @@ from rich.console import Console as Terminal
 from fleet.analysis.punctuality import MOST_MISSED, missed_share, moved_share
 from fleet.bench.measured_run import measured_run
 from fleet.execution.options import Options
-from fleet.execution.outcome import Result
+from fleet.result.result import Result
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.terminal.table import columns, show
@@ -76,20 +76,21 @@ def _on_wall_clock(folder: Path, speed: float) -> Options:
 
 
 def _row(n: int, speed: float, scenario: Scenario, found: Result, same: Result) -> WallClockRow:
-    timing = found.values["timing"]
-    vehicles, network = timing["vehicles"].values(), timing["netem"]
+    timing = found.timing
+    assert timing is not None  # the clock is real, and the run came to its end
+    network = timing.netem
     missed, moved = missed_share(timing), moved_share(timing)
     return WallClockRow(
         n,
         speed,
         speed * 1e9 / scenario.tick_ns,
-        timing["label"],
+        timing.label,
         missed,
         moved,
-        max(row["response"]["p99_ms"] for row in vehicles),
-        network["overdue"] / max(1, network["hop"]["count"]),
+        max(row.response.p99_ms for row in timing.vehicles.values()),
+        network.overdue / max(1, network.hop.count),
         found.digest == same.digest,
-        same.values["wall"]["x_real_time"],
+        same.wall.x_real_time,
         max(missed, moved) <= MOST_MISSED,
     )
 

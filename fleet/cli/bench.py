@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from fleet.cli.documents.output import as_document, json_option, print_document
+from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.group import ListingGroup
 from fleet.cli.types import Numbers, Whole
 from fleet.terminal.folding import stdout
@@ -213,7 +213,9 @@ def study(runs: int, duration: float, workers: int, memory: int | None, output: 
 def _give(document: Struct, output: Path | None, *, as_json: bool) -> None:
     """Print a document, or write it, or both."""
     if output is not None:
-        output.write_text(as_document(document) + "\n", "utf-8")
+        from fleet.result.file import json_text
+
+        output.write_text(json_text(document) + "\n", "utf-8")
     if as_json:
         print_document(document)
 

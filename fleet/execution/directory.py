@@ -19,16 +19,11 @@ from typing import IO, Any
 
 from fleet.errors import FleetError
 from fleet.logs.run_name import STAMP
+from fleet.result.file import RESULT
 from netem.whole_file import open_file, write_whole
 
 LATEST = "latest"
-LOG, SCENARIO, RESULT, CONNECTION, OBSERVE = (
-    "run.mcap",
-    "scenario.yaml",
-    "result.json",
-    "connection.json",
-    "observe.json",
-)
+LOG, SCENARIO, CONNECTION, OBSERVE = "run.mcap", "scenario.yaml", "connection.json", "observe.json"
 
 
 class RunDirectoryError(FleetError):
@@ -110,9 +105,6 @@ class RunDirectory:
         """Release the lock: the run is over."""
         if self._scenario is not None:
             self._scenario.close()
-
-    def write_result(self, values: dict[str, Any]) -> None:
-        (self.path / RESULT).write_text(json.dumps(values, indent=2) + "\n", "utf-8")
 
     def remove_result(self) -> None:
         """Remove the result: half of one is worse than none."""

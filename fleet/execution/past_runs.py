@@ -10,18 +10,21 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-import msgspec
-
 from fleet.errors import FleetError
-from fleet.execution.directory import LATEST, RESULT, SCENARIO, RunDirectoryError, in_use, link_latest
+from fleet.execution.directory import LATEST, SCENARIO, RunDirectoryError, in_use, link_latest
 from fleet.logs.run_name import RUN_NAME, begun_at
-from netem.private_file import DamagedFile, parse_json
-from netem.whole_file import read_file
+from fleet.result.file import ResultError, read_result
+from fleet.result.result import Status
 
 PASS, FAIL, BROKE, STOPPED, LIVE = VERDICTS = ("pass", "FAIL", "broke", "stopped", "live")
 FINISHED = VERDICTS[:-1]
-_OF_STATUS = {"pass": PASS, "check_failed": FAIL, "interrupted": STOPPED, "hung_up": STOPPED}
-_MOST_BYTES = 20_000_000  # of a result
+_OF_STATUS = {
+    Status.PASS: PASS,
+    Status.CHECK_FAILED: FAIL,
+    Status.BROKEN: BROKE,
+    Status.INTERRUPTED: STOPPED,
+    Status.HUNG_UP: STOPPED,
+}
 
 
 class PruneError(FleetError):
@@ -44,13 +47,6 @@ class PastRun:
     @property
     def name(self) -> str:
         return self.path.name
-
-
-class _Result(msgspec.Struct):
-    """What is read of a result; whoever wrote it, it must be this."""
-
-    status: str
-    sim_s: float
 
 
 def past_runs(out: Path) -> list[PastRun]:
@@ -157,9 +153,9 @@ def _read(path: Path, began: datetime) -> PastRun:
     if in_use(path):
         verdict = LIVE
     else:
-        with suppress(OSError, DamagedFile):
-            result = parse_json(read_file(path / RESULT, _MOST_BYTES), _Result)
-            verdict, sim_s = _OF_STATUS.get(result.status, BROKE), result.sim_s
+        with suppress(OSError, ResultError):
+            result = read_result(path)
+            verdict, sim_s = _OF_STATUS[result.status], result.sim_s
     return PastRun(path, name["scenario"], verdict, sim_s, _size(path), began)
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from fleet.replay.publisher import LivePublisher
+from fleet.result.result import Published
 
 
 class NoPublication:
@@ -23,9 +23,9 @@ class NoPublication:
     def close(self) -> None:
         """End."""
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Published | None:
         """What the result says about it."""
-        return {}
+        return None
 
 
 class Publication:
@@ -62,6 +62,6 @@ class Publication:
         """End, once everything is published."""
         self.publisher.close()
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Published | None:
         """What the result says about it."""
-        return {"published": {"messages": self.publisher.published, "dropped": self.publisher.dropped}}
+        return Published(self.publisher.published, self.publisher.dropped)

@@ -10,12 +10,12 @@ from typing import Any
 
 from fleet.checks.own_checks import OwnChecks, reported
 from fleet.checks.values import LoggedValues, Values
-from fleet.checks.verdict import Verdict
 from fleet.errors import FleetError, Problem, ScenarioError
 from fleet.logs.decoder import Decoder
 from fleet.logs.reader import LogReader, Record
 from fleet.logs.schemas import FAULT, FROM_TICK, PACKET, Column
 from fleet.repeat.recorded_run import recorded
+from fleet.result.verdict import Verdict
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signal_checks import SignalCheckError
 from fleet.scenario.sections.signals import flat_signals

@@ -20,7 +20,7 @@ from fleet.reproduce.verdicts import Claim
 from netem.private_folder import PrivateFolder
 
 if TYPE_CHECKING:
-    from fleet.execution.outcome import Result
+    from fleet.result.result import Result
 
 CHECK_S = 3  # simulated time of the distributed run that is compared with the in-process one
 
@@ -132,7 +132,7 @@ def _draw(item: tuple[str, dict[str, Outcome]], folder: Path, formats: tuple[str
 
 def _go_on(result: Result) -> None:
     """End everything if a signal ended a run. Raises KeyboardInterrupt, or the HungUp among them."""
-    from fleet.execution.outcome import Status
+    from fleet.result.result import Status
 
     if result.status is Status.HUNG_UP:
         raise HungUp
@@ -144,7 +144,7 @@ def _network_check(tell: Tell) -> str:
     """A few seconds of the network case as real processes over zenoh, against the same in this process."""
     from fleet.execution.execute import execute
     from fleet.execution.options import Options
-    from fleet.execution.outcome import Status
+    from fleet.result.result import Status
     from fleet.scenario.loading import load_scenario
 
     tell("a distributed run, to compare with the in-process one", 0.0)

@@ -13,11 +13,12 @@ from contextlib import suppress
 from typing import Any
 
 from fleet.execution.connection import LiveRun, OpenConnection, RemoteError, find, is_live
-from fleet.execution.directory import RESULT, SCENARIO, in_use
+from fleet.execution.directory import SCENARIO, in_use
 from fleet.replay.attachment import unpack
 from fleet.replay.missing import Missing, left_out
 from fleet.replay.player import MeasuredRate
 from fleet.replay.topics import ask_scenario, ask_topics
+from fleet.result.file import RESULT
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.sections.checked_signals import checked_signals
 from fleet.view.chart_signals import published_signals

@@ -56,7 +56,8 @@ class LogFeed:
         self.missing = self._tape.missing
         judged = checks_judged(path)
         self.checks = judged if judged and judged["rows"] else checks_asked(self.scenario)
-        checked = map(str, checked_signals(self.scenario.spec.checks, self.checks["rows"]))
+        looked_at = [name for row in self.checks["rows"] for name in row.get("signals", ())]
+        checked = map(str, checked_signals(self.scenario.spec.checks, looked_at))
         self.charted = [name for name in checked if self.signals.of_all(name)]
         self._track = self._tracked()
         self.end_s = self._tape.end_ns / 1e9

@@ -10,13 +10,13 @@ from typing import Annotated
 from msgspec import Meta, Struct, convert
 
 from fleet.cli.documents.live import EventCount
-from fleet.cli.documents.result import CheckResult
 from fleet.logs.decoder import Value
 from fleet.logs.deviation import Comparison
 from fleet.logs.first_difference import Difference, Side, same
 from fleet.logs.info import Info
 from fleet.repeat.check_log import JudgedLog
 from fleet.repeat.verify import Verification
+from fleet.result.verdict import Verdict
 
 Missing = Annotated[str, Meta(description="What is missing in the file; empty: it is whole.")]
 Plain = str | int | float | bool | None
@@ -132,7 +132,7 @@ class LogJudged(Struct):
     until_s: Annotated[float, Meta(description="Simulated time up to which it was judged [s].")]
     end_s: Annotated[float, Meta(description="Simulated time at which the run was to end [s].")]
     missing: Missing
-    checks: Annotated[list[CheckResult], Meta(description="The verdicts.")]
+    checks: Annotated[list[Verdict], Meta(description="The verdicts.")]
 
 
 def judged(found: JudgedLog) -> LogJudged:
@@ -143,7 +143,7 @@ def judged(found: JudgedLog) -> LogJudged:
         until_s=found.until_s,
         end_s=found.end_s,
         missing=found.missing,
-        checks=[convert(verdict.to_values(), CheckResult) for verdict in found.verdicts],
+        checks=found.verdicts,
     )
 
 

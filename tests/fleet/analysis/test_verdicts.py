@@ -14,14 +14,14 @@ from small_scenario import SMALL, WILD, small
 
 from fleet.analysis.stability import analyse
 from fleet.analysis.verdicts import judge, standing
-from fleet.checks.verdict import Verdict
 from fleet.cli.result_table import MOST_LINKS, show
 from fleet.errors import ScenarioError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Result, Status
 from fleet.recorder.journal import Journal
 from fleet.repeat.recorded_run import script
+from fleet.result.result import Result, Status
+from fleet.result.verdict import Verdict
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario, frame_every
 from netem.wire.messages import Fate, Frame, Life, LinkReport, Tumble, VehicleFrame

@@ -24,7 +24,7 @@ from fleet.bench.tables import show
 from fleet.bench.wall_clock import measure_wall_clock as measure_real
 from fleet.bench.wall_clock import show_wall_clock
 from fleet.cli.main import cli
-from fleet.execution.outcome import Result, Status
+from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario
 
 
@@ -95,7 +95,7 @@ def test_a_run_that_does_not_end_is_one_line(
     """Not a traceback, which `fleet bench` gave until then; Ctrl-C and SIGTERM come as an interrupted run."""
 
     def execute(*_: Any) -> Result:
-        return Result(status, Path(), "", reason)
+        return Result(status=status, reason=reason)
 
     monkeypatch.setattr(measured_run, "execute", execute)
     monkeypatch.setattr("fleet.bench.fleets.zenoh_barrier", lambda n, ticks: 1.0)

@@ -12,7 +12,7 @@ from small_scenario import small
 
 from fleet.checks.own_checks import OwnChecks
 from fleet.checks.values import LoggedValues
-from fleet.checks.verdict import Verdict
+from fleet.result.verdict import Verdict
 
 
 def one(check: str, depth: Depth, *, faults: str = "", until_s: float = 4.0, at_once: bool = True) -> Verdict:

@@ -10,14 +10,14 @@ import pytest
 from click.testing import CliRunner
 from small_scenario import SMALL
 
-from fleet.checks.verdict import Verdict
 from fleet.cli.main import cli
 from fleet.errors import ScenarioError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Result
 from fleet.repeat.check_log import CheckLogError, check_log
 from fleet.repeat.resume import continuation
+from fleet.result.result import Result
+from fleet.result.verdict import Verdict
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.sections.signal_checks import SignalCheckError
 

@@ -19,10 +19,10 @@ from agents.make_agent import make_agent
 from fleet.cli.main import cli
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Status
 from fleet.logs.schemas import Column, Doubles
 from fleet.repeat.recorded_agent import NotRecordedError
 from fleet.repeat.verify import verification_lines, verify
+from fleet.result.result import Status
 from fleet.scenario.loading import load_scenario
 
 EXTERNAL = "per_vehicle={3: {external: true}}"

@@ -16,13 +16,13 @@ from small_scenario import only_problem, small
 from fleet.cli.main import cli
 from fleet.execution.execute import _policy, execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Result, Status
 from fleet.logs.open_log import open_log
 from fleet.logs.reader import LogReader, Record
 from fleet.recorder.snapshot import Snapshot, SnapshotError, Start, find
 from fleet.repeat.recorded_run import script
 from fleet.repeat.resume import continuation, parse_from
 from fleet.repeat.verify import verification_lines, verify
+from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.overrides import FAULT, NET, Override

@@ -16,9 +16,9 @@ from fleet.cli.main import cli
 from fleet.errors import ScenarioError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Status
 from fleet.repeat.resume import continuation
 from fleet.repeat.what_if import WhatIfError, what_if
+from fleet.result.result import Status
 from fleet.scenario.loading import load_scenario
 
 LINKS = 'network.links={"*": delay 60ms 30ms loss 20% duplicate 20% corrupt 20%}'

@@ -131,7 +131,7 @@ class Published(Struct):
 
 
 class Result(Struct, kw_only=True):
-    """What a run came to, as `fleet.run`, `fleet run --json` and `result.json` have it; the file says not where it is."""
+    """What a run came to, as `fleet.run`, `fleet run --json` and `result.json` have it, the file without its place."""
 
     run: Annotated[str, Meta(description="Name of the run: of its directory; empty: it has none.")] = ""
     directory: Annotated[Path | None, Meta(description="The run's directory; null: nothing was written.")] = None

@@ -302,9 +302,9 @@ def test_result_file(tmp_path: Path) -> None:
     directory = run(tmp_path, "rough-sea", "--duration", "2 s", "--set", "checks={ledger: balanced}")
     values = json.loads((directory / "result.json").read_text())
     assert list(values) == [
-        "scenario", "seed", "status", "exit", "reason", "lines", "from_s", "sim_s", "checks", "vehicles", "formation",
-        "tumbles", "ledger", "ages", "middleware_lost", "faults", "events", "messages", "log_bytes", "digest",
-        "python", "wall", "rejected", "deaths", "notes",
+        "format", "scenario", "seed", "status", "exit", "reason", "lines", "from_s", "sim_s", "checks", "vehicles",
+        "formation", "tumbles", "ledger", "ages", "middleware_lost", "faults", "events", "messages", "log_bytes", "digest",
+        "python", "wall", "rejected", "deaths", "notes", "published", "timing",
     ]  # fmt: skip
     assert (values["scenario"], values["seed"], values["from_s"], values["sim_s"]) == ("rough-sea", 1, 0.0, 2.0)
     assert (values["status"], values["exit"], values["reason"], values["lines"]) == ("pass", 0, "", [])

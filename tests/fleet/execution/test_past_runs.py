@@ -53,7 +53,7 @@ def test_what_runs_came_to(tmp_path: Path) -> None:
         ("broken", 1.5, BROKE, 1.5),
         ("interrupted", 2, STOPPED, 2.0),
         ("hung_up", 2.0, STOPPED, 2.0),
-        ("usage", 0.0, BROKE, 0.0),
+        ("usage", 0.0, BROKE, None),  # of a later version
         (None, None, BROKE, None),  # killed
         ("pass", "soon", BROKE, None),  # damaged
     ]

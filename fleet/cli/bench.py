@@ -213,7 +213,7 @@ def study(runs: int, duration: float, workers: int, memory: int | None, output: 
 def _give(document: Struct, output: Path | None, *, as_json: bool) -> None:
     """Print a document, or write it, or both."""
     if output is not None:
-        from fleet.result.file import json_text
+        from fleet.result.json_text import json_text
 
         output.write_text(json_text(document) + "\n", "utf-8")
     if as_json:

@@ -67,10 +67,7 @@ def check_log(
         CheckLogError: there is nothing to judge.
         SignalCheckError, CheckError: a check makes no sense for this log, or cannot be made.
     """
-    for text in overrides:
-        if (key := text.partition("=")[0].strip()).partition(".")[0] != "checks":
-            hint = f"another run is fleet run --set {key}"
-            raise CheckLogError(f"--set {key}: a log can be judged by other checks, and by nothing else; {hint}")
+    _insist_on_checks(overrides)
     source = recorded(path, reading)
     refused: list[Problem] = []  # a law that may not run is no mistake here, unless a check is about one of its signals
     scenario = source.script([Override.of(text) for text in overrides], Policy(trust, refused=refused))
@@ -78,15 +75,7 @@ def check_log(
         raise ScenarioError(strangers)
     begin = source.reader.metadata.get("run", {}).get(FROM_TICK, "0")
     first = int(begin) if begin.isdecimal() else 0
-    try:
-        checks = OwnChecks.asked(scenario, first)
-    except SignalCheckError as error:
-        if not refused or error.key not in ("topic", "vehicles"):
-            raise
-        law = refused[0]
-        why = "; ".join(filter(None, (law.message.removeprefix(f"{law.key}: "), law.hint)))
-        hint = f"what laws and plants of this log report is not known here, because of {why}"
-        raise SignalCheckError(error.key, error.problem, hint) from None
+    checks = _checks(scenario, first, refused)
     if checks is None:
         raise CheckLogError(
             f"{source.path}: nothing to judge: its scenario has no check on a signal and none in Python; its others "
@@ -111,6 +100,31 @@ def check_log(
         reader.missing,
         checks.verdicts(over=complete),
     )
+
+
+def _insist_on_checks(overrides: Sequence[str]) -> None:
+    """Raises CheckLogError: an override is about something else."""
+    for text in overrides:
+        if (key := text.partition("=")[0].strip()).partition(".")[0] != "checks":
+            hint = f"another run is fleet run --set {key}"
+            raise CheckLogError(f"--set {key}: a log can be judged by other checks, and by nothing else; {hint}")
+
+
+def _checks(scenario: Scenario, first: int, refused: Sequence[Problem]) -> OwnChecks | None:
+    """The checks of the user's own, from tick `first` on; None: there are none.
+
+    Raises:
+        SignalCheckError, CheckError: one makes no sense for this log, perhaps because a law may not run (`refused`).
+    """
+    try:
+        return OwnChecks.asked(scenario, first)
+    except SignalCheckError as error:
+        if not refused or error.key not in ("topic", "vehicles"):
+            raise
+        law = refused[0]
+        why = "; ".join(filter(None, (law.message.removeprefix(f"{law.key}: "), law.hint)))
+        hint = f"what laws and plants of this log report is not known here, because of {why}"
+        raise SignalCheckError(error.key, error.problem, hint) from None
 
 
 def _not_judged(asked: Scenario, recorded: Scenario) -> list[str]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 from math import isfinite
 from pathlib import Path
-from typing import Any
 
 import msgspec
 
 from fleet.errors import FleetError
+from fleet.result.json_text import json_text
 from fleet.result.result import FORMAT, Result
 from netem.whole_file import read_file
 
@@ -21,25 +21,9 @@ class ResultError(FleetError):
     """There is a result, and it cannot be used."""
 
 
-def json_text(document: Any) -> str:
-    """A struct or plain values as JSON: a number that is not finite becomes null, since JSON has none."""
-    try:
-        return msgspec.json.format(msgspec.json.encode(document, enc_hook=str), indent=2).decode()
-    except UnicodeEncodeError:  # the name of a file that is no text; json writes it with escapes
-        plain = json.dumps(msgspec.to_builtins(document, enc_hook=str))
-        return json.dumps(json.loads(plain, parse_constant=lambda _: None), indent=2)
-
-
-def file_text(result: Result) -> str:
-    """The text of `result.json`, which does not say where it is."""
-    values = msgspec.to_builtins(result, enc_hook=str)
-    del values["run"], values["directory"]
-    return json_text(values) + "\n"
-
-
 def write_result(result: Result, directory: Path) -> None:
     """Write the result of a run into its directory. Raises OSError: that is not possible."""
-    (directory / RESULT).write_text(file_text(result), "utf-8")
+    (directory / RESULT).write_text(json_text(result.values) + "\n", "utf-8")
 
 
 def read_result(directory: Path) -> Result:

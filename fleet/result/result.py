@@ -5,6 +5,7 @@ Reports, lists of runs and studies read it, too: a new number is a field here, a
 
 from __future__ import annotations
 
+import json
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,6 +14,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from fleet.notebook import html_table
+from fleet.result.json_text import json_text
 from fleet.result.timing import Timing
 from fleet.result.verdict import Verdict
 from netem.ledger import Account, Count
@@ -177,9 +179,8 @@ class Result(Struct, kw_only=True):
     @property
     def values(self) -> dict[str, Any]:
         """All its numbers as plain values, as `result.json` has them: None where one is not finite."""
-        from fleet.result.file import file_text
-
-        found: dict[str, Any] = msgspec.json.decode(file_text(self))
+        found: dict[str, Any] = json.loads(json_text(self))
+        del found["run"], found["directory"]
         return found
 
     @property

@@ -20,7 +20,7 @@ from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.recorder.journal import Journal
 from fleet.repeat.recorded_run import script
-from fleet.result.file import json_text
+from fleet.result.json_text import json_text
 from fleet.result.result import Result, Status
 from fleet.result.verdict import Verdict
 from fleet.scenario.loading import load_scenario, parse_scenario

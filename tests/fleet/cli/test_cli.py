@@ -303,8 +303,8 @@ def test_result_file(tmp_path: Path) -> None:
     values = json.loads((directory / "result.json").read_text())
     assert list(values) == [
         "format", "scenario", "seed", "status", "exit", "reason", "lines", "from_s", "sim_s", "checks", "vehicles",
-        "formation", "tumbles", "ledger", "ages", "middleware_lost", "faults", "events", "messages", "log_bytes", "digest",
-        "python", "wall", "rejected", "deaths", "notes", "published", "timing",
+        "formation", "tumbles", "ledger", "ages", "middleware_lost", "faults", "events", "messages", "log_bytes",
+        "digest", "python", "wall", "rejected", "deaths", "notes", "published", "timing",
     ]  # fmt: skip
     assert (values["scenario"], values["seed"], values["from_s"], values["sim_s"]) == ("rough-sea", 1, 0.0, 2.0)
     assert (values["status"], values["exit"], values["reason"], values["lines"]) == ("pass", 0, "", [])

@@ -63,7 +63,7 @@ def measure_fleets(sizes: list[int], *, quick: bool, say: Callable[[str], None])
     """Run every benchmark; `say` is called with what is measured next.
 
     Raises:
-        BenchError: a measurement did not come to its end.
+        FleetError: a measurement did not come to its end.
     """
     machine, began = this_machine(), now()
     found = Collector()

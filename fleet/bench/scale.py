@@ -14,9 +14,8 @@ from typing import Annotated
 import psutil
 from msgspec import Meta, Struct
 
-from fleet.bench.errors import BenchError
 from fleet.bench.memory import pss_mb
-from fleet.errors import RunBroken
+from fleet.errors import FleetError, RunBroken
 from fleet.execution.clock import GrantPolicy
 from fleet.execution.console import Console
 from fleet.execution.directory import RunDirectory
@@ -100,10 +99,10 @@ class _Meter:
         """CPU time by role, in microseconds.
 
         Raises:
-            BenchError: the run was over before it could be measured.
+            FleetError: the run was over before it could be measured.
         """
         if not self.passed:
-            raise BenchError(f"the run with {vehicles} vehicles ended before it could be measured")
+            raise FleetError(f"the run with {vehicles} vehicles ended before it could be measured", status=3)
         return {role: self.cpu_s[role] * 1e6 / (self.passed * vehicles) for role in ROLES if role in self.cpu_s}
 
 
@@ -115,7 +114,7 @@ def measure_scale(sizes: Sequence[int], tick: str, *, quick: bool, say: Callable
 
     Raises:
         ScenarioError: the paper's scenario cannot have this tick.
-        BenchError: a run did not come to its end.
+        FleetError: a run did not come to its end.
     """
     for n in sizes:
         ticks = LEAST_TICKS if quick else min(max(AGENT_TICKS // n, LEAST_TICKS), MOST_TICKS)
@@ -155,7 +154,9 @@ def _measured(scenario: Scenario, *, in_process: bool) -> tuple[_Meter, float]:
                 return meter, console.started_s
             except RunBroken as error:
                 lines = "; ".join(error.lines[:3])
-                raise BenchError(f"the run with {scenario.vehicles} vehicles broke: {error.reason}; {lines}") from None
+                raise FleetError(
+                    f"the run with {scenario.vehicles} vehicles broke: {error.reason}; {lines}", status=3
+                ) from None
             finally:
                 file.close()
 

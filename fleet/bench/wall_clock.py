@@ -54,7 +54,7 @@ def measure_wall_clock(
     """Run every fleet at every speed, `seconds` of simulated time each.
 
     Raises:
-        BenchError: a run broke.
+        FleetError: a run broke.
     """
     rows = []
     with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as folder:

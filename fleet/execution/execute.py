@@ -13,10 +13,10 @@ from agents.errors import AgentError
 from fleet.analysis import punctuality
 from fleet.analysis.first_sample import try_plants
 from fleet.checks.own_checks import OwnChecks
-from fleet.errors import RunBroken, StoppedError
+from fleet.errors import FleetError, RunBroken, StoppedError
 from fleet.execution.clock import WINDOW_NS, GrantPolicy
 from fleet.execution.directory import RunDirectory
-from fleet.execution.external_agents import ExternalError, refuse
+from fleet.execution.external_agents import refuse
 from fleet.execution.in_process import InProcess
 from fleet.execution.options import Options
 from fleet.execution.outcome import account_for, judge_run, settle
@@ -28,10 +28,9 @@ from fleet.processes.interrupts import DeferInterrupts, HungUp
 from fleet.processes.limits import NO_THREAD, no_thread
 from fleet.processes.ports import free_port
 from fleet.recorder.journal import Journal
-from fleet.recorder.log_file import LogError, LogFile
+from fleet.recorder.log_file import LogFile
 from fleet.recorder.no_log import NoLog
 from fleet.recorder.writer import LogWriter
-from fleet.replay.publisher import PublishError
 from fleet.result.file import write_result
 from fleet.result.result import Result, Status, Wall
 from fleet.scenario.scenario import Scenario
@@ -69,12 +68,11 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
 
     Raises:
         ScenarioError: a plant cannot be started.
-        RunDirectoryError: the run directory cannot be made or written.
-        LogError: the log cannot be created.
-        PublishError: the journal was to be published and cannot be.
         RunBroken: the port is taken.
-        ExternalError: somebody else is to start an agent, and the run is to be one process.
+        LogError: the log cannot be created.
         CheckError: a check in Python cannot be made.
+        FleetError: the run directory cannot be made, the journal cannot be published, or somebody else is to start an
+            agent of a run in one process.
     """
     try_plants(scenario)
     interrupts = DeferInterrupts()
@@ -149,14 +147,14 @@ def _serve(run: _Run) -> None:
         result.status, result.reason, result.lines = Status.BROKEN, error.reason, error.lines
         if found := next((line.strip() for line in error.lines if NO_THREAD in line), ""):
             result.lines = [*error.lines, no_thread(found).reason]
-    except (AgentError, WorldError, PublishError, ExternalError, LogError) as error:
+    except StoppedError:
+        result.status, result.reason = Status.INTERRUPTED, "the operator asked for it"
+    except (AgentError, WorldError, FleetError) as error:
         result.status, result.reason = Status.BROKEN, str(error)
     except HungUp:
         result.status, result.reason = Status.HUNG_UP, "the terminal was closed"
     except KeyboardInterrupt:
         result.status, result.reason = Status.INTERRUPTED, "interrupted"
-    except StoppedError:
-        result.status, result.reason = Status.INTERRUPTED, "the operator asked for it"
     except RuntimeError as error:
         if NO_THREAD not in str(error):
             raise

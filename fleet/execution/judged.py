@@ -57,7 +57,7 @@ def run(
 
     Raises:
         ScenarioError: with every mistake that was found.
-        ExternalError: somebody else is to start an agent.
+        FleetError: somebody else is to start an agent.
         TypeError: an argument is unknown; keys of the scenario go into `set`.
     """
     if unknown:

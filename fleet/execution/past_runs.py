@@ -11,7 +11,7 @@ from datetime import datetime
 from pathlib import Path
 
 from fleet.errors import FleetError
-from fleet.execution.directory import LATEST, SCENARIO, RunDirectoryError, in_use, link_latest
+from fleet.execution.directory import LATEST, SCENARIO, in_use, link_latest, no_place
 from fleet.logs.run_name import RUN_NAME, begun_at
 from fleet.result.file import ResultError, read_result
 from fleet.result.result import Status
@@ -25,12 +25,6 @@ _OF_STATUS = {
     Status.INTERRUPTED: STOPPED,
     Status.HUNG_UP: STOPPED,
 }
-
-
-class PruneError(FleetError):
-    """A run cannot be removed."""
-
-    status = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +47,7 @@ def past_runs(out: Path) -> list[PastRun]:
     """The runs below a directory, the newest first. What is no run directory of ours, or a link, is none.
 
     Raises:
-        RunDirectoryError: the directory cannot be read.
+        FleetError: the directory cannot be read.
     """
     found = [_read(path, began) for path, began in _ours(out)]
     return sorted(found, key=lambda run: (run.began, run.name), reverse=True)
@@ -63,7 +57,7 @@ def newest_run(out: Path) -> Path | None:
     """The directory of the newest run: that to which `latest` leads, or else the one that began last.
 
     Raises:
-        RunDirectoryError: the directory cannot be read.
+        FleetError: the directory cannot be read.
     """
     with suppress(OSError):
         path = out / (out / LATEST).readlink()
@@ -94,7 +88,7 @@ def remove(out: Path, runs: Sequence[PastRun]) -> Iterator[PastRun]:
         Each run that was removed. One that goes on meanwhile stays.
 
     Raises:
-        PruneError: one cannot be removed.
+        FleetError: one cannot be removed.
     """
     try:
         for run in runs:
@@ -103,7 +97,7 @@ def remove(out: Path, runs: Sequence[PastRun]) -> Iterator[PastRun]:
             try:
                 shutil.rmtree(run.path)
             except OSError as error:
-                raise PruneError(f"cannot remove {run.path}: {error.strerror}") from None
+                raise FleetError(f"cannot remove {run.path}: {error.strerror}", status=3) from None
             yield run
     finally:
         _mend_latest(out)
@@ -136,7 +130,7 @@ def _ours(out: Path) -> Iterator[tuple[Path, datetime]]:
     except FileNotFoundError:
         return
     except OSError as error:
-        raise RunDirectoryError(f"cannot read {out}", error) from None
+        raise no_place(f"cannot read {out}", error) from None
     for entry in entries:
         began = begun_at(entry.name)
         if began is None or not entry.is_dir(follow_symlinks=False):

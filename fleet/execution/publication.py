@@ -47,13 +47,13 @@ class Publication:
         self._observe, self._print_line = observe, print_line
 
     def open(self) -> None:
-        """Begin to publish. Raises PublishError: that is not possible."""
+        """Begin to publish. Raises FleetError: that is not possible."""
         self.publisher.open()
         where = f"fleet/{self.publisher.run}/log/** at {self.publisher.endpoint}"
         self._print_line(f"publishing {where}; how to join: {self._observe}")
 
     def wait(self) -> None:
-        """Wait for a subscriber, if the run is to. Raises PublishError: the publisher ended meanwhile."""
+        """Wait for a subscriber, if the run is to. Raises FleetError: the publisher ended meanwhile."""
         if self.publisher.wait:
             self._print_line("waiting for a subscriber")
             self.publisher.heard()

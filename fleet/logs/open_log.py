@@ -129,7 +129,7 @@ class Log:
             'm'
 
         Raises:
-            ExportError: xarray is not installed (extra `tables`).
+            FleetError: xarray is not installed (extra `tables`).
             LogReadError: the topics are more than is held at once; `open_log` can choose some.
         """
         from fleet.logs.dataset import tree
@@ -140,7 +140,7 @@ class Log:
         """A topic as a table; `attrs["units"]` and `attrs["meanings"]` have those of its columns.
 
         Raises:
-            ExportError: pandas is not installed (extra `tables`), or the topic is no table.
+            FleetError: pandas is not installed (extra `tables`), or the topic is no table.
             LogReadError: the log has no such topic, or it is too large.
         """
         from fleet.logs.dataset import frame

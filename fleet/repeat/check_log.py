@@ -28,10 +28,6 @@ from world.plugins.trust import NOTHING, Trust
 FAULTS = "faults"  # topic
 
 
-class CheckLogError(FleetError):
-    """There is nothing to judge, or the log cannot be judged by this."""
-
-
 @dataclass(frozen=True, slots=True)
 class JudgedLog:
     """A log, and the verdicts of checks on it."""
@@ -62,9 +58,8 @@ def check_log(
         reading: called with the share of the file that was read, twice from its beginning.
 
     Raises:
-        FleetError: there is no log of ours.
+        FleetError: there is no log of ours, or nothing in it to judge.
         ScenarioError: an override is wrong, or the log's scenario is none for this version.
-        CheckLogError: there is nothing to judge.
         SignalCheckError, CheckError: a check makes no sense for this log, or cannot be made.
     """
     _insist_on_checks(overrides)
@@ -77,13 +72,13 @@ def check_log(
     first = int(begin) if begin.isdecimal() else 0
     checks = _checks(scenario, first, refused)
     if checks is None:
-        raise CheckLogError(
+        raise FleetError(
             f"{source.path}: nothing to judge: its scenario has no check on a signal and none in Python; its others "
             "were judged by the run. Give one, as in --set 'checks={signal: {topic: state.z, below: 30 m}}'"
         )
     if overrides and (others := _not_judged(scenario, source.script())):
         problem = "a log is judged by checks on signals and in Python only, and this one needs a run"
-        raise CheckLogError(f"--set checks.{others[0]}: {problem}; fleet run --set has the same words")
+        raise FleetError(f"--set checks.{others[0]}: {problem}; fleet run --set has the same words")
     for event in scenario.faults.events:
         if event.tick < first:  # of a run that went on from another, whose log does not have it
             checks.event(event)
@@ -91,7 +86,7 @@ def check_log(
     reader = LogReader(source.path, reading)
     feed.read(reader, None if source.reader.missing else source.last_ns // scenario.tick_ns)
     if feed.newest < 0:
-        raise CheckLogError(f"{source.path} holds no sample to judge{f': {reader.missing}' if reader.missing else ''}")
+        raise FleetError(f"{source.path} holds no sample to judge{f': {reader.missing}' if reader.missing else ''}")
     complete = not reader.missing and feed.newest == scenario.ticks
     return JudgedLog(
         source.path,
@@ -103,11 +98,11 @@ def check_log(
 
 
 def _insist_on_checks(overrides: Sequence[str]) -> None:
-    """Raises CheckLogError: an override is about something else."""
+    """Raises FleetError: an override is about something else."""
     for text in overrides:
         if (key := text.partition("=")[0].strip()).partition(".")[0] != "checks":
             hint = f"another run is fleet run --set {key}"
-            raise CheckLogError(f"--set {key}: a log can be judged by other checks, and by nothing else; {hint}")
+            raise FleetError(f"--set {key}: a log can be judged by other checks, and by nothing else; {hint}")
 
 
 def _checks(scenario: Scenario, first: int, refused: Sequence[Problem]) -> OwnChecks | None:

@@ -41,16 +41,6 @@ Array = np.ndarray[Any, np.dtype[np.float64]]
 COMPONENTS = (("surge force", "N"), ("pitch moment", "N m"), ("yaw moment", "N m"))
 
 
-class WhatIfError(FleetError):
-    """The log does not hold what an agent would need, or its law may not run."""
-
-
-class LawFailedError(WhatIfError):
-    """The agent's law raised, or returned what cannot be used; the text names vehicle, tick, file and line."""
-
-    status = 3  # as of a run
-
-
 @dataclass(slots=True)
 class WhatIf:
     """The commands of two agents with the same senses; shapes (samples,) and (samples, 3)."""
@@ -91,10 +81,9 @@ def what_if(
         trust: which modules of this agent's laws may run besides those that are installed and those in `overrides`.
 
     Raises:
-        FleetError: there is no log of ours.
+        FleetError: there is no log of ours, the agent is not there, its navigation was thinned, or its law may not run
+            or failed.
         ScenarioError: an override is wrong.
-        WhatIfError: the agent is not there, its navigation was thinned, or its law may not run.
-        LawFailedError: its law failed.
     """
     path = log_path(path)
     source = read(path, progress)
@@ -103,7 +92,7 @@ def what_if(
     _check(path, agent, scenario, recorded, trust)
     given = _read(path, agent, scenario.tick_ns, progress)
     if not given.navs:
-        raise WhatIfError(f"{path} has no navigation of agent {agent}")
+        raise FleetError(f"{path} has no navigation of agent {agent}")
     other = _OtherAgent(agent, scenario, recorded, given)
     for done, (tick, measured) in enumerate(given.navs):
         other.step(tick, measured)
@@ -113,14 +102,14 @@ def what_if(
 
 
 def _check(path: Path, agent: int, scenario: Scenario, recorded: Scenario, trust: Trust) -> None:
-    """Raises WhatIfError: the log cannot say what this agent had known, or its laws may not run."""
+    """Raises FleetError: the log cannot say what this agent had known, or its laws may not run."""
     if scenario.vehicles != recorded.vehicles or scenario.tick_ns != recorded.tick_ns:
-        raise WhatIfError("another number of vehicles, or another tick, is another run: use fleet run")
+        raise FleetError("another number of vehicles, or another tick, is another run: use fleet run")
     if not 1 <= agent <= scenario.vehicles:
-        raise WhatIfError(f"there is no agent {agent}: they are 1 to {scenario.vehicles}")
+        raise FleetError(f"there is no agent {agent}: they are 1 to {scenario.vehicles}")
     for group in ("nav", "command"):
         if (every := recorded.log_every[group]) > 1:
-            raise WhatIfError(f"{path} has every {every}th {group} only: an agent needs all (log.{group}: 1 tick)")
+            raise FleetError(f"{path} has every {every}th {group} only: an agent needs all (log.{group}: 1 tick)")
     try:
         permission = Permission(trust, elsewhere=(Path(),), because=A_LOG)
         for kind, law in laws(scenario.controls[agent - 1]).items():
@@ -128,7 +117,7 @@ def _check(path: Path, agent: int, scenario: Scenario, recorded: Scenario, trust
                 admit(kind, law.name, permission)
         scenario.layout(agent)
     except (AgentError, PluginError) as error:
-        raise WhatIfError(f"{path}: {error}") from None
+        raise FleetError(f"{path}: {error}") from None
 
 
 @dataclass(slots=True)
@@ -175,7 +164,7 @@ class _OtherAgent:
             )
 
     def step(self, tick: int, measured: tuple[float, ...]) -> None:
-        """One sample. Raises LawFailedError."""
+        """One sample. Raises FleetError."""
         try:
             life = self._lives.incarnation(self._agent, tick)
             if self._core is None or life != self._life:
@@ -183,7 +172,7 @@ class _OtherAgent:
             due = self._due(tick)
             step = self._core.step(Nav(life, tick, measured[:5], measured[5:10], measured[10:]), due)
         except (AgentError, PluginError) as error:
-            raise LawFailedError(str(error)) from None
+            raise FleetError(str(error), status=3) from None
         tick_s = self._scenario.tick_ns / 1e9
         self._notes += [f"t = {at * tick_s:.2f} s: {text}" for at, text in self._core.take_notes()]
         if tick in self._commands:
@@ -234,7 +223,7 @@ def _read(path: Path, agent: int, tick_ns: int, tell: Tell) -> _Given:
 
     def decode(record: Record, columns: Sequence[Column]) -> Any:
         if (message := decoder.ours(record, columns)) is None:
-            raise WhatIfError(f"{path}: a message of {record.topic} at t = {record.log_ns / 1e9:g} s is damaged")
+            raise FleetError(f"{path}: a message of {record.topic} at t = {record.log_ns / 1e9:g} s is damaged")
         return message
 
     nav, command = f"uuv/{agent}/nav", f"uuv/{agent}/command"

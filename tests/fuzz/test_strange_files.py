@@ -21,11 +21,10 @@ from repository import ROOT
 from agents.join_file import JoinError, JoinFile
 from fleet.analysis.stability import oldest_s
 from fleet.cli.main import cli
-from fleet.errors import ScenarioError
+from fleet.errors import FleetError, ScenarioError
 from fleet.execution.connection import live_runs
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.hosts.certificates import HostsError
 from fleet.hosts.certificates import _read as read_pem
 from fleet.hosts.rendezvous import read_credentials
 from fleet.pictures.report import page
@@ -73,8 +72,8 @@ def read_all(pipe: Path) -> None:
         (lambda: load_vehicle(str(pipe)), Exception),
         (lambda: load_modem(str(pipe)), Exception),
         (lambda: JoinFile.read(pipe), JoinError),
-        (lambda: read_credentials(pipe, 4), HostsError),
-        (lambda: read_pem(pipe), HostsError),
+        (lambda: read_credentials(pipe, 4), FleetError),
+        (lambda: read_pem(pipe), FleetError),
     )
     for reader, kind in readers:
         try:

@@ -23,9 +23,9 @@ from rich.console import Console as Terminal
 from screens import assert_screen
 
 from fleet.cli.main import cli
+from fleet.errors import FleetError
 from fleet.logs.reader import digest
 from fleet.recorder.log_file import LogError
-from fleet.replay.publisher import PublishError
 from fleet.scenario.catalogue import list_scenarios
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.schema.groups import GROUPS
@@ -496,7 +496,7 @@ def test_quiet_prints_the_directory_alone(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("where", "error", "words"),
     [
-        ("fleet.execution.publication.LivePublisher.open", PublishError("no port is free"), "no port is free"),
+        ("fleet.execution.publication.LivePublisher.open", FleetError("no port is free", status=3), "no port is free"),
         (
             "fleet.execution.execute.LogFile",
             LogError("cannot write the log: No space left on device"),

@@ -24,12 +24,13 @@ from repository import ROOT
 import fleet
 from fleet.cli.logs import KINDS, PARTS
 from fleet.cli.main import cli
+from fleet.errors import FleetError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.export import export
 from fleet.logs.open_log import open_log
 from fleet.logs.run_name import run_name
-from fleet.logs.table import ExportError, columns
+from fleet.logs.table import columns
 from fleet.pictures import exchange, time_series
 from fleet.pictures.gallery import PER_RUN, WHAT, draw
 from fleet.pictures.report import _from_log, page
@@ -414,7 +415,7 @@ def test_export_says_what_it_needs(directories: dict[str, Path], tmp_path: Path)
 
 @pytest.mark.skipif(importlib.util.find_spec("pyarrow") is not None, reason="pyarrow is installed")
 def test_parquet_names_what_to_install(directories: dict[str, Path], tmp_path: Path) -> None:
-    with pytest.raises(ExportError, match=r"pip install 'uuv-fleet\[parquet\]'"):
+    with pytest.raises(FleetError, match=r"pip install 'uuv-fleet\[parquet\]'"):
         export(fleet.open_log(directories["one"]), tmp_path, "parquet")
 
 

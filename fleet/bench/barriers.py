@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -13,6 +12,7 @@ from fleet.bench.echo import echo_bus, echo_pipe
 from fleet.errors import FleetError
 from fleet.processes.children import Children
 from fleet.processes.run_folder import RunFolder
+from netem.private_folder import PrivateFolder
 from netem.wire.access import agent_role, generate
 from netem.wire.bus import Bus
 from netem.wire.keys import Keys
@@ -86,9 +86,9 @@ def pipe_barrier(n: int, ticks: int) -> float:
 
 @contextmanager
 def _children() -> Iterator[tuple[Children, Path]]:
-    with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as folder:
+    with PrivateFolder("bench") as folder:
         children = Children(lambda _: None)
         try:
-            yield children, Path(folder) / "log"
+            yield children, folder / "log"
         finally:
             children.stop()

@@ -15,7 +15,7 @@ from statistics import median
 
 import msgspec
 
-from fleet.bench.figures import FORMAT, Change, Comparison, Figure, Measured
+from fleet.bench.figures import FORMAT, Change, Figure, FiguresComparison, Measured
 from fleet.errors import FleetError
 from netem.whole_file import read_file
 
@@ -60,7 +60,7 @@ def read(path: Path) -> Measured:
     return measured
 
 
-def compare(old: Measured, new: Measured, path: Path) -> Comparison:
+def compare(old: Measured, new: Measured, path: Path) -> FiguresComparison:
     """Compare all figures that both have.
 
     Args:
@@ -78,7 +78,7 @@ def compare(old: Measured, new: Measured, path: Path) -> Comparison:
     changes = [_change(before[name], now[name]) for name in common]
     of_machine = [change for change in changes if now[change.name].of_machine]
     judged = [change for change in changes if not now[change.name].of_machine]
-    return Comparison(str(path), _warnings(old, new, of_machine), judged, list(dict.fromkeys(missing)))
+    return FiguresComparison(str(path), _warnings(old, new, of_machine), judged, list(dict.fromkeys(missing)))
 
 
 def _alike(old: Figure, new: Figure) -> bool:

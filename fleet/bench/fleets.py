@@ -10,10 +10,8 @@ several times, in turn, so that a slow minute of the machine meets a figure and 
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 from fleet.bench import python_loop
 from fleet.bench.agent_step import GOALS_US
@@ -29,6 +27,7 @@ from fleet.execution.options import Options
 from fleet.result.result import Wall
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
+from netem.private_folder import PrivateFolder
 
 TICK_S = 0.01
 REPEATS = 5
@@ -162,8 +161,8 @@ def _paper(n: int, seconds: float, *changes: str) -> Scenario:
 
 
 def _wall(scenario: Scenario, *, in_process: bool) -> Wall:
-    with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as out:
-        return measured_run(scenario, Options(Path(out), in_process=in_process, quiet=True)).wall
+    with PrivateFolder("bench") as out:
+        return measured_run(scenario, Options(out, in_process=in_process, quiet=True)).wall
 
 
 def goals(measured: Measured) -> list[str]:

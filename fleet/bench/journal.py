@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import threading
 import time
 from collections.abc import Callable
@@ -22,6 +21,7 @@ from fleet.terminal.keyboard import Keyboard
 from fleet.terminal.status_line import StatusLine
 from fleet.terminal.table import columns
 from fleet.terminal.table import show as show_table
+from netem.private_folder import PrivateFolder
 from netem.wire.open_bus import OpenBus
 
 PATIENCE_S = 60.0
@@ -36,8 +36,8 @@ def measure_recorder(scenario: Scenario, say: Callable[[str], None]) -> dict[str
     Raises:
         FleetError: the recorder did not get everything.
     """
-    with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as folder:
-        path, copy = Path(folder) / "run.mcap", Path(folder) / "copy.mcap"
+    with PrivateFolder("bench") as folder:
+        path, copy = folder / "run.mcap", folder / "copy.mcap"
         say(f"N = {scenario.vehicles}: journal, written and read")
         written = recorder_figures(scenario, path)
         began = time.perf_counter()

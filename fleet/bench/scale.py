@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Annotated
 
 import psutil
@@ -26,6 +24,7 @@ from fleet.recorder.log_file import LogFile
 from fleet.recorder.writer import LogWriter
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
+from netem.private_folder import PrivateFolder
 
 AGENT_TICKS = 20_000  # of a run, about
 LEAST_TICKS, MOST_TICKS = 30, 1000
@@ -139,8 +138,8 @@ def measure_scale(sizes: Sequence[int], tick: str, *, quick: bool, say: Callable
 
 def _measured(scenario: Scenario, *, in_process: bool) -> tuple[_Meter, float]:
     """What was measured, and how long it took until all were ready [s]."""
-    with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as out:
-        options = Options(Path(out), in_process=in_process, quiet=True)
+    with PrivateFolder("bench") as out:
+        options = Options(out, in_process=in_process, quiet=True)
         with closing(RunDirectory(options.out, scenario.name, scenario.seed)) as directory:
             file = LogFile(directory.log)
             journal = Journal(scenario, LogWriter(file, scenario))

@@ -6,9 +6,10 @@ import os
 import resource
 import subprocess
 import sys
-import tempfile
+from pathlib import Path
 
 from fleet.errors import FleetError
+from netem.private_folder import PrivateFolder
 
 PYTHON = "python -c pass"
 # Without the current directory on the path: a user's `signal.py` there is not ours.
@@ -34,7 +35,7 @@ def cpu_times(repeats: int) -> dict[str, float]:
         FleetError: a command failed.
     """
     least = dict.fromkeys(COMMANDS, float("inf"))
-    with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as folder:
+    with PrivateFolder("bench") as folder:
         environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
         environment["PYTHONPYCACHEPREFIX"] = f"{folder}/byte-code"
         for repeat in range(repeats + 1):
@@ -45,7 +46,7 @@ def cpu_times(repeats: int) -> dict[str, float]:
     return least
 
 
-def _cpu_s(name: str, command: list[str], folder: str, environment: dict[str, str]) -> float:
+def _cpu_s(name: str, command: list[str], folder: Path, environment: dict[str, str]) -> float:
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     ended = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -6,7 +6,6 @@ same bytes, only later.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
@@ -22,6 +21,7 @@ from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.terminal.table import columns, show
 from netem.clock import Clock
+from netem.private_folder import PrivateFolder
 
 
 class WallClockRow(Struct, frozen=True):
@@ -57,16 +57,16 @@ def measure_wall_clock(
         FleetError: a run broke.
     """
     rows = []
-    with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as folder:
+    with PrivateFolder("bench") as folder:
         for n in sizes:
             scenario = load_scenario(
                 "paper", [f"vehicles={n}", f"duration={seconds} s", "checks={}", "log.snapshot=0 s"]
             )
             say(f"N = {n}: lockstep")
-            same = measured_run(scenario, Options(Path(folder), quiet=True), checked=False)
+            same = measured_run(scenario, Options(folder, quiet=True), checked=False)
             for speed in speeds:
                 say(f"N = {n}: {speed:g} x real time")
-                timed = measured_run(scenario, _on_wall_clock(Path(folder), speed), checked=False)
+                timed = measured_run(scenario, _on_wall_clock(folder, speed), checked=False)
                 rows.append(_row(n, speed, scenario, timed, same))
     return rows
 

@@ -18,7 +18,7 @@ from fleet.terminal.folding import stdout
 if TYPE_CHECKING:
     from msgspec import Struct
 
-    from fleet.bench.figures import Comparison
+    from fleet.bench.figures import FiguresComparison
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 SIZES = Numbers(1, 1000, "4,20,100", whole=True)
@@ -220,7 +220,7 @@ def _give(document: Struct, output: Path | None, *, as_json: bool) -> None:
         print_document(document)
 
 
-def _end_compared(found: Comparison | None) -> None:
+def _end_compared(found: FiguresComparison | None) -> None:
     sys.exit(1 if found is not None and found.slower else 0)
 
 

@@ -13,6 +13,7 @@ from msgspec import convert
 from fleet.logs.payload_kinds import count_kinds
 from fleet.logs.reader import Tell, digest
 from fleet.logs.run_name import begun_at, run_name
+from fleet.logs.topic_names import link_topic
 from fleet.pictures.gallery import PER_RUN, WHAT, draw
 from fleet.pictures.page import PageImage, SectionImages, png, render, write_page
 from fleet.pictures.report_scenario import conditions_note, conditions_table, network_facts, scenario_facts
@@ -188,7 +189,7 @@ def _tables(run: Run, result: Result | None) -> list[tuple[str, Table]]:
         headings_ = ("UUV", "consensus error [m]", "formation error [m]")
         tables.append(("Vehicles at the end of the log", Table(headings_, final)))
     ledger, ages, source = (result.ledger, result.ages, "") if result else (*_from_log(run), ", from the log")
-    kinds = count_kinds(run.log[f"link/{a}-{b}"] for a, b in run.log.links) or []
+    kinds = count_kinds(run.log[link_topic(link)] for link in run.log.links) or []
     if len(kinds) > 1:
         tables.append(("Packets by kind of payload", kinds_table(kinds)))
     if any(account.sent for account in ledger.values()):
@@ -204,7 +205,7 @@ def _from_log(run: Run) -> tuple[dict[str, Account], dict[str, LinkAge]]:
     tick_s = int(run.log.run.get("tick_ns", 0)) / 1e9
     ticks = round(run.log.end / tick_s) + 1 if tick_s else 0
     for src, dst in run.log.links:
-        packets = run.log[f"link/{src}-{dst}"]
+        packets = run.log[link_topic((src, dst))]
         if not len(packets) or packets.too_many:
             continue
         fates = Counter(packets["fate"].tolist())

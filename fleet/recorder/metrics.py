@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from agents.offset import Offset
 from agents.signals import SignalLayout
-from fleet.recorder.protocol import Protocol
+from fleet.recorder.protocol import AgentProtocol
 from fleet.recorder.settling import below_from, least_s, settling_time, stayed
 from fleet.result.result import Formation, VehicleResult
 from fleet.scenario.scenario import Scenario, frame_every
@@ -94,7 +94,7 @@ class Metrics:
         self._reference = scenario.reference
         self._tick_s = scenario.tick_ns / 1e9
         self._disturbance = scenario.disturbance
-        self._protocols = {i: Protocol.of(scenario, i) for i in range(1, scenario.vehicles + 1)}
+        self._protocols = {i: AgentProtocol.of(scenario, i) for i in range(1, scenario.vehicles + 1)}
         # Who reported before the last round and the last frames reports no more.
         self._silent_s = max(scenario.round_ticks, frame_every(scenario)) * self._tick_s
         self.times = array("d")

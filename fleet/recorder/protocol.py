@@ -18,14 +18,14 @@ class _Reported(NamedTuple):
     place: int  # in the telemetry
 
 
-class Protocol(NamedTuple):
+class AgentProtocol(NamedTuple):
     """The whole agent of one vehicle, and what it reports; without a name it has the laws of a controller instead."""
 
     law: str
     signals: tuple[_Reported, ...]  # those that a check of the scenario names come first
 
     @classmethod
-    def of(cls, scenario: Scenario, vehicle: int) -> Protocol:
+    def of(cls, scenario: Scenario, vehicle: int) -> AgentProtocol:
         """The agent of a vehicle, counted from 1."""
         agent = scenario.agent_config(vehicle).agent
         if agent is None:

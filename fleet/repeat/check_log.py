@@ -13,7 +13,8 @@ from fleet.checks.values import LoggedValues, Values
 from fleet.errors import FleetError, Problem, ScenarioError
 from fleet.logs.decoder import Decoder
 from fleet.logs.reader import LogReader, Record
-from fleet.logs.schemas import FAULT, FROM_TICK, PACKET, Column
+from fleet.logs.schemas import FAULT, FROM_TICK, PACKET, MessageField
+from fleet.logs.topic_names import link_topic
 from fleet.repeat.recorded_run import recorded
 from fleet.result.verdict import Verdict
 from fleet.scenario.scenario import Scenario
@@ -134,7 +135,7 @@ class _Feed:
     def __init__(self, scenario: Scenario, checks: OwnChecks, first: int) -> None:
         """`first`: tick at which the log begins."""
         self._checks, self._tick_ns, self._end = checks, scenario.tick_ns, scenario.ticks + 1
-        self._links = {f"link/{src}-{dst}": (src, dst) for src, dst in scenario.graph.links}
+        self._links = {link_topic(link): link for link in scenario.graph.links}
         self._samples = {
             f"uuv/{i}/{group}": (i, group, signals)
             for i in range(1, scenario.vehicles + 1)
@@ -142,7 +143,7 @@ class _Feed:
             if group in checks.groups
         }
         self._columns = {FAULTS: FAULT, **dict.fromkeys(self._links, PACKET)} | {
-            topic: tuple(Column(name, "", "", 0 if width == 1 else width) for name, width in of[2][1])
+            topic: tuple(MessageField(name, "", "", 0 if width == 1 else width) for name, width in of[2][1])
             for topic, of in self._samples.items()
         }
         self._found: dict[tuple[int, str], Values] = {}  # of the tick that is read

@@ -18,9 +18,11 @@ from agents.signals import SignalLayout
 from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
 from fleet.logs.reader import LogReader, Record
-from fleet.logs.schemas import COMMAND, PACKET, SNAPSHOT, Column, Doubles, signal_columns
+from fleet.logs.schemas import COMMAND, PACKET, SNAPSHOT, Doubles, MessageField, signal_columns
+from fleet.logs.topic_names import link_of
 from fleet.recorder.snapshot import TOPIC, Snapshot
 from fleet.scenario.scenario import Scenario
+from netem.condition import Link
 from netem.impairment import LinkModel
 from netem.links import PERFECT
 from netem.wire.messages import Delivery, Nav
@@ -132,10 +134,9 @@ class _Reading:
         if head == "uuv":
             number, _, group = rest.partition("/")
             self._sample(int(number), group, tick, record.data)
-        elif head == "link":
-            src, dst = map(int, rest.split("-"))
-            if src in self.agents and (src, record.sequence) not in self._sure:
-                self._packet(src, dst, record)
+        elif (link := link_of(record.topic)) is not None:
+            if link[0] in self.agents and (link[0], record.sequence) not in self._sure:
+                self._packet(link, record)
         elif head == TOPIC:
             memories = Snapshot.from_bytes(self._message(record, SNAPSHOT).state).memories
             for i in self.agents.keys() & memories.keys():
@@ -150,19 +151,20 @@ class _Reading:
             telemetry = self.agents[i].telemetry.setdefault(tick, [nan] * self.agents[i].layout.size)
             telemetry[place] = encoder.decode(data)
 
-    def _packet(self, src: int, dst: int, record: Record) -> None:
+    def _packet(self, link: Link, record: Record) -> None:
+        src = link[0]
         message = self._message(record, PACKET)
         if message.seq > self._scenario.ticks:
             raise ValueError
         payload = message.payload
         if message.corrupted:
-            model = LinkModel(self._scenario.conditions.get((src, dst), PERFECT), self._scenario.seed, (src, dst))
+            model = LinkModel(self._scenario.conditions.get(link, PERFECT), self._scenario.seed, link)
             payload = model.flipped(payload, message.seq, message.copy)
         else:
             self._sure.add((src, message.seq))
         self.packets[src][message.seq] = record.publish_ns // self._tick_ns, payload
 
-    def _message(self, record: Record, columns: Sequence[Column]) -> Any:
+    def _message(self, record: Record, columns: Sequence[MessageField]) -> Any:
         if (message := self._decode(record, columns)) is None:
             raise ValueError
         return message

@@ -25,7 +25,8 @@ from agents.plugged_agent import PluggedAgent
 from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
 from fleet.logs.reader import LogReader, Record, Tell, log_path
-from fleet.logs.schemas import COMMAND, PACKET, ROLL, STATE, Column
+from fleet.logs.schemas import COMMAND, PACKET, ROLL, STATE, MessageField
+from fleet.logs.topic_names import link_of
 from fleet.recorder.snapshot import Start
 from fleet.repeat.recorded_run import recorded as read
 from fleet.repeat.resume import start_of
@@ -221,7 +222,7 @@ def _read(path: Path, agent: int, tick_ns: int, tell: Tell) -> _Given:
     reader = LogReader(path, tell)
     decoder = Decoder(reader)
 
-    def decode(record: Record, columns: Sequence[Column]) -> Any:
+    def decode(record: Record, columns: Sequence[MessageField]) -> Any:
         if (message := decoder.ours(record, columns)) is None:
             raise FleetError(f"{path}: a message of {record.topic} at t = {record.log_ns / 1e9:g} s is damaged")
         return message
@@ -234,12 +235,11 @@ def _read(path: Path, agent: int, tick_ns: int, tell: Tell) -> _Given:
             given.navs.append((record.log_ns // tick_ns, tuple(getattr(m, column.name) for column in columns)))
         elif record.topic == command:
             given.commands[record.log_ns // tick_ns] = tuple(decode(record, COMMAND[:1]).tau)
-        elif record.topic.startswith("link/") and record.topic.endswith(f"-{agent}"):
+        elif (link := link_of(record.topic)) is not None and link[1] == agent:
             m = decode(record, PACKET)
             if m.fate == "delivered":
-                src = int(record.topic.removeprefix("link/").split("-")[0])
                 sent = record.publish_ns // tick_ns
-                given.deliveries.append(Delivery(record.log_ns // tick_ns, sent, src, m.seq, m.copy, m.payload))
+                given.deliveries.append(Delivery(record.log_ns // tick_ns, sent, link[0], m.seq, m.copy, m.payload))
     given.deliveries.sort(key=astuple)
     given.start = start_of(reader)
     return given

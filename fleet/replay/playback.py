@@ -18,7 +18,7 @@ from fleet.terminal.fitting import Piece
 from fleet.terminal.keyboard import Key, Keyboard
 from fleet.terminal.status_line import StatusLine
 from netem.wire.keys import Keys
-from netem.wire.open_bus import OpenBus, Publication
+from netem.wire.open_bus import OpenBus, OpenPublication
 
 MOST = 256  # messages between two looks at the keyboard
 NAP_S = 0.05  # the longest wait without a look at the clock
@@ -82,7 +82,7 @@ class Replay:
             )
         self._first, self.messages = first, stop - first
         self._begin, self._end = begin, end
-        self._publications: dict[int, Publication] = {}
+        self._publications: dict[int, OpenPublication] = {}
         self.published = 0
         self.player = self._player(0)
 

@@ -6,16 +6,15 @@ studies.
 
 from __future__ import annotations
 
-from importlib import resources
 from math import prod
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from fleet.quantities import time_ns
+from fleet.scenario.text.shipped import ShippedFiles
 from fleet.scenario.text.yaml_reader import Source, plain, read
 from fleet.study.values import axis, values_text
 
-if TYPE_CHECKING:
-    from importlib.resources.abc import Traversable
+_FILES = ShippedFiles("fleet.study.shipped")
 
 
 class Listed(NamedTuple):
@@ -30,12 +29,12 @@ class Listed(NamedTuple):
 
 def shipped_studies() -> list[str]:
     """The names of the studies that come with the package."""
-    return sorted(entry.name.removesuffix(".yaml") for entry in _folder().iterdir() if entry.name.endswith(".yaml"))
+    return _FILES.names
 
 
 def study_text(name: str) -> str:
     """The text of a shipped study, with its comments."""
-    return (_folder() / f"{name}.yaml").read_text("utf-8")
+    return _FILES.text(name)
 
 
 def list_studies() -> list[Listed]:
@@ -50,7 +49,3 @@ def _listed(name: str) -> Listed:
     axes = [axis(key, values_text(values)) for key, values in study["vary"].items()]
     runs = prod(len(axis.values) for axis in axes) * study["seeds"]
     return Listed(name, study["title"], study["scenario"], runs, runs * time_ns(study["run_takes"]) / 1e9)
-
-
-def _folder() -> Traversable:
-    return resources.files("fleet.study.shipped")

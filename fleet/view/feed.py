@@ -12,13 +12,13 @@ from google.protobuf.message import DecodeError
 
 from fleet.logs.decoder import decoded
 from fleet.logs.schemas import FAULT, PACKET, flat_schema
+from fleet.logs.topic_names import link_of
 from fleet.result.file import ResultError, read_result
 from fleet.scenario.scenario import Scenario
 from fleet.view.view_state import Row, ViewState
 from netem.causes import Cause
-from netem.condition import Link
 
-TRANSFORMS, FAULTS, LINKS = "transforms", "faults", "link/"
+TRANSFORMS, FAULTS = "transforms", "faults"
 _PACKET = flat_schema("Packet", PACKET).message
 _FAULT = flat_schema("Fault", FAULT).message
 
@@ -53,14 +53,6 @@ def is_lost(data: bytes) -> bool:
     except DecodeError:
         return False
     return bool(packet.corrupted or packet.fate not in (Cause.DELIVERED, Cause.IN_FLIGHT))
-
-
-def link_of(topic: str) -> Link | None:
-    """The link of a topic such as `link/1-2`; None: it is another topic."""
-    src, dash, dst = topic.removeprefix(LINKS).partition("-")
-    if not topic.startswith(LINKS) or not dash or not (src.isdigit() and dst.isdigit()):
-        return None
-    return int(src), int(dst)
 
 
 def checks_so_far(rows: list[Row]) -> Row:

@@ -15,6 +15,7 @@ from typing import Any
 from fleet.errors import FleetError
 from fleet.execution.connection import LiveRun, OpenConnection, RemoteError, find, is_live
 from fleet.execution.directory import SCENARIO, in_use
+from fleet.logs.topic_names import link_of
 from fleet.replay.attachment import unpack
 from fleet.replay.missing import Missing, left_out
 from fleet.replay.player import MeasuredRate
@@ -23,7 +24,7 @@ from fleet.result.file import RESULT
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.sections.checked_signals import checked_signals
 from fleet.view.chart_signals import published_signals
-from fleet.view.feed import FAULTS, TRANSFORMS, checks_asked, checks_so_far, link_of, take
+from fleet.view.feed import FAULTS, TRANSFORMS, checks_asked, checks_so_far, take
 from fleet.view.source import LiveSource
 from fleet.view.view_state import NOT_PLACED, SAMPLE_S, Row, ViewState
 from netem.errors import BusError

@@ -10,8 +10,8 @@ from typing import Annotated
 from msgspec import Meta, Struct, convert
 
 from fleet.cli.documents.live import EventCount
-from fleet.logs.decoder import Value
-from fleet.logs.deviation import Comparison
+from fleet.logs.decoder import FieldValue
+from fleet.logs.deviation import LogComparison
 from fleet.logs.first_difference import Difference, Side, same
 from fleet.logs.info import Info
 from fleet.repeat.check_log import JudgedLog
@@ -122,6 +122,7 @@ class LogContents(Struct):
     events: Annotated[list[EventCount], Meta(description="What happened to vehicles, one row for each.")]
     topics: Annotated[dict[str, tuple[str, int]], Meta(description="Schema and number of messages, by topic.")]
     missing: Missing
+    unread: Annotated[int, Meta(description="Messages about faults that are left out above, as there are too many.")]
 
 
 class LogJudged(Struct):
@@ -167,7 +168,7 @@ def verified(found: Verification) -> Verified:
 
 
 def compared(
-    paths: tuple[Path, Path], missing: tuple[str, str], found: Comparison, tolerance: float, besides: list[str]
+    paths: tuple[Path, Path], missing: tuple[str, str], found: LogComparison, tolerance: float, besides: list[str]
 ) -> Compared:
     """The document of a comparison."""
     signals = sorted(found.signals.items(), key=lambda item: -item[1].value)
@@ -219,7 +220,7 @@ def _message(side: Side) -> MessageRow | None:
     return MessageRow(record.topic, record.log_ns / 1e9, record.publish_ns / 1e9, record.sequence)
 
 
-def _plain(value: Value | None) -> Plain:
+def _plain(value: FieldValue | None) -> Plain:
     if value is None:
         return None
     found: Plain = value.value.hex() if isinstance(value.value, bytes) else value.value

@@ -18,7 +18,7 @@ from fleet.errors import FleetError
 from fleet.logs.export import export
 from fleet.logs.open_log import Log
 from fleet.logs.reader import LogReadError
-from fleet.logs.schemas import UINT32, Column, flat_schema
+from fleet.logs.schemas import UINT32, MessageField, flat_schema
 from fleet.logs.table import columns
 
 pd = pytest.importorskip("pandas")
@@ -97,7 +97,11 @@ def test_netcdf_is_what_others_read(log: Log, tmp_path: Path) -> None:
 
 def test_netcdf_of_another_programs_log(tmp_path: Path) -> None:
     """Fields whose names we use ourselves, units that are none, numbers for which NetCDF-3 has no integers."""
-    fields = (Column("t", "V", "volts"), Column("sample", "furlong", "far"), Column("large", "1", "", type=UINT32))
+    fields = (
+        MessageField("t", "V", "volts"),
+        MessageField("sample", "furlong", "far"),
+        MessageField("large", "1", "", type=UINT32),
+    )
     schema = flat_schema("Odd", fields)
     with (tmp_path / "robot.mcap").open("wb") as file:
         writer = Writer(file)

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from rich.console import Console as Terminal
 
     from fleet.execution.options import Options
-    from fleet.execution.outcome import Result
     from fleet.recorder.snapshot import Start
+    from fleet.result.result import Result
     from fleet.scenario.scenario import Scenario
     from fleet.scenario.text.overrides import Override
 
@@ -152,7 +152,7 @@ def run(
         if page is not None and result.directory is not None:
             page.over(result.directory)
         _print_result(result, as_json=as_json, quiet=quiet)
-    sys.exit(int(result.status))
+    sys.exit(result.exit)
 
 
 def _options(scenario: Scenario, start: Start | None, how: dict[str, Any], terminal: Terminal) -> Options:
@@ -207,15 +207,13 @@ def _tell_plan(scenario: Scenario, start: Start | None, *, in_process: bool) -> 
 
 
 def _print_result(result: Result, *, as_json: bool, quiet: bool) -> None:
-    from fleet.execution.outcome import Status
+    from fleet.result.result import Status
 
     try:
         if as_json or quiet:
             _print_failure(result)
         if as_json:
-            from fleet.cli.documents.result import ran
-
-            print_document(ran(result))
+            print_document(result)
         elif quiet:
             click.echo(result.directory)
         else:
@@ -226,7 +224,7 @@ def _print_result(result: Result, *, as_json: bool, quiet: bool) -> None:
     except OutputError as error:
         give_up_output()
         click.echo(f"fleet: {error}; the results are in {result.directory}", err=True)
-        sys.exit(max(Status.BROKEN, result.status))
+        sys.exit(max(Status.BROKEN.exit, result.exit))
 
 
 def _load(
@@ -282,7 +280,7 @@ def _check_clock(speed: float | None, clock: str, one_process: str) -> None:
 def _print_failure(result: Result) -> None:
     """Print a failure on stderr, where stdout has no tables; one that the scenario expects is none."""
     failed = [f"FAIL  {v.check}: {v.asked}; found {v.found}" for v in result.verdicts if not v.passed]
-    if result.reason or (failed and result.status):
+    if result.reason or (failed and not result.passed):
         lines = [f"fleet: {result.reason}", *result.lines] if result.reason else failed
         say("\n".join(lines), err=True)
 

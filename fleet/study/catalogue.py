@@ -10,11 +10,11 @@ from math import prod
 from typing import Any, NamedTuple
 
 from fleet.quantities import time_ns
-from fleet.scenario.catalogue import names_in, text_in
+from fleet.scenario.text.shipped import ShippedFiles
 from fleet.scenario.text.yaml_reader import Source, plain, read
 from fleet.study.values import axis, values_text
 
-_PACKAGE = "fleet.study.shipped"
+_FILES = ShippedFiles("fleet.study.shipped")
 
 
 class ListedStudy(NamedTuple):
@@ -29,12 +29,12 @@ class ListedStudy(NamedTuple):
 
 def shipped_studies() -> list[str]:
     """The names of the studies that come with the package."""
-    return names_in(_PACKAGE)
+    return _FILES.names
 
 
 def study_text(name: str) -> str:
     """The text of a shipped study, with its comments."""
-    return text_in(_PACKAGE, name)
+    return _FILES.text(name)
 
 
 def list_studies() -> list[ListedStudy]:

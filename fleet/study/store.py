@@ -25,7 +25,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from fleet.errors import printable
-from fleet.execution.outcome import Status
+from fleet.result.result import Status
 from fleet.study.errors import StudyError
 from fleet.study.one_run import FAILED
 from fleet.study.parquet_file import MOST_BYTES, TEXT, read_table, write_table
@@ -42,7 +42,7 @@ _PART = re.compile(r"part-([0-9]{6,9})\.parquet")
 _MOST_PARTS = 100_000  # one is written every ten seconds: eleven days
 _MOST_BYTES = 1_000_000_000  # of all rows in memory: 1.4 million runs with all columns, more where some are read
 _CHECKED = ("point", "seed", "status")  # in each reading
-_STATUSES = (FAILED, *(status.name.lower() for status in Status))
+_STATUSES = (FAILED, *Status)
 _TEXT, _BOOL, _NUMBER, _WHOLE = TEXT, pa.bool_(), pa.float64(), pa.int64()
 
 

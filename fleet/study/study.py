@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Result
 from fleet.notebook import html_table
+from fleet.result.result import Result
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.trust import Policy
 from fleet.study.engine import need_extra

@@ -145,9 +145,9 @@ def _draw_beliefs(ax: Axes, tracks: list[VehicleTrack], view: View) -> bool:
         ax.plot(way.positions[:, 1], way.positions[:, 0], color=track.colour, zorder=2.2, gid=gid, **_BELIEVED)
         for one in way.ellipses:
             degrees = 90.0 - np.degrees(one.bearing)  # from east to north
-            look = {"facecolor": track.colour, "edgecolor": track.colour, "gid": f"ellipse-{track.vehicle}"}
-            axes = 2 * one.long, 2 * one.short
-            ax.add_patch(Ellipse((one.at.east, one.at.north), *axes, angle=degrees, **look, **_ELLIPSE))
+            patch = Ellipse((one.at.east, one.at.north), 2 * one.long, 2 * one.short, angle=degrees, **_ELLIPSE)
+            patch.set(color=track.colour, gid=f"ellipse-{track.vehicle}")
+            ax.add_patch(patch)
     return bool(found)
 
 

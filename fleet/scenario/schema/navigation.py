@@ -82,6 +82,8 @@ def _read_navigation(value: Any) -> Any:
         if value == "ideal":
             return {"ideal": True}
         return {"grade": DEFAULT_GRADE if value == "dead-reckoning" else value}
+    if value == {}:
+        return {"grade": DEFAULT_GRADE}
     if isinstance(value, dict) and "ideal" in value:
         raise mistake('write "navigation: ideal" for vehicles that know where they are, which then is nothing else')
     if not isinstance(value, (dict, Section)):
@@ -95,7 +97,7 @@ def _show_navigation(section: NavigationSection | None) -> Any:
     if section is None or section.ideal:
         return None if section is None else "ideal"
     values = section.model_dump(exclude_none=True, exclude_unset=True)
-    return values["grade"] if set(values) == {"grade"} else values or "dead-reckoning"  # a section without a key
+    return values["grade"] if set(values) == {"grade"} else values
 
 
 NavigationChoice = Annotated[NavigationSection, BeforeValidator(_read_navigation), PlainSerializer(_show_navigation)]

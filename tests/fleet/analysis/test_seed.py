@@ -115,7 +115,7 @@ EVERYTHING = [
     "initial={scatter: 1 m}",
     "graph={shape: random}",
     "sensors.position_noise=1 cm",
-    "navigation={grade: mems, usbl: {at: 0 0 0 m, period: 100 ms, delay: 20 ms}}",
+    "navigation={grade: mems, heading_rate: 5 Hz, usbl: {at: 0 0 0 m, period: 100 ms, delay: 20 ms}}",
     "sea.current={sigma: 5 5 0 cm/s}",
     "network.links={'*': delay 60ms 20ms 25% loss 20% 25% duplicate 20% 25% corrupt 20% 25% reorder 20% 25%, "
     "'1->2': loss gemodel 20% 50%}",

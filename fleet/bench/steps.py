@@ -18,6 +18,8 @@ from netem.wire.codec import decode, encode
 from netem.wire.messages import Command, Nav
 from world.sea import World
 
+AHEAD = (1.0, 0.0, 0.0)  # N, N m
+
 
 def steps(repeats: int) -> dict[str, float]:
     """Median microseconds by step."""

@@ -50,6 +50,7 @@ log = logging.getLogger(__name__)
 
 FRAMES_PER_MESSAGE = 10
 FRAMES_WAIT_S = 0.02
+FIX_BYTES = 70  # of a fix in a frame, at most
 _ECHO = encode(Hello(WORLD, 0, 0, PROTOCOL_VERSION, True))
 _PROBE = encode(Hello(WORLD, 0, 0, PROTOCOL_VERSION, False))
 
@@ -308,4 +309,4 @@ def _checked(faults: tuple[WorldFault, ...]) -> tuple[WorldFault, ...]:
 
 def _row_bytes(row: VehicleFrame) -> int:
     # Nine bytes per double of state, measurement and tau, a little for the rest.
-    return 240 + len(row.command) + 9 * (len(row.plant) + 2)
+    return 240 + len(row.command) + 9 * (len(row.plant) + 2 + len(row.belief)) + FIX_BYTES * len(row.fixes)

@@ -17,6 +17,8 @@ from world.vectors import Vec3, Vec5
 # x, y, z [m, NED], theta, psi [rad], u, v, w [m/s, body, over ground], q, r [rad/s]
 State = tuple[float, float, float, float, float, float, float, float, float, float]
 START = f"{PURPOSE} start"
+MOST_MPS = 1e9  # an error of the velocity; beyond it what follows could leave the finite numbers
+MOST_TOLD = 200  # fixes in a frame, which has to fit into a message; a log that is thinned has the newest
 Believed = tuple[Vec5, Vec5, tuple[float, ...]]  # eta, nu, roll
 
 
@@ -90,8 +92,9 @@ class Navigator:
         if self._config.fixes:
             true: Vec3 = (x1, y1, z1)
             self._fixes.measure(tick, true, known, faults)
-            self._tell += self._fixes.use(tick, known)
-        if not isfinite(sum(known.x)):
+            self._tell = (self._tell + self._fixes.use(tick, known))[-MOST_TOLD:]
+        u, v, w = measure.dvl
+        if not isfinite(sum(known.x)) or not abs(u) + abs(v) + abs(w) < MOST_MPS:
             raise OverflowError("the estimate is not finite")
 
     def _velocity(self, state: State, phi: float) -> list[float]:

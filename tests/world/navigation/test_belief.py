@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from in_process_runs import Alone, log_of
@@ -14,9 +15,12 @@ from agents.payload import decode as decode_payload
 from fleet.execution.judged import run
 from fleet.logs.open_log import open_log
 from fleet.scenario.loading import load_scenario
-from netem.wire.messages import Delivery, Nav
+from netem.wire.messages import Delivery, Fix, Nav, VehicleFrame
+from netem.wire.parts import PART_BYTES
 from world.navigation.config import NavigationTrace, TracePoint
+from world.navigation.navigator import MOST_TOLD
 from world.navigation.replay import ReplayedError
+from world.process import _row_bytes
 from world.sea import World
 
 FAULTS = "faults=[{at: 500 ms, for: 1 s, fix: {lost: 50 %}}]"
@@ -96,3 +100,19 @@ def test_a_replayed_error_is_that_of_the_trace() -> None:
     assert found[2][1][:3] == pytest.approx((2.7, -1.0, 0.5))
     assert found[2][0][4] == pytest.approx(0.1)
     assert replayed.covariance() == ()
+
+
+def test_a_row_with_fixes_is_not_longer_than_it_is_counted() -> None:
+    """Frames are split by this count; a part that is too long would be lost on the way."""
+    fix = Fix("usbl", 2**63, 2**63, (1.1, 2.2), 3.3, 4.4, True)
+    row = VehicleFrame(1, (0.1,) * 5, (0.1,) * 5, (0.1,) * 12, (0.1,) * 3, b"", (), (0.1,) * 10, (fix,) * MOST_TOLD)
+    assert len(msgspec.msgpack.encode(row)) <= _row_bytes(row) < PART_BYTES
+
+
+@pytest.mark.parametrize(
+    "fault", ["compass: {bias: 1e308 deg}", "dvl: {bias: 1e308 0 0 m/s}", "fix: {bias: 1e308 0 m}"]
+)
+def test_an_absurd_fault_ends_a_vehicle_and_not_the_world(fault: str) -> None:
+    """With an error in words, or, as a fix that is refused, not at all."""
+    found = run(load_scenario("dead-reckoning", [*SHORT[:3], f"faults=[{{at: 200 ms, {fault}}}]", "on_death=continue"]))
+    assert found.values["sim_s"] == 2.0

@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, Ellipse
+from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
@@ -144,10 +144,8 @@ def _draw_beliefs(ax: Axes, tracks: list[VehicleTrack], view: View) -> bool:
         gid = f"belief-{track.vehicle}"
         ax.plot(way.positions[:, 1], way.positions[:, 0], color=track.colour, zorder=2.2, gid=gid, **_BELIEVED)
         for one in way.ellipses:
-            degrees = 90.0 - np.degrees(one.bearing)  # from east to north
-            patch = Ellipse((one.at.east, one.at.north), 2 * one.long, 2 * one.short, angle=degrees, **_ELLIPSE)
-            patch.set(color=track.colour, gid=f"ellipse-{track.vehicle}")
-            ax.add_patch(patch)
+            norths, easts = [point.north for point in one.points], [point.east for point in one.points]
+            ax.fill(easts, norths, color=track.colour, gid=f"ellipse-{track.vehicle}", **_ELLIPSE)
     return bool(found)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from fleet.logs.records import Array
 from fleet.pictures.runs import Run, View
 from fleet.scene.belief import ellipse
-from fleet.scene.primitives import EllipseShape
+from fleet.scene.primitives import LineShape
 
 MOMENTS = 5
 
@@ -18,7 +18,7 @@ class BelievedWay(NamedTuple):
     """What one vehicle believed."""
 
     positions: Array  # (samples, 3) [m, NED]
-    ellipses: list[EllipseShape]
+    ellipses: list[LineShape]
 
 
 def believed_way(run: Run, i: int, view: View) -> BelievedWay | None:

@@ -11,16 +11,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import atan2, hypot, isfinite, sqrt
+from math import atan2, cos, hypot, isfinite, pi, sin, sqrt
 
-from fleet.scene.primitives import NED, EllipseShape, FramePoint
+from fleet.scene.primitives import NED, FramePoint, LineShape
 from fleet.scene.styles import VEHICLE
 
+_TURNS = [2.0 * pi * k / 48 for k in range(49)]
 _MOST_M = 1e6  # a larger ellipse would be no picture
 
 
-def ellipse(vehicle: int, place: Sequence[float], covariance: Sequence[float]) -> EllipseShape | None:
-    """The ellipse of a vehicle; None: it does not know how sure it is, or not at all.
+def ellipse(vehicle: int, place: Sequence[float], covariance: Sequence[float]) -> LineShape | None:
+    """The ellipse of a vehicle as a line round it; None: it does not know how sure it is, or not at all.
 
     Args:
         place: where it believes it is: north, east, down [m].
@@ -33,9 +34,11 @@ def ellipse(vehicle: int, place: Sequence[float], covariance: Sequence[float]) -
     if not all(map(isfinite, (middle, radius, *place))) or middle < radius * (1.0 - 1e-9):
         return None
     long, short = sqrt(5.991 * (middle + radius)), sqrt(5.991 * max(0.0, middle - radius))
+    bearing = atan2(2.0 * b, a - c) / 2.0
     if long > _MOST_M:
         return None
     north, east, down = place
-    return EllipseShape(
-        f"{VEHICLE} {vehicle}", FramePoint(NED, north, east, down), long, short, atan2(2 * b, a - c) / 2
-    )
+    c, s = cos(bearing), sin(bearing)
+    around = [(long * cos(turn), short * sin(turn)) for turn in _TURNS]
+    points = tuple(FramePoint(NED, north + c * x - s * y, east + s * x + c * y, down) for x, y in around)
+    return LineShape(f"{VEHICLE} {vehicle}", points)

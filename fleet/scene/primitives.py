@@ -62,21 +62,12 @@ class LineShape(Primitive, frozen=True):
     points: tuple[FramePoint, ...]
 
 
-class EllipseShape(Primitive, frozen=True):
-    """A horizontal ellipse: how sure a vehicle is of its place."""
-
-    at: FramePoint
-    long: float  # half axes [m]
-    short: float
-    bearing: float  # of the long one, from north to east [rad]
-
-
 def points_of(primitive: Primitive) -> tuple[FramePoint, ...]:
     """The points of a primitive; none of a cylinder, which has no depth."""
     match primitive:
         case LineShape(points=points):
             return points
-        case CircleShape(at=at) | CrossShape(at=at) | EllipseShape(at=at):
+        case CircleShape(at=at) | CrossShape(at=at):
             return (at,)
         case _:
             return ()

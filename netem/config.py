@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from netem.condition import Condition, Link
+from netem.link_states import LinkStates
+from netem.link_trace import LinkTrace
 from netem.lives import Absence
 from netem.modem import AcousticConfig
 
@@ -23,6 +25,7 @@ class NetemConfig:
     vehicles: tuple[int, ...]
     links: tuple[Link, ...]  # (j, i): j's payloads reach i, i.e. a_ij > 0
     conditions: dict[Link, Condition] = field(default_factory=dict)
+    changing: dict[Link, LinkStates | LinkTrace] = field(default_factory=dict)  # in place of a condition
     faults: tuple[NetFault, ...] = ()  # in the order in which they begin
     absences: tuple[Absence, ...] = ()  # when a vehicle has no agent: restarts count incarnations
     memory_ticks: int = 0  # ticks between two snapshots of its state; 0: none

@@ -137,7 +137,7 @@ class LinkSection(Section):
 
 def _link(value: Any) -> Any:
     """Links with one condition are given by its words alone."""
-    return LinkSection(condition=read_condition(value)) if isinstance(value, str) else value
+    return LinkSection.model_construct(condition=read_condition(value)) if isinstance(value, str) else value
 
 
 def show_link(link: LinkSection) -> Any:

@@ -57,7 +57,8 @@ class HiddenMarkov:
         """The share of packets that meets each state in the long run, shape (S,)."""
         count = self.states
         equations = np.vstack([self.moves.T - np.eye(count), np.ones(count)])
-        return np.linalg.lstsq(equations, np.append(np.zeros(count), 1.0), rcond=None)[0]
+        shares: Array = np.linalg.lstsq(equations, np.append(np.zeros(count), 1.0), rcond=None)[0]
+        return shares
 
     def bursts(self, longest: int) -> tuple[Array, float]:
         """P(a burst of losses has n or more packets), n = 1 ... longest, and the mean length of bursts."""
@@ -120,8 +121,9 @@ def _improve(lost: Array, moves: Array, loses: Array, first: Array, steps: int) 
 
 def _normalised(weights: Array) -> Array:
     """Probabilities in proportion to weights, along the last axis."""
-    raised: Array = np.maximum(weights, _LEAST)
-    return raised / raised.sum(axis=-1, keepdims=True)
+    raised = np.maximum(weights, _LEAST)
+    normalised: Array = raised / raised.sum(axis=-1, keepdims=True)
+    return normalised
 
 
 def _expect(lost: Array, moves: Array, loses: Array, first: Array) -> tuple[float, Array, Array, Array]:
@@ -129,9 +131,9 @@ def _expect(lost: Array, moves: Array, loses: Array, first: Array) -> tuple[floa
     total, count = len(lost), len(loses)
     length = isqrt(total - 1) + 1
     blocks = -(-total // length)
-    emits = np.ones((blocks * length, count))  # what is behind the last packet tells nothing
-    emits[:total] = np.where(lost[:, None] > 0.5, loses, 1.0 - loses)
-    emits = emits.reshape(blocks, length, count).swapaxes(0, 1)  # (length, blocks, S)
+    told = np.ones((blocks * length, count))  # what is behind the last packet tells nothing
+    told[:total] = np.where(lost[:, None] > 0.5, loses, 1.0 - loses)
+    emits = told.reshape(blocks, length, count).swapaxes(0, 1)  # (length, blocks, S)
 
     product = np.tile(np.eye(count), (blocks, 1, 1))  # what each block makes of what is before it
     for n in range(length):
@@ -148,7 +150,7 @@ def _expect(lost: Array, moves: Array, loses: Array, first: Array) -> tuple[floa
         leaving[k - 1] = product[k] @ leaving[k]
         leaving[k - 1] /= leaving[k - 1].sum()
 
-    forward, scales, backward = np.empty_like(emits), np.empty((length, blocks)), np.empty_like(emits)
+    forward, scales, backward = np.empty(emits.shape), np.empty((length, blocks)), np.empty(emits.shape)
     state = entering
     for n in range(length):
         state = (state @ moves) * emits[n]

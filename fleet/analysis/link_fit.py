@@ -93,7 +93,9 @@ def _interval(table: TraceTable) -> tuple[int, bool]:
     """
     times = np.array([row.time_ns for row in table.rows if row.time_ns is not None], np.float64)
     if len(times) < 2:
-        raise FleetError("the trace has no column time: how far apart packets are must be given, as in --interval '1 s'")
+        raise FleetError(
+            "the trace has no column time: how far apart packets are must be given, as in --interval '1 s'"
+        )
     steps = np.diff(times)
     usual = float(np.median(steps)) or float(np.mean(steps))
     if not usual:
@@ -102,7 +104,7 @@ def _interval(table: TraceTable) -> tuple[int, bool]:
 
 
 def _generator(model: HiddenMarkov) -> tuple[Array, float]:
-    """Rates of moves [1/interval], the logarithm of A, shape (S, S); and how far moves are from A without negative ones.
+    """Rates of moves [1/interval], shape (S, S): log A without negative ones; and how far their exponential is from A.
 
     Raises:
         FleetError: some state is over before the next packet.
@@ -112,8 +114,8 @@ def _generator(model: HiddenMarkov) -> tuple[Array, float]:
         share = 100.0 * float(model.stationary() @ model.lost)
         hint = "with fewer states, or " if model.states > 2 else ""
         raise FleetError(
-            f"the losses do not come in bursts that {model.states} states explain: a state ends before the next packet; "
-            f"try {hint}the condition loss {share:.3g}%"
+            f"the losses do not come in bursts that {model.states} states explain: a state ends before the next "
+            f"packet; try {hint}the condition loss {share:.3g}%"
         )
     raw = ((vectors * np.log(values.astype(complex))) @ np.linalg.inv(vectors)).real
     rates: Array = np.maximum(raw * (1.0 - np.eye(model.states)), 0.0)
@@ -165,7 +167,7 @@ def _moments(values: Array, weights: Array) -> tuple[float, float]:
 
 def _rounded(ns: float, least: int = 1) -> int:
     """A time with four significant digits, in steps of `least` ns at least."""
-    step = max(least, 10 ** max(0, len(str(int(ns))) - 4))
+    step: int = max(least, 10 ** max(0, len(str(int(ns))) - 4))
     return round(ns / step) * step
 
 

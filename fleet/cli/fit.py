@@ -65,12 +65,13 @@ def fit_lines(found: LinkFit, trace: Path) -> list[str]:
 
     model, alone = found.model, found.independent
     measured, (_, expected) = runs(found.lost).mean(), model.bursts(1)
+    every, share = found.interval_ns / 1e9, found.lost.mean()
     lines = [
-        f"{trace}: {len(found.lost)} packets, one every {found.interval_ns / 1e9:g} s, {100 * found.lost.mean():.3g} % lost",
+        f"{trace}: {len(found.lost)} packets, one every {every:g} s, {100 * share:.3g} % lost",
         f"log-likelihood {model.log_likelihood:.2f} with {model.states} states (BIC {model.bic:.1f}), "
         f"{alone.log_likelihood:.2f} with independent losses (BIC {alone.bic:.1f}); the lower BIC is the better",
         f"mean burst of losses: {measured:.3g} packets in the trace, {expected:.3g} of the fit, "
-        f"{1 / (1 - found.lost.mean()):.3g} of independent losses",
+        f"{1 / (1 - share):.3g} of independent losses",
     ]
     for k, name in enumerate(found.names):
         c = found.conditions[k]
@@ -81,7 +82,9 @@ def fit_lines(found: LinkFit, trace: Path) -> list[str]:
             f"loss {100 * c.loss:.3g} %{delay}{rate}"
         )
     if found.uneven:
-        lines.append("the packets are not evenly spaced: the states are fitted per packet, and times follow from the interval")
+        lines.append(
+            "the packets are not evenly spaced: the states are fitted per packet, and times follow from the interval"
+        )
     if found.lag > 0.01:
         lines.append(
             f"no states in continuous time move as these do from packet to packet: probabilities differ by up to "

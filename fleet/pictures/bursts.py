@@ -51,7 +51,7 @@ def draw_bursts(
 
 def _panel(ax: Axes, what: str, lengths: Array, models: Mapping[str, Array]) -> None:
     n, shares = survival(lengths)
-    ax.plot(n, shares, color="0.2", marker="o", markersize=2.5, linestyle="", label=f"{what} ({len(lengths)} runs)")
+    ax.plot(n, shares, color="0.2", marker="o", markersize=2.5, linestyle="", label=what)
     for number, (name, curve) in enumerate(models.items()):
         line(ax, number, np.arange(1, len(curve) + 1), curve, name)
     ax.set_xscale("log")

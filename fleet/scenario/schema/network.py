@@ -136,8 +136,10 @@ class LinkSection(Section):
 
 
 def _link(value: Any) -> Any:
-    """Links with one condition are given by its words alone."""
-    return LinkSection.model_construct(condition=read_condition(value)) if isinstance(value, str) else value
+    """Links with one condition are given by its words alone, which keep their column in errors."""
+    if isinstance(value, (dict, LinkSection)):
+        return value
+    return LinkSection.model_construct(condition=read_condition(value))
 
 
 def show_link(link: LinkSection) -> Any:

@@ -42,7 +42,9 @@ def chances(states: dict[str, LinkStateSection], name: str) -> tuple[float, ...]
     """The probability with which each state follows on one; all others alike where nothing is said."""
     given = states[name].next
     if given is None:
-        return tuple(1.0 / (len(states) - 1) if other != name else 0.0 for other in states) if len(states) > 1 else (0.0,)
+        return (
+            tuple(1.0 / (len(states) - 1) if other != name else 0.0 for other in states) if len(states) > 1 else (0.0,)
+        )
     total = sum(given.values())  # 1 but for rounding
     return tuple(given.get(other, 0.0) / total for other in states)
 

@@ -79,9 +79,10 @@ def _read_parquet(path: Path) -> TraceTable:
         raise DataFileError("trace", str(path), ["Parquet needs pyarrow: pip install 'uuv-fleet[parquet]'"]) from None
 
     def choose(schema: pa.Schema) -> list[str]:
-        if len(set(schema.names)) < len(schema.names):
+        names: list[str] = schema.names
+        if len(set(names)) < len(names):
             raise ValueError("two columns have one name")
-        return schema.names
+        return names
 
     try:
         found = read_columns(path, Most(MOST_ROWS, MOST_BYTES, "a trace may"), choose)

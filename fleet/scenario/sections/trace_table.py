@@ -106,7 +106,7 @@ def read_cells(
     Raises:
         DataFileError: as `read_csv`.
     """
-    problems = []
+    problems: list[str] = []
     found = [_column(heading, problems) for heading in headings]
     known = [column for column, _ in found]
     problems += [f"{column} is there twice" for column in sorted({c for c in known if c and known.count(c) > 1})]
@@ -160,7 +160,9 @@ def _row(columns: Sequence[tuple[str, Decimal]], cells: Sequence[str], problems:
     texts = {name: text.strip() for (name, _), text in zip(columns, cells, strict=True)}
     delivered = texts.get("delivered", "1")
     if delivered not in ("0", "1"):
-        problems.append(f"{at}: delivered: {'a hole: ' if not delivered else ''}expected 0 or 1, got {quoted(delivered)}")
+        problems.append(
+            f"{at}: delivered: {'a hole: ' if not delivered else ''}expected 0 or 1, got {quoted(delivered)}"
+        )
         return None
     numbers: dict[str, Decimal | None] = {}
     for name, size in columns:

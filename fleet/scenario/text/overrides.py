@@ -8,7 +8,7 @@ So an override obeys the rules of the file, and a mistake in one is reported wit
 | `--set KEY=VALUE` | one key, such as `network.period`; steps into a list count from 1: `initial.2.surge=0.3 m/s` |
 | `--set network.links.SELECTOR.WORD=VALUES` | one word of a link's condition, such as `network.links.*.loss=30 %` |
 | `--set network.links.SELECTOR.states.STATE.WORD=VALUES` | one word of the condition of one of its states |
-| `--set network.links.SELECTOR.KEY=VALUE` | a key of links with states or a trace: `network.links.*.states.bad.mean=2 s` |
+| `--set network.links.SELECTOR.KEY=VALUE` | a key of states or a trace: `network.links.*.states.bad.mean=2 s` |
 | `--net "SELECTOR CONDITION"` | `network.links`: in place of the same selector, behind all others, so that it wins |
 | `--fault "at TIME ..."` | one fault more, in the words of `fault_words` |
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import inf
 from pathlib import Path
 
 from fleet.logs.open_log import Log
@@ -67,16 +68,16 @@ def link_trace(topic: Topic, tick_ns: int, say: Callable[[str], None] = lambda _
     A damaged packet counts as lost, since its receiver refuses it. So does one that was on the way when the run ended,
     unless its delay takes it beyond the end.
     """
-    rows: dict[int, tuple[float, TraceRow]] = {}  # by number: when its copy was usable
+    rows: dict[int, tuple[tuple[float, int], TraceRow]] = {}  # by number: when its copy was usable, and its delay
     fields = (topic[name].tolist() for name in ("seq", "sent", "due", "delay", "fate", "corrupted"))
     for at, seq, sent, due, delay, fate, corrupted in zip(topic.t.tolist(), *fields, strict=True):
         sent_ns, delay_ns = round(sent * 1e9), round(delay * 1e9)
         arrives = fate == Cause.DELIVERED
         if fate == Cause.IN_FLIGHT:
             arrives = sent_ns + max(1, -(-delay_ns // tick_ns)) * tick_ns >= round(at * 1e9)
-        usable = due if arrives and not corrupted else float("inf")
+        lost = corrupted or not arrives
+        usable = (inf, 0) if lost else (due, delay_ns)
         if seq not in rows or usable < rows[seq][0]:
-            lost = usable == float("inf")
             rows[seq] = usable, TraceRow(sent_ns, not lost, None if lost else delay_ns)
     if rows and (missing := max(rows) + 1 - len(rows)):
         say(f"{topic.name}: {missing} packets are not in the log, so the n-th row is not the n-th packet behind them")

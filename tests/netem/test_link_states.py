@@ -30,7 +30,7 @@ def two(good_s: float = 8.0, bad_s: float = 1.5, shared: tuple[int, ...] | None 
     return LinkStates(("good", "bad"), (GOOD, BAD), mean, following, stationary(mean, following), shared)
 
 
-def links_of(changing: LinkStates | LinkTrace, links: tuple = ((1, 2),), seed: int = 1):  # noqa: ANN201
+def links_of(changing: LinkStates | LinkTrace, links: tuple = ((1, 2),), seed: int = 1):
     config = NetemConfig(seed, 10_000_000, 10, (1, 2, 3), links, changing=dict.fromkeys(links, changing))
     return make_links(config)
 
@@ -52,7 +52,9 @@ def test_shares_losses_and_bursts_are_those_of_theory() -> None:
     assert abs(lost.mean() - loss) < 4 * error
     arrived_bad = share * 0.2 / (1 - loss)
     assert abs(slow.mean() - arrived_bad) < 4 * sqrt(arrived_bad / len(slow) * (1 + rho) / (1 - rho))
-    stay = np.array([[1 - share * (1 - rho), share * (1 - rho)], [(1 - share) * (1 - rho), 1 - (1 - share) * (1 - rho)]])
+    stay = np.array(
+        [[1 - share * (1 - rho), share * (1 - rho)], [(1 - share) * (1 - rho), 1 - (1 - share) * (1 - rho)]]
+    )
     loses = np.array([0.02, 0.8])
     begins = (np.array([1 - share, share]) * (1 - loses)) @ stay * loses
     mean = np.linalg.solve((np.eye(2) - stay * loses).T, begins / begins.sum()).sum()

@@ -127,9 +127,7 @@ def test_a_link_never_shifts_the_draws_of_another(per_link: dict[Link, Given], c
 
 
 @given(per_link, rounds_of_traffic, st.integers(0, 12))
-def test_state_and_restore_continue_as_if_uninterrupted(
-    per_link: dict[Link, Given], traffic: list, cut: int
-) -> None:
+def test_state_and_restore_continue_as_if_uninterrupted(per_link: dict[Link, Given], traffic: list, cut: int) -> None:
     cut = min(cut, len(traffic))
     whole = Netem(config(per_link))
     expected = [*play(whole, traffic), *whole.close(10 * len(traffic))]

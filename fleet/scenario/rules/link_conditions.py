@@ -84,7 +84,7 @@ def _reached(states: dict[str, LinkStateSection], start: str) -> set[str]:
     found, fresh = {start}, [start]
     while fresh:
         following = states[fresh.pop()].next
-        after = set(states) if following is None else {name for name, p in following.items() if p > 0.0}
+        after = set(states) if following is None else {name for name, p in following.items() if p > 0.0} & set(states)
         fresh += after - found
         found |= after
     return found

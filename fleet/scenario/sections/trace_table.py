@@ -196,7 +196,7 @@ def _number(name: str, text: str, size: Decimal) -> tuple[Decimal | None, str]:
     low, high = _BOUNDS[name]
     if not low <= value <= high:
         unit = next(unit for unit, factor in _UNITS[name].units.items() if factor == 1)
-        return None, f"expected {low:.4g} to {high:.4g} {unit}, got {value:.4g} {unit}"
+        return None, f"expected {float(low):g} to {float(high):g} {unit}, got {float(value):g} {unit}"
     return value, ""
 
 

@@ -105,7 +105,7 @@ class StateProcess:
         self._end_ns += max(1, round(-self._states.mean_ns[state] * log1p(-u)))
 
     def _drawn(self, purpose: str, number: int, chances: Sequence[float]) -> int:
-        """The state on which a draw falls among such chances, which sum up to 1 but for rounding."""
+        """Draw a state; `chances` are the probabilities of the states."""
         u = uniform(self._seed, self._prefix + purpose, *self._key, number)
         last = 0
         for state, chance in enumerate(chances):

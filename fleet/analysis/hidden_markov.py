@@ -1,4 +1,4 @@
-"""Hidden Markov models of losses: states that nobody sees, each of which loses packets with a probability of its own.
+"""Hidden Markov models of losses: each hidden state loses packets with a probability of its own.
 
 With two states this is the model of Gilbert (1960) and Elliott (1963). The parameters are fitted by expectation
 maximisation (Baum and Welch; L. R. Rabiner, Proceedings of the IEEE 77, 1989, equations 37 to 40).
@@ -12,8 +12,8 @@ maximisation (Baum and Welch; L. R. Rabiner, Proceedings of the IEEE 77, 1989, e
 | pi | distribution of the state one packet before the first | (S,) |
 | gamma_ni | probability of state i at packet n, given all packets | (N, S) |
 
-The recursions run over blocks of about sqrt(N) packets at a time: what a block does to any distribution before it is a
-matrix, so all blocks advance together, and only their matrices are applied one after the other.
+The recursions run over blocks of about sqrt(N) packets. A block maps the distribution before it to the one after it by a
+matrix. So all blocks advance together, and only their matrices are applied one after the other.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class HiddenMarkov:
 
 
 def fit_losses(lost: Array, states: int) -> HiddenMarkov:
-    """The model under which these losses are most likely, of those that the search finds from a few fixed places.
+    """The model with the largest likelihood of all that the search finds from a few fixed places.
 
     Args:
         lost: whether each packet was lost, shape (N,), N >= 1; some were and some were not.
@@ -106,7 +106,7 @@ def _begin(lost: Array, stay: float, factors: tuple[float, ...]) -> tuple[Array,
 
 
 def _improve(lost: Array, moves: Array, loses: Array, first: Array, steps: int) -> HiddenMarkov:
-    """At most so many steps, each of which makes the losses more likely."""
+    """Make at most `steps` steps; each step increases the likelihood."""
     before = -np.inf
     for step in range(steps + 1):
         likelihood, first_after, posterior, pairs = _expect(lost, moves, loses, first)
@@ -168,7 +168,7 @@ def _expect(lost: Array, moves: Array, loses: Array, first: Array) -> tuple[floa
 def _statistics(
     moves: Array, first: Array, forward: Array, backward: Array, emits: Array, scales: Array, total: int
 ) -> tuple[float, Array, Array, Array]:
-    """What `_expect` returns, of the recursions in blocks, shapes (length, blocks, S)."""
+    """The values of `_expect`, from the recursions in blocks, shapes (length, blocks, S)."""
     count = len(moves)
     alpha, beta, told = (a.swapaxes(0, 1).reshape(-1, count)[:total] for a in (forward, backward, emits))
     posterior = alpha * beta

@@ -39,7 +39,7 @@ _BOUNDS = {"time": (Decimal(-(2**62)) / _NS, Decimal(2**62) / _NS), "delay": (De
 
 @dataclass(frozen=True, slots=True)
 class TraceRow:
-    """What was measured of a packet, or from a time on; None: it was not."""
+    """A row: the measurements of one packet, or those that hold from one time on. None: not measured."""
 
     time_ns: int | None
     delivered: bool

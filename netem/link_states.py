@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from math import log1p
 
 from netem.condition import Condition, Link
-from netem.draws import uniform
+from netem.draws import packed, unit
 
 STATE, STAY = "link state", "stay in link state"  # purposes of draws
 SHARED = "shared "  # begins the purposes of states that several links share
@@ -75,10 +75,10 @@ class StateProcess:
     """The state of a link as time goes on. Times before the last one may be asked for, but take long."""
 
     def __init__(self, seed: int, states: LinkStates, link: Link) -> None:
-        self._seed = seed
         self._states = states
-        self._key = states.shared or link
-        self._prefix = SHARED if states.shared else ""
+        self._key = packed(seed, *(states.shared or link))  # the beginning of the key of all draws
+        prefix = SHARED if states.shared else ""
+        self._of_state, self._of_stay = prefix + STATE, prefix + STAY
         self._begin_ns = self._end_ns = 0  # of the state that is known
         self._restart()
 
@@ -87,7 +87,7 @@ class StateProcess:
         if at_ns < self._begin_ns:
             self._restart()
         while at_ns >= self._end_ns:
-            self._enter(self._number + 1, self._drawn(STATE, self._number + 1, self._states.following[self._state]))
+            self._enter(self._number + 1, self._drawn(self._number + 1, self._states.following[self._state]))
         return self._state
 
     def condition(self, at_ns: int, seq: int) -> Condition:
@@ -96,17 +96,19 @@ class StateProcess:
 
     def _restart(self) -> None:
         self._end_ns = 0
-        self._enter(0, self._drawn(STATE, 0, self._states.shares))
+        self._enter(0, self._drawn(0, self._states.shares))
 
     def _enter(self, number: int, state: int) -> None:
         """The chain comes to its state number `number`, counted from 0."""
-        u = uniform(self._seed, self._prefix + STAY, *self._key, number)
+        u = unit(self._key + packed(number), self._of_stay)
         self._number, self._state, self._begin_ns = number, state, self._end_ns
         self._end_ns += max(1, round(-self._states.mean_ns[state] * log1p(-u)))
 
-    def _drawn(self, purpose: str, number: int, chances: Sequence[float]) -> int:
+    def _drawn(self, number: int, chances: Sequence[float]) -> int:
         """Draw a state; `chances` are the probabilities of the states."""
-        u = uniform(self._seed, self._prefix + purpose, *self._key, number)
+        if 1.0 in chances:  # of two states the other follows
+            return chances.index(1.0)
+        u = unit(self._key + packed(number), self._of_state)
         last = 0
         for state, chance in enumerate(chances):
             if chance > 0.0:

@@ -12,8 +12,8 @@ maximisation (Baum and Welch; L. R. Rabiner, Proceedings of the IEEE 77, 1989, e
 | pi | distribution of the state one packet before the first | (S,) |
 | gamma_ni | probability of state i at packet n, given all packets | (N, S) |
 
-The recursions run over blocks of about sqrt(N) packets. A block maps the distribution before it to the one after it by a
-matrix. So all blocks advance together, and only their matrices are applied one after the other.
+The recursions run over blocks of about sqrt(N) packets. A block maps the distribution before it to the one after it by
+a matrix. So all blocks advance together, and only their matrices are applied one after the other.
 """
 
 from __future__ import annotations

@@ -33,6 +33,7 @@ from fleet.pictures.report import page
 from fleet.pictures.runs import Run, View, load
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.sections.modem_files import load_modem
+from fleet.scenario.sections.trace_files import read_trace
 from fleet.scenario.sections.vehicle_files import load_vehicle
 from netem.lives import Absence, Lives
 from netem.whole_file import read_file
@@ -62,7 +63,7 @@ def test_a_pipe_is_no_input(pipe: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     said = done.stdout.splitlines()
-    assert len(said) == 6
+    assert len(said) == 7
     assert all("it is a pipe, not a file" in line for line in said), said
 
 
@@ -72,6 +73,7 @@ def read_all(pipe: Path) -> None:
         (lambda: load_scenario(pipe), ScenarioError),
         (lambda: load_vehicle(str(pipe)), Exception),
         (lambda: load_modem(str(pipe)), Exception),
+        (lambda: read_trace(pipe), Exception),
         (lambda: JoinFile.read(pipe), JoinError),
         (lambda: read_credentials(pipe, 4), HostsError),
         (lambda: read_pem(pipe), HostsError),

@@ -6,9 +6,10 @@ from collections.abc import Callable
 from math import inf
 from pathlib import Path
 
+from fleet.errors import FleetError
 from fleet.logs.open_log import Log
-from fleet.logs.table import ExportError
 from fleet.logs.topic import Topic
+from fleet.logs.topic_names import link_topic
 from fleet.scenario.sections.trace_table import MOST_ROWS, TraceRow, TraceTable
 from fleet.scenario.text.plain_yaml import yaml_text
 from netem.causes import Cause
@@ -31,34 +32,34 @@ def write_traces(
         the files, `links.yaml` last.
 
     Raises:
-        ExportError: something is in the way, the place cannot be written, or a link has too many packets.
+        FleetError: something is in the way, the place cannot be written, or a link has too many packets.
         LogReadError: the log is damaged.
     """
     if not log.links:
-        raise ExportError(f"{log.path} has no packets: its network is ideal, or nobody hears anybody")
+        raise FleetError(f"{log.path} has no packets: its network is ideal, or nobody hears anybody")
     try:
         tick_ns = int(log.run["tick_ns"])
     except (KeyError, ValueError):
-        raise ExportError(f"{log.path} does not say how long a tick is, so it is no log of a run") from None
+        raise FleetError(f"{log.path} does not say how long a tick is, so it is no log of a run") from None
     texts, links = {}, {}
     for src, dst in log.links:
-        topic = log[f"link/{src}-{dst}"]
+        topic = log[link_topic((src, dst))]
         name = f"{src}-{dst}.csv"
         table = link_trace(topic, tick_ns, say)
         if len(table.rows) > MOST_ROWS:
-            raise ExportError(f"{topic.name} has {len(table.rows)} packets; a trace holds {MOST_ROWS} at most")
+            raise FleetError(f"{topic.name} has {len(table.rows)} packets; a trace holds {MOST_ROWS} at most")
         if table.rows:
             texts[name] = table.text()
             links[f"{src}->{dst}"] = {"trace": name, "by": "packet"}
     texts[LINKS] = yaml_text({"links": links})
     if (there := [name for name in texts if (folder / name).exists()]) and not force:
-        raise ExportError(f"{folder} already holds {there[0]}; choose another place, or replace it with --force")
+        raise FleetError(f"{folder} already holds {there[0]}; choose another place, or replace it with --force")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():
             write_whole(folder / name, text.encode(), 0o644)
     except OSError as error:
-        raise ExportError(f"cannot write to {folder}: {error.strerror}") from error
+        raise FleetError(f"cannot write to {folder}: {error.strerror}") from error
     return [folder / name for name in texts]
 
 

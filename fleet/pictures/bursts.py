@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from fleet.pictures.runs import PictureError
+from fleet.errors import FleetError
 from fleet.pictures.style import COLUMN_IN, FORMATS, Provenance, legend, line, panels, plain_decades, save
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
@@ -32,11 +32,11 @@ def draw_bursts(
         models: by name, for each kind the probability of n or more packets, n = 1, 2 ...
 
     Raises:
-        PictureError: the file cannot be written, or its suffix is none of a picture.
+        FleetError: the file cannot be written, or its suffix is none of a picture.
     """
     form = path.suffix.removeprefix(".")
     if form not in FORMATS:
-        raise PictureError(f"{path}: a picture ends in one of {', '.join('.' + f for f in FORMATS)}")
+        raise FleetError(f"{path}: a picture ends in one of {', '.join('.' + f for f in FORMATS)}")
     figure, axes = panels(len(measured), 1, COLUMN_IN, 2.1 * len(measured) + 0.4, share=False)
     for ax, (kind, lengths) in zip(axes, measured.items(), strict=True):
         _panel(ax, what, lengths, {name: kinds[kind] for name, kinds in models.items()})
@@ -46,7 +46,7 @@ def draw_bursts(
     try:
         save(figure, path.with_suffix(""), (form,), Provenance(f"Bursts of losses: {what}"))
     except OSError as error:
-        raise PictureError(f"cannot write {path}: {error.strerror}") from None
+        raise FleetError(f"cannot write {path}: {error.strerror}") from None
 
 
 def _panel(ax: Axes, what: str, lengths: Array, models: Mapping[str, Array]) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 
 import numpy as np
@@ -59,8 +58,9 @@ def test_whole_numbers_are_steps_that_do_not_hide_each_other(run: Run) -> None:
     crosses = [
         line for line in ax.get_lines() if str(line.get_gid()).startswith("failed-") and line.get_marker() == "x"
     ]
-    (moment,) = [row["moment"] for row in run.verdicts if row["check"] == "nobody"]
-    assert crosses and {float(np.asarray(cross.get_xdata())[0]) for cross in crosses} == {moment["at_s"]}
+    (moment,) = [verdict.moment for verdict in run.verdicts if verdict.check == "nobody"]
+    assert moment is not None
+    assert crosses and {float(np.asarray(cross.get_xdata())[0]) for cross in crosses} == {moment.at_s}
     assert "fails at" in ax.get_xlabel()
 
 
@@ -108,9 +108,9 @@ def test_signals_of_checks_are_drawn_without_asking(run: Run) -> None:
 def test_the_report_begins_with_the_verdict_a_picture_and_the_reason(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fleet.pictures.report.WHAT", {"checks": WHAT["checks"], "gains": WHAT["gains"]})
     text = page([run], View())
-    failed = re.search(r'class="fail">[1-5] of \d checks failed', text)
-    assert failed is not None
-    places = [text.index(part) for part in (failed[0], "<figure", ">shallow<", ">near<", ">Faults<")]
+    places = [
+        text.index(part) for part in ('class="fail">2 of 7 checks failed', "<figure", ">shallow<", ">near<", ">Faults<")
+    ]
     assert places == sorted(places)
     assert "alt=" in text and text.count("<figure") == 4
     assert "Packets by kind of payload" in text and "<td>election</td>" in text

@@ -117,27 +117,35 @@ def _steps(path: str, source: Source) -> list[Step]:
 
 
 def _with_value(steps: list[Step], value: Node, root: Mapping) -> Mapping:
-    changed = _set(root, steps, value)
+    below_links = [key for key, _ in steps[:2]] == ["network", "links"] and len(steps) > 3
+    changed = _set(root, steps, value, keep=below_links)  # a number of some links does not put them over others
     assert isinstance(changed, Mapping)  # there is at least one step
     return changed
 
 
-def _set(node: Node | None, steps: list[Step], value: Node) -> Node:
-    """A copy of `node` with `value` at the end of the steps; missing mappings are made on the way."""
+def _set(node: Node | None, steps: list[Step], value: Node, *, keep: bool) -> Node:
+    """A copy of `node` with `value` at the end of the steps; missing mappings are made on the way.
+
+    Args:
+        keep: whether entries keep their place; otherwise those on the way become the last, which win where it matters.
+    """
     if not steps:
         return value
     (key, place), rest = steps[0], steps[1:]
     if node is None or (isinstance(node, Scalar) and node.value is None):
         node = Mapping({}, {}, place)
     if isinstance(node, Mapping):
-        return node.with_entry(key, place, _set(node.entries.get(key), rest, value))
+        changed = _set(node.entries.get(key), rest, value, keep=keep)
+        if keep and key in node.entries:
+            return Mapping(node.entries | {key: changed}, node.keys, node.place)
+        return node.with_entry(key, place, changed)
     if isinstance(node, Items):
         index = int(key) if key.isascii() and key.isdigit() and len(key) < 6 else 0
         if not 1 <= index <= len(node.items):
             message = f'expected an entry of the list, from 1 to {len(node.items)}, got "{key}"'
             raise _MistakeError(place.problem(message))
         items = list(node.items)
-        items[index - 1] = _set(items[index - 1], rest, value)
+        items[index - 1] = _set(items[index - 1], rest, value, keep=keep)
         return Items(tuple(items), node.place)
     raise _MistakeError(
         place.problem(f'there is no "{key}" here: the scenario has {describe_value(node.value)}, not a mapping')

@@ -61,6 +61,9 @@ def test_states_and_what_follows_from_them() -> None:
     assert declared(s)["link states"] == ["link state", "stay in link state"] * 3
     (line,) = link_lines(s)
     assert line == "links *: good 80 % (mean 8 s), bad 20 % (mean 2 s) of the time; effective loss 16 %"
+    assert (
+        s.netem_config == small(STATES, "network.links.2->3=loss 1%", f"{BAD}.mean=2 s", f"{BAD}.loss=80%").netem_config
+    )
     third = "network.links.*.states.fair={mean: 1 s, next: {bad: 100 %}}"
     assert of((1, 2), STATES, third).following == ((0, 0.5, 0.5), (0.5, 0, 0.5), (0, 1, 0))
 

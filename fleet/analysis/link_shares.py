@@ -10,6 +10,8 @@ from netem.correlation import lost_share
 from netem.link_states import LinkStates
 from netem.link_trace import LinkTrace
 
+_AFTER = "behind its last row the link is down; loop: true begins again"
+
 
 def effective_loss(changing: LinkStates | LinkTrace) -> float:
     """The share of packets that a link loses in the long run, but for its queue."""
@@ -43,9 +45,6 @@ def short_traces(scenario: Scenario) -> Iterator[str]:
         elif changing.period_ns < scenario.duration_ns:
             ends, lasts = changing.period_ns / 1e9, scenario.duration_ns / 1e9
             yield f"the trace of {selector} ends after {ends:g} s of {lasts:g} s: {_AFTER}"
-
-
-_AFTER = "behind its last row the link is down; loop: true begins again"
 
 
 def _words(changing: LinkStates | LinkTrace) -> str:

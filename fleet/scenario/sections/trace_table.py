@@ -27,6 +27,7 @@ from netem.parsing import LONGEST_NUMBER, NUMBER, nearest, quoted
 
 MOST_ROWS = 100_000
 _MOST_PROBLEMS = 5
+_MOST_COLUMNS = 20  # of which each is looked at
 _HEADING = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?\s*")
 _MEASURED = {"delay": q.TIME, "rate": q.BIT_RATE, "snr": q.LEVEL}
 _UNITS = {"time": q.TIME, "delivered": q.NUMBER, **_MEASURED}
@@ -106,6 +107,9 @@ def read_cells(
     Raises:
         DataFileError: as `read_csv`.
     """
+    if len(headings) > _MOST_COLUMNS:
+        message = f"{first}: expected some of the columns {', '.join(_UNITS)}, got {len(headings)} columns"
+        raise DataFileError("trace", name, [message])
     problems: list[str] = []
     found = [_column(heading, problems) for heading in headings]
     known = [column for column, _ in found]

@@ -175,6 +175,7 @@ def test_a_trace_of_ratios_and_one_that_ends_early(tmp_path: Path) -> None:
          'line 1: unknown unit "furlong" of delay: expected delay [s] or delay [ms]'),
         ([], "time [s],delay\n0,1\n", "line 1: the unit is missing of delay"),
         ([], "time [s],dealy [ms]\n0,1\n", 'line 1: no such column "dealy [ms]"; did you mean "delay"?'),
+        ([], "time [s]," * 1_000_000 + "\n", "line 1: expected some of the columns time, delivered, delay"),
         ([], "time [s],time [ms],delivered\n0,0,1\n", "line 1: time is there twice"),
         ([], "time [s]\n0\n", "line 1: no such column: expected one of delivered"),
         ([], "delivered\n1\n", "no such column: time, which a trace by time needs"),

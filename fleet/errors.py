@@ -23,7 +23,6 @@ Exception
 │   ├── NotLinear
 │   ├── NotRecordedError
 │   ├── NothingToDraw
-│   ├── PictureError
 │   ├── RefusedError
 │   ├── RegistryError
 │   ├── RemoteError

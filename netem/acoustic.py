@@ -50,6 +50,7 @@ from netem.causes import Cause
 from netem.config import NetemConfig
 from netem.draws import uniform
 from netem.faults import ActiveFaults
+from netem.link_trace import TRY
 from netem.links import Links
 from netem.medium import MediumRound, Place
 from netem.modem import AcousticConfig
@@ -58,7 +59,6 @@ from netem.transit import PendingPacket, Transit
 from netem.wire.messages import Fate
 
 BACK_OFF = "back-off"  # purpose of draws
-_TRY = 1 << 40  # what one more try adds to a packet's number in draws
 
 
 def draws(acoustic: AcousticConfig) -> list[str]:
@@ -292,7 +292,7 @@ class AcousticChannel:
         """Transmit a payload: on each link of the sender it is either lost at once or becomes a reception."""
         tick_ns = self._config.tick_ns
         airtime = self._acoustic.modem_of(src).airtime_ns(len(sent.payload))
-        number = sent.seq + (_TRY * (transfer.tried - 1) if transfer is not None else 0)
+        number = sent.seq + (TRY * (transfer.tried - 1) if transfer is not None else 0)
         for dst in self._links.receivers[src] if transfer is None else transfer.to[:1]:
             link = (src, dst)
             range_m = self._air.range_m(src, dst)

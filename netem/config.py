@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from netem.condition import Condition, Link
+from netem.link_states import LinkStates
+from netem.link_trace import LinkTrace
 from netem.lives import Absence
 from netem.modem import AcousticConfig
 
@@ -28,3 +30,4 @@ class NetemConfig:
     memory_ticks: int = 0  # ticks between two snapshots of its state; 0: none
     ideal: bool = False  # zero latency: due in the sending tick itself (in-process only)
     acoustic: AcousticConfig | None = None  # in the water; None: links of their own
+    changing: dict[Link, LinkStates | LinkTrace] = field(default_factory=dict)  # in place of a condition

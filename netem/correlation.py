@@ -16,7 +16,7 @@ from __future__ import annotations
 from math import exp, pi, sin
 from typing import NamedTuple
 
-from netem.condition import Condition
+from netem.condition import Condition, FourState, GilbertElliott
 
 _TERMS = 4096
 _NEGLIGIBLE = 1e-12
@@ -75,3 +75,34 @@ def effective(condition: Condition) -> list[Effective]:
                 share /= 1.0 + (c.gap - 1) * share
             found.append(Effective(word, p, rho, share))
     return found
+
+
+def lost_share(condition: Condition) -> float:
+    """The share of packets that a condition loses in the long run, without those that do not fit into its queue."""
+    c = condition
+    if not c.up:
+        return 1.0
+    match c.loss_model:
+        case None:
+            return share_below(c.loss, c.loss_correlation)
+        case GilbertElliott() as model:
+            bad = model.p / (model.p + model.r) if model.p else 0.0
+            return bad * model.bad + (1.0 - bad) * model.good
+        case FourState() as model:
+            return _four_state_loss(model)
+
+
+def _four_state_loss(model: FourState) -> float:
+    """The share of time in the two states that lose, by the balance of what enters and leaves each state."""
+    gap, alone = 1.0, model.p14
+    if not model.p13:
+        burst = lost = 0.0
+    elif model.p32 and not model.p23:
+        return 0.0  # it stays where packets of a burst arrive
+    elif not model.p31:
+        gap = alone = 0.0  # it never leaves the burst
+        lost, burst = 1.0, model.p32 / model.p23 if model.p32 else 0.0
+    else:
+        lost = model.p13 / model.p31
+        burst = lost * model.p32 / model.p23 if model.p32 else 0.0
+    return (lost + alone) / (gap + alone + lost + burst)

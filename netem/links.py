@@ -9,6 +9,8 @@ from netem.config import NetemConfig
 from netem.faults import ActiveFaults
 from netem.impairment import LinkModel, LinkOutcome
 from netem.ledger import Ledger
+from netem.link_states import LinkStates, StateProcess
+from netem.link_trace import TraceProcess
 
 PERFECT = Condition()
 
@@ -39,3 +41,34 @@ class Links:
             condition = model.condition if over is None else over
             over = condition if condition.up else replace(condition, up=True)
         return model.enter(at_ns, seq, payload, over)
+
+
+class ChangingLinks(Links):
+    """Links of which some have conditions that change by themselves. A fault's condition lies over them as well."""
+
+    def __init__(self, config: NetemConfig) -> None:
+        super().__init__(config)
+        self._processes: dict[Link, StateProcess | TraceProcess] = {}
+        shared: dict[LinkStates, StateProcess] = {}
+        for link, changing in config.changing.items():
+            if not isinstance(changing, LinkStates):
+                self._processes[link] = TraceProcess(config.seed, changing, link)
+            elif changing.shared is None:
+                self._processes[link] = StateProcess(config.seed, changing, link)
+            else:
+                self._processes[link] = shared.setdefault(changing, StateProcess(config.seed, changing, link))
+
+    def enter(self, at_ns: int, link: Link, seq: int, payload: bytes, faults: ActiveFaults) -> list[LinkOutcome]:
+        """What a link makes of a packet, in the condition that it has when the packet enters it."""
+        process = self._processes.get(link)
+        if process is None or link in faults.conditions:
+            return super().enter(at_ns, link, seq, payload, faults)
+        condition = process.condition(at_ns, seq)
+        if link in faults.up and not condition.up:
+            condition = replace(condition, up=True)
+        return self.models[link].enter(at_ns, seq, payload, condition)
+
+
+def make_links(config: NetemConfig) -> Links:
+    """The links of a run; those that never change are not asked for their state."""
+    return ChangingLinks(config) if config.changing else Links(config)

@@ -19,7 +19,7 @@ from netem.condition import Condition, Link, condition_from_values, condition_va
 from netem.config import NetemConfig
 from netem.faults import active_faults, fault_from_values, fault_values
 from netem.impairment import LinkMemory, LinkModel
-from netem.links import Links
+from netem.links import make_links
 from netem.medium import IndependentLinks, Medium, MediumRound, Place
 from netem.transit import PendingPacket, Transit
 from netem.wire.messages import Delivery, Fate
@@ -54,7 +54,7 @@ class Netem:
     def __init__(self, config: NetemConfig) -> None:
         self.config = config
         self.faults = config.faults  # in the order in which they begin; replaced as a whole by who injects
-        self._links = Links(config)
+        self._links = make_links(config)
         self._transit = Transit(config)
         make = IndependentLinks if config.acoustic is None else AcousticChannel
         self._medium: Medium = make(config, self._links, self._transit)

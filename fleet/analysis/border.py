@@ -38,7 +38,6 @@ import numpy as np
 
 from fleet.analysis.linear import Array, Flight, Linear, NotLinear, linearise
 from fleet.scenario.scenario import Scenario
-from netem.condition import Condition
 from world.vectors import Vec3
 
 MOST_VEHICLES = 12  # beyond it the computation takes seconds, and only the rules of thumb are printed
@@ -376,5 +375,5 @@ def _delay_ticks(scenario: Scenario, link: tuple[int, int]) -> int:
     """After how many ticks at most a message can be used, without loss."""
     if scenario.ideal:
         return 0
-    condition = scenario.conditions.get(link, Condition())
-    return max(1, -(-(condition.delay_ns + condition.jitter_ns) // scenario.tick_ns))
+    given = [c.delay_ns + c.jitter_ns for c in scenario.possible.get(link, ())]
+    return max(1, -(-max(given, default=0) // scenario.tick_ns))

@@ -8,6 +8,7 @@ from math import dist
 
 from fleet.analysis.forgetting import forgetting_warnings
 from fleet.analysis.keep_apart import keep_apart_warnings
+from fleet.analysis.link_shares import short_traces
 from fleet.analysis.stability import oldest_s
 from fleet.quantities import vehicle_numbers
 from fleet.recorder.settling import least_s
@@ -25,7 +26,7 @@ BY_ROUND = frozenset(OF_THE_NETWORK) - {"slow"}  # faults that act at round tick
 def warnings(scenario: Scenario) -> list[str]:
     """One sentence for each setting that is valid and hardly intended."""
     return [*check_warnings(scenario), *_idle_faults(scenario), *_correlated(scenario), *forgetting_warnings(scenario),
-            *keep_apart_warnings(scenario), *_large_log(scenario)]  # fmt: skip
+            *keep_apart_warnings(scenario), *short_traces(scenario), *_large_log(scenario)]  # fmt: skip
 
 
 def check_warnings(scenario: Scenario) -> list[str]:
@@ -136,7 +137,8 @@ def _idle_faults(scenario: Scenario) -> Iterator[str]:
 
 def _correlated(scenario: Scenario) -> Iterator[str]:
     """What a correlation makes of the numbers beside it, for every condition that differs."""
-    given = [*scenario.conditions.values(), *(f.condition for f in scenario.faults.network if f.condition is not None)]
+    given = [c for its in scenario.possible.values() for c in its]
+    given += [f.condition for f in scenario.faults.network if f.condition is not None]
     found: dict[str, None] = {}
     for condition in given:
         for word, p, rho, share in effective(condition):

@@ -11,9 +11,11 @@ from math import dist
 
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections import formation, graph, nemesis, partitions
-from netem import acoustic, air, fading, impairment
+from netem import acoustic, air, fading, impairment, link_states, link_trace
 from netem.condition import Condition, Link
 from netem.faults import NetFault
+from netem.link_states import LinkStates
+from netem.link_trace import LinkTrace
 from world import current, sea, sensors
 from world.navigation import fixes, instrument_faults, instruments, navigator
 from world.navigation.config import DeadReckoning
@@ -46,8 +48,12 @@ def _parts(scenario: Scenario) -> Iterator[tuple[str, list[str]]]:
         if isinstance(control.navigation, DeadReckoning):
             yield "navigation", _navigation(control.navigation)
     yield "current", current.draws("", spec.sea.current.sigma)
-    for condition in scenario.conditions.values():
-        yield "link conditions", _of_condition(condition)
+    for changing in scenario.changing.values():
+        yield "link states", link_states.draws(changing) if isinstance(changing, LinkStates) else []
+        yield "traces", link_trace.draws(changing) if isinstance(changing, LinkTrace) else []
+    for possible in scenario.possible.values():
+        for condition in possible:
+            yield "link conditions", _of_condition(condition)
     yield from _acoustic(scenario)
     yield "faults", nemesis.draws(scenario.undrawn, scenario.graph.links)
     for number, section in enumerate(spec.faults, start=1):

@@ -193,7 +193,7 @@ def oldest_s(scenario: Scenario) -> float:
     if scenario.ideal or not scenario.graph.links:
         return 0.0
     tick = scenario.tick_ns
-    worst = max((condition.delay_ns + condition.jitter_ns for condition in scenario.conditions.values()), default=0)
+    worst = max((c.delay_ns + c.jitter_ns for its in scenario.possible.values() for c in its), default=0)
     if scenario.acoustic is not None:
         age = greatest_age_s(scenario.spec.network, scenario.acoustic, scenario.plans, tick)
         return age + worst / 1e9

@@ -71,6 +71,7 @@ def check(
 
 def _say_what_is_expected(loaded: Scenario, lines: list[str], refused: list[Problem]) -> None:
     """A valid scenario in words, and what theory expects of it, which is `lines`."""
+    from fleet.analysis.link_shares import link_lines
     from fleet.analysis.seed import HINT, NOTHING, seeded
     from fleet.scenario.scenario import timeline_lines
 
@@ -83,7 +84,7 @@ def _say_what_is_expected(loaded: Scenario, lines: list[str], refused: list[Prob
     )
     for line in lines:
         say(line)
-    for line in timeline_lines(loaded):
+    for line in [*link_lines(loaded), *timeline_lines(loaded)]:
         say(line)
     drawn = seeded(loaded)
     say(f"seed {loaded.seed} draws: {', '.join(drawn)}" if drawn else f"{NOTHING}; {HINT}")

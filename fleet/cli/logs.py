@@ -152,10 +152,20 @@ def _notes(runs: Sequence[Any]) -> Iterator[str]:
     "--netcdf", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
     help="Write NetCDF here, by the CF conventions; needs uuv-fleet[tables].",
 )  # fmt: skip
+@click.option(
+    "--traces", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
+    help="Write here what became of each packet, a CSV file per directed link that network.links can read.",
+)  # fmt: skip
 @click.option("--topics", metavar="PATTERN", multiple=True, help="Only topics such as 'uuv/*/state'; repeatable.")
 @FORCE
 def export(
-    log: Path, csv: Path | None, parquet: Path | None, netcdf: Path | None, topics: tuple[str, ...], force: bool
+    log: Path,
+    csv: Path | None,
+    parquet: Path | None,
+    netcdf: Path | None,
+    traces: Path | None,
+    topics: tuple[str, ...],
+    force: bool,
 ) -> None:
     """Write LOG (an MCAP file, or a run directory) as tables, one file per topic.
 
@@ -168,17 +178,24 @@ def export(
       fleet export --csv tables
       fleet export --parquet tables --topics 'uuv/*/error' --topics 'link/*'
       fleet export --netcdf tables --topics 'uuv/*/state'
+      fleet export runs/latest --traces links
     """
     from fleet.logs.export import export as write
     from fleet.logs.open_log import list_topics
     from fleet.logs.table import fits
     from fleet.terminal.progress import showing
 
-    if csv is None and parquet is None and netcdf is None:
-        raise click.UsageError("say where the tables go: --csv DIR, --parquet DIR or --netcdf DIR")
-    folders = [folder.absolute() for folder in (csv, parquet, netcdf) if folder is not None]
+    if csv is None and parquet is None and netcdf is None and traces is None:
+        raise click.UsageError("say where the tables go: --csv DIR, --parquet DIR, --netcdf DIR or --traces DIR")
+    folders = [folder.absolute() for folder in (csv, parquet, netcdf, traces) if folder is not None]
+    if topics and traces is not None and len(folders) == 1:
+        raise click.UsageError("--topics chooses tables, and --traces alone writes none")
     if len(set(folders)) < len(folders):
         raise click.UsageError("each form needs a folder of its own: export.json says what is in one")
+    if traces is not None:
+        _export_traces(log, traces, force=force)
+        if len(folders) == 1:
+            return
     with showing(f"reading {log}") as tell:
         found = list_topics(log, topics or None, tell)
     if topics and not len(found):
@@ -193,6 +210,19 @@ def export(
                 paths = write(found, folder, form, force=force, share=tell)
             for path in paths:
                 click.echo(path)
+
+
+def _export_traces(log: Path, folder: Path, *, force: bool) -> None:
+    from fleet.logs.open_log import open_log
+    from fleet.logs.traces import write_traces
+    from fleet.terminal.progress import showing
+
+    with showing(f"reading {log}") as tell:
+        found = open_log(log, ["link/*"], share=tell)
+    if found.missing:
+        say(f"fleet: {found.path}: {found.missing}", err=True)
+    for path in write_traces(found, folder, force=force, say=lambda text: say(f"fleet: {text}", err=True)):
+        click.echo(path)
 
 
 @click.command()

@@ -152,7 +152,7 @@ def run(
         if page is not None and result.directory is not None:
             page.over(result.directory)
         _print_result(result, as_json=as_json, quiet=quiet)
-    sys.exit(result.exit)
+    sys.exit(result.status.exit)
 
 
 def _options(scenario: Scenario, start: Start | None, how: dict[str, Any], terminal: Terminal) -> Options:
@@ -224,7 +224,7 @@ def _print_result(result: Result, *, as_json: bool, quiet: bool) -> None:
     except OutputError as error:
         give_up_output()
         click.echo(f"fleet: {error}; the results are in {result.directory}", err=True)
-        sys.exit(max(Status.BROKEN.exit, result.exit))
+        sys.exit(max(Status.BROKEN.exit, result.status.exit))
 
 
 def _load(

@@ -49,7 +49,7 @@ def plot_study(
 
     Raises:
         StudyError: it is damaged, there is no such measure, or the extra `study` is not installed.
-        PictureError: the place cannot be written.
+        FleetError: the place cannot be written.
     """
     store = _open(directory)
     from fleet.study.pictures.gallery import write
@@ -68,7 +68,7 @@ def report_study(directory: Path, out: Path, measures: Sequence[str], log_scale:
 
     Raises:
         StudyError: it is damaged, there is no such measure, or the extra `study` is not installed.
-        PictureError: the place cannot be written.
+        FleetError: the place cannot be written.
     """
     store = _open(directory)
     from fleet.study.pictures.report import write

@@ -39,6 +39,7 @@ GROUPS: dict[str, dict[str, Verb]] = {
         "report": Verb("logs", "Write one HTML page about logs or a study."),
         "movie": Verb("movie", "Make a GIF or an MP4 of a log."),
         "export": Verb("logs", "Write a log as tables."),
+        "fit": Verb("fit", "Fit link states to a trace of a link."),
     },
     "Prove and change": {
         "verify": Verb("verify", "Run a log's scenario again and compare every byte."),

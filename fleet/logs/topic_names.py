@@ -1,4 +1,4 @@
-"""The topics of packets: `link/1-2` has those that vehicle 1 sent to vehicle 2."""
+"""The topics of packets: `link/1-2` has the packets from vehicle 1 to vehicle 2."""
 
 from __future__ import annotations
 

@@ -18,11 +18,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from fleet.errors import FleetError
 from fleet.logs.records import Array
 from fleet.logs.topic import Topic
 from fleet.pictures.axes import MOST_NAMED, Get, draw_lines, finish, over_time
 from fleet.pictures.failures import COLOUR
-from fleet.pictures.runs import NothingToDraw, PictureError, Run, View, check_view
+from fleet.pictures.runs import NothingToDraw, Run, View, check_view
 from fleet.pictures.thresholds import Threshold, draw_thresholds
 from fleet.scenario.schema.checks import SignalCheck
 from fleet.scenario.sections.checked_signals import checked_signals
@@ -61,7 +62,7 @@ def signals_of_checks(runs: Sequence[Run]) -> list[SignalName]:
 
 
 def need(runs: Sequence[Run], name: SignalName) -> None:
-    """Raises PictureError: no log has this signal, or this vehicle."""
+    """Raises FleetError: no log has this signal, or this vehicle."""
     if name.vehicle is not None:
         check_view(runs, View((name.vehicle,)))
     if any(_find(run, name) for run in runs):
@@ -72,7 +73,7 @@ def need(runs: Sequence[Run], name: SignalName) -> None:
     if not hint:
         some = group or known
         hint = f"there are {', '.join(dict.fromkeys(some))}" if some else "the log has no signals"
-    raise PictureError(f"there is no signal {name.name}; {hint}")
+    raise FleetError(f"there is no signal {name.name}; {hint}")
 
 
 def picture(name: SignalName) -> Callable[[Sequence[Run], View], Figure]:

@@ -7,10 +7,11 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from fleet.errors import FleetError
 from fleet.logs.reader import Tell
 from fleet.logs.topic import TooLargeError
 from fleet.pictures import any_signal, exchange, shares, time_series, timing, track
-from fleet.pictures.runs import NothingToDraw, PictureError, Run, View, origin
+from fleet.pictures.runs import NothingToDraw, Run, View, origin
 from fleet.pictures.style import save
 from fleet.scenario.sections.signals import parse_name
 
@@ -44,7 +45,7 @@ PER_RUN = frozenset({"links", "messages", "timing"})  # those that show one run 
 
 
 def check_signals(what: Sequence[str], runs: Sequence[Run]) -> None:
-    """Raises PictureError: a signal among what is asked for is in none of the logs."""
+    """Raises FleetError: a signal among what is asked for is in none of the logs."""
     single = {picture[0] for pictures in WHAT.values() for picture in pictures}
     for word in what:
         if word not in WHAT and word not in single and (name := parse_name(word)) is not None:
@@ -119,7 +120,7 @@ def write(
         share: called before each picture with the share that is done.
 
     Raises:
-        PictureError: the folder cannot be written.
+        FleetError: the folder cannot be written.
     """
     paths: list[Path] = []
     try:
@@ -130,7 +131,7 @@ def write(
             else:
                 paths += save(figure, folder / name, formats, origin(of, title))
     except OSError as error:
-        raise PictureError(
+        raise FleetError(
             f"cannot write pictures to {folder}: {error.strerror}; choose another place with -o DIR"
         ) from error
     return paths

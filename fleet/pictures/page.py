@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
 
-from fleet.pictures.runs import PictureError
+from fleet.errors import FleetError
 from fleet.pictures.style import DPI
 from fleet.pictures.whole_file import whole_file
 
@@ -41,20 +41,20 @@ def check_place(path: Path, *, force: bool) -> None:
         force: whether it shall be replaced.
 
     Raises:
-        PictureError: there is a file.
+        FleetError: there is a file.
     """
     if path.is_file() and not force:
-        raise PictureError(f"{path} already exists; choose another place with -o FILE, or replace it with --force")
+        raise FleetError(f"{path} already exists; choose another place with -o FILE, or replace it with --force")
 
 
 def write_page(path: Path, make: Callable[[], str]) -> None:
-    """Write the page that `make` returns. Raises PictureError: the place cannot be written."""
+    """Write the page that `make` returns. Raises FleetError: the place cannot be written."""
     try:
         with whole_file(path) as part:
             part.open("a").close()  # before the pictures, which take a while
             part.write_text(make(), "utf-8", errors="replace")  # of a name that is no text
     except OSError as error:
-        raise PictureError(f"cannot write {path}: {error.strerror}; choose another place with -o FILE") from error
+        raise FleetError(f"cannot write {path}: {error.strerror}; choose another place with -o FILE") from error
 
 
 def render(room: str, template: str, **values: Any) -> str:

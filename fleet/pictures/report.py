@@ -81,7 +81,7 @@ def write(path: Path, runs: Sequence[Run], view: View, share: Tell = lambda _: N
     """Write the page; `share` is called with the share that is done of a digest or of the pictures.
 
     Raises:
-        PictureError: the place cannot be written.
+        FleetError: the place cannot be written.
         LogReadError: a log has gone meanwhile.
     """
     write_page(path, lambda: page(runs, view, share))

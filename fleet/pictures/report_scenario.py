@@ -47,7 +47,17 @@ def network_facts(scenario: Scenario) -> list[tuple[str, Any]]:
 def conditions_table(scenario: Scenario) -> Table:
     """A row per selector of links, in the words of the scenario; no row where every link is perfect."""
     links = {} if scenario.ideal else show_network(scenario.spec.network).get("links", {})
-    return Table(("links", "condition"), list(links.items()))
+    return Table(("links", "condition"), [(selector, _condition(shown)) for selector, shown in links.items()])
+
+
+def _condition(shown: Any) -> str:
+    """What links do, in words: a condition, states, or a trace, which itself would be too long."""
+    if isinstance(shown, str):
+        return shown
+    states = [f"{name} (mean {state['mean']}): {state['condition']}" for name, state in shown.get("states", {}).items()]
+    rest = {key: value for key, value in shown.items() if key not in ("states", "trace")}
+    trace = [f"a trace of {shown['trace'].count(chr(10)) - 1} rows"] if "trace" in shown else []
+    return "; ".join([*states, *trace, *([_words(rest)] if rest else [])])
 
 
 def conditions_note(scenario: Scenario) -> str:

@@ -40,20 +40,16 @@ class View:
     window: tuple[float, float] | None = None  # s
 
 
-class PictureError(FleetError):
-    """What was asked for is in none of the logs, or cannot be written."""
-
-
 def check_view(runs: Sequence[Run], view: View) -> None:
-    """Raises PictureError: there is no such vehicle, or the logs end before the window begins."""
+    """Raises FleetError: there is no such vehicle, or the logs end before the window begins."""
     known = sorted({i for run in runs for i in run.log.vehicles})
     strangers = [i for i in view.vehicles or () if i not in known]
     if strangers:
         there = f"they are {first_words(known, 12)}" if known else "there are none in the log"
-        raise PictureError(f"there is no vehicle {first_words(strangers)}: {there}")
+        raise FleetError(f"there is no vehicle {first_words(strangers)}: {there}")
     end = max(run.log.end for run in runs)
     if view.window is not None and view.window[0] >= end:
-        raise PictureError(f"there is nothing from {view.window[0]:g} s on: the log ends at {end:g} s")
+        raise FleetError(f"there is nothing from {view.window[0]:g} s on: the log ends at {end:g} s")
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""`result.json`: written by a run, and read again as a file from anybody, of which nothing is used unchecked."""
+"""`result.json`. A run writes it; whoever reads it checks all of it, since the file may come from a stranger."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def write_result(result: Result, directory: Path) -> None:
 
 
 def read_result(directory: Path) -> Result:
-    """The result of the run in a directory. What a file of an earlier version does not have is empty.
+    """The result of the run in a directory. Fields that a file of an earlier version lacks have their defaults.
 
     Raises:
         FileNotFoundError: there is none.

@@ -1,6 +1,6 @@
-"""The result of a run. What is declared here is what `fleet.run` returns, `--json` prints and `result.json` holds.
+"""The result of a run: `fleet.run` returns it, `fleet run --json` prints it, and `result.json` holds it.
 
-Reports, lists of runs and studies read it, too: a new number is a field here, and the line that computes it.
+Reports, lists of runs and studies read it, too. A new number is a field here, and the line that computes it.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Status(StrEnum):
 
     @property
     def exit(self) -> int:
-        """What `fleet run` exits with."""
+        """The exit status of `fleet run`."""
         return _EXIT[self]
 
 
@@ -48,14 +48,14 @@ _EXIT = {
 
 
 class SignalValue(Struct):
-    """What an agent reported last."""
+    """The last value of a signal that an agent reported."""
 
     value: Annotated[Number, Meta(description="The value; null: it is not finite.")]
     unit: Annotated[str, Meta(description="Its unit; 1: none.")]
 
 
 class VehicleResult(Struct):
-    """What one vehicle came to."""
+    """The result of one vehicle."""
 
     settle_10pct_s: Annotated[
         Number,
@@ -126,14 +126,14 @@ class Wall(Struct):
 
 
 class Published(Struct):
-    """What became of the journal with `--publish`."""
+    """The journal on zenoh, with `--publish`."""
 
     messages: Annotated[int, Meta(description="Messages that were published.")]
     dropped: Annotated[int, Meta(description="Messages that were dropped, since nobody took them in time.")]
 
 
 class Result(Struct, kw_only=True):
-    """What a run came to, as `fleet.run`, `fleet run --json` and `result.json` have it, the file without its place."""
+    """The result of a run. `result.json` has all of it but `run` and `directory`."""
 
     run: Annotated[str, Meta(description="Name of the run: of its directory; empty: it has none.")] = ""
     directory: Annotated[Path | None, Meta(description="The run's directory; null: nothing was written.")] = None

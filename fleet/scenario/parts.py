@@ -18,14 +18,17 @@ from fleet.quantities import vehicle_numbers
 from fleet.scenario.schema.control import GuidanceSection, VehicleOverrides
 from fleet.scenario.schema.shapes import REFERENCE
 from fleet.scenario.schema.spec import ScenarioSpec
-from fleet.scenario.sections import formation, graph, nemesis, per_vehicle, reference, timeline
+from fleet.scenario.sections import formation, graph, link_conditions, nemesis, per_vehicle, reference, timeline
 from fleet.scenario.sections.acoustic import compile_acoustic, modem_values
 from fleet.scenario.sections.graph import Graph
 from fleet.scenario.sections.keep_apart import keep_apart_params
 from fleet.scenario.sections.modem_files import Values, modem_of
 from fleet.scenario.sections.navigation import navigation_of
 from fleet.scenario.sections.per_vehicle import Control, Entries
+from fleet.scenario.sections.trace_files import Traces
 from netem.condition import Condition, Link
+from netem.link_states import LinkStates
+from netem.link_trace import LinkTrace
 from netem.modem import AcousticConfig, Modem
 from netem.selectors import parse_selector, select
 from world.vectors import Vec3, Vec5
@@ -100,10 +103,31 @@ class Parts:
     @cached_property
     def conditions(self) -> dict[Link, Condition]:
         """The condition of every link that is not perfect at the start, in the order of the links."""
-        written: dict[Link, Condition] = {}
-        for selector, condition in self.spec.network.links.items():
-            written |= dict.fromkeys(select(parse_selector(selector), self.links), condition)
-        return {link: written[link] for link in self.links if written.get(link, Condition()) != Condition()}
+        given = {link: self.spec.network.links[selector].condition for link, selector in self.written.items()}
+        return {link: c for link, c in given.items() if c is not None and c != Condition()}
+
+    @cached_property
+    def written(self) -> dict[Link, str]:
+        """The last selector that names each link, in the order of the links; links that none names are left out."""
+        last: dict[Link, str] = {}
+        for selector in self.spec.network.links:
+            last |= dict.fromkeys(select(parse_selector(selector), self.links), selector)
+        return {link: last[link] for link in self.links if link in last}
+
+    @cached_property
+    def changing(self) -> dict[Link, LinkStates | LinkTrace]:
+        """What each link does whose condition changes by itself. Raises DataFileError: a trace cannot be read."""
+        made = {
+            selector: link_conditions.changing(selector, self.spec.network.links[selector], self.traces)
+            for selector in dict.fromkeys(self.written.values())
+        }
+        found = {link: made[selector] for link, selector in self.written.items()}
+        return {link: changing for link, changing in found.items() if changing is not None}
+
+    @cached_property
+    def traces(self) -> Traces:
+        """The traces of links, each read once."""
+        return Traces(self.folder)
 
     @cached_property
     def modem_values(self) -> Values:

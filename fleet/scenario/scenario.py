@@ -33,6 +33,8 @@ from fleet.scenario.text.overrides import Override
 from fleet.scenario.trust import Policy
 from netem.condition import Condition, Link
 from netem.config import NetemConfig
+from netem.link_states import LinkStates
+from netem.link_trace import LinkTrace
 from netem.modem import AcousticConfig
 from world import disturbance
 from world.config import Harmonic, NavNoise, PlantSetup, VehicleSetup, WorldConfig
@@ -63,6 +65,8 @@ class Scenario:
     graph: Graph
     initial: tuple[tuple[Vec5, Vec5], ...]  # (eta0, nu0) of each vehicle
     conditions: dict[Link, Condition]  # of every link that is not perfect at the start
+    changing: dict[Link, LinkStates | LinkTrace]  # what the others do whose condition changes by itself
+    selectors: dict[Link, str]  # the last entry of network.links that names each link
     controls: tuple[Control, ...]  # what each vehicle is and runs
     faults: FaultPlan
     other_laws: tuple[tuple[str, Law], ...]  # kind and law of those that are not built in, each name once
@@ -76,17 +80,19 @@ class Scenario:
     def compile(cls, parts: Parts, reading: Reading, source: str = "") -> Scenario:
         """The scenario of a valid specification, from its parts."""
         return cls(
-            spec=_without_files(parts.explicit, parts.folder),
+            spec=_without_files(parts.explicit, parts),
             reference=parts.reference,
             plans=parts.plans,
             graph=parts.graph,
             initial=parts.initial,
             conditions=parts.conditions,
+            changing=parts.changing,
+            selectors=parts.written,
             controls=parts.controls,
             faults=parts.faults,
             acoustic=parts.acoustic,
             other_laws=_others(parts.controls),
-            undrawn=_without_files(parts.spec, parts.folder),
+            undrawn=_without_files(parts.spec, parts),
             reading=reading,
             source=source,
         )
@@ -133,6 +139,12 @@ class Scenario:
     @property
     def ideal(self) -> bool:
         return self.spec.network.ideal
+
+    @cached_property
+    def possible(self) -> dict[Link, tuple[Condition, ...]]:
+        """Every condition that a link may have by itself; perfect links are left out."""
+        changing = {link: tuple(dict.fromkeys(its.conditions)) for link, its in self.changing.items()}
+        return {link: (condition,) for link, condition in self.conditions.items()} | changing
 
     @property
     def external(self) -> tuple[int, ...]:
@@ -283,6 +295,7 @@ class Scenario:
             vehicles=tuple(range(1, self.vehicles + 1)),
             links=self.graph.links,
             conditions=dict(self.conditions),
+            changing=dict(self.changing),
             faults=self.faults.network,
             absences=self.faults.absences,
             memory_ticks=self.memory_ticks,
@@ -310,8 +323,9 @@ def _others(controls: Iterable[Control]) -> tuple[tuple[str, Law], ...]:
     return tuple(others.values())
 
 
-def _without_files(spec: ScenarioSpec, folder: Path | None) -> ScenarioSpec:
-    """The same specification, with the numbers of a user's files of vehicles and modems in place of the files."""
+def _without_files(spec: ScenarioSpec, parts: Parts) -> ScenarioSpec:
+    """The same specification, with what a user's files of vehicles, modems and traces hold in place of the files."""
+    folder = parts.folder
 
     def in_numbers(section: VehicleSection | None) -> VehicleSection | None:
         if section is None or (section.model is None and section.plant is None):
@@ -336,6 +350,10 @@ def _without_files(spec: ScenarioSpec, folder: Path | None) -> ScenarioSpec:
         acoustic = inlined_modem(acoustic, folder) if acoustic in own else acoustic
         if own:
             network = network.model_copy(update={"acoustic": acoustic.model_copy(update={"modems": others})})
+    traced = {name: link for name, link in network.links.items() if link.trace is not None}
+    if traced:
+        inside = {n: s.model_copy(update={"trace": parts.traces[s.trace or ""].text()}) for n, s in traced.items()}
+        network = network.model_copy(update={"links": network.links | inside})
     changes = {
         "vehicle": in_numbers(spec.vehicle),
         "navigation": inlined_navigation(spec.navigation, folder),

@@ -9,6 +9,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from dataclasses import dataclass
 
+from fleet.analysis.link_shares import effective_loss
 from fleet.analysis.stability import analyse, dead_reckoning, oldest_s, shunting_decay
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
@@ -63,6 +64,7 @@ def _theory(borders: Borders, number: int, policy: Policy) -> Theory:
 
 def _reckoning(scenario: Scenario) -> float | None:
     lost = max((condition.loss for condition in scenario.conditions.values()), default=0.0)
+    lost = max([lost, *map(effective_loss, scenario.changing.values())])
     if lost >= 1.0:
         return float("inf")
     round_s = scenario.round_ticks * scenario.tick_ns / 1e9

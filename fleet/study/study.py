@@ -159,7 +159,7 @@ class Study:
 
         Raises:
             StudyError: there is no such measure, or the study is damaged.
-            PictureError: the folder cannot be written.
+            FleetError: the folder cannot be written.
         """
         from fleet.study.pictures.gallery import write  # here, since matplotlib takes a while to load
 

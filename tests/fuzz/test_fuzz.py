@@ -47,6 +47,7 @@ from fleet.recorder.journal import Journal
 from fleet.scenario.catalogue import shipped_scenarios
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.trust import Policy
+from netem.config import NetemConfig
 from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values, read_faults
 from netem.grammar import parse_condition
@@ -219,12 +220,17 @@ def run_world(between: dict[int, bytes]) -> list[bytes]:
     return sorted(told)
 
 
-@given(st.lists(st.tuples(FROM_AGENTS, st.booleans()), max_size=25))
+CHANGING = "network.links={'*': {states: {a: {mean: 20 ms}, b: {condition: loss 50% rate 1kbit, mean: 20 ms}}}, 1->2: "
+CHANGING += '{trace: "delivered,delay [ms]\\n1,30\\n0,\\n", by: packet}}'
+NETWORKS = [SCENARIO.netem_config, load_scenario("paper", ["duration=2 s", "checks={}", CHANGING]).netem_config]
+
+
+@given(st.lists(st.tuples(FROM_AGENTS, st.booleans()), max_size=25), st.sampled_from(NETWORKS))
 @fuzz
-def test_no_agent_crashes_netem(put: list[tuple[tuple[int, bytes], bool]]) -> None:
+def test_no_agent_crashes_netem(put: list[tuple[tuple[int, bytes], bool]], config: NetemConfig) -> None:
     """Whatever comes on tx/<i>, rounds go on among them: taken or refused, and everything that goes out fits."""
     bus = Nowhere()
-    network = NetemProcess(bus, KEYS, SCENARIO.netem_config, Rounds(SCENARIO.netem_config))  # type: ignore[arg-type]
+    network = NetemProcess(bus, KEYS, config, Rounds(config))  # type: ignore[arg-type]
     items = [(KEYS.tx(i), data) for (i, data), _ in put]
     tick = 0
     for number, (_, round_follows) in enumerate(put):

@@ -32,6 +32,7 @@ from fleet.pictures.runs import Run, View, load
 from fleet.result.file import ResultError, read_result
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.sections.modem_files import load_modem
+from fleet.scenario.sections.trace_files import read_trace
 from fleet.scenario.sections.vehicle_files import load_vehicle
 from netem.lives import Absence, Lives
 from netem.whole_file import read_file
@@ -61,7 +62,7 @@ def test_a_pipe_is_no_input(pipe: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     said = done.stdout.splitlines()
-    assert len(said) == 6
+    assert len(said) == 7
     assert all("it is a pipe, not a file" in line for line in said), said
 
 
@@ -71,6 +72,7 @@ def read_all(pipe: Path) -> None:
         (lambda: load_scenario(pipe), ScenarioError),
         (lambda: load_vehicle(str(pipe)), Exception),
         (lambda: load_modem(str(pipe)), Exception),
+        (lambda: read_trace(pipe), Exception),
         (lambda: JoinFile.read(pipe), JoinError),
         (lambda: read_credentials(pipe, 4), FleetError),
         (lambda: read_pem(pipe), FleetError),

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from math import sqrt
 
 import msgpack
 import pytest
 from any_condition import conditions as any_conditions
+from any_condition import link_states, link_traces
 from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import astuple
@@ -17,6 +19,8 @@ from netem.config import NetemConfig
 from netem.draws import normal, uniform
 from netem.errors import OutOfPlace
 from netem.ledger import Ledger
+from netem.link_states import LinkStates
+from netem.link_trace import LinkTrace
 from netem.network import Netem
 from netem.rounds import Rounds
 from netem.wire.messages import Fate, Round, Transmission
@@ -37,14 +41,25 @@ conditions = plain | any_conditions().map(
     lambda c: replace(c, delay_ns=c.delay_ns % 300_000_000, jitter_ns=c.jitter_ns % 100_000_000)
 )
 per_plain_link = st.dictionaries(st.sampled_from(ALL_LINKS), plain)
-per_link = st.dictionaries(st.sampled_from(ALL_LINKS), conditions)
+# What a link may be: in one condition, or in several one after the other.
+Given = Condition | LinkStates | LinkTrace
+kinds = conditions | link_states(conditions) | link_traces(conditions)
+per_link = st.dictionaries(st.sampled_from(ALL_LINKS), kinds)
 rounds_of_traffic = st.lists(
     st.dictionaries(st.sampled_from([1, 2, 3]), st.lists(st.binary(max_size=8), max_size=3).map(tuple)), max_size=12
 )
 
 
-def config(per_link: dict[Link, Condition], links: tuple[Link, ...] = ALL_LINKS, seed: int = 1) -> NetemConfig:
-    return NetemConfig(seed, TICK_NS, 10, (1, 2, 3), links, {k: v for k, v in per_link.items() if k in links})
+def config(
+    per_link: Mapping[Link, Given],
+    links: tuple[Link, ...] = ALL_LINKS,
+    seed: int = 1,
+    vehicles: tuple[int, ...] = (1, 2, 3),
+) -> NetemConfig:
+    given = {link: what for link, what in per_link.items() if link in links}
+    still = {link: what for link, what in given.items() if isinstance(what, Condition)}
+    changing = {link: what for link, what in given.items() if not isinstance(what, Condition)}
+    return NetemConfig(seed, TICK_NS, 10, vehicles, links, still, changing=changing)
 
 
 def play(netem: Netem, traffic: list[dict[int, tuple[bytes, ...]]], first: int = 0) -> list[Fate]:
@@ -56,7 +71,7 @@ def play(netem: Netem, traffic: list[dict[int, tuple[bytes, ...]]], first: int =
 
 
 @given(per_link, rounds_of_traffic)
-def test_ledger_balances_for_any_traffic(per_link: dict[Link, Condition], traffic: list) -> None:
+def test_ledger_balances_for_any_traffic(per_link: dict[Link, Given], traffic: list) -> None:
     """sent = delivered + lost + in flight on every link, whatever the conditions, and each fate is told once."""
     netem = Netem(config(per_link))
     fates = [*play(netem, traffic), *netem.close(10 * len(traffic))]
@@ -80,7 +95,7 @@ def test_due_tick_is_the_delay_rounded_up_and_at_least_one_tick(per_link: dict[L
 
 
 @given(per_link, rounds_of_traffic)
-def test_inboxes_hold_exactly_what_is_delivered_in_order(per_link: dict[Link, Condition], traffic: list) -> None:
+def test_inboxes_hold_exactly_what_is_delivered_in_order(per_link: dict[Link, Given], traffic: list) -> None:
     netem = Netem(config(per_link))
     delivered, told = [], []
     for number, sent in enumerate(traffic):
@@ -97,13 +112,11 @@ def test_inboxes_hold_exactly_what_is_delivered_in_order(per_link: dict[Link, Co
     assert sorted(reached) == sorted(d for d in delivered if d[3] < end)
 
 
-@given(per_link, conditions, rounds_of_traffic)
-def test_a_link_never_shifts_the_draws_of_another(
-    per_link: dict[Link, Condition], changed: Condition, traffic: list
-) -> None:
+@given(per_link, kinds, rounds_of_traffic)
+def test_a_link_never_shifts_the_draws_of_another(per_link: dict[Link, Given], changed: Given, traffic: list) -> None:
     """Changing link 1->2, or taking it away, leaves every fate on every other link as it was."""
 
-    def others(per_link: dict[Link, Condition], links: tuple[Link, ...]) -> list[Fate]:
+    def others(per_link: dict[Link, Given], links: tuple[Link, ...]) -> list[Fate]:
         netem = Netem(config(per_link, links))
         fates = [*play(netem, traffic), *netem.close(10 * len(traffic))]
         return [f for f in fates if (f.src, f.dst) != (1, 2)]
@@ -114,9 +127,7 @@ def test_a_link_never_shifts_the_draws_of_another(
 
 
 @given(per_link, rounds_of_traffic, st.integers(0, 12))
-def test_state_and_restore_continue_as_if_uninterrupted(
-    per_link: dict[Link, Condition], traffic: list, cut: int
-) -> None:
+def test_state_and_restore_continue_as_if_uninterrupted(per_link: dict[Link, Given], traffic: list, cut: int) -> None:
     cut = min(cut, len(traffic))
     whole = Netem(config(per_link))
     expected = [*play(whole, traffic), *whole.close(10 * len(traffic))]
@@ -218,13 +229,13 @@ def test_split_keeps_everything_and_no_part_is_too_long(sizes: list[int], limit:
 
 
 @given(per_link, rounds_of_traffic)
-def test_another_vehicle_shifts_no_draw(per_link: dict[Link, Condition], traffic: list) -> None:
+def test_another_vehicle_shifts_no_draw(per_link: dict[Link, Given], traffic: list) -> None:
     """A fourth vehicle that talks to and hears everybody leaves every fate among the others as it was."""
     alone = Netem(config(per_link))
     before = [*play(alone, traffic), *alone.close(10 * len(traffic))]
     more = tuple((4, i) for i in (1, 2, 3)) + tuple((i, 4) for i in (1, 2, 3))
     lossy = dict.fromkeys(more, Condition(150_000_000, 100_000_000, 0.5))
-    joined = Netem(NetemConfig(1, TICK_NS, 10, (1, 2, 3, 4), ALL_LINKS + more, {**per_link, **lossy}))
+    joined = Netem(config({**per_link, **lossy}, ALL_LINKS + more, vehicles=(1, 2, 3, 4)))
     after: list[Fate] = []
     for number, sent in enumerate(traffic):
         after += joined.exchange(10 * number, {4: (b"me too",) * 2, **{i: sent.get(i, ()) for i in (1, 2, 3)}}).fates

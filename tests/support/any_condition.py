@@ -1,10 +1,12 @@
-"""Link conditions of every kind, for property tests."""
+"""Link conditions of every kind, and links whose condition changes by itself, for property tests."""
 
 from __future__ import annotations
 
 from hypothesis import strategies as st
 
 from netem.condition import DEFAULT_LIMIT, Condition, FourState, GilbertElliott
+from netem.link_states import LinkStates, stationary
+from netem.link_trace import LinkTrace
 
 DAY_NS = 86_400 * 10**9
 chance = st.floats(0.0, 1.0)
@@ -46,3 +48,32 @@ def conditions(draw: st.DrawFn) -> Condition:
         seed=draw(st.none() | st.integers(0, 2**63 - 1)),
         up=draw(st.booleans()),
     )
+
+
+@st.composite
+def link_states(draw: st.DrawFn, conditions: st.SearchStrategy[Condition]) -> LinkStates:
+    """Two to four states, each of which may follow on each other."""
+    count = draw(st.integers(2, 4))
+    mean = tuple(draw(st.integers(10**6, 10**9)) for _ in range(count))
+    following = []
+    for i in range(count):
+        weights = [0.0 if i == j else draw(st.floats(0.01, 1.0)) for j in range(count)]
+        following.append(tuple(weight / sum(weights) for weight in weights))
+    shared = draw(st.none() | st.just((0, 0, 0)))
+    made = tuple(draw(conditions) for _ in range(count))
+    return LinkStates(
+        tuple("abcd"[:count]), made, mean, tuple(following), stationary(mean, following), shared
+    )  # fmt: skip
+
+
+@st.composite
+def link_traces(draw: st.DrawFn, conditions: st.SearchStrategy[Condition]) -> LinkTrace:
+    """A few rows, by packet or by time."""
+    rows = tuple(draw(st.lists(conditions, min_size=1, max_size=5)))
+    loop = draw(st.booleans())
+    offset = loop and draw(st.booleans())
+    if draw(st.booleans()):
+        return LinkTrace(rows, loop=loop, offset=offset)
+    steps = [draw(st.integers(0, 10**9)) for _ in rows]
+    times = tuple(sum(steps[1 : n + 1]) for n in range(len(rows)))
+    return LinkTrace(rows, times, times[-1] + 1 + steps[0], loop, offset)

@@ -39,10 +39,16 @@ INSTRUMENTS = (
     "{at: 500 ms, fix: {jump: 2 m, chance: 50 %}}]"
 )
 
+CHANGING = (
+    "network.links={'*': {states: {good: {mean: 300 ms}, bad: {condition: loss 50% rate 2kbit, mean: 200 ms}}, "
+    'together: true}, 1->2: {trace: "time [s],delivered,delay [ms]\\n0,1,50\\n0.3,0,\\n0.4,1,120.5\\n", '
+    "loop: true, offset: random}}"
+)
+
 # What each adds: nothing; loss, jitter and the disturbance; draws in the world process; frames that are not sent
-# every tick, and an end tick between two of them; a last round that is cut; the tightest coupling there is; estimates
-# in place of the truth; a graph in which vehicles hear more than one other, and numbers of two digits; a QP at every
-# tick.
+# every tick, and an end tick between two of them; a last round that is cut; the tightest coupling there is; links that
+# change by themselves; estimates in place of the truth; a graph in which vehicles hear more than one other, and numbers
+# of two digits; a QP at every tick.
 CASES: dict[str, tuple[str, list[str]]] = {
     "paper": ("paper", ["duration=4 s"]),
     "rough-sea": ("rough-sea", ["duration=6 s"]),
@@ -50,6 +56,7 @@ CASES: dict[str, tuple[str, list[str]]] = {
     "thinned log": ("rough-sea", ["duration=3 s", "log.every=7 ticks", "log.pose=21 ticks"]),
     "short last round": ("paper", ["duration=3.07 s", ROUGH]),
     "a round per tick": ("paper", ["duration=2 s", "network.period=10 ms", ROUGH]),
+    "states and a trace": ("paper", ["duration=3 s", CHANGING]),
     "kept apart": ("crossing", ["duration=3 s", "keep_apart.distance=25 m", "checks={tumbled: waived}"]),
     "dead reckoning": ("dead-reckoning", ["duration=3 s", INSTRUMENTS, "log.every=3 ticks"]),
     "twelve in a ring": ("paper", ["vehicles=12", "graph.shape=ring", "duration=2 s", *NOISE, ROUGH]),

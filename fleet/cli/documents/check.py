@@ -8,12 +8,16 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from fleet.analysis.border import LinearFleet
+from fleet.analysis.link_shares import effective_loss, written
 from fleet.analysis.seed import seeded
 from fleet.analysis.stability import Analysis, oldest_s
 from fleet.cli.documents.failure import ProblemRow, problem_rows
 from fleet.cli.documents.listing import Duration, Expect, Name, Title, Vehicles
 from fleet.errors import Problem
 from fleet.scenario.scenario import Scenario, timeline
+from netem.condition import Link
+from netem.link_states import LinkStates
+from netem.link_trace import LinkTrace
 
 
 class Eigenvalue(Struct):
@@ -58,6 +62,24 @@ class PlannedFault(Struct):
     to_s: Annotated[float, Meta(description="When it ends, at the latest with the run [s].")]
 
 
+class ShareOfTime(Struct):
+    """A state of links."""
+
+    name: Annotated[str, Meta(description="Its name.")]
+    share: Annotated[float, Meta(description="Share of the time in the long run.")]
+    mean_s: Annotated[float, Meta(description="How long it lasts on average [s].")]
+
+
+class ChangingLinksRow(Struct):
+    """Links whose condition changes by itself."""
+
+    links: Annotated[list[str], Meta(description="Which, such as 1->2.")]
+    states: Annotated[list[ShareOfTime], Meta(description="Their states; empty: they have a trace.")]
+    together: Annotated[bool, Meta(description="Whether they share their state.")]
+    rows: Annotated[int, Meta(description="Rows of their trace; 0: they have states.")]
+    effective_loss: Annotated[float, Meta(description="Share of packets lost in the long run, but for queues.")]
+
+
 class Checked(Struct):
     """`fleet check --json`: a valid scenario. One that is not valid gives a `FailedCommand` with its problems."""
 
@@ -74,6 +96,7 @@ class Checked(Struct):
     seed: Annotated[int, Meta(description="The seed.")]
     draws: Annotated[list[str], Meta(description="What is drawn from the seed; empty: it decides nothing.")]
     theory: Annotated[ExpectedByTheory, Meta(description="What theory expects.")]
+    changing_links: Annotated[list[ChangingLinksRow], Meta(description="Those with states or traces.")]
     faults: Annotated[list[PlannedFault], Meta(description="In the order in which they begin.")]
     warnings: Annotated[list[str], Meta(description="What is valid and hardly intended.")]
     not_checked: Annotated[list[ProblemRow], Meta(description="Laws that may not run here and were not checked.")]
@@ -99,10 +122,22 @@ def checked(scenario: Scenario, found: Analysis, warnings: list[str], refused: S
         seed=scenario.seed,
         draws=seeded(scenario),
         theory=_theory(scenario, found),
+        changing_links=[_changing(its, links) for _, its, links in written(scenario)],
         faults=[PlannedFault(name, what, begin_s, end_s) for name, begin_s, end_s, what in timeline(scenario)],
         warnings=warnings,
         not_checked=problem_rows(refused),
     )
+
+
+def _changing(its: LinkStates | LinkTrace, links: Sequence[Link]) -> ChangingLinksRow:
+    states: list[ShareOfTime] = []
+    rows = 0
+    if isinstance(its, LinkTrace):
+        rows = len(its.conditions)
+    else:
+        states = [ShareOfTime(*of) for of in zip(its.names, its.shares, (m / 1e9 for m in its.mean_ns), strict=True)]
+    together = isinstance(its, LinkStates) and its.shared is not None
+    return ChangingLinksRow([f"{src}->{dst}" for src, dst in links], states, together, rows, effective_loss(its))
 
 
 def _theory(scenario: Scenario, found: Analysis) -> ExpectedByTheory:

@@ -9,7 +9,17 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from fleet.scenario.parts import Parts, UnknownValueError
-from fleet.scenario.rules import checks, faults, laws, motion, navigation, network, plants, timing
+from fleet.scenario.rules import (
+    checks,
+    faults,
+    laws,
+    link_conditions,
+    motion,
+    navigation,
+    network,
+    plants,
+    timing,
+)
 from fleet.scenario.rules.report import Report
 
 
@@ -36,6 +46,7 @@ RULES: tuple[Callable[[Parts, Report], None], ...] = (
     motion.followers,
     motion.knowledge,
     network.links,
+    link_conditions.link_conditions,
     network.acoustic,
     network.talking,
     laws.per_vehicle,

@@ -25,16 +25,21 @@ from fleet.scenario.schema.value_types import (
     Period,
     PositiveLength,
     PositiveLevel,
+    PositiveNumber,
     PositiveSpeed,
+    Probability,
     Salinity,
     Scatter,
     Speed,
     Spreading,
+    StateName,
     Temperature,
     Time,
     VehicleNumbers,
     mistake,
+    read_condition,
 )
+from netem.condition import Condition
 from netem.grammar import print_condition
 
 
@@ -107,12 +112,49 @@ def _acoustic(value: Any) -> Any:
     return {} if value is None else _modem(value)
 
 
+class LinkStateSection(Section):
+    """A state of links: the condition in it, and how long it lasts on average."""
+
+    condition: LinkCondition = Condition()
+    mean: Period  # of an exponentially distributed time
+    next: dict[StateName, Probability] | None = None  # the state that follows; every other with the same probability
+
+
+class LinkSection(Section):
+    """What some links do to packets: one condition, states that change by themselves, or rows that were measured."""
+
+    condition: LinkCondition | None = None
+    states: dict[StateName, LinkStateSection] | None = None
+    together: bool | None = None  # states: the links of this selector change at the same times
+    trace: str | None = None  # CSV or Parquet; a text of several lines is the CSV itself
+    by: Literal["time", "packet"] | None = None  # time
+    start: Time | None = None  # of the trace; by default its first row
+    loop: bool | None = None
+    offset: Literal["random"] | None = None  # with loop: for each link another place, drawn from the seed
+    time_scale: PositiveNumber | None = None  # seconds of the run per second of the trace; 1
+    lost_below: Level | None = None  # of a trace with snr: at or below it a packet is lost
+
+
+def _link(value: Any) -> Any:
+    """Links with one condition are given by its words alone, which keep their column in errors."""
+    if isinstance(value, (dict, LinkSection)):
+        return value
+    return LinkSection.model_construct(condition=read_condition(value))
+
+
+def show_link(link: LinkSection) -> Any:
+    """The file's form of what some links do."""
+    if link.condition is not None and link.model_fields_set == {"condition"}:
+        return print_condition(link.condition)
+    return link.model_dump(exclude_none=True)
+
+
 class NetworkSection(Section):
     """The network between the agents; `network: ideal` in the file is `ideal` here."""
 
     ideal: bool = False
     period: Period = 100_000_000  # one round: every agent sends once per period
-    links: dict[LinkSelector, LinkCondition] = {}  # the last that matches a link wins
+    links: dict[LinkSelector, Annotated[LinkSection, BeforeValidator(_link)]] = {}  # the last that matches a link wins
     acoustic: Annotated[AcousticSection | None, BeforeValidator(_acoustic)] = None  # in the water
     payload: Codec = "full"  # the encoding of the messages between built-in agents
 
@@ -134,7 +176,7 @@ def show_network(network: NetworkSection) -> Any:
     """The file's form of the section."""
     if network.ideal:
         return "ideal"
-    links = {selector: print_condition(condition) for selector, condition in network.links.items()}
+    links = {selector: show_link(link) for selector, link in network.links.items()}
     shown: dict[str, Any] = {"period": show_time(network.period)}
     if network.acoustic is not None:
         modem = {"modem": network.acoustic.modem}

@@ -125,6 +125,20 @@ def _numbers(value: Any) -> str:
     return re.sub(r"\s+", "", str(value))
 
 
+def read_condition(value: Any) -> Condition:
+    """A link's condition from its words, for a validator of pydantic."""
+    try:
+        return _condition(value)
+    except TextError as error:
+        raise mistake(error.message, error.column, error.hint) from None
+
+
+def _name(value: Any) -> str:
+    if re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,31}", str(value), re.ASCII):
+        return str(value)
+    raise q.QuantityError(f"expected a name of letters, digits, - and _, got {q.describe_value(value)}")
+
+
 def _selector(value: Any) -> str:
     return str(parse_selector(str(value)))
 
@@ -183,6 +197,7 @@ Period = Annotated[int, Text(q.time_ns, q.show_time, "positive")]
 Ticks = Annotated[int, Text(q.ticks, _show_ticks, "positive")]
 TicksOrNever = Annotated[int, Text(q.ticks, _show_ticks, "not negative")]
 Count = Annotated[int, Field(ge=0)]
+StateName = Annotated[str, Text(_name, str)]
 LinkCondition = Annotated[InstanceOf[Condition], Text(_condition, print_condition)]
 LinkSelector = Annotated[str, Text(_selector, str)]
 VehicleNumbers = Annotated[str, Text(_numbers, str)]

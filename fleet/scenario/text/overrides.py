@@ -7,6 +7,8 @@ So an override obeys the rules of the file, and a mistake in one is reported wit
 | `--set vehicles=N` | scales the scenario (see `scaling`), before the other overrides apply |
 | `--set KEY=VALUE` | one key, such as `network.period`; steps into a list count from 1: `initial.2.surge=0.3 m/s` |
 | `--set network.links.SELECTOR.WORD=VALUES` | one word of a link's condition, such as `network.links.*.loss=30 %` |
+| `--set network.links.SELECTOR.states.STATE.WORD=VALUES` | one word of the condition of one of its states |
+| `--set network.links.SELECTOR.KEY=VALUE` | a key of states or a trace: `network.links.*.states.bad.mean=2 s` |
 | `--net "SELECTOR CONDITION"` | `network.links`: in place of the same selector, behind all others, so that it wins |
 | `--fault "at TIME ..."` | one fault more, in the words of `fault_words` |
 
@@ -22,6 +24,7 @@ from typing import NamedTuple
 
 from fleet.errors import Problem
 from fleet.quantities import describe_value
+from fleet.scenario.schema.network import LinkSection, LinkStateSection
 from fleet.scenario.text.fault_words import FaultWordsError, fault_entry, link_entries
 from fleet.scenario.text.scaling import scale
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Scalar, Source, TextPlace, plain, read
@@ -31,7 +34,8 @@ from netem.selectors import parse_selector
 
 SET, NET, FAULT = "--set", "--net", "--fault"
 _MAX_STEPS = 10
-_LINK_WORD = re.compile(r"network\.links\.(?P<selector>[^.]+)\.(?P<word>[^.]+)")
+_LINK_WORD = re.compile(r"network\.links\.(?P<selector>[^.]+)(?:\.states\.(?P<state>[^.]+))?\.(?P<word>[^.]+)")
+_LINK_KEYS = {*LinkSection.model_fields, *LinkStateSection.model_fields}
 
 Step = tuple[str, TextPlace]
 Change = Callable[[Mapping], Mapping]
@@ -76,7 +80,8 @@ def apply(root: Mapping, overrides: Sequence[str | Override]) -> tuple[Mapping, 
             hint = "write key.path=value, such as network.period=50ms"
             problems.append(TextPlace(source, 1, 1).problem("not an override", hint))
             continue
-        if _LINK_WORD.fullmatch(path):
+        word = _LINK_WORD.fullmatch(path)
+        if word and word["word"] not in _LINK_KEYS:
             changes.append(partial(_with_link_word, source))
             continue
         value, mistakes = read(source, start=len(path) + 1)
@@ -112,27 +117,35 @@ def _steps(path: str, source: Source) -> list[Step]:
 
 
 def _with_value(steps: list[Step], value: Node, root: Mapping) -> Mapping:
-    changed = _set(root, steps, value)
+    below_links = [key for key, _ in steps[:2]] == ["network", "links"] and len(steps) > 3
+    changed = _set(root, steps, value, keep=below_links)  # a number of some links does not put them over others
     assert isinstance(changed, Mapping)  # there is at least one step
     return changed
 
 
-def _set(node: Node | None, steps: list[Step], value: Node) -> Node:
-    """A copy of `node` with `value` at the end of the steps; missing mappings are made on the way."""
+def _set(node: Node | None, steps: list[Step], value: Node, *, keep: bool) -> Node:
+    """A copy of `node` with `value` at the end of the steps; missing mappings are made on the way.
+
+    Args:
+        keep: whether entries keep their place; otherwise those on the way become the last, which win where it matters.
+    """
     if not steps:
         return value
     (key, place), rest = steps[0], steps[1:]
     if node is None or (isinstance(node, Scalar) and node.value is None):
         node = Mapping({}, {}, place)
     if isinstance(node, Mapping):
-        return node.with_entry(key, place, _set(node.entries.get(key), rest, value))
+        changed = _set(node.entries.get(key), rest, value, keep=keep)
+        if keep and key in node.entries:
+            return Mapping(node.entries | {key: changed}, node.keys, node.place)
+        return node.with_entry(key, place, changed)
     if isinstance(node, Items):
         index = int(key) if key.isascii() and key.isdigit() and len(key) < 6 else 0
         if not 1 <= index <= len(node.items):
             message = f'expected an entry of the list, from 1 to {len(node.items)}, got "{key}"'
             raise _MistakeError(place.problem(message))
         items = list(node.items)
-        items[index - 1] = _set(items[index - 1], rest, value)
+        items[index - 1] = _set(items[index - 1], rest, value, keep=keep)
         return Items(tuple(items), node.place)
     raise _MistakeError(
         place.problem(f'there is no "{key}" here: the scenario has {describe_value(node.value)}, not a mapping')
@@ -155,10 +168,9 @@ def _with_links(source: Source, root: Mapping) -> Mapping:
 def _with_link_word(source: Source, root: Mapping) -> Mapping:
     """The tree with one word of a link's condition changed, which keeps its place among the others."""
     start = TextPlace(source, 1, 1)
-    path, _, value = source.text.partition("=")
-    match = _LINK_WORD.fullmatch(path)
+    match = _LINK_WORD.fullmatch(source.text.partition("=")[0])
     assert match is not None
-    selector, word = match["selector"], match["word"]
+    selector = match["selector"]
     network, links = _network(root, start)
     if network is None or links is None:
         return root
@@ -169,19 +181,47 @@ def _with_link_word(source: Source, root: Mapping) -> Mapping:
         message = f'network.links has no condition for "{selector}"; it has conditions for {known}'
         raise _MistakeError(start.shifted(match.start("selector")).problem(message, hint))
     before = None if same is None else links.entries[same]
+    if match["state"] is not None or isinstance(before, Mapping):
+        return _with_state_word(source, root, match, same or selector, before)
     text = "" if before is None else plain(before)
     if not isinstance(text, str):  # reported when it is read
         return root
-    try:
-        condition = Scalar(with_word(text, word, value), start.shifted(len(path) + 1))
-    except TextError as error:
-        column = match.start("word") if not value.strip() or word not in WORDS else len(path) + 1 + error.column
-        raise _MistakeError(start.shifted(column).problem(error.message, error.hint)) from None
+    condition = _with_word(source, match, text)
     if same is None:
         links = links.with_entry(selector, start, condition)
     else:
         links = Mapping(links.entries | {same: condition}, links.keys, links.place)
     return _with_network(root, network, links, start)
+
+
+def _with_word(source: Source, match: re.Match[str], text: str) -> Scalar:
+    """A condition with the word that an override changes."""
+    start, word, value = TextPlace(source, 1, 1), match["word"], source.text[match.end() + 1 :]
+    try:
+        return Scalar(with_word(text, word, value), start.shifted(match.end() + 1))
+    except TextError as error:
+        column = match.start("word") if not value.strip() or word not in WORDS else match.end() + 1 + error.column
+        raise _MistakeError(start.shifted(column).problem(error.message, error.hint)) from None
+
+
+def _with_state_word(source: Source, root: Mapping, match: re.Match[str], name: str, links: Node | None) -> Mapping:
+    """The tree with one word changed of the condition in one state of the links `name`."""
+    place = TextPlace(source, 1, 1).shifted(match.start("selector"))
+    states = links.entries.get("states") if isinstance(links, Mapping) else None
+    if not isinstance(states, Mapping):
+        what = "a trace" if isinstance(links, Mapping) and "trace" in links.entries else "no states"
+        raise _MistakeError(place.problem(f'the links "{name}" have {what}, so there is no word of a state to change'))
+    state = None if match["state"] is None else states.entries.get(match["state"])
+    if not isinstance(state, Mapping):
+        known = ", ".join(states.entries)
+        hint = f"as in network.links.{name}.states.{next(iter(states.entries), 'bad')}.{match['word']}"
+        raise _MistakeError(place.problem(f'the links "{name}" have the states {known}: say which', hint))
+    before = state.entries.get("condition")
+    text = "" if before is None else plain(before)
+    if not isinstance(text, str):  # reported when it is read
+        return root
+    path = ("network", "links", name, "states", match["state"], "condition")
+    return _with_value([(step, place) for step in path], _with_word(source, match, text), root)
 
 
 def _network(root: Mapping, start: TextPlace) -> tuple[Mapping | None, Mapping | None]:

@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 from matplotlib.figure import Figure
 
-from fleet.errors import printable
+from fleet.errors import FleetError, printable
 from fleet.logs.reader import Tell
-from fleet.pictures.runs import NothingToDraw, PictureError
+from fleet.pictures.runs import NothingToDraw
 from fleet.pictures.style import Provenance, save
 from fleet.study.pictures.boxes import boxes
 from fleet.study.pictures.curves import curves
@@ -106,7 +106,7 @@ def write(
 
     Raises:
         StudyError: there is no such measure, or the study is damaged.
-        PictureError: the folder cannot be written.
+        FleetError: the folder cannot be written.
     """
     points = load(store, measures)
     paths: list[Path] = []
@@ -118,7 +118,7 @@ def write(
             else:
                 paths += save(figure, folder / name, formats, Provenance(title, _facts(store.record)))
     except OSError as error:
-        raise PictureError(
+        raise FleetError(
             f"cannot write pictures to {folder}: {error.strerror}; choose another place with -o DIR"
         ) from error
     return paths

@@ -47,7 +47,7 @@ def write(
 
     Raises:
         StudyError: there is no such measure, or the study is damaged.
-        PictureError: the place cannot be written.
+        FleetError: the place cannot be written.
     """
     points = load(store, measures)
     write_page(path, lambda: page(store, points, log_scale, share))

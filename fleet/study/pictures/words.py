@@ -14,7 +14,7 @@ _KEYS = {
     "neighbours.extrapolate": "extrapolation of neighbours",
     "neighbours.horizon": "horizon of the extrapolation",
 }
-_LINKS = re.compile(r"network\.links\.(?P<links>[^.]+)\.(?P<what>\w+)")
+_LINKS = re.compile(r"network\.links\.(?P<links>[^.]+)(?:\.states\.(?P<state>[^.]+))?\.(?P<what>\w+)")
 _MAP = re.compile(r"\{[^{}]*\}")
 _NUMBER = re.compile(r"[-+.]?\d")
 
@@ -26,7 +26,8 @@ def key_words(key: str) -> str:
     link = _LINKS.fullmatch(key)
     if link is not None:
         links = "every link" if link["links"] == "*" else f"link {link['links']}"
-        return f"{link['what'].replace('_', ' ')} of {links}"
+        state = f" in state {link['state']}" if link["state"] else ""
+        return f"{link['what'].replace('_', ' ')}{state} of {links}"
     return key.replace(".", " ").replace("_", " ")
 
 

@@ -12,13 +12,14 @@ from click.testing import CliRunner
 from matplotlib.figure import Figure
 
 from fleet.cli.main import cli
+from fleet.errors import FleetError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.signal_names import signal_names
 from fleet.pictures.any_signal import signals_of_checks
 from fleet.pictures.gallery import WHAT, check_signals, draw
 from fleet.pictures.report import page
-from fleet.pictures.runs import PictureError, Run, View, load
+from fleet.pictures.runs import Run, View, load
 from fleet.pictures.telling import telling
 from fleet.scenario.loading import load_scenario
 
@@ -88,7 +89,7 @@ def test_the_name_of_one_vehicle_is_drawn_alone(run: Run) -> None:
     (ax,) = figure(run, "|uuv/2/error.e|").axes
     assert ax.get_ylabel() == "|error.e| [m]"
     assert [line.get_gid() for line in ax.get_lines() if "vehicle" in str(line.get_gid())] == [f"{run.slug}-vehicle-2"]
-    with pytest.raises(PictureError, match="there is no vehicle 9"):
+    with pytest.raises(FleetError, match="there is no vehicle 9"):
         check_signals(["uuv/9/state.z"], [run])
 
 

@@ -36,7 +36,7 @@ from fleet.pictures.gallery import PER_RUN, WHAT, draw
 from fleet.pictures.report import _from_log, page
 from fleet.pictures.report import write as write_report
 from fleet.pictures.report_tables import links_table
-from fleet.pictures.runs import NothingToDraw, PictureError, Run, View, load, with_gaps
+from fleet.pictures.runs import NothingToDraw, Run, View, load, with_gaps
 from fleet.pictures.style import panels, plain_decades
 from fleet.result.file import read_result
 from fleet.scenario.loading import load_scenario
@@ -564,7 +564,7 @@ def test_a_report_that_finds_no_room_leaves_nothing(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("fleet.pictures.report.page", full)
-    with pytest.raises(PictureError, match="No space left"):
+    with pytest.raises(FleetError, match="No space left"):
         write_report(tmp_path / "r.html", load([directories["one"]]), View())
     assert list(tmp_path.iterdir()) == []
 

@@ -28,6 +28,10 @@ from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.overrides import FAULT, NET, Override
 
+CHANGING = (
+    "network.links={'*': {states: {good: {mean: 300 ms}, bad: {condition: loss 50% rate 2kbit, mean: 200 ms}}}, "
+    '1->2: {trace: "time [s],delivered,delay [ms]\\n0,1,50\\n0.3,0,\\n0.4,1,120.5\\n", loop: true, offset: random}}'
+)
 LINKS = 'network.links={"*": delay 60ms 30ms 20% loss gemodel 10% 30% duplicate 20% corrupt 20% rate 20kbit}'
 INSTRUMENTS = (
     "faults=[{at: 1 s, for: 1 s, dvl: {lost: 50 %}}, {at: 1 s, compass: {bias: 5 deg}}, {at: 1 s, fix: {jump: 2 m}}]"
@@ -56,6 +60,7 @@ def since(directory: Path, ns: int) -> list[Record]:
     ("name", "overrides"),
     [
         ("paper", ["duration=2.4 s", LINKS, EVERYTHING]),
+        ("paper", ["duration=2.4 s", CHANGING, "faults=[{at: 1 s, for: 500 ms, link: {1->2: loss 50%}}]"]),
         ("ideal", ["duration=1.5 s"]),
         pytest.param(
             *("acoustic-s2c", ["duration=20 s", "log.snapshot=10 s", "faults=[{at: 8 s, for: 6 s, kill: 2}]"]),

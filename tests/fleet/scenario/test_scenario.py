@@ -25,6 +25,7 @@ from fleet.scenario.catalogue import list_scenarios
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.control import GuidanceSection, TrackingSection
+from fleet.scenario.schema.network import LinkSection, LinkStateSection
 from fleet.scenario.schema.section import Section
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.formation import grid
@@ -242,6 +243,14 @@ CHOICES: dict[str, st.SearchStrategy[str]] = {
     "network.period": st.integers(1, 100).map(lambda v: f"{v * 10} ms"),
     "network.links.1->2": st.floats(0, 100).map(lambda v: f"delay 3ms loss {v!r}%"),
     "network.links.*": st.integers(0, 10**12).map(lambda v: f"delay {v // 1000}us"),
+    "network.links.2->1": st.tuples(st.integers(10, 10**6), st.integers(10, 10**6), st.booleans()).map(
+        lambda v: (
+            f"{{states: {{a: {{mean: {v[0]} ms}}, b: {{condition: loss 3%, mean: {v[1]} ms}}}}, together: {v[2]}}}"
+        )
+    ),
+    "network.links.2->3": st.lists(st.integers(0, 10**9), min_size=1, max_size=4).map(
+        lambda v: '{trace: "delay [us]\\n' + "".join(f"{us}\\n" for us in v) + '", by: packet}'
+    ),
     "network": st.just("ideal"),
     "log.pose": st.integers(1, 100).map(lambda v: f"{v} ticks"),
 }
@@ -624,8 +633,10 @@ def test_what_fields_are_called_here_is_no_key(override: str, said: str) -> None
     assert 'did you mean "checks.python"' not in str(caught.value)
 
 
+LINK_KEYS = [f"network.links.*.{key}" for key in LinkSection.model_fields]
+LINK_KEYS += [f"network.links.*.states.bad.{key}" for key in (*LinkStateSection.model_fields, "loss", "next.good")]
 WILD_OVERRIDES = st.lists(
-    st.tuples(st.sampled_from(_key_paths()), WILD).map(lambda pair: f"{pair[0]}={pair[1]}"), max_size=6
+    st.tuples(st.sampled_from([*_key_paths(), *LINK_KEYS]), WILD).map(lambda pair: f"{pair[0]}={pair[1]}"), max_size=6
 )
 
 

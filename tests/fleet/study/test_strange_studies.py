@@ -20,8 +20,8 @@ from hypothesis import strategies as some
 from made_up_study import LOSS, made_up, usual
 
 from fleet.cli.main import cli
+from fleet.parquet_pages import unpacked_bytes
 from fleet.study.errors import StudyError
-from fleet.study.pages import unpacked_bytes
 from fleet.study.parquet_file import MOST_BYTES, MOST_ROWS, read_table
 from fleet.study.record import NAME
 from fleet.study.spec import MOST_ALLOWED

@@ -12,7 +12,7 @@ import pytest
 from made_up_study import CONTROLLER, DELAY, EXTRAPOLATE, LOSS, made_up, usual, with_holes
 from matplotlib.figure import Figure
 
-from fleet.pictures.runs import PictureError
+from fleet.errors import FleetError
 from fleet.pictures.style import COLUMN_IN, PAGE_IN
 from fleet.study.pictures.gallery import draw, write
 from fleet.study.pictures.marks import REASONS
@@ -191,7 +191,7 @@ def test_files_are_the_same_each_time_and_say_what_they_show(tmp_path: Path) -> 
     assert [path.read_bytes() for path in once] == [path.read_bytes() for path in again]
     assert b"network.links.*.loss" in once[1].read_bytes()
     (tmp_path / "file").write_text("")
-    with pytest.raises(PictureError, match="choose another place with -o DIR"):
+    with pytest.raises(FleetError, match="choose another place with -o DIR"):
         write(store, [], tmp_path / "file")
 
 

@@ -1,0 +1,253 @@
+"""Links whose condition changes by itself: what a scenario says of them, traces in files, and mistakes in both."""
+
+from __future__ import annotations
+
+import csv
+import os
+from math import nan
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from small_scenario import SMALL, only_problem, small
+
+from fleet.analysis.link_shares import effective_loss, link_lines
+from fleet.analysis.preflight import warnings
+from fleet.analysis.seed import declared
+from fleet.errors import ScenarioError
+from fleet.scenario.loading import changed, parse_scenario
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.data_files import DataFileError
+from fleet.scenario.sections.trace_files import load_trace, read_trace
+from fleet.scenario.sections.trace_table import MOST_ROWS, TraceRow, TraceTable, read_csv
+from netem.condition import Condition
+from netem.link_states import LinkStates
+from netem.link_trace import LinkTrace
+
+SECOND = 10**9
+STATES = (
+    "network.links={'*': {states: {good: {condition: delay 50ms, mean: 8 s}, bad: {condition: loss 80%, mean: 2 s}}}}"
+)
+BAD = "network.links.*.states.bad"
+LOG = "time [s],delivered,delay [ms],rate [kbit/s],snr [dB]\n10,1,412.5,0.08,14.2\n12.5,0,,,\n13,1,1e3,0.16,9\n"
+
+
+def of(link: tuple[int, int], *overrides: str) -> Any:
+    return small(*overrides).netem_config.changing[link]
+
+
+def traced(folder: Path, *keys: str, text: str | None = LOG) -> Scenario:
+    """The small scenario with a trace on 1->2."""
+    if text is not None:
+        (folder / "log.csv").write_text(text)
+    links = f"network.links={{1->2: {{{', '.join(('trace: log.csv', *keys))}}}}}"
+    return parse_scenario(SMALL, "small.yaml", [links], folder)
+
+
+# --- states -----------------------------------------------------------------
+
+
+def test_states_and_what_follows_from_them() -> None:
+    """The last selector wins, as with conditions; perfect links and others stay what they are."""
+    s = small(STATES, "network.links.2->3=loss 1%")
+    assert set(s.netem_config.changing) == {(1, 2), (2, 1), (3, 2)}
+    assert s.conditions == {(2, 3): Condition(loss=0.01)}
+    states = s.netem_config.changing[1, 2]
+    assert isinstance(states, LinkStates)
+    assert states.shares == pytest.approx((0.8, 0.2))
+    assert effective_loss(states) == pytest.approx(0.16)
+    assert declared(s)["link states"] == ["link state", "stay in link state"] * 3
+    (line,) = link_lines(s)
+    assert line == "links *: good 80 % (mean 8 s), bad 20 % (mean 2 s) of the time; effective loss 16 %"
+    assert (
+        s.netem_config == small(STATES, "network.links.2->3=loss 1%", f"{BAD}.mean=2 s", f"{BAD}.loss=80%").netem_config
+    )
+    third = "network.links.*.states.fair={mean: 1 s, next: {bad: 100 %}}"
+    assert of((1, 2), STATES, third).following == ((0, 0.5, 0.5), (0.5, 0, 0.5), (0, 1, 0))
+
+
+def test_every_number_can_be_set() -> None:
+    """As `--set`, and so as `--vary`: times, words of a state's condition, and whether links share their state."""
+    found = of(
+        (1, 2), STATES, f"{BAD}.mean=1 s", f"{BAD}.loss=50 %", f"{BAD}.rate=2kbit", "network.links.*.together=true"
+    )
+    assert found.mean_ns == (8 * SECOND, SECOND)
+    assert found.conditions[1] == Condition(loss=0.5, rate_bit_s=2000)
+    assert found.shared == (0, 0, 0)
+    assert of((2, 1), "network.links={2<->1: {states: {a: {mean: 1 s}, b: {mean: 1 s}}, together: true}}").shared == (
+        1,
+        2,
+        1,
+    )
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        (f"{BAD}.mean=2", "without a unit"),
+        (f"{BAD}.mean=5 ms", "5 ms is less than a tick, 10 ms"),
+        (f"{BAD}.loss=120%", "between 0% and 100%"),
+        (f"{BAD}.seed=3", "a state has no seed of its own"),
+        (f"{BAD}.next={{good: 50 %}}", "sum up to 100 %, got 50 %"),
+        (f"{BAD}.next={{bad: 100 %}}", "bad does not follow on itself"),
+        (f"{BAD}.next={{goood: 100 %}}", 'there is no state "goood"'),
+        ("network.links.*.states.worse={mean: 1 s, next: {bad: 100 %}}", None),
+        ("network.links.*.states={a: {mean: 1 s}, b: {mean: 1 s, next: {c: 1}}, c: {mean: 1 s, next: {b: 1}}}",
+         "b never leads to a"),
+        ("network.links.*.states={good: {mean: 1 s}}", "expected 2 to 16 states, got 1"),
+        ("network.links.*.loss=3 %", "have the states good, bad: say which"),
+        ("network.links.1->2.states.bad.loss=3 %", 'no condition for "1->2"'),
+        ("network.links.*.loop=true", "has no effect without a trace"),
+        ("network.links.*.condition=loss 3%", "got condition and states"),
+        ("network.links={'*': {together: true}}", "expected one of condition, states and trace, got none"),
+        ("network.links={'*': {condition: loss 3%, together: true}}", "has no effect without states"),
+        ("network.links={'*': {stats: {}}}", 'did you mean "states"'),
+        ("network.links.*.states.1bad={mean: 1 s}", "expected a name of letters"),
+    ],
+)  # fmt: skip
+def test_mistakes_in_states(override: str, words: str | None) -> None:
+    if words is None:
+        small(STATES, override)
+        return
+    with pytest.raises(ScenarioError) as caught:
+        small(STATES, override)
+    assert words in str(caught.value)
+
+
+# --- traces -----------------------------------------------------------------
+
+
+def test_a_trace_is_read_exactly_and_carried_along(tmp_path: Path) -> None:
+    """Without its file the merged scenario is the same; what was typed is read from the file once more."""
+    s = traced(tmp_path)
+    trace = s.netem_config.changing[1, 2]
+    rows = (Condition(412_500_000, rate_bit_s=80), Condition(loss=1.0), Condition(SECOND, rate_bit_s=160))
+    assert trace == LinkTrace(rows, (0, 2_500_000_000, 3 * SECOND), 3_500_000_000)
+    again = parse_scenario(s.to_yaml(), "small.yaml")
+    assert again == s
+    assert again.netem_config == s.netem_config
+    (tmp_path / "log.csv").write_text(LOG.replace("412.5", "1"))
+    assert changed(s, ["seed=2"]).netem_config.changing[1, 2].conditions[0].delay_ns == 1_000_000
+    assert changed(again, ["seed=2"]).netem_config.changing == s.netem_config.changing
+
+
+@pytest.mark.parametrize(
+    ("keys", "times", "period"),
+    [
+        (["start: 12 s"], (0, 500_000_000, SECOND), 1_500_000_000),
+        (["start: 12.5 s"], (0, 500_000_000), SECOND),
+        (["time_scale: 2"], (0, 5 * SECOND, 6 * SECOND), 7 * SECOND),
+        (["by: packet", "start: 12 s"], (), 0),
+    ],
+)
+def test_options_of_a_trace(keys: list[str], times: tuple[int, ...], period: int, tmp_path: Path) -> None:
+    found = traced(tmp_path, *keys).netem_config.changing[1, 2]
+    assert isinstance(found, LinkTrace)
+    assert (found.times_ns, found.period_ns) == (times, period)
+    assert len(found.conditions) == (len(times) or 2)
+
+
+def test_a_trace_of_ratios_and_one_that_ends_early(tmp_path: Path) -> None:
+    s = traced(tmp_path, "lost_below: 9 dB", text="time [s],snr [dB]\n0,9\n0.5,9.5\n")
+    assert [c.loss for c in s.netem_config.changing[1, 2].conditions] == [1.0, 0.0]
+    assert not any("trace" in line for line in warnings(s))
+    short = traced(tmp_path, "by: packet")
+    assert "the trace of 1->2 has 3 rows for 20 rounds: behind its last row the link is down" in "".join(
+        warnings(short)
+    )
+
+
+@pytest.mark.parametrize(
+    ("keys", "text", "words"),
+    [
+        ([], None, "there is no such file"),
+        ([], "", "it is empty"),
+        ([], "time [s],delivered\n", "there is no row below line 1"),
+        ([], "time [s],delivered\n0,1\n2,1\n1,0\n", "line 4: the time goes back: expected 2 s or later, got 1 s"),
+        ([], "time [s],delivered\n0,1\n0.2,\n", "line 3: delivered: a hole: expected 0 or 1, got nothing"),
+        ([], "time [s],delivered,delay [ms]\n0,1,\n", "line 2: delay: a hole: expected a number, got nothing"),
+        ([], "time [s],delivered\n0,1\n\n3,1\n", "line 3: expected 2 cells, got 0"),
+        ([], "time [s],delay [ms]\n0,1\n1,ten\n", 'line 3: delay: expected a number, got "ten"'),
+        ([], "time [s],delay [ms]\n0,-1\n", "line 2: delay: expected 0 to 86400 s, got -0.001 s"),
+        ([], "time [s],delay [furlong]\n0,1\n",
+         'line 1: unknown unit "furlong" of delay: expected delay [s] or delay [ms]'),
+        ([], "time [s],delay\n0,1\n", "line 1: the unit is missing of delay"),
+        ([], "time [s],dealy [ms]\n0,1\n", 'line 1: no such column "dealy [ms]"; did you mean "delay"?'),
+        ([], "time [s]," * 1_000_000 + "\n", "line 1: expected some of the columns time, delivered, delay"),
+        ([], "time [s],time [ms],delivered\n0,0,1\n", "line 1: time is there twice"),
+        ([], "time [s]\n0\n", "line 1: no such column: expected one of delivered"),
+        ([], "delivered\n1\n", "no such column: time, which a trace by time needs"),
+        ([], "time [s],snr [dB]\n0,3\n", "it has snr and no delivered"),
+        (["lost_below: 3 dB"], LOG, "has no effect: the trace says what was delivered"),
+        (["start: 9 s"], LOG, "expected a time in the trace, 10 s to 13 s, got 9 s"),
+        (["offset: random"], LOG, "needs loop: true"),
+        (["by: packet", "time_scale: 2"], LOG, "has no effect by packet"),
+        ([], 'time [s],delivered\n0,"1\n', "not CSV"),
+        ([], "time [s],delivered\n" + "0,1\n" * (MOST_ROWS + 1), f"more than {MOST_ROWS} rows"),
+        ([], "time [s],delay [ns]\n" + "".join(f"{n},{n:09}\n" for n in range(90_000)), "900000 is the most"),
+        ([], "x" * 10_000_001, "larger than 10 MB"),
+    ],
+)  # fmt: skip
+def test_mistakes_in_traces(keys: list[str], text: str | None, words: str, tmp_path: Path) -> None:
+    with pytest.raises(ScenarioError) as caught:
+        traced(tmp_path, *keys, text=text)
+    assert words in str(caught.value)
+    assert len(str(caught.value)) < 2000
+
+
+def test_what_is_no_file_is_refused_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "log.csv")
+    with pytest.raises(DataFileError, match="it is a pipe"):
+        load_trace("log.csv", tmp_path)
+    assert "ends in .csv or .parquet" in only_problem("network.links={1->2: {trace: log.txt}}")
+
+
+def test_parquet_is_as_good_as_csv(tmp_path: Path) -> None:
+    pa = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    table = pa.table(
+        {"time [s]": [10.0, 12.5, 13.0], "delivered": [True, False, True], "delay": [412.5, nan, 1000.0],
+         "rate [kbit/s]": [0.08, None, 0.16], "snr [dB]": [14.2, None, 9.0]}
+    )  # fmt: skip
+    table = table.cast(table.schema.set(2, table.schema.field("delay").with_metadata({"unit": "ms"})))
+    parquet.write_table(table, tmp_path / "log.parquet")
+    assert read_trace(tmp_path / "log.parquet") == read_csv(LOG, "log.csv")
+    parquet.write_table(table.slice(0, 2).set_column(1, "delivered", pa.array([1, None])), tmp_path / "log.parquet")
+    with pytest.raises(DataFileError, match="row 2: delivered: a hole"):
+        read_trace(tmp_path / "log.parquet")
+    (tmp_path / "log.parquet").write_bytes(b"PAR1" + bytes(40) + b"PAR1")
+    with pytest.raises(DataFileError):
+        read_trace(tmp_path / "log.parquet")
+
+
+CELLS = st.builds(
+    TraceRow,
+    st.just(0),
+    st.just(True),
+    st.integers(0, 86_400 * SECOND),
+    st.integers(1, 10**12),
+    st.floats(-1000.0, 1000.0),
+)
+
+
+@given(st.lists(CELLS, min_size=1, max_size=5))
+def test_what_is_printed_is_read_back(rows: list[TraceRow]) -> None:
+    table = TraceTable(("time", "delay", "rate", "snr"), tuple(rows))
+    assert read_csv(table.text(), "t.csv") == table
+
+
+ODD = st.sampled_from(["0", "1", "", "nan", "1e999", "-3", '"', "time [s]", "delay [ms]", "\x00"]) | st.text(max_size=5)
+
+
+@given(st.lists(st.lists(ODD, max_size=4), max_size=5) | st.text(max_size=40))
+@settings(max_examples=200, deadline=None)
+def test_any_text_is_a_trace_or_says_why_not(text: Any) -> None:
+    if not isinstance(text, str):
+        text = "time [s],delivered\n" + "\n".join(map(",".join, text))
+    try:
+        assert read_csv(text, "t.csv").rows
+    except DataFileError as error:
+        assert error.problems  # noqa: PT017
+    assert csv.field_size_limit() > 0

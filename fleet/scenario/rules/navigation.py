@@ -6,7 +6,7 @@ from typing import Any
 
 from fleet.quantities import show_time
 from fleet.scenario.parts import Parts
-from fleet.scenario.rules.report import Report, dotted
+from fleet.scenario.rules.report import Report
 from fleet.scenario.schema.navigation import FixSection, NavigationSection
 from fleet.scenario.sections.data_files import DataFileError
 from fleet.scenario.sections.navigation import DEFAULTS, KINDS, NUMBERS, grade_of, grade_problems, navigation_of
@@ -56,8 +56,7 @@ def _fixes(parts: Parts, report: Report, path: tuple[str, ...], kind: Any, secti
     for key in _NOT_OF[kind]:
         if getattr(section, key) is not None:
             report.add((*path, key), f"has no effect on {kind}", key=True)
-    # What is written for some vehicles comes on top of what is written for all.
-    if kind != "gps" and section.at is None and path[0] == "navigation":
+    if kind != "gps" and section.at is None:
         report.add_missing(path, "at", ": where the beacon is")
     period = DEFAULTS[kind]["period"] if section.period is None else section.period
     delay = DEFAULTS[kind]["delay"] if section.delay is None else section.delay
@@ -81,7 +80,8 @@ def faults(parts: Parts, report: Report) -> None:
         some = vehicles_of(fault) or vehicles
         if not any(_has(kind, parts.controls[i - 1].navigation) for i in some):
             what = "fixes" if kind == WorldFaultKind.FIX else "dead reckoning"
-            hint = f"give it one, as in {dotted(('navigation',))}: {'{usbl: ...}' if what == 'fixes' else 'tactical'}"
+            example = "{usbl: {at: 0 0 0 m}}" if what == "fixes" else "tactical"
+            hint = f"give them one, as in navigation: {example}"
             report.add(("faults", index, kind), f"has no effect: none of these vehicles has {what}", hint, key=True)
 
 

@@ -67,7 +67,10 @@ def since(directory: Path, ns: int) -> list[Record]:
             marks=pytest.mark.slow,
         ),
         ("nemesis", ["duration=4 s", NEMESIS, "sea.current={sigma: 5 5 0 cm/s, time_constant: 2 s}"]),
-        ("dead-reckoning", ["duration=4 s", "per_vehicle.1.navigation.usbl={period: 400 ms, delay: 1 s}", INSTRUMENTS]),
+        (
+            "dead-reckoning",
+            ["duration=4 s", "per_vehicle.1.navigation.usbl={at: 0 0 0 m, period: 400 ms, delay: 1 s}", INSTRUMENTS],
+        ),
         ("crossing", ["duration=2 s", "keep_apart.distance=25 m"]),
         pytest.param("helix", ["duration=2 s", "sensors.position_noise=5 cm"], marks=pytest.mark.slow),
         ("rough-sea", ["duration=2 s", "per_vehicle={'2': {controller: bsmc}}", "network.payload=compact"]),

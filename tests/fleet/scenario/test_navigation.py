@@ -91,6 +91,7 @@ def test_a_log_needs_no_file(tmp_path: Path) -> None:
         (["navigation={dvl_rate: 1 MHz}"], "unknown unit"),
         (["navigation={dvl_rate: 20 kHz}"], "dvl_rate must be between 0.001 Hz and 10000 Hz, is 20000 Hz"),
         (["navigation={usbl: {}}"], '"at" is missing in "navigation.usbl": where the beacon is'),
+        (['per_vehicle={"2": {navigation: {lbl: {loss: 1 %}}}}'], '"at" is missing in "per_vehicle.2.navigation.lbl"'),
         (["navigation={gps: {at: 0 0 0 m}}"], "navigation.gps.at: has no effect on gps"),
         (["navigation={lbl: {at: 0 0 0 m, depth: 1 m}}"], "navigation.lbl.depth: has no effect on lbl"),
         (["navigation={gps: {period: 1 ms}}"], "1 ms is shorter than a tick of 10 ms"),

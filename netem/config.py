@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from netem.condition import Condition, Link
 from netem.lives import Absence
 from netem.modem import AcousticConfig
+from netem.vehicle_clock import VehicleClock
 
 if TYPE_CHECKING:
     from netem.faults import NetFault
@@ -28,3 +29,4 @@ class NetemConfig:
     memory_ticks: int = 0  # ticks between two snapshots of its state; 0: none
     ideal: bool = False  # zero latency: due in the sending tick itself (in-process only)
     acoustic: AcousticConfig | None = None  # in the water; None: links of their own
+    clocks: dict[int, VehicleClock] = field(default_factory=dict)  # of the vehicles for which one is set

@@ -19,7 +19,7 @@ from netem.correlation import effective
 LARGE_MB = 50.0  # from which on a warning about the size is given
 MESSAGE_BYTES = 70  # in a log, compressed and indexed: 68 to 72 measured with 3, 4 and 12 vehicles
 THIN = "log: {every: 10 ticks}"
-BY_ROUND = frozenset(OF_THE_NETWORK) - {"slow"}  # faults that act at round ticks only
+BY_ROUND = frozenset(OF_THE_NETWORK) - {"slow", "clock"}  # faults that act at round ticks only
 
 
 def warnings(scenario: Scenario) -> list[str]:

@@ -33,6 +33,7 @@ from fleet.scenario.trust import Policy
 from netem.condition import Condition, Link
 from netem.config import NetemConfig
 from netem.modem import AcousticConfig
+from netem.vehicle_clock import VehicleClock
 from world import disturbance
 from world.config import Harmonic, NavNoise, PlantSetup, VehicleSetup, WorldConfig
 from world.plants.classes import file_of
@@ -66,6 +67,7 @@ class Scenario:
     faults: FaultPlan
     other_laws: tuple[tuple[str, Law], ...]  # kind and law of those that are not built in, each name once
     acoustic: AcousticConfig | None  # None: the network is not acoustic
+    clocks: dict[int, VehicleClock]  # of the vehicles for which one is set
     undrawn: ScenarioSpec = field(compare=False, repr=False)  # with the nemesis in place of the faults that it drew
     reading: Reading = field(compare=False, repr=False)
     source: str = field(default="", compare=False)  # the shipped name or the path it was loaded from
@@ -84,6 +86,7 @@ class Scenario:
             controls=parts.controls,
             faults=parts.faults,
             acoustic=parts.acoustic,
+            clocks=parts.clocks,
             other_laws=_others(parts.controls),
             undrawn=_without_files(parts.spec, parts.folder),
             reading=reading,
@@ -185,6 +188,7 @@ class Scenario:
             memory_ticks=self.memory_ticks,
             keep_going=spec.on_death != "abort" and not self.ideal,
             noise=self.noise,
+            clocks=dict(self.clocks),
         )
 
     @property
@@ -282,6 +286,7 @@ class Scenario:
             memory_ticks=self.memory_ticks,
             ideal=self.ideal,
             acoustic=self.acoustic,
+            clocks=dict(self.clocks),
         )
 
     def to_yaml(self) -> str:

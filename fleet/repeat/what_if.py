@@ -31,6 +31,8 @@ from fleet.repeat.resume import start_of
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import A_LOG, Policy
 from netem.lives import Lives
+from netem.transit import stamped
+from netem.vehicle_clock import Clocks
 from netem.wire.messages import Delivery, Nav
 from world.errors import PluginError
 from world.plugins.loading import admit
@@ -122,8 +124,9 @@ def what_if(
     keeps = same and start is not None and agent not in start.anew
     if memory is not None:  # it waits for what was on the way, which is in the log, too, beside what it had heard
         heard = [delivery for delivery in deliveries if delivery.due_tick >= navs[0][0]]
-        due_later = {astuple(delivery): delivery for delivery in [*restore(None, memory), *heard]}
-        deliveries = [due_later[key] for key in sorted(due_later)]
+        # What it has is stamped by the senders' clocks; what is in the log, too, by simulated time.
+        due_later = {(d.due_tick, d.src, d.seq, d.copy): d for d in [*restore(None, memory), *heard]}
+        deliveries = sorted(due_later.values(), key=astuple)
     lives = Lives(recorded.faults.absences)
     begins = [0, *(end for _, end in lives.gaps(agent) if end is not None)]
     result = _Answers()
@@ -133,6 +136,7 @@ def what_if(
         )
     if agent in recorded.external:
         result.notes.append(f"vehicle {agent} is external: what was recorded is what somebody else's agent commanded")
+    senders, own = (Clocks.that_differ(s.clocks, s.faults.world, s.tick_ns) for s in (recorded, scenario))
     core: Agent | PluggedAgent | None = None
     life, waiting = -1, 0
     for done, (tick, measured) in enumerate(navs):
@@ -150,10 +154,11 @@ def what_if(
                 waiting += 1
         due = []
         while waiting < len(deliveries) and deliveries[waiting].due_tick <= tick:
-            due.append(deliveries[waiting])
+            due.append(deliveries[waiting] if senders is None else stamped(deliveries[waiting], senders))
             waiting += 1
         try:
-            step = core.step(Nav(life, tick, measured[:5], measured[5:10], measured[10:]), due)
+            shown_ns = None if own is None else own.reading_ns(agent, tick)
+            step = core.step(Nav(life, tick, measured[:5], measured[5:10], measured[10:], shown_ns), due)
         except (AgentError, PluginError) as error:
             raise LawFailedError(str(error)) from None
         result.notes += [f"t = {at * scenario.tick_ns / 1e9:.2f} s: {text}" for at, text in core.take_notes()]

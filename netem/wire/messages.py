@@ -88,7 +88,7 @@ class VehicleFrame(Record, frozen=True):
     tau: Annotated[Reals, about("applied thrust and moments after limits; empty at the end", "N, N m")]
     command: Annotated[bytes, about("the agent's Command message; empty when none")]
     plant: Annotated[Reals, about("true phi, p and what its plant reports, in that order; empty without a plant")]
-    clock: Annotated[Reals, about("by how much its clock is ahead; empty while all clocks are right", "s")] = ()
+    clock: Annotated[Reals, about("by how much its clock is ahead; empty while all clocks are right", "s")]
 
 
 class Arrival(Record, frozen=True):

@@ -254,7 +254,7 @@ BAD = {
     "more than there are vehicles": pack(RECORDS, [[2, 10, 2, 100]] * 6),
     "a vehicle that does not exist": record(i=6),
     "vehicle nobody": record(i=0),
-    "made in the future": record(made=11),
+    "made in the future": record(made=10 + LEASE * ROUND_TICKS + 1),
     "made before the start": record(made=-1),
     "a candidate that does not exist": record(candidate=6),
     "a grant for longer than a lease": record(until=10 + LEASE * ROUND_TICKS + 1),

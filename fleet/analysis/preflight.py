@@ -8,6 +8,7 @@ from math import dist
 
 from fleet.analysis.forgetting import forgetting_warnings
 from fleet.analysis.keep_apart import keep_apart_warnings
+from fleet.analysis.slots import slot_warnings
 from fleet.analysis.stability import oldest_s
 from fleet.quantities import vehicle_numbers
 from fleet.recorder.settling import least_s
@@ -26,7 +27,7 @@ def warnings(scenario: Scenario) -> list[str]:
     """One sentence for each setting that is valid and hardly intended."""
     return [*_never_judged(scenario), *_recoveries(scenario), *_too_near(scenario), *_too_old(scenario),
             *_idle_faults(scenario), *_correlated(scenario), *forgetting_warnings(scenario),
-            *keep_apart_warnings(scenario), *_large_log(scenario)]  # fmt: skip
+            *keep_apart_warnings(scenario), *slot_warnings(scenario), *_large_log(scenario)]  # fmt: skip
 
 
 def log_mb(scenario: Scenario) -> float:

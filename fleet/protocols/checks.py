@@ -55,7 +55,8 @@ class AtMostOneLeader:
     """No two vehicles lead at the same time.
 
     Who leads is what the agents report. An agent that is suspended reports nothing, and does not know how late it is.
-    In the whole fleet it counts until the `leads_until` of its last report [s], which its clock shows then, or until it goes on if it has no such signal. It is on no side, so on sides it does not count.
+    In the whole fleet it counts until its clock shows the `leads_until` of its last report [s], or until it goes on if
+    it has no such signal. It is on no side, so on sides it does not count.
     """
 
     def __init__(self, facts: Facts, *, per: Literal["fleet", "side"] = "fleet", grace: str = "0 s") -> None:

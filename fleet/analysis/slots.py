@@ -73,7 +73,8 @@ def slot_warnings(scenario: Scenario) -> Iterator[str]:
     )
     if worst[0] / 1e9 > found.difference_s:
         ahead_ns, tick, i, j = worst
+        at_s = -tick * scenario.tick_ns / 1e9
         yield (
-            f"slots overlap: at {-tick * scenario.tick_ns / 1e9:g} s the clock of vehicle {j} is {ahead_ns / 1e9:.4g} s ahead "
-            f"of that of vehicle {i}, which has the slot before, and the guard bears {found.difference_s:.4g} s"
+            f"slots overlap: at {at_s:g} s the clock of vehicle {j} is {ahead_ns / 1e9:.4g} s ahead of that of vehicle "
+            f"{i}, which has the slot before, and the guard bears {found.difference_s:.4g} s"
         )

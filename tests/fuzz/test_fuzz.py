@@ -397,8 +397,9 @@ PLAUSIBLE = st.one_of(
         [
             3, [1, 2], "halves", "isolate:3", "1,2 / 3,4", "1 / 1", "isolate:99", "ring", "majority",
             {"1->2": "loss 20%"}, {"*->*": "delay 1e9s"}, {"1<->2": "loss 5%"}, {"9->9": "down"}, "1->2", ["1->2"],
-            {"vehicles": 2, "by": "5 ticks"}, {"vehicles": 2, "step": "-1 s", "drift": "1e5 ppm"}, {"step": "25 h"}, {"vehicles": 1, "position_noise": "10 cm"}, {"probability": "30 %"},
+            {"vehicles": 2, "by": "5 ticks"}, {"vehicles": 1, "position_noise": "10 cm"}, {"probability": "30 %"},
             {"velocity": "0 0.5 0 m/s", "over": "10s"}, {"velocity": "1e308 0 0 m/s", "over": "0 s"},
+            {"vehicles": 2, "step": "-1 s", "drift": "1e5 ppm"}, {"step": "25 h"}, {"drift": "-2 ppb"},
             {"mean": "0.2 0 0 m/s", "sigma": "5 5 0 cm/s", "time_constant": "20s"}, {"vehicles": [0]},
         ]
     ),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -108,10 +106,9 @@ def test_slots_collide_only_if_clocks_differ_by_more_than_the_guard(one: int, ot
 def test_what_is_sent_is_stamped_by_the_clock_of_its_sender() -> None:
     """The network itself goes on in simulated time: so do fates."""
     links = ((1, 2), (2, 1))
-    config = NetemConfig(
-        1, TICK_NS, ROUND, (1, 2), links, clocks={1: VehicleClock(70_000_000), 2: VehicleClock(-(10**9))}
-    )
-    netem = Netem(replace(config, faults=(clock_fault(ROUND, 2 * ROUND, 1.0, 0.0, 1),)))
+    own = {1: VehicleClock(70_000_000), 2: VehicleClock(-(10**9))}
+    set_for_a_round = clock_fault(ROUND, 2 * ROUND, 1.0, 0.0, 1)
+    netem = Netem(NetemConfig(1, TICK_NS, ROUND, (1, 2), links, faults=(set_for_a_round,), clocks=own))
     stamps = []
     for k in range(4):
         out = netem.exchange(ROUND * k, {1: (b"a",), 2: (b"b",)})

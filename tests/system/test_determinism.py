@@ -38,7 +38,7 @@ CLOCKS = "agent.clock={drift: {sigma: 2000 ppm}, offset: {mean: 5 ms, sigma: 30 
 CLOCK_FAULTS = (
     "faults=[{at: 1 s, for: 1 s, clock: {vehicles: 2, step: -200 ms, drift: 1e4 ppm}}, {at: 1.5 s, clock: {step: 1 s}}]"
 )
-SLOTS = "network.acoustic={modem: s2c, mac: tdma, slot: 600 ms, guard: 100 ms}"
+SLOTS = "network.acoustic={modem: s2c, mac: tdma, slot: 1.4 s, guard: 1.05 s}"
 
 # What each adds: nothing; loss, jitter and the disturbance; draws in the world process; frames that are not sent
 # every tick, and an end tick between two of them; a last round that is cut; the tightest coupling there is; a
@@ -53,7 +53,7 @@ CASES: dict[str, tuple[str, list[str]]] = {
     "a round per tick": ("paper", ["duration=2 s", "network.period=10 ms", ROUGH]),
     "kept apart": ("crossing", ["duration=3 s", "keep_apart.distance=25 m", "checks={tumbled: waived}"]),
     "clocks": ("rough-sea", ["duration=3 s", CLOCKS, CLOCK_FAULTS]),
-    "clocks and slots": ("acoustic-s2c", ["duration=4 s", SLOTS, CLOCKS, CLOCK_FAULTS, "checks={tumbled: waived}"]),
+    "clocks and slots": ("acoustic-s2c", ["duration=6 s", SLOTS, CLOCKS, CLOCK_FAULTS, "checks={tumbled: waived}"]),
     "clocks of a protocol": ("election", ["duration=3 s", CLOCKS, CLOCK_FAULTS]),
     "twelve in a ring": ("paper", ["vehicles=12", "graph.shape=ring", "duration=2 s", *NOISE, ROUGH]),
 }

@@ -35,8 +35,10 @@ Ticks count control periods Ts from the start of the run; what happens at tick k
 are those that `round_ticks` divides. Where `nav` has a `clock_ns`, the vehicle's own clock shows another time: what an
 agent computes from the time (the reference, ages, the `sent_tick` of its payload) then follows from `clock_ns`, in
 ticks `clock_ns / tick_ns` rounded down, while messages are answered by `tick`. `sent_tick` of a delivery is by the
-clock of its sender, `due_tick` by simulated time. Positions are north, east, down (NED) in m, angles in rad (psi from north to
-east, theta positive nose up), velocities u, v, w are along the body's axes (forward, starboard, down) over ground.
+clock of its sender, `due_tick` by simulated time.
+
+Positions are north, east, down (NED) in m, angles in rad (psi from north to east, theta positive nose up), velocities
+u, v, w are along the body's axes (forward, starboard, down) over ground.
 With roll zero, the velocity over ground is `(cos psi f - sin psi v, sin psi f + cos psi v, cos theta w - sin theta u)`
 with `f = cos theta u + sin theta w`. With roll phi, v and w in it are `cos phi v - sin phi w` and
 `sin phi v + cos phi w`; without that it is wrong by at most `2 sin(|phi| / 2) sqrt(v^2 + w^2)`.

@@ -30,18 +30,20 @@ def _mean(value: Any) -> Any:
     return {"mean": value} if isinstance(value, str | int | float) and not isinstance(value, bool) else value
 
 
-def _show_drift(drift: DriftSection) -> Any:
-    values = drift.model_dump(exclude_defaults=True)
-    return values if drift.sigma else values.get("mean", show(0.0, CLOCK_DRIFT))
+def _show_drift(drift: DriftSection | None) -> Any:
+    if drift is None or drift.sigma:
+        return None if drift is None else drift.model_dump(exclude_defaults=True)
+    return show(drift.mean, CLOCK_DRIFT)
 
 
-def _show_offset(offset: OffsetSection) -> Any:
-    values = offset.model_dump(exclude_defaults=True)
-    return values if offset.sigma else values.get("mean", show_time(0))
+def _show_offset(offset: OffsetSection | None) -> Any:
+    if offset is None or offset.sigma:
+        return None if offset is None else offset.model_dump(exclude_defaults=True)
+    return show_time(offset.mean)
 
 
 class ClockSection(Section):
-    """The clock that an agent and its modem go by."""
+    """The clock that an agent and its modem go by; what is left out is 0, or as it is for all vehicles."""
 
-    drift: Annotated[DriftSection, BeforeValidator(_mean), PlainSerializer(_show_drift)] = DriftSection()
-    offset: Annotated[OffsetSection, BeforeValidator(_mean), PlainSerializer(_show_offset)] = OffsetSection()
+    drift: Annotated[DriftSection | None, BeforeValidator(_mean), PlainSerializer(_show_drift)] = None
+    offset: Annotated[OffsetSection | None, BeforeValidator(_mean), PlainSerializer(_show_offset)] = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fleet.scenario.schema.clock import ClockSection
+from fleet.scenario.schema.clock import ClockSection, DriftSection, OffsetSection
 from netem.draws import normal
 from netem.vehicle_clock import VehicleClock
 
@@ -12,14 +12,16 @@ _MOST_DRIFT = 0.5  # s/s: what is drawn beyond it is this
 
 def vehicle_clock(section: ClockSection, seed: int, i: int) -> VehicleClock:
     """The clock of vehicle i."""
-    drift, offset = section.drift.mean, section.offset.mean
-    if section.drift.sigma:
-        drift += section.drift.sigma * normal(seed, DRIFT, i)
-    if section.offset.sigma:
-        offset += round(section.offset.sigma * normal(seed, OFFSET, i))
-    return VehicleClock(offset, max(-_MOST_DRIFT, min(_MOST_DRIFT, drift)))
+    drift, offset = section.drift or DriftSection(), section.offset or OffsetSection()
+    rho, theta = drift.mean, offset.mean
+    if drift.sigma:
+        rho += drift.sigma * normal(seed, DRIFT, i)
+    if offset.sigma:
+        theta += round(offset.sigma * normal(seed, OFFSET, i))
+    return VehicleClock(theta, max(-_MOST_DRIFT, min(_MOST_DRIFT, rho)))
 
 
 def draws(section: ClockSection) -> list[str]:
     """The purposes of the draws of a clock."""
-    return [DRIFT] * bool(section.drift.sigma) + [OFFSET] * bool(section.offset.sigma)
+    given = ((DRIFT, section.drift), (OFFSET, section.offset))
+    return [purpose for purpose, part in given if part is not None and part.sigma]

@@ -110,7 +110,7 @@ def _over_agent(below: AgentSection, above: AgentSection) -> AgentSection:
     law = above if above.law is not None else below
     low, high = below.clock, above.clock
     if low is not None and high is not None:
-        high = low.model_copy(update={key: getattr(high, key) for key in high.model_fields_set})
+        high = low.model_copy(update=given(high))
     return law.model_copy(update={"clock": high or low})
 
 

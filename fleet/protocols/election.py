@@ -145,7 +145,8 @@ class Election:
     def _is_valid(self, values: Any, delivery: Delivery) -> bool:
         """Whether these are records of vehicles of this fleet, made by now, that grant for a lease at most.
 
-        Whoever made a record has another clock than who passes it on: it may be ahead, but not by more than a lease.
+        Who passes a record on, who made it and who is its candidate have clocks of their own: each may be ahead of the
+        one before, but not by more than a lease.
         """
         return (
             isinstance(values, list)
@@ -156,7 +157,7 @@ class Election:
                 and i != NOBODY
                 and is_count(made, delivery.sent_tick + self._lease)  # by a clock that may be ahead
                 and is_count(candidate, self._vehicles)
-                and is_count(until, made + self._lease)
+                and is_count(until, made + 2 * self._lease)  # by the clock of the candidate
                 for i, made, candidate, until in values
             )
         )

@@ -257,7 +257,7 @@ BAD = {
     "made in the future": record(made=10 + LEASE * ROUND_TICKS + 1),
     "made before the start": record(made=-1),
     "a candidate that does not exist": record(candidate=6),
-    "a grant for longer than a lease": record(until=10 + LEASE * ROUND_TICKS + 1),
+    "a grant for longer than a lease": record(until=10 + 2 * LEASE * ROUND_TICKS + 1),
     "a number that is no integer": record(until=50.5),
     "a bool": record(candidate=True),
     "damaged": record()[:-1] + b"?",

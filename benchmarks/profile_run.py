@@ -31,7 +31,6 @@ from rich.console import Console as Terminal
 from soak import of_session, result_of
 
 import fleet
-from fleet.bench.errors import BenchError
 from fleet.cli.types import OVERRIDES
 from fleet.cores import cores
 from fleet.errors import FleetError
@@ -148,14 +147,16 @@ def measure_profile(arguments: Sequence[str], scenario: str, out: Path) -> Profi
         out: the directory for the pictures, which is made.
 
     Raises:
-        BenchError: py-spy is not there, or may not look; or the run did not come to its end.
+        FleetError: py-spy is not there, or may not look; or the run did not come to its end.
     """
     spy = py_spy()
     if spy is None:
-        raise BenchError("a profile needs py-spy, which is not installed: pip install py-spy")
+        raise FleetError("a profile needs py-spy, which is not installed: pip install py-spy", status=3)
     found = next(filter(None, (_watched(spy, arguments) for _ in range(TRIES))), None)
     if found is None:
-        raise BenchError(f"the run stood still under py-spy for {STILL_S:g} s, {TRIES} times: try another py-spy")
+        raise FleetError(
+            f"the run stood still under py-spy for {STILL_S:g} s, {TRIES} times: try another py-spy", status=3
+        )
     stacks, times, wall = found
     out.mkdir(parents=True, exist_ok=True)
     rows = _rows(stacks, times, out, scenario, in_process=wall["in_process"])
@@ -175,9 +176,9 @@ def _watched(spy: str, arguments: Sequence[str]) -> tuple[Stacks, Times, dict[st
             return None
         result = result_of(folder / "run")
         if result.get("status", "pass") not in ("pass", "check_failed"):
-            raise BenchError(f"the run was {result['status']}: {result.get('reason', '')}")
+            raise FleetError(f"the run was {result['status']}: {result.get('reason', '')}", status=3)
         if not result or not (folder / "stacks.json").exists():
-            raise BenchError(f"py-spy made no profile: {said}; if it may not look into processes: {_HINT}")
+            raise FleetError(f"py-spy made no profile: {said}; if it may not look into processes: {_HINT}", status=3)
         return read_stacks((folder / "stacks.json").read_bytes()), times, result["wall"]
 
 
@@ -238,7 +239,7 @@ def read_stacks(text: bytes) -> Stacks:
     """The stacks of py-spy's file, each with its functions from the outermost on.
 
     Raises:
-        BenchError: py-spy wrote something else.
+        FleetError: py-spy wrote something else.
     """
     try:
         found = msgspec.json.decode(text, type=_Schema)
@@ -252,7 +253,7 @@ def read_stacks(text: bytes) -> Stacks:
                 (_ours([frames[number] for number in numbers]), weight * unit) for numbers, weight in pairs
             )
     except (msgspec.DecodeError, KeyError, ValueError, IndexError, TypeError) as error:
-        raise BenchError(f"the profile of this py-spy cannot be read: {error!r:.200}; take 0.4") from error
+        raise FleetError(f"the profile of this py-spy cannot be read: {error!r:.200}; take 0.4", status=3) from error
     return stacks
 
 

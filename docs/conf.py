@@ -29,6 +29,8 @@ from pygments.util import ClassNotFound
 from sphinx.application import Sphinx
 from sphinx.util import logging
 
+import fleet
+
 DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
 LINK = re.compile(r"(?<=\]\()(?!https?:|mailto:|#)([^)\s#]+)(?:#L(\d+))?(?=\))")
@@ -135,3 +137,5 @@ def setup(app: Sphinx) -> None:
     app.connect("doctree-resolved", point_links)
     app.connect("html-collect-pages", listings)
     app.connect("autodoc-process-docstring", describe_fields)
+    for function in (fleet.sweep, fleet.boundary):
+        del function.__signature__  # type: ignore[attr-defined]  # autodoc takes defaults from the source: **options

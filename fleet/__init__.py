@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fleet.execution.judged import run as run
-    from fleet.execution.outcome import Result as Result
     from fleet.logs.open_log import Log as Log
     from fleet.logs.open_log import open_log as open_log
+    from fleet.result.result import Result as Result
     from fleet.study.boundary import Boundary as Boundary
     from fleet.study.boundary import boundary as boundary
     from fleet.study.study import Study as Study
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from fleet.study.study import sweep as sweep
 
 _OFFERED = {
-    "Result": "fleet.execution.outcome",
+    "Result": "fleet.result.result",
     "run": "fleet.execution.judged",
     "Log": "fleet.logs.open_log",
     "open_log": "fleet.logs.open_log",

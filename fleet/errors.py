@@ -12,15 +12,9 @@ Exception
 │   ├── PathError
 │   └── PayloadError
 ├── FleetError
-│   ├── BenchError
 │   ├── CheckError
-│   ├── CheckLogError
 │   ├── DataFileError
-│   ├── ExportError
-│   ├── ExternalError
 │   ├── FaultWordsError
-│   ├── FiguresError
-│   ├── HostsError
 │   ├── LogError
 │   ├── LogReadError
 │   │   ├── LogKeyError
@@ -29,35 +23,18 @@ Exception
 │   ├── NotLinear
 │   ├── NotRecordedError
 │   ├── NothingToDraw
-│   ├── NothingToVerify
 │   ├── PictureError
-│   ├── PruneError
-│   ├── PublishError
-│   ├── RecordError
-│   ├── RecoverError
 │   ├── RefusedError
 │   ├── RegistryError
 │   ├── RemoteError
-│   ├── ReplayError
-│   ├── ReproduceError
 │   ├── ResultError
 │   ├── RunBroken
-│   ├── RunDirectoryError
 │   ├── ScenarioError
-│   ├── SelectionError
 │   ├── SignalCheckError
 │   ├── SignalError
-│   ├── SnapshotError
 │   ├── StoppedError
 │   ├── StudyError
-│   │   └── ValuesError
-│   ├── TimedOut
-│   ├── TopicsError
 │   ├── UnknownValueError
-│   ├── ViewerError
-│   │   └── NoConnectionError
-│   ├── WhatIfError
-│   │   └── LawFailedError
 │   ├── WorkerDied
 │   └── WorkerLate
 ├── NetemError
@@ -92,13 +69,18 @@ MOST_SHOWN = 200  # problems of one scenario; more are only counted
 
 
 class FleetError(Exception):
-    """Base of every error of this package.
+    """An error of this package, or the base of those that somebody catches by name.
 
-    `status` is what `fleet run` exits with: 2 when something else should have been asked for, 3 when the machine does
+    `status` is what `fleet` exits with: 2 when something else should have been asked for, 3 when the machine does
     not do what was rightly asked (a full disk, a process that does not start).
     """
 
     status = 2
+
+    def __init__(self, message: str = "", status: int | None = None) -> None:
+        super().__init__(message)
+        if status is not None:
+            self.status = status
 
 
 class StoppedError(FleetError):

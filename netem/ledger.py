@@ -6,26 +6,27 @@ sent + duplicated = delivered + sum(lost by cause) + in flight at the end
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
+from msgspec import Meta
 
 from netem.causes import LOSSES, Cause
 from netem.condition import Link
 from netem.wire.messages import Fate
 
+Count = Annotated[int, Meta(ge=0, le=2**53)]
 
-@dataclass(slots=True)
-class Account:
-    """One directed link's counts of packets."""
 
-    sent: int = 0
-    duplicated: int = 0
-    delivered: int = 0
-    lost: dict[Cause, int] = field(default_factory=dict)
-    in_flight: int = 0
-    corrupted: int = 0  # of those delivered
+class Account(msgspec.Struct):
+    """What became of the packets of one directed link."""
+
+    sent: Annotated[Count, Meta(description="Packets that were sent.")] = 0
+    duplicated: Annotated[Count, Meta(description="Copies that the network made.")] = 0
+    delivered: Annotated[Count, Meta(description="Packets and copies that were delivered.")] = 0
+    lost: Annotated[dict[str, Count], Meta(description="By cause, those that were lost.")] = {}
+    in_flight: Annotated[Count, Meta(description="Those that were on their way at the end.")] = 0
+    corrupted: Annotated[Count, Meta(description="Those of the delivered ones that were damaged.")] = 0
 
     @property
     def balance(self) -> int:
@@ -37,10 +38,16 @@ class Account:
         """Payloads that a newer one took the place of before they were sent, which no channel has lost."""
         return self.lost.get(Cause.REPLACED, 0)
 
+    @property
+    def ordered(self) -> Account:
+        """The same, with the causes of losses in the order in which they are declared."""
+        lost = {str(cause): self.lost[cause] for cause in LOSSES if cause in self.lost}
+        return msgspec.structs.replace(self, lost=lost)
+
     def to_values(self) -> dict[str, Any]:
-        """Plain values, causes in their declared order; `msgspec.convert` is the inverse."""
-        values: dict[str, Any] = msgspec.to_builtins(self)
-        return values | {"lost": {str(cause): self.lost[cause] for cause in LOSSES if cause in self.lost}}
+        """Plain values, ordered; `msgspec.convert` is the inverse."""
+        values: dict[str, Any] = msgspec.to_builtins(self.ordered)
+        return values
 
 
 class Ledger:

@@ -23,13 +23,13 @@ import numpy as np
 from scipy.optimize import bisect
 from scipy.stats import norm
 
-from fleet.study.psychometric import RISING, Curve, Walk, steepest_rise
+from fleet.study.psychometric import RISING, PsychometricCurve, Walk, steepest_rise
 from fleet.study.statistics import pass_rate
 
 COUNTS = (12, 20, 40, 60, 100)
 GRID_COUNTS = (*COUNTS, 200, 400)
 SHAPES = ("s = 1 %", "s = 3 %", "s = 10 %", "Gumbel", "5 % lapses")
-CURVE = Curve(np.linspace(0.0, 1.0, 65).tolist())
+CURVE = PsychometricCurve(np.linspace(0.0, 1.0, 65).tolist())
 Ask = Callable[[float], bool]  # a run at a position from 0 to 1: whether it passed
 
 
@@ -93,7 +93,7 @@ def _rate(falls: Callable[[float], float], slope: float, middle: float, best: fl
 
 def print_coverage(borders: int) -> None:
     """How often the interval of `fleet boundary` holds the border, with its defaults: 16 places, 60 runs at most."""
-    walk = Walk(Curve(np.linspace(0.0, 1.0, 16).tolist()), 0.1)
+    walk = Walk(PsychometricCurve(np.linspace(0.0, 1.0, 16).tolist()), 0.1)
     print(f"{borders} borders of each shape; all but runs in %\n")
     print("| curve | held | 95 % interval | runs | bias | rms error | width |\n|---|---|---|---|---|---|---|")
     for shape in ENDS:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from math import inf
 from typing import Any
 
-from fleet.checks.verdict import Verdict
 from fleet.quantities import vehicle_names, vehicle_numbers
 from fleet.recorder.journal import Journal
+from fleet.result.verdict import Verdict
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.checks import (
     EVERY,

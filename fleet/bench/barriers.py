@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -10,9 +9,10 @@ from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 
 from fleet.bench.echo import echo_bus, echo_pipe
-from fleet.bench.errors import BenchError
+from fleet.errors import FleetError
 from fleet.processes.children import Children
 from fleet.processes.run_folder import RunFolder
+from netem.private_folder import PrivateFolder
 from netem.wire.access import agent_role, generate
 from netem.wire.bus import Bus
 from netem.wire.keys import Keys
@@ -25,7 +25,7 @@ def zenoh_barrier(n: int, ticks: int) -> float:
     """Ticks per second of "world -> n agents -> world" with agents that only echo.
 
     Raises:
-        BenchError: an echo agent did not answer in time.
+        FleetError: an echo agent did not answer in time.
     """
     ids = tuple(range(1, n + 1))
     keys, credentials = Keys("bench"), generate(ids)
@@ -47,7 +47,7 @@ def zenoh_barrier(n: int, ticks: int) -> float:
                 while (item := channel.poll()) is not None:
                     waiting.discard(int(item[0].rsplit("/", 1)[1]))
                 if time.monotonic() > deadline:
-                    raise BenchError(f"{len(waiting)} echo agents did not answer within {READY_S:.0f} s")
+                    raise FleetError(f"{len(waiting)} echo agents did not answer within {READY_S:.0f} s", status=3)
             time.sleep(0.2)
             while channel.poll() is not None:
                 pass
@@ -86,9 +86,9 @@ def pipe_barrier(n: int, ticks: int) -> float:
 
 @contextmanager
 def _children() -> Iterator[tuple[Children, Path]]:
-    with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as folder:
+    with PrivateFolder("bench") as folder:
         children = Children(lambda _: None)
         try:
-            yield children, Path(folder) / "log"
+            yield children, folder / "log"
         finally:
             children.stop()

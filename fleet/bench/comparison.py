@@ -9,16 +9,15 @@ and large drifts of the machine out.
 
 from __future__ import annotations
 
-import os
-import stat
 from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 
 import msgspec
 
-from fleet.bench.errors import FiguresError
-from fleet.bench.figures import FORMAT, Change, Comparison, Figure, Measured
+from fleet.bench.figures import FORMAT, Change, Figure, FiguresComparison, Measured
+from fleet.errors import FleetError
+from netem.whole_file import read_file
 
 LEAST = 0.10  # a smaller change counts as noise, however well the repeats agree
 FEWEST = 3  # repeats, or the noise is not known
@@ -30,57 +29,56 @@ class _Format(msgspec.Struct):
     format: int
 
 
+def _unusable(path: Path, reason: str) -> FleetError:
+    """The error about a file that is not what `fleet bench -o` writes."""
+    return FleetError(f"{path}: {reason}")
+
+
 def read(path: Path) -> Measured:
     """The document that `fleet bench -o` wrote.
 
     Raises:
-        FiguresError: it cannot be read, or is something else.
+        FleetError: it cannot be read, or is something else.
     """
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # a pipe without a writer would wait for one
-        with open(descriptor, "rb") as file:
-            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-                raise FiguresError(path, "expected the file that fleet bench -o wrote, got something that is no file")
-            text = file.read(MOST_BYTES + 1)
+        text = read_file(path, MOST_BYTES)
     except OSError as error:
-        raise FiguresError(path, error.strerror or str(error)) from error
-    if len(text) > MOST_BYTES:
-        raise FiguresError(path, f"expected figures of fleet bench, got more than {MOST_BYTES / 1e6:g} MB")
+        raise _unusable(path, f"expected the file that fleet bench -o wrote: {error.strerror or error}") from error
     try:
         found = msgspec.json.decode(text, type=_Format).format
         if found != FORMAT:
-            raise FiguresError(path, f"expected format {FORMAT}, got {found}: another version wrote it; measure again")
+            raise _unusable(path, f"expected format {FORMAT}, got {found}: another version wrote it; measure again")
         measured = msgspec.json.decode(text, type=Measured)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise FiguresError(path, f"not the figures of fleet bench: {str(error)[:200]}") from error
+        raise _unusable(path, f"not the figures of fleet bench: {str(error)[:200]}") from error
     for figure in measured.figures:
         if figure.ratios and len(figure.ratios) != len(figure.samples):
             counts = f"{len(figure.samples)} samples and {len(figure.ratios)} ratios"
-            raise FiguresError(path, f"expected a ratio for each sample, got {counts} of {figure.name[:80]!r}")
+            raise _unusable(path, f"expected a ratio for each sample, got {counts} of {figure.name[:80]!r}")
         if not all(0 < value < float("inf") for value in (*figure.samples, *figure.ratios)):
-            raise FiguresError(path, f"expected positive numbers, got others in {figure.name[:80]!r}")
+            raise _unusable(path, f"expected positive numbers, got others in {figure.name[:80]!r}")
     return measured
 
 
-def compare(old: Measured, new: Measured, path: Path) -> Comparison:
+def compare(old: Measured, new: Measured, path: Path) -> FiguresComparison:
     """Compare all figures that both have.
 
     Args:
         path: where the old ones come from.
 
     Raises:
-        FiguresError: they have no figure in common.
+        FleetError: they have no figure in common.
     """
     before = {figure.name: figure for figure in old.figures}
     now = {figure.name: figure for figure in new.figures}
     common = [name for name in now if name in before and _alike(before[name], now[name])]
     if not common:
-        raise FiguresError(path, "it has no figure that was measured now; measure both with the same options")
+        raise _unusable(path, "it has no figure that was measured now; measure both with the same options")
     missing = [name for name in (*before, *now) if name not in common]
     changes = [_change(before[name], now[name]) for name in common]
     of_machine = [change for change in changes if now[change.name].of_machine]
     judged = [change for change in changes if not now[change.name].of_machine]
-    return Comparison(str(path), _warnings(old, new, of_machine), judged, list(dict.fromkeys(missing)))
+    return FiguresComparison(str(path), _warnings(old, new, of_machine), judged, list(dict.fromkeys(missing)))
 
 
 def _alike(old: Figure, new: Figure) -> bool:

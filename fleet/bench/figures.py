@@ -72,7 +72,7 @@ class Change(Struct, forbid_unknown_fields=True):
         return max(self.times_slower, 1 / self.times_slower)
 
 
-class Comparison(Struct, forbid_unknown_fields=True):
+class FiguresComparison(Struct, forbid_unknown_fields=True):
     """What changed since another measurement."""
 
     with_: Annotated[str, Meta(description="The file of that measurement.")] = field(name="with")
@@ -88,7 +88,7 @@ class Comparison(Struct, forbid_unknown_fields=True):
 class ComparedFiles(Struct):
     """`fleet bench compare --json`: what changed between two measurements."""
 
-    comparison: Annotated[Comparison, Meta(description="What changed.")]
+    comparison: Annotated[FiguresComparison, Meta(description="What changed.")]
 
 
 class Measured(Struct, forbid_unknown_fields=True):
@@ -102,7 +102,7 @@ class Measured(Struct, forbid_unknown_fields=True):
     cores: Annotated[str, Meta(description="`compiled` or `plain Python`: the cores of world, agents and netem.")]
     quick: Annotated[bool, Meta(description="Whether it was measured with --quick, which says little.")]
     figures: Annotated[list[Figure], Meta(description="The figures.")]
-    comparison: Annotated[Comparison | None, Meta(description="With --compare; else null.")] = None
+    comparison: Annotated[FiguresComparison | None, Meta(description="With --compare; else null.")] = None
 
     def figure(self, name: str) -> Figure | None:
         """The figure of this name, if it was measured."""

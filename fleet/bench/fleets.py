@@ -10,10 +10,8 @@ several times, in turn, so that a slow minute of the machine meets a figure and 
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 from fleet.bench import python_loop
 from fleet.bench.agent_step import GOALS_US
@@ -26,8 +24,10 @@ from fleet.bench.network_core import SHARE, SHARE_GOAL, netem_figures
 from fleet.bench.start_up import COMMANDS, PYTHON, cpu_times
 from fleet.bench.steps import steps
 from fleet.execution.options import Options
+from fleet.result.result import Wall
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
+from netem.private_folder import PrivateFolder
 
 TICK_S = 0.01
 REPEATS = 5
@@ -62,7 +62,7 @@ def measure_fleets(sizes: list[int], *, quick: bool, say: Callable[[str], None])
     """Run every benchmark; `say` is called with what is measured next.
 
     Raises:
-        BenchError: a measurement did not come to its end.
+        FleetError: a measurement did not come to its end.
     """
     machine, began = this_machine(), now()
     found = Collector()
@@ -99,10 +99,10 @@ def _fleet(n: int, quick: bool, found: Collector, say: Callable[[str], None]) ->
     tick_us = (time.process_time() - cpu_s) / scenario.ticks * 1e6  # with what a run does once
     found.add(name + ZENOH, "ticks/s", zenoh, of_machine=True)
     found.add(name + PIPES, "ticks/s", pipes, of_machine=True)
-    found.add(name + DISTRIBUTED, "ticks/s", scenario.ticks / distributed["run_s"], ZENOH, zenoh)
-    found.add(name + IN_PROCESS, "ticks/s", scenario.ticks / alone["run_s"], python_loop.NAME, loops)
+    found.add(name + DISTRIBUTED, "ticks/s", scenario.ticks / distributed.run_s, ZENOH, zenoh)
+    found.add(name + IN_PROCESS, "ticks/s", scenario.ticks / alone.run_s, python_loop.NAME, loops)
     found.add(name + CPU, "us", tick_us, python_loop.NAME, 1e6 / loops, higher=False)
-    found.add(name + READY, "s", distributed["startup_s"], python_loop.NAME, 1 / loops, higher=False)
+    found.add(name + READY, "s", distributed.startup_s, python_loop.NAME, 1 / loops, higher=False)
     if pss[0]:  # a run of half a second was not seen
         found.add(name + PSS, "MB", pss[0], higher=False)
 
@@ -112,7 +112,7 @@ def _rates(quick: bool, found: Collector) -> None:
         scenario = _paper(4, 2.0 if quick else 60.0, *changes)
         loops, simulated_s = python_loop.loops_per_s(), scenario.duration_ns / 1e9
         for how, in_process in ((DISTRIBUTED, False), (IN_PROCESS, True)):
-            speed = simulated_s / _wall(scenario, in_process=in_process)["run_s"]
+            speed = simulated_s / _wall(scenario, in_process=in_process).run_s
             found.add(f"four vehicles: {name}, {how}", "x real time", speed, python_loop.NAME, loops)
 
 
@@ -160,11 +160,9 @@ def _paper(n: int, seconds: float, *changes: str) -> Scenario:
     return load_scenario("paper", [f"vehicles={n}", f"duration={seconds} s", "checks={tumbled: waived}", *changes])
 
 
-def _wall(scenario: Scenario, *, in_process: bool) -> dict[str, float]:
-    with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as out:
-        result = measured_run(scenario, Options(Path(out), in_process=in_process, quiet=True))
-    wall: dict[str, float] = result.values["wall"]
-    return wall
+def _wall(scenario: Scenario, *, in_process: bool) -> Wall:
+    with PrivateFolder("bench") as out:
+        return measured_run(scenario, Options(out, in_process=in_process, quiet=True)).wall
 
 
 def goals(measured: Measured) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import threading
 import time
 from collections.abc import Callable
@@ -10,8 +9,8 @@ from pathlib import Path
 
 from rich.console import Console as Terminal
 
-from fleet.bench.errors import BenchError
 from fleet.bench.recorder import recorder_figures
+from fleet.errors import FleetError
 from fleet.logs.reader import LogReader
 from fleet.logs.tape import Tape
 from fleet.processes.ports import free_port
@@ -22,6 +21,7 @@ from fleet.terminal.keyboard import Keyboard
 from fleet.terminal.status_line import StatusLine
 from fleet.terminal.table import columns
 from fleet.terminal.table import show as show_table
+from netem.private_folder import PrivateFolder
 from netem.wire.open_bus import OpenBus
 
 PATIENCE_S = 60.0
@@ -34,10 +34,10 @@ def measure_recorder(scenario: Scenario, say: Callable[[str], None]) -> dict[str
     recorder sharing this process; the others are one core's.
 
     Raises:
-        BenchError: the recorder did not get everything.
+        FleetError: the recorder did not get everything.
     """
-    with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as folder:
-        path, copy = Path(folder) / "run.mcap", Path(folder) / "copy.mcap"
+    with PrivateFolder("bench") as folder:
+        path, copy = folder / "run.mcap", folder / "copy.mcap"
         say(f"N = {scenario.vehicles}: journal, written and read")
         written = recorder_figures(scenario, path)
         began = time.perf_counter()
@@ -85,7 +85,9 @@ def _play(tape: Tape, options: PlaybackOptions, copy: Path | None) -> float:
             while writer.samples < replay.messages:
                 recorder.record(writer, Limits(duration_ns=50_000_000), line)
                 if time.perf_counter() - began > PATIENCE_S:
-                    raise BenchError(f"{replay.messages - writer.samples} messages did not reach the recorder")
+                    raise FleetError(
+                        f"{replay.messages - writer.samples} messages did not reach the recorder", status=3
+                    )
             return time.perf_counter() - began
         finally:
             player.join()

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from fleet.bench.errors import BenchError
+from fleet.errors import FleetError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Result, Status
+from fleet.result.result import Result, Status
 from fleet.scenario.scenario import Scenario
 
 
@@ -16,15 +16,15 @@ def measured_run(scenario: Scenario, options: Options, *, checked: bool = True) 
         checked: whether its checks must pass as well.
 
     Raises:
-        BenchError: the run broke, was interrupted, or did not pass its checks.
+        FleetError: the run broke, was interrupted, or did not pass its checks.
     """
     result = execute(scenario, options)
     which = f"the run with {scenario.vehicles} vehicles"
     if result.status in (Status.INTERRUPTED, Status.HUNG_UP):
-        raise BenchError(f"{which} was ended: {result.reason}", result.status)
+        raise FleetError(f"{which} was ended: {result.reason}", status=result.status.exit)
     if result.status is Status.BROKEN:
-        raise BenchError(f"{which} broke: {result.reason}")
+        raise FleetError(f"{which} broke: {result.reason}", status=3)
     if checked and result.status is not Status.PASS:
         failed = ", ".join(verdict.check for verdict in result.verdicts if not verdict.passed)
-        raise BenchError(f"{which} did not pass its checks: {failed}")
+        raise FleetError(f"{which} did not pass its checks: {failed}", status=3)
     return result

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Annotated
 
 import psutil
 from msgspec import Meta, Struct
 
-from fleet.bench.errors import BenchError
 from fleet.bench.memory import pss_mb
-from fleet.errors import RunBroken
+from fleet.errors import FleetError, RunBroken
 from fleet.execution.clock import GrantPolicy
 from fleet.execution.console import Console
 from fleet.execution.directory import RunDirectory
@@ -27,6 +24,7 @@ from fleet.recorder.log_file import LogFile
 from fleet.recorder.writer import LogWriter
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
+from netem.private_folder import PrivateFolder
 
 AGENT_TICKS = 20_000  # of a run, about
 LEAST_TICKS, MOST_TICKS = 30, 1000
@@ -100,10 +98,10 @@ class _Meter:
         """CPU time by role, in microseconds.
 
         Raises:
-            BenchError: the run was over before it could be measured.
+            FleetError: the run was over before it could be measured.
         """
         if not self.passed:
-            raise BenchError(f"the run with {vehicles} vehicles ended before it could be measured")
+            raise FleetError(f"the run with {vehicles} vehicles ended before it could be measured", status=3)
         return {role: self.cpu_s[role] * 1e6 / (self.passed * vehicles) for role in ROLES if role in self.cpu_s}
 
 
@@ -115,7 +113,7 @@ def measure_scale(sizes: Sequence[int], tick: str, *, quick: bool, say: Callable
 
     Raises:
         ScenarioError: the paper's scenario cannot have this tick.
-        BenchError: a run did not come to its end.
+        FleetError: a run did not come to its end.
     """
     for n in sizes:
         ticks = LEAST_TICKS if quick else min(max(AGENT_TICKS // n, LEAST_TICKS), MOST_TICKS)
@@ -140,8 +138,8 @@ def measure_scale(sizes: Sequence[int], tick: str, *, quick: bool, say: Callable
 
 def _measured(scenario: Scenario, *, in_process: bool) -> tuple[_Meter, float]:
     """What was measured, and how long it took until all were ready [s]."""
-    with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as out:
-        options = Options(Path(out), in_process=in_process, quiet=True)
+    with PrivateFolder("bench") as out:
+        options = Options(out, in_process=in_process, quiet=True)
         with closing(RunDirectory(options.out, scenario.name, scenario.seed)) as directory:
             file = LogFile(directory.log)
             journal = Journal(scenario, LogWriter(file, scenario))
@@ -155,7 +153,9 @@ def _measured(scenario: Scenario, *, in_process: bool) -> tuple[_Meter, float]:
                 return meter, console.started_s
             except RunBroken as error:
                 lines = "; ".join(error.lines[:3])
-                raise BenchError(f"the run with {scenario.vehicles} vehicles broke: {error.reason}; {lines}") from None
+                raise FleetError(
+                    f"the run with {scenario.vehicles} vehicles broke: {error.reason}; {lines}", status=3
+                ) from None
             finally:
                 file.close()
 

@@ -6,9 +6,10 @@ import os
 import resource
 import subprocess
 import sys
-import tempfile
+from pathlib import Path
 
-from fleet.bench.errors import BenchError
+from fleet.errors import FleetError
+from netem.private_folder import PrivateFolder
 
 PYTHON = "python -c pass"
 # Without the current directory on the path: a user's `signal.py` there is not ours.
@@ -31,10 +32,10 @@ def cpu_times(repeats: int) -> dict[str, float]:
     code is there, as after an install, also where PYTHONDONTWRITEBYTECODE is set: in a folder of our own.
 
     Raises:
-        BenchError: a command failed.
+        FleetError: a command failed.
     """
     least = dict.fromkeys(COMMANDS, float("inf"))
-    with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as folder:
+    with PrivateFolder("bench") as folder:
         environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
         environment["PYTHONPYCACHEPREFIX"] = f"{folder}/byte-code"
         for repeat in range(repeats + 1):
@@ -45,10 +46,10 @@ def cpu_times(repeats: int) -> dict[str, float]:
     return least
 
 
-def _cpu_s(name: str, command: list[str], folder: str, environment: dict[str, str]) -> float:
+def _cpu_s(name: str, command: list[str], folder: Path, environment: dict[str, str]) -> float:
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     ended = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     if ended.returncode:
-        raise BenchError(f"{name} exited with status {ended.returncode}: {ended.stderr.strip()[-200:]}")
+        raise FleetError(f"{name} exited with status {ended.returncode}: {ended.stderr.strip()[-200:]}", status=3)
     return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime

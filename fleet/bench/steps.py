@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Callable
-from pathlib import Path
 from statistics import median
 
 from fleet.bench.agent_step import agent_steps
@@ -15,6 +13,7 @@ from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile
 from fleet.recorder.writer import LogWriter
 from fleet.scenario.loading import load_scenario
+from netem.private_folder import PrivateFolder
 from netem.wire.codec import decode, encode
 from netem.wire.messages import Command, Nav
 from world.sea import World
@@ -52,8 +51,8 @@ def _log_tick(ticks: int) -> float:
             super().links(report)
 
     taken: list[tuple[Callable[..., None], object]] = []
-    with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as folder:
-        files = [LogFile(Path(folder) / name) for name in ("a.mcap", "b.mcap")]
+    with PrivateFolder("bench") as folder:
+        files = [LogFile(folder / name) for name in ("a.mcap", "b.mcap")]
         logs = [LogWriter(file, scenario) for file in files]
         first = JournalWithMemory(scenario, logs[0])
         clock = GrantPolicy(scenario.ticks, scenario.tick_ns, scenario.round_ticks, 1)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -15,7 +14,6 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from importlib.util import find_spec
 from math import inf
-from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
@@ -30,6 +28,7 @@ from fleet.scenario.text.overrides import SET, Override
 from fleet.study.local_engine import LocalEngine
 from fleet.study.one_run import Task, make_run, scenario_of
 from fleet.terminal.table import columns, show
+from netem.private_folder import PrivateFolder
 
 if TYPE_CHECKING:
     from fleet.study.sweep import Progress
@@ -234,7 +233,7 @@ def _study(
     from fleet.study.sweep import prepare, run_study
 
     overrides = tuple(Override(SET, change) for change in changes)
-    with tempfile.TemporaryDirectory(prefix="uuv-fleet-") as place, local_engine(workers) as engine:
+    with PrivateFolder("bench") as place, local_engine(workers) as engine:
         if pools is not None:
             pools.append(engine.workers)
         studies = 0
@@ -243,7 +242,7 @@ def _study(
             nonlocal studies
             studies += 1
             plan = Plan(scenario, overrides, seeds=tuple(range(1, runs + 1)))
-            store, modules = prepare(plan, Path(place) / str(studies))
+            store, modules = prepare(plan, place / str(studies))
             run_study(store, engine, tell, modules=modules)
 
         yield make

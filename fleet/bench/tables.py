@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from rich.console import Console as Terminal
 
-from fleet.bench.figures import Comparison, Figure, Measured
+from fleet.bench.figures import Figure, FiguresComparison, Measured
 from fleet.bench.fleets import CPU, DISTRIBUTED, IN_PROCESS, PIPES, PSS, READY, TICK_S, ZENOH, goals
 from fleet.bench.journal import show_journals
 from fleet.bench.start_up import PYTHON
@@ -80,7 +80,7 @@ def _left(columns: Sequence[TerminalColumn], *headings: str) -> list[TerminalCol
     return [replace(column, justify="left") if column.heading in headings else column for column in columns]
 
 
-def show_comparison(found: Comparison, terminal: Terminal) -> None:
+def show_comparison(found: FiguresComparison, terminal: Terminal) -> None:
     """Print what changed, worst first, and why the two may not be comparable."""
     for warning in found.warnings:
         terminal.print(f"warning: {warning}", highlight=False, markup=False)

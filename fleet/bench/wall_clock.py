@@ -6,7 +6,6 @@ same bytes, only later.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
@@ -17,11 +16,12 @@ from rich.console import Console as Terminal
 from fleet.analysis.punctuality import MOST_MISSED, missed_share, moved_share
 from fleet.bench.measured_run import measured_run
 from fleet.execution.options import Options
-from fleet.execution.outcome import Result
+from fleet.result.result import Result
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.terminal.table import columns, show
 from netem.clock import Clock
+from netem.private_folder import PrivateFolder
 
 
 class WallClockRow(Struct, frozen=True):
@@ -54,19 +54,19 @@ def measure_wall_clock(
     """Run every fleet at every speed, `seconds` of simulated time each.
 
     Raises:
-        BenchError: a run broke.
+        FleetError: a run broke.
     """
     rows = []
-    with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as folder:
+    with PrivateFolder("bench") as folder:
         for n in sizes:
             scenario = load_scenario(
                 "paper", [f"vehicles={n}", f"duration={seconds} s", "checks={}", "log.snapshot=0 s"]
             )
             say(f"N = {n}: lockstep")
-            same = measured_run(scenario, Options(Path(folder), quiet=True), checked=False)
+            same = measured_run(scenario, Options(folder, quiet=True), checked=False)
             for speed in speeds:
                 say(f"N = {n}: {speed:g} x real time")
-                timed = measured_run(scenario, _on_wall_clock(Path(folder), speed), checked=False)
+                timed = measured_run(scenario, _on_wall_clock(folder, speed), checked=False)
                 rows.append(_row(n, speed, scenario, timed, same))
     return rows
 
@@ -76,20 +76,21 @@ def _on_wall_clock(folder: Path, speed: float) -> Options:
 
 
 def _row(n: int, speed: float, scenario: Scenario, found: Result, same: Result) -> WallClockRow:
-    timing = found.values["timing"]
-    vehicles, network = timing["vehicles"].values(), timing["netem"]
+    timing = found.timing
+    assert timing is not None  # the clock is real, and the run came to its end
+    network = timing.netem
     missed, moved = missed_share(timing), moved_share(timing)
     return WallClockRow(
         n,
         speed,
         speed * 1e9 / scenario.tick_ns,
-        timing["label"],
+        timing.label,
         missed,
         moved,
-        max(row["response"]["p99_ms"] for row in vehicles),
-        network["overdue"] / max(1, network["hop"]["count"]),
+        max(row.response.p99_ms for row in timing.vehicles.values()),
+        network.overdue / max(1, network.hop.count),
         found.digest == same.digest,
-        same.values["wall"]["x_real_time"],
+        same.wall.x_real_time,
         max(missed, moved) <= MOST_MISSED,
     )
 

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
 
-from fleet.checks.verdict import LastMessage
 from fleet.logs.payload_kinds import STATE, kind_of
+from fleet.result.verdict import LastMessage
 from netem.causes import Cause
 from netem.condition import Link
 from netem.wire.messages import Fate

@@ -7,8 +7,9 @@ that arrives at the tick at which a check fails can be told as the one that made
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
 from math import isfinite
+
+from msgspec.structs import replace
 
 from agents.signals import SignalLayout
 from fleet.checks.api import Failure, Fault
@@ -16,8 +17,8 @@ from fleet.checks.last_messages import LastMessages
 from fleet.checks.python_check import RunningPythonCheck, SeenVehicle, facts_of, packets_of
 from fleet.checks.signal_check import RunningSignalCheck
 from fleet.checks.values import Error, FrameValues, TickValues
-from fleet.checks.verdict import Moment, Verdict
 from fleet.quantities import QuantityError, vehicle_numbers
+from fleet.result.verdict import Moment, Verdict
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signal_checks import ask
 from fleet.scenario.sections.signals import GROUPS, places

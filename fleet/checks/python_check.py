@@ -9,8 +9,8 @@ from typing import Any
 
 from fleet.checks.api import Facts, Failure, Fault, Packet, Tick, Vehicle
 from fleet.checks.values import TickValues
-from fleet.checks.verdict import Moment, Verdict, who
 from fleet.errors import FleetError
+from fleet.result.verdict import Moment, Verdict, who
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.python_checks import load_check, parameters_of
 from fleet.scenario.sections.signals import SignalPlace

@@ -7,7 +7,7 @@ from math import inf, isnan
 
 from fleet.checks.api import Failure
 from fleet.checks.values import TickValues
-from fleet.checks.verdict import Moment, Verdict, who
+from fleet.result.verdict import Moment, Verdict, who
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.checks import EVERY
 from fleet.scenario.sections.signal_checks import AskedOfSignal

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from fleet.cli.documents.output import as_document, json_option, print_document
+from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.group import ListingGroup
 from fleet.cli.types import Numbers, Whole
 from fleet.terminal.folding import stdout
@@ -18,7 +18,7 @@ from fleet.terminal.folding import stdout
 if TYPE_CHECKING:
     from msgspec import Struct
 
-    from fleet.bench.figures import Comparison
+    from fleet.bench.figures import FiguresComparison
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 SIZES = Numbers(1, 1000, "4,20,100", whole=True)
@@ -213,12 +213,14 @@ def study(runs: int, duration: float, workers: int, memory: int | None, output: 
 def _give(document: Struct, output: Path | None, *, as_json: bool) -> None:
     """Print a document, or write it, or both."""
     if output is not None:
-        output.write_text(as_document(document) + "\n", "utf-8")
+        from fleet.result.json_text import json_text
+
+        output.write_text(json_text(document) + "\n", "utf-8")
     if as_json:
         print_document(document)
 
 
-def _end_compared(found: Comparison | None) -> None:
+def _end_compared(found: FiguresComparison | None) -> None:
     sys.exit(1 if found is not None and found.slower else 0)
 
 

@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
-from click.core import ParameterSource
 
 from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
+from fleet.cli.study_options import OUT, SCHEDULER, WORKERS, given, spec_options, study_directory, warning
 from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES, Duration, Whole, disturbances
+from fleet.study.spec import BoundarySpec
 from fleet.terminal.folding import say, stdout
 
 if TYPE_CHECKING:
-    from fleet.scenario.text.overrides import Override
-    from fleet.study.borders import Border, Borders, Tell
+    from fleet.study.borders import Border, Borders
     from fleet.study.modules import Modules
     from fleet.study.sweep import Progress
+    from fleet.terminal.fitting import Piece
+    from fleet.terminal.status_line import StatusLine
     from world.plugins.trust import Trust
 
 OUTSIDE = ("below", "above")
@@ -29,40 +28,20 @@ OUTSIDE = ("below", "above")
 
 @click.command(cls=TrustingCommand)
 @click.argument("scenario", metavar="SCENARIO|DIR", shell_complete=scenarios)
-@click.option("--along", metavar="KEY=LOW..HIGH", help="Along what the border is looked for.")
-@click.option("--per", metavar="KEY=VALUES", multiple=True, help="One border for each of these values; repeatable.")
-@click.option(
-    "--level", metavar="RATE", type=float, default=0.5, show_default=True, help="The pass rate at the border."
-)
-@click.option("--width", metavar="SHARE", type=float, default=0.1, show_default=True,
-              help="How wide the interval of a border may stay, as a share of the range.")  # fmt: skip
-@click.option("--seeds", metavar="SEEDS", default="60", show_default=True,
-              help="How many runs a border gets at most, each with its own seed, or those seeds.")  # fmt: skip
-@OVERRIDES
-@disturbances
-@click.option("--out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False), default=Path("studies"),
-              show_default=True, help="Where studies go, each in a directory of its own.")  # fmt: skip
-@click.option("--workers", metavar="N", type=Whole(1, 1024), help="Runs at a time; by default one per core.")
-@click.option("--scheduler", metavar="ADDRESS", help="Use a Dask cluster that is there, e.g. tls://host:8786.")
-@click.option("--timeout", metavar="TIME", type=Duration(1), help="Wall time that one run may take, e.g. '5 min'.")
+@spec_options(BoundarySpec)
+@OUT
+@WORKERS
+@SCHEDULER
 @trust_option
 @json_option
 def boundary(
     scenario: str,
-    along: str | None,
-    per: tuple[str, ...],
-    level: float,
-    width: float,
-    seeds: str,
-    overrides: tuple[str, ...],
-    fault: tuple[Override, ...],
-    net: tuple[Override, ...],
     out: Path,
     workers: int | None,
     scheduler: str | None,
-    timeout: int | None,
     trust: Trust,
     as_json: bool,
+    **options: Any,
 ) -> None:
     """Find where the pass rate of SCENARIO falls through a level, with few runs.
 
@@ -85,85 +64,87 @@ def boundary(
     from fleet.study.engine import need_extra
 
     need_extra()
-    from fleet.scenario.catalogue import shipped_scenarios
-    from fleet.scenario.text.overrides import SET, Override
-    from fleet.study.border_theory import theory
-    from fleet.study.borders import Borders, find_borders, parse_along, prepare_borders
-    from fleet.study.errors import StudyError
-    from fleet.study.local_engine import engine_of
-    from fleet.study.pictures.border import write_borders
-    from fleet.study.plan import Plan, parse_seeds
-    from fleet.study.store import Store
-    from fleet.study.study import new_directory
-    from fleet.study.study_file import refuse_study
-    from fleet.study.sweep import modules_again
-    from fleet.study.values import parse_axis
-
-    modules: Modules
-    refuse_study(scenario)
-    if Path(scenario).is_dir() and scenario not in shipped_scenarios():
-        given = click.get_current_context().get_parameter_source
-        said = [name for name in ("level", "width", "seeds", "out") if given(name) is not ParameterSource.DEFAULT]
-        if along or per or overrides or fault or net or said:
-            raise click.UsageError(f"{scenario} is a study: what it runs is settled; only the missing runs are made")
-        borders = Borders(Store.open(Path(scenario)))
-        modules = modules_again(borders.store, trust)
-    elif along is None:
-        raise click.UsageError("along what? give --along KEY=LOW..HIGH, such as 'network.links.*.loss=0 %..95 %'")
-    else:
-        changes = (*(Override(SET, text) for text in overrides), *net, *fault)
-        axes = (*map(parse_axis, per), parse_along(along, width))
-        plan = Plan(scenario, changes, axes, seeds=parse_seeds(seeds))
-        store, modules = prepare_borders(plan, level, width, new_directory(scenario, out), trust)
-        borders = Borders(store)
-    directory = borders.store.directory
+    asked = given(BoundarySpec, options)
+    borders, modules, timeout_s = _opened(scenario, asked, trust) or _prepared(scenario, asked, out, trust)
     if borders.open():
-        most = len(borders.store.record.seeds)
-        say(f"{directory}: borders: {borders.count}, each with {most} runs at most", err=True)
-        with _showing() as tell, engine_of(workers, scheduler) as engine:
-            try:
-                find_borders(
-                    borders, engine, tell, modules=modules, timeout_s=inf if timeout is None else timeout / 1e9
-                )
-            except KeyboardInterrupt:
-                say(f"runs are missing; fleet boundary {directory} makes them", err=True)
-                raise
+        _run(borders, modules, timeout_s, (workers, scheduler))
     found = borders.found()
     if not as_json:
         _show(borders, found)
-    picture = None
-    try:
-        picture = write_borders(borders, theory(borders, trust))
-        say(str(picture), err=True)
-    except StudyError as error:  # the answer is there without it
-        say(f"there is no picture: {error}", err=True)
+    picture = _picture(borders, trust)
     if as_json:
         from fleet.cli.documents.boundary import boundary_document
 
         print_document(boundary_document(borders, found, None if picture is None else str(picture)))
     else:
-        click.echo(directory)
+        click.echo(borders.store.directory)
 
 
-@contextmanager
-def _showing() -> Iterator[Tell]:
-    """A function that shows how many borders are found; call it as often as you like."""
-    from rich.console import Console as Terminal
+def _opened(name: str, asked: dict[str, Any], trust: Trust) -> tuple[Borders, Modules, float] | None:
+    """The study of a directory, the modules that its runs need and the time that a run may take; None: it is none."""
+    from fleet.study.borders import Borders
+    from fleet.study.spec import seconds
+    from fleet.study.store import Store
+    from fleet.study.study_file import refuse_study
+    from fleet.study.sweep import modules_again
 
+    refuse_study(name)
+    if (directory := study_directory(name, BoundarySpec, asked)) is None:
+        return None
+    borders = Borders(Store.open(directory))
+    return borders, modules_again(borders.store, trust), seconds(asked.get("timeout", borders.record.timeout))
+
+
+def _prepared(name: str, asked: dict[str, Any], out: Path, trust: Trust) -> tuple[Borders, Modules, float]:
+    """The same of a new study."""
+    from fleet.study.borders import Borders, border_plan, prepare_borders
+    from fleet.study.study import new_directory
+
+    if "along" not in asked:
+        raise click.UsageError("along what? give --along KEY=LOW..HIGH, such as 'network.links.*.loss=0 %..95 %'")
+    spec = BoundarySpec(**asked)
+    store, modules = prepare_borders(border_plan(name, spec), spec, new_directory(name, out), trust, warning())
+    return Borders(store), modules, spec.timeout_s
+
+
+def _run(borders: Borders, modules: Modules, timeout_s: float, engine: tuple[int | None, str | None]) -> None:
+    """Make runs until every border is known; `engine`: the workers and the scheduler that were asked for."""
+    from fleet.cli.study_output import showing
+    from fleet.study.borders import find_borders
+    from fleet.study.local_engine import engine_of
+
+    directory, most = borders.store.directory, len(borders.store.record.seeds)
+    say(f"{directory}: borders: {borders.count}, each with {most} runs at most", err=True)
+    with showing(_pieces) as tell, engine_of(*engine) as workers:
+        try:
+            find_borders(borders, workers, tell, modules=modules, timeout_s=timeout_s)
+        except KeyboardInterrupt:
+            say(f"runs are missing; fleet boundary {directory} makes them", err=True)
+            raise
+
+
+def _picture(borders: Borders, trust: Trust) -> Path | None:
+    """Draw the borders; None: it cannot be, which is said."""
+    from fleet.study.border_theory import theory
+    from fleet.study.errors import StudyError
+    from fleet.study.pictures.border import write_borders
+
+    try:
+        picture = write_borders(borders, theory(borders, trust))
+    except StudyError as error:  # the answer is there without it
+        say(f"there is no picture: {error}", err=True)
+        return None
+    say(str(picture), err=True)
+    return picture
+
+
+def _pieces(line: StatusLine, progress: Progress, *, known: int, of: int) -> list[Piece]:
+    """How many borders are found."""
     from fleet.cli.study_output import progress_pieces
     from fleet.terminal.fitting import Piece
-    from fleet.terminal.status_line import StatusLine
 
-    with StatusLine(Terminal(stderr=True), quiet=False) as line:
-
-        def tell(progress: Progress, *, known: int, of: int) -> None:
-            if not line.due():
-                return
-            of_all, shown = Piece(0, [f"{known} / {of} borders"]), Piece(2, [f"{progress.made} runs"])
-            drawn, rate, failed = progress_pieces(line, known / of, progress)
-            line.show([of_all, drawn, shown, rate, failed])
-
-        yield tell
+    drawn, rate, failed = progress_pieces(line, known / of, progress)
+    return [Piece(0, [f"{known} / {of} borders"]), drawn, Piece(2, [f"{progress.made} runs"]), rate, failed]
 
 
 def _show(borders: Borders, found: list[Border]) -> None:

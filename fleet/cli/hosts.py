@@ -11,6 +11,7 @@ import click
 
 from fleet.cli.completion import scenarios
 from fleet.cli.types import FORCE, OVERRIDES, Duration, Whole
+from fleet.errors import FleetError
 
 if TYPE_CHECKING:
     from fleet.hosts.rendezvous import Rendezvous
@@ -54,7 +55,6 @@ def rendezvous(scenario: Scenario, options: dict[str, Any], *, in_process: bool)
     given = [name for name in names if options[name]]
     if not given:
         return None
-    from fleet.hosts.certificates import HostsError
     from fleet.hosts.rendezvous import (
         CERTIFIED,
         Rendezvous,
@@ -68,24 +68,24 @@ def rendezvous(scenario: Scenario, options: dict[str, Any], *, in_process: bool)
     certified = options["listen_certified"]
     spelt = "--" + given[0].replace("_", "-")
     if in_process:
-        raise HostsError(f"{spelt}: a run in one process has no router that others could join")
+        raise FleetError(f"{spelt}: a run in one process has no router that others could join")
     if certified and router:
-        raise HostsError(f"{CERTIFIED} is for a run that hosts its router: the one of --router asks for passwords")
+        raise FleetError(f"{CERTIFIED} is for a run that hosts its router: the one of --router asks for passwords")
     if listen and router:
-        raise HostsError("either --listen or --router, not both")
+        raise FleetError("either --listen or --router, not both")
     if not (listen or router or certified):
-        raise HostsError(f"{spelt} needs --listen or --router")
+        raise FleetError(f"{spelt} needs --listen or --router")
     if options["mutual_tls"] and not (listen or router):
-        raise HostsError(f"--mutual-tls is for --listen or --router: {CERTIFIED} always asks for certificates")
+        raise FleetError(f"--mutual-tls is for --listen or --router: {CERTIFIED} always asks for certificates")
     common = {"certs": options["certs"], "external": scenario.external, "lease_ms": lease_ms}
     if lease_ms >= scenario.spec.stall_timeout / 1e6:
-        raise HostsError(
+        raise FleetError(
             f"--lease {lease_ms / 1000:g} s is no shorter than stall_timeout {scenario.stall_timeout_s:g} s: "
             f"the run would break before a silent link ends: --set stall_timeout='{lease_ms / 500:g} s'"
         )
     if not router:
         if options["credentials"]:
-            raise HostsError("--credentials is for --router: a router of its own makes fresh ones")
+            raise FleetError("--credentials is for --router: a router of its own makes fresh ones")
         found = Rendezvous()
         if listen:
             found = listening(listen, advertise=options["advertise"], mutual=options["mutual_tls"], **common)
@@ -100,9 +100,9 @@ def rendezvous(scenario: Scenario, options: dict[str, Any], *, in_process: bool)
             found = replace(found, warnings=(*found.warnings, nobody))
         return found
     if options["advertise"]:
-        raise HostsError("--advertise is for --listen: agents are told the endpoint of --router")
+        raise FleetError("--advertise is for --listen: agents are told the endpoint of --router")
     if not options["credentials"]:
-        raise HostsError("--router needs --credentials FILE, which fleet acl SCENARIO -o DIR writes")
+        raise FleetError("--router needs --credentials FILE, which fleet acl SCENARIO -o DIR writes")
     return through_router(router, options["credentials"], scenario.vehicles, mutual=options["mutual_tls"], **common)
 
 
@@ -174,16 +174,15 @@ def acl(
     from secrets import token_hex
 
     from fleet.hosts import router_config as lists
-    from fleet.hosts.certificates import HostsError
     from fleet.hosts.rendezvous import parse_endpoint, run_id
     from fleet.scenario.loading import load_scenario
 
     vehicles = load_scenario(scenario, overrides, imports=False).vehicles
     endpoint = parse_endpoint(listen, "--listen")
     if endpoint.protocol == "tls" and certs is None:
-        raise HostsError(f"{endpoint} needs certificates: --certs DIR, made with fleet certs DIR --host NAME; or tcp/")
+        raise FleetError(f"{endpoint} needs certificates: --certs DIR, made with fleet certs DIR --host NAME; or tcp/")
     if endpoint.protocol == "tcp" and (certs or mutual_tls):
-        raise HostsError("--certs and --mutual-tls are for tls/ endpoints")
+        raise FleetError("--certs and --mutual-tls are for tls/ endpoints")
     name = token_hex(4) if run is None else run_id(run)
     users = users_file or (out or Path()).absolute() / lists.USERS
     place = certs.absolute() if certs else None

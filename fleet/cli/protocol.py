@@ -66,8 +66,7 @@ def check(
       fleet protocol check --id 2 --scenario rough-sea --join-file /tmp/join-2.json
       fleet protocol check --id 3 --listen-certified tls/127.0.0.1:7448 --certs certs
     """
-    from fleet.errors import printable
-    from fleet.hosts.certificates import HostsError
+    from fleet.errors import FleetError, printable
     from fleet.hosts.rendezvous import CERTIFIED, Rendezvous, check_free, listening_for_certificates
     from fleet.protocol.conformance import Examination
     from fleet.scenario.loading import load_scenario
@@ -76,7 +75,7 @@ def check(
     quiet_zenoh()
     place = None
     if certs and not listen_certified:
-        raise HostsError("--certs is for --listen-certified ENDPOINT, such as tls/127.0.0.1:7448")
+        raise FleetError("--certs is for --listen-certified ENDPOINT, such as tls/127.0.0.1:7448")
     if listen_certified:
         place = listening_for_certificates(Rendezvous(), listen_certified, certs, external=(vehicle,))
         check_free(listen_certified, CERTIFIED)

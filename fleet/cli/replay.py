@@ -48,11 +48,17 @@ _listen = click.option(
 @click.option("-r", "--rate", metavar="X", type=float, default=1.0, show_default=True, callback=_rate,
               help="Times the log's own pace; 0: as fast as possible.")  # fmt: skip
 @click.option("-l", "--loop", is_flag=True, help="Begin again at the end, until Ctrl-C.")
-@click.option("-s", "--start-offset", metavar="TIME", type=Duration(), default=0, help="Skip so much, e.g. '20 s'.")
-@click.option("--duration", metavar="TIME", type=Duration(), help="Play so much of the log.")
-@click.option("--until", metavar="TIME", type=Duration(), help="Play up to this time of the log, from its beginning.")
+@click.option(
+    "-s", "--start-offset", "start_ns", metavar="TIME", type=Duration(), default=0, help="Skip so much, e.g. '20 s'."
+)
+@click.option("--duration", "duration_ns", metavar="TIME", type=Duration(), help="Play so much of the log.")
+@click.option(
+    "--until", "until_ns", metavar="TIME", type=Duration(), help="Play up to this time of the log, from its beginning."
+)
 @click.option("-p", "--start-paused", is_flag=True, help="Begin with a pause; space goes on, right arrow steps.")
-@click.option("-d", "--delay", metavar="TIME", type=Duration(), default=0, help="Wait so long before the beginning.")
+@click.option(
+    "-d", "--delay", "delay_ns", metavar="TIME", type=Duration(), default=0, help="Wait so long before the beginning."
+)
 @click.option("--topics", metavar="TOPIC", multiple=True,
               help="Only this topic, or those that fit: uuv/*/state, link/**; repeatable.")  # fmt: skip
 @click.option(
@@ -60,9 +66,11 @@ _listen = click.option(
 )
 @click.option("-m", "--remap", metavar="OLD:=NEW", multiple=True,
               help="Rename a topic, or the first parts of many: uuv/1:=twin; repeatable.")  # fmt: skip
-@click.option("--clock", metavar="HZ", type=click.FloatRange(0.001, 1000.0),
+@click.option("--clock", "clock_hz", metavar="HZ", type=click.FloatRange(0.001, 1000.0),
               help="Publish the time of the log so often, on fleet/{run}/clock.")  # fmt: skip
-@click.option("--wait-for-subscribers", is_flag=True, help="Begin when every key that is played has a subscriber.")
+@click.option(
+    "--wait-for-subscribers", "wait", is_flag=True, help="Begin when every key that is played has a subscriber."
+)
 @click.option("--run", "run_id", metavar="ID", default="replay", show_default=True,
               help="Publish under fleet/ID/log/**; a recording of other traffic keeps its keys.")  # fmt: skip
 @_connect
@@ -73,23 +81,13 @@ _listen = click.option(
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no summary.")
 def replay(
     log: Path,
-    rate: float,
-    loop: bool,
-    start_offset: int,
-    duration: int | None,
-    until: int | None,
     start_paused: bool,
-    delay: int,
-    topics: tuple[str, ...],
-    regex: str | None,
-    remap: tuple[str, ...],
-    clock: float | None,
-    wait_for_subscribers: bool,
     run_id: str,
     connect: str | None,
     listen: str | None,
     observe: Path | None,
     quiet: bool,
+    **how: Any,
 ) -> None:
     """Publish LOG (an MCAP file, or a run directory) on zenoh again, at its own pace.
 
@@ -117,15 +115,8 @@ def replay(
         raise click.BadParameter(f"expected one part of a key, without / * $ ? #, got {run_id!r}", param_hint="--run")
     if start_paused and not Keyboard.possible():
         raise click.UsageError("--start-paused needs a terminal: nobody could go on")
-    if observe is not None and connect is not None:
-        raise click.UsageError("--observe is about a router of our own, and --connect about another one")
-    if observe is not None and observe.exists():
-        raise click.BadParameter(f"{observe} exists already; choose another name", param_hint="--observe")
-    options = PlaybackOptions(
-        run=run_id, rate=rate, loop=loop, start_ns=start_offset, duration_ns=duration, until_ns=until,
-        paused=start_paused, delay_ns=delay, topics=topics, regex=regex, remap=remap, clock_hz=clock,
-        wait=wait_for_subscribers,
-    )  # fmt: skip
+    _check_observe(observe, connect)
+    options = PlaybackOptions(run=run_id, paused=start_paused, **how)
     terminal = Terminal(stderr=True)
     with showing(f"reading {log}", quiet=quiet) as tell:
         tape = Tape(log_path(log), tell)
@@ -242,6 +233,14 @@ def _free_endpoint() -> str:
     from fleet.processes.ports import free_port
 
     return f"tcp/127.0.0.1:{free_port(None)}"
+
+
+def _check_observe(observe: Path | None, connect: str | None) -> None:
+    """Refuse a file for observers that could not be written, or that nobody could use."""
+    if observe is not None and connect is not None:
+        raise click.UsageError("--observe is about a router of our own, and --connect about another one")
+    if observe is not None and observe.exists():
+        raise click.BadParameter(f"{observe} exists already; choose another name", param_hint="--observe")
 
 
 @contextmanager

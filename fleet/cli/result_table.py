@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
 
+from msgspec.structs import astuple
 from rich.console import Console as Terminal
 from rich.text import Text
 
 from fleet.analysis.preflight import large_log_hint
 from fleet.analysis.punctuality import summary
 from fleet.execution.notes import folded, without_agent
-from fleet.execution.outcome import Result, Status
-from fleet.recorder.metrics import WorstAndMedian
+from fleet.result.result import FaultEvent, LinkAge, Result, Status, VehicleResult
 from fleet.scenario.sections.vehicle_events import vehicle_events
 from fleet.terminal import table
 from fleet.terminal.folding import INDENT, fold
 from fleet.terminal.table import TerminalColumn, width
 from netem.causes import Cause
+from netem.ledger import Account
 
 Say = Callable[..., None]
 MOST_VEHICLES, MOST_LINKS, MOST_EVENTS = 10, 5, 10
@@ -28,7 +28,6 @@ _P95 = 7  # the rank of the column that goes first
 
 def show(result: Result, terminal: Terminal) -> None:
     """Print verdicts, failed ones first, what happened to vehicles, vehicles, links, and where everything is."""
-    values = result.values
     most = terminal.width if terminal.is_terminal else None
 
     def say(text: str, style: str = "", mark: str = "") -> None:
@@ -45,29 +44,29 @@ def show(result: Result, terminal: Terminal) -> None:
     for verdict in sorted(result.verdicts, key=lambda verdict: verdict.passed):
         style, mark = ("green", "pass") if verdict.passed else ("red", "FAIL")
         say(f"{verdict.check}: {verdict.asked}; found {verdict.found}", style, mark)
-    _show_events(values["events"], say)
+    _show_events(result.events, say)
     explained = {without_agent(line) for line in result.lines}
-    notes = folded(note for note in values["notes"] if without_agent(note) not in explained)
+    notes = folded(note for note in result.notes if without_agent(note) not in explained)
     for note in notes[:MOST_NOTES]:
         say(note, mark="note")
     if len(notes) > MOST_NOTES:
         say(f"... and {len(notes) - MOST_NOTES} more in result.json", mark="note")
-    if values["vehicles"]:
-        show_vehicles = _show_protocols if all(row["agent"] for row in values["vehicles"].values()) else _show_vehicles
-        show_vehicles(values["vehicles"], values["from_s"], terminal, say)
-    if len(values["vehicles"]) > 1:
-        say(f"formation error at the end: {WorstAndMedian(**values['formation'])}")
-    if any(account["sent"] for account in values["ledger"].values()):
-        _show_links(values["ledger"], values["ages"], values["from_s"], terminal, say)
-    if "timing" in values:
-        say(summary(values["timing"], values["timing"]["speed"]))
-    wall, size = values["wall"], values["log_bytes"]
-    how = "in-process" if wall["in_process"] else f"distributed, ready in {wall['startup_s']:.2f} s"
-    where = f", t = {values['from_s']:g} to {values['sim_s']:g} s," if values["from_s"] else ""
+    if result.vehicles:
+        show_vehicles = _show_protocols if all(row.agent for row in result.vehicles.values()) else _show_vehicles
+        show_vehicles(result.vehicles, result.from_s, terminal, say)
+    if len(result.vehicles) > 1:
+        say(f"formation error at the end: {result.formation}")
+    if any(account.sent for account in result.ledger.values()):
+        _show_links(result, terminal, say)
+    if result.timing is not None:
+        say(summary(result.timing))
+    wall, size = result.wall, result.log_bytes
+    how = "in-process" if wall.in_process else f"distributed, ready in {wall.startup_s:.2f} s"
+    where = f", t = {result.from_s:g} to {result.sim_s:g} s," if result.from_s else ""
     say(
-        f"{values['sim_s'] - values['from_s']:g} s simulated{where} in {wall['run_s']:.2f} s "
-        f"({wall['x_real_time']:.1f} x real time, {how}); "
-        f"{values['messages']} messages, {f'{size / 1e6:.1f} MB' if size else 'no log'}, digest {result.digest[:16]}"
+        f"{result.sim_s - result.from_s:g} s simulated{where} in {wall.run_s:.2f} s "
+        f"({wall.x_real_time:.1f} x real time, {how}); "
+        f"{result.messages} messages, {f'{size / 1e6:.1f} MB' if size else 'no log'}, digest {result.digest[:16]}"
     )
     if hint := large_log_hint(size / 1e6):
         say(f"the log is large: {hint}", mark="note")
@@ -77,43 +76,43 @@ def show(result: Result, terminal: Terminal) -> None:
     say(str(result.directory))
 
 
-def _show_events(rows: list[dict[str, Any]], say: Say) -> None:
-    events = vehicle_events((row["what"], row["at_s"]) for row in rows if row["action"] == "begins")
+def _show_events(rows: list[FaultEvent], say: Say) -> None:
+    events = vehicle_events((row.what, row.at_s) for row in rows if row.action == "begins")
     for event in events[:MOST_EVENTS]:
         say(str(event), mark="event")
     if len(events) > MOST_EVENTS:
         say(f"... and {len(events) - MOST_EVENTS} more in result.json", mark="event")
 
 
-def _show_vehicles(rows: dict[str, dict[str, float | None]], from_s: float, terminal: Terminal, say: Say) -> None:
+def _show_vehicles(rows: dict[str, VehicleResult], from_s: float, terminal: Terminal, say: Say) -> None:
     """The vehicles: all, or those with the largest formation error at the end."""
     shown = _farthest(rows)
 
-    def cells(key: str, form: str, none: str) -> list[str]:
-        return [none if (value := rows[i][key]) is None else format(value, form) for i in shown]
+    def cells(of: Callable[[VehicleResult], float | None], form: str, none: str = "-") -> list[str]:
+        return [none if (value := of(rows[i])) is None else format(value, form) for i in shown]
 
     columns = [
         TerminalColumn("UUV", shown),
-        TerminalColumn("settle\n10 % [s]", cells("settle_10pct_s", ".2f", _NOT_SETTLED), 1),
-        TerminalColumn("settle\n5 cm [s]", cells("settle_5cm_s", ".2f", _NOT_SETTLED), 2),
-        TerminalColumn("RMS e, last\n10 s [m]", cells("e_rms_m", ".4f", "-"), 3),
-        TerminalColumn("final\nformation\nerror [m]", cells("formation_final_m", ".4f", "-")),
-        TerminalColumn("surge\neffort [N s]", cells("effort_Ns", ".1f", "-"), 5),
-        TerminalColumn("max u_cmd\n[m/s]", cells("u_cmd_max_mps", ".2f", "-"), 4),
+        TerminalColumn("settle\n10 % [s]", cells(lambda row: row.settle_10pct_s, ".2f", _NOT_SETTLED), 1),
+        TerminalColumn("settle\n5 cm [s]", cells(lambda row: row.settle_5cm_s, ".2f", _NOT_SETTLED), 2),
+        TerminalColumn("RMS e, last\n10 s [m]", cells(lambda row: row.e_rms_m, ".4f"), 3),
+        TerminalColumn("final\nformation\nerror [m]", cells(lambda row: row.formation_final_m, ".4f")),
+        TerminalColumn("surge\neffort [N s]", cells(lambda row: row.effort_Ns, ".1f"), 5),
+        TerminalColumn("max u_cmd\n[m/s]", cells(lambda row: row.u_cmd_max_mps, ".2f"), 4),
     ]
     title = f"vehicles; settling times count from the start at t = {from_s:g} s" if from_s else "vehicles"
     table.show(columns, title, terminal, "see result.json")
     _tell_more(len(rows) - len(shown), say)
 
 
-def _show_protocols(rows: dict[str, dict[str, Any]], from_s: float, terminal: Terminal, say: Say) -> None:
+def _show_protocols(rows: dict[str, VehicleResult], from_s: float, terminal: Terminal, say: Say) -> None:
     """Vehicles whose agents run a protocol: what these reported at the end. They need not settle anywhere."""
     shown = _farthest(rows)
-    units = {name: told["unit"] for row in rows.values() for name, told in row["signals"].items()}
+    units = {name: signal.unit for row in rows.values() for name, signal in row.signals.items()}
 
     def cells(name: str) -> list[str]:
-        told = [rows[i]["signals"].get(name, {}).get("value") for i in shown]
-        return ["-" if value is None else f"{value:.6g}" for value in told]
+        signals = [rows[i].signals.get(name) for i in shown]
+        return ["-" if one is None or one.value is None else f"{one.value:.6g}" for one in signals]
 
     columns = [
         TerminalColumn("UUV", shown),
@@ -121,58 +120,57 @@ def _show_protocols(rows: dict[str, dict[str, Any]], from_s: float, terminal: Te
             TerminalColumn(name if unit == "1" else f"{name}\n[{unit}]", cells(name), rank)
             for rank, (name, unit) in enumerate(units.items(), 1)
         ),
-        TerminalColumn("final formation\nerror [m]", [f"{rows[i]['formation_final_m']:.4f}" for i in shown]),
+        TerminalColumn("final formation\nerror [m]", [f"{rows[i].formation_final_m:.4f}" for i in shown]),
     ]
-    laws = sorted({row["agent"] for row in rows.values()})
+    laws = sorted({row.agent for row in rows.values()})
     table.show(columns, f"vehicles; what {', '.join(laws)} reported at the end", terminal, "see result.json")
     _tell_more(len(rows) - len(shown), say)
 
 
-def _show_links(
-    rows: dict[str, Any], ages: dict[str, dict[str, float]], from_s: float, terminal: Terminal, say: Say
-) -> None:
+def _show_links(result: Result, terminal: Terminal, say: Say) -> None:
     """Packets and ages of the links: of all together, and of those with the oldest information.
 
     Links with the same numbers are one row. Columns of zeros are left out. Where there is no room for every cause of a
     loss, one column has their sum.
     """
-    causes = sorted({cause for row in rows.values() for cause in row["lost"]} - {Cause.REPLACED})
+    rows, ages = result.ledger, result.ages
+    causes = sorted({cause for row in rows.values() for cause in row.lost} - {Cause.REPLACED})
     alike = _alike(rows, ages)
-    shown = sorted(alike, key=lambda name: -ages[name]["max_s"] if name in ages else 0.0)[:MOST_LINKS]
+    shown = sorted(alike, key=lambda name: -ages[name].max_s if name in ages else 0.0)[:MOST_LINKS]
     if len(alike) <= MOST_LINKS:
         shown = list(alike)
     names = [name if len(alike[name]) == 1 else f"{name} ... ({len(alike[name])})" for name in shown]
 
-    def counts(heading: str, count: Callable[[dict[str, Any]], int], rank: int = 0) -> list[TerminalColumn]:
+    def counts(heading: str, count: Callable[[Account], int], rank: int = 0) -> list[TerminalColumn]:
         total = sum(map(count, rows.values()))
         cells = [str(total), *(str(count(rows[name])) for name in shown)]
         return [TerminalColumn(heading, cells, rank)] if total or not rank else []
 
-    def times(heading: str, key: str, rank: int) -> TerminalColumn:
-        cells = [f"{ages[name][key]:.3f}" if name in ages else "-" for name in ("*", *shown)]
+    def times(heading: str, age: Callable[[LinkAge], float], rank: int) -> TerminalColumn:
+        cells = [f"{age(ages[name]):.3f}" if name in ages else "-" for name in ("*", *shown)]
         return TerminalColumn(heading, cells, rank)
 
     def columns(lost: list[TerminalColumn]) -> list[TerminalColumn]:
         return [
             TerminalColumn("link", ["all", *names]),
-            *counts("sent", lambda row: row["sent"]),
-            *counts("duplicated", lambda row: row["duplicated"], 5),
+            *counts("sent", lambda row: row.sent),
+            *counts("duplicated", lambda row: row.duplicated, 5),
             # Replaced by newer data before it was sent: not lost on the way.
-            *counts("replaced", lambda row: row["lost"].get(Cause.REPLACED, 0), 2),
-            *counts("delivered", lambda row: row["delivered"]),
+            *counts("replaced", lambda row: row.replaced, 2),
+            *counts("delivered", lambda row: row.delivered),
             *lost,
-            *counts("in\nflight", lambda row: row["in_flight"], 4),
-            *counts("corrupted", lambda row: row["corrupted"], 3),
-            times("mean\nage [s]", "mean_s", 6),
-            times("p95\n[s]", "p95_s", _P95),
-            times("max\n[s]", "max_s", 1),
+            *counts("in\nflight", lambda row: row.in_flight, 4),
+            *counts("corrupted", lambda row: row.corrupted, 3),
+            times("mean\nage [s]", lambda age: age.mean_s, 6),
+            times("p95\n[s]", lambda age: age.p95_s, _P95),
+            times("max\n[s]", lambda age: age.max_s, 1),
         ]
 
     wanted = columns([column for cause in causes for column in counts(_heading(cause), _losses(cause))])
     merged = len(causes) > 1 and width([column for column in wanted if column.rank != _P95]) > terminal.width
     if merged:
         wanted = columns(counts("lost", _losses(*causes)))
-    since = " since t = 0" if from_s else ""  # the ledger goes on, too, as what was on the way then must balance
+    since = " since t = 0" if result.from_s else ""  # the ledger goes on, too, as what was on the way then must balance
     title = f"packets per directed link{since}, age of what was heard last"
     table.show(wanted, title, terminal, "see result.json")
     if rest := [link for name, links in alike.items() if name not in shown for link in links]:
@@ -190,32 +188,33 @@ def _tell_more(rows: int, say: Say) -> None:
         say(f"... and {rows} more in result.json")
 
 
-def _farthest(rows: Mapping[str, Mapping[str, Any]]) -> list[str]:
+def _farthest(rows: Mapping[str, VehicleResult]) -> list[str]:
     """The vehicles, given their rows: all, or of many those with the largest formation error at the end."""
     if len(rows) <= MOST_VEHICLES:
         return list(rows)
-    return sorted(rows, key=lambda name: -(rows[name]["formation_final_m"] or 0.0))[:MOST_VEHICLES]
+    return sorted(rows, key=lambda name: -(rows[name].formation_final_m or 0.0))[:MOST_VEHICLES]
 
 
-def _alike(rows: Mapping[str, Any], ages: Mapping[str, Mapping[str, float]]) -> dict[str, list[str]]:
+def _alike(rows: Mapping[str, Account], ages: Mapping[str, LinkAge]) -> dict[str, list[str]]:
     """Links by the first one that has the same numbers, as they are shown."""
     first: dict[str, str] = {}
     found: dict[str, list[str]] = {}
     for name, row in rows.items():
-        shown = repr((row, {key: round(age, 3) for key, age in ages.get(name, {}).items()}))
+        age = ages.get(name)
+        shown = repr((row, age and [round(seconds, 3) for seconds in astuple(age)]))
         found.setdefault(first.setdefault(shown, name), []).append(name)
     return found
 
 
-def _lost_share(row: Mapping[str, Any]) -> float:
+def _lost_share(row: Account) -> float:
     """Lost packets of a link among those whose fate is known."""
-    lost = sum(count for cause, count in row["lost"].items() if cause != Cause.REPLACED)
-    return lost / known if (known := lost + row["delivered"]) else 0.0
+    lost = sum(row.lost.values()) - row.replaced
+    return lost / known if (known := lost + row.delivered) else 0.0
 
 
-def _losses(*causes: str) -> Callable[[dict[str, Any]], int]:
+def _losses(*causes: str) -> Callable[[Account], int]:
     """How many packets of a link, given its row of the ledger, were lost by these causes."""
-    return lambda row: sum(row["lost"].get(cause, 0) for cause in causes)
+    return lambda row: sum(row.lost.get(cause, 0) for cause in causes)
 
 
 def _heading(cause: str) -> str:

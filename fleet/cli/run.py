@@ -15,7 +15,7 @@ from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.group import EPILOG
 from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES, Duration, Share, Speed, Whole, disturbances, is_given
+from fleet.cli.types import OVERRIDES, Duration, Share, Speed, Whole, disturbances, is_given, key_options
 from fleet.terminal.folding import say, stdout
 from fleet.terminal.output import OutputError, give_up_output
 from netem.clock import Clock
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from rich.console import Console as Terminal
 
     from fleet.execution.options import Options
-    from fleet.execution.outcome import Result
     from fleet.recorder.snapshot import Start
+    from fleet.result.result import Result
     from fleet.scenario.scenario import Scenario
     from fleet.scenario.text.overrides import Override
 
@@ -127,7 +127,7 @@ def run(
     if as_json and show_config:
         raise click.UsageError("--show-config prints YAML: not together with --json")
     changes: list[str | Override] = [*overrides, *net, *fault]
-    changes += [f"{key}={value}" for key, value in (("seed", seed), ("duration", duration)) if value is not None]
+    changes += key_options(seed=seed, duration=duration)
     if scenario is not None and begin is None and not how["in_process"] and not show_config:
         from fleet.processes.children import start_forkserver
 
@@ -152,7 +152,7 @@ def run(
         if page is not None and result.directory is not None:
             page.over(result.directory)
         _print_result(result, as_json=as_json, quiet=quiet)
-    sys.exit(int(result.status))
+    sys.exit(result.exit)
 
 
 def _options(scenario: Scenario, start: Start | None, how: dict[str, Any], terminal: Terminal) -> Options:
@@ -207,15 +207,13 @@ def _tell_plan(scenario: Scenario, start: Start | None, *, in_process: bool) -> 
 
 
 def _print_result(result: Result, *, as_json: bool, quiet: bool) -> None:
-    from fleet.execution.outcome import Status
+    from fleet.result.result import Status
 
     try:
         if as_json or quiet:
             _print_failure(result)
         if as_json:
-            from fleet.cli.documents.result import ran
-
-            print_document(ran(result))
+            print_document(result)
         elif quiet:
             click.echo(result.directory)
         else:
@@ -226,7 +224,7 @@ def _print_result(result: Result, *, as_json: bool, quiet: bool) -> None:
     except OutputError as error:
         give_up_output()
         click.echo(f"fleet: {error}; the results are in {result.directory}", err=True)
-        sys.exit(max(Status.BROKEN, result.status))
+        sys.exit(max(Status.BROKEN.exit, result.exit))
 
 
 def _load(
@@ -282,7 +280,7 @@ def _check_clock(speed: float | None, clock: str, one_process: str) -> None:
 def _print_failure(result: Result) -> None:
     """Print a failure on stderr, where stdout has no tables; one that the scenario expects is none."""
     failed = [f"FAIL  {v.check}: {v.asked}; found {v.found}" for v in result.verdicts if not v.passed]
-    if result.reason or (failed and result.status):
+    if result.reason or (failed and not result.passed):
         lines = [f"fleet: {result.reason}", *result.lines] if result.reason else failed
         say("\n".join(lines), err=True)
 

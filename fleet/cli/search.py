@@ -10,13 +10,18 @@ import click
 
 from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
-from fleet.cli.shrink import MOST_RUNS, place_of, show_least, telling, write_least
+from fleet.cli.shrink import MOST_RUNS, pieces, place_of, show_least, write_least
+from fleet.cli.study_options import SCHEDULER, WORKERS, least_options
 from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES, Budget, Whole, disturbances
+from fleet.cli.types import OVERRIDES, Budget, disturbances
 from fleet.terminal.folding import say
 
 if TYPE_CHECKING:
+    from fleet.scenario.scenario import Scenario
     from fleet.scenario.text.overrides import Override
+    from fleet.study.modules import Modules
+    from fleet.study.search import Searched
+    from fleet.study.shrink import Shrunk
     from world.plugins.trust import Trust
 
 
@@ -28,11 +33,9 @@ if TYPE_CHECKING:
 @click.option("--check", metavar="NAME", help="The check that must fail; by default any.")
 @OVERRIDES
 @disturbances
-@click.option("-o", "--out", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
-              help="Where the least scenario goes; by default NAME-least.yaml.")  # fmt: skip
-@click.option("--force", is_flag=True, help="Replace that file if it is there.")
-@click.option("--workers", metavar="N", type=Whole(1, 1024), help="Runs at a time; by default one per core.")
-@click.option("--scheduler", metavar="ADDRESS", help="Use a Dask cluster that is there, e.g. tls://host:8786.")
+@least_options
+@WORKERS
+@SCHEDULER
 @trust_option
 @json_option
 def search(
@@ -62,25 +65,17 @@ def search(
       fleet search paper --nemesis --budget '10 min' --set 'network={period: 100 ms}'
       fleet search my.yaml --set seed=201 --check formation_error
     """
-    from fleet.scenario.loading import load_scenario
+    from fleet.cli.study_output import showing
     from fleet.study.errors import StudyError
     from fleet.study.local_engine import engine_of
-    from fleet.study.modules import modules_of
-    from fleet.study.search import nemesis_of
     from fleet.study.search import search as first_that_fails
     from fleet.study.shrink import Shrinker
-    from fleet.study.study_file import refuse_study
 
-    refuse_study(scenario)
-    changes: list[str | Override] = [*overrides, *net, *fault]
-    tried = load_scenario(scenario, changes, trust)
-    if nemesis:
-        tried = load_scenario(scenario, [*changes, nemesis_of(tried)], trust)
+    tried, modules = _tried(scenario, [*overrides, *net, *fault], trust, nemesis=nemesis)
     path = place_of(tried, out, force=force)
-    modules = modules_of([tried], Path(scenario).parent if Path(scenario).exists() else None)
     most_runs, budget_s = budget
     least = None
-    with telling() as tell, engine_of(workers, scheduler) as engine:
+    with showing(pieces) as tell, engine_of(workers, scheduler) as engine:
         modules = engine.carry(modules)
         found = first_that_fails(tried, engine, lambda runs: tell("seeds", runs), check=check, most_runs=most_runs,
                                  budget_s=budget_s, modules=modules)  # fmt: skip
@@ -90,6 +85,29 @@ def search(
             say(f"seed {found.seed} fails {found.check}, the first one from {found.first_seed} on", err=True)
             least = Shrinker(found.scenario, engine, tell, modules).shrink(found.check, MOST_RUNS)
             write_least(least.scenario, path)
+    _print(found, least, check, path, as_json=as_json)
+    if found.scenario is not None:
+        sys.exit(1)
+    if not found.runs:
+        raise StudyError("no run came to its end, so nothing is known")
+
+
+def _tried(name: str, changes: list[str | Override], trust: Trust, *, nemesis: bool) -> tuple[Scenario, Modules]:
+    """The scenario whose seeds are tried, and the modules that its runs need; `nemesis`: give it one."""
+    from fleet.scenario.loading import load_scenario
+    from fleet.study.modules import modules_of
+    from fleet.study.search import nemesis_of
+    from fleet.study.study_file import refuse_study
+
+    refuse_study(name)
+    tried = load_scenario(name, changes, trust)
+    if nemesis:
+        tried = load_scenario(name, [*changes, nemesis_of(tried)], trust)
+    return tried, modules_of([tried], Path(name).parent if Path(name).exists() else None)
+
+
+def _print(found: Searched, least: Shrunk | None, check: str | None, path: Path, *, as_json: bool) -> None:
+    """What the search came to."""
     if as_json:
         from fleet.cli.documents.search import first_failing
 
@@ -100,10 +118,6 @@ def search(
         which = f"the check {check}" if check else "a check"
         say(f"none of {found.runs} runs fails {which}: at most {100 * found.most_failures:.2g} % of such runs do, "
             "with 95 % confidence")  # fmt: skip
-    if found.scenario is not None:
-        sys.exit(1)
-    if not found.runs:
-        raise StudyError("no run came to its end, so nothing is known")
 
 
 COMMANDS = (search,)

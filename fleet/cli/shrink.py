@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +9,7 @@ import click
 
 from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
+from fleet.cli.study_options import WORKERS, least_options
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import OVERRIDES, Whole, disturbances
 from fleet.terminal.folding import say
@@ -19,6 +18,8 @@ if TYPE_CHECKING:
     from fleet.scenario.scenario import Scenario
     from fleet.scenario.text.overrides import Override
     from fleet.study.shrink import Shrunk
+    from fleet.terminal.fitting import Piece
+    from fleet.terminal.status_line import StatusLine
     from world.plugins.trust import Trust
 
 MOST_RUNS = 2000
@@ -29,12 +30,10 @@ MOST_RUNS = 2000
 @OVERRIDES
 @disturbances
 @click.option("--check", metavar="NAME", help="The check that must still fail; by default the first one that does.")
-@click.option("-o", "--out", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
-              help="Where the least scenario goes; by default NAME-least.yaml.")  # fmt: skip
-@click.option("--force", is_flag=True, help="Replace that file if it is there.")
+@least_options
 @click.option("--most-runs", metavar="N", type=Whole(1), default=MOST_RUNS, show_default=True,
               help="Stop making it less after so many runs.")  # fmt: skip
-@click.option("--workers", metavar="N", type=Whole(1, 1024), help="Runs at a time; by default one per core.")
+@WORKERS
 @trust_option
 @json_option
 def shrink(
@@ -61,6 +60,7 @@ def shrink(
       fleet shrink nemesis --set seed=7 --check formation_error
       fleet shrink my.yaml --out least.yaml
     """
+    from fleet.cli.study_output import showing
     from fleet.study.local_engine import engine_of
     from fleet.study.modules import modules_of
     from fleet.study.shrink import Shrinker
@@ -68,7 +68,7 @@ def shrink(
     scenario, folder = _scenario(failing, [*overrides, *net, *fault], trust)
     path = place_of(scenario, out, force=force)
     modules = modules_of([scenario], folder)
-    with telling() as tell, engine_of(workers) as engine:
+    with showing(pieces) as tell, engine_of(workers) as engine:
         found = Shrinker(scenario, engine, tell, modules).shrink(check, most_runs)
     write_least(found.scenario, path)
     if as_json:
@@ -110,21 +110,11 @@ def write_least(scenario: Scenario, path: Path) -> None:
         raise StudyError(f"{path} cannot be written: {error.strerror}; the least scenario stands above") from None
 
 
-@contextmanager
-def telling() -> Iterator[Callable[[str, int], None]]:
-    """A function that shows what is being tried and how many runs were made; call it as often as you like."""
-    from rich.console import Console as Terminal
-
+def pieces(line: StatusLine, doing: str, runs: int) -> list[Piece]:
+    """What is being tried, and how many runs were made."""
     from fleet.terminal.fitting import Piece
-    from fleet.terminal.status_line import StatusLine
 
-    with StatusLine(Terminal(stderr=True), quiet=False) as line:
-
-        def tell(doing: str, runs: int) -> None:
-            if line.due():
-                line.show([Piece(0, [f"{runs} runs"]), Piece(1, [doing])])
-
-        yield tell
+    return [Piece(0, [f"{runs} runs"]), Piece(1, [doing])]
 
 
 def show_least(scenario: Scenario, found: Shrunk, path: Path) -> None:

@@ -101,12 +101,9 @@ def screen(status: RunStatus, every: bool, height: int | None = None) -> Group:
     from rich.console import Group
     from rich.text import Text
 
-    from fleet.recorder.metrics import WorstAndMedian
-
-    off = status.formation
     lines = [
         f"{status.run}: t = {status.at_s:.2f} of {status.end_s:g} s, {status.clock}",
-        f"formation error {WorstAndMedian(off.worst_m or 0.0, off.vehicle, off.median_m or 0.0, off.vehicles)}",
+        f"formation error {status.formation}",
         f"packets {status.delivered} delivered, {status.lost} lost",
     ]
     if status.waiting not in ("", status.clock):

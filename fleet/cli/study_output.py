@@ -1,8 +1,11 @@
-"""What the commands of studies print alike: columns of what is varied, and pieces of the status line."""
+"""What the commands of studies print alike: columns of what is varied, and the status line."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+
+from rich.console import Console as Terminal
 
 from fleet.study.record import AxisRecord
 from fleet.study.sweep import Progress
@@ -28,6 +31,22 @@ def axis_columns(axes: Sequence[AxisRecord], rows: Sequence[Mapping[str, float |
 def cell(value: float | str) -> str:
     """A value of a key that is varied."""
     return value if isinstance(value, str) else f"{value:g}"
+
+
+@contextmanager
+def showing(pieces: Callable[..., list[Piece]], *, quiet: bool = False) -> Iterator[Callable[..., None]]:
+    """A function that shows how the work goes; call it as often as you like.
+
+    Args:
+        pieces: makes the status line of the line itself and of what the function is called with.
+    """
+    with StatusLine(Terminal(stderr=True), quiet=quiet) as line:
+
+        def tell(*what: object, **more: object) -> None:
+            if line.due():
+                line.show(pieces(line, *what, **more))
+
+        yield tell
 
 
 def progress_pieces(line: StatusLine, share: float, progress: Progress) -> list[Piece]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from datetime import timedelta
 from math import isfinite
 from pathlib import Path
@@ -13,73 +11,46 @@ import click
 
 from fleet.cli.completion import studies
 from fleet.cli.documents.output import json_option, print_document
+from fleet.cli.study_options import OUT, SCHEDULER, WORKERS, given, spec_options, study_directory, warning
 from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES, Duration, Whole, disturbances, is_given
+from fleet.study.spec import KeepLogs, StudySpec
 from fleet.terminal.folding import say, stdout
 
 if TYPE_CHECKING:
-    from fleet.scenario.text.overrides import Override
+    from fleet.study.measures import MeasureColumn
+    from fleet.study.modules import Modules
     from fleet.study.plan import Plan
     from fleet.study.statistics import Estimate
     from fleet.study.store import Store
+    from fleet.study.study_file import NamedStudy
     from fleet.study.sweep import Progress
+    from fleet.terminal.fitting import Piece
+    from fleet.terminal.status_line import StatusLine
     from world.plugins.trust import Trust
-
 
 _MOST_TOLD = 10  # logs that are not kept
 
 
 @click.command(cls=TrustingCommand)
 @click.argument("scenario", metavar="SCENARIO|STUDY|DIR", shell_complete=studies)
-@click.option("--vary", metavar="KEY=VALUES", multiple=True, help="What varies over which values; repeatable.")
-@click.option("--zip", "zipped", is_flag=True, help="Values go together, first with first; else each with each.")
-@click.option("--seeds", metavar="SEEDS", default="10", show_default=True,
-              help="How many runs each point has, or their seeds: 20, 5..24 or 3,7,9.")  # fmt: skip
-@click.option("--draw", type=Whole(0), default=1, show_default=True, help="Seed of values that are drawn.")
-@OVERRIDES
-@disturbances
-@click.option("--measure", "measures", metavar="NAME", multiple=True,
-              help="What the table shows; repeatable. An unknown name lists all that are measured; 'p95 |error.e|' "
-              "and the like measure a signal.")  # fmt: skip
-@click.option("--until", metavar="'pass ±5 %'",
-              help="Add seeds to each point until half its interval is no wider, e.g. 'e_rms_m ±10 %'.")  # fmt: skip
-@click.option("--most-seeds", metavar="N", type=Whole(1, 1_000_000), default=1000, show_default=True,
-              help="How many a point may have with --until.")  # fmt: skip
-@click.option("--budget", metavar="TIME", type=Duration(1),
-              help="Wall time after which no run is made any more, e.g. '10 min'.")  # fmt: skip
-@click.option("--keep-logs", type=click.Choice(["none", "failed", "all"]), default="none", show_default=True,
-              help="Keep the logs of runs that failed, or of all, below the study.")  # fmt: skip
-@click.option("--out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False), default=Path("studies"),
-              show_default=True, help="Where studies go, each in a directory of its own.")  # fmt: skip
-@click.option("--workers", metavar="N", type=Whole(1, 1024), help="Runs at a time; by default one per core.")
-@click.option("--scheduler", metavar="ADDRESS", help="Use a Dask cluster that is there, e.g. tls://host:8786.")
-@click.option("--timeout", metavar="TIME", type=Duration(1), help="Wall time that one run may take, e.g. '5 min'.")
+@spec_options(StudySpec)
+@OUT
+@WORKERS
+@SCHEDULER
 @trust_option
 @click.option("--show-config", is_flag=True, help="Print the study as a file, with the options in it, and stop.")
 @json_option
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but the study's directory, and failures on stderr.")
 def sweep(
     scenario: str,
-    vary: tuple[str, ...],
-    zipped: bool,
-    seeds: str,
-    draw: int,
-    overrides: tuple[str, ...],
-    fault: tuple[Override, ...],
-    net: tuple[Override, ...],
-    measures: tuple[str, ...],
-    until: str | None,
-    most_seeds: int,
-    budget: int | None,
-    keep_logs: str,
     out: Path,
     workers: int | None,
     scheduler: str | None,
-    timeout: int | None,
     trust: Trust,
     show_config: bool,
     as_json: bool,
     quiet: bool,
+    **options: Any,
 ) -> None:
     """Run SCENARIO at every combination of some values, several times each, and say how sure the answer is.
 
@@ -106,80 +77,17 @@ def sweep(
     from fleet.study.engine import need_extra
 
     need_extra()
-    from fleet.quantities import show_time
-    from fleet.scenario.catalogue import shipped_scenarios
-    from fleet.scenario.trust import TYPED
-    from fleet.study.catalogue import shipped_studies
-    from fleet.study.errors import StudyError
-    from fleet.study.load_points import load_points
-    from fleet.study.local_engine import engine_of
-    from fleet.study.signal_measures import find_columns
-    from fleet.study.spec import StudySpec, set_values, varied
-    from fleet.study.store import Store
-    from fleet.study.study import new_directory
-    from fleet.study.study_file import NamedStudy, study_named
-    from fleet.study.summary import DEFAULT
-    from fleet.study.sweep import declared, logs_to_make, modules_again, prepare, refuse_border, run_study
-
-    keys = {"seeds": seeds, "draw": draw, "until": until, "most_seeds": most_seeds}
-    chosen_keys: dict[str, Any] = {key: value for key, value in keys.items() if is_given(key)}
-    later: dict[str, Any] = {
-        "measures": list(measures) or None,
-        "timeout": None if timeout is None else show_time(timeout),
-        "budget": None if budget is None else show_time(budget),
-        "keep_logs": keep_logs if is_given("keep_logs") else None,
-    }
-    store, origin = None, TYPED
-    if Path(scenario).is_dir() and scenario not in (*shipped_scenarios(), *shipped_studies()):
-        if vary or overrides or fault or net or zipped or chosen_keys or is_given("out"):
-            raise click.UsageError(f"{scenario} is a study: what it runs is settled; only the missing runs are made")
-        store = Store.open(Path(scenario))
-        refuse_border(store)
-        if show_config and store.record.spec is None:
-            raise StudyError(f"{scenario}: the fleet that made this study did not write down what was asked")
-        spec = (store.record.spec or StudySpec(store.record.scenario)).changed(
-            **later | {"budget": later["budget"] or ""}
-        )
-    else:
-        spec, origin = study_named(scenario) or NamedStudy(StudySpec(scenario))
-        spec = spec.changed(
-            vary=varied(vary),
-            set=set_values(overrides),
-            net=[change.text for change in net],
-            fault=[change.text for change in fault],
-            zip=zipped,
-            **chosen_keys,
-            **later,
-        )
-    if is_given("most_seeds") and not spec.until:
-        raise click.UsageError("--most-seeds is for studies that add seeds: give --until, too")
+    asked = given(StudySpec, options)
+    directory = study_directory(scenario, StudySpec, asked)
     if show_config:
-        if store is None:
-            declared(spec.plan(origin), load_points(spec.plan(origin), trust, refused=[]))
-        click.echo(spec.to_yaml(), nl=False)
+        click.echo(_as_file(scenario, directory, asked, trust), nl=False)
         return
-    modules = None  # those of a study that is whole are not needed
-    if store is None:
-        if not spec.vary:
-            _nothing_varied(spec.plan(origin), trust, quiet=quiet)
-        store, modules = prepare(spec.plan(origin), new_directory(scenario, out), trust, spec)
-    shown = find_columns(store.record.settings.measures or DEFAULT, store.record.columns)
-    missing = store.missing
-    if not quiet:
-        say(_announced(store, missing), err=True)
-    if missing or logs_to_make(store, spec.keep_logs):
-        if modules is None:
-            modules = modules_again(store, trust)
-        with _showing(quiet) as tell, engine_of(workers, scheduler) as engine:
-            try:
-                progress = run_study(
-                    store, engine, tell, modules=modules, timeout_s=spec.timeout_s, budget_s=spec.budget_s,
-                    logs=spec.keep_logs,
-                )  # fmt: skip
-            except KeyboardInterrupt:
-                _tell_what_is_missing(store, spec.keep_logs, [])
-                raise
-        _tell_what_is_missing(store, spec.keep_logs, progress.not_kept)
+    if directory is None:
+        store, spec, modules = _prepared(scenario, asked, out, trust, quiet=quiet)
+    else:
+        store, spec, modules = *_opened(directory, asked), None
+    shown = _columns(store, spec)
+    _run(store, spec, modules, trust, (workers, scheduler), quiet=quiet)
     if as_json:
         from fleet.cli.documents.study import swept
 
@@ -188,6 +96,107 @@ def sweep(
         click.echo(store.directory)
     else:
         _show(store, shown)
+
+
+def _as_file(name: str, directory: Path | None, asked: dict[str, Any], trust: Trust) -> str:
+    """The study as a file, with the options in it. Raises what would be raised before the first run."""
+    from fleet.study.errors import StudyError
+    from fleet.study.load_points import load_points
+    from fleet.study.plan import plan_of
+    from fleet.study.study_file import study_yaml
+    from fleet.study.sweep import declared
+
+    if directory is None:
+        study = _asked_for(name, asked)
+        declared(study.spec, load_points(plan_of(*study), trust, refused=[]))  # laws that may not run are no mistake
+        return study_yaml(study.spec)
+    store, spec = _opened(directory, asked)
+    if store.record.spec is None:
+        raise StudyError(f"{directory}: the fleet that made this study did not write down what was asked")
+    return study_yaml(spec)
+
+
+def _opened(directory: Path, asked: dict[str, Any]) -> tuple[Store, StudySpec]:
+    """The study of a directory, and its spec with what was asked now; a budget is that of one command."""
+    from fleet.study.store import Store
+    from fleet.study.sweep import refuse_border
+
+    store = Store.open(directory)
+    refuse_border(store)
+    return store, store.record.rules.changed(**{"budget": "", **asked})
+
+
+def _asked_for(name: str, asked: dict[str, Any]) -> NamedStudy:
+    """The study of a name, or of a scenario, with the options of the command line."""
+    from fleet.study.study_file import NamedStudy, study_named
+
+    study = study_named(name) or NamedStudy(StudySpec(name))
+    spec = study.spec.changed(**asked)
+    if "most_seeds" in asked and not spec.until:
+        raise click.UsageError("--most-seeds is for studies that add seeds: give --until, too")
+    return study._replace(spec=spec)
+
+
+def _prepared(
+    name: str, asked: dict[str, Any], out: Path, trust: Trust, *, quiet: bool
+) -> tuple[Store, StudySpec, Modules]:
+    """A new study in a directory of its own."""
+    from fleet.study.plan import plan_of
+    from fleet.study.study import new_directory
+    from fleet.study.sweep import prepare
+
+    study = _asked_for(name, asked)
+    plan = plan_of(*study)
+    if not study.spec.vary:
+        _nothing_varied(plan, trust, quiet=quiet)
+    store, modules = prepare(plan, new_directory(name, out), trust, study.spec, warn=warning(quiet=quiet))
+    return store, study.spec, modules
+
+
+def _columns(store: Store, spec: StudySpec) -> list[MeasureColumn]:
+    """The measures that the table shows. Raises StudyError: the study does not have one."""
+    from fleet.study.signal_measures import find_columns
+    from fleet.study.summary import DEFAULT
+
+    return find_columns(spec.measures or store.record.measures or DEFAULT, store.record.columns)
+
+
+def _run(
+    store: Store,
+    spec: StudySpec,
+    modules: Modules | None,
+    trust: Trust,
+    engine: tuple[int | None, str | None],
+    *,
+    quiet: bool,
+) -> None:
+    """Make the runs that are missing, then the logs.
+
+    Args:
+        modules: that the runs need; None: they are looked for, if there is a run to make: a whole study needs none.
+        engine: workers and scheduler that were asked for.
+    """
+    from fleet.cli.study_output import showing
+    from fleet.study.local_engine import engine_of
+    from fleet.study.sweep import logs_to_make, modules_again, run_study
+
+    missing = store.missing
+    if not quiet:
+        say(_announced(store, missing), err=True)
+    if not missing and not logs_to_make(store, spec.keep_logs):
+        return
+    if modules is None:
+        modules = modules_again(store, trust)
+    with showing(_pieces, quiet=quiet) as tell, engine_of(*engine) as workers:
+        try:
+            progress = run_study(
+                store, workers, tell, modules=modules, timeout_s=spec.timeout_s, budget_s=spec.budget_s,
+                logs=spec.keep_logs,
+            )  # fmt: skip
+        except KeyboardInterrupt:
+            _tell_what_is_missing(store, spec.keep_logs, [])
+            raise
+    _tell_what_is_missing(store, spec.keep_logs, progress.not_kept)
 
 
 def _nothing_varied(plan: Plan, trust: Trust, *, quiet: bool) -> None:
@@ -212,13 +221,13 @@ def _nothing_varied(plan: Plan, trust: Trust, *, quiet: bool) -> None:
 
 def _announced(store: Store, missing: int) -> str:
     """What is going to be run."""
-    points, seeds, until = store.point_count, len(store.record.seeds), store.record.settings.until
+    points, seeds, until = store.point_count, len(store.record.seeds), store.record.rules.until
     made = sum(store.needed().values()) - missing
-    runs = f"= {points * seeds} runs" if until is None else f"at first, until {until}"
+    runs = f"at first, until {until}" if until else f"= {points * seeds} runs"
     return f"{store.directory}: {points} points x {seeds} seeds {runs}" + (f", {made} of them made" if made else "")
 
 
-def _tell_what_is_missing(store: Store, logs: Any, not_kept: list[str]) -> None:
+def _tell_what_is_missing(store: Store, logs: KeepLogs, not_kept: list[str]) -> None:
     from fleet.study.sweep import logs_to_make
 
     for sentence in not_kept[:_MOST_TOLD]:
@@ -228,42 +237,23 @@ def _tell_what_is_missing(store: Store, logs: Any, not_kept: list[str]) -> None:
     elif left := len(logs_to_make(store, logs)) - len(not_kept):
         say(f"{left} logs are missing; fleet sweep {store.directory} --keep-logs {logs} makes them", err=True)
     if short := store.short():
-        most, until = len(store.seeds), store.record.settings.until
+        most, until = len(store.seeds), store.record.rules.until
         say(f"{short} points have {most} seeds, and are not yet known to {until}; see --most-seeds", err=True)
 
 
-@contextmanager
-def _showing(quiet: bool) -> Iterator[Callable[[Progress], None]]:
-    """A function that shows where a study is; call it as often as you like."""
-    from rich.console import Console as Terminal
-
+def _pieces(line: StatusLine, progress: Progress) -> list[Piece]:
+    """Where a study is."""
     from fleet.cli.study_output import progress_pieces
     from fleet.terminal.fitting import Piece
-    from fleet.terminal.status_line import StatusLine
 
-    with StatusLine(Terminal(stderr=True), quiet=quiet) as line:
-
-        def tell(progress: Progress) -> None:
-            if not line.due():
-                return
-            share = progress.made / max(1, progress.runs)
-            left = f"{timedelta(seconds=round(progress.left_s))} left" if isfinite(progress.left_s) else ""
-            drawn, rate, failed = progress_pieces(line, share, progress)
-            line.show(
-                [
-                    Piece(0, [f"{progress.made} / {progress.runs} {progress.doing}"]),
-                    drawn,
-                    rate,
-                    Piece(2, [left, ""]),
-                    Piece(4, [f"passed {_share(progress.passing)}", f"passed {progress.passing.value:.0%}", ""]),
-                    failed,
-                ]
-            )
-
-        yield tell
+    left = f"{timedelta(seconds=round(progress.left_s))} left" if isfinite(progress.left_s) else ""
+    drawn, rate, failed = progress_pieces(line, progress.made / max(1, progress.runs), progress)
+    made = Piece(0, [f"{progress.made} / {progress.runs} {progress.doing}"])
+    passed = Piece(4, [f"passed {_share(progress.passing)}", f"passed {progress.passing.value:.0%}", ""])
+    return [made, drawn, rate, Piece(2, [left, ""]), passed, failed]
 
 
-def _show(store: Store, measures: Any) -> None:
+def _show(store: Store, measures: list[MeasureColumn]) -> None:
     """The table of a study, and where it is."""
     from fleet.cli.study_output import axis_columns
     from fleet.study.statistics import LEAST, levels

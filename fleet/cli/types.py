@@ -34,6 +34,13 @@ def _override(context: click.Context, option: click.Parameter, values: tuple[str
     return tuple(Override(option.opts[0], value) for value in values)
 
 
+def key_options(**given: Any) -> list[Any]:
+    """Options that are short for --set of a key of their name, as overrides; None: not given."""
+    from fleet.scenario.text.overrides import SET, Override
+
+    return [Override(SET, f"{key}={value}", f"--{key} {value}") for key, value in given.items() if value is not None]
+
+
 def disturbances(command: F) -> F:
     """Add --fault and --net, which change a scenario in the words of `fleet inject`."""
     command = click.option(

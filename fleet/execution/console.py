@@ -115,7 +115,7 @@ class Console:
         Raises:
             RunBroken: the run could not be completed.
             StoppedError: the operator stopped it.
-            ExternalError: the file with which an external agent joins cannot be written.
+            FleetError: the file with which an external agent joins cannot be written.
         """
         began = time.monotonic()
         try:

@@ -19,27 +19,18 @@ from typing import IO, Any
 
 from fleet.errors import FleetError
 from fleet.logs.run_name import STAMP
+from fleet.result.file import RESULT
 from netem.whole_file import open_file, write_whole
 
 LATEST = "latest"
-LOG, SCENARIO, RESULT, CONNECTION, OBSERVE = (
-    "run.mcap",
-    "scenario.yaml",
-    "result.json",
-    "connection.json",
-    "observe.json",
-)
+LOG, SCENARIO, CONNECTION, OBSERVE = "run.mcap", "scenario.yaml", "connection.json", "observe.json"
 
 
-class RunDirectoryError(FleetError):
-    """The run directory cannot be made or written; `status` is 3 where another place would not have been better."""
-
-    def __init__(self, doing: str, error: OSError) -> None:
-        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-        if full:
-            self.status = 3
-        hint = "make room, or choose" if full else "choose"
-        super().__init__(f"{doing}: {error.strerror}; {hint} another place with --out DIR")
+def no_place(doing: str, error: OSError) -> FleetError:
+    """The error of a run directory that cannot be made or written; its status is 3 where any other place is as full."""
+    full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+    hint = "make room, or choose" if full else "choose"
+    return FleetError(f"{doing}: {error.strerror}; {hint} another place with --out DIR", status=3 if full else 2)
 
 
 class RunDirectory:
@@ -54,7 +45,7 @@ class RunDirectory:
             seed: of the scenario.
 
         Raises:
-            RunDirectoryError: no directory can be made there.
+            FleetError: no directory can be made there.
         """
         stamp = time.strftime(STAMP, time.gmtime())
         base = f"{scenario}-{seed}-{stamp}"
@@ -63,7 +54,7 @@ class RunDirectory:
             self.path = _make_unique(out, base)
             (self.path / "log").mkdir()
         except OSError as error:
-            raise RunDirectoryError(f"cannot make a run directory in {out}", error) from error
+            raise no_place(f"cannot make a run directory in {out}", error) from error
         link_latest(out, self.path.name)
         self._scenario: IO[bytes] | None = None  # open while the run goes on
         self.locked = False  # whether others can see that it does; not every file system has locks
@@ -94,7 +85,7 @@ class RunDirectory:
         return self.path / "log" / f"{role}.log"
 
     def write_scenario(self, text: str) -> None:
-        """Write the merged scenario, and lock it until `close`. Raises RunDirectoryError: there is no room."""
+        """Write the merged scenario, and lock it until `close`. Raises FleetError: there is no room."""
         path, unlocked = self.path / SCENARIO, self.path / f".{SCENARIO}"
         try:
             unlocked.write_text(text, "utf-8")
@@ -104,26 +95,23 @@ class RunDirectory:
                 self.locked = True
             unlocked.rename(path)  # only now: who finds it without a lock takes the run for a dead one
         except OSError as error:
-            raise RunDirectoryError(f"cannot write {path}", error) from error
+            raise no_place(f"cannot write {path}", error) from error
 
     def close(self) -> None:
         """Release the lock: the run is over."""
         if self._scenario is not None:
             self._scenario.close()
 
-    def write_result(self, values: dict[str, Any]) -> None:
-        (self.path / RESULT).write_text(json.dumps(values, indent=2) + "\n", "utf-8")
-
     def remove_result(self) -> None:
         """Remove the result: half of one is worse than none."""
         (self.path / RESULT).unlink(missing_ok=True)
 
     def write_connection(self, values: dict[str, Any]) -> None:
-        """Write the connection file. Raises RunDirectoryError: there is no room."""
+        """Write the connection file. Raises FleetError: there is no room."""
         try:
             write_whole(self.connection, json.dumps(values).encode())
         except OSError as error:
-            raise RunDirectoryError(f"cannot write {self.connection}", error) from error
+            raise no_place(f"cannot write {self.connection}", error) from error
 
 
 def link_latest(out: Path, name: str) -> None:

@@ -13,14 +13,13 @@ from agents.errors import AgentError
 from fleet.analysis import punctuality
 from fleet.analysis.first_sample import try_plants
 from fleet.checks.own_checks import OwnChecks
-from fleet.cores import cores
-from fleet.errors import RunBroken, StoppedError
+from fleet.errors import FleetError, RunBroken, StoppedError
 from fleet.execution.clock import WINDOW_NS, GrantPolicy
 from fleet.execution.directory import RunDirectory
-from fleet.execution.external_agents import ExternalError, refuse
+from fleet.execution.external_agents import refuse
 from fleet.execution.in_process import InProcess
 from fleet.execution.options import Options
-from fleet.execution.outcome import Result, Status, judge_run, outcome_values, settle
+from fleet.execution.outcome import account_for, judge_run, settle
 from fleet.execution.progress import ProgressLine
 from fleet.execution.publication import NoPublication, Publication
 from fleet.execution.registry import RegistryError, register
@@ -29,10 +28,11 @@ from fleet.processes.interrupts import DeferInterrupts, HungUp
 from fleet.processes.limits import NO_THREAD, no_thread
 from fleet.processes.ports import free_port
 from fleet.recorder.journal import Journal
-from fleet.recorder.log_file import LogError, LogFile
+from fleet.recorder.log_file import LogFile
 from fleet.recorder.no_log import NoLog
 from fleet.recorder.writer import LogWriter
-from fleet.replay.publisher import PublishError
+from fleet.result.file import write_result
+from fleet.result.result import Result, Status, Wall
 from fleet.scenario.scenario import Scenario
 from fleet.terminal.status_line import StatusLine
 from netem.clock import Clock
@@ -68,12 +68,11 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
 
     Raises:
         ScenarioError: a plant cannot be started.
-        RunDirectoryError: the run directory cannot be made or written.
-        LogError: the log cannot be created.
-        PublishError: the journal was to be published and cannot be.
         RunBroken: the port is taken.
-        ExternalError: somebody else is to start an agent, and the run is to be one process.
+        LogError: the log cannot be created.
         CheckError: a check in Python cannot be made.
+        FleetError: the run directory cannot be made, the journal cannot be published, or somebody else is to start an
+            agent of a run in one process.
     """
     try_plants(scenario)
     interrupts = DeferInterrupts()
@@ -125,7 +124,13 @@ def _prepare(
         from fleet.execution.console import Console  # and with it zenoh and multiprocessing
 
         runner = Console(scenario, directory, journal, options, number, line.print)
-    result = Result(Status.PASS, directory.path)
+    result = Result(
+        run=directory.path.name,
+        directory=directory.path,
+        scenario=scenario.name,
+        seed=scenario.seed,
+        status=Status.PASS,
+    )
     return _Run(scenario, options, directory, publication, log, journal, runner, line, result, in_process)
 
 
@@ -142,14 +147,14 @@ def _serve(run: _Run) -> None:
         result.status, result.reason, result.lines = Status.BROKEN, error.reason, error.lines
         if found := next((line.strip() for line in error.lines if NO_THREAD in line), ""):
             result.lines = [*error.lines, no_thread(found).reason]
-    except (AgentError, WorldError, PublishError, ExternalError, LogError) as error:
+    except StoppedError:
+        result.status, result.reason = Status.INTERRUPTED, "the operator asked for it"
+    except (AgentError, WorldError, FleetError) as error:
         result.status, result.reason = Status.BROKEN, str(error)
     except HungUp:
         result.status, result.reason = Status.HUNG_UP, "the terminal was closed"
     except KeyboardInterrupt:
         result.status, result.reason = Status.INTERRUPTED, "interrupted"
-    except StoppedError:
-        result.status, result.reason = Status.INTERRUPTED, "the operator asked for it"
     except RuntimeError as error:
         if NO_THREAD not in str(error):
             raise
@@ -161,34 +166,22 @@ def _serve(run: _Run) -> None:
 
 def _judge(run: _Run) -> None:
     """Judge the checks, and in real time how everyone kept up."""
-    more = []
-    if run.realtime and run.result.status is Status.PASS:
-        more.append(punctuality.verdict(run.runner.closing.timing, run.options.most_missed))
-    judge_run(run.scenario, run.journal, run.result, lost=run.runner.middleware_lost, more=more)
+    more, result = [], run.result
+    if run.realtime:
+        result.timing = punctuality.measured(run.runner.closing.timing, run.options.speed or 1.0)
+    if result.timing is not None:
+        more.append(punctuality.verdict(result.timing, run.options.most_missed))
+    judge_run(run.scenario, run.journal, result, lost=run.runner.middleware_lost, more=more)
 
 
 def _report(run: _Run) -> None:
     """Write result.json."""
-    runner, result, closing = run.runner, run.result, run.runner.closing
-    run_s = run.wall_s - runner.started_s
-    result.values = outcome_values(run.scenario, run.journal, run.log, result, lost=runner.middleware_lost)
-    result.values["wall"] = {
-        "in_process": run.in_process,
-        "startup_s": runner.started_s,
-        "run_s": run_s,
-        "cores": cores(),
-        "x_real_time": (result.values["sim_s"] - result.values["from_s"]) / max(1e-9, run_s),
-    }
-    result.values |= run.publication.summary()
-    if run.realtime and closing.timing:
-        name, reasons = punctuality.label(closing.timing)
-        timing = {"clock": Clock.REAL, "speed": run.options.speed or 1.0, "label": name, "reasons": reasons}
-        result.values["timing"] = timing | closing.timing
-    result.values["rejected"] = closing.rejected
-    result.values["deaths"] = {str(i): how for i, how in runner.deaths.items()}
-    result.values["notes"] = list(runner.notes)
+    runner, result = run.runner, run.result
+    wall = Wall(in_process=run.in_process, startup_s=runner.started_s, run_s=run.wall_s - runner.started_s)
+    account_for(result, run.scenario, run.journal, run.log, runner, wall)
+    result.published = run.publication.summary()
     try:
-        run.directory.write_result(result.values)
+        write_result(result, run.directory.path)
     except OSError as error:
         result.lines.append(f"result.json could not be written: {error.strerror}")
         run.directory.remove_result()

@@ -23,10 +23,6 @@ from netem.wire.keys import Keys
 from netem.wire.messages import PROTOCOL_VERSION
 
 
-class ExternalError(FleetError):
-    """Something that is not possible with external agents, or the join file of one cannot be written."""
-
-
 def refuse(scenario: Scenario, what: str) -> None:
     """Refuse a scenario with external agents, which only join distributed runs.
 
@@ -34,10 +30,10 @@ def refuse(scenario: Scenario, what: str) -> None:
         what: what is refused, for the error.
 
     Raises:
-        ExternalError: the scenario has some.
+        FleetError: the scenario has some.
     """
     if scenario.external:
-        raise ExternalError(
+        raise FleetError(
             f"{named(scenario.external)}, so somebody else starts that agent, which {what} has no place for; "
             "set external: false to have ours run there"
         )
@@ -83,7 +79,7 @@ class ExternalAgents:
             folders: with what agents join that have a certificate and no password, by vehicle.
 
         Raises:
-            ExternalError: a join file cannot be written.
+            FleetError: a join file cannot be written.
         """
         self._keys, self._folders = keys, folders
         for i in self.vehicles:
@@ -99,7 +95,7 @@ class ExternalAgents:
             begin: tick of its first nav.
 
         Raises:
-            ExternalError: the join file cannot be written.
+            FleetError: the join file cannot be written.
         """
         path, folder = self._directory.join(i), self._directory.join_folder(i)
         joining = self._files[i] = replace(self._files[i], incarnation=incarnation, begin=begin)
@@ -108,7 +104,7 @@ class ExternalAgents:
             if i in self._folders:
                 self._folders[i].write(folder, self._keys, incarnation, begin)
         except OSError as error:
-            raise ExternalError(f"cannot write {error.filename or path}: {error.strerror}") from error
+            raise FleetError(f"cannot write {error.filename or path}: {error.strerror}") from error
         self._awaited[i] = joining
         from_tick = f", from tick {begin} on" if begin else ""
         alone = f"; with its certificate alone: {shlex.quote(str(folder))}" if i in self._folders else ""

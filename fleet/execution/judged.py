@@ -10,17 +10,17 @@ from typing import Any, Never
 
 from agents.errors import AgentError
 from fleet.checks.own_checks import OwnChecks
-from fleet.cores import cores
 from fleet.errors import RunBroken
 from fleet.execution.clock import GrantPolicy
 from fleet.execution.external_agents import refuse
 from fleet.execution.in_process import InProcess
-from fleet.execution.outcome import Result, Status, judge_run, outcome_values, settle
+from fleet.execution.outcome import account_for, judge_run, settle
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile
 from fleet.recorder.no_log import NoLog
 from fleet.recorder.watched import WatchedLog, Watcher
 from fleet.recorder.writer import LogWriter
+from fleet.result.result import Result, Status, Wall
 from fleet.scenario.loading import changed, load_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.spec import ScenarioSpec
@@ -57,7 +57,7 @@ def run(
 
     Raises:
         ScenarioError: with every mistake that was found.
-        ExternalError: somebody else is to start an agent.
+        FleetError: somebody else is to start an agent.
         TypeError: an argument is unknown; keys of the scenario go into `set`.
     """
     if unknown:
@@ -97,7 +97,7 @@ def judged(
     recorded = writer if watcher is None else WatchedLog(writer, watcher)
     journal = Journal(scenario, recorded, checks=OwnChecks.asked(scenario))
     runner = InProcess(scenario, journal)
-    result = Result(Status.PASS)
+    result = Result(scenario=scenario.name, seed=scenario.seed, status=Status.PASS)
     tick_s = scenario.tick_ns / 1e9
 
     def tell() -> None:
@@ -115,10 +115,7 @@ def judged(
     wall_s = time.monotonic() - began
     settle(journal, file, runner, result)
     judge_run(scenario, journal, result, lost=0)
-    result.values = outcome_values(scenario, journal, file, result, lost=0)
-    result.values["wall"] = {"in_process": True, "run_s": wall_s, "cores": cores()}
-    result.values["deaths"] = {str(i): how for i, how in runner.deaths.items()}
-    result.values["notes"] = list(runner.notes)
+    account_for(result, scenario, journal, file, runner, Wall(in_process=True, run_s=wall_s))
     return result
 
 

@@ -12,6 +12,8 @@ from itertools import count
 from time import monotonic
 from typing import Any
 
+from msgspec.structs import asdict
+
 from fleet.analysis.verdicts import standing
 from fleet.execution.clock import LiveClock
 from fleet.execution.fault_request import BROKEN, RefusedError, checked_fault
@@ -80,7 +82,7 @@ class Operator:
             "at_s": self._seconds(max(0, self.journal.framed)),
             "end_s": self._seconds(self.scenario.ticks),
             "clock": self.clock.describe(),
-            "formation": self.journal.metrics.formation._asdict(),
+            "formation": asdict(self.journal.metrics.formation),
             "delivered": total.delivered,
             "lost": sum(total.lost.values()) - total.replaced,
             "faults": [fault for fault in self._listed() if every or fault["active"]],

@@ -1,78 +1,21 @@
-"""What a run came to: its log closed, its packets accounted for, its checks judged, and all its numbers."""
+"""The end of a run: its log closed, its packets accounted for, its checks judged, its result filled in."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from enum import IntEnum
-from pathlib import Path
-from typing import Any
+
+from msgspec import convert
 
 from fleet.analysis.verdicts import judge, judge_expected
-from fleet.checks.verdict import Verdict
+from fleet.cores import cores
 from fleet.execution.runner import Runner
-from fleet.notebook import html_table
-from fleet.recorder.journal import Journal, Spell
+from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogError, LogFile
 from fleet.recorder.no_log import NoLog
+from fleet.result.result import FaultEvent, LinkAge, Result, Status, TumbleSpell, Wall
+from fleet.result.verdict import Verdict
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.timeline import Event
-from netem.condition import Link
-
-
-class Status(IntEnum):
-    """Exit statuses of `fleet run`."""
-
-    PASS = 0
-    CHECK_FAILED = 1
-    USAGE = 2
-    BROKEN = 3
-    HUNG_UP = 129
-    INTERRUPTED = 130
-
-
-@dataclass(slots=True, repr=False)
-class Result:
-    """What a run came to.
-
-    Attributes:
-        status: how it ended.
-        directory: where its log is; None: it wrote none.
-        digest: SHA-256 over the messages of its log, in hexadecimal; the same also if no log was written.
-        reason: why it broke; empty: it did not.
-        lines: what is known besides about why it broke.
-        verdicts: of the checks, if it came to its end.
-        values: all its numbers, as `result.json` has them.
-    """
-
-    status: Status
-    directory: Path | None = None
-    digest: str = ""
-    reason: str = ""
-    lines: list[str] = field(default_factory=list)
-    verdicts: list[Verdict] = field(default_factory=list)
-    values: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def passed(self) -> bool:
-        """Whether it came to its end and every check passed."""
-        return self.status is Status.PASS
-
-    def __repr__(self) -> str:
-        failed = [verdict.check for verdict in self.verdicts if not verdict.passed]
-        said = f"{len(self.verdicts) - len(failed)} of {len(self.verdicts)} checks passed"
-        said = self.reason or said + (f", failed: {', '.join(failed)}" if failed else "")
-        return f"<Result of {self._run}: {self.status.name.lower()}; {said}>"
-
-    def _repr_html_(self) -> str:
-        rows = [(one.check, "pass" if one.passed else "FAIL", one.asked, one.found) for one in self.verdicts]
-        title = f"{self._run}: {self.status.name.lower()}" + (f", {self.reason}" if self.reason else "")
-        return html_table(title, ("check", "", "asked", "found"), sorted(rows, key=lambda row: row[1] == "pass"))
-
-    @property
-    def _run(self) -> str:
-        return f"{self.values.get('scenario', 'a run')} with seed {self.values.get('seed', '?')}"
 
 
 def settle(journal: Journal, log: LogFile | NoLog, runner: Runner, result: Result) -> None:
@@ -114,43 +57,40 @@ def _close_log(file: LogFile | NoLog, result: Result) -> None:
             result.status, result.reason = Status.BROKEN, str(error)
 
 
-def outcome_values(
-    scenario: Scenario, journal: Journal, file: LogFile | NoLog, result: Result, *, lost: int
-) -> dict[str, Any]:
-    """Every number of a run as plain values, as result.json has them."""
-    return {
-        "scenario": scenario.name,
-        "seed": scenario.seed,
-        "status": result.status.name.lower(),
-        "exit": int(result.status),
-        "reason": result.reason,
-        "lines": result.lines,
-        "from_s": journal.begin * scenario.tick_ns / 1e9,
-        "sim_s": max(0, journal.written) * scenario.tick_ns / 1e9,
-        "checks": [verdict.to_values() for verdict in result.verdicts],
-        "vehicles": journal.metrics.summary(),
-        "formation": journal.metrics.formation._asdict(),
-        "tumbles": [_spell(spell, scenario.tick_ns / 1e9) for spell in journal.tumbles],
-        "ledger": {_name(link): account.to_values() for link, account in journal.ledger.accounts.items()},
-        "ages": journal.ages.summary(scenario.tick_ns),
-        "middleware_lost": lost,
-        "faults": [_event(event, scenario.tick_ns / 1e9) for event in journal.happened if event.is_fault],
-        "events": [_event(event, scenario.tick_ns / 1e9) for event in journal.happened if not event.is_fault],
-        "messages": file.messages,
-        "log_bytes": file.size,
-        "digest": file.digest,
-        "python": sys.version.split()[0],
-    }
+def account_for(
+    result: Result, scenario: Scenario, journal: Journal, file: LogFile | NoLog, runner: Runner, wall: Wall
+) -> None:
+    """Enter every number of a run into its result.
 
+    Args:
+        wall: its wall times; how many times real time it went is computed here.
+    """
 
-def _event(event: Event, tick_s: float) -> dict[str, Any]:
-    return {"at_s": event.tick * tick_s, "fault": event.fault, "action": event.action, "what": event.what}
+    def seconds(tick: int) -> float:
+        return tick * scenario.tick_ns / 1e9
 
+    def rows(*, faults: bool) -> list[FaultEvent]:
+        events = [event for event in journal.happened if event.is_fault is faults]
+        return [FaultEvent(seconds(event.tick), event.fault, event.action, event.what) for event in events]
 
-def _spell(spell: Spell, tick_s: float) -> dict[str, Any]:
-    until = None if spell.end is None else spell.end * tick_s
-    return {"vehicle": spell.vehicle, "from_s": spell.begin * tick_s, "to_s": until}
-
-
-def _name(link: Link) -> str:
-    return f"{link[0]}->{link[1]}"
+    result.exit = result.status.exit
+    result.from_s = seconds(journal.begin)
+    result.sim_s = seconds(max(0, journal.written))
+    result.vehicles = journal.metrics.summary()
+    result.formation = journal.metrics.formation
+    result.tumbles = [
+        TumbleSpell(spell.vehicle, seconds(spell.begin), None if spell.end is None else seconds(spell.end))
+        for spell in journal.tumbles
+    ]
+    result.ledger = {f"{src}->{dst}": one.ordered for (src, dst), one in journal.ledger.accounts.items()}
+    result.ages = convert(journal.ages.summary(scenario.tick_ns), dict[str, LinkAge])
+    result.middleware_lost = runner.middleware_lost
+    result.faults, result.events = rows(faults=True), rows(faults=False)
+    result.messages, result.log_bytes, result.digest = file.messages, file.size, file.digest
+    result.python = sys.version.split()[0]
+    wall.cores = cores()
+    wall.x_real_time = (result.sim_s - result.from_s) / max(1e-9, wall.run_s)
+    result.wall = wall
+    result.rejected = runner.closing.rejected
+    result.deaths = {str(i): how for i, how in runner.deaths.items()}
+    result.notes = list(runner.notes)

@@ -10,24 +10,21 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-import msgspec
-
 from fleet.errors import FleetError
-from fleet.execution.directory import LATEST, RESULT, SCENARIO, RunDirectoryError, in_use, link_latest
+from fleet.execution.directory import LATEST, SCENARIO, in_use, link_latest, no_place
 from fleet.logs.run_name import RUN_NAME, begun_at
-from netem.private_file import DamagedFile, parse_json
-from netem.whole_file import read_file
+from fleet.result.file import ResultError, read_result
+from fleet.result.result import Status
 
 PASS, FAIL, BROKE, STOPPED, LIVE = VERDICTS = ("pass", "FAIL", "broke", "stopped", "live")
 FINISHED = VERDICTS[:-1]
-_OF_STATUS = {"pass": PASS, "check_failed": FAIL, "interrupted": STOPPED, "hung_up": STOPPED}
-_MOST_BYTES = 20_000_000  # of a result
-
-
-class PruneError(FleetError):
-    """A run cannot be removed."""
-
-    status = 3
+_OF_STATUS = {
+    Status.PASS: PASS,
+    Status.CHECK_FAILED: FAIL,
+    Status.BROKEN: BROKE,
+    Status.INTERRUPTED: STOPPED,
+    Status.HUNG_UP: STOPPED,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,18 +43,11 @@ class PastRun:
         return self.path.name
 
 
-class _Result(msgspec.Struct):
-    """What is read of a result; whoever wrote it, it must be this."""
-
-    status: str
-    sim_s: float
-
-
 def past_runs(out: Path) -> list[PastRun]:
     """The runs below a directory, the newest first. What is no run directory of ours, or a link, is none.
 
     Raises:
-        RunDirectoryError: the directory cannot be read.
+        FleetError: the directory cannot be read.
     """
     found = [_read(path, began) for path, began in _ours(out)]
     return sorted(found, key=lambda run: (run.began, run.name), reverse=True)
@@ -67,7 +57,7 @@ def newest_run(out: Path) -> Path | None:
     """The directory of the newest run: that to which `latest` leads, or else the one that began last.
 
     Raises:
-        RunDirectoryError: the directory cannot be read.
+        FleetError: the directory cannot be read.
     """
     with suppress(OSError):
         path = out / (out / LATEST).readlink()
@@ -98,7 +88,7 @@ def remove(out: Path, runs: Sequence[PastRun]) -> Iterator[PastRun]:
         Each run that was removed. One that goes on meanwhile stays.
 
     Raises:
-        PruneError: one cannot be removed.
+        FleetError: one cannot be removed.
     """
     try:
         for run in runs:
@@ -107,7 +97,7 @@ def remove(out: Path, runs: Sequence[PastRun]) -> Iterator[PastRun]:
             try:
                 shutil.rmtree(run.path)
             except OSError as error:
-                raise PruneError(f"cannot remove {run.path}: {error.strerror}") from None
+                raise FleetError(f"cannot remove {run.path}: {error.strerror}", status=3) from None
             yield run
     finally:
         _mend_latest(out)
@@ -140,7 +130,7 @@ def _ours(out: Path) -> Iterator[tuple[Path, datetime]]:
     except FileNotFoundError:
         return
     except OSError as error:
-        raise RunDirectoryError(f"cannot read {out}", error) from None
+        raise no_place(f"cannot read {out}", error) from None
     for entry in entries:
         began = begun_at(entry.name)
         if began is None or not entry.is_dir(follow_symlinks=False):
@@ -157,9 +147,9 @@ def _read(path: Path, began: datetime) -> PastRun:
     if in_use(path):
         verdict = LIVE
     else:
-        with suppress(OSError, DamagedFile):
-            result = parse_json(read_file(path / RESULT, _MOST_BYTES), _Result)
-            verdict, sim_s = _OF_STATUS.get(result.status, BROKE), result.sim_s
+        with suppress(OSError, ResultError):
+            result = read_result(path)
+            verdict, sim_s = _OF_STATUS[result.status], result.sim_s
     return PastRun(path, name["scenario"], verdict, sim_s, _size(path), began)
 
 

@@ -54,14 +54,15 @@ class ProgressLine:
         off = self._journal.metrics.formation
         of_fleet = off.vehicles > 1
         whose = [f" (UUV {off.vehicle})", ""] if of_fleet else [""]
-        errors = [f"error {off.worst_m:.3f} m{of}" for of in whose]
+        worst_m, median_m = off.worst_m or 0.0, off.median_m or 0.0
+        errors = [f"error {worst_m:.3f} m{of}" for of in whose]
         waits = waiting.replace("waiting for", "waits for")
         return [
             Piece(0, [f"t = {at_s:.1f} / {self._end_s:g} s", f"{at_s:.1f}/{self._end_s:g} s"]),
             Piece(7, [bar(share), bar(share, BAR // 2), ""] if self._line.live else [""]),
             Piece(5, [f"{speed} real time", speed, ""] if speed else [""]),
-            Piece(2, [f"formation {errors[0]}", *errors, f"error {off.worst_m:.2f} m"]),
-            Piece(8, [f"median {off.median_m:.3f} m", ""] if of_fleet else [""]),
+            Piece(2, [f"formation {errors[0]}", *errors, f"error {worst_m:.2f} m"]),
+            Piece(8, [f"median {median_m:.3f} m", ""] if of_fleet else [""]),
             Piece(6, [*self._packets(), ""]),
             Piece(1, self._faults()),
             Piece(4, self._events()),

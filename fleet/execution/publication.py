@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from fleet.replay.publisher import LivePublisher
+from fleet.result.result import Published
 
 
 class NoPublication:
@@ -23,9 +23,9 @@ class NoPublication:
     def close(self) -> None:
         """End."""
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Published | None:
         """What the result says about it."""
-        return {}
+        return None
 
 
 class Publication:
@@ -47,13 +47,13 @@ class Publication:
         self._observe, self._print_line = observe, print_line
 
     def open(self) -> None:
-        """Begin to publish. Raises PublishError: that is not possible."""
+        """Begin to publish. Raises FleetError: that is not possible."""
         self.publisher.open()
         where = f"fleet/{self.publisher.run}/log/** at {self.publisher.endpoint}"
         self._print_line(f"publishing {where}; how to join: {self._observe}")
 
     def wait(self) -> None:
-        """Wait for a subscriber, if the run is to. Raises PublishError: the publisher ended meanwhile."""
+        """Wait for a subscriber, if the run is to. Raises FleetError: the publisher ended meanwhile."""
         if self.publisher.wait:
             self._print_line("waiting for a subscriber")
             self.publisher.heard()
@@ -62,6 +62,6 @@ class Publication:
         """End, once everything is published."""
         self.publisher.close()
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Published | None:
         """What the result says about it."""
-        return {"published": {"messages": self.publisher.published, "dropped": self.publisher.dropped}}
+        return Published(self.publisher.published, self.publisher.dropped)

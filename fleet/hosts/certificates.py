@@ -28,10 +28,6 @@ _SKEW = timedelta(hours=1)  # a host's clock may be late
 _LABEL = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?")
 
 
-class HostsError(FleetError):
-    """Certificates, or options for several hosts, that cannot be made or used."""
-
-
 @dataclass(frozen=True, slots=True)
 class KeyPair:
     """A certificate and its private key, PEM."""
@@ -58,7 +54,7 @@ def make(directory: Path, hosts: Sequence[str] = (), *, agents: int = 0, days: i
         force: replace what is there.
 
     Raises:
-        HostsError: a host that is none, files in the way, no place to write, or `cryptography` is missing.
+        FleetError: a host that is none, files in the way, no place to write, or `cryptography` is missing.
     """
     names = list(dict.fromkeys([*map(host_name, hosts), *ALWAYS]))
     clients = [OWN, *(f"agent-{i}" for i in range(1, agents + 1))] if agents else []
@@ -68,7 +64,7 @@ def make(directory: Path, hosts: Sequence[str] = (), *, agents: int = 0, days: i
     ]
     there = [file.name for file in files if file.exists()]
     if there and not force:
-        raise HostsError(
+        raise FleetError(
             f"{directory} holds {', '.join(there[:4])}{', ...' if len(there) > 4 else ''} already; --force replaces "
             "them, and whoever trusts the old CA cannot join any more; or choose another directory"
         )
@@ -81,7 +77,7 @@ def make(directory: Path, hosts: Sequence[str] = (), *, agents: int = 0, days: i
             if key:
                 write_whole(path(directory, who, key=True), key)
     except OSError as error:
-        raise HostsError(f"{directory} cannot be written: {error.strerror}") from None
+        raise FleetError(f"{directory} cannot be written: {error.strerror}") from None
 
 
 def path(directory: Path, who: str, *, key: bool = False) -> Path:
@@ -97,16 +93,16 @@ def host_name(text: str) -> str:
     """A host name or address in the spelling of certificates.
 
     Raises:
-        HostsError: it is neither.
+        FleetError: it is neither.
     """
     with contextlib.suppress(ValueError):
         address = ipaddress.ip_address(text.removeprefix("[").removesuffix("]"))
         if address.is_unspecified:
-            raise HostsError(f"{text} is where one listens; expected an address at which others reach this host")
+            raise FleetError(f"{text} is where one listens; expected an address at which others reach this host")
         return str(address)
     labels = text.rstrip(".").split(".")
     if len(text) > 253 or not all(_LABEL.fullmatch(label) for label in labels) or labels[-1].isdigit():
-        raise HostsError(
+        raise FleetError(
             f"expected a host name or an IP address such as sea.example.org or 192.0.2.7, without a port, got {text!r}"
         )
     return text.rstrip(".").lower()
@@ -116,7 +112,7 @@ def read_ca(directory: Path) -> str:
     """Read the CA's certificate, PEM.
 
     Raises:
-        HostsError: there is none.
+        FleetError: there is none.
     """
     text = _read(path(directory, CA))
     _parse(path(directory, CA), text)
@@ -127,7 +123,7 @@ def read_server(directory: Path) -> ServerCertificate:
     """Read the router's certificate with its key.
 
     Raises:
-        HostsError: a file is missing or damaged, the certificate is out of date or is not the CA's, the key is not
+        FleetError: a file is missing or damaged, the certificate is out of date or is not the CA's, the key is not
             the certificate's, or others can read it.
     """
     x509 = _cryptography()
@@ -144,7 +140,7 @@ def read_client(directory: Path, who: str) -> KeyPair:
     """Read the certificate of a client with its key.
 
     Raises:
-        HostsError: as for `read_server`.
+        FleetError: as for `read_server`.
     """
     from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
@@ -155,18 +151,18 @@ def read_client(directory: Path, who: str) -> KeyPair:
     try:
         key = load_pem_private_key(pair.key.encode(), password=None)
     except (ValueError, TypeError):
-        raise HostsError(f"{key_path} holds no private key in PEM without a passphrase") from None
+        raise FleetError(f"{key_path} holds no private key in PEM without a passphrase") from None
     if key.public_key() != certificate.public_key():
-        raise HostsError(f"{key_path} is not the key of {certificate_path}; make all again: {_again(directory)}")
+        raise FleetError(f"{key_path} is not the key of {certificate_path}; make all again: {_again(directory)}")
     now = datetime.now(UTC)  # noqa: TID251 (certificates are in wall time)
     if not certificate.not_valid_before_utc <= now <= certificate.not_valid_after_utc:
         span = f"{certificate.not_valid_before_utc:%Y-%m-%d %H:%M} to {certificate.not_valid_after_utc:%Y-%m-%d %H:%M}"
-        raise HostsError(
+        raise FleetError(
             f"{certificate_path} is valid from {span} UTC, and now it is {now:%Y-%m-%d %H:%M}; "
             f"make all again with {_again(directory)}, or set the clock"
         )
     if not any(_signed_by(certificate, each) for each in (*authorities, *between)):
-        raise HostsError(
+        raise FleetError(
             f"{certificate_path} was not signed by {ca_path}: they are of different CAs; "
             f"make all again: {_again(directory)}"
         )
@@ -246,7 +242,7 @@ def _parse(file: Path, text: str) -> list[Any]:
     try:
         return list(_cryptography().load_pem_x509_certificates(text.encode()))
     except ValueError:
-        raise HostsError(f"{file} holds no certificate in PEM") from None
+        raise FleetError(f"{file} holds no certificate in PEM") from None
 
 
 def _again(directory: Path, agents: str = "") -> str:
@@ -260,21 +256,21 @@ def _read(file: Path, *, private: bool = False) -> str:
     try:
         return (read_private if private else read_file)(file, _MOST_BYTES).decode("ascii")
     except ExposedFile as error:
-        raise HostsError(str(error)) from None
+        raise FleetError(str(error)) from None
     except FileNotFoundError:
         agents = f" --agents {who.group(1)}" if (who := re.match(r"agent-(\d+)", file.name)) else ""
-        raise HostsError(f"{file} is missing; make it: {_again(file.parent, agents)}") from None
+        raise FleetError(f"{file} is missing; make it: {_again(file.parent, agents)}") from None
     except OSError as error:
-        raise HostsError(f"{file} cannot be read: {error.strerror}") from None
+        raise FleetError(f"{file} cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise HostsError(f"{file} is not PEM: expected text between BEGIN and END lines") from None
+        raise FleetError(f"{file} is not PEM: expected text between BEGIN and END lines") from None
 
 
 def _cryptography() -> Any:
     try:
         from cryptography import x509
     except ImportError:
-        raise HostsError(
+        raise FleetError(
             "certificates need the package cryptography, which is not installed: pip install 'uuv-fleet[hosts]'"
         ) from None
     return x509

@@ -13,11 +13,11 @@ from typing import Annotated, Any
 
 import msgspec
 
+from fleet.errors import FleetError
 from fleet.hosts.certificates import (
     ALWAYS,
     OWN,
     SERVER,
-    HostsError,
     KeyPair,
     ServerCertificate,
     host_name,
@@ -98,20 +98,20 @@ def parse_endpoint(text: str, option: str) -> RouterEndpoint:
         option: where it was given, for the error.
 
     Raises:
-        HostsError: it is none, or of another protocol.
+        FleetError: it is none, or of another protocol.
     """
     protocol, slash, place = text.partition("/")
     host, colon, port = place.rpartition(":")
     host = host.removeprefix("[").removesuffix("]")
     known = slash and protocol in ("tcp", "tls")
     if not known or not colon or not host or not port.isdecimal() or not 0 < int(port) < 65536:
-        raise HostsError(f"{option}: expected tls/HOST:PORT or tcp/HOST:PORT such as tls/0.0.0.0:7447, got {text!r}")
+        raise FleetError(f"{option}: expected tls/HOST:PORT or tcp/HOST:PORT such as tls/0.0.0.0:7447, got {text!r}")
     endpoint = RouterEndpoint(protocol, host, int(port))
     if not endpoint.wildcard:
         try:
             host_name(host)
-        except HostsError as error:
-            raise HostsError(f"{option}: {error}") from None
+        except FleetError as error:
+            raise FleetError(f"{option}: {error}") from None
     return endpoint
 
 
@@ -134,12 +134,11 @@ def listening(
         mutual: they must show certificates of their own.
 
     Raises:
-        HostsError: these do not go together.
-        HostsError: the certificates cannot be used.
+        FleetError: these do not go together; the certificates cannot be used.
     """
     endpoint = parse_endpoint(listen, "--listen")
     if endpoint.protocol == "tcp" and (certs or mutual):
-        raise HostsError(
+        raise FleetError(
             f"--certs and --mutual-tls are for tls: --listen {RouterEndpoint('tls', endpoint.host, endpoint.port)}"
         )
     hosts = [_advertised(host) for host in advertise]
@@ -151,7 +150,7 @@ def listening(
             listener=Listener((str(endpoint),), lease_ms), reached=reached, lease_ms=lease_ms, warnings=warnings
         )
     if certs is None:
-        raise HostsError(f"{endpoint} needs certificates: make them with fleet certs DIR --host NAME, then --certs DIR")
+        raise FleetError(f"{endpoint} needs certificates: make them with fleet certs DIR --host NAME, then --certs DIR")
     server = read_server(certs)
     roles = [agent_role(i) for i in external] if mutual else []
     return Rendezvous(
@@ -181,19 +180,18 @@ def listening_for_certificates(
         listen: an endpoint of its own, for tls; the others as for `listening`.
 
     Raises:
-        HostsError: these do not go together.
-        HostsError: the certificates cannot be used, or an external agent has none.
+        FleetError: these do not go together; the certificates cannot be used, or an external agent has none.
     """
     endpoint = parse_endpoint(listen, CERTIFIED)
     if endpoint.protocol != "tls":
         safe = RouterEndpoint("tls", endpoint.host, endpoint.port)
-        raise HostsError(f"{CERTIFIED}: certificates are shown with tls only: {CERTIFIED} {safe}")
+        raise FleetError(f"{CERTIFIED}: certificates are shown with tls only: {CERTIFIED} {safe}")
     if certs is None:
-        raise HostsError(
+        raise FleetError(
             f"{CERTIFIED} needs certificates: make them with fleet certs DIR --host NAME --agents N, then --certs DIR"
         )
     if rendezvous.listener and any(parse_endpoint(e, "").port == endpoint.port for e in rendezvous.listener.endpoints):
-        raise HostsError(f"--listen and {CERTIFIED} are two routers: give them a port each, not both {endpoint.port}")
+        raise FleetError(f"--listen and {CERTIFIED} are two routers: give them a port each, not both {endpoint.port}")
     server = read_server(certs)
     reached = _reached(endpoint, [_advertised(host) for host in advertise], server, certs)
     return replace(
@@ -217,13 +215,13 @@ def check_free(listen: str, option: str = "--listen") -> None:
         option: where it was given, for the error.
 
     Raises:
-        HostsError: the port is taken or not for us, or the address is not of this host.
+        FleetError: the port is taken or not for us, or the address is not of this host.
     """
     endpoint = parse_endpoint(listen, option)
     try:
         probe_address(endpoint.host, endpoint.port)
     except OSError as error:
-        raise HostsError(
+        raise FleetError(
             f"{option}: {listen} cannot be used ({error.strerror}); choose another address or port"
         ) from None
 
@@ -247,18 +245,17 @@ def through_router(
         certs: a directory with the CA of the router, and for mutual TLS with the clients' certificates.
 
     Raises:
-        HostsError: these do not go together, or the file is not of such a run.
-        HostsError: the certificates cannot be used.
+        FleetError: these do not go together, or the file is not of such a run; the certificates cannot be used.
     """
     endpoint = parse_endpoint(router, "--router")
     if endpoint.wildcard:
-        raise HostsError(f"--router: {router} is where one listens; expected the router's own address")
+        raise FleetError(f"--router: {router} is where one listens; expected the router's own address")
     if endpoint.protocol == "tcp" and (certs or mutual):
-        raise HostsError(
+        raise FleetError(
             f"--certs and --mutual-tls are for tls: --router {RouterEndpoint('tls', endpoint.host, endpoint.port)}"
         )
     if mutual and certs is None:
-        raise HostsError("--mutual-tls needs the certificates: --certs DIR")
+        raise FleetError("--mutual-tls needs the certificates: --certs DIR")
     run, known = read_credentials(credentials, vehicles)
     ca = read_ca(certs) if certs else ""
     own = read_client(certs, OWN) if certs and mutual else KeyPair("", "")
@@ -294,21 +291,21 @@ def read_credentials(file: Path, vehicles: int) -> tuple[str, dict[str, Credenti
     """The run's id and the credentials by role.
 
     Raises:
-        HostsError: no such file, others can read it, it is damaged, or made for another number of vehicles.
+        FleetError: no such file, others can read it, it is damaged, or made for another number of vehicles.
     """
     again = "make it with fleet acl SCENARIO -o DIR"
     try:
         found = parse_json(read_private(file, MOST_BYTES), _CredentialsFile)
     except OSError as error:
-        raise HostsError(f"{file} cannot be read: {error.strerror}; {again}") from None
+        raise FleetError(f"{file} cannot be read: {error.strerror}; {again}") from None
     except ExposedFile as error:
-        raise HostsError(str(error)) from None
+        raise FleetError(str(error)) from None
     except DamagedFile as error:
-        raise HostsError(f"{file} is no credentials file: {error}; {again}") from None
+        raise FleetError(f"{file} is no credentials file: {error}; {again}") from None
     if found.vehicles != vehicles:
-        raise HostsError(f"{file} was made for {found.vehicles} vehicles, and the scenario has {vehicles}; {again}")
+        raise FleetError(f"{file} was made for {found.vehicles} vehicles, and the scenario has {vehicles}; {again}")
     if missing := new_credentials(found.run, vehicles)["users"].keys() - found.users.keys():
-        raise HostsError(f"{file} lacks {', '.join(sorted(missing))}; {again}")
+        raise FleetError(f"{file} lacks {', '.join(sorted(missing))}; {again}")
     return found.run, {role: Credentials(*known) for role, known in found.users.items()}
 
 
@@ -316,25 +313,25 @@ def run_id(text: str) -> str:
     """Check a run's id, which is one piece of a key expression and the beginning of user names.
 
     Raises:
-        HostsError: it has other characters, or too many.
+        FleetError: it has other characters, or too many.
     """
     if not re.fullmatch(RUN_ID, text):
-        raise HostsError(f"--run: expected letters, digits, - and _ such as sea-trial-3, got {text!r}")
+        raise FleetError(f"--run: expected letters, digits, - and _ such as sea-trial-3, got {text!r}")
     return Keys(text).run
 
 
 def _advertised(host: str) -> str:
     try:
         return host_name(host)
-    except HostsError as error:
-        raise HostsError(f"--advertise: {error}") from None
+    except FleetError as error:
+        raise FleetError(f"--advertise: {error}") from None
 
 
 def _reached(endpoint: RouterEndpoint, hosts: list[str], server: ServerCertificate, certs: Path) -> tuple[str, ...]:
     """The endpoints under which agents reach a tls listener, at `hosts` or else at those of its certificate.
 
     Raises:
-        HostsError: a name that the certificate does not hold: every agent would refuse it later.
+        FleetError: a name that the certificate does not hold: every agent would refuse it later.
     """
     named = server.hosts
     if not hosts:
@@ -344,7 +341,7 @@ def _reached(endpoint: RouterEndpoint, hosts: list[str], server: ServerCertifica
         wild = "*." + host.partition(".")[2]
         if host not in named and wild not in named:
             file, known = certificate_path(certs, SERVER), ", ".join(named) or "nobody"
-            raise HostsError(
+            raise FleetError(
                 f"{file} is for {known}, not for {host}: agents would refuse it. Make another: fleet certs {certs} "
                 f"{' '.join(f'--host {name}' for name in (*named, host) if name not in ALWAYS)} --force; "
                 "or --advertise one of those"
@@ -357,4 +354,4 @@ def _own_address() -> str:
     with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.connect(("192.0.2.1", 9))
         return str(probe.getsockname()[0])
-    raise HostsError("cannot tell under which address agents reach this host: name it with --advertise HOST")
+    raise FleetError("cannot tell under which address agents reach this host: name it with --advertise HOST")

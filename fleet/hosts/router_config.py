@@ -6,7 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from fleet.hosts.certificates import CA, OWN, SERVER, HostsError, path
+from fleet.errors import FleetError
+from fleet.hosts.certificates import CA, OWN, SERVER, path
 from fleet.hosts.rendezvous import new_credentials
 from netem.whole_file import write_whole
 from netem.wire.access import CONSOLE, NETEM, OPERATOR, WORLD, access_control, agent_role
@@ -51,13 +52,13 @@ def write(directory: Path, run: str, vehicles: int, text: str, *, force: bool = 
     """Write the configuration, the router's file of users, and the credentials file for `fleet run`.
 
     Raises:
-        HostsError: files are in the way, or the directory cannot be written.
+        FleetError: files are in the way, or the directory cannot be written.
     """
     credentials = new_credentials(run, vehicles)
     users = "".join(f"{user}:{password}\n" for user, password in credentials["users"].values())
     there = [name for name in (CONFIG, USERS, CREDENTIALS) if (directory / name).exists()]
     if there and not force:
-        raise HostsError(
+        raise FleetError(
             f"{directory} holds {', '.join(there)} already; --force replaces them, and then the router needs the new "
             "ones, too; or choose another directory"
         )
@@ -68,7 +69,7 @@ def write(directory: Path, run: str, vehicles: int, text: str, *, force: bool = 
         write_whole(directory / USERS, users.encode())
         write_whole(directory / CREDENTIALS, (json.dumps(credentials, indent=2) + "\n").encode())
     except OSError as error:
-        raise HostsError(f"{directory} cannot be written: {error.strerror}") from None
+        raise FleetError(f"{directory} cannot be written: {error.strerror}") from None
 
 
 def _put(values: dict[str, Any], name: str, value: Any) -> None:

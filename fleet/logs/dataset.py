@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import fleet.logs.topic as held
+from fleet.errors import FleetError
 from fleet.logs.reader import LogReadError
-from fleet.logs.table import ExportError, TableColumn, columns, fits, need
+from fleet.logs.table import TableColumn, columns, fits, need
 from fleet.logs.topic import Topic
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ def dataset(topic: Topic, table: list[TableColumn], run: Mapping[str, str]) -> x
         run: what determined the run (`Log.run`).
 
     Raises:
-        ExportError: xarray is not installed.
+        FleetError: xarray is not installed.
     """
     need("a Dataset", ("xarray",), EXTRA)
     import xarray as xr
@@ -84,7 +85,7 @@ def tree(path: Path, topics: Iterable[Topic], run: Mapping[str, str]) -> xr.Data
     try:
         return xr.DataTree.from_dict({topic.name: dataset(topic, columns(topic), run) for topic in chosen})
     except ValueError as error:  # of another program's log: a topic within another one, with other times
-        raise ExportError(f"{path}: these topics do not fit in one tree; choose some by name: {error!s:.200}") from None
+        raise FleetError(f"{path}: these topics do not fit in one tree; choose some by name: {error!s:.200}") from None
 
 
 def frame(topic: Topic) -> pd.DataFrame:
@@ -93,7 +94,7 @@ def frame(topic: Topic) -> pd.DataFrame:
     import pandas as pd
 
     if not fits(topic):
-        raise ExportError(f"{topic.name} is no table: it has no message, or each holds lists of messages")
+        raise FleetError(f"{topic.name} is no table: it has no message, or each holds lists of messages")
     table = columns(topic)
     found = pd.DataFrame({column.name: column.values for column in table})
     found.attrs.update(frame_attributes(table))

@@ -12,7 +12,7 @@ from google.protobuf.message import DecodeError, Message
 from mcap.records import Channel, Schema
 
 from fleet.logs.reader import LogReader, LogReadError, Record
-from fleet.logs.schemas import OURS, Column
+from fleet.logs.schemas import OURS, MessageField
 from fleet.scenario.sections.signals import component
 
 UNITS = "units"  # what of a channel's metadata says them, as JSON: field -> [unit, meaning]
@@ -20,7 +20,7 @@ MOST_DECODED = 8 << 20  # bytes of a message: decoded, it takes up to fifty time
 MOST_VALUES = 100_000  # of a message that is shown field by field
 
 
-class Value(NamedTuple):
+class FieldValue(NamedTuple):
     """One number, text or flag of a message; `path` as in `pose.position.x`, `tau_0` or `transforms[2].parent`."""
 
     path: str
@@ -43,28 +43,28 @@ class Decoder:
         self._known: dict[str, tuple[Any, dict[str, str]]] = {}
         self._checked: set[str] = set()
 
-    def __call__(self, record: Record) -> list[Value]:
+    def __call__(self, record: Record) -> list[FieldValue]:
         message = self.message(record)
         if message is None:
-            return [Value("bytes", record.data, "")]
+            return [FieldValue("bytes", record.data, "")]
         units = self._known[record.topic][1]
         values = list(islice(_flat(message, units), MOST_VALUES + 1))
-        return values if len(values) <= MOST_VALUES else [Value("bytes", record.data, "")]
+        return values if len(values) <= MOST_VALUES else [FieldValue("bytes", record.data, "")]
 
     def message(self, record: Record) -> Any:
         """The protobuf message of a record; None if it is none."""
         if record.topic not in self._known:
-            channel = next((c for c in self._reader.channels.values() if c.topic == record.topic), None)
+            channel = self._reader.channel(record.topic)
             if channel is None:
                 return None
             self._known[record.topic] = known_class(self._reader.schemas.get(channel.schema_id)), units_of(channel)
         cls = self._known[record.topic][0]
         try:
-            return cls.FromString(record.data) if cls is not None and len(record.data) <= MOST_DECODED else None
+            return None if cls is None else decoded(cls, record.data)
         except DecodeError:
             return None
 
-    def ours(self, record: Record, columns: Iterable[Column], *, lacking: bool = False) -> Any:
+    def ours(self, record: Record, columns: Iterable[MessageField], *, lacking: bool = False) -> Any:
         """The message of a record that a run of ours wrote; None if this one message is damaged.
 
         Args:
@@ -109,7 +109,7 @@ def known_class(schema: Schema | None) -> Any:
         return None
 
 
-def _unlike(cls: Any, columns: Iterable[Column], *, lacking: bool) -> str:
+def _unlike(cls: Any, columns: Iterable[MessageField], *, lacking: bool) -> str:
     """What hinders the use of these columns of a class of messages; "": nothing."""
     if cls is None:
         return "it is damaged, or not one of protobuf"
@@ -146,7 +146,7 @@ def _unit(units: dict[str, str], name: str, k: int | None = None) -> str:
     return each[k] if k is not None and found == name and k < len(each) > 1 else unit
 
 
-def _flat(message: Message, units: dict[str, str], prefix: str = "", around: str = "") -> Iterator[Value]:
+def _flat(message: Message, units: dict[str, str], prefix: str = "", around: str = "") -> Iterator[FieldValue]:
     """Every value of a message; `prefix` and `around` are the path and the names of the messages that it stands in."""
     known = message.DESCRIPTOR.fields_by_name
     for field in message.DESCRIPTOR.fields:
@@ -156,11 +156,11 @@ def _flat(message: Message, units: dict[str, str], prefix: str = "", around: str
             if isinstance(value, Message):
                 yield from _flat(value, units, f"{path}.", f"{name}.")
             else:
-                yield Value(path, value, _unit(units, name))
+                yield FieldValue(path, value, _unit(units, name))
             continue
         for k, element in enumerate(value):
             if isinstance(element, Message):
                 yield from _flat(element, units, f"{path}[{k}].", f"{name}.")
             else:
                 other = component(field.name, k) in known  # a field of its own
-                yield Value(f"{path}[{k}]" if other else component(path, k), element, _unit(units, name, k))
+                yield FieldValue(f"{path}[{k}]" if other else component(path, k), element, _unit(units, name, k))

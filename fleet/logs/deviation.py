@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from fleet.logs.decoder import Decoder, Value
+from fleet.logs.decoder import Decoder, FieldValue
 from fleet.logs.first_difference import Difference, begin_ns, side
 from fleet.logs.reader import LogReader, Record
 from fleet.logs.records import Block, Message
@@ -40,7 +40,7 @@ class Deviation:
 
 
 @dataclass(slots=True)
-class Comparison:
+class LogComparison:
     """What two logs have in common and what not."""
 
     begin_ns: int = 0  # what was before is not compared: one of the runs goes on from another and begins here
@@ -60,13 +60,13 @@ class Comparison:
         return all(deviation.value <= tolerance for deviation in self.signals.values())
 
 
-def compare(a: LogReader, b: LogReader, names: tuple[str, str] = ("a", "b")) -> Comparison:
+def compare(a: LogReader, b: LogReader, names: tuple[str, str] = ("a", "b")) -> LogComparison:
     """Compare two logs to their ends; where one of the runs begins later, from there on.
 
     Raises:
         LogReadError: one of them is no log.
     """
-    found = Comparison()
+    found = LogComparison()
     readers = a, b
     decoders = Decoder(a), Decoder(b)
     streams = _Stream(a), _Stream(b)
@@ -205,7 +205,7 @@ class _Waiting:
 
 
 def _meet(
-    found: Comparison,
+    found: LogComparison,
     decoders: tuple[Decoder, Decoder],
     waiting: tuple[_Waiting, _Waiting],
     k: int,
@@ -234,11 +234,11 @@ def _key(decoder: Decoder, record: Record) -> Key:
     return record.topic, record.sequence, getattr(message, "copy", 0)
 
 
-def _header(record: Record) -> list[Value]:
-    return [Value("log_time", record.log_ns / 1e9, "s"), Value("publish_time", record.publish_ns / 1e9, "s")]
+def _header(record: Record) -> list[FieldValue]:
+    return [FieldValue("log_time", record.log_ns / 1e9, "s"), FieldValue("publish_time", record.publish_ns / 1e9, "s")]
 
 
-def _subtract(found: Comparison, record: Record, left: list[Value], right: list[Value]) -> None:
+def _subtract(found: LogComparison, record: Record, left: list[FieldValue], right: list[FieldValue]) -> None:
     ours = {value.path: value for value in left}
     theirs = {value.path: value for value in right}
     for path in [*ours, *(path for path in theirs if path not in ours)]:
@@ -269,7 +269,7 @@ def _apart(a: float, b: float) -> float:
     return inf if isnan(apart) else apart
 
 
-def rows(found: Comparison, most: int | None = None) -> Iterator[tuple[str, str, str, str, str]]:
+def rows(found: LogComparison, most: int | None = None) -> Iterator[tuple[str, str, str, str, str]]:
     """(signal, greatest |a - b|, unit, at, messages that differ), those that are furthest apart first."""
     ordered = sorted(found.signals.items(), key=lambda item: (-item[1].value, item[0]))
     for name, deviation in ordered[:most]:
@@ -284,7 +284,7 @@ def _alike(counts: Counter[str]) -> list[tuple[str, int]]:
     return sorted(total.items())
 
 
-def deviation_lines(found: Comparison, most: int | None) -> Iterator[str]:
+def deviation_lines(found: LogComparison, most: int | None) -> Iterator[str]:
     """What is not the same, in words and as a table of signals."""
     yield f"{found.same} messages are the same, {found.paired} differ"
     for name, only in (("a", found.only_a), ("b", found.only_b)):

@@ -21,12 +21,13 @@ from typing import IO, Any
 import numpy as np
 
 import fleet.logs.topic as held
+from fleet.errors import FleetError
 from fleet.logs.columns import objects
 from fleet.logs.dataset import EXTRA, dataset, frame_attributes
 from fleet.logs.open_log import Log
 from fleet.logs.reader import LogReader, Tell
 from fleet.logs.records import Array, Block
-from fleet.logs.table import ExportError, TableColumn, fits, need, table
+from fleet.logs.table import TableColumn, fits, need, table
 from fleet.logs.topic import Topic
 
 INDEX = "export.json"
@@ -46,7 +47,7 @@ def export(log: Log, folder: Path, form: str, *, force: bool = False, share: Tel
         share: called now and then with the share of the log that is done.
 
     Raises:
-        ExportError: something is in the way, the place cannot be written, a package is not installed, or a table is
+        FleetError: something is in the way, the place cannot be written, a package is not installed, or a table is
             too large for NetCDF.
         LogReadError: a topic's messages are not what the log says they are.
     """
@@ -56,10 +57,10 @@ def export(log: Log, folder: Path, form: str, *, force: bool = False, share: Tel
     left_out = [name for name in log if len(log[name]) and name not in topics]
     paths = {name: folder / f"{_file_name(name)}.{suffix}" for name in topics}
     if len(set(paths.values())) < len(paths):
-        raise ExportError(f"topics of {log.path} differ only in characters that a file name cannot have")
+        raise FleetError(f"topics of {log.path} differ only in characters that a file name cannot have")
     there = [path.name for path in [*paths.values(), folder / INDEX] if path.exists()]
     if there and not force:
-        raise ExportError(f"{folder} already holds {there[0]}; choose another place, or replace it with --force")
+        raise FleetError(f"{folder} already holds {there[0]}; choose another place, or replace it with --force")
     sheets = {name: sheet_of(log[name], path, log.run) for name, path in paths.items()}
     index_part = folder / f"{INDEX}.part"
     try:
@@ -80,7 +81,7 @@ def export(log: Log, folder: Path, form: str, *, force: bool = False, share: Tel
             sheet.part.replace(sheet.path)
         index_part.replace(folder / INDEX)
     except OSError as error:
-        raise ExportError(f"cannot write to {folder}: {error.strerror}") from error
+        raise FleetError(f"cannot write to {folder}: {error.strerror}") from error
     finally:
         for part in [index_part, *(sheet.part for sheet in sheets.values())]:
             with suppress(OSError):
@@ -230,7 +231,7 @@ class ParquetSheet(Sheet):
                 for column, field in zip(columns, self._schema, strict=True)
             ]
         except pyarrow.ArrowException as error:
-            raise ExportError(f"{self.topic.name}: a column holds values of different kinds: {error}") from None
+            raise FleetError(f"{self.topic.name}: a column holds values of different kinds: {error}") from None
         self._writer.write_table(pyarrow.Table.from_arrays(arrays, schema=self._schema))
 
     def close(self) -> None:
@@ -247,7 +248,7 @@ class NetcdfSheet(Sheet):
 
     def _begin(self, columns: list[TableColumn]) -> None:
         if self.topic.size > held.MOST_HELD:
-            raise ExportError(
+            raise FleetError(
                 f"{self.topic.name} is too large for NetCDF ({self.topic.size / 1e6:.0f} MB): use --parquet, or choose "
                 "others with --topics"
             )

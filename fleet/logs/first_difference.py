@@ -9,7 +9,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from fleet.logs.decoder import Decoder, Value
+from fleet.logs.decoder import Decoder, FieldValue
 from fleet.logs.reader import LogReader, Record
 from fleet.logs.schemas import ANEW, FROM, FROM_TICK, START
 
@@ -22,7 +22,7 @@ class Side:
 
     name: str
     record: Record | None  # None: the log has ended
-    values: list[Value]
+    values: list[FieldValue]
     tick_ns: int
     why: str = ""  # the log has ended
 
@@ -148,14 +148,14 @@ def _declared(reader: LogReader) -> dict[str, tuple[Any, ...]]:
     return found
 
 
-def same(a: Value | None, b: Value | None) -> bool:
+def same(a: FieldValue | None, b: FieldValue | None) -> bool:
     """Whether a field is there in both messages with the same value; what is no number is the same as another one."""
     if a is None or b is None:
         return False
     return bool(a.value == b.value or (a.value != a.value and b.value != b.value))
 
 
-def _shown(value: Value | None) -> str:
+def _shown(value: FieldValue | None) -> str:
     if value is None:
         return "-"
     return _bytes(value.value) if isinstance(value.value, bytes) else repr(value.value)
@@ -166,7 +166,7 @@ def _bytes(data: bytes) -> str:
     return data[:_MOST_BYTES].hex() + more
 
 
-def _gap(a: Value | None, b: Value | None) -> str:
+def _gap(a: FieldValue | None, b: FieldValue | None) -> str:
     if a is None or b is None:
         return ""
     if isinstance(a.value, bytes) and isinstance(b.value, bytes):

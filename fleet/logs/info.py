@@ -33,6 +33,7 @@ class Info:
     events: list[VehicleEvents]  # what happened to vehicles
     topics: dict[str, tuple[str, int]]  # topic -> (schema, messages)
     missing: str
+    unread: int  # messages about faults beyond the limits, of which `faults` and `events` say nothing
 
 
 def read_info(path: Path, tell: Tell = lambda _: None) -> Info:
@@ -47,7 +48,7 @@ def read_info(path: Path, tell: Tell = lambda _: None) -> Info:
     first: int | None = None
     last = 0
     happened: list[Record] = []
-    held = 0
+    held = unread = 0
     for block in reader.blocks():
         for channel, count in zip(*np.unique(block.channel, return_counts=True), strict=True):
             counts[reader.channels[int(channel)].topic] += int(count)
@@ -58,6 +59,8 @@ def read_info(path: Path, tell: Tell = lambda _: None) -> Info:
             held += len(record.data)
             if len(happened) < MOST_EVENTS and held <= _MOST_TEXT:
                 happened.append(record)
+            else:
+                unread += 1
     topics = {
         channel.topic: (
             # Traffic of others has no schema, but an encoding.
@@ -78,6 +81,7 @@ def read_info(path: Path, tell: Tell = lambda _: None) -> Info:
         events=vehicle_events((one.what, one.begin) for one in found),
         topics=topics,
         missing=reader.missing,
+        unread=unread,
     )
 
 
@@ -113,6 +117,9 @@ def info_text(info: Info) -> str:
 def _happened(info: Info) -> list[str]:
     """The faults, and apart from them what happened to vehicles."""
     lines = ["faults"] if info.faults else []
+    if info.unread:
+        limits = f"the first {MOST_EVENTS}, or {_MOST_TEXT >> 20} MiB, of them"
+        lines.insert(0, f"LEFT OUT: {info.unread} messages about faults; only {limits} are read")
     lines += [f"  {f.id}: {f.begin:.10g} to {f.end:.10g} s: {f.what}" for f in info.faults[:MOST_FAULTS]]
     if len(info.faults) > MOST_FAULTS:
         lines.append(f"  ... and {len(info.faults) - MOST_FAULTS} more: --json")

@@ -24,6 +24,7 @@ from fleet.logs.fault_intervals import FaultInterval, fault_intervals
 from fleet.logs.reader import LogReader, LogReadError, Tell, log_path
 from fleet.logs.records import Block
 from fleet.logs.topic import LogKeyError, Topic
+from fleet.logs.topic_names import link_of
 from fleet.notebook import html_table
 from fleet.scenario.sections.vehicle_events import is_fault
 from netem.parsing import nearest
@@ -31,7 +32,6 @@ from netem.parsing import nearest
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
-    from mcap.records import Channel
 
     from fleet.scenario.scenario import Scenario
 
@@ -116,7 +116,7 @@ class Log:
     @property
     def links(self) -> list[tuple[int, int]]:
         """The directed links (source, destination) that the log has topics of, ascending."""
-        return sorted((int(m[1]), int(m[2])) for topic in self if (m := re.fullmatch(r"link/(\d+)-(\d+)", topic)))
+        return sorted(link for topic in self if (link := link_of(topic)) is not None)
 
     def to_xarray(self) -> xr.DataTree:
         """The topics that are tables as Datasets, in a tree by their names, with `units` and `long_name`.
@@ -129,7 +129,7 @@ class Log:
             'm'
 
         Raises:
-            ExportError: xarray is not installed (extra `tables`).
+            FleetError: xarray is not installed (extra `tables`).
             LogReadError: the topics are more than is held at once; `open_log` can choose some.
         """
         from fleet.logs.dataset import tree
@@ -140,7 +140,7 @@ class Log:
         """A topic as a table; `attrs["units"]` and `attrs["meanings"]` have those of its columns.
 
         Raises:
-            ExportError: pandas is not installed (extra `tables`), or the topic is no table.
+            FleetError: pandas is not installed (extra `tables`), or the topic is no table.
             LogReadError: the log has no such topic, or it is too large.
         """
         from fleet.logs.dataset import frame
@@ -290,7 +290,6 @@ class _Opening:
     ) -> None:
         self._path, self._progress, self._share, self._part, self._drawn = path, progress, share, part, drawn
         self._wanted = None if topics is None else [topics] if isinstance(topics, str) else list(topics)
-        self._channels: dict[str, Channel] = {}  # by topic, as far as declared
         self._topics: dict[str, Topic | None] = {}
         self._held: list[Topic] = []  # those that were fetched, the oldest first
         self._seen: Counter[str] = Counter()
@@ -323,10 +322,8 @@ class _Opening:
     def _made(self, reader: LogReader, name: str) -> Topic | None:
         if self._wanted is not None and not any(fnmatchcase(name, pattern) for pattern in self._wanted):
             return None
-        if name not in self._channels:
-            for channel in reader.channels.values():
-                self._channels.setdefault(channel.topic, channel)
-        channel = self._channels[name]
+        channel = reader.channel(name)
+        assert channel is not None  # the name is that of one
         topic = Topic(name, channel, reader.schemas.get(channel.schema_id))
         topic.fetch = self._fetch
         return topic

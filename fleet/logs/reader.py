@@ -63,6 +63,7 @@ class LogReader:
     damage: list[Damage] = field(default_factory=list)
     _kept: dict[tuple[type, int | str], int] = field(default_factory=dict, init=False)  # size of each [bytes]
     _total: int = field(default=0, init=False)  # sum of these sizes [bytes]
+    _by_topic: dict[str, Channel] = field(default_factory=dict, init=False)
 
     def __iter__(self) -> Iterator[Record]:
         """Every message of every complete chunk, in file order.
@@ -115,6 +116,10 @@ class LogReader:
             if not self.missing and (gone := self.metadata.get(RECOVERY, {}).get(LOST)):
                 self.missing = f"it was recovered from a damaged file, of which this is lost: {gone}"
 
+    def channel(self, topic: str) -> Channel | None:
+        """The first channel of a topic that was declared so far; None: there is none."""
+        return self._by_topic.get(topic)
+
     def _keep(self, item: Item) -> None:
         match item:
             case Header():
@@ -125,6 +130,7 @@ class LogReader:
             case Channel():
                 self._count(Channel, item.id, _size(item.metadata) + len(item.topic))
                 self.channels[item.id] = item
+                self._by_topic.setdefault(item.topic, item)
             case Metadata():
                 self._count(Metadata, item.name, _size(item.metadata))
                 self.metadata[item.name] = dict(item.metadata)

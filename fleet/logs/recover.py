@@ -19,10 +19,6 @@ from fleet.logs.records import MAGIC, Block, Message
 from fleet.logs.salvage import ChunkEnd, Item, Salvage, declarations
 
 
-class RecoverError(FleetError):
-    """The recovered file cannot be written."""
-
-
 @dataclass(slots=True)
 class Recovered:
     """What came of it."""
@@ -46,12 +42,12 @@ def recover(path: Path, out: Path | None = None, tell: Tell = lambda _: None) ->
 
     Raises:
         LogReadError: the file cannot be opened.
-        RecoverError: `out` exists or cannot be written.
+        FleetError: `out` exists or cannot be written.
     """
     path = log_path(path)
     out = out or path.with_name(f"{path.stem}.recovered.mcap")
     if out.exists():
-        raise RecoverError(f"{out} exists already: choose another place with -o OUT")
+        raise FleetError(f"{out} exists already: choose another place with -o OUT")
     part = out.with_name(f"{out.name}.part")
     with open_any(path) as source:
         magic = source.read(len(MAGIC)) == MAGIC
@@ -67,7 +63,7 @@ def recover(path: Path, out: Path | None = None, tell: Tell = lambda _: None) ->
             raise
         except OSError as error:
             _remove(part)
-            raise RecoverError(f"cannot write {out}: {error.strerror or error}") from error
+            raise FleetError(f"cannot write {out}: {error.strerror or error}") from error
     return found
 
 

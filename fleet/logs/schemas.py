@@ -33,7 +33,7 @@ BOOL = descriptor_pb2.FieldDescriptorProto.TYPE_BOOL
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class MessageField:
     """One field of a log message; `width` 0 is a single value, more is an array."""
 
     name: str
@@ -53,29 +53,29 @@ class Schema:
     units: str  # JSON: column -> [unit, meaning]
 
 
-def signal_columns(declared: tuple[Signal, ...]) -> tuple[Column, ...]:
+def signal_columns(declared: tuple[Signal, ...]) -> tuple[MessageField, ...]:
     """The columns of a topic group."""
-    return tuple(Column(s.name, s.unit, s.meaning, 0 if s.width == 1 else s.width) for s in declared)
+    return tuple(MessageField(s.name, s.unit, s.meaning, 0 if s.width == 1 else s.width) for s in declared)
 
 
 STATE, ROLL, COMMAND, ERROR, CLOCK_ERROR = map(
     signal_columns, (signals.STATE, signals.ROLL, signals.COMMAND, signals.ERROR, signals.CLOCK)
 )
 FAULT = (
-    Column("fault", "", "its id", type=STRING),
-    Column("action", "", "begins or ends", type=STRING),
-    Column("what", "", "in the words of a scenario", type=STRING),
+    MessageField("fault", "", "its id", type=STRING),
+    MessageField("action", "", "begins or ends", type=STRING),
+    MessageField("what", "", "in the words of a scenario", type=STRING),
 )
-SNAPSHOT = (Column("state", "", "all that determines the rest of the run, as MessagePack", type=BYTES),)
+SNAPSHOT = (MessageField("state", "", "all that determines the rest of the run, as MessagePack", type=BYTES),)
 PACKET = (
-    Column("seq", "1", "number of the payload on this directed link", type=UINT32),
-    Column("copy", "1", "0 for the original, 1.. for duplicates", type=UINT32),
-    Column("sent", "s", "sending time"),
-    Column("due", "s", "time from which it is, or would have been, usable"),
-    Column("delay", "s", "drawn delay of the link, before rounding up to ticks"),
-    Column("fate", "", "delivered, in flight, or the cause of the loss", type=STRING),
-    Column("payload", "", "the payload's bytes, as they arrived", type=BYTES),
-    Column("corrupted", "", "whether the link changed the payload", type=BOOL),
+    MessageField("seq", "1", "number of the payload on this directed link", type=UINT32),
+    MessageField("copy", "1", "0 for the original, 1.. for duplicates", type=UINT32),
+    MessageField("sent", "s", "sending time"),
+    MessageField("due", "s", "time from which it is, or would have been, usable"),
+    MessageField("delay", "s", "drawn delay of the link, before rounding up to ticks"),
+    MessageField("fate", "", "delivered, in flight, or the cause of the loss", type=STRING),
+    MessageField("payload", "", "the payload's bytes, as they arrived", type=BYTES),
+    MessageField("corrupted", "", "whether the link changed the payload", type=BOOL),
 )
 # By name, the schemas that every log of a run may have.
 OURS = {
@@ -93,7 +93,7 @@ OURS = {
 }
 
 
-def flat_schema(name: str, columns: tuple[Column, ...]) -> Schema:
+def flat_schema(name: str, columns: tuple[MessageField, ...]) -> Schema:
     """A schema of our own; dots in the name put it into packages below ours."""
     below, _, name = name.rpartition(".")
     package = f"{PACKAGE}.{below}" if below else PACKAGE
@@ -129,7 +129,7 @@ class Doubles:
     (`fleet.recorder.tick_messages`). A test parses the result with protobuf and compares.
     """
 
-    def __init__(self, columns: Sequence[Column], start: int = 0, field: int = 1) -> None:
+    def __init__(self, columns: Sequence[MessageField], start: int = 0, field: int = 1) -> None:
         """Lay out a message, or the part of one.
 
         Args:
@@ -166,8 +166,8 @@ def pose_parts(frame_id: str, position: int, orientation: int) -> list[bytes | i
     Args:
         position: the number of the first of its three doubles; `orientation`: of its four.
     """
-    place = Doubles([Column(name, "", "") for name in "xyz"], position)
-    turn = Doubles([Column(name, "", "") for name in "xyzw"], orientation)
+    place = Doubles([MessageField(name, "", "") for name in "xyz"], position)
+    turn = Doubles([MessageField(name, "", "") for name in "xyzw"], orientation)
     pose = b"\x0a" + varint(place.size), b"\x12" + varint(turn.size)
     size = sum(map(len, pose)) + place.size + turn.size
     frame = b"\x12" + varint(len(frame_id)) + frame_id.encode()

@@ -19,16 +19,12 @@ from fleet.logs.topic import Topic
 from fleet.scenario.sections.signals import component
 
 
-class ExportError(FleetError):
-    """The tables cannot be written."""
-
-
 def need(what: str, packages: tuple[str, ...], extra: str) -> None:
-    """Raise ExportError if packages are not installed."""
+    """Raise FleetError if packages are not installed."""
     missing = [package for package in packages if find_spec(package) is None]
     if missing:
         listed = f"{', '.join(missing)}, which {'is' if len(missing) == 1 else 'are'} not installed"
-        raise ExportError(f"{what} needs {listed}: pip install 'uuv-fleet[{extra}]'")
+        raise FleetError(f"{what} needs {listed}: pip install 'uuv-fleet[{extra}]'")
 
 
 class TableColumn(NamedTuple):

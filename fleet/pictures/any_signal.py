@@ -49,7 +49,14 @@ class _Found(NamedTuple):
 
 def signals_of_checks(runs: Sequence[Run]) -> list[SignalName]:
     """The signals that the checks of these runs name or looked at; see `checked_signals`."""
-    found = [name for run in runs if run.scenario for name in checked_signals(run.scenario.spec.checks, run.verdicts)]
+    found = [
+        name
+        for run in runs
+        if run.scenario
+        for name in checked_signals(
+            run.scenario.spec.checks, (looked_at for verdict in run.verdicts for looked_at in verdict.signals)
+        )
+    ]
     return [name for name in dict.fromkeys(found) if any(_find(run, name) for run in runs)][:MOST_UNASKED]
 
 
@@ -279,14 +286,13 @@ def _find_of(run: Run, i: int, name: SignalName) -> str | None:
 def _failed(ax: Axes, runs: Sequence[Run], name: SignalName, shift: dict[int, float] | None) -> None:
     """A cross on the value of each vehicle that failed a check of the signal, at the moment at which it did."""
     for run in runs:
-        for row in run.verdicts:
-            moment = row["moment"] or {"values": {}}
-            for key, value in moment["values"].items():
+        for moment in (verdict.moment for verdict in run.verdicts if verdict.moment is not None):
+            for key, value in moment.values.items():
                 vehicle = re.fullmatch(r"uuv/(\d{1,6})/(.+)", key)
                 if vehicle is None or vehicle[2] != str(name) or value is None:
                     continue
                 i = int(vehicle[1])
                 ax.plot(
-                    moment["at_s"], value + (shift or {}).get(i, 0.0), "x", color=COLOUR, markersize=5,
+                    moment.at_s, value + (shift or {}).get(i, 0.0), "x", color=COLOUR, markersize=5,
                     markeredgewidth=1.2, zorder=6, gid=f"failed-{i}",
                 )  # fmt: skip

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from fleet.logs.records import Array
+from fleet.logs.topic_names import link_topic
 from fleet.palette import COLOURS
 from fleet.pictures.axes import finish, legend_of, marks_legend, over_time
 from fleet.pictures.runs import NothingToDraw, Run, View
@@ -66,7 +67,7 @@ def links_between(run: Run, view: View) -> list[Link]:
 
 def fates_of(run: Run, link: Link) -> tuple[Array, Array, Array, Array]:
     """(sent [s], due [s], fate, sequence) of every packet of a link; a corrupted one's fate is `corrupted`."""
-    packets = run.log[f"link/{link[0]}-{link[1]}"]
+    packets = run.log[link_topic(link)]
     if not len(packets):
         return np.empty(0), np.empty(0), np.empty(0, object), np.empty(0, np.int64)
     fate = np.where(packets["corrupted"] & (packets["fate"] == Cause.DELIVERED), CORRUPTED, packets["fate"])

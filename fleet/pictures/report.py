@@ -7,12 +7,13 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+
+from msgspec import convert
 
 from fleet.logs.payload_kinds import count_kinds
 from fleet.logs.reader import Tell, digest
-from fleet.logs.result_file import ResultError, outcome_words, read_result
 from fleet.logs.run_name import begun_at, run_name
+from fleet.logs.topic_names import link_topic
 from fleet.pictures.gallery import PER_RUN, WHAT, draw
 from fleet.pictures.page import PageImage, SectionImages, png, render, write_page
 from fleet.pictures.report_scenario import conditions_note, conditions_table, network_facts, scenario_facts
@@ -29,9 +30,12 @@ from fleet.pictures.report_tables import (
 )
 from fleet.pictures.runs import Run, View
 from fleet.pictures.telling import telling
+from fleet.result.file import ResultError, read_result
+from fleet.result.result import LinkAge, Result
 from fleet.scenario.sections.vehicle_events import vehicle_events
 from netem.ages import Ages
 from netem.causes import Cause
+from netem.ledger import Account
 from netem.wire.messages import Fate
 
 TEMPLATE = "report.html"
@@ -39,9 +43,9 @@ TEMPLATE = "report.html"
 
 @dataclass(slots=True)
 class RunResult:
-    """The result.json of a run, if there is one and it is of this log."""
+    """The result of a run, if there is one and it is of this log."""
 
-    values: dict[str, Any] | None
+    result: Result | None
     why_none: str
     digest: str
 
@@ -89,7 +93,7 @@ def page(runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> str:
     together = None
     if len(runs) > 1:
         together = {
-            "table": side_by_side(runs, [result.values for result in results]),
+            "table": side_by_side(runs, [one.result for one in results]),
             "pictures": _pictures([k for k in WHAT if k not in PER_RUN], runs, view, share)[1],
         }
     kinds = list(WHAT) if len(runs) == 1 else sorted(PER_RUN)
@@ -103,9 +107,9 @@ def page(runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> str:
     )
 
 
-def _section(number: int, run: Run, result: RunResult, kinds: Sequence[str], view: View, share: Tell) -> ReportSection:
+def _section(number: int, run: Run, found: RunResult, kinds: Sequence[str], view: View, share: Tell) -> ReportSection:
     """The section of a run: `number` counts from 1; 0 for the only one."""
-    log, scenario, values = run.log, run.scenario, result.values or {}
+    log, scenario, result = run.log, run.scenario, found.result
     name, path = run_name(log.path), log.path.resolve()
     facts = scenario_facts(scenario) if scenario is not None else []
     # The log holds simulated time only, so that it is the same each time.
@@ -113,7 +117,7 @@ def _section(number: int, run: Run, result: RunResult, kinds: Sequence[str], vie
     facts += [
         ("begun", f"{begun:%Y-%m-%d %H:%M:%S} UTC" if begun else "unknown: the name of the run does not say when"),
         ("log", f"{path}, {path.stat().st_size / 1e6:.1f} MB"),
-        ("digest", result.digest),
+        ("digest", found.digest),
     ]
     if number and run.label != name:
         facts.append(("in tables and pictures of several runs", run.label))
@@ -130,14 +134,14 @@ def _section(number: int, run: Run, result: RunResult, kinds: Sequence[str], vie
         network=Table((), network_facts(scenario) if scenario is not None else ()),
         conditions=conditions_table(scenario) if scenario is not None else Table((), ()),
         conditions_note=conditions_note(scenario) if scenario is not None else "",
-        no_verdicts=result.why_none,
-        status=_status(values) if values else None,
-        reason=values.get("reason", ""),
+        no_verdicts=found.why_none,
+        status=None if result is None else Mark(result.passed, result.words),
+        reason="" if result is None else result.reason,
         first=first,
-        checks=checks_table(values.get("checks", ())),
+        checks=checks_table([] if result is None else result.verdicts),
         faults=Table(("fault", "from [s]", "to [s]", "what"), faults),
         events=Table(("event", "times", "first at [s]"), [(e.what, e.times, f"{e.first_s:.10g}") for e in events]),
-        tables=_tables(run, values),
+        tables=_tables(run, result),
         pictures=pictures,
         place=shlex.quote(str(path.parent if path.name == "run.mcap" else path)),
         metadata=Table((), sorted(log.run.items())),
@@ -145,30 +149,25 @@ def _section(number: int, run: Run, result: RunResult, kinds: Sequence[str], vie
     )
 
 
-def _status(values: dict[str, Any]) -> Mark:
-    checks = [check["passed"] for check in values["checks"]]
-    return Mark(values["status"] == "pass", outcome_words(values["status"], checks))
-
-
 def _result(run: Run, share: Tell) -> RunResult:
     of_log = digest(run.log.path, share)
     try:
-        values = read_result(run.log.path)
+        result = read_result(run.log.path.parent)
     except FileNotFoundError:
         return RunResult(None, "There is no result.json beside this log, so there are no verdicts.", of_log)
     except ResultError as error:
         return RunResult(None, f"{error}; so there are no verdicts.", of_log)
-    if values["digest"] != of_log:
+    if result.digest != of_log:
         why = "The result.json beside this log is of another log, so its verdicts are left out."
         return RunResult(None, why, of_log)
-    return RunResult(values, "", of_log)
+    return RunResult(result, "", of_log)
 
 
-def _tables(run: Run, values: dict[str, Any]) -> list[tuple[str, Table]]:
-    """Tables of vehicles and of links, each with its heading; `values` as in result.json, empty without one."""
+def _tables(run: Run, result: Result | None) -> list[tuple[str, Table]]:
+    """Tables of vehicles and of links, each with its heading."""
     tables: list[tuple[str, Table]] = []
     reported = [i for i in run.log.vehicles if f"uuv/{i}/error" in run.log]
-    if values and values["vehicles"]:
+    if result and result.vehicles:
         headings = {
             "settle_10pct_s": "settle to 10 % [s]", "settle_5cm_s": "settle to 5 cm [s]",
             "e_rms_m": "RMS consensus error, last 10 s [m]",
@@ -176,48 +175,48 @@ def _tables(run: Run, values: dict[str, Any]) -> list[tuple[str, Table]]:
             "effort_Ns": "surge effort [N s]", "u_cmd_max_mps": "max u_cmd [m/s]", "qp_failures": "QP failures",
             "payloads_rejected": "payloads rejected",
         }  # fmt: skip
-        vehicles = values["vehicles"]
-        shown = worst(vehicles, {i: row["formation_final_m"] or 0.0 for i, row in vehicles.items()})
-        measured = [(i, *(number(key, vehicles[i][key]) for key in headings)) for i in shown]
+        vehicles = result.vehicles
+        shown = worst(vehicles, {i: row.formation_final_m or 0.0 for i, row in vehicles.items()})
+        measured = [(i, *(number(key, getattr(vehicles[i], key)) for key in headings)) for i in shown]
         measured += rest(len(vehicles) - len(shown), "whose final formation error is smaller")
         tables.append(("Vehicles", Table(("UUV", *headings.values()), measured)))
     elif reported:
         errors = [(i, run.log[f"uuv/{i}/error"]) for i in reported]
         known = {i: e for i, e in errors if not e.too_many and len(e)}
-        shown = worst(known, {i: e["formation_norm"][-1] for i, e in known.items()})
-        final = [(i, *(f"{known[i][name][-1]:.4f}" for name in ("e_norm", "formation_norm"))) for i in shown]
-        final += rest(len(known) - len(shown), "whose formation error is smaller")
+        farthest = worst(known, {i: e["formation_norm"][-1] for i, e in known.items()})
+        final = [(i, *(f"{known[i][name][-1]:.4f}" for name in ("e_norm", "formation_norm"))) for i in farthest]
+        final += rest(len(known) - len(farthest), "whose formation error is smaller")
         headings_ = ("UUV", "consensus error [m]", "formation error [m]")
         tables.append(("Vehicles at the end of the log", Table(headings_, final)))
-    ledger, ages, source = (values["ledger"], values["ages"], "") if values else (*_from_log(run), ", from the log")
-    kinds = count_kinds(run.log[f"link/{a}-{b}"] for a, b in run.log.links) or []
+    ledger, ages, source = (result.ledger, result.ages, "") if result else (*_from_log(run), ", from the log")
+    kinds = count_kinds(run.log[link_topic(link)] for link in run.log.links) or []
     if len(kinds) > 1:
         tables.append(("Packets by kind of payload", kinds_table(kinds)))
-    if any(account["sent"] for account in ledger.values()):
+    if any(account.sent for account in ledger.values()):
         heading = f"Packets per directed link, and age of what was heard last{source}"
         tables.append((heading, links_table(ledger, ages)))
     return tables
 
 
-def _from_log(run: Run) -> tuple[dict[str, Any], dict[str, Any]]:
+def _from_log(run: Run) -> tuple[dict[str, Account], dict[str, LinkAge]]:
     """Ledger and ages as a result has them, from the packets whose fate the log holds."""
-    ledger: dict[str, Any] = {}
+    ledger: dict[str, Account] = {}
     ages = Ages(run.log.links)
     tick_s = int(run.log.run.get("tick_ns", 0)) / 1e9
     ticks = round(run.log.end / tick_s) + 1 if tick_s else 0
     for src, dst in run.log.links:
-        packets = run.log[f"link/{src}-{dst}"]
+        packets = run.log[link_topic((src, dst))]
         if not len(packets) or packets.too_many:
             continue
         fates = Counter(packets["fate"].tolist())
-        ledger[f"{src}->{dst}"] = {
-            "sent": int((packets["copy"] == 0).sum()),
-            "duplicated": int((packets["copy"] > 0).sum()),
-            "delivered": fates[Cause.DELIVERED],
-            "in_flight": fates[Cause.IN_FLIGHT],
-            "corrupted": int(packets["corrupted"].sum()),
-            "lost": {cause: count for cause, count in fates.items() if cause not in (Cause.DELIVERED, Cause.IN_FLIGHT)},
-        }
+        ledger[f"{src}->{dst}"] = Account(
+            sent=int((packets["copy"] == 0).sum()),
+            duplicated=int((packets["copy"] > 0).sum()),
+            delivered=fates[Cause.DELIVERED],
+            in_flight=fates[Cause.IN_FLIGHT],
+            corrupted=int(packets["corrupted"].sum()),
+            lost={cause: count for cause, count in fates.items() if cause not in (Cause.DELIVERED, Cause.IN_FLIGHT)},
+        )
         if tick_s:
             rows = zip(packets["seq"], packets["copy"], packets["sent"], packets["due"], packets["fate"],
                        packets["corrupted"], packets.t, strict=True)  # fmt: skip
@@ -230,7 +229,7 @@ def _from_log(run: Run) -> tuple[dict[str, Any], dict[str, Any]]:
                     )
                 )  # fmt: skip
     ages.count(min(ticks, int(run.log.run.get("ticks", ticks))))
-    return ledger, ages.summary(round(tick_s * 1e9)) if tick_s else {}
+    return ledger, convert(ages.summary(round(tick_s * 1e9)), dict[str, LinkAge]) if tick_s else {}
 
 
 def _pictures(

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 from fleet.logs.payload_kinds import KindCount
 from fleet.pictures.runs import Run
+from fleet.result.result import LinkAge, Result
+from fleet.result.verdict import Verdict
 from netem.causes import Cause
+from netem.ledger import Account
 
 _Name = TypeVar("_Name", int, str)
 MOST_ROWS = 40  # of a table of vehicles or links
@@ -28,50 +31,58 @@ class Table(NamedTuple):
     rows: Sequence[Sequence[Any]]
 
 
-def side_by_side(runs: Sequence[Run], results: Sequence[Mapping[str, Any] | None]) -> Table:
-    """A row per run: what one looks for first when runs are compared; `results` as in result.json, None without one."""
+def side_by_side(runs: Sequence[Run], results: Sequence[Result | None]) -> Table:
+    """A row per run: what one looks for first when runs are compared; None: the run has no result."""
     headings = (
         "run", "seed", "vehicles", "status", "checks passed", "slowest settle to 10 % [s]",
         "largest final formation error [m]", "surge effort, all [N s]", "delivered", "oldest heard [s]",
     )  # fmt: skip
     rows = []
-    for run, values in zip(runs, results, strict=True):
+    for run, result in zip(runs, results, strict=True):
         row: list[Any] = [run.label, run.log.run.get("seed", "-"), len(run.log.vehicles)]
-        if values is None:
+        if result is None:
             rows.append([*row, *["-"] * (len(headings) - len(row))])
             continue
-        checks, status = values["checks"], values["status"]
-        good = sum(check["passed"] for check in checks)
-        row += [Mark(status == "pass", status.replace("_", " ")), f"{good} of {len(checks)}" if checks else "-"]
-        vehicles = list(values["vehicles"].values())
-        settle = [vehicle["settle_10pct_s"] for vehicle in vehicles]
-        row.append("-" if not settle else "not settled" if None in settle else f"{max(settle):.4g}")
-        for key, of_all in (("formation_final_m", max), ("effort_Ns", sum)):
-            numbers = [vehicle[key] for vehicle in vehicles]
-            row.append("-" if None in numbers or not numbers else f"{of_all(numbers):.4g}")
-        accounts = values["ledger"].values()
-        entered = sum(a["sent"] + a["duplicated"] - a["lost"].get(Cause.REPLACED, 0) for a in accounts)
-        row.append(f"{sum(a['delivered'] for a in accounts) / entered:.1%}" if entered else "-")
-        age = values["ages"].get("*")
-        rows.append([*row, f"{age['max_s']:.4g}" if age else "-"])
+        good = sum(verdict.passed for verdict in result.verdicts)
+        row += [
+            Mark(result.passed, result.status.replace("_", " ")),
+            f"{good} of {len(result.verdicts)}" if result.verdicts else "-",
+        ]
+        vehicles = list(result.vehicles.values())
+        row += [
+            _joined([one.settle_10pct_s for one in vehicles], max, "not settled"),
+            _joined([one.formation_final_m for one in vehicles], max),
+            _joined([one.effort_Ns for one in vehicles], sum),
+        ]
+        accounts = result.ledger.values()
+        entered = sum(account.sent + account.duplicated - account.replaced for account in accounts)
+        row.append(f"{sum(account.delivered for account in accounts) / entered:.1%}" if entered else "-")
+        age = result.ages.get("*")
+        rows.append([*row, f"{age.max_s:.4g}" if age else "-"])
     return Table(headings, rows)
 
 
-def links_table(ledger: Mapping[str, Any], ages: Mapping[str, Any]) -> Table:
-    """Packets and ages of all links, or of those that grew oldest; `ledger` and `ages` as in result.json."""
+def _joined(numbers: Sequence[float | None], join: Callable[[list[float]], float], missing: str = "-") -> str:
+    """One number for all vehicles; `missing`: what stands there if one of them has none."""
+    known = [value for value in numbers if value is not None]
+    return "-" if not numbers else f"{join(known):.4g}" if len(known) == len(numbers) else missing
+
+
+def links_table(ledger: Mapping[str, Account], ages: Mapping[str, LinkAge]) -> Table:
+    """Packets and ages of all links, or of those that grew oldest; `ledger` and `ages` as a result has them."""
     # What a modem never sent, because there were news, was not lost on the way.
     causes = sorted(
-        {cause for account in ledger.values() for cause in account["lost"]}, key=lambda c: (c != Cause.REPLACED, c)
+        {cause for account in ledger.values() for cause in account.lost}, key=lambda c: (c != Cause.REPLACED, c)
     )
-    names = worst(ledger, {name: age["max_s"] for name, age in ages.items()})
+    names = worst(ledger, {name: age.max_s for name, age in ages.items()})
     counted = ("sent", "duplicated", "delivered", "in_flight", "corrupted")
     rows = []
     for name in ["*", *names]:
         accounts = list(ledger.values()) if name == "*" else [ledger[name]]
-        numbers = [sum(account[key] for account in accounts) for key in counted]
-        losses = [sum(account["lost"].get(cause, 0) for account in accounts) for cause in causes]
+        numbers = [sum(getattr(account, key) for account in accounts) for key in counted]
+        losses = [sum(account.lost.get(cause, 0) for account in accounts) for cause in causes]
         age = ages.get(name)
-        times = ["-"] * 3 if age is None else [f"{age[key]:.3f}" for key in ("mean_s", "p95_s", "max_s")]
+        times = ["-"] * 3 if age is None else [f"{seconds:.3f}" for seconds in (age.mean_s, age.p95_s, age.max_s)]
         rows.append(("all" if name == "*" else name, *numbers, *losses, *times))
     headings = ("link", *(key.replace("_", " ") for key in counted),
                 *(cause if cause == Cause.REPLACED else f"lost: {cause}" for cause in causes),
@@ -92,11 +103,11 @@ def kinds_table(kinds: Sequence[KindCount]) -> Table:
     return Table(("kind", "packets", "arrived whole", "share", "mean size [bytes]"), [*rows, *left])
 
 
-def checks_table(checks: Sequence[Mapping[str, Any]]) -> Table:
-    """The verdicts, failed checks on top; `checks` as in result.json."""
+def checks_table(verdicts: Sequence[Verdict]) -> Table:
+    """The verdicts, failed checks on top."""
     rows = [
-        (check["check"], Mark(check["passed"], "pass" if check["passed"] else "FAIL"), check["asked"], check["found"])
-        for check in sorted(checks, key=lambda check: bool(check["passed"]))
+        (one.check, Mark(one.passed, "pass" if one.passed else "FAIL"), one.asked, one.found)
+        for one in sorted(verdicts, key=lambda one: one.passed)
     ]
     return Table(("check", "verdict", "asked", "found"), rows)
 
@@ -114,7 +125,7 @@ def rest(count: int, which: str) -> list[tuple[str]]:
 
 
 def number(key: str, value: Any) -> str:
-    """A value of result.json."""
+    """A value of a vehicle's result."""
     if value is None:
         return "not settled" if key.startswith("settle") else "-"
     return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -17,9 +17,10 @@ from fleet.errors import FleetError
 from fleet.logs.open_log import Log, open_drawn
 from fleet.logs.reader import check_readable, digest
 from fleet.logs.records import Array
-from fleet.logs.result_file import ResultError, read_result
 from fleet.logs.run_name import run_name
 from fleet.pictures.style import Provenance
+from fleet.result.file import ResultError, read_result
+from fleet.result.verdict import Verdict
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signals import GROUPS
 
@@ -83,18 +84,18 @@ class Run:
         return digest(self.log.path)
 
     @cached_property
-    def verdicts(self) -> list[dict[str, Any]]:
+    def verdicts(self) -> list[Verdict]:
         """The checks as the result beside the log has them; empty: there is none, or it is of another log."""
         try:
-            result = read_result(self.log.path)
+            result = read_result(self.log.path.parent)
         except (FileNotFoundError, ResultError):
             return []
-        return result["checks"] if result["digest"] == self.digest else []
+        return result.verdicts if result.digest == self.digest else []
 
     @property
     def failures(self) -> list[tuple[str, float]]:
         """Name and time [s] of each check that failed at a moment."""
-        return [(row["check"], row["moment"]["at_s"]) for row in self.verdicts if row["moment"] is not None]
+        return [(one.check, one.moment.at_s) for one in self.verdicts if one.moment is not None]
 
     @cached_property
     def tick_s(self) -> float:

@@ -15,6 +15,7 @@ from matplotlib.patches import Patch
 
 from fleet.logs.payload_kinds import DAMAGED, count_kinds
 from fleet.logs.records import Array
+from fleet.logs.topic_names import link_topic
 from fleet.pictures.axes import finish, marks_legend, over_time
 from fleet.pictures.exchange import FATES, fates_of, links_between, name_rows, rank
 from fleet.pictures.runs import NothingToDraw, Run, View
@@ -97,7 +98,7 @@ def timeline(runs: Sequence[Run], view: View) -> Figure:
 
 def kinds_line(run: Run, links: Sequence[Link]) -> list[str]:
     """Words on how many packets carried which kind of payload, and how many of these arrived; none if all are alike."""
-    kinds = count_kinds(run.log[f"link/{a}-{b}"] for a, b in links) or []
+    kinds = count_kinds(run.log[link_topic(link)] for link in links) or []
     if len([one for one in kinds if one.kind != DAMAGED]) < 2:
         return []
     each = [f"{one.kind} {one.packets} ({one.delivered / one.packets:.0%} whole)" for one in kinds[:_MOST_KINDS]]

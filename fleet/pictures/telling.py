@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
 
 from fleet.pictures.any_signal import file_name
 from fleet.pictures.runs import Run
+from fleet.result.verdict import Verdict
 from fleet.scenario.sections.signals import parse_name
 
 _OF_CHECKS = {
@@ -19,18 +19,18 @@ _ELSE = ("formation", "error", "track", "links")  # what is looked at first wher
 
 def telling(run: Run) -> list[str]:
     """Names of pictures, the most telling first: what failed checks look at, then what others do, then errors."""
-    failed = [row for row in run.verdicts if not row["passed"]]
-    passed = [row for row in run.verdicts if row["passed"] and row["signals"]]
+    failed = [verdict for verdict in run.verdicts if not verdict.passed]
+    passed = [verdict for verdict in run.verdicts if verdict.passed and verdict.signals]
     return [*_of(failed), *_of(passed), *_ELSE]
 
 
-def _of(rows: Iterable[dict[str, Any]]) -> list[str]:
+def _of(verdicts: Iterable[Verdict]) -> list[str]:
     found = []
-    for row in rows:
-        signals = [name for name in map(parse_name, row["signals"]) if name is not None]
+    for verdict in verdicts:
+        signals = [name for name in map(parse_name, verdict.signals) if name is not None]
         found += [_ERRORS.get(name.name, file_name(name)) for name in signals]
-        if row["check"] in _OF_CHECKS:
-            found.append(_OF_CHECKS[row["check"]])
+        if verdict.check in _OF_CHECKS:
+            found.append(_OF_CHECKS[verdict.check])
     return found
 
 

@@ -11,12 +11,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from fleet.logs.result_file import ResultError, read_timing
 from fleet.logs.schemas import CLOCK
 from fleet.palette import COLOURS
 from fleet.pictures.axes import MOST_NAMED, legend_of
 from fleet.pictures.runs import NothingToDraw, Run, View
 from fleet.pictures.style import COLUMN_IN, LABEL_PT, STYLES, THIN, panels
+from fleet.result.file import ResultError, read_result
+from fleet.result.timing import Spread, Timing
 from netem.clock import Clock
 
 GREY = "#999999"
@@ -27,19 +28,19 @@ def punctuality(runs: Sequence[Run], view: View) -> Figure:
     (run,) = runs
     timing = _timing(run)
     figure, (top, bottom) = panels(2, 1, COLUMN_IN, 3.9)
-    rows = {i: timing["vehicles"][str(i)] for i in run.vehicles(view)}
-    worst = sorted(rows, key=lambda i: -float(rows[i]["response"]["p99_ms"]))[: MOST_NAMED - 1]
+    rows = {i: timing.vehicles[str(i)] for i in run.vehicles(view)}
+    worst = sorted(rows, key=lambda i: -rows[i].response.p99_ms)[: MOST_NAMED - 1]
     for i, row in rows.items():
         k = sorted(worst).index(i) if i in worst else -1
         colour, style = (COLOURS[k], STYLES[k]) if k >= 0 else (GREY, "-")
-        _tail(top, row["response"]["histogram_ms"], row["response"]["negative"], colour, style)
-    top.axvline(timing["world"]["period_ms"], color="#000000", linewidth=THIN, linestyle=(0, (1, 1)))
+        _tail(top, row.response.histogram_ms, row.response.negative, colour, style)
+    top.axvline(timing.world.period_ms, color="#000000", linewidth=THIN, linestyle=(0, (1, 1)))
     top.set_ylabel("share of answers slower")
-    links = timing["netem"]["links"].values()
-    shown: list[tuple[str, str, Any, list[list[float]]]] = [
-        ("injected, sim time", COLOURS[4], "-", _sum(link["injected"] for link in links)),
-        ("measured, sim time", COLOURS[6], "--", _sum(link["measured"] for link in links)),
-        ("network to agent, wall time", COLOURS[5], "-.", timing["netem"]["hop"]["histogram_ms"]),
+    links = timing.netem.links.values()
+    shown: list[tuple[str, str, Any, list[tuple[float, int]]]] = [
+        ("injected, sim time", COLOURS[4], "-", _sum(link.injected for link in links)),
+        ("measured, sim time", COLOURS[6], "--", _sum(link.measured for link in links)),
+        ("network to agent, wall time", COLOURS[5], "-.", timing.netem.hop.histogram_ms),
     ]
     for _, colour, style, histogram in shown:
         _tail(bottom, histogram, 0, colour, style)
@@ -48,7 +49,7 @@ def punctuality(runs: Sequence[Run], view: View) -> Figure:
         ax.set_xscale("log")
         ax.set_yscale("log")
     top.tick_params(labelbottom=True)
-    top.text(timing["world"]["period_ms"], 0.6, " a tick", fontsize=LABEL_PT, va="top")
+    top.text(timing.world.period_ms, 0.6, " a tick", fontsize=LABEL_PT, va="top")
     top.set_xlabel("answer after its tick began [ms of wall time]")
     bottom.set_xlabel("delay [ms]")
     more = [("others", GREY, "-")] if len(rows) > len(worst) else []
@@ -63,30 +64,32 @@ def on_wall_clock(run: Run) -> bool:
     return run.log.run.get(CLOCK) == Clock.REAL
 
 
-def _timing(run: Run) -> dict[str, Any]:
+def _timing(run: Run) -> Timing:
     """What the run measured of itself, from the result beside its log."""
     if not on_wall_clock(run):
         raise NothingToDraw("the run was in lockstep, where nothing can be late; see fleet run --clock real")
     try:
-        timing = read_timing(run.log.path)
+        timing = read_result(run.log.path.parent).timing
     except FileNotFoundError as error:
         raise NothingToDraw(f"{error.filename} is not there: the run did not end by itself") from None
     except ResultError as error:
         raise NothingToDraw(str(error)) from None
-    if missing := [i for i in run.log.vehicles if str(i) not in timing["vehicles"]]:
+    if timing is None:
+        raise NothingToDraw("the result.json beside the log has no timing")
+    if missing := [i for i in run.log.vehicles if str(i) not in timing.vehicles]:
         raise NothingToDraw(f"the result.json beside the log has no timing of vehicle {missing[0]}")
     return timing
 
 
-def _sum(spreads: Iterable[dict[str, Any]]) -> list[list[float]]:
+def _sum(spreads: Iterable[Spread]) -> list[tuple[float, int]]:
     total: Counter[float] = Counter()
     for spread in spreads:
-        for edge, count in spread["histogram_ms"]:
+        for edge, count in spread.histogram_ms:
             total[edge] += count
-    return [[edge, total[edge]] for edge in sorted(total)]
+    return [(edge, total[edge]) for edge in sorted(total)]
 
 
-def _tail(ax: Axes, histogram: list[list[float]], below: int, colour: str, style: Any) -> None:
+def _tail(ax: Axes, histogram: list[tuple[float, int]], below: int, colour: str, style: Any) -> None:
     """The share that took longer than each edge of a histogram; `below` lie under its first."""
     if not histogram:
         return

@@ -33,6 +33,7 @@ TIMES = 3  # that an item is given to a worker
 _READY, _BEGUN, _DONE, _FAILED = range(4)
 _WAIT_S = 0.2
 _GRACE_S = 2.0  # for a worker that has nothing to do and is told to end
+_BEGIN_S = 300.0  # for a process to start, import what it needs, and begin with its item: 1 s where nothing is wrong
 
 
 class WorkerDied(FleetError):
@@ -97,7 +98,7 @@ class Workers:
             `TIMES` times is a WorkerDied, and that of one that took too long a WorkerLate.
 
         Raises:
-            RunBroken: no process can be started, or each ends before it begins with its item.
+            RunBroken: no process can be started, or each ends before it begins with its item, or one hangs there.
         """
         new = ((item, 1) for item in items)
         again: deque[tuple[I, int]] = deque()
@@ -121,7 +122,13 @@ class Workers:
                     item, times = under_way.pop(place)
                     if worker.dead:
                         self._running[place] = None
-                    died = isinstance(outcome.exception(), WorkerDied)
+                    error = outcome.exception()
+                    if isinstance(error, WorkerLate) and not begun:
+                        raise RunBroken(
+                            f"a worker process did not begin with its work within {_BEGIN_S:g} s, and was killed: does "
+                            "a module hang while it is imported, or a file system that it reads?"
+                        )
+                    died = isinstance(error, WorkerDied)
                     lost = lost + 1 if died and not begun else 0
                     if lost > TIMES * self.count:
                         raise RunBroken(f"{lost} worker processes in a row ended before they began ({worker.ended})")
@@ -193,7 +200,8 @@ class _Worker:
 
     def give(self, job: bytes, limit_s: float) -> None:
         """Let it do something, as soon as it can take it."""
-        self._job, self._limit_s, self._begun, self.deadline = job, limit_s, False, inf
+        self._job, self._limit_s, self._begun = job, limit_s, False
+        self.deadline = time.monotonic() + _BEGIN_S
         if self._ready:
             self._send()
 
@@ -238,6 +246,7 @@ class _Worker:
         self.process.join()
 
     def _send(self) -> None:
+        self.deadline = time.monotonic() + _BEGIN_S
         with suppress(OSError):  # it died, as its sentinel says
             self.connection.send_bytes(self._job)
         self._job = b""

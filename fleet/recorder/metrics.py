@@ -15,12 +15,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import hypot, inf, isfinite, sqrt
 from statistics import median
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from agents.offset import Offset
 from agents.signals import SignalLayout
-from fleet.recorder.protocol import Protocol
+from fleet.recorder.protocol import AgentProtocol
 from fleet.recorder.settling import below_from, least_s, settling_time, stayed
+from fleet.result.result import Formation, VehicleResult
 from fleet.scenario.scenario import Scenario, frame_every
 from netem.wire.messages import Command, Frame
 from world.vectors import Vec3, plus
@@ -46,20 +47,6 @@ class VehicleError(NamedTuple):
     e_norm: float
     formation: Vec3
     formation_norm: float
-
-
-class WorstAndMedian(NamedTuple):
-    """The formation errors of a fleet at one time: the largest, whose it is, and the median vehicle's [m]."""
-
-    worst_m: float = 0.0
-    vehicle: int = 0
-    median_m: float = 0.0
-    vehicles: int = 1
-
-    def __str__(self) -> str:
-        if self.vehicles < 2:
-            return f"{self.worst_m:.3f} m"
-        return f"{self.worst_m:.3f} m (UUV {self.vehicle}), median {self.median_m:.3f} m"
 
 
 @dataclass(slots=True)
@@ -107,7 +94,7 @@ class Metrics:
         self._reference = scenario.reference
         self._tick_s = scenario.tick_ns / 1e9
         self._disturbance = scenario.disturbance
-        self._protocols = {i: Protocol.of(scenario, i) for i in range(1, scenario.vehicles + 1)}
+        self._protocols = {i: AgentProtocol.of(scenario, i) for i in range(1, scenario.vehicles + 1)}
         # Who reported before the last round and the last frames reports no more.
         self._silent_s = max(scenario.round_ticks, frame_every(scenario)) * self._tick_s
         self.times = array("d")
@@ -151,13 +138,13 @@ class Metrics:
         return errors
 
     @property
-    def formation(self) -> WorstAndMedian:
+    def formation(self) -> Formation:
         """The formation errors of the newest frame."""
         off = {i: series.formation[-1] for i, series in self.series.items() if series.formation}
         if not off:
-            return WorstAndMedian()
+            return Formation()
         worst = max(off, key=off.__getitem__)
-        return WorstAndMedian(off[worst], worst, median(off.values()), len(off))
+        return Formation(off[worst], worst, median(off.values()), len(off))
 
     def worst(self, what: str, after_s: float, vehicles: list[int] | None = None) -> tuple[float, int, float]:
         """The largest `e` or `formation` of any vehicle, or of some, from a time on: (value [m], vehicle, time [s]).
@@ -213,27 +200,29 @@ class Metrics:
         at_s = self.times[last] if stayed(self.times, last, frames.stop, least) else None
         return Settled(at_s, slowest, getattr(self.series[slowest], what)[frames[-1]], least)
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> dict[str, VehicleResult]:
         """Per vehicle, the numbers of the result table; None where a vehicle has not settled."""
         if not self.times:
             return {}
         end = self.times[-1]
         late = [index for index, t in enumerate(self.times) if t >= end - RMS_WINDOW_S]
-        rows: dict[str, Any] = {}
+        rows: dict[str, VehicleResult] = {}
         for i, series in self.series.items():
             initial = series.e[0]
-            rows[str(i)] = {
-                "settle_10pct_s": settling_time(self.times, series.e, SETTLE_FRACTION * initial, self._disturbance),
-                "settle_5cm_s": settling_time(self.times, series.e, SETTLE_M, self._disturbance),
-                "e_rms_m": sqrt(sum(series.e[k] ** 2 for k in late) / len(late)),
-                "e_final_m": series.e[-1],
-                "formation_final_m": series.formation[-1],
-                "effort_Ns": series.effort_Ns,
-                "u_cmd_max_mps": series.u_cmd_max,
-                "qp_failures": series.qp_failures,
-                "payloads_rejected": series.payloads_rejected,
-                **self._protocols[i].values(series.reported if end - series.reported_s <= self._silent_s else ()),
-            }
+            protocol = self._protocols[i]
+            rows[str(i)] = VehicleResult(
+                settle_10pct_s=settling_time(self.times, series.e, SETTLE_FRACTION * initial, self._disturbance),
+                settle_5cm_s=settling_time(self.times, series.e, SETTLE_M, self._disturbance),
+                e_rms_m=sqrt(sum(series.e[k] ** 2 for k in late) / len(late)),
+                e_final_m=series.e[-1],
+                formation_final_m=series.formation[-1],
+                effort_Ns=series.effort_Ns,
+                u_cmd_max_mps=series.u_cmd_max,
+                qp_failures=series.qp_failures,
+                payloads_rejected=series.payloads_rejected,
+                agent=protocol.law,
+                signals=protocol.values(series.reported if end - series.reported_s <= self._silent_s else ()),
+            )
         return rows
 
 

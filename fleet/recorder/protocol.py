@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from math import isfinite
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from fleet.result.result import SignalValue
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.checked_signals import checked_signals
 
@@ -17,14 +18,14 @@ class _Reported(NamedTuple):
     place: int  # in the telemetry
 
 
-class Protocol(NamedTuple):
+class AgentProtocol(NamedTuple):
     """The whole agent of one vehicle, and what it reports; without a name it has the laws of a controller instead."""
 
     law: str
     signals: tuple[_Reported, ...]  # those that a check of the scenario names come first
 
     @classmethod
-    def of(cls, scenario: Scenario, vehicle: int) -> Protocol:
+    def of(cls, scenario: Scenario, vehicle: int) -> AgentProtocol:
         """The agent of a vehicle, counted from 1."""
         agent = scenario.agent_config(vehicle).agent
         if agent is None:
@@ -37,10 +38,9 @@ class Protocol(NamedTuple):
         ]
         return cls(agent.name, tuple(signal for _, signal in sorted(known, key=lambda one: one[0] not in judged)))
 
-    def values(self, telemetry: tuple[float, ...]) -> dict[str, Any]:
-        """What result.json says of it, given what it reported last; nothing: it reports no more."""
-        reported = {
-            name: {"value": telemetry[place] if isfinite(telemetry[place]) else None, "unit": unit}
+    def values(self, telemetry: tuple[float, ...]) -> dict[str, SignalValue]:
+        """What it reported last, by name; nothing: it reports no more."""
+        return {
+            name: SignalValue(telemetry[place] if isfinite(telemetry[place]) else None, unit)
             for name, unit, place in (self.signals if telemetry else ())
         }
-        return {"agent": self.law, "signals": reported}

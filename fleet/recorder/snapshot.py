@@ -24,10 +24,6 @@ TOPIC = "snapshot"
 _FORMAT = 1
 
 
-class SnapshotError(FleetError):
-    """A run cannot go on from this log."""
-
-
 @dataclass(frozen=True, slots=True)
 class Snapshot:
     """One moment of a run."""
@@ -47,15 +43,15 @@ class Snapshot:
         """The inverse of `to_bytes`.
 
         Raises:
-            SnapshotError: it is of another format.
+            FleetError: it is of another format.
         """
         try:
             form, *fields = msgpack.unpackb(data)
             if form == _FORMAT:
                 return cls(*fields)
         except (ValueError, TypeError, msgpack.UnpackException) as error:
-            raise SnapshotError(f"the snapshot cannot be read ({error or type(error).__name__})") from None
-        raise SnapshotError(f"the snapshot is of format {form}, this version reads {_FORMAT}")
+            raise FleetError(f"the snapshot cannot be read ({error or type(error).__name__})") from None
+        raise FleetError(f"the snapshot is of format {form}, this version reads {_FORMAT}")
 
     @property
     def memories(self) -> dict[int, bytes]:
@@ -68,7 +64,7 @@ def find(path: Path, at_ns: int | None = None, tell: Tell = lambda _: None) -> S
 
     Raises:
         LogReadError: there is no log to read.
-        SnapshotError: it has no such snapshot.
+        FleetError: it has no such snapshot.
     """
     from fleet.logs.decoder import Decoder  # a run writes snapshots and reads none
     from fleet.logs.reader import LogReader, log_path
@@ -83,11 +79,11 @@ def find(path: Path, at_ns: int | None = None, tell: Tell = lambda _: None) -> S
         first = record.log_ns if first is None else first
         if at_ns is None or record.log_ns <= at_ns:
             if (message := decode.ours(record, SNAPSHOT)) is None:
-                raise SnapshotError(f"{path}: the snapshot at {show_time(record.log_ns)} is damaged")
+                raise FleetError(f"{path}: the snapshot at {show_time(record.log_ns)} is damaged")
             found = message.state
     if found is None:
         there = f"the first is at {show_time(first)}" if first is not None else _none(reader)
-        raise SnapshotError(
+        raise FleetError(
             f"{path} has no snapshot" + ("" if at_ns is None else f" up to {show_time(at_ns)}") + f": {there}"
         )
     return Snapshot.from_bytes(found)

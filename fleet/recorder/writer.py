@@ -41,6 +41,7 @@ from fleet.logs.schemas import (
     signal_columns,
     stamp_field,
 )
+from fleet.logs.topic_names import link_topic
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.packets import packet_data
 from fleet.recorder.scene import SCENE_UNITS, Scene
@@ -132,7 +133,7 @@ class LogWriter:
         self._snapshot = snapshot.message
         self._snapshots = self._channel(TOPIC, snapshot)
         packet = flat_schema("Packet", PACKET)
-        self._by_link = {(src, dst): self._channel(f"link/{src}-{dst}", packet) for src, dst in scenario.graph.links}
+        self._by_link = {link: self._channel(link_topic(link), packet) for link in scenario.graph.links}
 
     def _schemas(self, plants: Mapping[int, tuple[Signal, ...]]) -> dict[str, dict[int, Schema]]:
         """The schema of every topic group and vehicle; vehicles that run the same share it.

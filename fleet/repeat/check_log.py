@@ -10,12 +10,13 @@ from typing import Any
 
 from fleet.checks.own_checks import OwnChecks, reported
 from fleet.checks.values import LoggedValues, Values
-from fleet.checks.verdict import Verdict
 from fleet.errors import FleetError, Problem, ScenarioError
 from fleet.logs.decoder import Decoder
 from fleet.logs.reader import LogReader, Record
-from fleet.logs.schemas import FAULT, FROM_TICK, PACKET, Column
+from fleet.logs.schemas import FAULT, FROM_TICK, PACKET, MessageField
+from fleet.logs.topic_names import link_topic
 from fleet.repeat.recorded_run import recorded
+from fleet.result.verdict import Verdict
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signal_checks import SignalCheckError
 from fleet.scenario.sections.signals import flat_signals
@@ -26,10 +27,6 @@ from netem.wire.messages import Fate
 from world.plugins.trust import NOTHING, Trust
 
 FAULTS = "faults"  # topic
-
-
-class CheckLogError(FleetError):
-    """There is nothing to judge, or the log cannot be judged by this."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,15 +59,11 @@ def check_log(
         reading: called with the share of the file that was read, twice from its beginning.
 
     Raises:
-        FleetError: there is no log of ours.
+        FleetError: there is no log of ours, or nothing in it to judge.
         ScenarioError: an override is wrong, or the log's scenario is none for this version.
-        CheckLogError: there is nothing to judge.
         SignalCheckError, CheckError: a check makes no sense for this log, or cannot be made.
     """
-    for text in overrides:
-        if (key := text.partition("=")[0].strip()).partition(".")[0] != "checks":
-            hint = f"another run is fleet run --set {key}"
-            raise CheckLogError(f"--set {key}: a log can be judged by other checks, and by nothing else; {hint}")
+    _insist_on_checks(overrides)
     source = recorded(path, reading)
     refused: list[Problem] = []  # a law that may not run is no mistake here, unless a check is about one of its signals
     scenario = source.script([Override.of(text) for text in overrides], Policy(trust, refused=refused))
@@ -78,23 +71,15 @@ def check_log(
         raise ScenarioError(strangers)
     begin = source.reader.metadata.get("run", {}).get(FROM_TICK, "0")
     first = int(begin) if begin.isdecimal() else 0
-    try:
-        checks = OwnChecks.asked(scenario, first)
-    except SignalCheckError as error:
-        if not refused or error.key not in ("topic", "vehicles"):
-            raise
-        law = refused[0]
-        why = "; ".join(filter(None, (law.message.removeprefix(f"{law.key}: "), law.hint)))
-        hint = f"what laws and plants of this log report is not known here, because of {why}"
-        raise SignalCheckError(error.key, error.problem, hint) from None
+    checks = _checks(scenario, first, refused)
     if checks is None:
-        raise CheckLogError(
+        raise FleetError(
             f"{source.path}: nothing to judge: its scenario has no check on a signal and none in Python; its others "
             "were judged by the run. Give one, as in --set 'checks={signal: {topic: state.z, below: 30 m}}'"
         )
     if overrides and (others := _not_judged(scenario, source.script())):
         problem = "a log is judged by checks on signals and in Python only, and this one needs a run"
-        raise CheckLogError(f"--set checks.{others[0]}: {problem}; fleet run --set has the same words")
+        raise FleetError(f"--set checks.{others[0]}: {problem}; fleet run --set has the same words")
     for event in scenario.faults.events:
         if event.tick < first:  # of a run that went on from another, whose log does not have it
             checks.event(event)
@@ -102,7 +87,7 @@ def check_log(
     reader = LogReader(source.path, reading)
     feed.read(reader, None if source.reader.missing else source.last_ns // scenario.tick_ns)
     if feed.newest < 0:
-        raise CheckLogError(f"{source.path} holds no sample to judge{f': {reader.missing}' if reader.missing else ''}")
+        raise FleetError(f"{source.path} holds no sample to judge{f': {reader.missing}' if reader.missing else ''}")
     complete = not reader.missing and feed.newest == scenario.ticks
     return JudgedLog(
         source.path,
@@ -111,6 +96,31 @@ def check_log(
         reader.missing,
         checks.verdicts(over=complete),
     )
+
+
+def _insist_on_checks(overrides: Sequence[str]) -> None:
+    """Raises FleetError: an override is about something else."""
+    for text in overrides:
+        if (key := text.partition("=")[0].strip()).partition(".")[0] != "checks":
+            hint = f"another run is fleet run --set {key}"
+            raise FleetError(f"--set {key}: a log can be judged by other checks, and by nothing else; {hint}")
+
+
+def _checks(scenario: Scenario, first: int, refused: Sequence[Problem]) -> OwnChecks | None:
+    """The checks of the user's own, from tick `first` on; None: there are none.
+
+    Raises:
+        SignalCheckError, CheckError: one makes no sense for this log, perhaps because a law may not run (`refused`).
+    """
+    try:
+        return OwnChecks.asked(scenario, first)
+    except SignalCheckError as error:
+        if not refused or error.key not in ("topic", "vehicles"):
+            raise
+        law = refused[0]
+        why = "; ".join(filter(None, (law.message.removeprefix(f"{law.key}: "), law.hint)))
+        hint = f"what laws and plants of this log report is not known here, because of {why}"
+        raise SignalCheckError(error.key, error.problem, hint) from None
 
 
 def _not_judged(asked: Scenario, recorded: Scenario) -> list[str]:
@@ -125,7 +135,7 @@ class _Feed:
     def __init__(self, scenario: Scenario, checks: OwnChecks, first: int) -> None:
         """`first`: tick at which the log begins."""
         self._checks, self._tick_ns, self._end = checks, scenario.tick_ns, scenario.ticks + 1
-        self._links = {f"link/{src}-{dst}": (src, dst) for src, dst in scenario.graph.links}
+        self._links = {link_topic(link): link for link in scenario.graph.links}
         self._samples = {
             f"uuv/{i}/{group}": (i, group, signals)
             for i in range(1, scenario.vehicles + 1)
@@ -133,7 +143,7 @@ class _Feed:
             if group in checks.groups
         }
         self._columns = {FAULTS: FAULT, **dict.fromkeys(self._links, PACKET)} | {
-            topic: tuple(Column(name, "", "", 0 if width == 1 else width) for name, width in of[2][1])
+            topic: tuple(MessageField(name, "", "", 0 if width == 1 else width) for name, width in of[2][1])
             for topic, of in self._samples.items()
         }
         self._found: dict[tuple[int, str], Values] = {}  # of the tick that is read

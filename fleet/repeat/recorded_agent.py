@@ -6,6 +6,7 @@ at least has each payload as it was sent, or with a flipped bit that can be turn
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import inf, nan
 from struct import error as struct_error
@@ -16,10 +17,12 @@ from agents.loop import AgentLoop
 from agents.signals import SignalLayout
 from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
-from fleet.logs.reader import LogReader
-from fleet.logs.schemas import COMMAND, PACKET, SNAPSHOT, Doubles, signal_columns
+from fleet.logs.reader import LogReader, Record
+from fleet.logs.schemas import COMMAND, PACKET, SNAPSHOT, Doubles, MessageField, signal_columns
+from fleet.logs.topic_names import link_of
 from fleet.recorder.snapshot import TOPIC, Snapshot
 from fleet.scenario.scenario import Scenario
+from netem.condition import Link
 from netem.impairment import LinkModel
 from netem.links import PERFECT
 from netem.wire.messages import Delivery, Nav
@@ -96,54 +99,75 @@ def recorded_agents(reader: LogReader, scenario: Scenario, last_ns: int, *, whol
             f"vehicle {scenario.external[0]} is external, and the log has every {every}th command only: to run it "
             "again takes all of them (log.command: 1 tick)"
         )
-    tick_ns, m = scenario.tick_ns, scenario.round_ticks
-    found = {i: RecordedAgent(i, scenario.layout(i), m, last_ns // tick_ns) for i in scenario.external}
-    packets: dict[int, dict[int, tuple[int, bytes]]] = {i: {} for i in found}  # by vehicle and seq
-    sure: set[tuple[int, int]] = set()  # those of which an undamaged copy was seen
-    decode, command = Decoder(reader).ours, Doubles(COMMAND)
-    groups = {
-        (i, group): (Doubles(signal_columns(getattr(agent.layout, group))), agent.layout.group(group))
-        for i, agent in found.items()
-        for group in ("guidance", "control")
-        if getattr(agent.layout, group)
-    }
+    reading = _Reading(reader, scenario, last_ns)
     for record in reader:
-        tick = record.log_ns // tick_ns
         try:
-            head, _, rest = record.topic.partition("/")
-            if head == "uuv":
-                number, _, group = rest.partition("/")
-                i = int(number)
-                if i in found and group == "command":
-                    tau1, tau2, tau3, *_ = command.decode(record.data)  # those that were applied follow
-                    found[i].commands[tick] = tau1, tau2, tau3
-                elif (i, group) in groups:
-                    encoder, place = groups[i, group]
-                    telemetry = found[i].telemetry.setdefault(tick, [nan] * found[i].layout.size)
-                    telemetry[place] = encoder.decode(record.data)
-            elif head == "link":
-                src, dst = map(int, rest.split("-"))
-                if src in found and (src, record.sequence) not in sure:
-                    if (message := decode(record, PACKET)) is None or message.seq > scenario.ticks:
-                        raise ValueError
-                    payload = message.payload
-                    if message.corrupted:
-                        model = LinkModel(scenario.conditions.get((src, dst), PERFECT), scenario.seed, (src, dst))
-                        payload = model.flipped(payload, message.seq, message.copy)
-                    else:
-                        sure.add((src, message.seq))
-                    packets[src][message.seq] = record.publish_ns // tick_ns, payload
-            elif head == TOPIC:
-                if (message := decode(record, SNAPSHOT)) is None:
-                    raise ValueError
-                memories = Snapshot.from_bytes(message.state).memories
-                for i in found.keys() & memories.keys():
-                    found[i].memories[tick] = memories[i]
+            reading.take(record)
         except (struct_error, ValueError):
+            tick = record.log_ns // scenario.tick_ns
             raise NotRecordedError(f"a message of {record.topic} at tick {tick} is damaged") from None
-    for i, agent in found.items():
-        _transmitted(agent, packets[i], whole=whole or all(src != i for src, _ in scenario.graph.links))
-    return found
+    for i, agent in reading.agents.items():
+        _transmitted(agent, reading.packets[i], whole=whole or all(src != i for src, _ in scenario.graph.links))
+    return reading.agents
+
+
+class _Reading:
+    """Collects from the records of a log what its external agents sent."""
+
+    def __init__(self, reader: LogReader, scenario: Scenario, last_ns: int) -> None:
+        self._scenario, self._tick_ns, m = scenario, scenario.tick_ns, scenario.round_ticks
+        self.agents = {i: RecordedAgent(i, scenario.layout(i), m, last_ns // self._tick_ns) for i in scenario.external}
+        self.packets: dict[int, dict[int, tuple[int, bytes]]] = {i: {} for i in self.agents}  # by vehicle and seq
+        self._sure: set[tuple[int, int]] = set()  # those of which an undamaged copy was seen
+        self._decode, self._command = Decoder(reader).ours, Doubles(COMMAND)
+        self._groups = {
+            (i, group): (Doubles(signal_columns(getattr(agent.layout, group))), agent.layout.group(group))
+            for i, agent in self.agents.items()
+            for group in ("guidance", "control")
+            if getattr(agent.layout, group)
+        }
+
+    def take(self, record: Record) -> None:
+        """Take one record. Raises ValueError, struct.error: it is damaged."""
+        tick = record.log_ns // self._tick_ns
+        head, _, rest = record.topic.partition("/")
+        if head == "uuv":
+            number, _, group = rest.partition("/")
+            self._sample(int(number), group, tick, record.data)
+        elif (link := link_of(record.topic)) is not None:
+            if link[0] in self.agents and (link[0], record.sequence) not in self._sure:
+                self._packet(link, record)
+        elif head == TOPIC:
+            memories = Snapshot.from_bytes(self._message(record, SNAPSHOT).state).memories
+            for i in self.agents.keys() & memories.keys():
+                self.agents[i].memories[tick] = memories[i]
+
+    def _sample(self, i: int, group: str, tick: int, data: bytes) -> None:
+        if i in self.agents and group == "command":
+            tau1, tau2, tau3, *_ = self._command.decode(data)  # those that were applied follow
+            self.agents[i].commands[tick] = tau1, tau2, tau3
+        elif (i, group) in self._groups:
+            encoder, place = self._groups[i, group]
+            telemetry = self.agents[i].telemetry.setdefault(tick, [nan] * self.agents[i].layout.size)
+            telemetry[place] = encoder.decode(data)
+
+    def _packet(self, link: Link, record: Record) -> None:
+        src = link[0]
+        message = self._message(record, PACKET)
+        if message.seq > self._scenario.ticks:
+            raise ValueError
+        payload = message.payload
+        if message.corrupted:
+            model = LinkModel(self._scenario.conditions.get(link, PERFECT), self._scenario.seed, link)
+            payload = model.flipped(payload, message.seq, message.copy)
+        else:
+            self._sure.add((src, message.seq))
+        self.packets[src][message.seq] = record.publish_ns // self._tick_ns, payload
+
+    def _message(self, record: Record, columns: Sequence[MessageField]) -> Any:
+        if (message := self._decode(record, columns)) is None:
+            raise ValueError
+        return message
 
 
 def _transmitted(agent: RecordedAgent, packets: dict[int, tuple[int, bytes]], *, whole: bool) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 
 from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
+from fleet.logs.fault_intervals import MOST_EVENTS
 from fleet.logs.reader import LogReader, Record, Tell, log_path
 from fleet.logs.schemas import CLOCK, FAULT, START
 from fleet.quantities import show_time
@@ -22,7 +23,6 @@ from fleet.scenario.text.overrides import Override
 from fleet.scenario.trust import READING, Policy
 from netem.clock import Clock
 
-MOST_EVENTS = 200_000  # of faults: one begins and one ends every second for a day
 MOST_TEXT = 64 << 20  # bytes of all of them
 
 

@@ -10,10 +10,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from agents.controllers import laws
+from fleet.errors import FleetError
 from fleet.logs.reader import LogReader, Tell, digest, log_path
 from fleet.logs.schemas import ANEW, FROM, START
 from fleet.quantities import QuantityError, show_time, time_ns
-from fleet.recorder.snapshot import Snapshot, SnapshotError, Start, find
+from fleet.recorder.snapshot import Snapshot, Start, find
 from fleet.repeat.recorded_run import recorded as read
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
@@ -27,7 +28,7 @@ def parse_from(text: str) -> tuple[Path, int | None]:
     """`LOG@20s`, or `LOG` for its last snapshot.
 
     Raises:
-        SnapshotError: the time is none.
+        FleetError: the time is none.
     """
     path, at, time = text.rpartition("@")
     if not at:
@@ -35,7 +36,7 @@ def parse_from(text: str) -> tuple[Path, int | None]:
     try:
         return Path(path), time_ns(time.strip())
     except QuantityError as error:
-        raise SnapshotError(f"--from {text}: {error}; write a log and a time, as in runs/latest@20s") from None
+        raise FleetError(f"--from {text}: {error}; write a log and a time, as in runs/latest@20s") from None
 
 
 def continuation(
@@ -54,20 +55,20 @@ def continuation(
         tell: hears how much of the log was read, three times from its beginning.
 
     Raises:
-        FleetError: there is no log of ours, or the scenario is wrong.
-        SnapshotError: the log has no such moment, or the changes are too great to go on from it.
+        FleetError: there is no log of ours, or the scenario is wrong; the log has no such moment, or the changes are
+            too great to go on from it.
     """
     source = read(path, tell)
     recorded = source.script()
     scenario = source.script(overrides, Policy(trust)) if name is None else load_scenario(name, overrides, trust)
     if recorded.external:
         vehicles = ", ".join(map(str, recorded.external))
-        raise SnapshotError(
+        raise FleetError(
             f"vehicle {vehicles} is external in {source.path}: what its agent remembers is its own affair and not in "
             "the log, so nothing can go on from there"
         )
     if at_ns is not None and at_ns > recorded.duration_ns:
-        raise SnapshotError(f"{source.path} ends at {show_time(recorded.duration_ns)}, got {show_time(at_ns)}")
+        raise FleetError(f"{source.path} ends at {show_time(recorded.duration_ns)}, got {show_time(at_ns)}")
     snapshot = find(path, at_ns, tell)
     at = show_time(snapshot.tick * recorded.tick_ns)
     for what, ours, theirs in (
@@ -78,12 +79,12 @@ def continuation(
         ("the kind of network", scenario.acoustic is None, recorded.acoustic is None),
     ):
         if ours != theirs:
-            raise SnapshotError(f"{what} cannot change in a run that goes on from t = {at}")
+            raise FleetError(f"{what} cannot change in a run that goes on from t = {at}")
     for override in map(Override.of, overrides):
         if override.option == FAULT and time_ns(read_fault(override.text)["at"]) < snapshot.tick * recorded.tick_ns:
-            raise SnapshotError(f"{override.name}: it begins before t = {at}, from which the run goes on")
+            raise FleetError(f"{override.name}: it begins before t = {at}, from which the run goes on")
     if scenario.ticks <= snapshot.tick:
-        raise SnapshotError(f"the run would be over before t = {at}, from which it goes on")
+        raise FleetError(f"the run would be over before t = {at}, from which it goes on")
     notes = [f"goes on from t = {at} of {log_path(path)}"]
     if at_ns is not None and at_ns != snapshot.tick * recorded.tick_ns:
         notes[0] += f", its last snapshot before {show_time(at_ns)}"
@@ -100,7 +101,7 @@ def start_of(reader: LogReader) -> Start | None:
     """Where the run of a log that was read began, if it went on from another.
 
     Raises:
-        SnapshotError: the log does not hold it whole.
+        FleetError: the log does not hold it whole.
     """
     data = reader.attachments.get(START)
     if data is None:

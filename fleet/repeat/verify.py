@@ -37,12 +37,6 @@ from world.plugins.trust import NOTHING, Trust
 _VERSIONS = ("uuv-fleet", "python", "piqp")  # that may change a bit without anybody's mistake
 
 
-class NothingToVerify(FleetError):
-    """The log is one of ours but holds no message."""
-
-    status = 3
-
-
 @dataclass(slots=True)
 class Verification:
     """How far a log was reproduced."""
@@ -81,17 +75,16 @@ def verify(
 
     Raises:
         LogReadError: there is no log to read.
-        FleetError: it holds no scenario of ours.
+        FleetError: it holds no scenario of ours; no message of it is left.
         ScenarioError: its scenario does not run here: another version wrote it, or a law is not installed
             and not trusted.
-        NothingToVerify: no message of it is left.
         NotRecordedError: it has an external agent, but not all of its commands.
     """
     source = recorded(path, reading)
     path, reader, last_ns = source.path, source.reader, source.last_ns
     source.insist_on_lockstep("it does not come out the same again")
     if last_ns < 0:
-        raise NothingToVerify(f"{path} holds no message{f': {reader.missing}' if reader.missing else ''}")
+        raise FleetError(f"{path} holds no message{f': {reader.missing}' if reader.missing else ''}", status=3)
     start = start_of(reader)
     policy = Policy(trust, checks=False)
     scenario = source.script(policy=policy) if start is not None else _scenario(source, policy)

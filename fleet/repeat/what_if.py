@@ -7,6 +7,7 @@ recorded one had then. With nothing changed it commands the same to the last bit
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,7 +25,8 @@ from agents.plugged_agent import PluggedAgent
 from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
 from fleet.logs.reader import LogReader, Record, Tell, log_path
-from fleet.logs.schemas import COMMAND, PACKET, ROLL, STATE, Column
+from fleet.logs.schemas import COMMAND, PACKET, ROLL, STATE, MessageField
+from fleet.logs.topic_names import link_of
 from fleet.recorder.snapshot import Start
 from fleet.repeat.recorded_run import recorded as read
 from fleet.repeat.resume import start_of
@@ -40,16 +42,6 @@ from world.plugins.trust import NOTHING, Permission, Trust
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 COMPONENTS = (("surge force", "N"), ("pitch moment", "N m"), ("yaw moment", "N m"))
-
-
-class WhatIfError(FleetError):
-    """The log does not hold what an agent would need, or its law may not run."""
-
-
-class LawFailedError(WhatIfError):
-    """The agent's law raised, or returned what cannot be used; the text names vehicle, tick, file and line."""
-
-    status = 3  # as of a run
 
 
 @dataclass(slots=True)
@@ -92,22 +84,35 @@ def what_if(
         trust: which modules of this agent's laws may run besides those that are installed and those in `overrides`.
 
     Raises:
-        FleetError: there is no log of ours.
+        FleetError: there is no log of ours, the agent is not there, its navigation was thinned, or its law may not run
+            or failed.
         ScenarioError: an override is wrong.
-        WhatIfError: the agent is not there, its navigation was thinned, or its law may not run.
-        LawFailedError: its law failed.
     """
     path = log_path(path)
     source = read(path, progress)
     source.insist_on_lockstep("what an agent had heard when is not in it")
     scenario, recorded = source.script(overrides, Policy(trust, imports=False)), source.script()
+    _check(path, agent, scenario, recorded, trust)
+    given = _read(path, agent, scenario.tick_ns, progress)
+    if not given.navs:
+        raise FleetError(f"{path} has no navigation of agent {agent}")
+    other = _OtherAgent(agent, scenario, recorded, given)
+    for done, (tick, measured) in enumerate(given.navs):
+        other.step(tick, measured)
+        if done % 500 == 0:
+            progress(done / len(given.navs))
+    return other.found()
+
+
+def _check(path: Path, agent: int, scenario: Scenario, recorded: Scenario, trust: Trust) -> None:
+    """Raises FleetError: the log cannot say what this agent had known, or its laws may not run."""
     if scenario.vehicles != recorded.vehicles or scenario.tick_ns != recorded.tick_ns:
-        raise WhatIfError("another number of vehicles, or another tick, is another run: use fleet run")
+        raise FleetError("another number of vehicles, or another tick, is another run: use fleet run")
     if not 1 <= agent <= scenario.vehicles:
-        raise WhatIfError(f"there is no agent {agent}: they are 1 to {scenario.vehicles}")
+        raise FleetError(f"there is no agent {agent}: they are 1 to {scenario.vehicles}")
     for group in ("nav", "command"):
         if (every := recorded.log_every[group]) > 1:
-            raise WhatIfError(f"{path} has every {every}th {group} only: an agent needs all (log.{group}: 1 tick)")
+            raise FleetError(f"{path} has every {every}th {group} only: an agent needs all (log.{group}: 1 tick)")
     try:
         permission = Permission(trust, elsewhere=(Path(),), because=A_LOG)
         for kind, law in laws(scenario.controls[agent - 1]).items():
@@ -115,71 +120,104 @@ def what_if(
                 admit(kind, law.name, permission)
         scenario.layout(agent)
     except (AgentError, PluginError) as error:
-        raise WhatIfError(f"{path}: {error}") from None
-    navs, commands, deliveries, start = _read(path, agent, scenario.tick_ns, progress)
-    if not navs:
-        raise WhatIfError(f"{path} has no navigation of agent {agent}")
-    memory = None if start is None or navs[0][0] != start.snapshot.tick else start.snapshot.memories.get(agent)
-    same = _law(scenario, agent) == _law(recorded, agent)
-    keeps = same and start is not None and agent not in start.anew
-    if memory is not None:  # it waits for what was on the way, which is in the log, too, beside what it had heard
-        heard = [delivery for delivery in deliveries if delivery.due_tick >= navs[0][0]]
-        # What it has is stamped by the senders' clocks; what is in the log, too, by simulated time.
-        due_later = {(d.due_tick, d.src, d.seq, d.copy): d for d in [*restore(None, memory), *heard]}
-        deliveries = sorted(due_later.values(), key=astuple)
-    lives = Lives(recorded.faults.absences)
-    begins = [0, *(end for _, end in lives.gaps(agent) if end is not None)]
-    result = _Answers()
-    if memory is not None and not same:
-        result.notes.append(
-            f"the log begins at t = {navs[0][0] * scenario.tick_ns / 1e9:g} s; the other agent has no memory then"
+        raise FleetError(f"{path}: {error}") from None
+
+
+@dataclass(slots=True)
+class _Given:
+    """What the recorded agent was given, and what it commanded."""
+
+    navs: list[tuple[int, tuple[float, ...]]] = field(default_factory=list)  # tick; eta, nu and roll as measured
+    commands: dict[int, tuple[float, ...]] = field(default_factory=dict)  # by tick
+    deliveries: list[Delivery] = field(default_factory=list)  # in order
+    start: Start | None = None  # of a log that goes on from another
+
+
+class _OtherAgent:
+    """The agent that is asked: a fresh one for each life of the recorded one."""
+
+    def __init__(self, agent: int, scenario: Scenario, recorded: Scenario, given: _Given) -> None:
+        self._agent, self._scenario, self._commands = agent, scenario, given.commands
+        self._lives = Lives(recorded.faults.absences)
+        self._senders, self._own = (
+            Clocks.that_differ(s.clocks, s.faults.world, s.tick_ns) for s in (recorded, scenario)
         )
-    if agent in recorded.external:
-        result.notes.append(f"vehicle {agent} is external: what was recorded is what somebody else's agent commanded")
-    senders, own = (Clocks.that_differ(s.clocks, s.faults.world, s.tick_ns) for s in (recorded, scenario))
-    core: Agent | PluggedAgent | None = None
-    life, waiting = -1, 0
-    for done, (tick, measured) in enumerate(navs):
-        incarnation = lives.incarnation(agent, tick)
-        if core is None or incarnation != life:
-            try:
-                first = core is None
-                core, life = make_agent(scenario.agent_config(agent)), incarnation
-                if first and memory is not None and keeps:
-                    restore(core, memory)
-            except (AgentError, PluginError) as error:
-                raise LawFailedError(str(error)) from None
-            # What fell due before was for the life before, or for none.
-            while begins[life] and waiting < len(deliveries) and deliveries[waiting].due_tick <= begins[life]:
-                waiting += 1
-        due = []
-        while waiting < len(deliveries) and deliveries[waiting].due_tick <= tick:
-            due.append(deliveries[waiting] if senders is None else stamped(deliveries[waiting], senders))
-            waiting += 1
+        self._begins = [0, *(end for _, end in self._lives.gaps(agent) if end is not None)]  # of its lives
+        self._core: Agent | PluggedAgent | None = None
+        self._life = -1
+        self._ticks: list[int] = []
+        self._recorded: list[tuple[float, ...]] = []
+        self._found: list[tuple[float, ...]] = []
+        self._heard = 0
+        self._notes: list[str] = []
+        first, start, deliveries = given.navs[0][0], given.start, given.deliveries
+        memory = None if start is None or first != start.snapshot.tick else start.snapshot.memories.get(agent)
+        self._memory: bytes | None = None  # with which its first life begins
+        if start is not None and memory is not None:
+            # It waits for what was on the way, which is in the log, too, beside what it had heard.
+            heard = [delivery for delivery in deliveries if delivery.due_tick >= first]
+            # What it has is stamped by the senders' clocks, what is in the log by simulated time.
+            due_later = {(d.due_tick, d.src, d.seq, d.copy): d for d in [*restore(None, memory), *heard]}
+            deliveries = sorted(due_later.values(), key=astuple)
+            if _law(scenario, agent) != _law(recorded, agent):
+                at = f"t = {first * scenario.tick_ns / 1e9:g} s"
+                self._notes.append(f"the log begins at {at}; the other agent has no memory then")
+            elif agent not in start.anew:
+                self._memory = memory
+        self._waiting = deque(deliveries)
+        if agent in recorded.external:
+            self._notes.append(
+                f"vehicle {agent} is external: what was recorded is what somebody else's agent commanded"
+            )
+
+    def step(self, tick: int, measured: tuple[float, ...]) -> None:
+        """One sample. Raises FleetError."""
         try:
-            shown_ns = None if own is None else own.reading_ns(agent, tick)
-            step = core.step(Nav(life, tick, measured[:5], measured[5:10], measured[10:], shown_ns), due)
+            life = self._lives.incarnation(self._agent, tick)
+            if self._core is None or life != self._life:
+                self._core = self._begin(life)
+            due = self._due(tick)
+            shown_ns = None if self._own is None else self._own.reading_ns(self._agent, tick)
+            step = self._core.step(Nav(life, tick, measured[:5], measured[5:10], measured[10:], shown_ns), due)
         except (AgentError, PluginError) as error:
-            raise LawFailedError(str(error)) from None
-        result.notes += [f"t = {at * scenario.tick_ns / 1e9:.2f} s: {text}" for at, text in core.take_notes()]
-        if tick in commands:
-            result.ticks.append(tick)
-            result.recorded.append(commands[tick])
-            result.found.append(step.tau)
-            result.heard += len(due)
-        if done % 500 == 0:
-            progress(done / len(navs))
-    t = np.array(result.ticks) * (scenario.tick_ns / 1e9)
-    return WhatIf(
-        agent,
-        scenario,
-        t,
-        np.array(result.recorded).reshape(-1, 3),
-        np.array(result.found).reshape(-1, 3),
-        result.heard,
-        life + 1,
-        result.notes,
-    )
+            raise FleetError(str(error), status=3) from None
+        tick_s = self._scenario.tick_ns / 1e9
+        self._notes += [f"t = {at * tick_s:.2f} s: {text}" for at, text in self._core.take_notes()]
+        if tick in self._commands:
+            self._ticks.append(tick)
+            self._recorded.append(self._commands[tick])
+            self._found.append(step.tau)
+            self._heard += len(due)
+
+    def _begin(self, life: int) -> Agent | PluggedAgent:
+        core = make_agent(self._scenario.agent_config(self._agent))
+        if self._core is None and self._memory is not None:
+            restore(core, self._memory)
+        self._life = life
+        if self._begins[life]:
+            self._due(self._begins[life])  # what fell due before was for the life before, or for none
+        return core
+
+    def _due(self, tick: int) -> list[Delivery]:
+        """What is due up to a tick; it is handed out once."""
+        due = []
+        while self._waiting and self._waiting[0].due_tick <= tick:
+            delivery = self._waiting.popleft()
+            due.append(delivery if self._senders is None else stamped(delivery, self._senders))
+        return due
+
+    def found(self) -> WhatIf:
+        """What both commanded."""
+        return WhatIf(
+            self._agent,
+            self._scenario,
+            np.array(self._ticks) * (self._scenario.tick_ns / 1e9),
+            np.array(self._recorded).reshape(-1, 3),
+            np.array(self._found).reshape(-1, 3),
+            self._heard,
+            self._life + 1,
+            self._notes,
+        )
 
 
 def _law(scenario: Scenario, agent: int) -> object:
@@ -187,28 +225,14 @@ def _law(scenario: Scenario, agent: int) -> object:
     return laws(scenario.controls[agent - 1]), scenario.graph.links
 
 
-@dataclass(slots=True)
-class _Answers:
-    ticks: list[int] = field(default_factory=list)
-    recorded: list[tuple[float, ...]] = field(default_factory=list)
-    found: list[tuple[float, ...]] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    heard: int = 0
-
-
-def _read(
-    path: Path, agent: int, tick_ns: int, tell: Tell
-) -> tuple[list[tuple[int, tuple[float, ...]]], dict[int, tuple[float, ...]], list[Delivery], Start | None]:
-    """(tick, measured eta, nu, roll) of every sample; commands by tick; what was delivered, in order; its beginning."""
-    navs: list[tuple[int, tuple[float, ...]]] = []
-    commands: dict[int, tuple[float, ...]] = {}
-    deliveries: list[Delivery] = []
+def _read(path: Path, agent: int, tick_ns: int, tell: Tell) -> _Given:
+    given = _Given()
     reader = LogReader(path, tell)
     decoder = Decoder(reader)
 
-    def decode(record: Record, columns: Sequence[Column]) -> Any:
+    def decode(record: Record, columns: Sequence[MessageField]) -> Any:
         if (message := decoder.ours(record, columns)) is None:
-            raise WhatIfError(f"{path}: a message of {record.topic} at t = {record.log_ns / 1e9:g} s is damaged")
+            raise FleetError(f"{path}: a message of {record.topic} at t = {record.log_ns / 1e9:g} s is damaged")
         return message
 
     nav, command = f"uuv/{agent}/nav", f"uuv/{agent}/command"
@@ -216,13 +240,14 @@ def _read(
         if record.topic == nav:
             m = decode(record, STATE)
             columns = STATE + ROLL if "phi" in m.DESCRIPTOR.fields_by_name else STATE
-            navs.append((record.log_ns // tick_ns, tuple(getattr(m, column.name) for column in columns)))
+            given.navs.append((record.log_ns // tick_ns, tuple(getattr(m, column.name) for column in columns)))
         elif record.topic == command:
-            commands[record.log_ns // tick_ns] = tuple(decode(record, COMMAND[:1]).tau)
-        elif record.topic.startswith("link/") and record.topic.endswith(f"-{agent}"):
+            given.commands[record.log_ns // tick_ns] = tuple(decode(record, COMMAND[:1]).tau)
+        elif (link := link_of(record.topic)) is not None and link[1] == agent:
             m = decode(record, PACKET)
             if m.fate == "delivered":
-                src = int(record.topic.removeprefix("link/").split("-")[0])
                 sent = record.publish_ns // tick_ns
-                deliveries.append(Delivery(record.log_ns // tick_ns, sent, src, m.seq, m.copy, m.payload))
-    return navs, commands, sorted(deliveries, key=astuple), start_of(reader)
+                given.deliveries.append(Delivery(record.log_ns // tick_ns, sent, link[0], m.seq, m.copy, m.payload))
+    given.deliveries.sort(key=astuple)
+    given.start = start_of(reader)
+    return given

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from fleet.errors import FleetError
 from fleet.logs.fault_intervals import FaultInterval
 from fleet.pictures.shades import shade
 from fleet.pictures.style import COLUMN_IN, FORMATS, Provenance, legend, limit, line, panels, save
-from fleet.repeat.what_if import COMPONENTS, WhatIf, WhatIfError
+from fleet.repeat.what_if import COMPONENTS, WhatIf
 from fleet.scenario.scenario import timeline
 
 
@@ -18,11 +19,11 @@ def draw(found: WhatIf, path: Path, digest: str) -> None:
         digest: of the log that the agent heard.
 
     Raises:
-        WhatIfError: the file cannot be written, or its suffix is none of a picture.
+        FleetError: the file cannot be written, or its suffix is none of a picture.
     """
     form = path.suffix.removeprefix(".")
     if form not in FORMATS:
-        raise WhatIfError(f"{path}: a picture ends in one of {', '.join('.' + f for f in FORMATS)}")
+        raise FleetError(f"{path}: a picture ends in one of {', '.join('.' + f for f in FORMATS)}")
     figure, axes = panels(3, 1, COLUMN_IN, 4.6)
     for k, (ax, (name, unit)) in enumerate(zip(axes, COMPONENTS, strict=True)):
         line(ax, 0, found.t, found.recorded[:, k], f"agent {found.agent} of {found.scenario.name}, recorded")
@@ -43,4 +44,4 @@ def draw(found: WhatIf, path: Path, digest: str) -> None:
     try:
         save(figure, path.with_suffix(""), (form,), Provenance(f"What if: agent {found.agent}", facts))
     except OSError as error:
-        raise WhatIfError(f"cannot write {path}: {error.strerror}") from None
+        raise FleetError(f"cannot write {path}: {error.strerror}") from None

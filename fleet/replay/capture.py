@@ -26,10 +26,6 @@ MOST_CHANNELS = 65_535  # MCAP numbers them with 16 bits
 MOST_BATCH = 1000
 
 
-class RecordError(FleetError):
-    """The file cannot be made or written."""
-
-
 @dataclass(frozen=True, slots=True)
 class Limits:
     """When a recording ends by itself; None: never."""
@@ -42,7 +38,7 @@ class TrafficWriter:
     """An MCAP file of samples. `close` writes the index; without it the file is cut but readable."""
 
     def __init__(self, path: Path, keys: Sequence[str]) -> None:
-        """Raises RecordError: the file exists, or cannot be made."""
+        """Raises FleetError: the file exists, or cannot be made."""
         self.path = path
         self.samples = 0
         self._channels: dict[tuple[str, str, str], int] = {}
@@ -52,9 +48,9 @@ class TrafficWriter:
             self._writer = McapWriter(self._file, PROFILE)
             self._writer.metadata("zenoh", {"keys": " ".join(keys)})
         except FileExistsError:
-            raise RecordError(f"{path} exists already; choose another name with -o") from None
+            raise FleetError(f"{path} exists already; choose another name with -o") from None
         except OSError as error:
-            raise RecordError(f"cannot write {path}: {error.strerror}") from None
+            raise FleetError(f"cannot write {path}: {error.strerror}") from None
 
     @property
     def size(self) -> int:
@@ -65,7 +61,7 @@ class TrafficWriter:
         """Append a sample that was received at `at_ns` [ns since 1970].
 
         Raises:
-            RecordError: the disk is full, or there are more keys than a file can hold.
+            FleetError: the disk is full, or there are more keys than a file can hold.
         """
         publish_ns = at_ns if sample.stamp_ns is None else sample.stamp_ns
         number = self.samples & 0xFFFFFFFF
@@ -78,13 +74,13 @@ class TrafficWriter:
         self.flush(at_ns)
 
     def flush(self, now_ns: int) -> None:
-        """Write out what there is if a second has passed since the last time. Raises RecordError."""
+        """Write out what there is if a second has passed since the last time. Raises FleetError."""
         if now_ns - self._flushed_ns >= FLUSH_NS:
             self._flushed_ns = now_ns
             self._guard(self._writer.flush)
 
     def close(self) -> None:
-        """Write the index. Raises RecordError: the disk is full; what was flushed stays readable."""
+        """Write the index. Raises FleetError: the disk is full; what was flushed stays readable."""
         if self._file.closed:
             return
         try:
@@ -93,13 +89,13 @@ class TrafficWriter:
             try:
                 self._file.close()
             except OSError as error:
-                raise RecordError(f"cannot write {self.path}: {error.strerror}") from None
+                raise FleetError(f"cannot write {self.path}: {error.strerror}") from None
 
     def _channel(self, key: str, encoding: str, kind: str) -> int:
         found = self._channels.get((key, encoding, kind))
         if found is None:
             if len(self._channels) >= MOST_CHANNELS:
-                raise RecordError(f"more than {MOST_CHANNELS} keys and encodings: one file holds no more of them")
+                raise FleetError(f"more than {MOST_CHANNELS} keys and encodings: one file holds no more of them")
             metadata = {KIND: kind} | ({ENCODING: encoding} if kind != ATTACHMENT else {})
             found = self._writer.channel(key, message_encoding(encoding), 0, metadata)
             self._channels[key, encoding, kind] = found
@@ -109,13 +105,13 @@ class TrafficWriter:
         try:
             self._writer.message(channel, at_ns, publish_ns, number, data)
         except OSError as error:
-            raise RecordError(f"cannot write {self.path}: {error.strerror}") from None
+            raise FleetError(f"cannot write {self.path}: {error.strerror}") from None
 
     def _guard(self, write: Callable[[], Any]) -> None:
         try:
             write()
         except OSError as error:
-            raise RecordError(f"cannot write {self.path}: {error.strerror}") from None
+            raise FleetError(f"cannot write {self.path}: {error.strerror}") from None
 
 
 class PublisherGone:
@@ -168,7 +164,7 @@ class Recorder:
             whether that was the end.
 
         Raises:
-            RecordError: the file cannot be written any more.
+            FleetError: the file cannot be written any more.
             KeyboardInterrupt: the one that `interrupted` returned; between two messages.
         """
         began = seen_ns = time.monotonic_ns()
@@ -194,7 +190,7 @@ class Recorder:
             self._drain(writer, MOST_BATCH)
 
     def finish(self, writer: TrafficWriter) -> None:
-        """Write what was received before now, and close the file. Raises RecordError."""
+        """Write what was received before now, and close the file. Raises FleetError."""
         try:
             self._drain(writer, self._queue.qsize())
         finally:

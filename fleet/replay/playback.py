@@ -18,15 +18,11 @@ from fleet.terminal.fitting import Piece
 from fleet.terminal.keyboard import Key, Keyboard
 from fleet.terminal.status_line import StatusLine
 from netem.wire.keys import Keys
-from netem.wire.open_bus import OpenBus, Publication
+from netem.wire.open_bus import OpenBus, OpenPublication
 
 MOST = 256  # messages between two looks at the keyboard
 NAP_S = 0.05  # the longest wait without a look at the clock
 CLOCK_ENCODING = "application/protobuf;google.protobuf.Timestamp"
-
-
-class ReplayError(FleetError):
-    """What was asked for leaves nothing to play."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +51,7 @@ class Replay:
         """Choose what to play.
 
         Raises:
-            SelectionError: a topic, expression or renaming names nothing.
-            ReplayError: nothing is left.
+            FleetError: a topic, expression or renaming names nothing, or nothing is left to play.
         """
         self._tape, self._wishes = tape, options
         self.keys = Keys(options.run)
@@ -82,12 +77,12 @@ class Replay:
         first, stop = track.before(begin), track.before(end + 1)
         if first >= stop:
             last = (tape.end_ns - self.zero_ns) / 1e9
-            raise ReplayError(
+            raise FleetError(
                 f"nothing to play: the log ends at {last:g} s, and no chosen message is in what was asked for"
             )
         self._first, self.messages = first, stop - first
         self._begin, self._end = begin, end
-        self._publications: dict[int, Publication] = {}
+        self._publications: dict[int, OpenPublication] = {}
         self.published = 0
         self.player = self._player(0)
 

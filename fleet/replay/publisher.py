@@ -35,12 +35,6 @@ DRAIN_S = 10.0  # for the process to take and publish what it was given, which w
 CLOSE_S = 2.0  # for what is then still on the way to subscribers
 
 
-class PublishError(FleetError):
-    """The publisher's process did not start, ended, or did not report where it listens."""
-
-    status = 3
-
-
 class LivePublisher:
     """Publishes each message of a log writer; see `fleet.recorder.writer.Tap`. `open` starts the process."""
 
@@ -82,7 +76,7 @@ class LivePublisher:
         """Start the process and wait until it listens.
 
         Raises:
-            PublishError: it ended, or did not listen in time, or the way in cannot be written down.
+            FleetError: it ended, or did not listen in time, or the way in cannot be written down.
         """
         observed = new_observed("", self.run)  # the process says where it listens
         values = {
@@ -111,7 +105,8 @@ class LivePublisher:
         if "endpoint" not in answer:
             process.kill()
             process.wait()
-            raise PublishError(f"the journal cannot be published: {answer.get('error', 'the publisher did not start')}")
+            why = answer.get("error", "the publisher did not start")
+            raise FleetError(f"the journal cannot be published: {why}", status=3)
         self.endpoint = answer["endpoint"]
         descriptor = _pipe(process.stdin).fileno()
         os.set_blocking(descriptor, False)
@@ -123,16 +118,17 @@ class LivePublisher:
         except OSError as error:
             process.kill()
             process.wait()
-            raise PublishError(f"cannot write {self._observe}: {error.strerror}") from error
+            raise FleetError(f"cannot write {self._observe}: {error.strerror}", status=3) from error
 
     def heard(self) -> None:
         """Wait without limit until there is a subscriber to the journal or to a part of it.
 
         Raises:
-            PublishError: the process ended meanwhile.
+            FleetError: the process ended meanwhile.
         """
         if "heard" not in self._answer(None):
-            raise PublishError("the journal cannot be published: the publisher ended while it waited for a subscriber")
+            why = "the publisher ended while it waited for a subscriber"
+            raise FleetError(f"the journal cannot be published: {why}", status=3)
 
     def message(self, channel: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
         """A message was written to the log."""

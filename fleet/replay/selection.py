@@ -10,10 +10,6 @@ from netem.parsing import nearest
 from netem.wire.key_expressions import matching
 
 
-class SelectionError(FleetError):
-    """A pattern, expression or renaming that cannot be used."""
-
-
 def chosen(topics: Iterable[str], patterns: Sequence[str], expression: str | None) -> set[str]:
     """The topics that any of the patterns or the regular expression names; all of them without either.
 
@@ -22,7 +18,7 @@ def chosen(topics: Iterable[str], patterns: Sequence[str], expression: str | Non
         expression: a regular expression, searched for in every topic.
 
     Raises:
-        SelectionError: a pattern or the expression names none.
+        FleetError: a pattern or the expression names none.
     """
     known = sorted(set(topics))
     if not patterns and expression is None:
@@ -33,16 +29,16 @@ def chosen(topics: Iterable[str], patterns: Sequence[str], expression: str | Non
         some = {topic for topic in known if included(topic.strip("/"))}
         if not some:
             hint = nearest(text, known) or f"there are {', '.join(known[:8])}{', ...' if len(known) > 8 else ''}"
-            raise SelectionError(f'no topic of the log is called "{text}": {hint}')
+            raise FleetError(f'no topic of the log is called "{text}": {hint}')
         names |= some
     if expression is not None:
         try:
             compiled = re.compile(expression)
         except re.error as error:
-            raise SelectionError(f'"{expression}" is no regular expression: {error}') from None
+            raise FleetError(f'"{expression}" is no regular expression: {error}') from None
         some = {topic for topic in known if compiled.search(topic)}
         if not some and not names:
-            raise SelectionError(f'no topic of the log matches "{expression}"')
+            raise FleetError(f'no topic of the log matches "{expression}"')
         names |= some
     return names
 
@@ -51,17 +47,17 @@ class Renaming:
     """`OLD:=NEW`, of a topic or of the first parts of many; the longest OLD that fits counts."""
 
     def __init__(self, rules: Sequence[str]) -> None:
-        """Raises SelectionError: a rule is not of that form."""
+        """Raises FleetError: a rule is not of that form."""
         self._rules: dict[str, str] = {}
         for rule in rules:
             old, sign, new = rule.partition(":=")
             old, new = old.strip("/"), new.strip("/")
             if not sign or not old or not new:
-                raise SelectionError(f'expected OLD:=NEW such as robot:=twin, got "{rule}"')
+                raise FleetError(f'expected OLD:=NEW such as robot:=twin, got "{rule}"')
             if set(new) & set("*$?#") or "" in new.split("/"):
-                raise SelectionError(f'"{new}" is no key: it has an empty part, or one of * $ ? #')
+                raise FleetError(f'"{new}" is no key: it has an empty part, or one of * $ ? #')
             if old in self._rules:
-                raise SelectionError(f'"{old}" is renamed twice')
+                raise FleetError(f'"{old}" is renamed twice')
             self._rules[old] = new
         self._unused = set(self._rules)
 
@@ -76,6 +72,6 @@ class Renaming:
         return "/".join(parts)
 
     def check(self) -> None:
-        """Raises SelectionError: a rule has renamed nothing."""
+        """Raises FleetError: a rule has renamed nothing."""
         if self._unused:
-            raise SelectionError(f'nothing is played that is called "{min(self._unused)}"')
+            raise FleetError(f'nothing is played that is called "{min(self._unused)}"')

@@ -11,12 +11,6 @@ from netem.wire.keys import Keys
 from netem.wire.open_bus import OpenBus
 
 
-class TopicsError(FleetError):
-    """Nobody says which topics there are, or of which scenario."""
-
-    status = 3
-
-
 class PublishedTopic(NamedTuple):
     """The schema of a published topic; its messages are protobuf."""
 
@@ -52,12 +46,12 @@ def ask_topics(bus: OpenBus, keys: Keys) -> dict[str, PublishedTopic]:
     """The topics of a journal that is published.
 
     Raises:
-        TopicsError: nobody answers, or not as this program does.
+        FleetError: nobody answers, or not as this program does.
     """
     answer = bus.ask(keys.topics).get(keys.topics)
     if answer is None:
-        raise TopicsError(
-            f"nobody says what is published below {keys.prefix}: is the run over, or of an older version?"
+        raise FleetError(
+            f"nobody says what is published below {keys.prefix}: is the run over, or of an older version?", status=3
         )
     schemas = bus.ask(keys.schema("*"))
     told = bus.ask(keys.units).get(keys.units)
@@ -68,14 +62,16 @@ def ask_topics(bus: OpenBus, keys: Keys) -> dict[str, PublishedTopic]:
             for topic, name in msgpack.unpackb(answer).items()
         }
     except Exception as error:  # msgpack raises half a dozen unrelated types for bad bytes
-        raise TopicsError(f"what is published below {keys.prefix} is not told as expected ({error!r})") from None
+        raise FleetError(
+            f"what is published below {keys.prefix} is not told as expected ({error!r})", status=3
+        ) from None
 
 
 def ask_scenario(bus: OpenBus, keys: Keys) -> str:
     """The scenario of a live run that is published, as YAML.
 
     Raises:
-        TopicsError: nobody answers, or not with a text.
+        FleetError: nobody answers, or not with a text.
     """
     answer = bus.ask(keys.scenario).get(keys.scenario)
     try:
@@ -83,7 +79,8 @@ def ask_scenario(bus: OpenBus, keys: Keys) -> str:
             return answer.decode()
     except ValueError:
         pass
-    raise TopicsError(
+    raise FleetError(
         f"nobody says of which scenario the journal below {keys.prefix} is: is it a replay, or is the run over, or of "
-        "an older version?"
+        "an older version?",
+        status=3,
     )

@@ -20,15 +20,11 @@ from fleet.reproduce.verdicts import Claim
 from netem.private_folder import PrivateFolder
 
 if TYPE_CHECKING:
-    from fleet.execution.outcome import Result
+    from fleet.result.result import Result
 
 CHECK_S = 3  # simulated time of the distributed run that is compared with the in-process one
 
 _shared: Any = None  # in a worker: simulated seconds of each case
-
-
-class ReproduceError(FleetError):
-    """The report cannot be made."""
 
 
 Tell = Callable[[str, float], None]  # (what is going on, share of everything that is done)
@@ -40,12 +36,12 @@ def reproduce(
     """Run cases and write the report into `folder`.
 
     Raises:
-        ReproduceError: the folder cannot be written, or a worker died.
+        FleetError: the folder cannot be written, or a worker died.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ReproduceError(f"cannot make {folder}: {error.strerror}") from None
+        raise FleetError(f"cannot make {folder}: {error.strerror}") from None
     network = _network_check(tell) if any(CASES[name].group == "network" for name in names) else ""
     times = multiprocessing.get_context("spawn").Array("d", len(names))
     try:
@@ -54,12 +50,12 @@ def reproduce(
             figures = [name for name in FIGURES if _possible(name, outcomes)]
             drawn = _draw_all(workers, figures, outcomes, folder, formats, tell)
     except WorkerDied:
-        raise ReproduceError(f"a worker process died {TIMES} times; is there enough memory?") from None
+        raise FleetError(f"a worker process died {TIMES} times; is there enough memory?") from None
     claims = judge(outcomes)
     try:
         return write(folder, outcomes, claims, network, drawn), claims, outcomes
     except OSError as error:
-        raise ReproduceError(f"cannot write the report into {folder}: {error.strerror}") from None
+        raise FleetError(f"cannot write the report into {folder}: {error.strerror}") from None
 
 
 def _share(times: Any) -> None:
@@ -121,7 +117,7 @@ def _draw_all(
         try:
             drawn[name] = future.result()
         except OSError as error:
-            raise ReproduceError(f"cannot write {name} into {folder}: {error.strerror}") from None
+            raise FleetError(f"cannot write {name} into {folder}: {error.strerror}") from None
         tell(f"{len(drawn)} of {len(figures)} pictures", 0.85 + 0.15 * len(drawn) / len(figures))
     return [name for name in figures if drawn[name]]
 
@@ -132,7 +128,7 @@ def _draw(item: tuple[str, dict[str, Outcome]], folder: Path, formats: tuple[str
 
 def _go_on(result: Result) -> None:
     """End everything if a signal ended a run. Raises KeyboardInterrupt, or the HungUp among them."""
-    from fleet.execution.outcome import Status
+    from fleet.result.result import Status
 
     if result.status is Status.HUNG_UP:
         raise HungUp
@@ -144,7 +140,7 @@ def _network_check(tell: Tell) -> str:
     """A few seconds of the network case as real processes over zenoh, against the same in this process."""
     from fleet.execution.execute import execute
     from fleet.execution.options import Options
-    from fleet.execution.outcome import Status
+    from fleet.result.result import Status
     from fleet.scenario.loading import load_scenario
 
     tell("a distributed run, to compare with the in-process one", 0.0)

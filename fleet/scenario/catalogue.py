@@ -6,17 +6,16 @@ who wait. A test compares it with the loaded scenarios.
 
 from __future__ import annotations
 
-from importlib import resources
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from fleet.quantities import time_ns
+from fleet.scenario.text.shipped import ShippedFiles
 from fleet.scenario.text.yaml_reader import Mapping, Scalar, Source, read
 
-if TYPE_CHECKING:
-    from importlib.resources.abc import Traversable
+_FILES = ShippedFiles("fleet.scenario.shipped")
 
 
-class Listed(NamedTuple):
+class ListedScenario(NamedTuple):
     """One row of the list."""
 
     name: str
@@ -29,20 +28,20 @@ class Listed(NamedTuple):
 
 def shipped_scenarios() -> list[str]:
     """The names of the scenarios that come with the package."""
-    return sorted(entry.name.removesuffix(".yaml") for entry in _folder().iterdir() if entry.name.endswith(".yaml"))
+    return _FILES.names
 
 
 def shipped_text(name: str) -> str:
     """The text of a shipped scenario, with its comments."""
-    return (_folder() / f"{name}.yaml").read_text("utf-8")
+    return _FILES.text(name)
 
 
-def list_scenarios() -> list[Listed]:
+def list_scenarios() -> list[ListedScenario]:
     """Every shipped scenario, by name."""
     return [_listed(name) for name in shipped_scenarios()]
 
 
-def _listed(name: str) -> Listed:
+def _listed(name: str) -> ListedScenario:
     root, _ = read(Source(name, shipped_text(name)))
     assert isinstance(root, Mapping), name
     top = {key: node.value for key, node in root.entries.items() if isinstance(node, Scalar)}
@@ -50,8 +49,4 @@ def _listed(name: str) -> Listed:
     assert isinstance(vehicles, int), name
     duration_s = time_ns(top["duration"]) / 1e9
     words = {key: str(top.get(key, none)) for key, none in (("name", name), ("group", ""), ("expect", "pass"))}
-    return Listed(words["name"], words["group"], str(top["title"]), vehicles, duration_s, words["expect"])
-
-
-def _folder() -> Traversable:
-    return resources.files("fleet.scenario.shipped")
+    return ListedScenario(words["name"], words["group"], str(top["title"]), vehicles, duration_s, words["expect"])

@@ -8,31 +8,32 @@ the rows of the rounds before and on nothing else, so neither the number of work
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice, pairwise
 from math import ceil, inf, isfinite, log
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
+from msgspec import structs
+
 from fleet.study.engine import Engine
 from fleet.study.errors import StudyError
 from fleet.study.modules import NO_MODULES, Modules
 from fleet.study.one_run import Task
-from fleet.study.plan import Plan
-from fleet.study.psychometric import CONFIDENCE, RISING, Curve, Walk, steepest_rise
+from fleet.study.plan import Plan, changes_of, parse_seeds
+from fleet.study.psychometric import CONFIDENCE, RISING, PsychometricCurve, Walk, steepest_rise
 from fleet.study.record import BorderRecord
+from fleet.study.spec import BoundarySpec
 from fleet.study.statistics import Estimate, pass_rate
 from fleet.study.store import Store
 from fleet.study.sweep import Progress, Work, make_runs, prepare, task_of
-from fleet.study.values import Axis, parse_axis
+from fleet.study.values import Axis, axis, parse_axis
 from world.plugins.trust import NOTHING, Trust
 
-SEEDS = 60
 MOST_STEPS = 500  # of a range, where they are chosen for the user
 MOST_PLACES = 1000  # along an axis; each takes 0.3 MB
-WIDTH = 0.1  # of the range: an interval that is narrow enough
 Rows = dict[tuple[int, int], dict[str, Any]]  # by point and seed
 Run = tuple[int, bool]  # number of the value along the axis, and whether it passed
 
@@ -76,7 +77,7 @@ class Border:
         return "within" if isfinite(self.low) and isfinite(self.high) else "open"
 
 
-def parse_along(text: str, width: float = WIDTH) -> Axis:
+def parse_along(text: str, width: float) -> Axis:
     """The axis along which a border is looked for: at least two numbers, rising.
 
     Args:
@@ -96,28 +97,47 @@ def parse_along(text: str, width: float = WIDTH) -> Axis:
         raise StudyError(f"{found.key}: expected a range such as 0 %..95 %, or rising numbers")
     if len(numbers) > MOST_PLACES:
         raise StudyError(f"{found.key}: these are {len(numbers)} values, and {MOST_PLACES} at most may be")
-    return found
+    return replace(found, option="--along")
+
+
+def border_plan(scenario: str, spec: BoundarySpec) -> Plan:
+    """What a study of a border may run.
+
+    Args:
+        scenario: a shipped name or a file.
+
+    Raises:
+        StudyError: the values are none, or do not fit together.
+    """
+    per = (replace(axis(key, text), option="--per") for key, text in spec.per.items())
+    axes = (*per, parse_along(spec.along, spec.width))
+    return Plan(scenario, changes_of(spec), axes, seeds=parse_seeds(spec.seeds))
 
 
 def prepare_borders(
-    plan: Plan, level: float, width: float, directory: Path, trust: Trust = NOTHING
+    plan: Plan,
+    spec: BoundarySpec,
+    directory: Path,
+    trust: Trust = NOTHING,
+    warn: Callable[[str], None] = lambda _: None,
 ) -> tuple[Store, Modules]:
     """Check every point that may be run, and make the directory of the study.
 
     Args:
         plan: its last axis is that along which the border is looked for, see `parse_along`.
-        level: of the pass rate.
-        width: of an interval that is narrow enough, as a share of the range.
+        spec: what is looked for; the directory keeps it.
         directory: of the new study.
         trust: which modules may run that are neither installed nor the user's own.
+        warn: called with each check that cannot pass, in words.
 
     Raises:
         ScenarioError: with the mistakes of all points.
         StudyError: there cannot be such a study.
     """
-    if not 0.0 < level < 1.0:
-        raise StudyError(f"the level must be between 0 and 1, got {level:g}")
-    return prepare(plan, directory, trust, border=BorderRecord(level, width, plan.axes[-1].scale == "log"))
+    if not 0.0 < spec.level < 1.0:
+        raise StudyError(f"the level must be between 0 and 1, got {spec.level:g}")
+    border = BorderRecord(**structs.asdict(spec), log=plan.axes[-1].scale == "log")
+    return prepare(plan, directory, trust, border=border, warn=warn)
 
 
 class Borders:
@@ -146,7 +166,7 @@ class Borders:
         self._check()
         scaled = [_scaled(place, record.log) for place in self.places]
         self._first, self._span = scaled[0], scaled[-1] - scaled[0]
-        self.curve = Curve([(place - self._first) / self._span for place in scaled], record.level)
+        self.curve = PsychometricCurve([(place - self._first) / self._span for place in scaled], record.level)
         self.walk = Walk(self.curve, record.width)
 
     @property

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from math import inf
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from fleet.execution.judged import Changes, override_texts
 from fleet.notebook import html_table
-from fleet.scenario.text.overrides import FAULT, NET, SET, Override
 from fleet.study.border_theory import theory
-from fleet.study.borders import SEEDS, WIDTH, Border, Borders, Tell, find_borders, parse_along, prepare_borders
+from fleet.study.borders import Border, Borders, Tell, border_plan, find_borders, prepare_borders
 from fleet.study.engine import need_extra
+from fleet.study.given import keywords, takes
 from fleet.study.local_engine import engine_of
 from fleet.study.pictures.border import write_borders
-from fleet.study.plan import Plan, parse_seeds
-from fleet.study.spec import seeds_text
+from fleet.study.spec import BoundarySpec
 from fleet.study.store import Store
 from fleet.study.study import Study, new_directory
-from fleet.study.values import axis, values_text
 from world.plugins.trust import NOTHING, Trust
 
 
@@ -63,23 +59,18 @@ class Boundary:
         return write_borders(self._borders, theory(self._borders, trust))
 
 
+@takes(BoundarySpec)
 def boundary(
     scenario: str | Path,
     along: str,
     per: Mapping[str, str | Iterable[Any]] | None = None,
     *,
-    level: float = 0.5,
-    width: float = WIDTH,
-    seeds: int | Sequence[int] = SEEDS,
-    set: Changes = (),
-    net: Iterable[str] = (),
-    fault: Iterable[str] = (),
     out: str | Path | None = None,
     workers: int | None = None,
     scheduler: Any = None,
-    timeout_s: float = inf,
     trust: Trust = NOTHING,
     progress: Tell = lambda *_, **__: None,
+    **options: Any,
 ) -> Boundary:
     """Find where the pass rate of a scenario falls through a level.
 
@@ -87,27 +78,22 @@ def boundary(
         scenario: a shipped name or a file.
         along: what is varied to find the border, such as `network.links.*.loss=0 %..95 %`.
         per: of what else each combination has a border of its own: values by key, as `fleet.sweep` has them.
-        level: of the pass rate.
-        width: of an interval of 95 % that is narrow enough, as a share of the range.
-        seeds: how many runs a border gets at most, each with a seed of its own, or those seeds.
-        set, net, fault: what is changed for every run, as by the options; `{key}` stands for a varied value.
         out: the directory of the new study; None: one below `studies`.
         workers: processes of this machine; None: one per core.
         scheduler: of a Dask cluster that is there: an address or a cluster object; None: workers of this machine.
-        timeout_s: of wall time, for one run.
         trust: which modules may run that are neither installed nor the user's own.
         progress: called several times a second.
+        options: these.
 
     Raises:
         ScenarioError: with the mistakes of all points.
         StudyError: the study cannot be made or run.
+        TypeError: there is no such argument.
     """
     need_extra()
-    options = ((SET, override_texts(set)), (NET, net), (FAULT, fault))
-    changes = tuple(Override(option, text) for option, texts in options for text in texts)
-    axes = (*(axis(key, values_text(values)) for key, values in (per or {}).items()), parse_along(along, width))
-    plan = Plan(str(scenario), changes, axes, seeds=parse_seeds(seeds_text(seeds)))
-    store, modules = prepare_borders(plan, level, width, Path(out or new_directory(plan.scenario)), trust)
+    spec = BoundarySpec(**keywords(BoundarySpec, {"along": along, "per": per, **options}))
+    directory = new_directory(str(scenario)) if out is None else Path(out)
+    store, modules = prepare_borders(border_plan(str(scenario), spec), spec, directory, trust)
     with engine_of(workers, scheduler) as engine:
-        find_borders(Borders(store), engine, progress, modules=modules, timeout_s=timeout_s)
+        find_borders(Borders(store), engine, progress, modules=modules, timeout_s=spec.timeout_s)
     return Boundary(store)

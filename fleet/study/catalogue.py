@@ -6,19 +6,18 @@ studies.
 
 from __future__ import annotations
 
-from importlib import resources
 from math import prod
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from fleet.quantities import time_ns
+from fleet.scenario.text.shipped import ShippedFiles
 from fleet.scenario.text.yaml_reader import Source, plain, read
 from fleet.study.values import axis, values_text
 
-if TYPE_CHECKING:
-    from importlib.resources.abc import Traversable
+_FILES = ShippedFiles("fleet.study.shipped")
 
 
-class Listed(NamedTuple):
+class ListedStudy(NamedTuple):
     """One row of the list."""
 
     name: str
@@ -30,27 +29,23 @@ class Listed(NamedTuple):
 
 def shipped_studies() -> list[str]:
     """The names of the studies that come with the package."""
-    return sorted(entry.name.removesuffix(".yaml") for entry in _folder().iterdir() if entry.name.endswith(".yaml"))
+    return _FILES.names
 
 
 def study_text(name: str) -> str:
     """The text of a shipped study, with its comments."""
-    return (_folder() / f"{name}.yaml").read_text("utf-8")
+    return _FILES.text(name)
 
 
-def list_studies() -> list[Listed]:
+def list_studies() -> list[ListedStudy]:
     """Every study that ships, by name."""
     return [_listed(name) for name in shipped_studies()]
 
 
-def _listed(name: str) -> Listed:
+def _listed(name: str) -> ListedStudy:
     root, _ = read(Source(name, study_text(name)))
     assert root is not None, name
     study: dict[str, Any] = plain(root)["study"]
     axes = [axis(key, values_text(values)) for key, values in study["vary"].items()]
     runs = prod(len(axis.values) for axis in axes) * study["seeds"]
-    return Listed(name, study["title"], study["scenario"], runs, runs * time_ns(study["run_takes"]) / 1e9)
-
-
-def _folder() -> Traversable:
-    return resources.files("fleet.study.shipped")
+    return ListedStudy(name, study["title"], study["scenario"], runs, runs * time_ns(study["run_takes"]) / 1e9)

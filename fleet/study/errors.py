@@ -7,7 +7,3 @@ from fleet.errors import FleetError
 
 class StudyError(FleetError):
     """A study that cannot be made, run or read."""
-
-
-class ValuesError(StudyError):
-    """A text that is no values to vary a key over."""

@@ -12,7 +12,7 @@ from fleet.processes.workers import WorkerDied, WorkerLate, Workers
 from fleet.study.dask_engine import dask_engine
 from fleet.study.engine import LOST, Engine, Row, lost_row
 from fleet.study.modules import Modules
-from fleet.study.one_run import GRACE_S, Task, TimedOut, make_run
+from fleet.study.one_run import GRACE_S, Task, late, make_run
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ def _reason(task: Task, error: BaseException) -> str:
     """Why a run gave no row."""
     match error:
         case WorkerLate():
-            return str(TimedOut(task))
+            return str(late(task))
         case WorkerDied():
             return LOST
         case _:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import json
 import os
 import shutil
 import threading
@@ -18,13 +17,15 @@ from typing import Any, NamedTuple
 
 from fleet.cores import cores
 from fleet.errors import FleetError
-from fleet.execution.directory import LOG, RESULT, SCENARIO
+from fleet.execution.directory import LOG, SCENARIO
 from fleet.execution.judged import judged
-from fleet.execution.outcome import Result
 from fleet.recorder.log_file import LogFile
+from fleet.result.file import write_result
+from fleet.result.result import Result
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy
+from fleet.study.errors import StudyError
 from fleet.study.measures import MEASURES
 from fleet.study.modules import NO_MODULES, Modules, folder_of
 from fleet.study.signal_measures import Samples
@@ -50,11 +51,9 @@ class Task(NamedTuple):
     log: str = ""  # the run directory that is to be made; empty: none
 
 
-class TimedOut(FleetError):
-    """A run took too long."""
-
-    def __init__(self, task: Task) -> None:
-        super().__init__(f"took longer than {task.timeout_s:g} s")
+def late(task: Task) -> StudyError:
+    """The error of a run that takes too long."""
+    return StudyError(f"took longer than {task.timeout_s:g} s")
 
 
 class _AbandonedError(BaseException):
@@ -88,7 +87,7 @@ def make_run_in_time(task: Task) -> dict[str, Any]:
     thread.join(task.timeout_s + GRACE_S)
     if thread.is_alive():
         ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident or 0), ctypes.py_object(_AbandonedError))
-    return _whole(task, rows[0] if rows else _failed(TimedOut(task)))
+    return _whole(task, rows[0] if rows else _failed(late(task)))
 
 
 def _whole(task: Task, row: dict[str, Any]) -> dict[str, Any]:
@@ -101,7 +100,7 @@ def _made(task: Task) -> dict[str, Any]:
 
     def check(_: float) -> None:
         if time.monotonic() - began > task.timeout_s:
-            raise TimedOut(task)
+            raise late(task)
 
     try:
         scenario = scenario_of(task)
@@ -128,7 +127,7 @@ def _recorded(scenario: Scenario, directory: Path, check: Callable[[float], None
     try:
         (part / SCENARIO).write_text(scenario.to_yaml(), "utf-8")
         result = judged(scenario, check, samples, LogFile(part / LOG))
-        (part / RESULT).write_text(json.dumps(result.values, indent=2) + "\n", "utf-8")
+        write_result(result, part)
         shutil.rmtree(directory, ignore_errors=True)  # of a study that was killed before it had the row
         os.replace(part, directory)
     finally:
@@ -149,8 +148,7 @@ def failed_checks(row: Mapping[str, Any]) -> list[str]:
 
 
 def _measured(result: Result) -> dict[str, Any]:
-    values = result.values
-    row: dict[str, Any] = {"status": result.status.name.lower(), "reason": result.reason, "digest": result.digest}
+    row: dict[str, Any] = {"status": str(result.status), "reason": result.reason, "digest": result.digest}
     row["passed"] = result.passed
     for verdict in result.verdicts:  # of several of one check the worst, which are those that failed
         name = verdict.check
@@ -158,5 +156,5 @@ def _measured(result: Result) -> dict[str, Any]:
         if verdict.value is not None:
             row[f"value.{name}"] = max(row.get(f"value.{name}", verdict.value), verdict.value)
     for measure in MEASURES.values():
-        row[measure.name] = measure.of(values)
+        row[measure.name] = measure.of(result)
     return row

@@ -9,12 +9,12 @@ from dataclasses import dataclass, field
 from itertools import product
 from math import prod
 
-from fleet.scenario.text.overrides import SET, Override
+from fleet.scenario.text.overrides import FAULT, NET, SET, Override
 from fleet.scenario.trust import TYPED, OverrideOrigin
 from fleet.study.errors import StudyError
 from fleet.study.measures import STANDING
-from fleet.study.settings import LARGEST_SEED, MOST_ALLOWED, NOTHING_MORE, Settings
-from fleet.study.values import Axis, Value
+from fleet.study.spec import LARGEST_SEED, MOST_ALLOWED, BoundarySpec, StudySpec
+from fleet.study.values import Axis, AxisValue, axis
 
 MOST_RUNS = 10_000_000
 MOST_POINTS = 100_000  # which are one file, and are all checked before the first run
@@ -31,7 +31,7 @@ class Point:
     """One combination of values; its runs differ in their seeds only."""
 
     number: int  # from 0 on
-    values: Mapping[str, Value]  # by key of the axis
+    values: Mapping[str, AxisValue]  # by key of the axis
     changes: tuple[Override, ...]
 
     @property
@@ -52,7 +52,7 @@ class Plan:
         seeds: of the runs of each point; the same ones, so that points can be compared in pairs.
         draw: the seed of sampled axes.
         origin: where changes and axes come from, and so which laws they may name.
-        settings: what it wants besides.
+        most_seeds: that a point may have, if seeds are added; None: none is.
     """
 
     scenario: str
@@ -62,7 +62,7 @@ class Plan:
     seeds: tuple[int, ...] = (1,)
     draw: int = 1
     origin: OverrideOrigin = TYPED
-    settings: Settings = NOTHING_MORE
+    most_seeds: int | None = None
     points: tuple[Point, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -80,11 +80,10 @@ class Plan:
         if points > MOST_POINTS:
             raise StudyError(f"these are {points} points, and {MOST_POINTS} at most may be")
         seeds = len(self.seeds)
-        if self.settings.until is not None:
-            most = self.settings.most_seeds
-            if seeds > most:
-                raise StudyError(f"each point begins with {seeds} seeds, and {most} at most are allowed")
-            seeds = most
+        if self.most_seeds is not None:
+            if seeds > self.most_seeds:
+                raise StudyError(f"each point begins with {seeds} seeds, and {self.most_seeds} at most are allowed")
+            seeds = self.most_seeds
         if seeds > MOST_ALLOWED:
             raise StudyError(f"each point has {seeds} seeds, and {MOST_ALLOWED} at most may be")
         if points * seeds > MOST_RUNS:
@@ -101,10 +100,10 @@ class Plan:
             for point in self.points:
                 yield point, seed
 
-    def _combinations(self) -> Iterator[tuple[Value, ...]]:
+    def _combinations(self) -> Iterator[tuple[AxisValue, ...]]:
         sampled = [axis for axis in self.axes if axis.sampled]
         grid = [axis for axis in self.axes if not axis.sampled]
-        groups: list[list[dict[str, Value]]] = []
+        groups: list[list[dict[str, AxisValue]]] = []
         if sampled:
             groups.append(_drawn(sampled, self.draw))
         if self.zipped:
@@ -118,16 +117,20 @@ class Plan:
         else:
             groups += [[{axis.key: value} for value in axis.values] for axis in grid]
         for parts in product(*groups):
-            row: dict[str, Value] = {}
+            row: dict[str, AxisValue] = {}
             for part in parts:
                 row |= part
             yield tuple(row[axis.key] for axis in self.axes)
 
-    def _point(self, number: int, row: Sequence[Value]) -> Point:
+    def _point(self, number: int, row: Sequence[AxisValue]) -> Point:
         values = {axis.key: value for axis, value in zip(self.axes, row, strict=True)}
         names = self._names()
         filled = [Override(change.option, _fill(change.text, values)) for change in self.changes]
-        keys = [Override(SET, f"{key}={value.text}") for key, value in values.items() if key not in names]
+        keys = [
+            Override(SET, f"{axis.key}={value.text}", f"{axis.option} {axis.key}={value.text}")
+            for axis, value in zip(self.axes, row, strict=True)
+            if axis.key not in names
+        ]
         return Point(number, values, (*filled, *keys))
 
     def _names(self) -> set[str]:
@@ -141,6 +144,26 @@ class Plan:
                     raise StudyError(
                         f"{change.name}: {{{name}}} stands for the value of --vary {name}=..., which is not there"
                     )
+
+
+def plan_of(spec: StudySpec, origin: OverrideOrigin = TYPED) -> Plan:
+    """What a study runs.
+
+    Args:
+        origin: where it comes from.
+
+    Raises:
+        StudyError: the values are none, or do not fit together.
+    """
+    axes = tuple(axis(key, text) for key, text in spec.vary.items())
+    most_seeds = spec.most_seeds if spec.until else None
+    return Plan(spec.scenario, changes_of(spec), axes, spec.zip, parse_seeds(spec.seeds), spec.draw, origin, most_seeds)
+
+
+def changes_of(spec: StudySpec | BoundarySpec) -> tuple[Override, ...]:
+    """What is changed for every run."""
+    keys = (Override(SET, f"{key}={text}") for key, text in spec.set.items())
+    return (*keys, *(Override(NET, text) for text in spec.net), *(Override(FAULT, text) for text in spec.fault))
 
 
 def run_key(text: str) -> str:
@@ -170,7 +193,7 @@ def parse_seeds(text: str) -> tuple[int, ...]:
     return tuple(seeds)
 
 
-def _fill(text: str, values: Mapping[str, Value]) -> str:
+def _fill(text: str, values: Mapping[str, AxisValue]) -> str:
     return _NAME.sub(lambda match: values[match[1]].text, text)
 
 
@@ -181,7 +204,7 @@ def _check_lengths(axes: Sequence[Axis]) -> None:
         raise StudyError(f"zipped keys need as many values as each other: {listed}")
 
 
-def _drawn(axes: Sequence[Axis], seed: int) -> list[dict[str, Value]]:
+def _drawn(axes: Sequence[Axis], seed: int) -> list[dict[str, AxisValue]]:
     """Samples of all sampled axes together: each is one value of each axis. What is the same after rounding is one."""
     from scipy.stats import qmc
 

@@ -58,7 +58,7 @@ class Belief(NamedTuple):
     above: float
 
 
-class Curve:
+class PsychometricCurve:
     """Candidates for runs, and how each answer there depends on the border, and on the curve's scale and ends."""
 
     def __init__(self, positions: Sequence[float], level: float = 0.5) -> None:
@@ -120,7 +120,7 @@ class Curve:
 class Walk:
     """Where the runs of a border are made, one batch after the other, until enough is known."""
 
-    def __init__(self, curve: Curve, width: float) -> None:
+    def __init__(self, curve: PsychometricCurve, width: float) -> None:
         """Begin with both ends and two places between.
 
         Args:

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 import msgspec
+from msgspec import Meta
 
 from fleet.errors import printable
 from fleet.quantities import QuantityError
 from fleet.study.errors import StudyError
-from fleet.study.measures import Column
-from fleet.study.settings import MOST_ALLOWED, Settings
-from fleet.study.spec import StudySpec
+from fleet.study.measures import MeasureColumn
+from fleet.study.spec import MOST_ALLOWED, BoundarySpec, KeepLogs, StudySpec, texts
 from fleet.study.values import Axis
 from netem.whole_file import read_file, write_whole
 
-VERSION = 2
+VERSION = 3
+_WITH_SETTINGS = 2  # the version before
 NAME = "study.json"
 _MOST_BYTES = 32_000_000  # a million seeds
 _MOST_NAMES = 1000  # axes, checks or columns
@@ -28,19 +30,26 @@ class AxisRecord(msgspec.Struct):
     unit: str | None
 
 
-class BorderRecord(msgspec.Struct):
-    """What a study of a border looks for: where the pass rate falls through a level along its last axis."""
+class BorderRecord(BoundarySpec, frozen=True, kw_only=True):
+    """What a study of a border looks for, as people write it, along its last axis."""
 
-    level: float
-    width: float  # of an interval that is narrow enough, as a share of the range
     log: bool  # whether equal ratios are equally far apart
+
+
+class OldSettings(msgspec.Struct, frozen=True):
+    """What version 2 had beside the spec."""
+
+    measures: tuple[str, ...] = ()
+    until: str | None = None
+    most_seeds: Annotated[int, Meta(ge=1, le=MOST_ALLOWED)] = 1000
+    keep_logs: KeepLogs = "none"
 
 
 class _Version(msgspec.Struct):
     version: int
 
 
-class StudyRecord(msgspec.Struct):
+class StudyRecord(msgspec.Struct, omit_defaults=True):
     """study.json."""
 
     version: int
@@ -49,12 +58,21 @@ class StudyRecord(msgspec.Struct):
     axes: list[AxisRecord]
     seeds: list[int]  # of every point; the first ones, if seeds are added
     checks: list[str]  # of the scenario, by name
-    columns: list[Column]  # of measures
-    settings: Settings
+    columns: list[MeasureColumn]  # of measures
     made_by: str  # the version of the package
+    measures: tuple[str, ...] = ()  # that the table shows, as columns are named
     folder: str | None = None  # of the scenario's file: where laws are looked for, which need trust all the same
     spec: StudySpec | None = None  # as people write it; older versions of fleet did not keep it
     border: BorderRecord | None = None  # of `fleet boundary`: not every point is run with every seed
+    settings: OldSettings | None = None  # of version 2 only
+
+    @property
+    def rules(self) -> StudySpec:
+        """The spec; of a study without one as much of it as is known."""
+        if self.spec is not None or self.settings is None:
+            return self.spec or StudySpec(self.scenario)
+        old = self.settings
+        return StudySpec(self.scenario, until=old.until or "", most_seeds=old.most_seeds, keep_logs=old.keep_logs)
 
 
 def write_record(directory: Path, record: StudyRecord) -> None:
@@ -71,11 +89,13 @@ def read_record(directory: Path) -> StudyRecord:
     file = directory / NAME
     try:
         data = read_file(file, _MOST_BYTES)
-        if (found := msgspec.json.decode(data, type=_Version).version) != VERSION:
-            raise StudyError(f"{directory}: a study of version {found}; this fleet reads version {VERSION}")
+        if (found := msgspec.json.decode(data, type=_Version).version) not in (_WITH_SETTINGS, VERSION):
+            known = f"versions {_WITH_SETTINGS} and {VERSION}"
+            raise StudyError(f"{directory}: a study of version {found}; this fleet reads {known}")
         record = msgspec.json.decode(data, type=StudyRecord)
-        if record.spec is not None:
-            _ = record.spec.timeout_s, record.spec.budget_s
+        if record.settings is not None:
+            record.measures = record.settings.measures
+        _ = record.rules.timeout_s, record.rules.budget_s, record.border and record.border.timeout_s
     except FileNotFoundError:
         raise StudyError(f"{directory} is no study: it has no {NAME}") from None
     except OSError as error:
@@ -87,17 +107,17 @@ def read_record(directory: Path) -> StudyRecord:
             raise StudyError(f"{file} has {len(names)} {what}, and {_MOST_NAMES} at most may be")
     if len(record.seeds) > MOST_ALLOWED:
         raise StudyError(f"{file} has {len(record.seeds)} seeds, and {MOST_ALLOWED} at most may be")
-    texts = [
+    every = [
         record.scenario,
         record.command,
         *record.checks,
-        *(() if record.spec is None else record.spec.texts()),
+        *texts(record.rules),
+        *(() if record.border is None else texts(record.border)),
         *(text for column in record.columns for text in (column.name, column.unit)),
-        *record.settings.measures,
-        record.settings.until or "",
+        *record.measures,
         *(text for axis in record.axes for text in (axis.key, axis.unit or "")),
     ]
-    if any(printable(text) != text for text in texts):  # a study may come from anybody, and is shown on a terminal
+    if any(printable(text) != text for text in every):  # a study may come from anybody, and is shown on a terminal
         raise StudyError(f"{file} is damaged: a text in it has control characters")
     return record
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import count
 from math import inf
 
 from fleet.execution.external_agents import refuse
@@ -19,7 +20,7 @@ from fleet.study.errors import StudyError
 from fleet.study.modules import NO_MODULES, Modules
 from fleet.study.one_run import JUDGED, Task, failed_checks, scenario_of
 from fleet.study.plan import run_key
-from fleet.study.settings import LARGEST_SEED
+from fleet.study.spec import LARGEST_SEED
 from fleet.study.statistics import most_failures
 
 # Each lasts half of a tenth of the run; the last is over after three quarters of it, so that time to recover is left.
@@ -93,36 +94,24 @@ def search(
     refuse(scenario, "a run of a study")
     if scenario.undrawn.nemesis is None:
         raise StudyError(f"{scenario.name} has no nemesis that another seed would change: --nemesis adds one")
-    text = scenario.to_undrawn_yaml()
     found = Searched(scenario.name, scenario.seed)
     failing: dict[int, str] = {}  # check by seed
-    until = time.monotonic() + budget_s
-
-    def tasks() -> Iterator[Task]:
-        seed = found.first_seed
-        while not failing and seed <= LARGEST_SEED and seed - found.first_seed < most_runs:
-            if time.monotonic() > until:
-                return
-            yield task(seed)
-            seed += 1
+    text, until = scenario.to_undrawn_yaml(), time.monotonic() + budget_s
 
     def task(seed: int) -> Task:
         return Task(run_key(f"{text}\nseed {seed}"), 0, seed, scenario.name, text, inf, modules)
 
+    def tasks() -> Iterator[Task]:
+        for seed in count(found.first_seed):
+            over = seed > LARGEST_SEED or seed - found.first_seed >= most_runs or time.monotonic() > until
+            if failing or over:
+                return
+            yield task(seed)
+
     def take(rows: list[Row]) -> None:
         for row in rows:
-            if row["status"] not in JUDGED:
-                found.without += 1
-                found.reason = found.reason or row["reason"]
-                continue
-            found.runs += 1
-            failed = failed_checks(row)
-            if check is not None:
-                if f"check.{check}" not in row:
-                    raise StudyError(f"{scenario.name} has no check {check}")
-                failed = [check] if check in failed else []
-            if failed:
-                failing[row["seed"]] = failed[0]
+            if failed := _failed(found, row, check):
+                failing[row["seed"]] = failed
         tell(found.runs + found.without)
 
     engine.make(tasks(), take, lambda: tell(found.runs + found.without))
@@ -131,3 +120,25 @@ def search(
         found.check = failing[found.seed]
         found.scenario = scenario_of(task(found.seed))
     return found
+
+
+def _failed(found: Searched, row: Row, check: str | None) -> str:
+    """Count a run; returns the check that it fails, or an empty text.
+
+    Args:
+        check: which must fail; None: any.
+
+    Raises:
+        StudyError: the scenario does not have this check.
+    """
+    if row["status"] not in JUDGED:
+        found.without += 1
+        found.reason = found.reason or row["reason"]
+        return ""
+    found.runs += 1
+    failed = failed_checks(row)
+    if check is None:
+        return failed[0] if failed else ""
+    if f"check.{check}" not in row:
+        raise StudyError(f"{found.name} has no check {check}")
+    return check if check in failed else ""

@@ -24,7 +24,7 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.checked_signals import checked_signals
 from fleet.scenario.sections.signals import SIGNAL, SignalError, SignalName, places, read_name, unit_of
 from fleet.study.errors import StudyError
-from fleet.study.measures import MORE_IS_BETTER, SEPARATION, STANDING, Column
+from fleet.study.measures import MORE_IS_BETTER, SEPARATION, STANDING, MeasureColumn
 from netem.parsing import nearest
 from netem.wire.messages import Command, Frame
 
@@ -91,7 +91,7 @@ def parse_signal(text: str) -> SignalMeasure:
     return SignalMeasure(how, read_name(found), max(0, after_ns))
 
 
-def signal_columns_of(texts: Iterable[str], scenarios: Sequence[Scenario]) -> list[Column]:
+def signal_columns_of(texts: Iterable[str], scenarios: Sequence[Scenario]) -> list[MeasureColumn]:
     """The column of each measure of a signal: its name and unit.
 
     Args:
@@ -139,7 +139,7 @@ def check_name(name: str) -> None:
         find_columns([name])
 
 
-def find_columns(names: Iterable[str], columns: Iterable[Column] = STANDING) -> list[Column]:
+def find_columns(names: Iterable[str], columns: Iterable[MeasureColumn] = STANDING) -> list[MeasureColumn]:
     """The columns of the measures of these names.
 
     Args:
@@ -162,7 +162,7 @@ def find_columns(names: Iterable[str], columns: Iterable[Column] = STANDING) -> 
     return found
 
 
-def _column(measure: SignalMeasure, scenarios: Sequence[Scenario]) -> Column:
+def _column(measure: SignalMeasure, scenarios: Sequence[Scenario]) -> MeasureColumn:
     most = max(scenario.vehicles for scenario in scenarios)
     if measure.signal.vehicle is not None and measure.signal.vehicle > most:
         raise StudyError(f'"{measure}": there is no vehicle {measure.signal.vehicle}; they are 1 to {most}')
@@ -172,7 +172,7 @@ def _column(measure: SignalMeasure, scenarios: Sequence[Scenario]) -> Column:
         unit = unit_of(measure.signal, some)
     except SignalError as error:
         raise StudyError(f'"{measure}": {error}') from None
-    return Column(str(measure), "" if unit == "1" else unit)
+    return MeasureColumn(str(measure), "" if unit == "1" else unit)
 
 
 def _vehicles(measure: SignalMeasure, scenario: Scenario) -> range:

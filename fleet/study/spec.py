@@ -1,207 +1,209 @@
-"""What a study is, as people write it: the keys of a study file, which are the options of `fleet sweep`."""
+"""The specs of studies, as people write them. Each option is declared here, once.
+
+A field of `StudySpec` is an option of `fleet sweep`, a keyword of `fleet.sweep`, a key in the file of a study, and a
+key in study.json. One of `BoundarySpec` is an option of `fleet boundary`, a keyword of `fleet.boundary`, and a key in
+study.json. All of them follow from the field: from its name, its type, its default and the `Option` beside it.
+
+`fleet.study.given` reads what is given for a field. This module imports little, because `fleet sweep --help` waits for
+it.
+"""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from enum import Enum
 from math import inf
-from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 import msgspec
+from msgspec import NODEFAULT, Meta
 
-from fleet.quantities import time_ns
-from fleet.scenario.catalogue import shipped_scenarios
-from fleet.scenario.text.overrides import FAULT, NET, SET, Override
-from fleet.scenario.text.plain_yaml import inline, yaml_text
-from fleet.scenario.text.yaml_reader import Items, Source, plain, read
-from fleet.scenario.text.yaml_reader import Mapping as Tree
-from fleet.scenario.trust import TYPED, OverrideOrigin
-from fleet.study.errors import StudyError
-from fleet.study.plan import Plan, parse_seeds
-from fleet.study.settings import MOST_SEEDS, KeepLogs, Settings
-from fleet.study.values import axis, parse_axis
+KeepLogs = Literal["none", "failed", "all"]
+MOST_ALLOWED = 1_000_000  # seeds of a point
+LARGEST_SEED = 2**63 - 1
 
-_NESTED = re.compile(r"\s*[\[{]")
+
+class Kind(Enum):
+    """The kinds of texts, which `fleet.study.given` checks. The value of a kind stands for the text in `--help`."""
+
+    TEXT = None
+    SCENARIO = "SCENARIO"
+    TIME = "TIME"  # a script gives seconds
+    SEEDS = "SEEDS"
+    VALUES = "KEY=VALUES"
+    ALONG = "KEY=LOW..HIGH"
+    VALUE = "KEY=VALUE"
+    MEASURE = "NAME"
+    UNTIL = "'pass ±5 %'"
+
+
+class Option(NamedTuple):
+    """The words about a field, and its names.
+
+    Attributes:
+        help: as `--help` and Python's `help` have it.
+        metavar: stands for the value in `--help`, if its kind says nothing.
+        flag: on the command line, where it is not `--` and the name of the field; None: a file alone has it.
+        keyword: in Python, where it is not the name of the field.
+        later: whether it may be given anew when a study goes on.
+    """
+
+    help: str
+    metavar: str | None = None
+    flag: str | None = ""
+    keyword: str = ""
+    later: bool = False
+
+
+Time = Annotated[str, Kind.TIME]
+Seeds = Annotated[str, Kind.SEEDS]
+Values = Annotated[dict[str, str], Kind.VALUES]
+Set = Annotated[dict[str, str], Kind.VALUE, Option("What is changed in every run; {key} stands for what varies.")]
+Net = Annotated[list[str], Option("Conditions of links in every run; {key} stands for what varies.")]
+Fault = Annotated[list[str], Option("Faults of every run; {key} stands for what varies.")]
+Timeout = Annotated[Time, Option("Wall time that one run may take, e.g. '5 min'.", later=True)]
 
 
 class StudySpec(msgspec.Struct, frozen=True, omit_defaults=True):
-    """The keys of a study file. Values are texts, as on the command line.
+    """A study of `fleet sweep`. Values are texts, as on the command line."""
 
-    Attributes:
-        scenario: a shipped name or a file.
-        title: what it asks.
-        run_takes: time that one run takes a core, roughly.
-        vary: VALUES by key.
-        zip: whether values go together, first with first.
-        seeds: how many, or which.
-        draw: the seed of values that are drawn.
-        set: values by key, as for `--set`.
-        net, fault: as the options.
-        measures: what the table shows.
-        until: seeds are added to each point until this holds; empty: none is added.
-        most_seeds: of a point, if seeds are added.
-        keep_logs: which logs are kept: none, those of runs that failed, or all.
-        timeout: wall time that one run may take; empty: any.
-        budget: wall time after which no run is made any more; empty: none.
-    """
+    scenario: Annotated[str, Kind.SCENARIO, Option("A shipped name or a file.", flag=None)]
+    title: Annotated[str, Option("What the study asks.", flag=None)] = ""
+    run_takes: Annotated[Time, Option("Time that one run takes a core, roughly.", flag=None)] = ""
+    vary: Annotated[Values, Option("What varies over which values; repeatable.")] = {}
+    zip: Annotated[bool, Option("Values go together, first with first; else each with each.", keyword="zipped")] = False
+    seeds: Annotated[Seeds, Option("How many runs each point has, or their seeds: 20, 5..24 or 3,7,9.")] = "10"
+    draw: Annotated[int, Meta(ge=0), Option("Seed of values that are drawn.")] = 1
+    set: Set = {}
+    net: Net = []
+    fault: Fault = []
+    measures: Annotated[list[str], Kind.MEASURE, Option(
+        "What the table shows; repeatable. An unknown name lists all that are measured; 'p95 |error.e|' and the like "
+        "measure a signal.", flag="--measure", later=True)] = []  # fmt: skip
+    until: Annotated[str, Kind.UNTIL, Option(
+        "Add seeds to each point until half its interval is no wider, e.g. 'e_rms_m ±10 %'.")] = ""  # fmt: skip
+    most_seeds: Annotated[int, Meta(ge=1, le=MOST_ALLOWED), Option(
+        "How many a point may have with --until.", "N")] = 1000  # fmt: skip
+    keep_logs: Annotated[KeepLogs, Option(
+        "Keep the logs of runs that failed, or of all, below the study.", later=True)] = "none"  # fmt: skip
+    timeout: Timeout = ""
+    budget: Annotated[Time, Option(
+        "Wall time after which no run is made any more, e.g. '10 min'.", later=True)] = ""  # fmt: skip
 
-    scenario: str
-    title: str = ""
-    run_takes: str = ""
-    vary: dict[str, str] = {}
-    zip: bool = False
-    seeds: str = "10"
-    draw: int = 1
-    set: dict[str, str] = {}
-    net: list[str] = []
-    fault: list[str] = []
-    measures: list[str] = []
-    until: str = ""
-    most_seeds: int = MOST_SEEDS
-    keep_logs: KeepLogs = "none"
-    timeout: str = ""
-    budget: str = ""
-
-    def changed(
-        self,
-        *,
-        vary: Mapping[str, str] = {},
-        set: Mapping[str, str] = {},
-        net: Iterable[str] = (),
-        fault: Iterable[str] = (),
-        zip: bool = False,
-        **given: Any,
-    ) -> StudySpec:
+    def changed(self, **given: Any) -> StudySpec:
         """The study with options added.
 
-        A key that an option sets or varies is no longer what the file said of it; conditions of links and faults come
-        behind those of the file.
-
-        Args:
-            given: other keys, in place of those of the file; None: not given.
+        A key that an option sets or varies is no longer what the file said of it. Conditions of links and faults come
+        behind those of the file, values go together if either says so, and other keys take the place of the file's.
         """
-        kept = {key: text for key, text in self.vary.items() if key not in set or key in vary}
-        still = {key: text for key, text in self.set.items() if key not in set and key not in vary}
-        return msgspec.structs.replace(
-            self,
-            vary=kept | dict(vary),
-            set=still | dict(set),
-            net=[*self.net, *net],
-            fault=[*self.fault, *fault],
-            zip=self.zip or zip,
-            **{key: value for key, value in given.items() if value is not None},
-        )
-
-    def plan(self, origin: OverrideOrigin = TYPED) -> Plan:
-        """What it runs.
-
-        Args:
-            origin: where it comes from.
-
-        Raises:
-            StudyError: the values are none, or do not fit together.
-        """
-        changes = [Override(SET, f"{key}={text}") for key, text in self.set.items()]
-        changes += [Override(NET, text) for text in self.net] + [Override(FAULT, text) for text in self.fault]
-        axes = tuple(axis(key, text) for key, text in self.vary.items())
-        return Plan(
-            self.scenario, tuple(changes), axes, self.zip, parse_seeds(self.seeds), self.draw, origin, self.settings
-        )
-
-    def texts(self) -> Iterator[str]:
-        """Every text in it."""
-        yield from (self.scenario, self.title, self.run_takes, self.seeds, self.until, self.timeout, self.budget)
-        yield from (*self.vary, *self.vary.values(), *self.set, *self.set.values())
-        yield from (*self.net, *self.fault, *self.measures)
+        vary, set = given.get("vary", {}), given.get("set", {})
+        together = {
+            "vary": {key: text for key, text in self.vary.items() if key not in set or key in vary} | vary,
+            "set": {key: text for key, text in self.set.items() if key not in set and key not in vary} | set,
+            "net": [*self.net, *given.get("net", ())],
+            "fault": [*self.fault, *given.get("fault", ())],
+            "zip": self.zip or given.get("zip", False),
+        }
+        return msgspec.structs.replace(self, **given | together)
 
     @property
     def timeout_s(self) -> float:
         """Wall time that one run may take [s]."""
-        return time_ns(self.timeout) / 1e9 if self.timeout else inf
+        return seconds(self.timeout)
 
     @property
     def budget_s(self) -> float:
         """Wall time after which no run is made any more [s]."""
-        return time_ns(self.budget) / 1e9 if self.budget else inf
+        return seconds(self.budget)
+
+
+class BoundarySpec(msgspec.Struct, frozen=True, kw_only=True):
+    """A study of `fleet boundary`: where the pass rate falls through a level."""
+
+    along: Annotated[str, Kind.ALONG, Option("Along what the border is looked for.")] = ""
+    per: Annotated[Values, Option("One border for each of these values; repeatable.")] = {}
+    level: Annotated[float, Option("The pass rate at the border.", "RATE")] = 0.5
+    width: Annotated[float, Option(
+        "How wide the interval of a border may stay, as a share of the range.", "SHARE")] = 0.1  # fmt: skip
+    seeds: Annotated[Seeds, Option(
+        "How many runs a border gets at most, each with its own seed, or those seeds.")] = "60"  # fmt: skip
+    set: Set = {}
+    net: Net = []
+    fault: Fault = []
+    timeout: Timeout = ""
 
     @property
-    def settings(self) -> Settings:
-        """What it wants besides its runs."""
-        return Settings(
-            measures=tuple(self.measures),
-            until=self.until or None,
-            most_seeds=self.most_seeds,
-            keep_logs=self.keep_logs,
-        )
-
-    def placed(self) -> StudySpec:
-        """The same, with the whole path of the scenario's file, so that it holds in every directory."""
-        if not is_file(self.scenario):
-            return self
-        return msgspec.structs.replace(self, scenario=str(Path(self.scenario).resolve()))
-
-    def to_yaml(self) -> str:
-        """The text of the study as a file, which may stand anywhere on this machine."""
-        values = msgspec.to_builtins(self.placed())
-        values["seeds"] = int(self.seeds) if self.seeds.isdecimal() else self.seeds
-        if self.set:
-            values["set"] = {key: _nested(text) for key, text in self.set.items()}
-        for key in ("net", "fault"):
-            if len(values.get(key, ())) == 1:
-                (values[key],) = values[key]
-        return yaml_text({"study": {key: values[key] for key in self.__struct_fields__ if key in values}})
+    def timeout_s(self) -> float:
+        """Wall time that one run may take [s]."""
+        return seconds(self.timeout)
 
 
-def is_file(scenario: str, folder: Path = Path()) -> bool:
-    """Whether the name of a scenario means a file in this folder rather than one that ships."""
-    if scenario in shipped_scenarios():
-        return False
-    return bool(Path(scenario).suffix) or "/" in scenario or (folder / scenario).exists()
+Spec = type[StudySpec] | type[BoundarySpec]
 
 
-def set_values(texts: Iterable[str]) -> dict[str, str]:
-    """The values of several `--set KEY=VALUE` by key, of a key the last.
+class SpecField(NamedTuple):
+    """A field of a spec, as its readers need it.
 
-    Raises:
-        StudyError: one has no key.
+    Attributes:
+        shape: `dict`: texts by key; `list`: several texts; else the type of its one value, or Literal.
+        kind: of its texts.
+        default: None: it has to be given.
+        limits: the least and the largest number; None: there is none.
+        words: of a Literal.
     """
-    values: dict[str, str] = {}
-    for text in texts:
-        key, equals, value = text.partition("=")
-        if not equals or not key.strip():
-            raise StudyError(f"--set {text[:80]}: expected KEY=VALUE such as 'duration=20 s'")
-        values.pop(key, None)
-        values[key] = value
-    return values
+
+    name: str
+    shape: Any
+    kind: Kind
+    default: Any
+    option: Option
+    limits: tuple[int | None, int | None]
+    words: tuple[str, ...]
+
+    @property
+    def flag(self) -> str | None:
+        """The option on the command line; None: a file alone has it."""
+        return f"--{self.name.replace('_', '-')}" if self.option.flag == "" else self.option.flag
+
+    @property
+    def keyword(self) -> str:
+        """In Python; of a time with its unit."""
+        return self.option.keyword or (f"{self.name}_s" if self.kind is Kind.TIME else self.name)
 
 
-def varied(texts: Iterable[str]) -> dict[str, str]:
-    """The VALUES of several `--vary KEY=VALUES` by key.
-
-    Raises:
-        StudyError: one has no key or no values, or a key is there twice.
-    """
-    found: dict[str, str] = {}
-    for text in texts:
-        key = parse_axis(text).key
-        if key in found:
-            raise StudyError(f"{key} is varied twice: give all its values at once")
-        found[key] = text.partition("=")[2].strip()
+def fields(spec: Spec) -> dict[str, SpecField]:
+    """The fields of a spec by name, in their order."""
+    hints, found = get_type_hints(spec, include_extras=True), {}
+    for name, default in ((each.name, _default(each)) for each in msgspec.structs.fields(spec)):
+        what, *about = get_args(hints[name])
+        kind = next((each for each in about if isinstance(each, Kind)), Kind.TEXT)
+        option = next(each for each in about if isinstance(each, Option))
+        limits: Any = next(((each.ge, each.le) for each in about if isinstance(each, Meta)), (None, None))
+        words = get_args(what) if get_origin(what) is Literal else ()
+        found[name] = SpecField(name, get_origin(what) or what, kind, default, option, limits, words)
     return found
 
 
-def seeds_text(seeds: int | Sequence[int]) -> str:
-    """The text of how many seeds there are, or which."""
-    if isinstance(seeds, int):
-        return str(seeds)
-    return ",".join(map(str, [*seeds, *seeds[:1]]))  # one alone would be how many
+def _default(field: msgspec.structs.FieldInfo) -> Any:
+    made = field.default if field.default_factory is NODEFAULT else field.default_factory()
+    return None if made is NODEFAULT else made
 
 
-def _nested(text: str) -> Any:
-    """A mapping or list where the text is exactly that, so that reading the file gives the same text again."""
-    if _NESTED.match(text):
-        node, problems = read(Source("", text))
-        if not problems and isinstance(node, Tree | Items) and inline(plain(node)) == text:
-            return plain(node)
-    return text
+def texts(spec: msgspec.Struct) -> list[str]:
+    """Every text in a spec."""
+    found: list[str] = []
+    for value in msgspec.structs.asdict(spec).values():
+        match value:
+            case str():
+                found.append(value)
+            case list():
+                found += value
+            case dict():
+                found += [*value, *value.values()]
+    return found
+
+
+def seconds(text: str) -> float:
+    """A time of a spec [s]; inf: there is none."""
+    from fleet.quantities import time_ns
+
+    return time_ns(text) / 1e9 if text else inf

@@ -37,7 +37,7 @@ class Estimate(NamedTuple):
         return (self.high - self.low) / 2
 
 
-class Comparison(NamedTuple):
+class PairedComparison(NamedTuple):
     """A second series against a first one, run by run with the same seed."""
 
     difference: Estimate  # the median of second - first
@@ -81,7 +81,8 @@ def median(values: Sequence[float], confidence: float = CONFIDENCE) -> Estimate:
     if runs == 0:
         return Estimate(nan, nan, nan, 0)
     below, above = (float(there[place]) for place in ((runs - 1) // 2, runs // 2))
-    middle = below if below == above else 0.5 * below + 0.5 * above  # two infinite ones, and no overflow
+    # Two infinite ones of one sign stay what they are, those of two signs are even, and nothing overflows.
+    middle = below if below == above else 0.0 if below == -above else 0.5 * below + 0.5 * above
     k, level = _ranks(runs, confidence)
     if k == 0:
         return Estimate(middle, nan, nan, runs)
@@ -106,7 +107,7 @@ def levels(estimates: Iterable[Estimate]) -> str:
     return f"{found[0]} to {found[-1]} %" if len(found) > 1 else f"{found[0]} %" if found else ""
 
 
-def compare(first: Sequence[float], second: Sequence[float], confidence: float = CONFIDENCE) -> Comparison:
+def compare(first: Sequence[float], second: Sequence[float], confidence: float = CONFIDENCE) -> PairedComparison:
     """Compare two series of the same length, each pair with the same seed; pairs with NaN are left out.
 
     What is infinite in both is a tie; in one, the largest of differences. With fewer than six pairs that differ no
@@ -115,7 +116,9 @@ def compare(first: Sequence[float], second: Sequence[float], confidence: float =
     pairs = [(a, b) for a, b in zip(first, second, strict=True) if not (isnan(a) or isnan(b))]
     differences = np.array([0.0 if a == b else b - a for a, b in pairs])
     if len(pairs) == 0:
-        return Comparison(Estimate(nan, nan, nan, 0), nan, nan, "there is no pair of runs that both have the number")
+        return PairedComparison(
+            Estimate(nan, nan, nan, 0), nan, nan, "there is no pair of runs that both have the number"
+        )
     differ = int(np.count_nonzero(differences))
     better = float(np.mean((differences < 0) + 0.5 * (differences == 0)))
     p, note = nan, f"{differ} of {len(pairs)} pairs differ: fewer than {LEAST} cannot show a difference (p < 0.05)"
@@ -123,4 +126,4 @@ def compare(first: Sequence[float], second: Sequence[float], confidence: float =
         from scipy.stats import wilcoxon
 
         p, note = float(wilcoxon(np.clip(differences, -_HUGE, _HUGE)).pvalue), ""
-    return Comparison(median(differences.tolist(), confidence), better, p, note)
+    return PairedComparison(median(differences.tolist(), confidence), better, p, note)

@@ -14,7 +14,7 @@ from itertools import count, islice
 from typing import Any, NamedTuple
 
 from fleet.study.errors import StudyError
-from fleet.study.measures import STANDING, Column
+from fleet.study.measures import STANDING, MeasureColumn
 from fleet.study.one_run import FAILED
 from fleet.study.signal_measures import LONGEST_TEXT, find_columns, is_signal, parse_signal
 from fleet.study.statistics import Estimate, median, pass_rate
@@ -37,7 +37,7 @@ class Rule(NamedTuple):
     """
 
     text: str
-    column: Column | None
+    column: MeasureColumn | None
     margin: float
     relative: bool
 
@@ -65,7 +65,7 @@ def watched_by(text: str) -> list[str]:
     return [] if what in _PASS else [what]
 
 
-def parse_until(text: str, columns: Sequence[Column]) -> Rule:
+def parse_until(text: str, columns: Sequence[MeasureColumn]) -> Rule:
     """`pass ±5 %`, `e_rms_m ±0.05 m`, `e_rms_m ±10 %`; `+-` is the same as `±`.
 
     Args:
@@ -91,7 +91,7 @@ def parse_until(text: str, columns: Sequence[Column]) -> Rule:
 def check_until(text: str) -> None:
     """Raises StudyError: no study can have this rule."""
     unit = _parts(text)["unit"] or ""
-    signals = [Column(str(parse_signal(name)), unit) for name in watched_by(text) if is_signal(name)]
+    signals = [MeasureColumn(str(parse_signal(name)), unit) for name in watched_by(text) if is_signal(name)]
     parse_until(text, [*STANDING, *signals])
 
 

@@ -25,14 +25,14 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from fleet.errors import printable
-from fleet.execution.outcome import Status
+from fleet.result.result import Status
 from fleet.study.errors import StudyError
 from fleet.study.one_run import FAILED
 from fleet.study.parquet_file import MOST_BYTES, TEXT, read_table, write_table
 from fleet.study.record import NAME, AxisRecord, StudyRecord, read_record, write_record
-from fleet.study.settings import LARGEST_SEED
+from fleet.study.spec import LARGEST_SEED
 from fleet.study.stopping import Rule, parse_until, seed_sequence, seeds_needed
-from fleet.study.values import Value
+from fleet.study.values import AxisValue
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -42,7 +42,7 @@ _PART = re.compile(r"part-([0-9]{6,9})\.parquet")
 _MOST_PARTS = 100_000  # one is written every ten seconds: eleven days
 _MOST_BYTES = 1_000_000_000  # of all rows in memory: 1.4 million runs with all columns, more where some are read
 _CHECKED = ("point", "seed", "status")  # in each reading
-_STATUSES = (FAILED, *(status.name.lower() for status in Status))
+_STATUSES = (FAILED, *Status)
 _TEXT, _BOOL, _NUMBER, _WHOLE = TEXT, pa.bool_(), pa.float64(), pa.int64()
 
 
@@ -94,7 +94,7 @@ class Store:
         seeds = record.seeds
         if not seeds or len(set(seeds)) < len(seeds) or not 0 <= min(seeds) <= max(seeds) <= LARGEST_SEED:
             raise StudyError(f"{directory / NAME} is damaged: its seeds")
-        if store.rule and len(seeds) > record.settings.most_seeds:
+        if store.rule and len(seeds) > record.rules.most_seeds:
             raise StudyError(f"{directory / NAME} is damaged: its seeds are too many")
         names = Counter([*store.schema.names, "scenario"])  # which is a column of the points
         if twice := next((name for name, count in names.items() if count > 1), None):
@@ -162,14 +162,14 @@ class Store:
     @property
     def rule(self) -> Rule | None:
         """When a point has enough seeds; None: no seed is added. Raises StudyError."""
-        until = self.record.settings.until
-        return None if until is None else parse_until(until, self.record.columns)
+        until = self.record.rules.until
+        return parse_until(until, self.record.columns) if until else None
 
     @property
     def seeds(self) -> list[int]:
         """All seeds that a point may have, in the order in which it gets them."""
-        first, settings = self.record.seeds, self.record.settings
-        return list(first) if settings.until is None else seed_sequence(first, settings.most_seeds)
+        first, rules = self.record.seeds, self.record.rules
+        return seed_sequence(first, rules.most_seeds) if rules.until else list(first)
 
     def needed(self, before: Mapping[int, int] | None = None) -> dict[int, int]:
         """How many seeds each point needs, as far as its rows show; none, where a border is looked for.
@@ -312,12 +312,12 @@ def _check_statuses(path: Path, statuses: pa.ChunkedArray) -> None:
         raise StudyError(f"{path} is damaged: a run has the status {shown}, expected one of {', '.join(_STATUSES)}")
 
 
-def cell(axis: AxisRecord, value: Value) -> float | str | None:
+def cell(axis: AxisRecord, value: AxisValue) -> float | str | None:
     """A value as a table has it: a number in the axis' unit, or a word."""
     return value.text if axis.unit is None else value.number
 
 
-def _column(axis: AxisRecord, values: Sequence[Value]) -> pa.Array:
+def _column(axis: AxisRecord, values: Sequence[AxisValue]) -> pa.Array:
     return pa.array([cell(axis, value) for value in values], _TEXT if axis.unit is None else _NUMBER)
 
 

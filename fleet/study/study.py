@@ -5,31 +5,29 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import chain, count
-from math import inf, isnan
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fleet.execution.execute import execute
-from fleet.execution.judged import Changes, override_texts
 from fleet.execution.options import Options
-from fleet.execution.outcome import Result
 from fleet.notebook import html_table
-from fleet.quantities import show_time
+from fleet.result.result import Result
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.trust import Policy
 from fleet.study.engine import need_extra
 from fleet.study.errors import StudyError
+from fleet.study.given import keywords, takes
 from fleet.study.local_engine import engine_of
 from fleet.study.one_run import A_STUDY, FAILED
-from fleet.study.settings import KeepLogs
+from fleet.study.plan import plan_of
 from fleet.study.signal_measures import find_columns
-from fleet.study.spec import StudySpec, seeds_text, set_values
-from fleet.study.statistics import Comparison, Estimate, compare
+from fleet.study.spec import StudySpec
+from fleet.study.statistics import Estimate, PairedComparison, compare
 from fleet.study.store import Store
 from fleet.study.study_file import NamedStudy, study_named
 from fleet.study.summary import PointSummary, summarise
 from fleet.study.sweep import Progress, prepare, run_study
-from fleet.study.values import values_text
 from world.plugins.trust import NOTHING, Trust
 
 if TYPE_CHECKING:
@@ -118,7 +116,7 @@ class Study:
         """
         return summarise(self._store, find_columns(measures, self._store.record.columns))
 
-    def compare(self, key: str, first: float | str, second: float | str, measure: str) -> Comparison:
+    def compare(self, key: str, first: float | str, second: float | str, measure: str) -> PairedComparison:
         """Compare two values of a key run by run: at the same values of all other keys, and with the same seed.
 
         Args:
@@ -208,75 +206,41 @@ def open_study(directory: str | Path) -> Study:
     return Study(Store.open(Path(directory)))
 
 
+@takes(StudySpec)
 def sweep(
     scenario: str | Path,
     vary: Mapping[str, str | Iterable[Any]] = {},
     *,
-    seeds: int | Sequence[int] | None = None,
-    set: Changes = (),
-    net: Iterable[str] = (),
-    fault: Iterable[str] = (),
-    zipped: bool = False,
-    draw: int | None = None,
     out: str | Path | None = None,
     workers: int | None = None,
     scheduler: Any = None,
-    timeout_s: float | None = None,
-    measures: Iterable[str] | None = None,
-    until: str | None = None,
-    most_seeds: int | None = None,
-    budget_s: float | None = None,
-    keep_logs: KeepLogs | None = None,
     trust: Trust = NOTHING,
     progress: Callable[[Progress], None] = lambda _: None,
+    **options: Any,
 ) -> Study:
     """Run a scenario at every combination of some values, each with several seeds.
 
     Args:
         scenario: a shipped name or a file; or a study, which the other arguments change as options do.
         vary: by key the values, as text of the grammar of `fleet sweep --vary` or as a list.
-        seeds: how many, from 1 on, or which; by default 10.
-        set, net, fault: what is changed for every run, as by the options; `{key}` stands for a varied value.
-        zipped: values go together, first with first, instead of each with each.
-        draw: the seed of values that are drawn; by default 1.
         out: the directory of the new study; None: one below `studies`.
         workers: processes of this machine; None: one per core.
         scheduler: of a Dask cluster that is there: an address or a cluster object; None: workers of this machine.
-        timeout_s: of wall time, for one run; by default any.
-        measures: what `summary` shows by default; measures of signals, such as `p95 |error.e|`, are made if they
-            stand here.
-        until: seeds are added to each point until this holds, such as `pass ±5 %` or `e_rms_m ±0.05 m`.
-        most_seeds: of a point, if seeds are added; by default 1000.
-        budget_s: of wall time, after which no run is made any more; `missing` says how many are.
-        keep_logs: which logs of runs are kept below the study: `none`, as by default, those of runs that `failed`, or
-            `all`.
         trust: which modules may run that are neither installed nor the user's own.
         progress: called several times a second.
+        options: these.
 
     Raises:
         ScenarioError: with the mistakes of all points, or of the file of the study.
         StudyError: the study cannot be made or run.
         RunBroken: its workers cannot be started.
+        TypeError: there is no such argument.
     """
     need_extra()
     study = study_named(str(scenario)) or NamedStudy(StudySpec(str(scenario)))
-    spec = study.spec.changed(
-        vary={key: values_text(values) for key, values in vary.items()},
-        set=set_values(override_texts(set)),
-        net=net,
-        fault=fault,
-        zip=zipped,
-        seeds=None if seeds is None else seeds_text(seeds),
-        draw=draw,
-        timeout=_time_text(timeout_s),
-        measures=None if measures is None else [*measures],
-        until=until,
-        most_seeds=most_seeds,
-        budget=_time_text(budget_s),
-        keep_logs=keep_logs,
-    )
+    spec = study.spec.changed(**keywords(StudySpec, {"vary": vary, **options}))
     directory = new_directory(str(scenario)) if out is None else Path(out)
-    store, modules = prepare(spec.plan(study.origin), directory, trust, spec)
+    store, modules = prepare(plan_of(spec, study.origin), directory, trust, spec)
     with engine_of(workers, scheduler) as engine:
         run_study(store, engine, progress, modules=modules, timeout_s=spec.timeout_s, budget_s=spec.budget_s)
     return Study(store)
@@ -294,7 +258,3 @@ def _cell(value: float | str | Estimate) -> str:
     if isinstance(value, Estimate):
         return f"{value.value:.3g}" + ("" if isnan(value.low) else f" ({value.low:.3g} to {value.high:.3g})")
     return value if isinstance(value, str) else f"{value:g}"
-
-
-def _time_text(seconds: float | None) -> str | None:
-    return None if seconds is None or seconds == inf else show_time(round(seconds * 1e9))

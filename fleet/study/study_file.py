@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
+import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
+
 from fleet.errors import Problem, ScenarioError, printable
-from fleet.quantities import QuantityError, describe_value, time_ns
+from fleet.quantities import describe_value
 from fleet.scenario.catalogue import shipped_scenarios
-from fleet.scenario.text.plain_yaml import inline
+from fleet.scenario.text.plain_yaml import inline, yaml_text
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Scalar, Source, TextPlace, plain, read
 from fleet.scenario.trust import TYPED, OverrideOrigin, origin
 from fleet.study.catalogue import shipped_studies, study_text
 from fleet.study.errors import StudyError
-from fleet.study.plan import parse_seeds
-from fleet.study.settings import KEEP_LOGS, MOST_ALLOWED
-from fleet.study.signal_measures import check_name
-from fleet.study.spec import StudySpec, is_file, seeds_text
-from fleet.study.stopping import check_until
-from fleet.study.values import axis, values_text
+from fleet.study.given import read as read_value
+from fleet.study.spec import Kind, SpecField, StudySpec, fields
 from netem.parsing import nearest
 from netem.whole_file import read_file
 
 _KEY = "study"
+_NESTED = re.compile(r"\s*[\[{]")
 _MAX_BYTES = 4_000_000  # as many as the characters that yaml_reader takes can have
 
 
@@ -107,143 +105,83 @@ class _Reader:
     """Reads the keys of a study, and collects what is wrong."""
 
     def __init__(self, problems: list[Problem], folder: Path | None) -> None:
-        self.problems, self._folder = problems, folder
-        self._keys: dict[str, Callable[[Node, str], Any]] = {
-            "title": self._text,
-            "scenario": self._scenario,
-            "run_takes": self._time,
-            "vary": self._vary,
-            "zip": self._flag,
-            "seeds": self._seeds,
-            "draw": self._whole,
-            "set": self._set,
-            "net": self._texts,
-            "fault": self._texts,
-            "measures": self._measures,
-            "until": self._until,
-            "most_seeds": self._count,
-            "keep_logs": self._keep_logs,
-            "timeout": self._time,
-            "budget": self._time,
-        }
+        self.problems, self._folder, self._fields = problems, folder, fields(StudySpec)
 
     def tell(self, place: TextPlace, message: str, hint: str = "") -> None:
         """Tell a mistake."""
         self.problems.append(place.problem(message, hint))
 
+    def expected(self, what: str, node: Node, key: str) -> None:
+        """Tell that a value is something else."""
+        self.tell(node.place, f"{key}: expected {what}, got {describe_value(plain(node))}")
+
     def study(self, node: Node) -> dict[str, Any]:
-        """The values by key; where one is wrong, something of its kind."""
+        """The values by key, without those that are wrong."""
         if not isinstance(node, Mapping):
             self.expected("a mapping with at least a scenario", node, _KEY)
             return {}
         values = {}
         for key, value in node.entries.items():
-            if key not in self._keys:
-                hint = nearest(key, self._keys) or f"known here: {', '.join(self._keys)}"
+            if key not in self._fields:
+                hint = nearest(key, self._fields) or f"known here: {', '.join(self._fields)}"
                 self.tell(node.keys[key], f'unknown key "{shown(key)}"', hint)
             elif not (isinstance(value, Scalar) and value.value is None):
-                values[key] = self._keys[key](value, key)
+                values[key] = self._value(self._fields[key], value)
         if "scenario" not in node.entries:
             self.tell(node.place, f'"scenario" is missing in "{_KEY}"', "a shipped name, or a file beside this one")
         return values
 
-    def expected(self, what: str, node: Node, key: str) -> None:
-        """Tell that a value is something else."""
-        self.tell(node.place, f"{key}: expected {what}, got {describe_value(plain(node))}")
-
-    def _text(self, node: Node, key: str) -> str:
-        if isinstance(node, Scalar) and isinstance(node.value, str):
-            return self._line(node, key, node.value)
-        self.expected("a text", node, key)
-        return ""
-
-    def _flag(self, node: Node, key: str) -> bool:
-        if isinstance(node, Scalar) and isinstance(node.value, bool):
-            return node.value
-        self.expected("true or false", node, key)
-        return False
-
-    def _whole(self, node: Node, key: str) -> int:
-        if isinstance(node, Scalar) and type(node.value) is int and node.value >= 0:
-            return node.value
-        self.expected("a whole number from 0 on", node, key)
-        return 0
-
-    def _scenario(self, node: Node, key: str) -> str:
-        name = self._text(node, key)
-        return str(self._folder / name) if self._folder is not None and is_file(name, self._folder) else name
-
-    def _time(self, node: Node, key: str) -> str:
-        text = self._text(node, key)
-        try:
-            if text and time_ns(text) < 0:
-                self.expected("a time that is not negative", node, key)
-        except QuantityError as error:
-            self.tell(node.place, f"{key}: {error.message}", error.hint)
-        return text
-
-    def _texts(self, node: Node, key: str) -> list[str]:
-        return [self._text(item, key) for item in (node.items if isinstance(node, Items) else [node])]
-
-    def _measures(self, node: Node, key: str) -> list[str]:
-        names = self._texts(node, key)
-        for name, item in zip(names, node.items if isinstance(node, Items) else [node], strict=True):
-            if name:
-                self._tried(item, partial(check_name, name))
-        return names
-
-    def _until(self, node: Node, key: str) -> str:
-        text = self._text(node, key)
-        if text:
-            self._tried(node, partial(check_until, text))
-        return text
-
-    def _count(self, node: Node, key: str) -> int:
-        if isinstance(node, Scalar) and type(node.value) is int and 1 <= node.value <= MOST_ALLOWED:
-            return node.value
-        self.expected(f"a whole number from 1 to {MOST_ALLOWED}", node, key)
-        return 1
-
-    def _keep_logs(self, node: Node, key: str) -> str:
-        if isinstance(node, Scalar) and node.value in KEEP_LOGS:
-            return str(node.value)
-        self.expected(f"one of {', '.join(KEEP_LOGS)}", node, key)
-        return KEEP_LOGS[0]
-
-    def _seeds(self, node: Node, key: str) -> str:
-        value = plain(node)
-        text = self._line(node, key, seeds_text(value) if isinstance(value, list) else str(value))
-        self._tried(node, lambda: parse_seeds(text))
-        return text
-
-    def _vary(self, node: Node, key: str) -> dict[str, str]:
-        found = {}
-        for name, value in self._mapping(node, key).items():
-            text = found[name] = self._line(value, key, values_text(plain(value)))
-            self._tried(value, partial(axis, name, text))
-        return found
-
-    def _set(self, node: Node, key: str) -> dict[str, str]:
-        values = {name: (value, plain(value)) for name, value in self._mapping(node, key).items()}
-        return {
-            name: self._line(value, key, found if isinstance(found, str) else inline(found))
-            for name, (value, found) in values.items()
-        }
-
-    def _line(self, node: Node, key: str, text: str) -> str:
-        """The text of a value, which is shown on terminals."""
-        if printable(text) != text:
-            self.tell(node.place, f"{key}: a line break or a control character is in it")
-        return printable(text)
-
-    def _mapping(self, node: Node, key: str) -> dict[str, Node]:
+    def _value(self, field: SpecField, node: Node) -> Any:
+        if field.shape is list:
+            return [self._one(field, item) for item in (node.items if isinstance(node, Items) else [node])]
+        if field.shape is not dict:
+            return self._one(field, node)
         if isinstance(node, Mapping):
-            return node.entries
-        self.expected("a mapping of keys of the scenario to values", node, key)
+            return {key: self._one(field, value, key) for key, value in node.entries.items()}
+        self.expected("a mapping of keys of the scenario to values", node, field.name)
         return {}
 
-    def _tried(self, node: Node, make: Callable[[], object]) -> None:
+    def _one(self, field: SpecField, node: Node, key: str = "") -> Any:
         try:
-            make()
+            value = read_value(field, plain(node), key)
         except StudyError as error:
-            self.tell(node.place, str(error))
+            self.tell(node.place, f"{field.name}: {error}")
+            return None
+        if field.kind is Kind.SCENARIO and self._folder is not None and is_file(value, self._folder):
+            return str(self._folder / value)
+        return value
+
+
+def study_yaml(spec: StudySpec) -> str:
+    """The text of a study as a file, which may stand anywhere on this machine."""
+    values = msgspec.to_builtins(placed(spec))
+    values["seeds"] = int(spec.seeds) if spec.seeds.isdecimal() else spec.seeds
+    if spec.set:
+        values["set"] = {key: _nested(text) for key, text in spec.set.items()}
+    for key in ("net", "fault"):
+        if len(values.get(key, ())) == 1:
+            (values[key],) = values[key]
+    return yaml_text({_KEY: {key: values[key] for key in spec.__struct_fields__ if key in values}})
+
+
+def placed(spec: StudySpec) -> StudySpec:
+    """The same study with the whole path of the scenario's file, so that it holds in every directory."""
+    if not is_file(spec.scenario):
+        return spec
+    return msgspec.structs.replace(spec, scenario=str(Path(spec.scenario).resolve()))
+
+
+def is_file(scenario: str, folder: Path = Path()) -> bool:
+    """Whether the name of a scenario means a file in this folder rather than one that ships."""
+    if scenario in shipped_scenarios():
+        return False
+    return bool(Path(scenario).suffix) or "/" in scenario or (folder / scenario).exists()
+
+
+def _nested(text: str) -> Any:
+    """A mapping or list where the text is exactly that, so that reading the file gives the same text again."""
+    if _NESTED.match(text):
+        node, problems = read(Source("", text))
+        if not problems and isinstance(node, Mapping | Items) and inline(plain(node)) == text:
+            return plain(node)
+    return text

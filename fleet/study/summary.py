@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from fleet.study.measures import Column
+from fleet.study.measures import MeasureColumn
 from fleet.study.one_run import FAILED
 from fleet.study.signal_measures import find_columns
 from fleet.study.statistics import Estimate, median, pass_rate
@@ -26,7 +26,7 @@ class PointSummary:
     medians: dict[str, Estimate]  # by measure
 
 
-def summarise(store: Store, measures: Sequence[Column] = ()) -> list[PointSummary]:
+def summarise(store: Store, measures: Sequence[MeasureColumn] = ()) -> list[PointSummary]:
     """The summary of each point that has a run, in the order of the points.
 
     Args:
@@ -36,7 +36,7 @@ def summarise(store: Store, measures: Sequence[Column] = ()) -> list[PointSummar
         StudyError: the study is damaged.
     """
     keys = [axis.key for axis in store.record.axes]
-    chosen = list(measures) or find_columns(store.record.settings.measures or DEFAULT, store.record.columns)
+    chosen = list(measures) or find_columns(store.record.measures or DEFAULT, store.record.columns)
     table = store.table(["point", "seed", "status", "passed", *keys, *(column.name for column in chosen)])
     by_point: dict[int, list[dict[str, Any]]] = {}
     for row in table.to_pylist():

@@ -13,27 +13,25 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
 from fleet.execution.external_agents import refuse
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy
 from fleet.study.engine import Engine, Row
 from fleet.study.errors import StudyError
-from fleet.study.load_points import load_points
+from fleet.study.load_points import load_points, point_warnings
 from fleet.study.local_engine import engine_of
-from fleet.study.measures import STANDING, Column
+from fleet.study.measures import STANDING, MeasureColumn
 from fleet.study.modules import NO_MODULES, Modules, modules_of
 from fleet.study.one_run import A_STUDY, FAILED, Task
 from fleet.study.plan import Plan, Point, run_key
 from fleet.study.record import VERSION, BorderRecord, StudyRecord, axis_record
-from fleet.study.settings import KeepLogs, Settings
 from fleet.study.signal_measures import find_columns, is_signal, measures_of_checks, signal_columns_of
-from fleet.study.spec import StudySpec
+from fleet.study.spec import KeepLogs, StudySpec
 from fleet.study.statistics import Estimate, pass_rate
 from fleet.study.stopping import parse_until, watched_by
 from fleet.study.store import Store
+from fleet.study.study_file import placed
 from fleet.study.summary import DEFAULT
 from world.plugins.trust import NOTHING, Trust
 
@@ -81,6 +79,7 @@ def prepare(
     trust: Trust = NOTHING,
     spec: StudySpec | None = None,
     border: BorderRecord | None = None,
+    warn: Callable[[str], None] = lambda _: None,
 ) -> tuple[Store, Modules]:
     """Check every point, and make the directory of the study.
 
@@ -90,6 +89,7 @@ def prepare(
         trust: which modules may run that are neither installed nor the user's own.
         spec: of which the plan was made; the directory keeps it.
         border: what is looked for, if the study is that of a border.
+        warn: called with each check that cannot pass, in words.
 
     Returns:
         The study, and the modules of laws that its runs need.
@@ -99,9 +99,11 @@ def prepare(
         StudyError: two points are the same, or the directory cannot be made.
     """
     scenarios = load_points(plan, trust)
+    for text in point_warnings(plan, scenarios):
+        warn(text)
     first, path = scenarios[0], Path(plan.scenario)
     folder = path.parent.resolve() if path.exists() else None
-    settings, columns = declared(plan, scenarios)
+    measures, columns = declared(spec or StudySpec(plan.scenario), scenarios)
     record = StudyRecord(
         version=VERSION,
         scenario=first.name,
@@ -110,10 +112,10 @@ def prepare(
         seeds=list(plan.seeds),
         checks=check_names(scenarios),
         columns=columns,
-        settings=settings,
         made_by=version("uuv-fleet"),
+        measures=measures,
         folder=None if folder is None else str(folder),
-        spec=None if spec is None else spec.placed(),
+        spec=None if spec is None else placed(spec),
         border=border,
     )
     rows: list[dict[str, Any]] = [
@@ -129,20 +131,19 @@ def prepare(
     return Store.create(directory, record, rows), modules
 
 
-def declared(plan: Plan, scenarios: Sequence[Scenario]) -> tuple[Settings, list[Column]]:
-    """The settings with the names of measures as columns have them, and the columns. Raises StudyError.
+def declared(spec: StudySpec, scenarios: Sequence[Scenario]) -> tuple[tuple[str, ...], list[MeasureColumn]]:
+    """The measures that the table shows, as columns are named, and all columns. Raises StudyError.
 
     Where no measures are named, those of signals that checks of the scenarios are about stand behind the usual ones.
     """
-    settings = plan.settings
-    if not settings.measures and (checked := measures_of_checks(scenarios)):
-        settings = msgspec.structs.replace(settings, measures=(*DEFAULT, *checked))
-    names = [*settings.measures, *([] if settings.until is None else watched_by(settings.until))]
-    columns = [*STANDING, *signal_columns_of(filter(is_signal, names), scenarios)]
-    measures = tuple(column.name for column in find_columns(settings.measures, columns))
-    if settings.until is not None:
-        parse_until(settings.until, columns)
-    return msgspec.structs.replace(settings, measures=measures), columns
+    measures = tuple(spec.measures)
+    if not measures and (checked := measures_of_checks(scenarios)):
+        measures = (*DEFAULT, *checked)
+    watched = watched_by(spec.until) if spec.until else []
+    columns = [*STANDING, *signal_columns_of(filter(is_signal, (*measures, *watched)), scenarios)]
+    if spec.until:
+        parse_until(spec.until, columns)
+    return tuple(column.name for column in find_columns(measures, columns)), columns
 
 
 def modules_again(store: Store, trust: Trust) -> Modules:
@@ -202,7 +203,7 @@ def run_study(
         KeyboardInterrupt: at any time; rows that were made are written.
     """
     refuse_border(store)
-    kept = store.record.settings.keep_logs if logs is None else logs
+    kept = store.record.rules.keep_logs if logs is None else logs
     work = Work(store, engine, tell, time.monotonic() + budget_s)
     signals = tuple(column.name for column in store.record.columns if is_signal(column.name))
     with store.locked():

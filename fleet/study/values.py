@@ -24,7 +24,7 @@ from typing import Literal, NamedTuple
 from fleet.errors import printable
 from fleet.quantities import DIMENSIONS
 from fleet.scenario.text.plain_yaml import inline
-from fleet.study.errors import ValuesError
+from fleet.study.errors import StudyError
 from netem.grammar import RATE_UNITS
 from netem.parsing import LONGEST_NUMBER, NUMBER, exact_number, nearest
 
@@ -61,7 +61,7 @@ _HOWS: dict[str, tuple[How, bool]] = {
 }
 
 
-class Value(NamedTuple):
+class AxisValue(NamedTuple):
     """One value: the text that is set, and its number in the axis' unit, if it is a number."""
 
     text: str
@@ -79,17 +79,19 @@ class Axis:
         how: `grid`: the values; `random`, `latin`: `count` values between `low` and `high` are to be drawn.
         scale: `log`: equal ratios are equally likely, or equally far apart.
         step: what is drawn is rounded to whole steps above `low`; 0: it is not.
+        option: of the command line that varies it.
     """
 
     key: str
     unit: str = ""
-    values: tuple[Value, ...] = ()
+    values: tuple[AxisValue, ...] = ()
     how: How = "grid"
     low: float = 0.0
     high: float = 0.0
     count: int = 0
     scale: Literal["lin", "log"] = "lin"
     step: float = 0.0
+    option: str = "--vary"
 
     @property
     def sampled(self) -> bool:
@@ -101,7 +103,7 @@ class Axis:
         """Whether every value is a number."""
         return self.sampled or all(value.number is not None for value in self.values)
 
-    def at(self, share: float) -> Value:
+    def at(self, share: float) -> AxisValue:
         """The value at a share, from 0 to 1, of the way from the low end to the high one."""
         if self.scale == "log":
             number = exp(log(self.low) + share * (log(self.high) - log(self.low)))
@@ -120,24 +122,24 @@ def parse_axis(text: str, *, fine: int = 0) -> Axis:
         fine: if above 0, a range needs no step: it gets a round one, so that there are so many steps at least.
 
     Raises:
-        ValuesError: it has no key, or its values are none.
+        StudyError: it has no key, or its values are none.
     """
     key, equals, values = text.partition("=")
     if not equals or not _KEY.fullmatch(key.strip()):
-        raise ValuesError(f"expected KEY=VALUES such as 'network.links.*.loss=0 %..90 %/10 %', got '{text[:80]}'")
+        raise StudyError(f"expected KEY=VALUES such as 'network.links.*.loss=0 %..90 %/10 %', got '{text[:80]}'")
     return axis(key.strip(), values, fine=fine)
 
 
 def axis(key: str, text: str, *, fine: int = 0) -> Axis:
-    """The axis of a key and its values as text; see `parse_axis`. Raises ValuesError."""
+    """The axis of a key and its values as text; see `parse_axis`. Raises StudyError."""
     if not _KEY.fullmatch(key):
-        raise ValuesError(f"expected a key such as network.links.*.loss, got '{printable(key[:80])}'")
+        raise StudyError(f"expected a key such as network.links.*.loss, got '{printable(key[:80])}'")
     try:
         if ".." in text and not any(mark in text for mark in "{[\"'"):
             return _range(key, text, fine)
         return _listed(key, text)
-    except ValuesError as error:
-        raise ValuesError(f"{key}={text.strip()[:80]}: {error}") from None
+    except StudyError as error:
+        raise StudyError(f"{key}={text.strip()[:80]}: {error}") from None
 
 
 def values_text(values: object) -> str:
@@ -157,12 +159,12 @@ def _value_text(value: object, *, listed: bool = False) -> str:
 def _listed(key: str, text: str) -> Axis:
     texts = [part.strip() for part in _split(text)]
     if not any(texts):
-        raise ValuesError("expected values, got nothing")
+        raise StudyError("expected values, got nothing")
     if not all(texts):
-        raise ValuesError("there is no value between two commas, or behind the last")
+        raise StudyError("there is no value between two commas, or behind the last")
     if len(set(texts)) < len(texts):
         twice, _ = Counter(texts).most_common(1)[0]
-        raise ValuesError(f"the value {twice[:40]} is given twice")
+        raise StudyError(f"the value {twice[:40]} is given twice")
     matches = [_SINGLE.fullmatch(text) for text in texts]
     unit = next((match["value_unit"] for match in matches if match and match["value_unit"]), "")
     values = []
@@ -170,8 +172,8 @@ def _listed(key: str, text: str) -> Axis:
         number = exact_number(match["value"]) if match else None
         factor = _factor(match["value_unit"] or "", unit) if match else None
         if number is None or factor is None:  # values of several kinds are words
-            return Axis(key, "", tuple(map(Value, texts)))
-        values.append(Value(text, _float(number * factor)))
+            return Axis(key, "", tuple(map(AxisValue, texts)))
+        values.append(AxisValue(text, _float(number * factor)))
     return Axis(key, unit, tuple(values))
 
 
@@ -179,12 +181,12 @@ def _range(key: str, text: str, fine: int) -> Axis:
     match = _RANGE.fullmatch(text) if len(text) <= _LONGEST_RANGE else None
     if match is None:
         hint = "write LOW..HIGH/STEP, LOW..HIGH log COUNT, or a list; units as in 100 ms"
-        raise ValuesError(f"expected a range such as 0 %..90 %/10 % or 100 ms..2 s log 8; {hint}")
+        raise StudyError(f"expected a range such as 0 %..90 %/10 % or 100 ms..2 s log 8; {hint}")
     unit = match["low_unit"] or match["high_unit"] or ""
     low = _number(match, "low", unit)
     high = _number(match, "high", unit)
     if low >= high:
-        raise ValuesError("the low end must be below the high end")
+        raise StudyError("the low end must be below the high end")
     if match["how"]:
         made = _counted(key, unit, low, high, match["how"], int(match["count"]))
         return made if match["step"] is None else _in_steps(made, _step(match, unit, low, high))
@@ -193,34 +195,32 @@ def _range(key: str, text: str, fine: int) -> Axis:
         count = int((high - low) / small) + 1
         return Axis(key, unit, tuple(_value(_float(low + k * small), unit) for k in range(count)))
     if match["step"] is None:
-        raise ValuesError("how many values? write a step as in 0 %..90 %/10 %, or a count as in 0 %..90 % lin 10")
+        raise StudyError("how many values? write a step as in 0 %..90 %/10 %, or a count as in 0 %..90 % lin 10")
     if unit and not match["step_unit"]:
         step = exact_number(match["step"])
         if step is None or step.denominator != 1 or step < 2:
-            raise ValuesError(f"a step needs a unit, as in /10 {unit}; a count is a whole number from 2 on")
+            raise StudyError(f"a step needs a unit, as in /10 {unit}; a count is a whole number from 2 on")
         return _counted(key, unit, low, high, "lin", int(step))
     step = _step(match, unit, low, high)
     count = (high - low) // step + 1
     if count > MOST_VALUES:
-        raise ValuesError(f"these are {count} values, and {MOST_VALUES} at most may be")
+        raise StudyError(f"these are {count} values, and {MOST_VALUES} at most may be")
     return Axis(key, unit, tuple(_value(_float(low + k * step), unit) for k in range(count)))
 
 
 def _step(match: re.Match[str], unit: str, low: Fraction, high: Fraction) -> Fraction:
     step = _number(match, "step", unit)
     if step <= 0:
-        raise ValuesError("a step must be above 0")
+        raise StudyError("a step must be above 0")
     if step > high - low:
-        raise ValuesError(f"the step is larger than the range; lin {match['step']} means so many values")
+        raise StudyError(f"the step is larger than the range; lin {match['step']} means so many values")
     return step
 
 
 def _in_steps(drawn: Axis, step: Fraction) -> Axis:
     """The axis, of which each value is rounded to whole steps."""
     if not drawn.sampled:
-        raise ValuesError(
-            "what is drawn can be rounded to a step: random or latin; lin and log say where each value is"
-        )
+        raise StudyError("what is drawn can be rounded to a step: random or latin; lin and log say where each value is")
     return replace(drawn, step=_float(step))
 
 
@@ -235,15 +235,15 @@ def _counted(key: str, unit: str, low: Fraction, high: Fraction, how: str, count
     words = " ".join(how.split())
     if words not in _HOWS:
         hint = nearest(words, _HOWS) or f"known: {', '.join(_HOWS)}"
-        raise ValuesError(f'unknown kind of range "{words[:40]}"; {hint}')
+        raise StudyError(f'unknown kind of range "{words[:40]}"; {hint}')
     kind, logarithmic = _HOWS[words]
     if not 2 <= count <= MOST_VALUES:
-        raise ValuesError(f"a count must be from 2 to {MOST_VALUES}, got {count}")
+        raise StudyError(f"a count must be from 2 to {MOST_VALUES}, got {count}")
     if logarithmic and low <= 0:
-        raise ValuesError("a range at equal ratios must begin above 0")
+        raise StudyError("a range at equal ratios must begin above 0")
     made = Axis(key, unit, (), kind, _float(low), _float(high), count, "log" if logarithmic else "lin")
     if logarithmic and made.low == 0.0:
-        raise ValuesError("the low end is too small")
+        raise StudyError("the low end is too small")
     if made.sampled:
         return made
     values = tuple(made.at(k / (count - 1)) for k in range(count))
@@ -255,9 +255,9 @@ def _number(match: re.Match[str], name: str, unit: str) -> Fraction:
     own = match[f"{name}_unit"] or unit
     factor = _factor(own, unit)
     if number is None:
-        raise ValuesError(f"a number may have {LONGEST_NUMBER} characters at most")
+        raise StudyError(f"a number may have {LONGEST_NUMBER} characters at most")
     if factor is None:
-        raise ValuesError(f'"{own}" and "{unit}" are no units of the same')
+        raise StudyError(f'"{own}" and "{unit}" are no units of the same')
     return number * factor
 
 
@@ -275,14 +275,14 @@ def _float(number: Fraction) -> float:
     try:
         return float(number)
     except OverflowError:
-        raise ValuesError("the number is too large") from None
+        raise StudyError("the number is too large") from None
 
 
-def _value(number: float, unit: str) -> Value:
+def _value(number: float, unit: str) -> AxisValue:
     text = f"{number:.{DIGITS}g}"
     if "e" in text:  # 1e-07: as people write it
         text = f"{float(text):.20f}".rstrip("0").rstrip(".")
-    return Value(f"{text} {unit}".rstrip(), float(text))
+    return AxisValue(f"{text} {unit}".rstrip(), float(text))
 
 
 def _split(text: str) -> Iterator[str]:

@@ -11,14 +11,14 @@ from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from google.protobuf.message import DecodeError
 
 from fleet.logs.decoder import decoded
-from fleet.logs.result_file import ResultError, outcome_words, read_result
 from fleet.logs.schemas import FAULT, PACKET, flat_schema
+from fleet.logs.topic_names import link_of
+from fleet.result.file import ResultError, read_result
 from fleet.scenario.scenario import Scenario
 from fleet.view.view_state import Row, ViewState
 from netem.causes import Cause
-from netem.condition import Link
 
-TRANSFORMS, FAULTS, LINKS = "transforms", "faults", "link/"
+TRANSFORMS, FAULTS = "transforms", "faults"
 _PACKET = flat_schema("Packet", PACKET).message
 _FAULT = flat_schema("Fault", FAULT).message
 
@@ -55,14 +55,6 @@ def is_lost(data: bytes) -> bool:
     return bool(packet.corrupted or packet.fate not in (Cause.DELIVERED, Cause.IN_FLIGHT))
 
 
-def link_of(topic: str) -> Link | None:
-    """The link of a topic such as `link/1-2`; None: it is another topic."""
-    src, dash, dst = topic.removeprefix(LINKS).partition("-")
-    if not topic.startswith(LINKS) or not dash or not (src.isdigit() and dst.isdigit()):
-        return None
-    return int(src), int(dst)
-
-
 def checks_so_far(rows: list[Row]) -> Row:
     """Checks as a page gets them, of a run that goes on: `passed` may change; None: not judged yet."""
     return {"rows": rows, "final": False}
@@ -75,26 +67,27 @@ def checks_asked(scenario: Scenario) -> Row:
     return checks_so_far(rows)
 
 
-_ROW = ("check", "asked", "passed", "found")
-
-
 def checks_judged(log: Path) -> Row | None:
     """The verdicts beside a log, of the whole run; None: there is no result.
 
     A check that failed has the time at which it did, `at_s`, where that is known; `signals`: what it looked at.
     """
     try:
-        result = read_result(log)
+        result = read_result(log.parent)
     except (FileNotFoundError, ResultError):
         return None
-    rows = []
-    for row in result["checks"]:
-        at_s = (row["moment"] or {}).get("at_s")
-        more = {"at_s": None if row["passed"] else at_s, "signals": row.get("signals", [])}
-        rows.append({key: row[key] for key in _ROW} | more)
-    words = outcome_words(result["status"], [row["passed"] for row in rows])
-    verdict = {"passed": result["status"] == "pass", "text": words}
-    return {"rows": rows, "final": True, "verdict": verdict}
+    rows = [
+        {
+            "check": one.check,
+            "asked": one.asked,
+            "passed": one.passed,
+            "found": one.found,
+            "at_s": None if one.passed or one.moment is None else one.moment.at_s,
+            "signals": list(one.signals),
+        }
+        for one in result.verdicts
+    ]
+    return {"rows": rows, "final": True, "verdict": {"passed": result.passed, "text": result.words}}
 
 
 def _words(value: Any) -> str:

@@ -37,8 +37,8 @@ class LiveBridge:
             control: whether viewers may inject, heal and hold the clock.
 
         Raises:
-            TopicsError: the run does not say what it publishes.
-            ViewerError: there is no port, or only the observer's credentials are at hand, and viewers are to control.
+            FleetError: the run does not say what it publishes; there is no port, or only the observer's credentials are
+                at hand, and viewers are to control.
         """
         offered = services(source.controlled()) if control else ()
         self._bus, self._keys = bus, Keys(source.observed.run)

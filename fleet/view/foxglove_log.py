@@ -34,7 +34,7 @@ class LogBridge:
             loop: begin again at the end.
 
         Raises:
-            ViewerError: there is no port.
+            FleetError: there is no port.
         """
         self._tape, self._loop = tape, loop
         ours = "uuv-fleet" in tape.metadata.get("run", {})

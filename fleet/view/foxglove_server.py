@@ -34,7 +34,7 @@ from foxglove.websocket import (
     WebSocketServer,
 )
 
-from fleet.view.source import NoConnectionError, ViewerError
+from fleet.errors import FleetError
 from fleet.view.unanswered import Unanswered
 
 TIME_NS = 16_000_000  # of wall time between two messages with the server's time
@@ -105,7 +105,7 @@ class FoxgloveServer:
             range_ns: of the time that clients may seek in; None: they have no control of it.
 
         Raises:
-            NoConnectionError: the port is taken, or the address is none of this host.
+            FleetError: the port is taken, or the address is none of this host.
         """
         self._events: SimpleQueue[Subscription | PlaybackRequest] = SimpleQueue()
         self._wanted: set[tuple[int, int]] = set()  # channel and client
@@ -210,13 +210,13 @@ def _made(channel: FoxgloveChannel, context: foxglove.Context) -> foxglove.Chann
 
 
 def _started(host: str, ports: Sequence[int], **settings: Any) -> WebSocketServer:
-    """A server on the first of these ports that is free. Raises NoConnectionError: none is."""
+    """A server on the first of these ports that is free. Raises FleetError: none is."""
     for port in ports:
         try:
             return foxglove.start_server(host=host, port=port, **settings)
         except RuntimeError as error:  # all that the SDK raises
             said = str(error).removeprefix("FoxgloveError: ")
-            problem = NoConnectionError(f"cannot listen on {host}:{port}: {said}")
+            problem = FleetError(f"cannot listen on {host}:{port}: {said}", status=3)
     raise problem
 
 
@@ -271,9 +271,9 @@ def _service(offer: ServiceOffer) -> Service:
         try:
             asked = json.loads(request.payload or b"{}")
         except ValueError:
-            raise ViewerError(f"{offer.name} takes a JSON object") from None
+            raise FleetError(f"{offer.name} takes a JSON object") from None
         if not isinstance(asked, dict):
-            raise ViewerError(f"{offer.name} takes a JSON object")
+            raise FleetError(f"{offer.name} takes a JSON object")
         return json.dumps(offer.call(asked)).encode()
 
     return Service(

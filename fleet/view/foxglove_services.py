@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from fleet.errors import FleetError
 from fleet.execution.connection import LiveRun, ask
 from fleet.scenario.text.fault_words import read_fault
 from fleet.view.foxglove_server import ServiceOffer
-from fleet.view.source import ViewerError
 
 _NUMBER, _TEXT = {"type": "number"}, {"type": "string"}
 _DO = {"type": "string", "enum": ["pause", "resume", "step", "speed"]}
@@ -20,7 +20,7 @@ def services(run: LiveRun) -> list[ServiceOffer]:
         _known("inject", asked, ("what", "for", "id"))
         what = asked.get("what")
         if not isinstance(what, str) or not what.strip():
-            raise ViewerError("what? The words of fleet inject, such as \"down '1<->2' for 5s\"")
+            raise FleetError("what? The words of fleet inject, such as \"down '1<->2' for 5s\"")
         fault = read_fault(what)
         for key in ("for", "id"):
             if asked.get(key) not in (None, ""):
@@ -54,7 +54,7 @@ def services(run: LiveRun) -> list[ServiceOffer]:
 def _known(service: str, asked: dict[str, Any], keys: tuple[str, ...]) -> None:
     for key in asked:
         if key not in keys:
-            raise ViewerError(f"{service} takes {', '.join(keys) or 'nothing'}, not {key:.40}")
+            raise FleetError(f"{service} takes {', '.join(keys) or 'nothing'}, not {key:.40}")
 
 
 def _object(**properties: dict[str, Any]) -> dict[str, Any]:

@@ -12,17 +12,20 @@ from collections.abc import Callable, Collection
 from contextlib import suppress
 from typing import Any
 
+from fleet.errors import FleetError
 from fleet.execution.connection import LiveRun, OpenConnection, RemoteError, find, is_live
-from fleet.execution.directory import RESULT, SCENARIO, in_use
+from fleet.execution.directory import SCENARIO, in_use
+from fleet.logs.topic_names import link_of
 from fleet.replay.attachment import unpack
 from fleet.replay.missing import Missing, left_out
 from fleet.replay.player import MeasuredRate
 from fleet.replay.topics import ask_scenario, ask_topics
+from fleet.result.file import RESULT
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.sections.checked_signals import checked_signals
 from fleet.view.chart_signals import published_signals
-from fleet.view.feed import FAULTS, TRANSFORMS, checks_asked, checks_so_far, link_of, take
-from fleet.view.source import LiveSource, NoConnectionError
+from fleet.view.feed import FAULTS, TRANSFORMS, checks_asked, checks_so_far, take
+from fleet.view.source import LiveSource
 from fleet.view.view_state import NOT_PLACED, SAMPLE_S, Row, ViewState
 from netem.errors import BusError
 from netem.wire.access import Credentials
@@ -41,8 +44,7 @@ class LiveFeed:
         """Connect, and subscribe unless the run is awaited: then `listen` does.
 
         Raises:
-            NoConnectionError: the publisher cannot be reached.
-            TopicsError: it does not say what it publishes.
+            FleetError: the publisher cannot be reached, or does not say what it publishes.
             ScenarioError: that scenario is none for this version.
         """
         self.source = source
@@ -61,7 +63,7 @@ class LiveFeed:
         try:
             self._bus = OpenBus.connect(observed.endpoint, Credentials(observed.user, observed.password))
         except BusError as error:
-            raise NoConnectionError(f"the journal of {self.name} cannot be read: {error}") from None
+            raise FleetError(f"the journal of {self.name} cannot be read: {error}", status=3) from None
         try:
             text = ask_scenario(self._bus, self._keys)
             self.scenario = parse_scenario(text, str(source.directory / SCENARIO))

@@ -12,6 +12,7 @@ from fleet.logs.fault_intervals import MOST_EVENTS
 from fleet.logs.reader import LogReadError
 from fleet.logs.run_name import run_name
 from fleet.logs.tape import Tape, Track
+from fleet.logs.topic_names import link_of
 from fleet.quantities import vehicle_numbers
 from fleet.repeat.recorded_run import recorded
 from fleet.replay.player import Player
@@ -20,7 +21,7 @@ from fleet.scenario.sections.checked_signals import checked_signals
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
 from fleet.view import overview
 from fleet.view.chart_signals import Signals
-from fleet.view.feed import FAULTS, TRANSFORMS, checks_asked, checks_judged, fault_message, is_lost, link_of, take
+from fleet.view.feed import FAULTS, TRANSFORMS, checks_asked, checks_judged, fault_message, is_lost, take
 from fleet.view.view_state import HISTORY_S, NOT_PLACED, Row, ViewState
 
 MOST_FAULT_BYTES = 32 << 20  # of all messages about faults
@@ -56,7 +57,8 @@ class LogFeed:
         self.missing = self._tape.missing
         judged = checks_judged(path)
         self.checks = judged if judged and judged["rows"] else checks_asked(self.scenario)
-        checked = map(str, checked_signals(self.scenario.spec.checks, self.checks["rows"]))
+        looked_at = [name for row in self.checks["rows"] for name in row.get("signals", ())]
+        checked = map(str, checked_signals(self.scenario.spec.checks, looked_at))
         self.charted = [name for name in checked if self.signals.of_all(name)]
         self._track = self._tracked()
         self.end_s = self._tape.end_ns / 1e9

@@ -10,11 +10,11 @@ from subprocess import CalledProcessError
 
 from matplotlib.animation import FFMpegWriter
 
+from fleet.errors import FleetError
 from fleet.pictures.whole_file import whole_file
 from fleet.view.gif_writer import GifWriter
 from fleet.view.log_feed import LogFeed
 from fleet.view.movie_scene import DRAWN_COLOURS, WIDTH_IN, MovieScene
-from fleet.view.source import ViewerError
 
 LASTS_S = 12.0  # by default, unless the log is shorter
 MOST_BYTES = 1_000_000_000  # of the pictures of a GIF, which are all held until it is written
@@ -48,9 +48,8 @@ def write(
         what is missing of the log; empty: nothing.
 
     Raises:
-        ViewerError: the log has nothing to draw, or the file cannot be written.
+        FleetError: the log has nothing to draw, or the file cannot be written; it holds no scenario of ours.
         LogReadError: the log cannot be read.
-        FleetError: it holds no scenario of ours.
     """
     writer = _writer(out, fps)
     feed = LogFeed(log)
@@ -71,17 +70,17 @@ def write(
             _grab(writer, _drawn(feed, scene, begin_s, end_s, rate, fps, count), lambda k: tell((k + 1) / count))
     except CalledProcessError as error:
         said = str(error.stderr).strip().splitlines() or [f"exit status {error.returncode}"]
-        raise ViewerError(f"ffmpeg could not write {out}: {said[-1]}") from None
+        raise FleetError(f"ffmpeg could not write {out}: {said[-1]}") from None
     except OSError as error:
-        raise ViewerError(f"cannot write {out}: {error.strerror}; choose another place with -o FILE") from error
+        raise FleetError(f"cannot write {out}: {error.strerror}; choose another place with -o FILE") from error
     return feed.missing or ""
 
 
 def _check_memory(count: int, width: int) -> None:
-    """Raises ViewerError: so many pictures of a GIF do not fit into memory."""
+    """Raises FleetError: so many pictures of a GIF do not fit into memory."""
     held = count * width * (width * 3 // 4)
     if held > MOST_BYTES:
-        raise ViewerError(
+        raise FleetError(
             f"{count} pictures of this size take {held / 1e9:.1f} GB of memory, and {MOST_BYTES / 1e9:g} GB are "
             "allowed: choose a higher --rate, a lower --fps or --width, or write an .mp4"
         )
@@ -124,23 +123,23 @@ def _drawn(
 def _writer(out: Path, fps: int) -> GifWriter | FFMpegWriter:
     form = out.suffix.lower()
     if form not in FORMATS:
-        raise ViewerError(f"{out}: the name of a movie ends in {' or '.join(FORMATS)}")
+        raise FleetError(f"{out}: the name of a movie ends in {' or '.join(FORMATS)}")
     if form == ".gif":
         return GifWriter(fps, DRAWN_COLOURS)
     if not FFMpegWriter.isAvailable():
-        raise ViewerError("an .mp4 needs ffmpeg, which is not there: apt install ffmpeg, or write a .gif")
+        raise FleetError("an .mp4 needs ffmpeg, which is not there: apt install ffmpeg, or write a .gif")
     logging.getLogger("matplotlib.animation").setLevel(logging.CRITICAL)  # what ffmpeg says is in our error
     return FFMpegWriter(fps=fps)
 
 
 def _window(feed: LogFeed, window: tuple[float, float | None]) -> tuple[float, float]:
     if not feed.picture.setup()["placed"]:
-        raise ViewerError(
+        raise FleetError(
             f"{feed.path} does not tell where the vehicles are: its scenario has log: {{transforms: 0 ticks}}"
         )
     begin_s, end_s = window[0], feed.end_s if window[1] is None else window[1]
     if not 0.0 <= begin_s < end_s <= feed.end_s:
-        raise ViewerError(
+        raise FleetError(
             f"there is no time from {begin_s:g} s to {end_s:g} s in the log, which lasts from 0 s to {feed.end_s:g} s"
         )
     return begin_s, end_s

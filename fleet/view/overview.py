@@ -13,6 +13,7 @@ from fleet.logs.open_log import Log, open_drawn
 from fleet.logs.reader import LogReadError
 from fleet.logs.records import Array
 from fleet.logs.topic import Topic
+from fleet.logs.topic_names import link_topic
 from fleet.view.chart_signals import ChartSignal
 from netem.causes import Cause
 
@@ -45,7 +46,7 @@ def samples(path: Path, end_s: float, vehicles: int, neighbours: Mapping[int, Co
     errors = [_at(at, _column(log, name, "formation_norm")) for name in names]
     if not any(np.isfinite(some).any() for some in errors):
         return []
-    links = {(src, dst): _link(log, f"link/{src}-{dst}") for dst, sources in neighbours.items() for src in sources}
+    links = {(src, dst): _link(log, link_topic((src, dst))) for dst, sources in neighbours.items() for src in sources}
     ages = [_age(at, [links[src, i] for src in sources]) for i, sources in neighbours.items()]
     share = _lost(at, [link for link in links.values() if link is not None])
     return [

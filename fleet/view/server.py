@@ -12,9 +12,9 @@ from html import escape
 from importlib.util import find_spec
 from ipaddress import ip_address
 
+from fleet.errors import FleetError
 from fleet.view.live_feed import LiveFeed
 from fleet.view.log_feed import LogFeed
-from fleet.view.source import NoConnectionError, ViewerError
 from netem.private_folder import PrivateFolder, runtime_place
 
 LOOPBACK = "127.0.0.1"
@@ -53,18 +53,17 @@ def open_listener(host: str = LOOPBACK, port: int | None = None) -> PageListener
         port: None or 0: a free one.
 
     Raises:
-        ViewerError: NiceGUI is not installed.
-        NoConnectionError: the address is not one of this machine, or the port is taken.
+        FleetError: NiceGUI is not installed; the address is not one of this machine, or the port is taken.
     """
     if find_spec("nicegui") is None:
-        raise ViewerError("the page needs NiceGUI, which is not installed: pip install 'uuv-fleet[view]'")
+        raise FleetError("the page needs NiceGUI, which is not installed: pip install 'uuv-fleet[view]'")
     try:
         family = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0][0]
         found = socket.create_server((host, port or 0), family=family)
     except (OSError, UnicodeError) as error:  # of a name that no host can have
         where = f"port {port} of {host}" if port else host
         what = f"{where} cannot be listened on ({getattr(error, 'strerror', None) or error})"
-        raise NoConnectionError(f"{what}; --port chooses another, and without it a free one is taken") from None
+        raise FleetError(f"{what}; --port chooses another, and without it a free one is taken", status=3) from None
     return PageListener(host, found.getsockname()[1], found, secrets.token_urlsafe(24))
 
 

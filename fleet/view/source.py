@@ -16,16 +16,6 @@ from fleet.replay.observed import Observed, read_observed
 from netem.private_file import DamagedFile
 
 
-class ViewerError(FleetError):
-    """There is nothing that can be shown, or it cannot be shown in this way."""
-
-
-class NoConnectionError(ViewerError):
-    """There is no port to listen on, or nobody answers at one."""
-
-    status = 3
-
-
 @dataclass(frozen=True, slots=True)
 class LiveSource:
     """A live run: who may read its journal, and who may ask its console.
@@ -43,9 +33,9 @@ class LiveSource:
     awaited: bool = False
 
     def controlled(self) -> LiveRun:
-        """The run, to be disturbed. Raises ViewerError: it can only be watched."""
+        """The run, to be disturbed. Raises FleetError: it can only be watched."""
         if self.run is None:
-            raise ViewerError(
+            raise FleetError(
                 f"only what an observer needs is at hand ({self.directory}): the run can be watched, with --read-only"
             )
         return self.run
@@ -67,7 +57,7 @@ def find_source(name: str | None, runs: Path) -> LiveSource | LogSource:
             below `runs`.
 
     Raises:
-        ViewerError: there is none, or the run is not published.
+        FleetError: there is none, or the run is not published.
         RemoteError: a name means several live runs.
         RegistryError: it is not known which runs there are.
     """
@@ -87,7 +77,7 @@ def find_source(name: str | None, runs: Path) -> LiveSource | LogSource:
     except RemoteError as error:
         if error.status == 2:  # several
             raise
-        raise ViewerError(f"{error}; nor is it a file or a directory") from None
+        raise FleetError(f"{error}; nor is it a file or a directory") from None
 
 
 def _newest(runs: Path) -> LiveSource | LogSource:
@@ -97,7 +87,7 @@ def _newest(runs: Path) -> LiveSource | LogSource:
         raise _not_published(max(living, key=_began))
     newest = newest_run(runs)
     if newest is None:
-        raise ViewerError(
+        raise FleetError(
             f"no run is live, and there is none below {runs.absolute()}: start one with fleet run paper --publish, or "
             "name a log or a run directory"
         )
@@ -112,8 +102,8 @@ def _began(directory: Path) -> float:
         return 0.0
 
 
-def _not_published(directory: Path) -> ViewerError:
-    return ViewerError(
+def _not_published(directory: Path) -> FleetError:
+    return FleetError(
         f"the live run in {directory} is not published: start it with fleet run ... --publish; its log can be shown "
         f"when it is over, or as it is now: {directory / 'run.mcap'}"
     )
@@ -123,9 +113,9 @@ def _live(path: Path) -> LiveSource:
     try:
         observed = read_observed(path)
     except OSError as error:
-        raise ViewerError(f"cannot read {path}: {error.strerror}") from None
+        raise FleetError(f"cannot read {path}: {error.strerror}") from None
     except DamagedFile as error:
-        raise ViewerError(f"{path}: {error}") from None
+        raise FleetError(f"{path}: {error}") from None
     try:
         run = find(str(path.parent)) if path.name == OBSERVE else None
     except RemoteError:

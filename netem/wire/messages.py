@@ -44,14 +44,14 @@ class Route(NamedTuple):
 
 
 # Without a garbage collector's header: what holds numbers, texts, bytes and tuples of them alone is in no circle.
-class Record(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
+class WireRecord(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
     """A MessagePack array of fields; a message is a record with a tag, which comes first in the array."""
 
 
 # ------------------------------------------------------------------------------------------ records
 
 
-class Delivery(Record, frozen=True):
+class Delivery(WireRecord, frozen=True):
     """One payload that reaches an agent."""
 
     due_tick: Annotated[Uint, about("first tick at which the receiver may use it", "tick")]
@@ -62,7 +62,7 @@ class Delivery(Record, frozen=True):
     payload: Annotated[bytes, about("opaque to the network")]
 
 
-class Fate(Record, frozen=True):
+class Fate(WireRecord, frozen=True):
     """The one, final record of a packet: netem writes it at the tick where the fate became final."""
 
     final_tick: Annotated[Uint, about("due tick if delivered, drop tick if lost, end tick if in flight", "tick")]
@@ -78,7 +78,7 @@ class Fate(Record, frozen=True):
     payload: Annotated[bytes, about("the payload's bytes")]
 
 
-class VehicleFrame(Record, frozen=True):
+class VehicleFrame(WireRecord, frozen=True):
     """One vehicle at one tick, as the world computed it."""
 
     id: Annotated[Uint, about("vehicle number")]
@@ -91,7 +91,7 @@ class VehicleFrame(Record, frozen=True):
     clock: Annotated[Reals, about("by how much its clock is ahead; empty while all clocks are right", "s")]
 
 
-class Arrival(Record, frozen=True):
+class Arrival(WireRecord, frozen=True):
     """When one delivery came to its receiver."""
 
     src: Annotated[Uint, about("sending vehicle")]
@@ -100,7 +100,7 @@ class Arrival(Record, frozen=True):
     at_ns: Annotated[Uint, about("when it came in, by CLOCK_MONOTONIC of the agent's host", "ns")]
 
 
-class Life(Record, frozen=True):
+class Life(WireRecord, frozen=True):
     """A vehicle lost its agent, or got another one."""
 
     tick: Annotated[Uint, about("first tick without, or with", "tick")]
@@ -111,7 +111,7 @@ class Life(Record, frozen=True):
     ]
 
 
-class Tumble(Record, frozen=True):
+class Tumble(WireRecord, frozen=True):
     """A vehicle's pitch went beyond its limit, or came back."""
 
     tick: Annotated[Uint, about("first tick at which it is so", "tick")]
@@ -120,7 +120,7 @@ class Tumble(Record, frozen=True):
     number: Annotated[Uint, about("how often it has tumbled, this time included")]
 
 
-class Frame(Record, frozen=True):
+class Frame(WireRecord, frozen=True):
     """All vehicles at one tick; the log's source."""
 
     tick: Annotated[Uint, about("control tick; consecutive on this key", "tick")]
@@ -158,7 +158,7 @@ class WorldFault(TimedFault, frozen=True):
 # ------------------------------------------------------------------------------------------ messages
 
 
-class Hello(Record, frozen=True, tag="hello"):
+class Hello(WireRecord, frozen=True, tag="hello"):
     """Readiness probe; whoever receives one on its own key answers with `echo` set."""
 
     route: ClassVar[Route] = Route("any", "any", "any")
@@ -170,7 +170,7 @@ class Hello(Record, frozen=True, tag="hello"):
     echo: Annotated[bool, about("true in the answer")]
 
 
-class Nav(Record, frozen=True, tag="nav"):
+class Nav(WireRecord, frozen=True, tag="nav"):
     """The vehicle's own measured pose and velocity at a tick, and nothing else."""
 
     route: ClassVar[Route] = Route("nav/{i}", "world", "agent i")
@@ -187,7 +187,7 @@ class Nav(Record, frozen=True, tag="nav"):
     ] = None
 
 
-class End(Record, frozen=True, tag="end"):
+class End(WireRecord, frozen=True, tag="end"):
     """No Nav follows for this life of the agent, which closes its session. Only external agents get it."""
 
     route: ClassVar[Route] = Route("nav/{i}", "world", "agent i")
@@ -197,7 +197,7 @@ class End(Record, frozen=True, tag="end"):
     reason: Annotated[Text, about("one line for a person")]
 
 
-class Command(Record, frozen=True, tag="cmd"):
+class Command(WireRecord, frozen=True, tag="cmd"):
     """The agent's answer to Nav of the same tick."""
 
     route: ClassVar[Route] = Route("cmd/{i}", "agent i", "world")
@@ -210,7 +210,7 @@ class Command(Record, frozen=True, tag="cmd"):
     ]
 
 
-class Memory(Record, frozen=True, tag="memory"):
+class Memory(WireRecord, frozen=True, tag="memory"):
     """Everything that an agent's next samples depend on; put before the Command of a tick with a snapshot."""
 
     route: ClassVar[Route] = Route("cmd/{i}", "agent i", "world")
@@ -220,7 +220,7 @@ class Memory(Record, frozen=True, tag="memory"):
     state: Annotated[bytes, about("in a format of the agent's own, as MessagePack")]
 
 
-class Transmission(Record, frozen=True, tag="tx"):
+class Transmission(WireRecord, frozen=True, tag="tx"):
     """What the agent sends at a round tick; an empty list is the null message and is required."""
 
     route: ClassVar[Route] = Route("tx/{i}", "agent i", "netem")
@@ -230,7 +230,7 @@ class Transmission(Record, frozen=True, tag="tx"):
     payloads: Annotated[tuple[bytes, ...], about("each goes to every graph neighbour")]
 
 
-class Receipt(Record, frozen=True, tag="receipt"):
+class Receipt(WireRecord, frozen=True, tag="receipt"):
     """In a realtime run: the deliveries that an agent used at a tick, and when they had come. Optional."""
 
     route: ClassVar[Route] = Route("tx/{i}", "agent i", "netem")
@@ -240,7 +240,7 @@ class Receipt(Record, frozen=True, tag="receipt"):
     arrivals: Annotated[tuple[Arrival, ...], about("in the order in which they were used")]
 
 
-class Inbox(Record, frozen=True, tag="rx"):
+class Inbox(WireRecord, frozen=True, tag="rx"):
     """All that will be delivered to the agent after its previous inbox's `until`, up to this one's."""
 
     route: ClassVar[Route] = Route("rx/{i}", "netem", "agent i")
@@ -251,7 +251,7 @@ class Inbox(Record, frozen=True, tag="rx"):
     deliveries: Annotated[tuple[Delivery, ...], about("ordered by (due, sent, src, seq, copy)")]
 
 
-class Round(Record, frozen=True, tag="round"):
+class Round(WireRecord, frozen=True, tag="round"):
     """All commands of a round tick have come: which vehicles are alive, and where."""
 
     route: ClassVar[Route] = Route("tx/round", "world", "netem")
@@ -262,7 +262,7 @@ class Round(Record, frozen=True, tag="round"):
     paused: Annotated[tuple[Uint, ...], about("those of them that are suspended: no transmission comes")]
 
 
-class Pace(Record, frozen=True, tag="pace"):
+class Pace(WireRecord, frozen=True, tag="pace"):
     """In a realtime run: when ticks begin; put before the Round of the same tick."""
 
     route: ClassVar[Route] = Route("tx/round", "world", "netem")
@@ -272,7 +272,7 @@ class Pace(Record, frozen=True, tag="pace"):
     period_ns: Annotated[Uint, about("of wall time per tick, until the next Pace", "ns")]
 
 
-class Frames(Record, frozen=True, tag="frames"):
+class Frames(WireRecord, frozen=True, tag="frames"):
     """Consecutive frames in one message: while the world is busy it saves a message per tick."""
 
     route: ClassVar[Route] = Route("frame", "world", "console")
@@ -280,7 +280,7 @@ class Frames(Record, frozen=True, tag="frames"):
     frames: Annotated[tuple[Frame, ...], about("ascending by tick")]
 
 
-class LinkReport(Record, frozen=True, tag="links"):
+class LinkReport(WireRecord, frozen=True, tag="links"):
     """Every fate that became final after the previous report's `until`, up to this one's."""
 
     route: ClassVar[Route] = Route("links", "netem", "console")
@@ -292,7 +292,7 @@ class LinkReport(Record, frozen=True, tag="links"):
     memory: Annotated[bytes, about("of the network before this round, as MessagePack; mostly empty")]
 
 
-class Grant(Record, frozen=True, tag="grant"):
+class Grant(WireRecord, frozen=True, tag="grant"):
     """Ticks below `until` may be started."""
 
     route: ClassVar[Route] = Route("cmd/grant", "console", "world")
@@ -300,7 +300,7 @@ class Grant(Record, frozen=True, tag="grant"):
     until: Annotated[Uint, about("state `until` will exist, Nav(`until`) is not sent", "tick")]
 
 
-class Death(Record, frozen=True, tag="death"):
+class Death(WireRecord, frozen=True, tag="death"):
     """An agent has ended, or will: from a tick on its vehicle is not waited for any more."""
 
     route: ClassVar[Route] = Route("cmd/grant", "console", "world")
@@ -313,7 +313,7 @@ class Death(Record, frozen=True, tag="death"):
     ]
 
 
-class Restart(Record, frozen=True, tag="restart"):
+class Restart(WireRecord, frozen=True, tag="restart"):
     """Another agent takes a vehicle over earlier than planned; that tick is not granted before it is ready."""
 
     route: ClassVar[Route] = Route("cmd/grant", "console", "world")
@@ -323,7 +323,7 @@ class Restart(Record, frozen=True, tag="restart"):
     tick: Annotated[Uint, about("round tick, its first sample", "tick")]
 
 
-class WorldFaults(Record, frozen=True, tag="faults"):
+class WorldFaults(WireRecord, frozen=True, tag="faults"):
     """The faults of sensors, actuators and sea, all of them: they replace those sent before."""
 
     route: ClassVar[Route] = Route("cmd/grant", "console", "world")
@@ -331,7 +331,7 @@ class WorldFaults(Record, frozen=True, tag="faults"):
     faults: Annotated[tuple[WorldFault, ...], about("in the order in which they begin")]
 
 
-class Note(Record, frozen=True, tag="note"):
+class Note(WireRecord, frozen=True, tag="note"):
     """A line for the operator: a rejected message, a failed controller, a counter."""
 
     route: ClassVar[Route] = Route("note", "world, netem, agents", "console")

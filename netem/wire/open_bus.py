@@ -26,7 +26,7 @@ class ZenohSample(NamedTuple):
     stamp_ns: int | None  # zenoh's timestamp, ns since 1970, if the sample has one
 
 
-class Publication:
+class OpenPublication:
     """Puts on one key with one encoding."""
 
     def __init__(self, publisher: zenoh.Publisher) -> None:
@@ -112,7 +112,7 @@ class OpenBus:
         except zenoh.ZError as error:
             raise BusError(f"{problem} {endpoint} ({reason(error)})") from None
 
-    def publication(self, key: str, encoding: str, *, drop: bool) -> Publication:
+    def publication(self, key: str, encoding: str, *, drop: bool) -> OpenPublication:
         """Puts on `key`, in order. With `drop`, what a slow subscriber has no room for is lost to it; otherwise the
         put waits, and zenoh closes the link to a subscriber that takes nothing for 5 s.
 
@@ -127,7 +127,7 @@ class OpenBus:
         except zenoh.ZError:
             raise BusError(f"zenoh takes no key {key!r}") from None
         self._held.append(publisher)
-        return Publication(publisher)
+        return OpenPublication(publisher)
 
     def subscribe(self, key: str, handler: Callable[[Any], None]) -> Callable[[], None]:
         """Call `handler` with zenoh's own sample, on a thread of zenoh; `sample_of` reads it later.

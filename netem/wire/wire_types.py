@@ -13,7 +13,7 @@ from msgspec import inspect
 
 from netem.causes import Cause
 from netem.fault_kinds import WorldFaultKind
-from netem.wire.messages import Message, Record, Route, TimedFault, WorldFault
+from netem.wire.messages import Message, Route, TimedFault, WireRecord, WorldFault
 
 _SCALARS: dict[type[inspect.Type], str] = {
     inspect.IntType: "uint",
@@ -33,15 +33,15 @@ class Field(NamedTuple):
     meaning: str
 
 
-def declared() -> dict[str, tuple[type[Record], Route]]:
+def declared() -> dict[str, tuple[type[WireRecord], Route]]:
     """Every kind of message with its class and its route, in the order of declaration."""
     return {cls.__struct_config__.tag: (cls, cls.route) for cls in get_args(Message)}
 
 
-def records() -> dict[str, type[Record | TimedFault]]:
+def records() -> dict[str, type[WireRecord | TimedFault]]:
     """Every record that a field may name, in the order of declaration."""
-    found: list[type[Record | TimedFault]] = [
-        cls for cls in Record.__subclasses__() if cls.__struct_config__.tag is None
+    found: list[type[WireRecord | TimedFault]] = [
+        cls for cls in WireRecord.__subclasses__() if cls.__struct_config__.tag is None
     ]
     return {cls.__name__: cls for cls in (*found, WorldFault)}
 
@@ -51,7 +51,7 @@ def texts() -> dict[str, type[StrEnum]]:
     return {cls.__name__: cls for cls in (Cause, WorldFaultKind)}
 
 
-def fields_of(cls: type[Record | TimedFault]) -> dict[str, Field]:
+def fields_of(cls: type[WireRecord | TimedFault]) -> dict[str, Field]:
     """The fields of a message or record, in wire order."""
     info = inspect.type_info(cls)
     assert isinstance(info, inspect.StructType)

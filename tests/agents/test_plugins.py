@@ -38,7 +38,7 @@ from fleet.cli.new import KINDS
 from fleet.errors import ScenarioError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Result, Status
+from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 from world.errors import PluginError

@@ -19,7 +19,7 @@ from soak import of_session
 from waiting import wait_for
 
 import fleet
-from fleet.bench.errors import BenchError
+from fleet.errors import FleetError
 
 PLACES = {
     "main": "/usr/lib/python3.11/runpy.py",
@@ -74,7 +74,7 @@ def test_our_files_are_known_where_the_package_lies() -> None:
 
 @pytest.mark.parametrize("text", [b"", b"{}", speedscope(name="Process 7"), speedscope(unit="none")])
 def test_what_another_py_spy_wrote_is_refused(text: bytes) -> None:
-    with pytest.raises(BenchError, match="the profile of this py-spy cannot be read: "):
+    with pytest.raises(FleetError, match="the profile of this py-spy cannot be read: "):
         read_stacks(text)
 
 

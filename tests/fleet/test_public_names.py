@@ -8,9 +8,9 @@ import pytest
 from made_up_study import CONTROLLER, DELAY, LOSS, Row, made_up, usual
 
 import fleet
-from fleet.checks.verdict import Verdict
-from fleet.execution.outcome import Result, Status
 from fleet.notebook import MOST_ROWS, html_table
+from fleet.result.result import Result, Status
+from fleet.result.verdict import Verdict
 from fleet.study.errors import StudyError
 from fleet.study.study import Study
 
@@ -31,14 +31,13 @@ def verdict(name: str, *, passed: bool) -> Verdict:
 
 
 def test_a_result_in_a_line_and_as_a_table() -> None:
-    values = {"scenario": "ring", "seed": 7}
-    result = Result(Status.CHECK_FAILED, values=values)
+    result = Result(scenario="ring", seed=7, status=Status.CHECK_FAILED)
     result.verdicts = [verdict("deaths", passed=True), verdict("formation_error", passed=False)]
     assert repr(result) == "<Result of ring with seed 7: check_failed; 1 of 2 checks passed, failed: formation_error>"
     table = result._repr_html_()
     assert table.index("formation_error") < table.index("deaths")  # what failed comes first
     assert "below &lt;1 m&gt;" in table
-    broken = Result(Status.BROKEN, reason="agent 2 ended", values=values)
+    broken = Result(scenario="ring", seed=7, status=Status.BROKEN, reason="agent 2 ended")
     assert repr(broken) == "<Result of ring with seed 7: broken; agent 2 ended>"
     assert "agent 2 ended" in broken._repr_html_()
 

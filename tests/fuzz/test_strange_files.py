@@ -21,16 +21,15 @@ from repository import ROOT
 from agents.join_file import JoinError, JoinFile
 from fleet.analysis.stability import oldest_s
 from fleet.cli.main import cli
-from fleet.errors import ScenarioError
+from fleet.errors import FleetError, ScenarioError
 from fleet.execution.connection import live_runs
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.hosts.certificates import HostsError
 from fleet.hosts.certificates import _read as read_pem
 from fleet.hosts.rendezvous import read_credentials
-from fleet.logs.result_file import ResultError, read_result, read_timing
 from fleet.pictures.report import page
 from fleet.pictures.runs import Run, View, load
+from fleet.result.file import ResultError, read_result
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.sections.modem_files import load_modem
 from fleet.scenario.sections.vehicle_files import load_vehicle
@@ -73,8 +72,8 @@ def read_all(pipe: Path) -> None:
         (lambda: load_vehicle(str(pipe)), Exception),
         (lambda: load_modem(str(pipe)), Exception),
         (lambda: JoinFile.read(pipe), JoinError),
-        (lambda: read_credentials(pipe, 4), HostsError),
-        (lambda: read_pem(pipe), HostsError),
+        (lambda: read_credentials(pipe, 4), FleetError),
+        (lambda: read_pem(pipe), FleetError),
     )
     for reader, kind in readers:
         try:
@@ -289,25 +288,22 @@ def test_a_damaged_result_is_told_where(change: dict[str, Any], why: str, run: R
     values = json.loads((run.log.path.parent / "result.json").read_text())
     (tmp_path / "result.json").write_text(json.dumps(values | change))
     with pytest.raises(ResultError, match=why):
-        read_result(tmp_path / "run.mcap")
+        read_result(tmp_path)
 
 
-def test_timing_of_a_result(run: Run, tmp_path: Path) -> None:
-    """The pictures of a wall-clock run need it; a run in lockstep has none."""
-    with pytest.raises(ResultError, match="damaged: Expected `object`, got `null`"):
-        read_timing(run.log.path)
-    spread = {"negative": 0, "p99_ms": 1.5, "histogram_ms": [[1.0, 3]]}
-    timing = {
-        "world": {"period_ms": 10},
-        "netem": {"hop": spread, "links": {}},
-        "vehicles": {"1": {"response": spread}},
-    }
-    (tmp_path / "result.json").write_text(json.dumps({"timing": timing}))
-    assert read_timing(tmp_path / "run.mcap")["vehicles"]["1"]["response"]["histogram_ms"] == [[1.0, 3]]
-    spread["histogram_ms"] = [[-1.0, 3]]
-    (tmp_path / "result.json").write_text(json.dumps({"timing": timing}))
-    with pytest.raises(ResultError, match=r"> 0\.0"):
-        read_timing(tmp_path / "run.mcap")
+def test_results_of_earlier_and_later_versions(tmp_path: Path) -> None:
+    """One of before has neither a format nor all numbers, and words that JSON does not have."""
+    row = """{"settle_10pct_s": 1, "settle_5cm_s": null, "e_rms_m": NaN, "e_final_m": -Infinity,
+        "formation_final_m": 1e999, "effort_Ns": 1, "u_cmd_max_mps": null, "qp_failures": 0, "payloads_rejected": 0}"""
+    text = '{"status": "broken", "sim_s": 2, "vehicles": {"1": ROW}}'.replace("ROW", row)
+    (tmp_path / "result.json").write_text(text)
+    found = read_result(tmp_path)
+    assert (found.status, found.sim_s, found.digest, found.timing) == ("broken", 2.0, "", None)
+    assert (found.vehicles["1"].e_rms_m, found.vehicles["1"].formation_final_m) == (None, None)
+    assert (found.directory, found.run) == (tmp_path, tmp_path.name)
+    (tmp_path / "result.json").write_text('{"status": "left", "format": 2}')
+    with pytest.raises(ResultError, match="has format 2, of a later version of uuv-fleet; this one reads 1"):
+        read_result(tmp_path)
 
 
 @pytest.mark.parametrize("text", ["", "[]", "null", "{", '{"endpoint": 5}', '{"run": "a/b"}', "[" * 100_000, "PIPE"])

@@ -18,7 +18,7 @@ from repository import GOLDEN
 
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Status
+from fleet.result.result import Status
 from fleet.scenario.loading import load_scenario
 
 EVERY = "log.every=10 ticks"  # the trajectories hold every tenth sample

@@ -9,7 +9,7 @@ from repository import ROOT
 
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Status
+from fleet.result.result import Status
 from fleet.scenario.catalogue import list_scenarios
 from fleet.scenario.loading import load_scenario
 

@@ -20,9 +20,9 @@ from small_scenario import only_problem, small
 
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Result, Status
 from fleet.logs.reader import digest
 from fleet.repeat.recorded_run import script
+from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario, parse_scenario
 from netem.lives import Absence, Lives
 from netem.wire.messages import WorldFault

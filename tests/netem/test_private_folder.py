@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import stat
 import subprocess
@@ -142,3 +143,10 @@ def test_a_file_system_without_locks(place: Path, monkeypatch: pytest.MonkeyPatc
         sweep()
         assert folder.exists()
     assert not folder.exists()
+
+
+def test_every_folder_for_a_while_is_a_private_one() -> None:
+    """Whoever makes another kind leaves it behind when it is killed, as benchmarks did."""
+    paths = [path for package in ("netem", "world", "agents", "fleet") for path in (ROOT / package).rglob("*.py")]
+    makers = [path.name for path in paths if re.search(r"TemporaryDirectory|mkdtemp", path.read_text("utf-8"))]
+    assert makers == ["private_folder.py"]

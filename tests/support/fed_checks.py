@@ -8,7 +8,7 @@ from small_scenario import small
 
 from fleet.checks.own_checks import OwnChecks
 from fleet.checks.values import LoggedValues, Values
-from fleet.checks.verdict import Verdict
+from fleet.result.verdict import Verdict
 from fleet.scenario.sections.timeline import Event
 from netem.wire.messages import Fate
 

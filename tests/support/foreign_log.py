@@ -8,7 +8,7 @@ from pathlib import Path
 from google.protobuf import struct_pb2
 from mcap.writer import Writer
 
-from fleet.logs.schemas import Column, _descriptor_set, flat_schema
+from fleet.logs.schemas import MessageField, _descriptor_set, flat_schema
 
 
 def foreign(path: Path) -> Path:
@@ -18,7 +18,7 @@ def foreign(path: Path) -> Path:
         writer.start()
         words = writer.register_channel("words", "json", 0)
         broken = writer.register_channel("broken", "protobuf", writer.register_schema("No", "protobuf", b"\xff\xff"))
-        ragged = flat_schema("Ragged", (Column("values", "V", "some", 1), Column("more", "A", "one")))
+        ragged = flat_schema("Ragged", (MessageField("values", "V", "some", 1), MessageField("more", "A", "one")))
         odd = writer.register_channel(
             "odd", "protobuf", writer.register_schema(ragged.name, "protobuf", ragged.descriptor_set)
         )

@@ -9,7 +9,7 @@ import pytest
 
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Result, Status
+from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario
 
 Alone = Callable[..., Result]

@@ -5,12 +5,12 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Sequence
 
-from fleet.logs.schemas import Column, Schema, head
+from fleet.logs.schemas import MessageField, Schema, head
 
 Entry = tuple[str, int, int, int, bytes]  # topic, log time, publish time, sequence, data
 
 
-def encoded(columns: Iterable[Column], values: Sequence[float]) -> bytes:
+def encoded(columns: Iterable[MessageField], values: Sequence[float]) -> bytes:
     """A message of doubles field by field, zeros too, as all of the log's are."""
     data, rest = b"", list(values)
     for number, column in enumerate(columns, start=1):

@@ -32,6 +32,11 @@ def die_at_once() -> None:
     os._exit(7)
 
 
+def hang() -> None:
+    """Ends with its process alone."""
+    time.sleep(3600.0)
+
+
 def sleep(seconds: float) -> float:
     """Returns the seconds after so long."""
     time.sleep(seconds)

@@ -28,9 +28,9 @@ import netem.wire.bus
 from fleet.execution.directory import RunDirectory
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Status
 from fleet.logs.reader import LogReader
 from fleet.processes.run_folder import RunFolder
+from fleet.result.result import Status
 from fleet.scenario.loading import load_scenario
 from netem.errors import BusError
 from netem.wire.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, Credentials, Listener, agent_role, generate

@@ -23,8 +23,8 @@ import fleet.execution.launch
 from fleet.execution.directory import RunDirectory
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Result, Status
 from fleet.logs.reader import LogReader
+from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario
 from netem.wire.access import OBSERVER, OPERATOR, Credentials, generate
 from netem.wire.bus import Bus

@@ -27,8 +27,8 @@ from agents.errors import ControllerError
 from fleet.execution.directory import RunDirectory
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Result, Status
 from fleet.logs.reader import LogReader
+from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario
 from netem.wire.access import Credentials
 from netem.wire.bus import Bus

@@ -24,8 +24,8 @@ from waiting import wait_for
 
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Status
 from fleet.logs.reader import LogReader
+from fleet.result.result import Status
 from fleet.scenario.loading import load_scenario
 
 END_S = 30.0  # promised: 2 s; this long only tells a hang, also on a machine that does other things

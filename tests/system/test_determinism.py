@@ -21,8 +21,8 @@ from mcap.stream_reader import StreamReader
 from fleet.execution.directory import RunDirectory
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Status
 from fleet.logs.reader import LogReader, digest
+from fleet.result.result import Status
 from fleet.scenario.loading import load_scenario
 
 CHECKS = "checks={qp_infeasible: {at_most: 0}, ledger: balanced, middleware_loss: {at_most: 0}}"

@@ -22,11 +22,11 @@ from waiting import wait_for
 
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Status
 from fleet.logs.reader import LogReader
 from fleet.processes import children
 from fleet.processes.children import Children
 from fleet.processes.interrupts import DeferInterrupts, HungUp, holding_interrupts
+from fleet.result.result import Status
 from fleet.scenario.loading import load_scenario
 
 FLEET = [sys.executable, "-m", "fleet"]

@@ -23,8 +23,8 @@ from waiting import wait_for
 
 from agents.join_file import JoinError, JoinFile
 from fleet.cli.main import cli
+from fleet.errors import FleetError
 from fleet.execution.execute import execute
-from fleet.execution.external_agents import ExternalError
 from fleet.execution.options import Options
 from fleet.logs.reader import digest
 from fleet.scenario.loading import load_scenario, parse_scenario
@@ -198,7 +198,7 @@ def test_nobody_comes(tmp_path: Path) -> None:
 
 def test_nobody_can_join_a_run_in_one_process(tmp_path: Path) -> None:
     scenario = load_scenario("paper", [EXTERNAL])
-    with pytest.raises(ExternalError, match=r"^vehicle 3 is external, so somebody else starts that agent"):
+    with pytest.raises(FleetError, match=r"^vehicle 3 is external, so somebody else starts that agent"):
         execute(scenario, Options(tmp_path, in_process=True, quiet=True))
     assert list(tmp_path.iterdir()) == []
     result = CliRunner().invoke(cli, ["check", "ideal", "--set", "external=true"])

@@ -14,9 +14,9 @@ from small_scenario import SMALL
 from fleet.cli.main import cli
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Result, Status
 from fleet.logs.open_log import open_log
 from fleet.logs.reader import digest
+from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario
 from fleet.study.modules import folder_of, modules_of, packed
 

@@ -24,9 +24,9 @@ from waiting import wait_for
 
 from agents.join_file import JoinFile
 from fleet.cli.main import cli
+from fleet.errors import FleetError
 from fleet.execution.connection import ask, find
 from fleet.hosts import certificates, router_config
-from fleet.hosts.certificates import HostsError
 from fleet.hosts.rendezvous import (
     read_credentials,
     run_id,
@@ -48,10 +48,10 @@ LIMIT_S = 60.0
 
 def test_credentials_of_another_run_are_refused(tmp_path: Path) -> None:
     router_config.write(tmp_path, "a", 3, "")
-    with pytest.raises(HostsError, match="made for 3 vehicles, and the scenario has 4"):
+    with pytest.raises(FleetError, match="made for 3 vehicles, and the scenario has 4"):
         read_credentials(tmp_path / router_config.CREDENTIALS, 4)
     (tmp_path / router_config.CREDENTIALS).chmod(0o640)
-    with pytest.raises(HostsError, match="can be read by others"):
+    with pytest.raises(FleetError, match="can be read by others"):
         read_credentials(tmp_path / router_config.CREDENTIALS, 3)
     for text in (
         "",
@@ -63,10 +63,10 @@ def test_credentials_of_another_run_are_refused(tmp_path: Path) -> None:
     ):
         (tmp_path / "f").write_text(text)
         (tmp_path / "f").chmod(0o600)
-        with pytest.raises(HostsError, match="no credentials file"):
+        with pytest.raises(FleetError, match="no credentials file"):
             read_credentials(tmp_path / "f", 1)
     for text in ("", "a/b", "*", "a b", "ü", "x" * 65):
-        with pytest.raises(HostsError, match="--run"):
+        with pytest.raises(FleetError, match="--run"):
             run_id(text)
 
 

@@ -15,7 +15,7 @@ import fleet
 from fleet.execution.execute import execute
 from fleet.execution.judged import run
 from fleet.execution.options import Options
-from fleet.execution.outcome import Status
+from fleet.result.result import Status
 from fleet.scenario.loading import parse_scenario
 
 # Drawn by docs/examples/keep_apart_crossings.py. Without a limit of the vertical velocity vehicles tumble in the first.

@@ -18,11 +18,12 @@ from fleet.errors import FleetError
 from fleet.execution.connection import RemoteError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Status
 from fleet.pictures.runs import NothingToDraw, View, load
 from fleet.pictures.timing import punctuality
 from fleet.repeat.verify import verify
 from fleet.repeat.what_if import what_if
+from fleet.result.file import read_result
+from fleet.result.result import Status
 from fleet.scenario.loading import load_scenario
 from netem.clock import Clock
 
@@ -47,13 +48,15 @@ def test_a_real_run_is_on_time_and_lockstep_or_says_why_not(tmp_path: Path) -> N
     found = execute(scenario, Options(tmp_path, quiet=True, clock=Clock.REAL, speed=0.5, most_missed=1.0))
     same = execute(scenario, Options(tmp_path, quiet=True, in_process=True))
     assert (found.status, found.reason) == (Status.PASS, "")
-    measured = found.values["timing"]
-    assert measured["label"] in ("on time", "degraded")
-    assert found.digest == same.digest or measured["label"] == "degraded"
-    assert (measured["label"] == "on time") == (measured["reasons"] == [])
-    assert all(row["asked"] == 200 for row in measured["vehicles"].values())
-    assert measured["netem"]["hop"]["count"] + measured["netem"]["unread"] == 120
-    assert measured["netem"]["links"]["1->2"]["injected"]["p50_ms"] == 10.0
+    measured = found.timing
+    assert measured is not None
+    assert measured.label in ("on time", "degraded")
+    assert found.digest == same.digest or measured.label == "degraded"
+    assert (measured.label == "on time") == (measured.reasons == [])
+    assert all(row.asked == 200 for row in measured.vehicles.values())
+    assert measured.netem.hop.count + measured.netem.unread == 120
+    assert measured.netem.links["1->2"].injected.p50_ms == 10.0
+    assert read_result(found.directory) == found
     (run,) = load([found.directory])
     figure = punctuality([run], View())
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["UUV 1", "UUV 2", "UUV 3", "UUV 4"]
@@ -77,10 +80,11 @@ def test_an_agent_too_slow_for_its_ticks_is_named(tmp_path: Path, monkeypatch: p
     )
     found = execute(scenario, Options(tmp_path, quiet=True, clock=Clock.REAL, speed=1.0))
     assert found.status is Status.CHECK_FAILED
-    rows = found.values["timing"]["vehicles"]
+    assert found.timing is not None
+    row = found.timing.vehicles["2"]
     # Twenty times it sleeps, and each time seven more ticks go by; fewer where the machine stops the world, too.
-    assert rows["2"]["missed"] >= 20 * 3
-    assert rows["2"]["response"]["max_ms"] >= 80.0
+    assert row.missed >= 20 * 3
+    assert row.response.max_ms >= 80.0
     assert "agent 2 missed" in found.verdicts[-1].found
 
 

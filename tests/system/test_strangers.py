@@ -25,9 +25,9 @@ import fleet.execution.launch
 from fleet.execution.directory import RunDirectory
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Result, Status
 from fleet.processes.children import Children, Exit
 from fleet.processes.run_folder import RunFolder
+from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario
 from netem.wire.access import Credentials
 from netem.wire.audit import CUT_OFF

@@ -15,9 +15,9 @@ from loops import NU0, PARAMS, TAU_MAX, world_config
 from fleet.execution import in_memory
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Result, Status
 from fleet.logs.open_log import open_log
 from fleet.repeat.resume import continuation
+from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario
 from netem.wire.messages import Frame, Tumble
 from world.config import VehicleSetup

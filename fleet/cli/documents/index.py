@@ -16,10 +16,10 @@ from fleet.cli.documents.boundary import BoundaryFound
 from fleet.cli.documents.check import Checked
 from fleet.cli.documents.listing import Runs, Scenarios
 from fleet.cli.documents.logs import Compared, LogContents, LogJudged, Verified
-from fleet.cli.documents.result import Ran
 from fleet.cli.documents.search import FirstFailing
 from fleet.cli.documents.study import Less, Swept
 from fleet.cli.documents.what_if import OtherCommands
+from fleet.result.result import Result
 
 DOCUMENTS: dict[str, type[Struct]] = {
     "bench": Measured,
@@ -38,7 +38,7 @@ DOCUMENTS: dict[str, type[Struct]] = {
     "list": Scenarios,
     "ls": Runs,
     "ps": live.LiveRuns,
-    "run": Ran,
+    "run": Result,
     "search": FirstFailing,
     "shrink": Less,
     "status": live.RunStatus,

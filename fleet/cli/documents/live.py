@@ -6,6 +6,7 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
+from fleet.result.result import Formation
 from fleet.scenario.sections.vehicle_events import VehicleEvents
 
 RunName = Annotated[str, Meta(description="Name of the run: of its directory.")]
@@ -39,15 +40,6 @@ class LiveRuns(Struct):
     """`fleet ps --json`: the live runs of this user."""
 
     runs: Annotated[list[LiveRunRow], Meta(description="By name.")]
-
-
-class Formation(Struct):
-    """Formation errors of the fleet at one time."""
-
-    worst_m: Annotated[float | None, Meta(description="The largest [m].")]
-    vehicle: Annotated[int, Meta(description="Whose it is; 0: nothing is known yet.")]
-    median_m: Annotated[float | None, Meta(description="Of the median vehicle [m].")]
-    vehicles: Annotated[int, Meta(description="Number of vehicles.")]
 
 
 class FaultRow(Struct):

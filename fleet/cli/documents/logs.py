@@ -10,13 +10,13 @@ from typing import Annotated
 from msgspec import Meta, Struct, convert
 
 from fleet.cli.documents.live import EventCount
-from fleet.cli.documents.result import CheckResult
-from fleet.logs.decoder import Value
-from fleet.logs.deviation import Comparison
+from fleet.logs.decoder import FieldValue
+from fleet.logs.deviation import LogComparison
 from fleet.logs.first_difference import Difference, Side, same
 from fleet.logs.info import Info
 from fleet.repeat.check_log import JudgedLog
 from fleet.repeat.verify import Verification
+from fleet.result.verdict import Verdict
 
 Missing = Annotated[str, Meta(description="What is missing in the file; empty: it is whole.")]
 Plain = str | int | float | bool | None
@@ -122,6 +122,7 @@ class LogContents(Struct):
     events: Annotated[list[EventCount], Meta(description="What happened to vehicles, one row for each.")]
     topics: Annotated[dict[str, tuple[str, int]], Meta(description="Schema and number of messages, by topic.")]
     missing: Missing
+    unread: Annotated[int, Meta(description="Messages about faults that are left out above, as there are too many.")]
 
 
 class LogJudged(Struct):
@@ -132,7 +133,7 @@ class LogJudged(Struct):
     until_s: Annotated[float, Meta(description="Simulated time up to which it was judged [s].")]
     end_s: Annotated[float, Meta(description="Simulated time at which the run was to end [s].")]
     missing: Missing
-    checks: Annotated[list[CheckResult], Meta(description="The verdicts.")]
+    checks: Annotated[list[Verdict], Meta(description="The verdicts.")]
 
 
 def judged(found: JudgedLog) -> LogJudged:
@@ -143,7 +144,7 @@ def judged(found: JudgedLog) -> LogJudged:
         until_s=found.until_s,
         end_s=found.end_s,
         missing=found.missing,
-        checks=[convert(verdict.to_values(), CheckResult) for verdict in found.verdicts],
+        checks=found.verdicts,
     )
 
 
@@ -167,7 +168,7 @@ def verified(found: Verification) -> Verified:
 
 
 def compared(
-    paths: tuple[Path, Path], missing: tuple[str, str], found: Comparison, tolerance: float, besides: list[str]
+    paths: tuple[Path, Path], missing: tuple[str, str], found: LogComparison, tolerance: float, besides: list[str]
 ) -> Compared:
     """The document of a comparison."""
     signals = sorted(found.signals.items(), key=lambda item: -item[1].value)
@@ -219,7 +220,7 @@ def _message(side: Side) -> MessageRow | None:
     return MessageRow(record.topic, record.log_ns / 1e9, record.publish_ns / 1e9, record.sequence)
 
 
-def _plain(value: Value | None) -> Plain:
+def _plain(value: FieldValue | None) -> Plain:
     if value is None:
         return None
     found: Plain = value.value.hex() if isinstance(value.value, bytes) else value.value

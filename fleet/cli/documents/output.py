@@ -27,21 +27,14 @@ def json_is_asked(context: click.Context) -> bool:
     return bool(context.meta.get(_ASKED))
 
 
-def as_document(document: msgspec.Struct) -> str:
-    """A document as JSON: a number that is not finite becomes null, since JSON has none."""
-    import msgspec
-
-    return msgspec.json.format(msgspec.json.encode(document), indent=2).decode()
-
-
 def print_document(document: msgspec.Struct) -> None:
     """Print a document as JSON."""
-    import msgspec
+    from fleet.result.json_text import json_text
 
+    text = json_text(document)
     try:
-        click.echo(as_document(document))
-    except UnicodeEncodeError:  # the name of a file that is no text; json writes it with escapes
+        click.echo(text)
+    except UnicodeEncodeError:  # stdout has another encoding; json writes with escapes what it does not have
         import json
 
-        values = json.loads(json.dumps(msgspec.to_builtins(document)), parse_constant=lambda _: None)
-        click.echo(json.dumps(values, indent=2))
+        click.echo(json.dumps(json.loads(text), indent=2))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -32,7 +34,7 @@ _UNIT = re.compile(r" \[([^\]]+)\]")
 def page() -> str:
     """The whole page as Markdown."""
     structs = {f"fleet {command}": struct for command, struct in sorted(DOCUMENTS.items())}
-    refs, records = msgspec.json.schema_components([*structs.values(), FailedCommand], ref_template="{name}")
+    refs, records = _schemas([*structs.values(), FailedCommand], "{name}")
     parts = [_HEAD]
     for title, ref in zip([*structs, "FailedCommand"], refs, strict=True):
         parts.append(_section(f"## {title}", records.pop(ref["$ref"])))
@@ -43,8 +45,28 @@ def page() -> str:
 
 def schema(command: str) -> dict[str, Any]:
     """The JSON Schema of what a command prints: its document, or a failure."""
-    refs, records = msgspec.json.schema_components([DOCUMENTS[command], FailedCommand])
+    refs, records = _schemas([DOCUMENTS[command], FailedCommand])
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "anyOf": list(refs), "$defs": records}
+
+
+def _schemas(
+    structs: Sequence[type[msgspec.Struct]], ref_template: str = "#/$defs/{name}"
+) -> tuple[Sequence[dict[str, Any]], dict[str, dict[str, Any]]]:
+    """References to structs, and all records by name. An enumeration is no record: its words stand in the fields."""
+    refs, found = msgspec.json.schema_components(structs, schema_hook=_as_text, ref_template=ref_template)
+    words = {ref_template.format(name=name): found[name]["enum"] for name in found if "enum" in found[name]}
+    records = {name: record for name, record in found.items() if "enum" not in record}
+    for record in records.values():
+        for field in record["properties"].values():
+            if field.get("$ref") in words:
+                field |= {"type": "string", "enum": words[field.pop("$ref")]}
+    return refs, records
+
+
+def _as_text(kind: type) -> dict[str, Any]:
+    """The schema of a type that JSON does not know: a path, which is printed as text."""
+    assert kind is Path
+    return {"type": "string"}
 
 
 def _section(heading: str, record: dict[str, Any]) -> str:
@@ -64,6 +86,8 @@ def _type(field: dict[str, Any]) -> str:
         return f"[{name}](#{name.lower()})"
     if "anyOf" in field:
         return " or ".join(map(_type, field["anyOf"]))
+    if "enum" in field:
+        return " or ".join(f"`{word}`" for word in field["enum"])
     match field["type"]:
         case "array" if "prefixItems" in field:
             return f"[{', '.join(map(_type, field['prefixItems']))}]"

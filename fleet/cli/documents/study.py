@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from msgspec import Meta, Struct
 
 from fleet.scenario.scenario import Scenario, timeline
-from fleet.study.measures import Column
+from fleet.study.measures import MeasureColumn
 
 if TYPE_CHECKING:  # these need the extra `study`, and `fleet schema` does not
     from fleet.study.shrink import Shrunk
@@ -78,7 +78,7 @@ class Less(Struct):
     after: Annotated[Size, Meta(description="The least one.")]
 
 
-def swept(store: Store, measures: Sequence[Column]) -> Swept:
+def swept(store: Store, measures: Sequence[MeasureColumn]) -> Swept:
     """The document of a study. Raises StudyError."""
     from fleet.study.summary import summarise
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Iterable
 
 from fleet.scenario.schema.checks import ChecksSection
 from fleet.scenario.sections.signals import OF_THE_LAWS, OF_THE_PLANT, SignalName, parse_name
@@ -11,16 +10,15 @@ from fleet.scenario.sections.signals import OF_THE_LAWS, OF_THE_PLANT, SignalNam
 _HAVE_A_PICTURE = ("error.e_norm", "error.formation_norm")  # of their own, everywhere
 
 
-def checked_signals(checks: ChecksSection, judged: Iterable[Mapping[str, Any]] = ()) -> list[SignalName]:
+def checked_signals(checks: ChecksSection, looked_at: Iterable[str] = ()) -> list[SignalName]:
     """The signals that checks name or looked at, in their order, without the errors that are always drawn.
 
     Args:
         checks: of the scenario.
-        judged: rows of verdicts; one may say in `signals` which signals its check looked at. Only what laws and plants
-            report counts there, since a check in Python may look at everything else.
+        looked_at: signals that judged checks looked at. Only what laws and plants report counts there, since a check
+            in Python may look at everything else.
     """
     texts = [check.topic for check in checks.signal or ()]
-    looked_at = (text for row in judged for text in row.get("signals") or ())
     texts += [text for text in looked_at if text.partition(".")[0] in (*OF_THE_LAWS, OF_THE_PLANT)]
     names = (parse_name(text) for text in dict.fromkeys(texts))
     return [name for name in names if name is not None and name.name not in _HAVE_A_PICTURE]

@@ -38,15 +38,19 @@ Change = Callable[[Mapping], Mapping]
 
 
 class Override(NamedTuple):
-    """An option that changes a scenario, and its text."""
+    """An option that changes a scenario, and its text.
+
+    `typed` is what the user typed where that is another option, such as `--duration '20 s'` for `--set duration=20 s`.
+    """
 
     option: str
     text: str
+    typed: str = ""
 
     @property
     def name(self) -> str:
         """The override in problems."""
-        return f"{self.option} {self.text}"
+        return self.typed or f"{self.option} {self.text}"
 
     @classmethod
     def of(cls, text: str | Override) -> Override:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from math import isfinite
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -43,66 +45,83 @@ def boxes(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale:
     Raises:
         NothingToDraw: there are too many values.
     """
-    names: tuple[Value | None, ...] = (None,)
-    if layout.axes:
-        names = layout.dimensions[layout.axes[0]].values
-    colours: tuple[Value | None, ...] = (None,) if layout.lines is None else layout.dimensions[layout.lines].values
-    count = len(names) * len(colours)
-    if count > MOST_ROWS:
-        raise NothingToDraw(f"{count} boxes do not fit into a picture: {MOST_ROWS} do")
+    drawn = _Boxes(quantity, layout)
     columns = min(2, len(shown))
     rows = -(-len(shown) // columns)
     label = axis_label(layout.dimensions[layout.axes[0]]) if layout.axes else ""
-    height = rows * max(_ROW_IN * count + 0.55, text_width_pt(label, TEXT_PT) / 72.0 + 0.1) + 0.3
+    height = rows * max(_ROW_IN * drawn.count + 0.55, text_width_pt(label, TEXT_PT) / 72.0 + 0.1) + 0.3
     figure, axes = panels(rows, columns, COLUMN_IN if columns == 1 else PAGE_IN, height, share=False)
-    lacks = Lacks()
     for k, ax in enumerate(axes):
         if k >= len(shown):
             ax.set_visible(False)
             continue
-        lacking = False
         if quantity.kind == "difference":
             ax.axvline(0.0, color="0.45", linewidth=0.7, linestyle=(0, (4, 3)))
-        for row, name in enumerate(names):
-            for number, colour in enumerate(colours):
-                values = {} if name is None else {layout.axes[0]: name}
-                if layout.lines is not None and colour is not None:
-                    values[layout.lines] = colour
-                cell = quantity.cells.get(layout.key(shown[k], values))
-                if cell is not None:
-                    at = row + (number + 0.5) / len(colours) - 0.5
-                    _one(ax, quantity, cell, at, 1.0 / len(colours), COLOURS[number])
-                    lacks.add(ax, cell, (1.0 - _LACK, at + 0.45 / len(colours), _LACK, -0.9 / len(colours)))
-                    lacking |= any(cell.lack)
-        ax.set_yticks(
-            range(len(names)), labels=[text("all runs" if name is None else value_words(name)) for name in names]
-        )
-        ax.set_ylim(len(names) - 0.45, -0.55)
-        ax.grid(visible=False, axis="y")
-        if quantity.kind == "share":
-            ax.set_xlim(-3.0, 103.0)
-        elif log_scale and quantity.kind == "number":
-            ax.set_xscale("log")
-            plain_decades(ax.xaxis)
-        if lacking:
-            room(ax, "x", _LACK + 0.01)
+        lacking = drawn.panel(ax, shown[k])
+        drawn.scales(ax, log_scale, lacking=lacking)
         if k % columns == 0:
             ax.set_ylabel(label)
         if shown[k].title:
             ax.set_title(shown[k].title)
     figure.supxlabel(quantity_label(quantity, _WORDS if columns == 1 else 2 * _WORDS), fontsize=TEXT_PT)
-    lacks.draw(lambda ax: ax.get_yaxis_transform())
-    coloured = [
-        Patch(color=COLOURS[k], alpha=2 * BAND, linewidth=0, label=text(value_words(name)))
-        for k, name in enumerate(colours)
-        if name is not None
-    ]
-    of = "share" if quantity.kind == "share" else "median"
-    middle = Line2D(
-        [], [], color="black", marker="|", markersize=5.0, linewidth=1.2, label=f"{of}, {interval_label(quantity)}"
-    )
-    legend(figure, [*coloured, middle, *lacks.handles()])
+    drawn.lacks.draw(lambda ax: ax.get_yaxis_transform())
+    legend(figure, drawn.handles())
     return figure
+
+
+class _Boxes:
+    """The rows of one picture, in each of its panels."""
+
+    def __init__(self, quantity: Quantity, layout: Layout) -> None:
+        """Raises NothingToDraw: there are too many values."""
+        self._quantity, self._layout, self.lacks = quantity, layout, Lacks()
+        self._names, self._colours = (self._values(place) for place in ((*layout.axes, None)[0], layout.lines))
+        self.count = len(self._names) * len(self._colours)
+        if self.count > MOST_ROWS:
+            raise NothingToDraw(f"{self.count} boxes do not fit into a picture: {MOST_ROWS} do")
+
+    def _values(self, place: int | None) -> tuple[Value | None, ...]:
+        return (None,) if place is None else self._layout.dimensions[place].values
+
+    def panel(self, ax: Axes, panel: Panel) -> bool:
+        """Draw all rows; returns whether some runs lack the number."""
+        lacking, share = False, 1.0 / len(self._colours)
+        for (row, name), (number, colour) in product(enumerate(self._names), enumerate(self._colours)):
+            values = {} if name is None else {self._layout.axes[0]: name}
+            if self._layout.lines is not None and colour is not None:
+                values[self._layout.lines] = colour
+            cell = self._quantity.cells.get(self._layout.key(panel, values))
+            if cell is not None:
+                at = row + (number + 0.5) * share - 0.5
+                _one(ax, self._quantity, cell, at, share, COLOURS[number])
+                self.lacks.add(ax, cell, (1.0 - _LACK, at + 0.45 * share, _LACK, -0.9 * share))
+                lacking |= any(cell.lack)
+        return lacking
+
+    def scales(self, ax: Axes, log_scale: bool | None, *, lacking: bool) -> None:
+        """Set the axes of a panel."""
+        labels = [text("all runs" if name is None else value_words(name)) for name in self._names]
+        ax.set_yticks(range(len(labels)), labels=labels)
+        ax.set_ylim(len(labels) - 0.45, -0.55)
+        ax.grid(visible=False, axis="y")
+        if self._quantity.kind == "share":
+            ax.set_xlim(-3.0, 103.0)
+        elif log_scale and self._quantity.kind == "number":
+            ax.set_xscale("log")
+            plain_decades(ax.xaxis)
+        if lacking:
+            room(ax, "x", _LACK + 0.01)
+
+    def handles(self) -> list[Artist]:
+        """For the legend."""
+        coloured = [
+            Patch(color=COLOURS[k], alpha=2 * BAND, linewidth=0, label=text(value_words(name)))
+            for k, name in enumerate(self._colours)
+            if name is not None
+        ]
+        label = f"{'share' if self._quantity.kind == 'share' else 'median'}, {interval_label(self._quantity)}"
+        middle = Line2D([], [], color="black", marker="|", markersize=5.0, linewidth=1.2, label=label)
+        return [*coloured, middle, *self.lacks.handles()]
 
 
 def _one(ax: Axes, quantity: Quantity, cell: Cell, at: float, width: float, colour: str) -> None:

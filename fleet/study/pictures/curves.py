@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import NullLocator, ScalarFormatter
@@ -26,7 +29,7 @@ from fleet.study.pictures.marks import (
     scale,
     text,
 )
-from fleet.study.pictures.points import Quantity, Value
+from fleet.study.pictures.points import Cell, Quantity, Value
 from fleet.study.pictures.words import value_words
 
 _MARKERS = "osD^vP*"
@@ -36,17 +39,10 @@ _STRIP = 0.07  # height of the hatched strip of a line, of the axis
 
 def curves(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale: bool | None) -> Figure:
     """Draw some panels of a layout with one axis; intervals are bands, of many lines bars side by side."""
-    (x,) = layout.axes
-    along = layout.dimensions[x]
-    places = np.array(along.values, float)
-    logs = logarithmic(places.tolist())
+    drawn = _Curves(quantity, layout)
     columns = columns_of(len(shown))
     rows = -(-len(shown) // columns)
     figure, axes = panels(rows, columns, COLUMN_IN if columns == 1 else PAGE_IN, 2.1 * rows + 0.2, share=False)
-    names: tuple[Value | None, ...] = (None,) if layout.lines is None else layout.dimensions[layout.lines].values
-    lacks, factor = Lacks(), scale(quantity)
-    edges = _edges(places, logs)
-    bars = len(names) > _MOST_BANDS and len(places) <= _MOST_BARS
     for k, ax in enumerate(axes):
         if k >= len(shown):
             ax.set_visible(False)
@@ -54,70 +50,105 @@ def curves(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale
         if quantity.kind == "difference":
             limit(ax, 0.0)
         strips = 0
-        for number, name in enumerate(names):
-            fixed = {} if name is None or layout.lines is None else {layout.lines: name}
-            cells = [quantity.cells.get(layout.key(shown[k], fixed | {x: value})) for value in along.values]
-            there = [cell.estimate if cell is not None else (np.nan,) * 3 for cell in cells]
-            found = factor * np.array([each[:3] for each in there], float)
-            highest = found[np.isfinite(found)].max(initial=-np.inf)
-            found[:, 2][np.isposinf(found[:, 2])] = highest  # half of the runs or more may lack the number
-            found[~np.isfinite(found)] = np.nan
-            colour = COLOURS[number]
-            where = _beside(places, (number + 0.5) / len(names), logs) if bars else places
-            if bars:
-                ax.vlines(where, found[:, 1], found[:, 2], color=colour, linewidth=1.2, gid="band")
-            else:
-                ax.fill_between(where, found[:, 1], found[:, 2], color=colour, alpha=BAND, linewidth=0, gid="band")
-            ax.plot(where, found[:, 0], color=colour, linestyle=STYLES[number], marker=_MARKERS[number],
-                    linewidth=0.6 if bars else None, markersize=3.0 if len(places) < 40 else 1.5,
-                    gid="curve")  # fmt: skip
-            if any(cell is not None and any(cell.lack) for cell in cells):
-                for at, cell in enumerate(cells):
-                    if cell is not None:
-                        rectangle = edges[at], strips * _STRIP, edges[at + 1] - edges[at], 0.9 * _STRIP
-                        lacks.add(ax, cell, rectangle, colour)
-                strips += 1
-        if logs:
+        for number in range(len(drawn.names)):
+            strips += drawn.line(ax, shown[k], number, strips)
+        drawn.scales(ax, strips, log_scale)
+        if k % columns == 0:
+            ax.set_ylabel(quantity_label(quantity))
+        if k + columns >= len(shown):
+            ax.set_xlabel(axis_label(drawn.along))
+        if shown[k].title:
+            ax.set_title(shown[k].title)
+    drawn.lacks.draw(lambda ax: ax.get_xaxis_transform())
+    legend(figure, drawn.handles())
+    return figure
+
+
+class _Curves:
+    """The lines of one picture, in each of its panels."""
+
+    def __init__(self, quantity: Quantity, layout: Layout) -> None:
+        (self._x,) = layout.axes
+        self._quantity, self._layout = quantity, layout
+        self.along = layout.dimensions[self._x]
+        self.names: tuple[Value | None, ...] = (None,)
+        if layout.lines is not None:
+            self.names = layout.dimensions[layout.lines].values
+        self.lacks = Lacks()
+        self._places = np.array(self.along.values, float)
+        self._logs = logarithmic(self._places.tolist())
+        self._edges = _edges(self._places, self._logs)
+        self._bars = len(self.names) > _MOST_BANDS and len(self._places) <= _MOST_BARS
+
+    def line(self, ax: Axes, panel: Panel, number: int, strip: int) -> bool:
+        """Draw one line with its intervals; returns whether some of its runs lack the number, hatched in a strip."""
+        name, lines = self.names[number], self._layout.lines
+        fixed = {} if name is None or lines is None else {lines: name}
+        keys = (self._layout.key(panel, fixed | {self._x: value}) for value in self.along.values)
+        cells = [self._quantity.cells.get(key) for key in keys]
+        found, colour = self._estimates(cells), COLOURS[number]
+        where = self._places
+        if self._bars:
+            where = _beside(self._places, (number + 0.5) / len(self.names), self._logs)
+            ax.vlines(where, found[:, 1], found[:, 2], color=colour, linewidth=1.2, gid="band")
+        else:
+            ax.fill_between(where, found[:, 1], found[:, 2], color=colour, alpha=BAND, linewidth=0, gid="band")
+        ax.plot(where, found[:, 0], color=colour, linestyle=STYLES[number], marker=_MARKERS[number],
+                linewidth=0.6 if self._bars else None, markersize=3.0 if len(self._places) < 40 else 1.5,
+                gid="curve")  # fmt: skip
+        return self._hatched(ax, cells, strip, colour)
+
+    def _estimates(self, cells: Sequence[Cell | None]) -> Array:
+        """Value and interval at each place; NaN where there is none, and no end of an interval is infinite."""
+        there = [cell.estimate if cell is not None else (np.nan,) * 3 for cell in cells]
+        found: Array = scale(self._quantity) * np.array([each[:3] for each in there], float)
+        highest = found[np.isfinite(found)].max(initial=-np.inf)
+        found[:, 2][np.isposinf(found[:, 2])] = highest  # half of the runs or more may lack the number
+        found[~np.isfinite(found)] = np.nan
+        return found
+
+    def _hatched(self, ax: Axes, cells: Sequence[Cell | None], strip: int, colour: str) -> bool:
+        """Hatch places where runs lack the number; returns whether there are any."""
+        if not any(cell is not None and any(cell.lack) for cell in cells):
+            return False
+        for at, cell in enumerate(cells):
+            if cell is not None:
+                width = self._edges[at + 1] - self._edges[at]
+                self.lacks.add(ax, cell, (self._edges[at], strip * _STRIP, width, 0.9 * _STRIP), colour)
+        return True
+
+    def scales(self, ax: Axes, strips: int, log_scale: bool | None) -> None:
+        """Set the axes of a panel that has so many hatched strips."""
+        if self._logs:
             ax.set_xscale("log")
             plain_decades(ax.xaxis)
-        if bars:
-            ax.set_xticks(places, labels=[f"{place:g}" for place in places])
+        if self._bars:
+            ax.set_xticks(self._places, labels=[f"{place:g}" for place in self._places])
             ax.xaxis.set_minor_locator(NullLocator())
-        if quantity.kind == "share":
+        if self._quantity.kind == "share":
             ax.set_ylim(-3.0, 103.0)
-        elif log_scale and quantity.kind == "number":
+        elif log_scale and self._quantity.kind == "number":
             ax.set_yscale("log")
             plain_decades(ax.yaxis)
         else:
             ax.yaxis.set_major_formatter(ScalarFormatter(useOffset=False))
         if strips:
-            ax.set_xlim(edges[0], edges[-1])
+            ax.set_xlim(self._edges[0], self._edges[-1])
             room(ax, "y", strips * _STRIP + 0.02)
-        if k % columns == 0:
-            ax.set_ylabel(quantity_label(quantity))
-        if k + columns >= len(shown):
-            ax.set_xlabel(axis_label(along))
-        if shown[k].title:
-            ax.set_title(shown[k].title)
-    lacks.draw(lambda ax: ax.get_xaxis_transform())
-    lines = [
-        Line2D(
-            [],
-            [],
-            color=COLOURS[k],
-            linestyle=STYLES[k],
-            marker=_MARKERS[k],
-            markersize=3.0,
-            label=text(value_words(name)),
-        )
-        for k, name in enumerate(names)
-        if name is not None
-    ]
-    band = Line2D([], [], color="0.5", alpha=2 * BAND, linewidth=6.0, label=interval_label(quantity))
-    if bars:
-        band = Line2D([], [], color="0.5", linestyle="none", marker="|", markersize=7.0, label=interval_label(quantity))
-    legend(figure, [*lines, band, *lacks.handles()])
-    return figure
+
+    def handles(self) -> list[Artist]:
+        """For the legend."""
+        looks = zip(self.names, COLOURS, STYLES, _MARKERS, strict=False)
+        lines = [
+            Line2D([], [], color=colour, linestyle=style, marker=marker, markersize=3.0, label=text(value_words(name)))
+            for name, colour, style, marker in looks
+            if name is not None
+        ]
+        look: dict[str, Any] = {"alpha": 2 * BAND, "linewidth": 6.0}
+        if self._bars:
+            look = {"linestyle": "none", "marker": "|", "markersize": 7.0}
+        band = Line2D([], [], color="0.5", label=interval_label(self._quantity), **look)
+        return [*lines, band, *self.lacks.handles()]
 
 
 def _beside(places: Array, share: float, logs: bool) -> Array:

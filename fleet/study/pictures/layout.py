@@ -9,7 +9,7 @@ from typing import Literal
 
 from fleet.palette import COLOURS
 from fleet.study.pictures.marks import text
-from fleet.study.pictures.points import Dimension, Key, Quantity, Value
+from fleet.study.pictures.points import Key, Quantity, Value, VariedKey
 from fleet.study.pictures.words import short_words
 
 MOST_PANELS = 12  # of one picture; more go to further ones
@@ -35,7 +35,7 @@ class Layout:
     """
 
     kind: Literal["heat", "curve", "boxes"]
-    dimensions: tuple[Dimension, ...]
+    dimensions: tuple[VariedKey, ...]
     axes: tuple[int, ...]
     lines: int | None
     panels: tuple[Panel, ...]
@@ -65,7 +65,7 @@ def layout_of(quantity: Quantity) -> Layout:
     return Layout(kind, dimensions, axes, lines, tuple(_panels(dimensions, left)))
 
 
-def _panels(dimensions: tuple[Dimension, ...], places: list[int]) -> Iterator[Panel]:
+def _panels(dimensions: tuple[VariedKey, ...], places: list[int]) -> Iterator[Panel]:
     for values in product(*(dimensions[k].values for k in places)):
         fixed = dict(zip(places, values, strict=True))
         title = ", ".join(

@@ -20,7 +20,7 @@ from matplotlib.transforms import Transform
 from fleet.errors import printable
 from fleet.palette import COLOURS
 from fleet.pictures.style import LEGEND_PT
-from fleet.study.pictures.points import Cell, Dimension, Quantity
+from fleet.study.pictures.points import Cell, Quantity, VariedKey
 from fleet.study.pictures.words import value_words
 from fleet.study.statistics import CONFIDENCE, LEAST, Estimate, levels
 
@@ -43,7 +43,7 @@ def text(words: str, most: int = LONGEST_NAME) -> str:
     return words.replace("$", r"\$") if not words.startswith("_") else f" {words}".replace("$", r"\$")
 
 
-def axis_label(dimension: Dimension) -> str:
+def axis_label(dimension: VariedKey) -> str:
     """What varies in words, and its unit."""
     return text(dimension.name) + (f" [{text(dimension.unit)}]" if dimension.unit else "")
 

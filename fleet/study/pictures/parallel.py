@@ -16,7 +16,7 @@ from fleet.palette import COLOURS
 from fleet.pictures.runs import NothingToDraw
 from fleet.pictures.style import COLUMN_IN, LABEL_PT, PAGE_IN, THIN, panels
 from fleet.study.pictures.marks import axis_label, legend, logarithmic, rough, spans_much, text, wrapped
-from fleet.study.pictures.points import NO_RESULT, NOT_MADE, PASSED, Dimension, Points
+from fleet.study.pictures.points import NO_RESULT, NOT_MADE, PASSED, Points, VariedKey
 from fleet.study.pictures.words import value_words
 
 MOST_AXES = 12
@@ -76,7 +76,7 @@ def _draw(ax: Axes, lines: Array, label: str, colour: str, style: Any) -> Line2D
     return Line2D([], [], color=colour, linestyle=style, label=label)
 
 
-def _dimension(ax: Axes, at: int, dimension: Dimension, values: Sequence[float | str]) -> Array:
+def _dimension(ax: Axes, at: int, dimension: VariedKey, values: Sequence[float | str]) -> Array:
     """Draw the axis of a dimension; returns where its values are on it, from 0 to 1."""
     if dimension.unit is not None:
         return _numbers(ax, at, np.array(values, float), logarithmic(map(float, dimension.values)))

@@ -37,7 +37,7 @@ class Lack(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Dimension:
+class VariedKey:
     """What is varied: its values, numbers in ascending order; `unit` is None where they are words."""
 
     key: str
@@ -81,7 +81,7 @@ class Quantity:
     name: str
     kind: Literal["share", "number", "difference"]
     what: str
-    dimensions: tuple[Dimension, ...]
+    dimensions: tuple[VariedKey, ...]
     cells: Mapping[Key, Cell]
     pair: str = ""
 
@@ -93,7 +93,7 @@ class Points:
     Infinite: it does not have it, and that counts as larger than every number, as a time that never came.
     """
 
-    dimensions: tuple[Dimension, ...]
+    dimensions: tuple[VariedKey, ...]
     keys: tuple[Key, ...]  # of the points
     state: Array
     numbers: Mapping[str, Array]  # by column: `passed` as 0 or 1, and measures
@@ -144,7 +144,7 @@ class Points:
                 difference = np.where(column[k] == column[base], 0.0, column[k] - column[base])
             pair = np.minimum(self.state[k], self.state[base]), difference
             gathered.setdefault(tuple(named[i] for i in kept), []).append(pair)
-        both = Dimension(dimension.key, None, tuple(minus(other, first) for other in others))
+        both = VariedKey(dimension.key, None, tuple(minus(other, first) for other in others))
         dimensions = [both if k == place else self.dimensions[k] for k in kept]
         cells = {
             key: _cell("difference", *(np.concatenate(each) for each in zip(*rows, strict=True)))
@@ -165,7 +165,7 @@ def load(store: Store, measures: Sequence[str] = ()) -> Points:
     Raises:
         StudyError: there is no such measure, or the study is damaged.
     """
-    asked = measures or store.record.settings.measures or DEFAULT
+    asked = measures or store.record.measures or DEFAULT
     columns = {column.name: column for column in find_columns(asked, store.record.columns)}
     axes, seeds = store.record.axes, store.seeds
     rows = store.points()
@@ -193,7 +193,7 @@ def load(store: Store, measures: Sequence[str] = ()) -> Points:
         if name in columns and columns[name].missing_is_largest:
             numbers[name][np.isnan(numbers[name]) & (state == MADE)] = np.inf
     dimensions = tuple(
-        Dimension(axis.key, axis.unit, tuple(_distinct([key[k] for key in keys], axis.unit is not None)))
+        VariedKey(axis.key, axis.unit, tuple(_distinct([key[k] for key in keys], axis.unit is not None)))
         for k, axis in enumerate(axes)
     )
     units = {name: column.unit for name, column in columns.items()}

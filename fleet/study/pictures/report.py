@@ -20,7 +20,7 @@ from fleet.pictures.report_tables import Mark, Table, rest
 from fleet.pictures.style import COLUMN_IN
 from fleet.study.one_run import FAILED
 from fleet.study.pictures.gallery import draw
-from fleet.study.pictures.points import NOT_MADE, NOT_NEEDED, PASSED, Dimension, Points, Quantity, factors, load, minus
+from fleet.study.pictures.points import NOT_MADE, NOT_NEEDED, PASSED, Points, Quantity, VariedKey, factors, load, minus
 from fleet.study.statistics import Estimate, compare, levels
 from fleet.study.store import Store
 
@@ -146,7 +146,7 @@ def _time(seconds: float) -> str:
     return f"{seconds:.3g} s" if seconds < 60.0 else str(timedelta(seconds=round(seconds)))
 
 
-def _axis(dimension: Dimension) -> tuple[str, str, str]:
+def _axis(dimension: VariedKey) -> tuple[str, str, str]:
     values = [dimension.shown(value) for value in dimension.values]
     return dimension.key, dimension.unit or "", _some(values)
 

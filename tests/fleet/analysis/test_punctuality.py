@@ -9,25 +9,42 @@ from typing import Any
 import pytest
 
 from fleet.analysis import punctuality as timing
+from fleet.result.timing import Timing
 
-FINE: dict[str, Any] = {
-    "world": {"period_ms": 10.0, "slipped_s": 0.0, "held_s": 0.0, "run_s": 10.0},
-    "vehicles": {
-        "1": {"asked": 1000, "missed": 0, "longest": 0, "silent": 0},
-        "2": {"asked": 1000, "missed": 0, "longest": 0, "silent": 0},
-    },
-    "netem": {"late": {"1": 0}, "missed": {"1": 0}, "overdue": 0, "hop": {"count": 100}},
+TIMES = {"count": 100, "negative": 0, "p50_ms": 1.0, "p95_ms": 1.0, "p99_ms": 1.0, "max_ms": 1.0, "histogram_ms": []}
+KEPT_UP = {
+    "asked": 1000,
+    "missed": 0,
+    "late": 0,
+    "stale": 0,
+    "longest": 0,
+    "silent": 0,
+    "response": TIMES,
+    "gap": TIMES,
 }
+FINE: dict[str, Any] = {
+    "world": {"period_ms": 10.0, "slipped_s": 0.0, "held_s": 0.0, "run_s": 10.0, "lag": TIMES, "gap": TIMES},
+    "vehicles": {"1": KEPT_UP, "2": KEPT_UP},
+    "netem": {
+        "late": {"1": 0}, "missed": {"1": 0}, "overdue": 0, "unread": 0, "hop": TIMES, "margin": TIMES, "links": {}
+    },
+}  # fmt: skip
 
 
-def worse(path: str, value: Any) -> dict[str, Any]:
+def measured(values: dict[str, Any]) -> Timing:
+    found = timing.measured(values, 1.0)
+    assert found is not None
+    return found
+
+
+def worse(path: str, value: Any) -> Timing:
     changed = json.loads(json.dumps(FINE))
     *most, last = path.split(".")
     place = changed
     for step in most:
         place = place[step]
     place[last] = value
-    return changed
+    return measured(changed)
 
 
 @pytest.mark.parametrize(
@@ -35,7 +52,7 @@ def worse(path: str, value: Any) -> dict[str, Any]:
     [
         (
             "vehicles.2",
-            {"asked": 1000, "missed": 8, "longest": 3, "silent": 0},
+            KEPT_UP | {"missed": 8, "longest": 3},
             r"agent 2 missed 8 of 1000 ticks \(0.80%\), 3 in",
         ),
         ("vehicles.1.silent", 120, r"agent 1 was silent for 1.2 s in all, suspended or stuck$"),
@@ -47,14 +64,15 @@ def worse(path: str, value: Any) -> dict[str, Any]:
     ],
 )
 def test_whatever_is_late_degrades_a_run_and_is_named(path: str, value: Any, said: str) -> None:
-    assert timing.label(FINE) == ("on time", [])
-    name, reasons = timing.label(worse(path, value))
-    assert (name, len(reasons)) == ("degraded", 1)
-    assert re.search(said, reasons[0])
+    assert (measured(FINE).label, measured(FINE).reasons) == ("on time", [])
+    bad = worse(path, value)
+    assert (bad.label, len(bad.reasons)) == ("degraded", 1)
+    assert re.search(said, bad.reasons[0])
+    assert timing.measured({"netem": {}}, 1.0) is None  # a run that ended before both answered
 
 
 def test_the_verdict_tolerates_what_was_asked_for() -> None:
-    some = worse("vehicles.2", {"asked": 1000, "missed": 8, "longest": 3, "silent": 0})
+    some = worse("vehicles.2", KEPT_UP | {"missed": 8, "longest": 3})
     assert timing.verdict(some, 0.01).passed
     assert not timing.verdict(some, 0.005).passed
     assert timing.verdict(some, 0.01).found.startswith("degraded: agent 2 missed")

@@ -14,14 +14,15 @@ from small_scenario import SMALL, WILD, small
 
 from fleet.analysis.stability import analyse
 from fleet.analysis.verdicts import judge, standing
-from fleet.checks.verdict import Verdict
 from fleet.cli.result_table import MOST_LINKS, show
 from fleet.errors import ScenarioError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Result, Status
 from fleet.recorder.journal import Journal
 from fleet.repeat.recorded_run import script
+from fleet.result.json_text import json_text
+from fleet.result.result import Result, Status
+from fleet.result.verdict import Verdict
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario, frame_every
 from netem.wire.messages import Fate, Frame, Life, LinkReport, Tumble, VehicleFrame
@@ -333,14 +334,15 @@ def test_recovery_from_every_fault(tmp_path: Path) -> None:
 )
 def test_a_verdict_as_numbers(check: str, limit: float, unit: str, passes: Callable[[float, float], bool]) -> None:
     """result.json holds what was compared: the value, the limit and their unit give the verdict again."""
-    values = verdict(check, SPLIT, error=back_at(120)).to_values()
-    assert (values["limit"], values["unit"]) == (limit, unit)
-    assert passes(float(values["value"]), float(values["limit"])) == values["passed"]
+    found = verdict(check, SPLIT, error=back_at(120))
+    assert (found.limit, found.unit) == (limit, unit)
+    assert found.value is not None
+    assert passes(float(found.value), limit) == found.passed
 
 
 def test_what_was_never_found_is_no_number() -> None:
-    values = verdict("formation_error: {below: 1 m, after: 5 s}").to_values()
-    assert json.loads(json.dumps(values, allow_nan=False))["value"] is None and not values["passed"]
+    values = json.loads(json_text(verdict("formation_error: {below: 1 m, after: 5 s}")))
+    assert values["value"] is None and not values["passed"]
 
 
 # --- min_separation --------------------------------------------------------

@@ -16,7 +16,6 @@ from waiting import wait_for
 
 from fleet.__main__ import _command_line
 from fleet.bench import barriers, journal, measured_run
-from fleet.bench.errors import BenchError
 from fleet.bench.figures import Collector, now, this_machine
 from fleet.bench.fleets import CPU, DISTRIBUTED, IN_PROCESS, PIPES, READY, ZENOH, goals, measure_fleets
 from fleet.bench.network_core import SHARE
@@ -24,7 +23,8 @@ from fleet.bench.tables import show
 from fleet.bench.wall_clock import measure_wall_clock as measure_real
 from fleet.bench.wall_clock import show_wall_clock
 from fleet.cli.main import cli
-from fleet.execution.outcome import Result, Status
+from fleet.errors import FleetError
+from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario
 
 
@@ -95,7 +95,7 @@ def test_a_run_that_does_not_end_is_one_line(
     """Not a traceback, which `fleet bench` gave until then; Ctrl-C and SIGTERM come as an interrupted run."""
 
     def execute(*_: Any) -> Result:
-        return Result(status, Path(), "", reason)
+        return Result(status=status, reason=reason)
 
     monkeypatch.setattr(measured_run, "execute", execute)
     monkeypatch.setattr("fleet.bench.fleets.zenoh_barrier", lambda n, ticks: 1.0)
@@ -133,13 +133,13 @@ def test_a_soak_that_is_ended_leaves_nothing_behind(tmp_path: Path, monkeypatch:
 
 def test_echo_agents_that_do_not_answer_end_the_benchmark(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(barriers, "READY_S", -1.0)
-    with pytest.raises(BenchError, match="echo agents did not answer within"):
+    with pytest.raises(FleetError, match="echo agents did not answer within"):
         barriers.zenoh_barrier(2, 1)
 
 
 def test_a_recorder_that_misses_messages_ends_the_benchmark(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(journal, "PATIENCE_S", -1.0)
-    with pytest.raises(BenchError, match="messages did not reach the recorder"):
+    with pytest.raises(FleetError, match="messages did not reach the recorder"):
         journal.measure_recorder(load_scenario("paper", ["duration=500 ms"]), lambda text: None)
 
 

@@ -12,9 +12,9 @@ import pytest
 from click.testing import CliRunner, Result
 
 from fleet.bench.comparison import MOST_BYTES, compare, read
-from fleet.bench.errors import FiguresError
 from fleet.bench.figures import FORMAT, Change, ComparedFiles, Figure, Machine, Measured
 from fleet.cli.main import cli
+from fleet.errors import FleetError
 
 IDLE = Machine(2, "a processor", "Linux", "3.11.7", 0.1)
 
@@ -96,7 +96,7 @@ def test_figures_that_only_one_has_are_named() -> None:
     found = compare(measured(rate(*STEADY)), measured(rate(*STEADY), memory(1.0)), Path("old.json"))
     assert [change.name for change in found.changes] == ["N = 4: c distributed"]
     assert found.missing == ["N = 4: PSS"]
-    with pytest.raises(FiguresError, match="it has no figure that was measured now"):
+    with pytest.raises(FleetError, match="it has no figure that was measured now"):
         compare(measured(memory(1.0)), measured(rate(*STEADY)), Path("old.json"))
 
 
@@ -161,7 +161,7 @@ def figure(**other: Any) -> bytes:
         (figure(samples=[1, "2"]), "Expected `float`, got `str`"),
         (figure(ratios=[1.0]), "got 5 samples and 1 ratios of 'N = 4:"),
         (figure(ratios=[0.0] * 5), "expected positive numbers"),
-        (b" " * (MOST_BYTES + 1), "expected figures of fleet bench, got more than 10 MB"),
+        (b" " * (MOST_BYTES + 1), "expected the file that fleet bench -o wrote: it is larger than 10 MB"),
     ],
 )  # fmt: skip
 def test_a_file_that_is_something_else_is_refused_in_a_line(content: bytes, reason: str, tmp_path: Path) -> None:
@@ -178,7 +178,7 @@ def test_what_is_no_file_is_refused_in_a_line_and_before_anything_is_measured(
 ) -> None:
     monkeypatch.setattr("fleet.bench.fleets.measure_fleets", lambda *_, **__: pytest.fail("measured"))
     os.mkfifo(tmp_path / "pipe")
-    for name, reason in (("pipe", "no file"), ("none.json", "No such file"), (".", "Is a directory")):
+    for name, reason in (("pipe", "it is a pipe"), ("none.json", "No such file"), (".", "Is a directory")):
         result = invoke("--compare", tmp_path / name)
         assert result.exit_code == 2, result.output
         assert reason in result.stderr.splitlines()[-1]

@@ -7,8 +7,8 @@ import sys
 import pytest
 
 from fleet.bench import start_up
-from fleet.bench.errors import BenchError
 from fleet.bench.start_up import COMMANDS, cpu_times
+from fleet.errors import FleetError
 
 
 def test_each_command_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -25,5 +25,5 @@ def test_a_command_that_fails_ends_the_measurement(monkeypatch: pytest.MonkeyPat
     monkeypatch.setitem(
         start_up.COMMANDS, "fleet list", [sys.executable, "-c", "import sys; sys.exit('no such thing')"]
     )
-    with pytest.raises(BenchError, match="fleet list exited with status 1: no such thing"):
+    with pytest.raises(FleetError, match="fleet list exited with status 1: no such thing"):
         cpu_times(1)

@@ -11,9 +11,9 @@ from small_scenario import SMALL, small
 
 import fleet.checks.python_check
 from fleet.checks.python_check import CheckError
-from fleet.checks.verdict import Verdict
 from fleet.errors import ScenarioError
 from fleet.execution.judged import judged
+from fleet.result.verdict import Verdict
 from fleet.scenario.loading import load_scenario
 
 HEAD = "from fleet.checks.api import Failure, seconds\n\n\n"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import json
 import sys
 from math import inf, nan
 
@@ -12,7 +13,8 @@ from small_scenario import small
 
 from fleet.checks.own_checks import OwnChecks
 from fleet.checks.values import LoggedValues
-from fleet.checks.verdict import Verdict
+from fleet.result.json_text import json_text
+from fleet.result.verdict import Verdict
 
 
 def one(check: str, depth: Depth, *, faults: str = "", until_s: float = 4.0, at_once: bool = True) -> Verdict:
@@ -104,7 +106,7 @@ def test_what_is_not_reported_is_no_sample_and_breaks_a_stretch() -> None:
 def test_infinite_values_break_a_limit_and_stay_out_of_json() -> None:
     verdict = one("below: 9 m", lambda i, t: inf)
     assert not verdict.passed and verdict.moment is not None
-    values = verdict.to_values()
+    values = json.loads(json_text(verdict))
     assert values["value"] is None and values["moment"]["tick"] == 0
     assert not one("spread_below: 1 m", lambda i, t: inf if i == 1 else 0.0).passed
     assert one("spread_below: 1 m", lambda i, t: inf).passed  # they are the same

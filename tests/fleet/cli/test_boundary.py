@@ -86,11 +86,24 @@ def test_the_answer_is_there_without_a_picture(monkeypatch: pytest.MonkeyPatch) 
     assert (document.picture, len(document.borders)) == (None, 2)
 
 
+def test_the_time_of_a_run_is_kept_and_may_be_given_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    directory = boundary(*ARGS, "--timeout", "90 s").stdout.splitlines()[-1]
+    min((Path(directory) / "runs").iterdir()).unlink()
+    limits: list[float] = []
+    monkeypatch.setattr("fleet.study.borders.find_borders", lambda *_, timeout_s, **__: limits.append(timeout_s))
+    boundary(directory)
+    boundary(directory, "--timeout", "5 s")
+    assert limits == [90.0, 5.0]
+
+
 @pytest.mark.parametrize(
     ("args", "message"),
     [
         (["small.yaml"], "along what? give --along"),
-        (["small.yaml", "--along", "loss=0 %..9 %"], "unknown key"),
+        (["small.yaml", "--along", "loss=0 %..9 %"], '--along loss=0 %: unknown key "loss"'),
+        (["small.yaml", "--along", "loss=0..5x"], "Invalid value for '--along': loss=0..5x: expected a range"),
+        ([*ARGS, "--per", "dley=1, 2"], '--per dley=1: unknown key "dley"'),
+        (["small.yaml", "--along", "loss=0 %..9 %", "--per", "delay"], "--per: expected KEY=VALUES"),
         (["small.yaml", "--along", "loss=0 %..9 % latin 3", "--net", "* loss {loss}"], "are not drawn"),
         (["small.yaml", "--along", "loss=0 %..9 %", "--net", "* loss {loss}", "--level", "2"], "between 0 and 1"),
         (["."], "is no study: it has no study.json"),

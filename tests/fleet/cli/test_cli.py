@@ -23,9 +23,9 @@ from rich.console import Console as Terminal
 from screens import assert_screen
 
 from fleet.cli.main import cli
+from fleet.errors import FleetError
 from fleet.logs.reader import digest
 from fleet.recorder.log_file import LogError
-from fleet.replay.publisher import PublishError
 from fleet.scenario.catalogue import list_scenarios
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.schema.groups import GROUPS
@@ -302,9 +302,9 @@ def test_result_file(tmp_path: Path) -> None:
     directory = run(tmp_path, "rough-sea", "--duration", "2 s", "--set", "checks={ledger: balanced}")
     values = json.loads((directory / "result.json").read_text())
     assert list(values) == [
-        "scenario", "seed", "status", "exit", "reason", "lines", "from_s", "sim_s", "checks", "vehicles", "formation",
-        "tumbles", "ledger", "ages", "middleware_lost", "faults", "events", "messages", "log_bytes", "digest",
-        "python", "wall", "rejected", "deaths", "notes",
+        "format", "scenario", "seed", "status", "exit", "reason", "lines", "from_s", "sim_s", "checks", "vehicles",
+        "formation", "tumbles", "ledger", "ages", "middleware_lost", "faults", "events", "messages", "log_bytes",
+        "digest", "python", "wall", "rejected", "deaths", "notes", "published", "timing",
     ]  # fmt: skip
     assert (values["scenario"], values["seed"], values["from_s"], values["sim_s"]) == ("rough-sea", 1, 0.0, 2.0)
     assert (values["status"], values["exit"], values["reason"], values["lines"]) == ("pass", 0, "", [])
@@ -497,7 +497,7 @@ def test_quiet_prints_the_directory_alone(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("where", "error", "words"),
     [
-        ("fleet.execution.publication.LivePublisher.open", PublishError("no port is free"), "no port is free"),
+        ("fleet.execution.publication.LivePublisher.open", FleetError("no port is free", status=3), "no port is free"),
         (
             "fleet.execution.execute.LogFile",
             LogError("cannot write the log: No space left on device"),

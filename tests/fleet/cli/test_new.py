@@ -14,7 +14,7 @@ from fleet.cli.main import cli
 from fleet.cli.new import write_plant, write_scenario
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Status
+from fleet.result.result import Status
 from fleet.scenario.catalogue import shipped_scenarios
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.sections.vehicle_files import load_vehicle

@@ -7,12 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 from rich.console import Console as Terminal
 from screens import assert_screen
 
-from fleet.checks.verdict import Verdict
 from fleet.cli.result_table import show
-from fleet.execution.outcome import Result, Status
+from fleet.result.result import FaultEvent, Formation, LinkAge, Result, SignalValue, Status, VehicleResult, Wall
+from fleet.result.verdict import Verdict
+from netem.ledger import Account
 
 CAUSES = {"loss": 23, "down": 40, "partition": 40, "deaf": 80, "dead receiver": 120}
 VERDICTS = [
@@ -22,33 +24,25 @@ VERDICTS = [
 ]  # fmt: skip
 
 
-def vehicle(i: int, **values: Any) -> dict[str, Any]:
-    return {
-        "settle_10pct_s": 73.2 + i, "settle_5cm_s": None if i % 2 else 84.25, "e_rms_m": 0.007, "e_final_m": 0.001,
-        "formation_final_m": i / 1000, "effort_Ns": 81.9, "u_cmd_max_mps": 1.28, "qp_failures": 0,
-        "payloads_rejected": 0, "agent": "", "signals": {},
-    } | values  # fmt: skip
+def vehicle(i: int, **values: Any) -> VehicleResult:
+    return VehicleResult(
+        settle_10pct_s=73.2 + i, settle_5cm_s=None if i % 2 else 84.25, e_rms_m=0.007, e_final_m=0.001,
+        formation_final_m=i / 1000, effort_Ns=81.9, u_cmd_max_mps=1.28, qp_failures=0, payloads_rejected=0, **values,
+    )  # fmt: skip
 
 
-def account(lost: dict[str, int]) -> dict[str, Any]:
-    return {
-        "sent": 1000,
-        "duplicated": 4,
-        "delivered": 1003 - sum(lost.values()),
-        "lost": lost,
-        "in_flight": 1,
-        "corrupted": 30,
-    }
+def account(lost: dict[str, int]) -> Account:
+    return Account(sent=1000, duplicated=4, delivered=1003 - sum(lost.values()), lost=lost, in_flight=1, corrupted=30)
 
 
 def result(n: int = 4, lost: dict[str, int] | None = None, **values: Any) -> Result:
     links = [f"{i}->{j}" for i in range(1, n) for j in (i + 1,)] + [f"{i + 1}->{i}" for i in range(1, n)]
-    ages = {name: {"mean_s": 0.3, "p95_s": 2.1, "max_s": 4.1 + k / 100} for k, name in enumerate(["*", *links])}
+    ages = {name: LinkAge(0.3, 2.1, 4.1 + k / 100) for k, name in enumerate(["*", *links])}
     common = {
         "from_s": 0.0,
         "sim_s": 100.0,
         "vehicles": {str(i): vehicle(i) for i in range(1, n + 1)},
-        "formation": {"worst_m": n / 1000, "vehicle": n, "median_m": 0.002, "vehicles": n},
+        "formation": Formation(n / 1000, n, 0.002, n),
         "ledger": {name: account(CAUSES if lost is None else lost) for name in links},
         "ages": ages,
         "events": [],
@@ -57,10 +51,13 @@ def result(n: int = 4, lost: dict[str, int] | None = None, **values: Any) -> Res
         ],
         "messages": 62161,
         "log_bytes": 4_600_000,
-        "wall": {"in_process": False, "startup_s": 0.41, "run_s": 4.35, "x_real_time": 23.0},
+        "wall": Wall(in_process=False, startup_s=0.41, run_s=4.35, x_real_time=23.0),
+        "status": Status.CHECK_FAILED,
+        "directory": Path("runs/nemesis-1-20261122-062500"),
+        "digest": "cdfdf2378a3e8d16ab",
+        "verdicts": VERDICTS,
     }
-    directory = Path("runs/nemesis-1-20261122-062500")
-    return Result(Status.CHECK_FAILED, directory, "cdfdf2378a3e8d16ab", verdicts=VERDICTS, values=common | values)
+    return Result(**common | values)
 
 
 def shown(what: Result, width: int, *, live: bool = True) -> str:
@@ -104,7 +101,7 @@ def test_a_continuation_counts_from_its_start() -> None:
 
 
 def test_a_title_is_not_folded_to_a_narrow_table() -> None:
-    clean = {"1->2": account({}) | {"duplicated": 0, "in_flight": 0, "corrupted": 0}}
+    clean = {"1->2": replace(account({}), duplicated=0, in_flight=0, corrupted=0)}
     assert "\npackets per directed link, age of what was heard last\n" in shown(result(ledger=clean), 80)
 
 
@@ -134,8 +131,8 @@ def test_verdicts_come_first_and_failed_ones_on_top() -> None:
 def test_links_with_the_same_numbers_are_one_row() -> None:
     bad = account({"loss": 500})
     ledger = {f"{i}->{j}": account({}) for i in range(1, 7) for j in range(1, 7) if i != j} | {"3->4": bad}
-    ages = {link: {"mean_s": 0.1, "p95_s": 0.2, "max_s": 0.3} for link in ledger}
-    ages |= {"*": ages["1->2"], "3->4": {"mean_s": 1.0, "p95_s": 2.0, "max_s": 3.0}}
+    ages = {link: LinkAge(0.1, 0.2, 0.3) for link in ledger}
+    ages |= {"*": ages["1->2"], "3->4": LinkAge(1.0, 2.0, 3.0)}
     lines = shown(result(6, ledger=ledger, ages=ages), 120).splitlines()
     begin = next(n for n, line in enumerate(lines) if line.lstrip().startswith("all "))
     assert [line.split("  ")[0].strip() or line.split()[0] for line in lines[begin + 1 : begin + 3]] == [
@@ -148,22 +145,22 @@ def test_links_with_the_same_numbers_are_one_row() -> None:
 def test_events_of_vehicles_are_told_once_for_each() -> None:
     spells = [(2, 1.0), (3, 12.45), (3, 20.0)]
     events = [
-        {"at_s": at_s + late, "fault": f"tumbled-{i}", "action": action, "what": f"tumbled {i}"}
+        FaultEvent(at_s + late, f"tumbled-{i}", action, f"tumbled {i}")
         for i, at_s in spells
         for action, late in (("begins", 0.0), ("ends", 0.5))
     ]
     lines = shown(result(events=events), 80).splitlines()
     told = [line for line in lines if line.startswith("event")]
     assert told == ["event  tumbled 2: at 1 s", "event  tumbled 3: 2 times, first at 12.45 s"]
-    many = [{"at_s": 1.0, "fault": "", "action": "begins", "what": f"tumbled {i}"} for i in range(1, 21)]
+    many = [FaultEvent(1.0, "", "begins", f"tumbled {i}") for i in range(1, 21)]
     assert "event  ... and 10 more in result.json" in shown(result(events=many), 80)
 
 
 def test_a_run_of_protocols_shows_what_they_reported() -> None:
     """And no times in which they settled: a protocol need not settle."""
 
-    def reported(leader: float | None, battery: float) -> dict[str, Any]:
-        signals = {"leader": {"value": leader, "unit": "1"}, "battery": {"value": battery, "unit": "V"}}
+    def reported(leader: float | None, battery: float) -> VehicleResult:
+        signals = {"leader": SignalValue(leader, "1"), "battery": SignalValue(battery, "V")}
         return vehicle(1, agent="weakest:Weakest", signals=signals)
 
     dead = vehicle(3, agent="weakest:Weakest")

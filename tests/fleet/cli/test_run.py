@@ -29,6 +29,14 @@ def test_faults_and_links_in_words_become_part_of_the_run(tmp_path: Path) -> Non
     assert invoke("script", tmp_path / "latest").stdout.count("partition: halves") == 1
 
 
+def test_a_mistake_names_the_option_that_was_typed() -> None:
+    """Which is short for --set, and was not typed as such."""
+    wrong = invoke("run", "paper", "--duration", "5x", "--seed", "3", "--set", "tick=7 m").stderr
+    assert '--duration 5x: duration: expected a time such as "50 ms", got the unknown unit "x"' in wrong
+    assert "--set tick=7 m: tick: expected a time" in wrong
+    assert "--set duration" not in wrong
+
+
 def test_check_takes_the_same_words() -> None:
     result = invoke("check", "paper", *WORDS)
     assert result.exit_code == 0

@@ -106,7 +106,7 @@ def test_a_study_of_a_border_is_refused_before_a_worker_starts(engines: list[Her
     ("args", "message"),
     [
         (["small.yaml", "--vary", "loss"], "expected KEY=VALUES"),
-        (["small.yaml", "--vary", "loss=0 %..9 %/1 %"], "unknown key"),
+        (["small.yaml", "--vary", "loss=0 %..9 %/1 %"], '--vary loss=0 %: unknown key "loss"'),
         (["small.yaml", *VARY, "--net", "* loss 1%"], "two points are the same scenario, network.links.*.loss=0 % and"),
         (["small.yaml", "--set", "per_vehicle={3: {external: true}}"], "somebody else"),
         (["small.yaml", "--vary", "status=0 %,9 %", "--net", "* loss {status}"], "status is a column of every study"),
@@ -123,6 +123,24 @@ def test_mistakes_are_usage(args: list[str], message: str) -> None:
     assert result.exit_code == 2
     assert message in result.stderr
     assert not Path("studies").exists()
+
+
+def test_checks_that_cannot_pass_are_told_as_fleet_check_does() -> None:
+    late = ["--set", "checks={formation_error: {below: 1 m, after: 900 ms}}"]
+    vary = ["--vary", "duration=500 ms, 1 s", "--seeds", "1"]
+    said = "warning: checks.formation_error cannot pass: it begins after 0.9 s, and the run ends at 0.5 s"
+    assert f"{said} (in 1 of 2 points, first duration=500 ms)" in " ".join(
+        sweep("small.yaml", *late, *vary).stderr.split()
+    )
+    assert sweep("small.yaml", *late, *vary, "-q").stderr == ""
+    checked = CliRunner().invoke(cli, ["check", "small.yaml", *late, "--set", "duration=500 ms"])
+    assert said in " ".join(checked.stderr.split())
+
+
+def test_a_study_that_is_there_shows_the_measures_that_are_asked_for_now() -> None:
+    directory = sweep("small.yaml", *VARY, "-q").stdout.strip()
+    shown = sweep(directory, "--measure", "e_rms_m").stdout
+    assert "e_rms_m" in shown and "loss_share" not in shown
 
 
 STUDY = """\

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from failing_laws import module as module
 
 from fleet.execution.judged import run
-from fleet.execution.outcome import Status
+from fleet.result.result import Status
 
 FAILS = """\
 class Law:

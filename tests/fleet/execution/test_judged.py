@@ -15,7 +15,7 @@ from fleet.errors import ScenarioError
 from fleet.execution.execute import execute
 from fleet.execution.judged import override_texts, run
 from fleet.execution.options import Options
-from fleet.execution.outcome import Status
+from fleet.result.result import Status
 from fleet.scenario.loading import parse_scenario
 
 FAILING = {"checks": {"formation_error": {"below": "1 mm", "after": "0 s"}}}

@@ -13,17 +13,17 @@ from small_scenario import small
 
 from fleet.execution import progress
 from fleet.execution.progress import ProgressLine
-from fleet.recorder.metrics import WorstAndMedian
+from fleet.result.result import Formation
 from fleet.terminal.status_line import StatusLine
 from netem.causes import Cause
 from netem.ledger import Account
 
-OF_FLEET = WorstAndMedian(12.345, 4, 11.5, 4)
+OF_FLEET = Formation(12.345, 4, 11.5, 4)
 LOSSES = {Cause.LOSS: 123, Cause.REPLACED: 7}
 MANY = ["nemesis-1", "storm", "split", "gust", "live-1", "live-2"]
 SUSPENDED = "waiting for agent 3 (pid 12345 is suspended), 12 s"
 STATES: dict[str, dict[str, Any]] = {
-    "one vehicle": {"metrics": SimpleNamespace(formation=WorstAndMedian(0.5, 1))},
+    "one vehicle": {"metrics": SimpleNamespace(formation=Formation(0.5, 1))},
     "four vehicles": {},
     "a fault": {"active": ["nemesis-1"]},
     "many faults": {"active": MANY},

@@ -20,6 +20,8 @@ from fleet.execution.directory import RunDirectory, in_use
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.execution.registry import RegistryError, folder, register, registered
+from fleet.result.file import write_result
+from fleet.result.result import Result, Status
 from fleet.scenario.loading import parse_scenario
 
 
@@ -144,7 +146,7 @@ def test_without_locks_a_run_is_not_registered_and_not_taken_for_dead(
         register(directory)
     assert not place.exists()
     assert in_use(directory.path)
-    directory.write_result({})
+    write_result(Result(status=Status.PASS), directory.path)
     assert not in_use(directory.path)
     directory.close()
 

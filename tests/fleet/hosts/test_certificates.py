@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from host_certificates import made as made
 
+from fleet.errors import FleetError
 from fleet.hosts import certificates
-from fleet.hosts.certificates import HostsError
 from fleet.hosts.rendezvous import (
     listening,
 )
@@ -37,7 +37,7 @@ def test_certificates_are_for_the_hosts_and_keys_are_ours_alone(made: Path) -> N
 
 def test_nothing_is_replaced_unless_forced(made: Path, tmp_path: Path) -> None:
     before = {file.name: file.read_bytes() for file in made.iterdir()}
-    with pytest.raises(HostsError, match=r"holds ca\.pem, server\.pem.*--force"):
+    with pytest.raises(FleetError, match=r"holds ca\.pem, server\.pem.*--force"):
         certificates.make(made)
     assert before == {file.name: file.read_bytes() for file in made.iterdir()}
     certificates.make(tmp_path / "a")
@@ -72,7 +72,7 @@ def test_certificates_that_cannot_work_are_refused_with_the_cure(damage: str, tm
     certificates.make(tmp_path / "c", agents=1)
     act, words = DAMAGES[damage]
     act(tmp_path / "c")
-    with pytest.raises(HostsError, match=words):
+    with pytest.raises(FleetError, match=words):
         certificates.read_server(tmp_path / "c")
 
 
@@ -83,7 +83,7 @@ def test_a_certificate_out_of_date_is_refused(made: Path, monkeypatch: pytest.Mo
             return cls.fromtimestamp(datetime.now(tz).timestamp() + 366 * 86400, tz)  # noqa: TID251
 
     monkeypatch.setattr(certificates, "datetime", Later)
-    with pytest.raises(HostsError, match=r"is valid from .* now it is .*--force"):
+    with pytest.raises(FleetError, match=r"is valid from .* now it is .*--force"):
         certificates.read_server(made)
 
 
@@ -103,7 +103,7 @@ def test_a_file_that_cannot_be_written_leaves_nothing_behind(tmp_path: Path, mon
 
 @pytest.mark.parametrize("text", ["", "a b", "tls/x:1", "x:7447", "0.0.0.0", "::", "1.2.3", "-x", "a..b", "é"])
 def test_what_is_no_host_is_refused(text: str, tmp_path: Path) -> None:
-    with pytest.raises(HostsError):
+    with pytest.raises(FleetError):
         certificates.make(tmp_path / "c", [text])
     assert not (tmp_path / "c").exists()
 
@@ -118,5 +118,5 @@ def test_agents_are_told_what_the_certificate_holds(made: Path) -> None:
     )
     assert listening("tls/192.0.2.7:1", made).reached == "tls/192.0.2.7:1"
     assert listening("tls/0.0.0.0:1", made, ["SEA.example.org"]).reached == "tls/sea.example.org:1"
-    with pytest.raises(HostsError, match=r"not for 192\.0\.2\.8.*fleet certs .* --host 192\.0\.2\.8 --force"):
+    with pytest.raises(FleetError, match=r"not for 192\.0\.2\.8.*fleet certs .* --host 192\.0\.2\.8 --force"):
         listening("tls/0.0.0.0:1", made, ["192.0.2.8"])

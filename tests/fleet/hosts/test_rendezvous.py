@@ -22,8 +22,8 @@ from repository import ROOT
 from fleet.cli.group import command_of
 from fleet.cli.hosts import rendezvous
 from fleet.cli.main import cli
+from fleet.errors import FleetError
 from fleet.hosts import router_config
-from fleet.hosts.certificates import HostsError
 from fleet.hosts.rendezvous import (
     Rendezvous,
     listening,
@@ -48,7 +48,7 @@ def test_an_endpoint_reads_back(protocol: str, host: Any, port: int) -> None:
 
 @given(st.text(max_size=30))
 def test_any_other_text_is_refused_in_words(text: str) -> None:
-    with contextlib.suppress(HostsError):
+    with contextlib.suppress(FleetError):
         assert parse_endpoint(text, "--listen").port
 
 
@@ -76,7 +76,7 @@ def test_mutual_tls_takes_the_external_agents_certificates(made: Path) -> None:
     found = listening("tls/0.0.0.0:1", made, external=[2], mutual=True)
     assert found.listener and found.listener.certified == {"agent-2"}
     assert found.certificates["agent-2"].certificate == (made / "agent-2.pem").read_text()
-    with pytest.raises(HostsError, match=r"agent-3\.pem is missing; make it: fleet certs .* --agents 3"):
+    with pytest.raises(FleetError, match=r"agent-3\.pem is missing; make it: fleet certs .* --agents 3"):
         listening("tls/0.0.0.0:1", made, external=[3], mutual=True)
 
 
@@ -93,11 +93,11 @@ def test_agents_may_come_with_certificates_alone(made: Path) -> None:
     alone = listening_for_certificates(Rendezvous(), "tls/127.0.0.1:2", made, external=[2])
     assert (alone.listener, alone.lease_ms, alone.folders[2].endpoints) == (None, None, ("tls/127.0.0.1:2",))
     assert "PRIVATE KEY" not in repr(alone)
-    with pytest.raises(HostsError, match=r"agent-3\.pem is missing; make it: fleet certs .* --agents 3"):
+    with pytest.raises(FleetError, match=r"agent-3\.pem is missing; make it: fleet certs .* --agents 3"):
         listening_for_certificates(Rendezvous(), "tls/127.0.0.1:2", made, external=[2, 3])
-    with pytest.raises(HostsError, match="two routers: give them a port each, not both 1"):
+    with pytest.raises(FleetError, match="two routers: give them a port each, not both 1"):
         listening_for_certificates(both, "tls/127.0.0.1:1", made)
-    with pytest.raises(HostsError, match="not for other"):
+    with pytest.raises(FleetError, match="not for other"):
         listening_for_certificates(both, "tls/0.0.0.0:2", made, ["other"])
 
 

@@ -26,6 +26,7 @@ from fleet.cli.main import cli
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs import columns, decoder, deviation, export, open_log, reader, records, tape, topic
+from fleet.logs.info import info_text, read_info
 from fleet.logs.reader import LogReader, LogReadError
 from fleet.pictures.gallery import draw
 from fleet.pictures.runs import View, load
@@ -335,6 +336,16 @@ def test_progress_is_told_on_stderr(command: str, run: Path, tmp_path: Path, mon
 def test_nothing_is_said_of_what_is_short(run: Path) -> None:
     result = CliRunner().invoke(cli, ["info", str(run)])
     assert (result.exit_code, result.stderr) == (0, "")
+
+
+def test_faults_beyond_the_limit_are_counted(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They were left out without a word."""
+    whole = read_info(run)
+    monkeypatch.setattr("fleet.logs.info.MOST_EVENTS", 2)
+    some = read_info(run)
+    assert (whole.unread, some.unread) == (0, whole.topics["faults"][1] - 2)
+    assert f"LEFT OUT: {some.unread} messages about faults" in info_text(some)
+    assert "LEFT OUT" not in info_text(whole)
 
 
 @pytest.mark.parametrize("command", [["export", "--csv"], ["recover", "-o"]])

@@ -14,11 +14,12 @@ from mcap.writer import Writer
 
 import fleet
 import fleet.logs.topic as held
+from fleet.errors import FleetError
 from fleet.logs.export import export
 from fleet.logs.open_log import Log
 from fleet.logs.reader import LogReadError
-from fleet.logs.schemas import UINT32, Column, flat_schema
-from fleet.logs.table import ExportError, columns
+from fleet.logs.schemas import UINT32, MessageField, flat_schema
+from fleet.logs.table import columns
 
 pd = pytest.importorskip("pandas")
 xr = pytest.importorskip("xarray")
@@ -68,7 +69,7 @@ def test_a_table_for_pandas_says_its_units(log: Log, tmp_path: Path) -> None:
     export(log, tmp_path, "parquet")
     read = pd.read_parquet(tmp_path / "uuv-1-command.parquet")
     assert read.attrs == frame.attrs and read.equals(frame)
-    with pytest.raises(ExportError, match="scene is no table"):
+    with pytest.raises(FleetError, match="scene is no table"):
         log.to_pandas("scene")
 
 
@@ -96,7 +97,11 @@ def test_netcdf_is_what_others_read(log: Log, tmp_path: Path) -> None:
 
 def test_netcdf_of_another_programs_log(tmp_path: Path) -> None:
     """Fields whose names we use ourselves, units that are none, numbers for which NetCDF-3 has no integers."""
-    fields = (Column("t", "V", "volts"), Column("sample", "furlong", "far"), Column("large", "1", "", type=UINT32))
+    fields = (
+        MessageField("t", "V", "volts"),
+        MessageField("sample", "furlong", "far"),
+        MessageField("large", "1", "", type=UINT32),
+    )
     schema = flat_schema("Odd", fields)
     with (tmp_path / "robot.mcap").open("wb") as file:
         writer = Writer(file)
@@ -118,7 +123,7 @@ def test_what_is_too_large_is_refused(log: Log, tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(held, "MOST_HELD", 1000)
     with pytest.raises(LogReadError, match=r"choose some, as in open_log\(path, \['uuv/\*/state'\]\)"):
         log.to_xarray()
-    with pytest.raises(ExportError, match=r"too large for NetCDF .* use --parquet"):
+    with pytest.raises(FleetError, match=r"too large for NetCDF .* use --parquet"):
         export(log, tmp_path, "netcdf")
     assert list(tmp_path.iterdir()) == []
 
@@ -133,5 +138,5 @@ def test_without_the_packages_a_line_says_what_to_install(
         "to_pandas": lambda: log.to_pandas("uuv/1/state"),
         "netcdf": lambda: export(log, tmp_path, "netcdf"),
     }
-    with pytest.raises(ExportError, match=r"not installed: pip install 'uuv-fleet\[tables\]'"):
+    with pytest.raises(FleetError, match=r"not installed: pip install 'uuv-fleet\[tables\]'"):
         calls[what]()

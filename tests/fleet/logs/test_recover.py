@@ -26,11 +26,12 @@ from mcap.writer import Writer
 from repository import SUPPORT
 
 from fleet.cli.main import cli
+from fleet.errors import FleetError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.reader import GAPS, LOST, RECOVERY, LogReader, LogReadError, Record
 from fleet.logs.records import MAGIC, MOST_BYTES
-from fleet.logs.recover import Recovered, RecoverError, recover
+from fleet.logs.recover import Recovered, recover
 from fleet.scenario.loading import load_scenario
 
 # Three chunks, as small as they get.
@@ -490,7 +491,7 @@ def test_recovery_onto_a_full_disk(log: Path, tmp_path: Path, monkeypatch: pytes
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
     try:
-        with pytest.raises(RecoverError, match="File too large"):
+        with pytest.raises(FleetError, match="File too large"):
             recover(log, tmp_path / "out")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)

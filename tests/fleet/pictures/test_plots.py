@@ -18,17 +18,19 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
+from msgspec.structs import replace
 from repository import ROOT
 
 import fleet
 from fleet.cli.logs import KINDS, PARTS
 from fleet.cli.main import cli
+from fleet.errors import FleetError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.export import export
 from fleet.logs.open_log import open_log
 from fleet.logs.run_name import run_name
-from fleet.logs.table import ExportError, columns
+from fleet.logs.table import columns
 from fleet.pictures import exchange, time_series
 from fleet.pictures.gallery import PER_RUN, WHAT, draw
 from fleet.pictures.report import _from_log, page
@@ -36,8 +38,10 @@ from fleet.pictures.report import write as write_report
 from fleet.pictures.report_tables import links_table
 from fleet.pictures.runs import NothingToDraw, PictureError, Run, View, load, with_gaps
 from fleet.pictures.style import panels, plain_decades
+from fleet.result.file import read_result
 from fleet.scenario.loading import load_scenario
 from netem.causes import LOSSES, Cause
+from netem.ledger import Account
 
 
 def logged(out: Path, name: str, *overrides: str) -> Path:
@@ -326,14 +330,11 @@ def test_ages_are_those_of_the_result(name: str, runs: dict[str, Run], directori
 
 
 def test_ledger_from_the_log_is_that_of_the_result(runs: dict[str, Run], directories: dict[str, Path]) -> None:
-    result = json.loads((directories["faulty"] / "result.json").read_text())
+    result = read_result(directories["faulty"])
     ledger, ages = _from_log(runs["faulty"])
-    assert ages == result["ages"]
-    for link, account in ledger.items():
-        told = result["ledger"][link]
-        for key in ("sent", "duplicated", "delivered", "in_flight"):
-            assert account[key] == told[key], (link, key)
-        assert account["lost"] == {cause: count for cause, count in told["lost"].items() if count}
+    assert ages == result.ages
+    for link, account in ledger.items():  # the log says also of what was lost that it was damaged
+        assert replace(account, corrupted=0) == replace(result.ledger[link], corrupted=0)
 
 
 def test_what_can_be_asked_for_is_what_there_is() -> None:
@@ -414,7 +415,7 @@ def test_export_says_what_it_needs(directories: dict[str, Path], tmp_path: Path)
 
 @pytest.mark.skipif(importlib.util.find_spec("pyarrow") is not None, reason="pyarrow is installed")
 def test_parquet_names_what_to_install(directories: dict[str, Path], tmp_path: Path) -> None:
-    with pytest.raises(ExportError, match=r"pip install 'uuv-fleet\[parquet\]'"):
+    with pytest.raises(FleetError, match=r"pip install 'uuv-fleet\[parquet\]'"):
         export(fleet.open_log(directories["one"]), tmp_path, "parquet")
 
 
@@ -570,8 +571,7 @@ def test_a_report_that_finds_no_room_leaves_nothing(
 
 def test_tables_of_a_report() -> None:
     """Columns that hold nothing are left out, and what was replaced is not called lost."""
-    account = {"sent": 9, "duplicated": 0, "delivered": 2, "in_flight": 0, "corrupted": 0}
-    table = links_table({"1->2": account | {"lost": {"snr": 1, "replaced": 6}}}, {})
+    table = links_table({"1->2": Account(sent=9, delivered=2, lost={"snr": 1, "replaced": 6})}, {})
     headings = ["link", "sent", "delivered", "replaced", "lost: snr", "mean age [s]", "95 % [s]", "max [s]"]
     assert list(table.headings) == headings
     assert [row[0] for row in table.rows] == ["all", "1->2"]

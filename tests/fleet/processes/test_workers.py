@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from repository import ROOT
-from worker_items import die_at_once, die_once, known_to_the_worker_alone, masked, sleep, step, unpicklable
+from worker_items import die_at_once, die_once, hang, known_to_the_worker_alone, masked, sleep, step, unpicklable
 
 from fleet.errors import RunBroken
 from fleet.processes.workers import WorkerDied, WorkerLate, Workers
@@ -74,6 +74,13 @@ def test_who_asks_for_no_more_finds_workers_that_are_free(workers: Workers) -> N
 def test_workers_that_end_before_they_begin_blame_no_item_and_end_it() -> None:
     with Workers(1, die_at_once) as dying, pytest.raises(RunBroken, match=r"before they began \(exit status 7\)"):
         list(dying.each(step, [1]))
+
+
+def test_a_worker_that_hangs_before_it_begins_is_ended_and_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fleet.processes.workers._BEGIN_S", 0.5)
+    with Workers(1, hang) as hanging, pytest.raises(RunBroken, match=r"did not begin with its work within 0\.5 s"):
+        list(hanging.each(step, [1]))
+    assert not hanging.pids
 
 
 def test_too_few_open_files_are_said_before_anything_starts(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,7 @@ import pytest
 from repository import ROOT
 
 from fleet.execution.judged import run
-from fleet.execution.outcome import Result
+from fleet.result.result import Result
 
 PAGE = (ROOT / "docs/guide/protocols/index.md").read_text("utf-8")
 BLOCKS = re.findall(r"```(?:python|yaml)\n(.*?)```", PAGE, re.S)

@@ -20,12 +20,12 @@ from small_scenario import only_problem, small
 import fleet
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Result
 from fleet.logs.decoder import _unit
 from fleet.logs.reader import LogReader
 from fleet.recorder.scene import LinkHistories, Scene, hull
 from fleet.recorder.transforms import quaternion
 from fleet.repeat.resume import continuation
+from fleet.result.result import Result
 from fleet.scenario.loading import load_scenario
 from fleet.scene.link_state import CUTS, HISTORY
 from fleet.scene.model import diameter

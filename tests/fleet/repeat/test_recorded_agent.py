@@ -19,10 +19,10 @@ from agents.make_agent import make_agent
 from fleet.cli.main import cli
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Status
-from fleet.logs.schemas import Column, Doubles
+from fleet.logs.schemas import Doubles, MessageField
 from fleet.repeat.recorded_agent import NotRecordedError
 from fleet.repeat.verify import verification_lines, verify
+from fleet.result.result import Status
 from fleet.scenario.loading import load_scenario
 
 EXTERNAL = "per_vehicle={3: {external: true}}"
@@ -99,7 +99,7 @@ def test_thinned_commands_cannot_be_said_again(tmp_path: Path, monkeypatch: pyte
 
 
 def test_doubles_are_decoded_to_the_same_bits() -> None:
-    columns = [Column("a", "", ""), Column("b", "", "", 3), Column("c", "", "", 40)]
+    columns = [MessageField("a", "", ""), MessageField("b", "", "", 3), MessageField("c", "", "", 40)]
     values = tuple((-1.0) ** k * 0.1 * k for k in range(44))
     data = encoded(columns, values)
     assert Doubles(columns).decode(data) == values

@@ -14,15 +14,16 @@ from fault_histories import EVERYTHING
 from small_scenario import only_problem, small
 
 from fleet.cli.main import cli
+from fleet.errors import FleetError
 from fleet.execution.execute import _policy, execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Result, Status
 from fleet.logs.open_log import open_log
 from fleet.logs.reader import LogReader, Record
-from fleet.recorder.snapshot import Snapshot, SnapshotError, Start, find
+from fleet.recorder.snapshot import Snapshot, Start, find
 from fleet.repeat.recorded_run import script
 from fleet.repeat.resume import continuation, parse_from
 from fleet.repeat.verify import verification_lines, verify
+from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.overrides import FAULT, NET, Override
@@ -124,7 +125,7 @@ def test_a_fault_and_links_in_words_act_from_there_on(tmp_path: Path) -> None:
     assert again.values["ledger"]["3->4"]["lost"]["down"] == 5
     assert verify(again.directory).reproduced
     early = Override(FAULT, "at 100 ms for 900 ms mute 1")
-    with pytest.raises(SnapshotError, match="--fault at 100 ms for 900 ms mute 1: it begins before t = 500 ms"):
+    with pytest.raises(FleetError, match="--fault at 100 ms for 900 ms mute 1: it begins before t = 500 ms"):
         continuation(first.directory, None, [early])
 
 
@@ -147,9 +148,9 @@ def test_a_snapshot_is_plain_values(tmp_path: Path) -> None:
     snapshot = find(first.directory)
     assert Snapshot.from_bytes(snapshot.to_bytes()) == snapshot
     assert set(snapshot.memories) == {1, 2, 3, 4}
-    with pytest.raises(SnapshotError, match="is of format 7, this version reads 1"):
+    with pytest.raises(FleetError, match="is of format 7, this version reads 1"):
         Snapshot.from_bytes(msgpack.packb([7]))
-    with pytest.raises(SnapshotError, match="cannot be read"):
+    with pytest.raises(FleetError, match="cannot be read"):
         Snapshot.from_bytes(b"\xc1")
 
 

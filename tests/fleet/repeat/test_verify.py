@@ -24,7 +24,6 @@ from agents.controllers import TRACKING
 from fleet.cli.main import cli
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Status
 from fleet.logs.decoder import Decoder
 from fleet.logs.deviation import compare
 from fleet.logs.reader import LogReader, open_file
@@ -33,6 +32,7 @@ from fleet.logs.recover import Copy, Recovered, recover
 from fleet.logs.salvage import Item, Salvage
 from fleet.repeat.resume import continuation
 from fleet.repeat.verify import Verification, verification_lines, verify
+from fleet.result.result import Status
 from fleet.scenario.loading import load_scenario
 
 Part = Item | Message

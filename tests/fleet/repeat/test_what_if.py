@@ -13,12 +13,12 @@ from failing_laws import module as module
 from fault_histories import EVERYTHING
 
 from fleet.cli.main import cli
-from fleet.errors import ScenarioError
+from fleet.errors import FleetError, ScenarioError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Status
 from fleet.repeat.resume import continuation
-from fleet.repeat.what_if import WhatIfError, what_if
+from fleet.repeat.what_if import what_if
+from fleet.result.result import Status
 from fleet.scenario.loading import load_scenario
 
 LINKS = 'network.links={"*": delay 60ms 30ms loss 20% duplicate 20% corrupt 20%}'
@@ -75,7 +75,7 @@ def test_a_law_of_the_users(module: Callable[[str], str], tmp_path: Path, monkey
     directory = run(tmp_path, "paper", "duration=1 s")
     law = module(failing(50, "raise ValueError('enough')"))
     assert not what_if(directory, 3, [f"controller={law}:Law"]).identical
-    with pytest.raises(WhatIfError, match="agent 2, tick 50: Law raised ValueError: enough"):
+    with pytest.raises(FleetError, match="agent 2, tick 50: Law raised ValueError: enough"):
         what_if(directory, 2, [f"controller={law}:Law"])
     monkeypatch.chdir(tmp_path)
     asked = CliRunner().invoke(cli, ["whatif", str(directory), "--agent", "2", "--controller", f"{law}:Law"])

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from fleet.replay.selection import Renaming, SelectionError, chosen
+from fleet.errors import FleetError
+from fleet.replay.selection import Renaming, chosen
 from netem.wire.key_expressions import matching
 
 
@@ -39,7 +40,7 @@ def test_choice_of_topics() -> None:
         ([], "nothing", "no topic"),
         ([], "(", "no regular expression"),
     ):
-        with pytest.raises(SelectionError, match=words):
+        with pytest.raises(FleetError, match=words):
             chosen(topics, patterns, expression)
 
 
@@ -50,7 +51,7 @@ def test_renaming() -> None:
     ]  # fmt: skip
     rename.check()
     for rule in ("robot=twin", ":=x", "x:=", "x:=a//b", "x:=a/*"):
-        with pytest.raises(SelectionError):
+        with pytest.raises(FleetError):
             Renaming([rule])
-    with pytest.raises(SelectionError, match="twice"):
+    with pytest.raises(FleetError, match="twice"):
         Renaming(["a:=b", "/a:=c"])

@@ -13,7 +13,6 @@ from click.testing import CliRunner
 from agents.controllers import CONTROLLERS
 from fleet.cli.main import cli
 from fleet.execution.in_memory import record
-from fleet.execution.outcome import Result, Status
 from fleet.processes.interrupts import HungUp
 from fleet.reproduce.cases import CASES, NAMES, D, Outcome, U, run_case
 from fleet.reproduce.claims import CORRECTED, NO_K_MAX, PRINTED, judge
@@ -24,6 +23,7 @@ from fleet.reproduce.run import _network_check
 from fleet.reproduce.table1 import HEADINGS, chosen, table_1
 from fleet.reproduce.topology import topology
 from fleet.reproduce.verdicts import Claim, ClaimCheck
+from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario
 
 
@@ -422,7 +422,7 @@ def test_a_signal_in_the_distributed_run_ends_it_all(
     status: Status, raised: type[BaseException], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It came as a run with that status, after which all the other runs were made."""
-    monkeypatch.setattr("fleet.execution.execute.execute", lambda *_: Result(status, Path(), ""))
+    monkeypatch.setattr("fleet.execution.execute.execute", lambda *_: Result(status=status))
     with pytest.raises(KeyboardInterrupt) as caught:
         _network_check(lambda *_: None)
     assert caught.type is raised

@@ -6,7 +6,7 @@ import pytest
 
 from fleet.errors import ScenarioError
 from fleet.scenario import catalogue
-from fleet.scenario.catalogue import Listed, list_scenarios, shipped_scenarios
+from fleet.scenario.catalogue import ListedScenario, list_scenarios, shipped_scenarios
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.schema.groups import GROUPS
 
@@ -14,7 +14,7 @@ from fleet.scenario.schema.groups import GROUPS
 def test_the_list_agrees_with_the_loaded_scenarios() -> None:
     loaded = [load_scenario(name) for name in shipped_scenarios()]
     assert [row._replace(group="") for row in list_scenarios()] == [
-        Listed(s.name, "", s.title, s.vehicles, s.duration_ns / 1e9, s.spec.expect) for s in loaded
+        ListedScenario(s.name, "", s.title, s.vehicles, s.duration_ns / 1e9, s.spec.expect) for s in loaded
     ]
     assert {row.expect for row in list_scenarios()} == {"pass", "fail"}
 
@@ -37,7 +37,7 @@ checks: {tumbled: waived}
         monkeypatch.setattr(catalogue, "shipped_text", lambda name, more=more: text + more)
         scenario = parse_scenario(text + more, "two.yaml")
         assert scenario.spec.expect == expect
-        assert list_scenarios() == [Listed("two", "", "Two: a # in quotes", 2, 90.0, expect)]
+        assert list_scenarios() == [ListedScenario("two", "", "Two: a # in quotes", 2, 90.0, expect)]
         assert (scenario.name, scenario.spec.group, scenario.title, scenario.vehicles) == (
             "two", None, *list_scenarios()[0][2:4],
         )  # fmt: skip

@@ -21,7 +21,7 @@ from fleet.analysis.stability import analyse
 from fleet.errors import ScenarioError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Result, Status
+from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.schema.faults import ACTIONS, DrawnKind
 from fleet.scenario.sections.partitions import partition

@@ -222,8 +222,28 @@ def test_each_rule_speaks(override: str, words: str) -> None:
 
 
 CHOICES: dict[str, st.SearchStrategy[str]] = {
-    "network.acoustic": st.sampled_from(["fsk-80", "s2c", "{mac: tdma, slot: 4 s}", "{modem: mfsk-1066, buffer: 3}"]),
-    "network.acoustic.modem": st.sampled_from(["fsk-80", "s2c", "mfsk-1066"]),
+    "network.acoustic": st.sampled_from(
+        [
+            "fsk-80",
+            "s2c",
+            "{mac: tdma, slot: 4 s}",
+            "{modem: mfsk-1066, buffer: 3}",
+            "{modem: ahoi, mac: csma}",
+            "{tries: 3, timeout: 2 s, acknowledgement: 1 byte}",
+        ]
+    ),
+    "network.acoustic.modem": st.sampled_from(["fsk-80", "s2c", "mfsk-1066", "ahoi", "hermes-june", "s2c-burst"]),
+    "network.acoustic.modems": st.sampled_from(["{2: s2c-burst}", "{2-3: fsk-80, 1: ahoi}"]),
+    "network.acoustic.water.site": st.just("singapore-2012"),
+    "network.acoustic.fading": st.sampled_from(
+        ["{shadowing: 3 dB}", "{shadowing: 3 dB, correlation: 9 s, packets: rayleigh}", "{packets: rician 6 dB}"]
+    ),
+    "network.acoustic.tries": st.integers(0, 5).map(str),
+    "network.acoustic.timeout": st.integers(1, 10**10).map(lambda v: f"{v} ns"),
+    "network.acoustic.acknowledgement": st.integers(1, 9).map(lambda v: f"{v} bytes"),
+    "network.acoustic.delivery": st.floats(0.0, 100.0).map(lambda v: f"0 m {v!r} %, 2 km 0 %"),
+    "network.acoustic.captured": st.just("1 dB 0 %, 3 dB 100 %"),
+    "network.acoustic.airtime": st.just("1 byte 20 ms, 64 bytes 900 ms"),
     "network.acoustic.source_level": st.floats(0.0, 300.0).map(lambda v: f"{v!r} dB"),
     "network.acoustic.carrier": st.floats(1.0, 1e7).map(lambda v: f"{v!r} Hz"),
     "network.acoustic.bit_rate": st.floats(0.1, 100.0).map(lambda v: f"{v!r} kbit/s"),

@@ -20,7 +20,7 @@ from fleet.analysis.stability import analyse
 from fleet.errors import ScenarioError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.outcome import Status
+from fleet.result.result import Status
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.motion import FormationShape, GraphSection

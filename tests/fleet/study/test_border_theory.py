@@ -10,6 +10,7 @@ from fleet.scenario.text.overrides import NET, Override
 from fleet.study.border_theory import theory
 from fleet.study.borders import Borders, parse_along, prepare_borders
 from fleet.study.plan import Plan
+from fleet.study.spec import BoundarySpec
 from fleet.study.values import parse_axis
 from world.plugins.trust import NOTHING
 
@@ -18,10 +19,10 @@ def test_the_rules_of_fleet_check_and_the_age_under_loss(tmp_path: Path) -> None
     axes = (
         parse_axis("neighbours.extrapolate=neighbour, hold"),
         parse_axis("delay=0 s, 200 ms, 1 s"),
-        parse_along("loss=0 %..100 %/4 %"),
+        parse_along("loss=0 %..100 %/4 %", 0.1),
     )
     plan = Plan("paper", (Override(NET, "* delay {delay} loss {loss}"),), axes)
-    store, _ = prepare_borders(plan, 0.5, 0.1, tmp_path / "study")
+    store, _ = prepare_borders(plan, BoundarySpec(), tmp_path / "study")
     found = theory(Borders(store), NOTHING)
     assert [one.shunting for one in found] == [(pytest.approx(8.13, abs=0.01), 10.0)] * 6
     assert [one.stable for one in found[:3]] == [True, True, False]  # it bears 0.25 s

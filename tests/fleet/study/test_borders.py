@@ -21,6 +21,7 @@ from fleet.study.errors import StudyError
 from fleet.study.pictures.points import MADE, NOT_MADE, load
 from fleet.study.plan import Plan
 from fleet.study.record import BorderRecord
+from fleet.study.spec import BoundarySpec
 from fleet.study.study import Study
 from fleet.study.sweep import run_study
 from fleet.study.values import parse_axis
@@ -35,9 +36,9 @@ def small_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def prepared(name: str, seeds: int = 40, along: str = "loss=0 %..95 %") -> Borders:
-    axes = (parse_axis("delay=100 ms, 200 ms"), parse_along(along))
+    axes = (parse_axis("delay=100 ms, 200 ms"), parse_along(along, 0.1))
     plan = Plan("small.yaml", (LINKS,), axes, seeds=tuple(range(1, seeds + 1)))
-    store, _ = prepare_borders(plan, 0.5, 0.1, Path(name))
+    store, _ = prepare_borders(plan, BoundarySpec(), Path(name))
     return Borders(store)
 
 
@@ -114,9 +115,9 @@ def test_equal_ratios_are_equally_far_apart() -> None:
         assert delay
         return float(delay[1]) * (1000.0 if delay[2] == "s" else 1.0) < Random(seed).gauss(100.0, 5.0)
 
-    axes = (parse_along("delay=10 ms..1000 ms log 41"),)
+    axes = (parse_along("delay=10 ms..1000 ms log 41", 0.1),)
     plan = Plan("small.yaml", (Override(NET, "* delay {delay}"),), axes, seeds=tuple(range(1, 41)))
-    store, _ = prepare_borders(plan, 0.5, 0.1, Path("a"))
+    store, _ = prepare_borders(plan, BoundarySpec(), Path("a"))
     borders = Borders(store)
     find_borders(borders, Drawn(breaks), quiet)  # type: ignore[arg-type]
     (only,) = borders.found()
@@ -127,9 +128,9 @@ def test_equal_ratios_are_equally_far_apart() -> None:
 def test_a_row_is_a_run() -> None:
     changes = Override(SET, "checks={formation_error: {below: 0.9 m, after: 0.9 s}}")
     plan = Plan(
-        "small.yaml", (LINKS, changes), (parse_axis("delay=50 ms"), parse_along("loss=0 %, 80 %")), seeds=(3, 4)
+        "small.yaml", (LINKS, changes), (parse_axis("delay=50 ms"), parse_along("loss=0 %, 80 %", 0.1)), seeds=(3, 4)
     )
-    store, _ = prepare_borders(plan, 0.5, 0.1, Path("a"))
+    store, _ = prepare_borders(plan, BoundarySpec(), Path("a"))
     find_borders(Borders(store), Here(), quiet)  # type: ignore[arg-type]
     rows = store.table().to_pylist()
     assert [(row["loss"], row["seed"]) for row in rows] == [(0.0, 3), (80.0, 4)]
@@ -151,13 +152,13 @@ def test_a_row_is_a_run() -> None:
 )
 def test_what_no_border_can_lie_along(along: str, message: str) -> None:
     with pytest.raises(StudyError, match=message):
-        parse_along(along)
+        parse_along(along, 0.1)
 
 
 def test_levels_and_widths_are_checked() -> None:
-    plan = Plan("small.yaml", (Override(NET, "* loss {loss}"),), (parse_along("loss=0 %..9 %"),))
+    plan = Plan("small.yaml", (Override(NET, "* loss {loss}"),), (parse_along("loss=0 %..9 %", 0.1),))
     with pytest.raises(StudyError, match="level must be between 0 and 1"):
-        prepare_borders(plan, 0.0, 0.1, Path("a"))
+        prepare_borders(plan, BoundarySpec(level=0.0), Path("a"))
     assert not Path("a").exists()
     with pytest.raises(StudyError, match="a share of the range"):
         parse_along("loss=0 %..9 %", 1.0)
@@ -202,7 +203,7 @@ def test_what_no_border_needs_is_not_missing() -> None:
     assert (state == MADE).sum() == len(store.done())
 
 
-@pytest.mark.parametrize("record", [BorderRecord(7.0, 0.1, False), BorderRecord(0.5, 0.1, True)])
+@pytest.mark.parametrize("record", [BorderRecord(level=7.0, log=False), BorderRecord(log=True)])
 def test_a_damaged_study_is_said(record: BorderRecord) -> None:
     store = prepared("a").store
     store.record.border = record  # a level beyond 1; equal ratios from 0 on

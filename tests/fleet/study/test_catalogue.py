@@ -10,7 +10,7 @@ from fleet.quantities import time_ns
 from fleet.scenario.catalogue import shipped_scenarios
 from fleet.study.catalogue import list_studies, shipped_studies
 from fleet.study.load_points import load_points
-from fleet.study.plan import Plan
+from fleet.study.plan import Plan, plan_of
 from fleet.study.study_file import study_named
 
 
@@ -31,7 +31,7 @@ def test_the_list_says_what_a_study_is() -> None:
     for name, title, scenario, runs, core_s in listed:
         named = study_named(name)
         assert named is not None
-        assert (title, scenario, runs) == (named.spec.title, named.spec.scenario, len(named.spec.plan()))
+        assert (title, scenario, runs) == (named.spec.title, named.spec.scenario, len(plan_of(named.spec)))
         assert title.endswith("?")
         assert core_s == pytest.approx(runs * time_ns(named.spec.run_takes) / 1e9)
 
@@ -40,5 +40,5 @@ def test_the_list_says_what_a_study_is() -> None:
 def test_what_ships_can_be_run(name: str) -> None:
     named = study_named(name)
     assert named is not None
-    scenarios = load_points(thinned(named.spec.plan(named.origin)))
+    scenarios = load_points(thinned(plan_of(*named)))
     assert len({scenario.to_yaml() for scenario in scenarios}) == len(scenarios)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from fleet.errors import Problem, ScenarioError
@@ -33,7 +35,26 @@ def test_a_wrong_value_of_some_points_is_reported_once() -> None:
     assert problem.message.endswith("(in 2 of 3 points, first network.period=0 %)")
 
 
+def test_a_mistake_in_the_file_is_reported_once_whatever_values_are_like_its_words(tmp_path: Path) -> None:
+    """Neither a value in the name of the file nor one that the message has beside others makes two of it."""
+    file = tmp_path / "bad1.yaml"
+    file.write_text("vehicles: 3\nnetwork: {period: 15 ms}\n", "utf-8")
+    plan = Plan(str(file), (Override(NET, "* loss {loss}%"),), (parse_axis("loss=0, 1, 10, 15"),))
+    with pytest.raises(ScenarioError) as caught:
+        load_points(plan)
+    said = [problem.message for problem in caught.value.problems]
+    assert len(said) == len(set(said)) and not any("points" in message for message in said)
+    assert "network.period: 15 ms is not a whole number of ticks of 10 ms" in said
+
+
+def test_wrong_numbers_are_one_mistake_and_two_of_one_point_stay_two() -> None:
+    (problem,) = mistakes("network.links.*.loss=0 %..150 %/10 %")
+    assert problem.message.endswith("(in 5 of 16 points, first network.links.*.loss=110 %)")
+    killed = Override(SET, "faults=[{at: 1 s, kill: 8}, {at: 2 s, kill: 9}]")
+    assert len(mistakes("network.links.*.loss=0 %, 10 %", change=killed)) == 2
+
+
 def test_two_mistakes_stay_two() -> None:
     found = mistakes("loss=0 %, 5 %", "delya=1 s, 2 s", change=Override(NET, "* loss {loss}"))
-    assert [problem.file for problem in found] == ["--set delya=1 s"]
+    assert [problem.file for problem in found] == ["--vary delya=1 s"]
     assert len(mistakes("lss=0 %, 5 %", "delya=1 s, 2 s")) == 2

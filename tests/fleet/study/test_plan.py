@@ -28,7 +28,8 @@ def test_every_value_with_every_other_and_all_points_before_the_next_seed() -> N
 def test_a_key_that_fills_no_template_is_one_of_the_scenario() -> None:
     axes = (parse_axis("controller=nboc,bc"), parse_axis("who=2,3"))
     plan = Plan("paper", (Override(FAULT, "at 3s kill {who}"),), axes)
-    assert plan.points[3].changes == (Override(FAULT, "at 3s kill 3"), Override(SET, "controller=bc"))
+    typed = Override(SET, "controller=bc", "--vary controller=bc")
+    assert plan.points[3].changes == (Override(FAULT, "at 3s kill 3"), typed)
 
 
 def test_zipped_values_go_together() -> None:

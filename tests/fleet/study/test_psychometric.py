@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.stats import fisher_exact
 
-from fleet.study.psychometric import ENDS, RISING, SCALES, Array, Curve, Rise, Walk, _fisher, steepest_rise
+from fleet.study.psychometric import ENDS, RISING, SCALES, Array, PsychometricCurve, Rise, Walk, _fisher, steepest_rise
 
-CURVE = Curve(np.linspace(0.0, 1.0, 65).tolist())
+CURVE = PsychometricCurve(np.linspace(0.0, 1.0, 65).tolist())
 
 
 def rate(border: float, scale: float, x: float) -> float:
@@ -45,7 +45,7 @@ def test_a_sharp_border_is_found_between_two_places() -> None:
 @pytest.mark.parametrize(("best", "worst"), [(0.7, 0.0), (1.0, 0.2)])
 def test_a_curve_that_does_not_fall_from_1_to_0_moves_the_border_little(best: float, worst: float) -> None:
     """With curves from 1 to 0 alone the border was 7 % of the range too low where the best pass rate is 0.7."""
-    walk = Walk(Curve(np.linspace(0.0, 1.0, 16).tolist()), 0.1)
+    walk = Walk(PsychometricCurve(np.linspace(0.0, 1.0, 16).tolist()), 0.1)
     rng = np.random.default_rng(11)
     held, off = 0, []
     for middle in rng.uniform(0.2, 0.8, 20):
@@ -68,7 +68,7 @@ def test_a_border_outside_is_told_after_eight_runs(passes: bool) -> None:
 
 
 def test_at_the_border_the_pass_rate_is_the_level() -> None:
-    curve = Curve([0.0, 0.25, 1.0], level=0.9)
+    curve = PsychometricCurve([0.0, 0.25, 1.0], level=0.9)
     at = int(np.argmin(np.abs(curve.borders - 0.25)))
     assert curve.passes[1, at] == pytest.approx(np.full(len(SCALES) * len(ENDS), 0.9))
     assert (np.diff(curve.passes[:, at, :], axis=0) < 0.0).all()

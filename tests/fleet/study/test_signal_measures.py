@@ -17,8 +17,8 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.overrides import SET, Override
 from fleet.study.errors import StudyError
 from fleet.study.plan import Plan
-from fleet.study.settings import Settings
 from fleet.study.signal_measures import Samples, find_columns, measures_of_checks, parse_signal, signal_columns_of
+from fleet.study.spec import StudySpec
 from fleet.study.summary import DEFAULT
 from fleet.study.sweep import prepare
 
@@ -125,8 +125,8 @@ def test_signals_that_checks_name_are_measured_without_asking(tmp_path: Path) ->
     file = tmp_path / "small.yaml"
     file.write_text(SMALL, "utf-8")
     store, _ = prepare(Plan(str(file), (Override(SET, CHECKED),), seeds=(1,)), tmp_path / "s")
-    assert store.record.settings.measures == (*DEFAULT, *expected)
+    assert store.record.measures == (*DEFAULT, *expected)
     assert {column.name: column.unit for column in store.record.columns}["max state.z"] == "m"
-    asked = Settings(measures=("e_rms_m",))
-    store, _ = prepare(Plan(str(file), (Override(SET, CHECKED),), seeds=(1,), settings=asked), tmp_path / "t")
-    assert store.record.settings.measures == ("e_rms_m",)
+    asked = StudySpec(str(file), measures=["e_rms_m"])
+    store, _ = prepare(Plan(str(file), (Override(SET, CHECKED),), seeds=(1,)), tmp_path / "t", spec=asked)
+    assert store.record.measures == ("e_rms_m",)

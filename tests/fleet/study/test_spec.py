@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
+from inspect import signature
 from math import inf
 from pathlib import Path
+from typing import Any
 
+import click
+import msgspec
 import pytest
+from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
+import fleet
+from fleet.cli.study_options import given as given_options
+from fleet.cli.study_options import spec_options
 from fleet.errors import printable
 from fleet.scenario.text.overrides import FAULT, NET, SET, Override
+from fleet.scenario.text.plain_yaml import yaml_text
 from fleet.scenario.text.yaml_reader import Source
 from fleet.study.errors import StudyError
-from fleet.study.spec import StudySpec, is_file, seeds_text, set_values, varied
-from fleet.study.study_file import parse_study
+from fleet.study.given import keywords, seeds_text, set_values, varied
+from fleet.study.plan import plan_of
+from fleet.study.spec import BoundarySpec, Spec, StudySpec, fields
+from fleet.study.study_file import is_file, parse_study, study_yaml
 from fleet.study.values import axis
 
 TEXTS = st.text(max_size=30).filter(lambda text: printable(text) == text) | st.sampled_from(
@@ -37,18 +48,22 @@ SPECS = st.builds(
     net=st.lists(TEXTS, max_size=2),
     fault=st.lists(TEXTS, max_size=2),
     measures=st.lists(st.sampled_from(["e_rms_m", "tumbles"]), max_size=2),
+    until=st.sampled_from(["", "pass ±5 %"]),
+    most_seeds=st.integers(1, 10**6),
+    keep_logs=st.sampled_from(["none", "failed", "all"]),
     timeout=st.sampled_from(["", "5 min", "100 ms"]),
+    budget=st.sampled_from(["", "5 min"]),
 )
 
 
 @given(SPECS)
 def test_a_study_that_is_printed_is_read_as_the_same(spec: StudySpec) -> None:
-    assert parse_study(Source("printed", spec.to_yaml())) == spec
+    assert parse_study(Source("printed", study_yaml(spec))) == spec
 
 
 def test_what_is_printed_reads_well() -> None:
     spec = StudySpec("paper", vary={"a": "1 s, 2 s"}, set=set_values(["log={every: 10 ticks}"]), net=["* loss {a}"])
-    assert spec.to_yaml().splitlines() == [
+    assert study_yaml(spec).splitlines() == [
         "study:",
         "  scenario: paper",
         "  vary:",
@@ -66,7 +81,7 @@ def test_the_file_of_a_scenario_is_printed_so_that_it_is_found_from_everywhere(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert not is_file("paper")
-    assert f'scenario: "{tmp_path}/my.yaml"' in StudySpec("my.yaml").to_yaml()
+    assert f'scenario: "{tmp_path}/my.yaml"' in study_yaml(StudySpec("my.yaml"))
 
 
 def test_options_add_to_a_study_and_overrule_it() -> None:
@@ -85,7 +100,6 @@ def test_options_add_to_a_study_and_overrule_it() -> None:
         net=["1->2 loss 5%"],
         fault=["at 1s off 1"],
         seeds="3",
-        measures=None,
     )
     assert found == StudySpec(
         "paper",
@@ -105,7 +119,7 @@ def test_a_plan_has_all_that_the_study_says() -> None:
     spec = StudySpec(
         "paper", vary={"x": "1, 2"}, set={"a": "{x}"}, net=["* loss 1%"], fault=["at 1s off 1"], seeds="4,2", draw=7
     )
-    plan = spec.plan()
+    plan = plan_of(spec)
     assert plan.changes == (Override(SET, "a={x}"), Override(NET, "* loss 1%"), Override(FAULT, "at 1s off 1"))
     assert (plan.scenario, plan.axes, plan.seeds, plan.draw) == ("paper", (axis("x", "1, 2"),), (4, 2), 7)
     assert spec.timeout_s == inf
@@ -122,3 +136,78 @@ def test_of_a_key_that_is_set_twice_the_last_counts() -> None:
         set_values(["duration"])
     with pytest.raises(StudyError, match="a is varied twice"):
         varied(["a=1,2", "a=3"])
+
+
+# Of each option: the command line, the value in a file, the value in Python, and what the spec keeps.
+SWEEP: dict[str, tuple[list[str], Any, Any, Any]] = {
+    "vary": (["--vary", "a=1 s, 2 s"], {"a": ["1 s", "2 s"]}, {"a": ["1 s", "2 s"]}, {"a": "1 s, 2 s"}),
+    "zip": (["--zip"], True, True, True),
+    "seeds": (["--seeds", "3,7,3"], [3, 7], [3, 7], "3,7,3"),
+    "draw": (["--draw", "5"], 5, 5, 5),
+    "set": (["--set", "log={every: 2}"], {"log": {"every": 2}}, ["log={every: 2}"], {"log": "{every: 2}"}),
+    "net": (["--net", "* loss 1%"], "* loss 1%", ["* loss 1%"], ["* loss 1%"]),
+    "fault": (["--fault", "at 1s off 1"], ["at 1s off 1"], ["at 1s off 1"], ["at 1s off 1"]),
+    "measures": (["--measure", "e_rms_m"], "e_rms_m", "e_rms_m", ["e_rms_m"]),
+    "until": (["--until", "pass ±5 %"], "pass ±5 %", "pass ±5 %", "pass ±5 %"),
+    "most_seeds": (["--most-seeds", "20"], 20, 20, 20),
+    "keep_logs": (["--keep-logs", "all"], "all", "all", "all"),
+    "timeout": (["--timeout", "90 s"], "90 s", 90.0, "90 s"),
+    "budget": (["--budget", "90 s"], "90 s", 90, "90 s"),
+}
+BOUNDARY: dict[str, tuple[list[str], None, Any, Any]] = {
+    "along": (["--along", "a=0..9"], None, "a=0..9", "a=0..9"),
+    "per": (["--per", "b=1, 2"], None, {"b": [1, 2]}, {"b": "1, 2"}),
+    "level": (["--level", "0.9"], None, 0.9, 0.9),
+    "width": (["--width", "0.2"], None, 0.2, 0.2),
+    "seeds": (["--seeds", "5..9"], None, [5, 6], "5,6,5"),
+}
+
+
+def typed(spec: Spec, args: list[str]) -> dict[str, Any]:
+    """What a command gets that has the options of a spec."""
+    found: dict[str, Any] = {}
+
+    @click.command()
+    @spec_options(spec)
+    def command(**options: Any) -> None:
+        found.update(given_options(spec, options))
+
+    result = CliRunner().invoke(command, args, catch_exceptions=False)
+    assert result.exit_code == 0, result.stderr
+    return found
+
+
+def test_each_option_is_the_same_on_the_command_line_in_a_file_in_python_and_in_the_record() -> None:
+    assert list(SWEEP) == [name for name, field in fields(StudySpec).items() if field.flag is not None]
+    keywords_of = {name: field.keyword for name, field in fields(StudySpec).items()}
+    for name, (args, in_file, in_python, kept) in SWEEP.items():
+        assert typed(StudySpec, args) == {name: kept}
+        file = Source("a.yaml", yaml_text({"study": {"scenario": "paper", name: in_file}}))
+        assert parse_study(file) == StudySpec("paper", **{name: kept})
+        assert keywords(StudySpec, {keywords_of[name]: in_python}) == {name: kept}
+        assert keywords_of[name] in signature(fleet.sweep).parameters
+    whole = StudySpec("paper", **{name: kept for name, (*_, kept) in SWEEP.items()})
+    assert msgspec.json.decode(msgspec.json.encode(whole), type=StudySpec) == whole
+    assert [*BOUNDARY, "set", "net", "fault", "timeout"] == list(fields(BoundarySpec))
+    for name, (args, _, in_python, kept) in BOUNDARY.items():
+        assert name in signature(fleet.boundary).parameters
+        assert keywords(BoundarySpec, {name: in_python}) == {name: kept}
+        assert name == "seeds" or typed(BoundarySpec, args) == {name: kept}
+
+
+def test_scripts_are_told_what_is_wrong_by_keyword() -> None:
+    assert keywords(StudySpec, {"timeout_s": inf, "until": None}) == {}
+    for wrong, message in (
+        ({"seeds": "none"}, "seeds: expected a number of seeds such as 20"),
+        ({"most_seeds": 0}, "most_seeds: expected a whole number from 1 to 1000000, got 0"),
+        ({"timeout_s": "5 s"}, 'timeout_s: expected a number of seconds, got "5 s"'),
+        ({"budget_s": -1}, "budget_s: expected a number of seconds, got -1"),
+        ({"keep_logs": "some"}, 'keep_logs: expected one of none, failed, all, got "some"'),
+        ({"measures": ["e_rms"]}, 'measures: there is no measure "e_rms"; did you mean "e_rms_m"?'),
+    ):
+        with pytest.raises(StudyError) as caught:
+            fleet.sweep("paper", **wrong)
+        assert str(caught.value).startswith(message)
+    with pytest.raises(TypeError, match="there is no argument 'seds'; did you mean \"seeds\""):
+        fleet.sweep("paper", seds=3)
+    assert "most_seeds: How many a point may have" in (fleet.sweep.__doc__ or "")

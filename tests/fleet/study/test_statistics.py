@@ -92,6 +92,15 @@ def test_a_median_with_what_never_came_is_within_its_interval(values: list[float
     assert found.runs == len(values) + never
 
 
+def test_a_median_between_what_never_came_on_either_side_is_even() -> None:
+    """The median of the differences turns its sign when the two series change places."""
+    assert median([-inf, inf]).value == 0.0
+    found = median([-inf] * 4 + [inf] * 4)
+    assert (found.low, found.value, found.high) == (-inf, 0.0, inf)
+    assert median([-inf, -inf, 1.0]).value == -inf
+    assert compare([inf] * 3 + [1.0] * 3, [1.0] * 3 + [inf] * 3).difference.value == 0.0
+
+
 def test_values_that_are_the_same_but_for_one_have_an_interval() -> None:
     found = median([1.0] * 19 + [2.0])
     assert (found.low, found.high) == (1.0, 1.0)

@@ -24,7 +24,7 @@ from fleet.study.errors import StudyError
 from fleet.study.pages import unpacked_bytes
 from fleet.study.parquet_file import MOST_BYTES, MOST_ROWS, read_table
 from fleet.study.record import NAME
-from fleet.study.settings import MOST_ALLOWED
+from fleet.study.spec import MOST_ALLOWED
 from fleet.study.store import Store
 from fleet.study.study import open_study
 

@@ -13,6 +13,7 @@ from fleet.errors import ScenarioError
 from fleet.scenario.text.yaml_reader import Source
 from fleet.study.errors import StudyError
 from fleet.study.load_points import load_points
+from fleet.study.plan import plan_of
 from fleet.study.spec import StudySpec
 from fleet.study.study_file import is_study, parse_study, study_named
 from world.plugins.trust import Trust
@@ -98,13 +99,13 @@ study:
         ),
         (3, 3, 'unknown key "scenari"', 'did you mean "scenario"?'),
         (3, 3, '"scenario" is missing in "study"', "a shipped name, or a file beside this one"),
-        (5, 12, "delay=1 s..0 s/3: the low end must be below the high end", ""),
-        (6, 11, "loss=1, 1: the value 1 is given twice", ""),
-        (7, 10, "expected a key such as network.links.*.loss, got 'a b'", ""),
-        (8, 10, "expected a number of seeds such as 20, or seeds such as 5..24 or 3,7,9, got '-3'", ""),
+        (5, 12, "vary: delay=1 s..0 s/3: the low end must be below the high end", ""),
+        (6, 11, "vary: loss=1, 1: the value 1 is given twice", ""),
+        (7, 10, "vary: expected a key such as network.links.*.loss, got 'a b'", ""),
+        (8, 10, "seeds: expected a number of seeds such as 20, or seeds such as 5..24 or 3,7,9, got '-3'", ""),
         (9, 8, "zip: expected true or false, got 7", ""),
         (10, 9, "draw: expected a whole number from 0 on, got 1.5", ""),
-        (11, 14, 'there is no measure "e_rms"; did you mean "e_rms_m"?', ""),
+        (11, 14, 'measures: there is no measure "e_rms"; did you mean "e_rms_m"?', ""),
         (11, 21, "measures: expected a text, got 3", ""),
         (12, 12, "timeout: expected a text, got 5", ""),
         (13, 14, 'run_takes: expected a time that is not negative, got "-1 s"', ""),
@@ -120,7 +121,7 @@ study:
         ("study:", "study: expected a mapping with at least a scenario, got nothing"),
         ("- study", 'study: expected a mapping with the key "study"'),
         ("study: {scenario: paper, scenario: ideal}", 'the key "scenario" is here twice'),
-        ("study: {scenario: paper, seeds: 3, vary: {a: 1..9}}", "a=1..9: how many values?"),
+        ("study: {scenario: paper, seeds: 3, vary: {a: 1..9}}", "vary: a=1..9: how many values?"),
         ('study: {scenario: "a\\e[31mb"}', "scenario: a line break or a control character is in it"),
         ('study: {scenario: paper, set: {a: "\\e[31m"}}', "set: a line break or a control character is in it"),
         ('study: {scenario: paper, vary: {a: "1\\n2"}}', "vary: a line break or a control character is in it"),
@@ -188,10 +189,10 @@ def test_laws_of_a_study_obey_the_rules_of_scenarios(
     named = study_named(file)
     assert named is not None
     with pytest.raises(ScenarioError) as caught:
-        load_points(named.spec.plan(named.origin))
+        load_points(plan_of(*named))
     assert Path("it_ran").exists() is runs
     assert ("has no 'Law'" if runs else f"would run {module}.py, which is not installed") in str(caught.value)
     if not runs:
         with pytest.raises(ScenarioError, match="has no 'Law'"):
-            load_points(named.spec.plan(named.origin), Trust(everything=True))
+            load_points(plan_of(*named), Trust(everything=True))
         assert Path("it_ran").exists()

@@ -22,7 +22,6 @@ from fleet.scenario.text.overrides import SET, Override
 from fleet.study.errors import StudyError
 from fleet.study.parquet_file import MOST_ROWS
 from fleet.study.plan import Plan
-from fleet.study.settings import Settings
 from fleet.study.spec import StudySpec
 from fleet.study.store import Store
 from fleet.study.study import Study, open_study
@@ -229,9 +228,9 @@ def test_a_run_that_fails_is_a_row(small_file: str, tmp_path: Path) -> None:
 
 
 def test_measures_of_signals_are_columns(small_file: str, tmp_path: Path) -> None:
-    settings = Settings(measures=("p95  |error.e|", "separation_min_m"))
-    wanted = Plan(small_file, (CHECKS, LINKS), (parse_axis("duration=1 s, 2 s"),), settings=settings)
-    store, _ = prepare(wanted, tmp_path / "study")
+    spec = StudySpec(small_file, measures=["p95  |error.e|", "separation_min_m"])
+    wanted = Plan(small_file, (CHECKS, LINKS), (parse_axis("duration=1 s, 2 s"),))
+    store, _ = prepare(wanted, tmp_path / "study", spec=spec)
     run_study(store, Here(), lambda progress: None)  # type: ignore[arg-type]
     study = open_study(store.directory)
     frame = study.to_pandas()
@@ -241,16 +240,16 @@ def test_measures_of_signals_are_columns(small_file: str, tmp_path: Path) -> Non
     assert list(study.summary()[0].medians) == ["p95 |error.e|", "separation_min_m"]
     assert list(study.summary("p95 |error.e|")[0].medians) == ["p95 |error.e|"]
     with pytest.raises(StudyError, match=r'no signal error\.e_nrm; did you mean "error.e_norm"'):
-        prepare(replace(wanted, settings=Settings(measures=("max error.e_nrm",))), tmp_path / "other")
+        prepare(wanted, tmp_path / "other", spec=StudySpec(small_file, measures=["max error.e_nrm"]))
     assert not (tmp_path / "other").exists()
 
 
-UNTIL = Settings(until="separation_min_m ±12 %", most_seeds=20)
+UNTIL = StudySpec("small.yaml", until="separation_min_m ±12 %", most_seeds=20)
 
 
 def adding(file: str, directory: Path) -> Store:
-    wanted = Plan(file, (LINKS,), (parse_axis("initial.scatter=1 cm, 1 m"),), seeds=(1, 2, 3, 4), settings=UNTIL)
-    return prepare(wanted, directory)[0]
+    wanted = Plan(file, (LINKS,), (parse_axis("initial.scatter=1 cm, 1 m"),), seeds=(1, 2, 3, 4), most_seeds=20)
+    return prepare(wanted, directory, spec=UNTIL)[0]
 
 
 def test_seeds_are_added_until_the_interval_is_narrow(small_file: str, tmp_path: Path) -> None:
@@ -275,8 +274,8 @@ def test_seeds_are_added_until_the_interval_is_narrow(small_file: str, tmp_path:
 
 
 def test_a_point_that_may_have_no_more_seeds_is_told(small_file: str, tmp_path: Path) -> None:
-    settings = Settings(until="pass ±1 %", most_seeds=3)
-    store, _ = prepare(Plan(small_file, (CHECKS,), seeds=(1, 2), settings=settings), tmp_path / "study")
+    spec = StudySpec(small_file, until="pass ±1 %", most_seeds=3)
+    store, _ = prepare(Plan(small_file, (CHECKS,), seeds=(1, 2)), tmp_path / "study", spec=spec)
     run_study(store, Here(), lambda progress: None)  # type: ignore[arg-type]
     assert (len(store.done()), store.missing, store.short()) == (3, 0, 1)
 
@@ -291,7 +290,7 @@ def test_no_run_begins_after_the_budget(small_file: str, tmp_path: Path) -> None
 def test_the_logs_of_runs_that_failed_are_kept(small_file: str, tmp_path: Path) -> None:
     asked = plan(small_file, "checks.formation_error.below=0.1 m, 90 m")
     asked = replace(asked, changes=(*asked.changes, Override(SET, "checks.tumbled=waived")))
-    store, _ = prepare(replace(asked, settings=Settings(keep_logs="failed")), tmp_path / "study")
+    store, _ = prepare(asked, tmp_path / "study", spec=StudySpec(small_file, keep_logs="failed"))
     run_study(store, Here(), lambda progress: None)  # type: ignore[arg-type]
     assert {path.name for path in (store.directory / "logs").iterdir()} == {"point-0-seed-1", "point-0-seed-2"}
     for row in store.table().slice(0, 2).to_pylist():
@@ -376,8 +375,8 @@ def test_bad_directories_are_said(small_file: str, tmp_path: Path) -> None:
         Study(store).to_pandas()
     file = store.directory / "study.json"
     text = file.read_text("utf-8")
-    file.write_text(text.replace('"version": 2', '"version": 99'), "utf-8")
-    with pytest.raises(StudyError, match="version 99; this fleet reads version 2"):
+    file.write_text(text.replace('"version": 3', '"version": 99'), "utf-8")
+    with pytest.raises(StudyError, match="version 99; this fleet reads versions 2 and 3"):
         open_study(store.directory)
     file.write_text(text[:50], "utf-8")
     with pytest.raises(StudyError, match="is damaged"):

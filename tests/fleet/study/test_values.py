@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.study.errors import ValuesError
-from fleet.study.values import Axis, Value, axis, parse_axis, values_text
+from fleet.study.errors import StudyError
+from fleet.study.values import Axis, AxisValue, axis, parse_axis, values_text
 
 
 def texts(text: str) -> list[str]:
@@ -47,9 +47,9 @@ def test_drawn_values_have_a_range_and_a_count() -> None:
     found = parse_axis("network.links.*.loss=0 %..50 % latin log 7".replace("0 %..", "1 %.."))
     assert found == Axis("network.links.*.loss", "%", (), "latin", 1.0, 50.0, 7, "log")
     assert found.sampled and found.numeric
-    assert found.at(0.0) == Value("1 %", 1.0)
-    assert found.at(1.0) == Value("50 %", 50.0)
-    assert found.at(0.5) == Value("7.07107 %", 7.07107)
+    assert found.at(0.0) == AxisValue("1 %", 1.0)
+    assert found.at(1.0) == AxisValue("50 %", 50.0)
+    assert found.at(0.5) == AxisValue("7.07107 %", 7.07107)
 
 
 @pytest.mark.parametrize("how", ["random 5", "latin log 5"])
@@ -72,7 +72,7 @@ def test_a_range_has_every_step_and_both_ends(low: int, step: int, count: int) -
 def test_any_text_is_values_or_an_error(text: str) -> None:
     try:
         found = axis("key", text)
-    except ValuesError:
+    except StudyError:
         return
     assert found.sampled or found.values
 
@@ -107,7 +107,7 @@ def test_any_text_is_values_or_an_error(text: str) -> None:
     ],
 )
 def test_what_is_wrong_is_said(text: str, message: str) -> None:
-    with pytest.raises(ValuesError) as caught:
+    with pytest.raises(StudyError) as caught:
         parse_axis(text)
     assert message in str(caught.value)
 

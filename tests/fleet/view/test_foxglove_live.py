@@ -18,6 +18,7 @@ from traffic import LIMIT_S, endpoint, session
 from traffic import log as log
 from waiting import wait_for
 
+from fleet.errors import FleetError
 from fleet.logs.open_log import open_log
 from fleet.logs.reader import LogReader
 from fleet.logs.tape import Tape
@@ -27,7 +28,7 @@ from fleet.replay.observed import Observed, host_observed, new_observed
 from fleet.replay.playback import PlaybackOptions, Replay
 from fleet.terminal.status_line import StatusLine
 from fleet.view.foxglove_live import OVER, LiveBridge
-from fleet.view.source import LiveSource, ViewerError, find_source
+from fleet.view.source import LiveSource, find_source
 from netem.wire.access import Credentials
 from netem.wire.keys import Keys
 from netem.wire.open_bus import OpenBus
@@ -92,7 +93,7 @@ def test_who_only_watches_cannot_control(log: Path, tmp_path: Path) -> None:
     observed = new_observed(endpoint(), "0123abcd")
     with session(host_observed(observed)) as publisher, joined(observed) as bus:
         Replay(Tape(log), PlaybackOptions(run=observed.run)).open(publisher)
-        with pytest.raises(ViewerError, match="only what an observer needs is at hand"):
+        with pytest.raises(FleetError, match="only what an observer needs is at hand"):
             LiveBridge(LiveSource(tmp_path, observed, None), bus, "127.0.0.1", 0, control=True)
 
 

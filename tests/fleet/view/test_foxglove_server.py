@@ -8,8 +8,8 @@ import pytest
 from foxglove_client import LIMIT_S, viewer
 from waiting import wait_for
 
+from fleet.errors import FleetError
 from fleet.view.foxglove_server import BACKLOG, FoxgloveChannel, FoxgloveServer, ServiceOffer
-from fleet.view.source import ViewerError
 
 HOST = "127.0.0.1"
 CHANNELS = {7: FoxgloveChannel("a", "json", "", "", b"")}
@@ -22,10 +22,10 @@ def test_a_port_that_is_taken() -> None:
     try:
         assert first.endpoint != second.endpoint
         port = int(first.endpoint.rpartition(":")[2])
-        with pytest.raises(ViewerError, match=rf"cannot listen on {HOST}:{port}: .*in use") as caught:
+        with pytest.raises(FleetError, match=rf"cannot listen on {HOST}:{port}: .*in use") as caught:
             FoxgloveServer("third", HOST, port, CHANNELS)
         assert caught.value.status == 3
-        with pytest.raises(ViewerError, match=r"cannot listen on 192\.0\.2\.1"):
+        with pytest.raises(FleetError, match=r"cannot listen on 192\.0\.2\.1"):
             FoxgloveServer("fourth", "192.0.2.1", 0, CHANNELS)
     finally:
         first.close()
@@ -57,7 +57,7 @@ def test_services_answer_and_refuse_in_words() -> None:
 
     def call(asked: dict[str, Any]) -> dict[str, Any]:
         if "no" in asked:
-            raise ViewerError("there is no link 1->9")
+            raise FleetError("there is no link 1->9")
         return {"got": asked}
 
     server = FoxgloveServer("x", HOST, 0, CHANNELS, services=[ServiceOffer("/do", {"type": "object"}, {}, call)])

@@ -15,6 +15,7 @@ from in_process_runs import Alone, log_of
 from PIL import Image, ImageChops
 from small_scenario import small
 
+from fleet.errors import FleetError
 from fleet.scenario.loading import load_scenario
 from fleet.scene.link_state import LinkState
 from fleet.scene.styles import PRINT
@@ -22,7 +23,6 @@ from fleet.view.log_feed import LogFeed
 from fleet.view.movie import write
 from fleet.view.movie_camera import SCENE_PT, Camera
 from fleet.view.movie_scene import MovieScene
-from fleet.view.source import ViewerError
 from fleet.view.view_state import ViewState
 
 CUT = PRINT.links[LinkState.CUT].colour
@@ -182,7 +182,7 @@ def test_a_part_of_a_log_at_a_rate(log: Path, tmp_path: Path) -> None:
     ],
 )
 def test_what_cannot_be_drawn_is_said(log: Path, tmp_path: Path, out: str, options: dict[str, Any], said: str) -> None:
-    with pytest.raises(ViewerError) as caught:
+    with pytest.raises(FleetError) as caught:
         made(log, tmp_path / out, **options)
     assert said in str(caught.value)
     assert not list(tmp_path.iterdir())
@@ -190,7 +190,7 @@ def test_what_cannot_be_drawn_is_said(log: Path, tmp_path: Path, out: str, optio
 
 def test_a_log_without_places_is_refused(alone: Alone, tmp_path: Path) -> None:
     log = log_of(alone("paper", *SHORT, "log.transforms=0 ticks"))
-    with pytest.raises(ViewerError, match="does not tell where the vehicles are"):
+    with pytest.raises(FleetError, match="does not tell where the vehicles are"):
         made(log, tmp_path / "a.gif")
 
 
@@ -229,14 +229,14 @@ def test_what_ffmpeg_complains_of_is_said(
     log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str
 ) -> None:
     fake_ffmpeg(tmp_path / "bin", f"{script}; echo Unknown encoder h264 >&2; exit 1", monkeypatch)
-    with pytest.raises(ViewerError, match=r"could not write .*a\.mp4: Unknown encoder h264"):
+    with pytest.raises(FleetError, match=r"could not write .*a\.mp4: Unknown encoder h264"):
         made(log, tmp_path / "a.mp4")
     assert not (tmp_path / "a.mp4").exists()
 
 
 def test_without_ffmpeg_it_is_said_what_to_install(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(matplotlib.rcParams, "animation.ffmpeg_path", str(tmp_path / "ffmpeg"))
-    with pytest.raises(ViewerError, match=r"apt install ffmpeg, or write a \.gif"):
+    with pytest.raises(FleetError, match=r"apt install ffmpeg, or write a \.gif"):
         made(log, tmp_path / "a.mp4")
 
 

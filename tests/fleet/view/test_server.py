@@ -16,9 +16,9 @@ from urllib.parse import urlsplit
 import pytest
 from repository import ROOT
 
+from fleet.errors import FleetError
 from fleet.view import server
 from fleet.view.server import Browser, PageListener, is_loopback, open_listener
-from fleet.view.source import ViewerError
 
 
 def test_each_door_has_a_free_port_that_listens_and_a_token_of_its_own() -> None:
@@ -34,13 +34,13 @@ def test_each_door_has_a_free_port_that_listens_and_a_token_of_its_own() -> None
 def test_a_port_that_is_taken_is_said() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        with pytest.raises(ViewerError, match=f"port {port} of 127.0.0.1 .* in use.*--port"):
+        with pytest.raises(FleetError, match=f"port {port} of 127.0.0.1 .* in use.*--port"):
             open_listener(port=port)
 
 
 @pytest.mark.parametrize("host", ["192.0.2.1", "a..b", "a" * 64])
 def test_an_address_that_is_not_ours_is_said(host: str) -> None:
-    with pytest.raises(ViewerError, match=re.escape(host)):
+    with pytest.raises(FleetError, match=re.escape(host)):
         open_listener(host)
 
 
@@ -62,7 +62,7 @@ def test_the_names_by_which_a_page_is_reached(host: str, names: set[str]) -> Non
 
 def test_without_nicegui_a_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "find_spec", lambda name: None)
-    with pytest.raises(ViewerError, match=r"uuv-fleet\[view\]"):
+    with pytest.raises(FleetError, match=r"uuv-fleet\[view\]"):
         open_listener()
 
 

@@ -12,10 +12,11 @@ import pytest
 from live_directory import live_directory
 from traffic import log as log
 
+from fleet.errors import FleetError
 from fleet.execution.connection import RemoteError
 from fleet.execution.directory import CONNECTION, OBSERVE
 from fleet.replay.observed import Observed, write_observed
-from fleet.view.source import LiveSource, LogSource, ViewerError, find_source
+from fleet.view.source import LiveSource, LogSource, find_source
 
 OBSERVED = Observed("tcp/127.0.0.1:1", "observer", "secret", "0123abcd")
 
@@ -65,15 +66,15 @@ def test_logs(log: Path, tmp_path: Path) -> None:
 
 def test_nothing_to_show(tmp_path: Path) -> None:
     """Said with what to do."""
-    with pytest.raises(ViewerError, match="fleet run paper --publish"):
+    with pytest.raises(FleetError, match="fleet run paper --publish"):
         find_source(None, tmp_path)
-    with pytest.raises(ViewerError, match="no live run is called 'x'; there is none at all; nor is it a file"):
+    with pytest.raises(FleetError, match="no live run is called 'x'; there is none at all; nor is it a file"):
         find_source("x", tmp_path)
     with live_directory(tmp_path / "a") as directory:
         for name in (None, str(directory)):
-            with pytest.raises(ViewerError, match="is not published: start it with fleet run"):
+            with pytest.raises(FleetError, match="is not published: start it with fleet run"):
                 find_source(name, tmp_path)
     path = tmp_path / "given.json"
     path.write_bytes(b"{")
-    with pytest.raises(ViewerError, match=r"given\.json"):
+    with pytest.raises(FleetError, match=r"given\.json"):
         find_source(str(path), tmp_path)

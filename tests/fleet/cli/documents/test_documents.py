@@ -12,7 +12,8 @@ from typing import Any, TypeVar
 import click
 import msgspec
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import CliRunner
+from click.testing import Result as Invoked
 from failing_laws import failing
 from failing_laws import module as module
 from repository import ROOT
@@ -25,11 +26,11 @@ from fleet.cli.documents.listing import Scenarios
 from fleet.cli.documents.logs import Compared, LogContents, Verified
 from fleet.cli.documents.output import print_document
 from fleet.cli.documents.page import page, schema
-from fleet.cli.documents.result import Ran
 from fleet.cli.documents.what_if import OtherCommands
 from fleet.cli.main import cli
 from fleet.execution.supervisor import Supervisor
 from fleet.logs.reader import digest
+from fleet.result.result import Result
 from fleet.scenario.catalogue import shipped_scenarios
 from fleet.study.catalogue import shipped_studies
 
@@ -39,14 +40,14 @@ NO_CHECKS = ["--set", "checks={}"]
 RUNAWAY = ["--set", "faults=[{at: 100 ms, wrench: {force: 1e200 1e200 0 N}}]", "--set", "on_death=abort"]
 
 
-def invoke(*arguments: str | Path) -> Result:
+def invoke(*arguments: str | Path) -> Invoked:
     return CliRunner().invoke(cli, [str(argument) for argument in arguments], prog_name="fleet")
 
 
-def printed(struct: type[S], result: Result) -> S:
+def printed(struct: type[S], result: Invoked) -> S:
     """The one document on stdout; it has no field that the struct does not have."""
-    found = msgspec.json.decode(result.stdout, type=struct)
-    assert json.loads(msgspec.json.encode(found)) == json.loads(result.stdout)
+    found = msgspec.json.decode(result.stdout, type=struct, dec_hook=lambda kind, text: kind(text))
+    assert json.loads(msgspec.json.encode(found, enc_hook=str)) == json.loads(result.stdout)
     return found
 
 
@@ -206,29 +207,30 @@ def test_a_missing_key_is_named(tmp_path: Path) -> None:
 
 def test_run(tmp_path: Path) -> None:
     result = invoke("run", *QUICK, *NO_CHECKS, "--net", "1->2 loss 50%", "--out", tmp_path, "--json")
-    found = printed(Ran, result)
+    found = printed(Result, result)
     directory = (tmp_path / "latest").resolve()
-    assert (found.run, found.directory) == (directory.name, str(directory))
+    assert (found.run, found.directory) == (directory.name, directory)
     assert (found.status, found.exit, found.sim_s) == ("pass", 0, 0.3)
     assert found.digest == digest(directory / "run.mcap")
     assert found.ledger["1->2"].sent == 3
     # One truth: all but where it is stands in result.json, under the same names.
     values = json.loads(result.stdout)
-    also = {"run": found.run, "directory": found.directory, "published": None, "timing": None}
-    assert values == also | json.loads((directory / "result.json").read_text())
+    assert values == {"run": found.run, "directory": str(found.directory)} | json.loads(
+        (directory / "result.json").read_text()
+    )
 
 
 def test_run_that_fails_a_check(tmp_path: Path) -> None:
     result = invoke("run", *QUICK, "--out", tmp_path, "--json")
-    found = printed(Ran, result)
+    found = printed(Result, result)
     assert (result.exit_code, found.exit, found.status) == (1, 1, "check_failed")
-    assert [check.check for check in found.checks if not check.passed] == ["formation_error"]
+    assert [one.check for one in found.verdicts if not one.passed] == ["formation_error"]
     assert "FAIL  formation_error" in result.stderr
 
 
 def test_run_that_breaks(tmp_path: Path) -> None:
     result = invoke("run", *QUICK, *NO_CHECKS, *RUNAWAY, "--out", tmp_path, "--json")
-    found = printed(Ran, result)
+    found = printed(Result, result)
     assert (result.exit_code, found.exit, found.status) == (3, 3, "broken")
     assert "vehicle 1, tick " in found.reason
     assert f"fleet: {found.reason}" in result.stderr
@@ -249,7 +251,7 @@ def test_run_that_cannot_begin(tmp_path: Path) -> None:
 def test_run_on_a_wall_clock_and_published(tmp_path: Path) -> None:
     result = invoke("run", "paper", "--duration", "1 s", "--clock", "real", "--max-missed", "100%", *NO_CHECKS,
                     "--publish", "--out", tmp_path, "--json", "-q")  # fmt: skip
-    found = printed(Ran, result)
+    found = printed(Result, result)
     assert found.published is not None
     assert found.timing is not None
     assert (found.timing.clock, list(found.timing.vehicles)) == ("real", ["1", "2", "3", "4"])
@@ -266,7 +268,7 @@ def test_run_in_which_an_agent_dies(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(Supervisor, "poll", killing)
     result = invoke("run", "paper", "--duration", "10 s", *NO_CHECKS, "--out", tmp_path, "--json", "-q")
-    found = printed(Ran, result)
+    found = printed(Result, result)
     assert (result.exit_code, found.exit) == (1, 1)
     assert found.deaths == {"3": ["was killed by SIGKILL"]}
 

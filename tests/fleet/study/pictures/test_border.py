@@ -15,6 +15,7 @@ from fleet.study.borders import Borders, find_borders, parse_along, prepare_bord
 from fleet.study.errors import StudyError
 from fleet.study.pictures.border import draw_borders
 from fleet.study.plan import Plan
+from fleet.study.spec import BoundarySpec
 from fleet.study.values import parse_axis
 
 DELAY, HOW = "delay=0 ms, 100 ms, 1 s", "neighbours.extrapolate=hold, neighbour"
@@ -29,10 +30,10 @@ def small_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def borders_of(per: Sequence[str], *, run: bool = True) -> Borders:
     """Borders at a loss of 50 %, and with a delay of 1 s below 0 %."""
     changes = (Override(NET, "* delay {delay} loss {loss}"), Override(SET, "duration=2 s"))
-    axes = (*map(parse_axis, per), parse_along("loss=0 %..90 %/10 %"))
+    axes = (*map(parse_axis, per), parse_along("loss=0 %..90 %/10 %", 0.1))
     if not any(text.startswith("delay") for text in per):
         changes = (Override(NET, "* loss {loss}"), changes[1])
-    store, _ = prepare_borders(Plan("small.yaml", changes, axes, seeds=tuple(range(40))), 0.5, 0.1, Path("study"))
+    store, _ = prepare_borders(Plan("small.yaml", changes, axes, seeds=tuple(range(40))), BoundarySpec(), Path("study"))
     borders = Borders(store)
     if run:
         passes = Drawn(lambda text, _: "delay 1s" not in text and any(f"loss {k}%" in text for k in range(51)))

@@ -16,7 +16,7 @@ from fleet.pictures.runs import PictureError
 from fleet.pictures.style import COLUMN_IN, PAGE_IN
 from fleet.study.pictures.gallery import draw, write
 from fleet.study.pictures.marks import REASONS
-from fleet.study.pictures.points import MADE, Dimension, Points, load
+from fleet.study.pictures.points import MADE, Points, VariedKey, load
 from fleet.study.signal_measures import more_is_better
 from fleet.study.store import Store
 
@@ -107,7 +107,7 @@ def test_the_level_of_intervals_is_told(seeds: int, said: str, tmp_path: Path) -
     assert legend_of(found["passed"])[-1] == "95 % interval"
 
 
-def points(rows: int, *dimensions: Dimension, seeds: int = 3) -> Points:
+def points(rows: int, *dimensions: VariedKey, seeds: int = 3) -> Points:
     """Points without a study: every value with every other."""
     keys = tuple(product(*(each.values for each in dimensions)))
     assert len(keys) == rows
@@ -115,8 +115,8 @@ def points(rows: int, *dimensions: Dimension, seeds: int = 3) -> Points:
     return Points(dimensions, keys, np.full((rows, seeds), MADE), numbers, {"e_rms_m": "m"})
 
 
-ACROSS = Dimension("network.links.*.loss", "%", tuple(map(float, range(0, 95, 5))))
-UP = Dimension("network.links.*.delay", "ms", (50.0, 200.0))
+ACROSS = VariedKey("network.links.*.loss", "%", tuple(map(float, range(0, 95, 5))))
+UP = VariedKey("network.links.*.delay", "ms", (50.0, 200.0))
 
 
 def test_where_the_interval_finds_no_room_its_width_is_a_map_of_its_own() -> None:
@@ -159,16 +159,16 @@ def test_a_curve_has_a_band_for_each_word_and_a_logarithmic_axis_for_equal_ratio
     found = figures(made_up(tmp_path / "s", LOSS, CONTROLLER, row=usual))["passed"]
     assert len(artists(found, "curve")) == len(artists(found, "band")) == 2
     assert found.axes[0].get_xscale() == "linear"
-    ratios = Dimension("network.links.*.delay", "ms", (10.0, 20.0, 40.0, 80.0, 160.0))
+    ratios = VariedKey("network.links.*.delay", "ms", (10.0, 20.0, 40.0, 80.0, 160.0))
     scaled = {name: figure for name, _, figure in draw(points(5, ratios), log_scale=True)}["e_rms_m"]
     assert isinstance(scaled, Figure)
     assert (scaled.axes[0].get_xscale(), scaled.axes[0].get_yscale()) == ("log", "log")
 
 
 def test_many_panels_go_to_further_pictures_and_too_many_boxes_are_said() -> None:
-    many = Dimension("title", None, tuple(f"t{n}" for n in range(61)))
-    some = Dimension("title", None, many.values[:14])
-    found = [name for name, *_ in draw(points(56, Dimension("speed", "m/s", (1.0, 2.0)), UP, some, seeds=1))]
+    many = VariedKey("title", None, tuple(f"t{n}" for n in range(61)))
+    some = VariedKey("title", None, many.values[:14])
+    found = [name for name, *_ in draw(points(56, VariedKey("speed", "m/s", (1.0, 2.0)), UP, some, seeds=1))]
     assert found[:4] == ["passed", "passed-2", "e_rms_m", "e_rms_m-2"]
     (passed, *_) = draw(points(61, many))
     assert "61 boxes do not fit" in str(passed.figure)

@@ -52,7 +52,7 @@ def words_of(page: str) -> str:
 
 def test_the_page_of_a_study_of_a_border_names_the_command_that_goes_on_with_it(tmp_path: Path) -> None:
     store = made_up(tmp_path / "study", LOSS, row=with_holes)
-    store.record.border = BorderRecord(0.5, 0.1, log=False)
+    store.record.border = BorderRecord(log=False)
     said = words_of(page_of(store, "formation_final_m"))
     assert f"fleet boundary {store.directory}" in said
     assert "runs | 6, of which 6 are made" in said

@@ -1,0 +1,207 @@
+"""The result of a run. What is declared here is what `fleet.run` returns, `--json` prints and `result.json` holds.
+
+Reports, lists of runs and studies read it, too: a new number is a field here, and the line that computes it.
+"""
+
+from __future__ import annotations
+
+import json
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+from msgspec import Meta, Struct
+
+from fleet.notebook import html_table
+from fleet.result.json_text import json_text
+from fleet.result.timing import Timing
+from fleet.result.verdict import Verdict
+from netem.ledger import Account, Count
+
+FORMAT = 1  # of result.json; a larger one was written by a later version
+Number = float | None  # null in JSON: not finite, or there is none
+
+
+class Status(StrEnum):
+    """How a run ended."""
+
+    PASS = "pass"
+    CHECK_FAILED = "check_failed"
+    BROKEN = "broken"
+    HUNG_UP = "hung_up"
+    INTERRUPTED = "interrupted"
+
+    @property
+    def exit(self) -> int:
+        """What `fleet run` exits with."""
+        return _EXIT[self]
+
+
+_EXIT = {
+    Status.PASS: 0,
+    Status.CHECK_FAILED: 1,
+    Status.BROKEN: 3,
+    Status.HUNG_UP: 129,
+    Status.INTERRUPTED: 130,
+}
+
+
+class SignalValue(Struct):
+    """What an agent reported last."""
+
+    value: Annotated[Number, Meta(description="The value; null: it is not finite.")]
+    unit: Annotated[str, Meta(description="Its unit; 1: none.")]
+
+
+class VehicleResult(Struct):
+    """What one vehicle came to."""
+
+    settle_10pct_s: Annotated[
+        Number,
+        Meta(description="How long after its start e stays below 10 % of its first value [s]; null: not settled."),
+    ]
+    settle_5cm_s: Annotated[Number, Meta(description="From when on e stays below 5 cm [s]; null: not settled.")]
+    e_rms_m: Annotated[Number, Meta(description="Root mean square of e over the last 10 s [m]; null: not finite.")]
+    e_final_m: Annotated[Number, Meta(description="Consensus error e at the end [m]; null: not finite.")]
+    formation_final_m: Annotated[Number, Meta(description="Formation error at the end [m]; null: not finite.")]
+    effort_Ns: Annotated[Number, Meta(description="Integral of the magnitude of the surge force [N s].")]
+    u_cmd_max_mps: Annotated[Number, Meta(description="Greatest commanded speed [m/s]; null: not reported.")]
+    qp_failures: Annotated[Count, Meta(description="How often the optimisation of the gain failed.")]
+    payloads_rejected: Annotated[Count, Meta(description="Damaged payloads that the agent refused.")]
+    agent: Annotated[str, Meta(description="The whole agent that it runs; empty: the laws of a controller.")] = ""
+    signals: Annotated[
+        dict[str, SignalValue],
+        Meta(description="What a whole agent reported at the end, by name; none: it reported nothing any more."),
+    ] = {}
+
+
+class Formation(Struct, frozen=True):
+    """Formation errors of the fleet at one time."""
+
+    worst_m: Annotated[Number, Meta(description="The largest [m]; null: not finite.")] = 0.0
+    vehicle: Annotated[int, Meta(description="Whose it is; 0: nothing is known yet.")] = 0
+    median_m: Annotated[Number, Meta(description="Of the median vehicle [m]; null: not finite.")] = 0.0
+    vehicles: Annotated[int, Meta(description="Number of vehicles.")] = 1
+
+    def __str__(self) -> str:
+        if self.vehicles < 2:
+            return f"{self.worst_m or 0.0:.3f} m"
+        return f"{self.worst_m or 0.0:.3f} m (UUV {self.vehicle}), median {self.median_m or 0.0:.3f} m"
+
+
+class TumbleSpell(Struct):
+    """A time in which a vehicle was tumbled."""
+
+    vehicle: Annotated[int, Meta(description="Its number.")]
+    from_s: Annotated[float, Meta(description="When it began [s].")]
+    to_s: Annotated[Number, Meta(description="When it ended [s]; null: it lasted to the end of the run.")]
+
+
+class LinkAge(Struct):
+    """The age of what a link delivered last."""
+
+    mean_s: Annotated[float, Meta(description="Mean over the ticks of the run [s].")]
+    p95_s: Annotated[float, Meta(description="The least age that 95 % of the ticks did not exceed [s].")]
+    max_s: Annotated[float, Meta(description="The largest [s].")]
+
+
+class FaultEvent(Struct):
+    """The beginning or the end of a fault, or of an event of a vehicle."""
+
+    at_s: Annotated[float, Meta(description="When [s].")]
+    fault: Annotated[str, Meta(description="Its id.")]
+    action: Annotated[str, Meta(description="begins or ends.")]
+    what: Annotated[str, Meta(description="What it does, as a scenario writes it.")]
+
+
+class Wall(Struct):
+    """Wall times."""
+
+    in_process: Annotated[bool, Meta(description="Whether the run was one process.")] = False
+    startup_s: Annotated[float, Meta(description="Until all processes were ready [s].")] = 0.0
+    run_s: Annotated[float, Meta(description="From then to the end [s].")] = 0.0
+    cores: Annotated[str, Meta(description="`compiled` or `plain Python`: the cores of world, agents and netem.")] = ""
+    x_real_time: Annotated[float, Meta(description="Simulated time per wall time [1].")] = 0.0
+
+
+class Published(Struct):
+    """What became of the journal with `--publish`."""
+
+    messages: Annotated[int, Meta(description="Messages that were published.")]
+    dropped: Annotated[int, Meta(description="Messages that were dropped, since nobody took them in time.")]
+
+
+class Result(Struct, kw_only=True):
+    """What a run came to, as `fleet.run`, `fleet run --json` and `result.json` have it, the file without its place."""
+
+    run: Annotated[str, Meta(description="Name of the run: of its directory; empty: it has none.")] = ""
+    directory: Annotated[Path | None, Meta(description="The run's directory; null: nothing was written.")] = None
+    format: Annotated[int, Meta(description="Format of these fields; a file without it has format 1.")] = FORMAT
+    scenario: Annotated[str, Meta(description="Name of the scenario.")] = ""
+    seed: Annotated[int, Meta(description="The seed.")] = 0
+    status: Annotated[Status, Meta(description="How it ended.")]
+    exit: Annotated[int, Meta(description="Exit status of the command.")] = 0
+    reason: Annotated[str, Meta(description="Why it broke or was ended; empty: it came to its end.")] = ""
+    lines: Annotated[list[str], Meta(description="What explains the reason.")] = []
+    from_s: Annotated[float, Meta(description="Time at which it began [s]; 0, or where it goes on from another.")] = 0.0
+    sim_s: Annotated[float, Meta(description="Time up to which it was recorded [s].")] = 0.0
+    verdicts: Annotated[list[Verdict], Meta(description="The verdicts; none if the run did not come to its end.")] = (
+        msgspec.field(default_factory=list, name="checks")
+    )
+    vehicles: Annotated[dict[str, VehicleResult], Meta(description="By vehicle.")] = {}
+    formation: Annotated[Formation, Meta(description="Formation errors at the end.")] = Formation()
+    tumbles: Annotated[list[TumbleSpell], Meta(description="In the order in which they began.")] = []
+    ledger: Annotated[dict[str, Account], Meta(description="By link, as `1->2`.")] = {}
+    ages: Annotated[dict[str, LinkAge], Meta(description="By link, and of all links as `*`.")] = {}
+    middleware_lost: Annotated[int, Meta(description="Messages that zenoh lost; such a run is invalid.")] = 0
+    faults: Annotated[list[FaultEvent], Meta(description="Faults, in the order of time.")] = []
+    events: Annotated[list[FaultEvent], Meta(description="When vehicles were tumbled or diverged, in that order.")] = []
+    messages: Annotated[int, Meta(description="Messages of the log; with `log: none` those it would have.")] = 0
+    log_bytes: Annotated[int, Meta(description="Size of the log [bytes]; 0: there is none.")] = 0
+    digest: Annotated[str, Meta(description="SHA-256 of these messages, in hexadecimal.")] = ""
+    python: Annotated[str, Meta(description="Version of Python.")] = ""
+    wall: Annotated[Wall, Meta(description="Wall times.")] = msgspec.field(default_factory=Wall)
+    rejected: Annotated[dict[str, int], Meta(description="Messages that were refused, by key.")] = {}
+    deaths: Annotated[
+        dict[str, list[str]],
+        Meta(description="By vehicle, how its agents ended that no fault killed, one after the other."),
+    ] = {}
+    notes: Annotated[list[str], Meta(description="What processes and agents told the operator.")] = []
+    published: Annotated[Published | None, Meta(description="With `--publish`; else null.")] = None
+    timing: Annotated[Timing | None, Meta(description="With `--clock real`; else null.")] = None
+
+    @property
+    def passed(self) -> bool:
+        """Whether it came to its end and every check passed."""
+        return self.status is Status.PASS
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """All its numbers as plain values, as `result.json` has them: None where one is not finite."""
+        found: dict[str, Any] = json.loads(json_text(self))
+        del found["run"], found["directory"]
+        return found
+
+    @property
+    def words(self) -> str:
+        """How it ended in a few words, the same on every page and picture."""
+        failed = sum(not verdict.passed for verdict in self.verdicts)
+        if self.passed:
+            return "failed as expected" if failed else "passed"
+        return f"{failed} of {len(self.verdicts)} checks failed" if failed else self.status.replace("_", " ")
+
+    def __repr__(self) -> str:
+        failed = [verdict.check for verdict in self.verdicts if not verdict.passed]
+        said = f"{len(self.verdicts) - len(failed)} of {len(self.verdicts)} checks passed"
+        said = self.reason or said + (f", failed: {', '.join(failed)}" if failed else "")
+        return f"<Result of {self._run}: {self.status}; {said}>"
+
+    def _repr_html_(self) -> str:
+        rows = [(one.check, "pass" if one.passed else "FAIL", one.asked, one.found) for one in self.verdicts]
+        title = f"{self._run}: {self.status}" + (f", {self.reason}" if self.reason else "")
+        return html_table(title, ("check", "", "asked", "found"), sorted(rows, key=lambda row: row[1] == "pass"))
+
+    @property
+    def _run(self) -> str:
+        return f"{self.scenario or 'a run'} with seed {self.seed}"

@@ -1,0 +1,75 @@
+"""A verdict: one check with what was asked and found, and the moment at which it failed."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+from fleet.quantities import vehicle_names
+from netem.causes import Cause
+
+
+class LastMessage(Struct, frozen=True):
+    """The message that made the difference to a vehicle when a check failed, as far as that can be told."""
+
+    src: Annotated[int, Meta(description="Sending vehicle.")]
+    dst: Annotated[int, Meta(description="Receiving vehicle.")]
+    sent_s: Annotated[float, Meta(description="When it was sent [s].")]
+    at_s: Annotated[float, Meta(description="When its fate became final [s].")]
+    fate: Annotated[str, Meta(description="delivered, corrupted, in flight, or the cause of its loss.")]
+    heard_s: Annotated[
+        float | None, Meta(description="When the newest that arrived on this link had been sent [s]; null: none has.")
+    ]
+
+    @property
+    def words(self) -> str:
+        """In words."""
+        link, when = f"{self.src}->{self.dst}", f"sent at {self.sent_s:g} s"
+        if self.fate == Cause.DELIVERED:
+            return f"the last message that vehicle {self.dst} received: {link}, {when}, due at {self.at_s:g} s"
+        heard = "nothing before" if self.heard_s is None else f"the last before from {self.heard_s:g} s"
+        return f"the last message that vehicle {self.dst} missed: {link}, {when}, {self.fate}; it had {heard}"
+
+
+class Moment(Struct, frozen=True):
+    """When a check failed, and what was so then."""
+
+    tick: Annotated[int, Meta(description="Tick.")]
+    at_s: Annotated[float, Meta(description="The same as a time [s].", ge=0.0, le=1e15)]
+    vehicles: Annotated[list[int], Meta(description="Vehicles that failed it; none: it is not about single ones.")] = []
+    values: Annotated[dict[str, float | None], Meta(description="What failed it, by signal; null: not finite.")] = {}
+    faults: Annotated[list[str], Meta(description="Ids of the faults that were active.")] = []
+    message: Annotated[LastMessage | None, Meta(description="The message that made the difference; null: none.")] = None
+
+    @property
+    def words(self) -> str:
+        """What was so, in words; empty: nothing to tell."""
+        faults = ", ".join(self.faults[:4]) + (f" and {len(self.faults) - 4} more" if len(self.faults) > 4 else "")
+        active = f"fault{'s' if len(self.faults) > 1 else ''} {faults} active" if self.faults else "no fault active"
+        return "; ".join([active, *([] if self.message is None else [self.message.words])])
+
+
+class Verdict(Struct, frozen=True):
+    """One check: what was asked and what was found, in words and as numbers."""
+
+    check: Annotated[str, Meta(description="Its name.")]
+    passed: Annotated[bool, Meta(description="Whether it passed.")]
+    asked: Annotated[str, Meta(description="What was asked, in words.")]
+    found: Annotated[str, Meta(description="What was found, in words.")]
+    value: Annotated[
+        float | None, Meta(description="The number that is compared; null: nothing was found, or it is not finite.")
+    ] = None
+    limit: Annotated[float | None, Meta(description="What it is compared with; null: it is only reported.")] = None
+    unit: Annotated[str, Meta(description="Unit of both.")] = ""
+    moment: Annotated[
+        Moment | None, Meta(description="Of one of your own checks, when it failed; null: it did not.")
+    ] = None
+    signals: Annotated[
+        tuple[str, ...], Meta(description="Of one of your own checks, the signals that it looked at.")
+    ] = ()
+
+
+def who(vehicles: list[int]) -> str:
+    """` (vehicle 3)`, or nothing if no vehicle is named."""
+    return f" ({vehicle_names(vehicles)})" if vehicles else ""

@@ -116,8 +116,9 @@ class WholeAgent(Protocol):
         """The payloads to send to every neighbour, at round ticks; at most 40 kB together.
 
         Args:
-            nav: the own measured state: `tick`, `eta` (x, y, z [m, NED], theta, psi [rad]), `nu` (u, v, w [m/s,
-                body, over ground], q, r [rad/s]), and `roll` (phi [rad], p [rad/s]; empty without a plant).
+            nav: the own measured state: `tick` (by the vehicle's own clock), `eta` (x, y, z [m, NED], theta, psi
+                [rad]), `nu` (u, v, w [m/s, body, over ground], q, r [rad/s]), and `roll` (phi [rad], p [rad/s]; empty
+                without a plant).
         """
 
     def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> tuple[Vec3, Telemetry]:
@@ -126,7 +127,7 @@ class WholeAgent(Protocol):
         Args:
             nav: the own measured state, as for `transmit`.
             deliveries: what is due at this tick, ordered by (due_tick, sent_tick, src, seq, copy); each has `src`,
-                `sent_tick`, `due_tick`, `seq`, `copy` and `payload`.
+                `sent_tick` (by the clock of the sender), `due_tick` (by the own one), `seq`, `copy` and `payload`.
 
         Returns:
             Surge force [N], pitch moment and yaw moment [N m], before the actuators' limits; and the telemetry.

@@ -107,7 +107,9 @@ class Lockstep:
         tau = world.actuate(i, state.effective(i, k, command.tau))
         if state.frames.due(k):
             sent = encode(command) if raw is None else raw
-            state.frames.row(k, VehicleFrame(i, eta, nu, nav.eta + nav.nu + nav.roll, tau, sent, world.of_plant(i)))
+            clock = () if world.clocks is None else world.clock_error(i)
+            measured = nav.eta + nav.nu + nav.roll
+            state.frames.row(k, VehicleFrame(i, eta, nu, measured, tau, sent, world.of_plant(i), clock))
         out: list[Out] = []
         self._pass(i, k, tau, eta[:3], out)
         self._start(i, out)
@@ -171,13 +173,15 @@ class Lockstep:
             absent = state.enter_tick(i, k)
             self._note_memory(i, k, asked=not absent)
             if not absent and not world.paused(i, k):
-                self._awaiting[i] = nav = Nav(state.life[i], k, *world.sense(i))
+                shown_ns = None if world.clocks is None else world.clocks.reading_ns(i, k)
+                self._awaiting[i] = nav = Nav(state.life[i], k, *world.sense(i), shown_ns)
                 out.append(NavTo(i, nav))
                 return
             eta, nu = world.state(i)
             tau = ZERO if absent else world.actuate(i, state.tau[i])
             if state.frames.due(k):
-                state.frames.row(k, VehicleFrame(i, eta, nu, (), tau, b"", world.of_plant(i)))
+                clock = () if world.clocks is None else world.clock_error(i)
+                state.frames.row(k, VehicleFrame(i, eta, nu, (), tau, b"", world.of_plant(i), clock))
             self._pass(i, k, tau, None if absent else eta[:3], out, paused=not absent)
             k += 1
 

@@ -105,7 +105,8 @@ class RealtimeRun:
                 self._heard[i] = k
                 paused.append(i)
             else:
-                nav = Nav(state.lives.incarnation(i, k), k, *world.sense(i))
+                shown_ns = None if world.clocks is None else world.clocks.reading_ns(i, k)
+                nav = Nav(state.lives.incarnation(i, k), k, *world.sense(i), shown_ns)
                 self._awaiting[i] = nav
                 self.punctuality[i].asked += 1
                 if self._is_to_get(i, k):
@@ -201,7 +202,8 @@ class RealtimeRun:
                 tau = world.actuate(i, state.effective(i, k, self._commanded[i]))
                 measured = nav.eta + nav.nu + nav.roll
             if state.frames.due(k):
-                state.frames.row(k, VehicleFrame(i, eta, nu, measured, tau, sent, world.of_plant(i)))
+                clock = world.clock_error(i)
+                state.frames.row(k, VehicleFrame(i, eta, nu, measured, tau, sent, world.of_plant(i), clock))
             state.integrate(i, k, tau)
         return [*state.frames.complete(lambda tick: b"")]
 

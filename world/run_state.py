@@ -141,7 +141,9 @@ class RunState:
             else:
                 self._watch_pitch(i, k + 1, before, self.world.pitch(i))
         if k + 1 == self.config.ticks:
-            self.frames.row(k + 1, VehicleFrame(i, *self.world.state(i), (), (), b"", self.world.of_plant(i)))
+            world = self.world
+            row = VehicleFrame(i, *world.state(i), (), (), b"", world.of_plant(i), world.clock_error(i))
+            self.frames.row(k + 1, row)
 
     def memory(self, i: int, agent: bytes | None) -> VehicleMemory | None:
         """All that the next ticks of vehicle i depend on; None, with a note, where its plant cannot say that.

@@ -162,8 +162,8 @@ class OwnChecks:
         )
 
 
-def reported(scenario: Scenario, i: int) -> tuple[SignalLayout | None, tuple[Signal, ...] | None]:
-    """What agent i and the plant of vehicle i report.
+def reported(scenario: Scenario, i: int) -> tuple[SignalLayout | None, tuple[Signal, ...] | None, bool]:
+    """What agent i and the plant of vehicle i report, and whether its clock is set.
 
     None: its laws are not known here, because those of a log may not run; it has no plant. A plant that may not run
     reports nothing but its motion.
@@ -173,9 +173,9 @@ def reported(scenario: Scenario, i: int) -> tuple[SignalLayout | None, tuple[Sig
     except PluginError:
         laws = None
     try:
-        return laws, scenario.plant_signals(i)
+        return laws, scenario.plant_signals(i), i in scenario.clocks
     except PluginError:
-        return laws, ()
+        return laws, (), i in scenario.clocks
 
 
 def _ended(what: str) -> list[int]:

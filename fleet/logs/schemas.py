@@ -58,7 +58,9 @@ def signal_columns(declared: tuple[Signal, ...]) -> tuple[MessageField, ...]:
     return tuple(MessageField(s.name, s.unit, s.meaning, 0 if s.width == 1 else s.width) for s in declared)
 
 
-STATE, ROLL, COMMAND, ERROR = map(signal_columns, (signals.STATE, signals.ROLL, signals.COMMAND, signals.ERROR))
+STATE, ROLL, COMMAND, ERROR, CLOCK_ERROR = map(
+    signal_columns, (signals.STATE, signals.ROLL, signals.COMMAND, signals.ERROR, signals.CLOCK)
+)
 FAULT = (
     MessageField("fault", "", "its id", type=STRING),
     MessageField("action", "", "begins or ends", type=STRING),
@@ -79,7 +81,13 @@ PACKET = (
 OURS = {
     f"{PACKAGE}.{name}": columns
     for name, columns in (
-        *(("State", STATE), ("StateWithRoll", STATE + ROLL), ("Command", COMMAND), ("Error", ERROR)),
+        *(
+            ("State", STATE),
+            ("StateWithRoll", STATE + ROLL),
+            ("Command", COMMAND),
+            ("Error", ERROR),
+            ("Clock", CLOCK_ERROR),
+        ),
         *(("Fault", FAULT), ("Snapshot", SNAPSHOT), ("Packet", PACKET)),
     )
 }

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from agents.signals import SignalLayout
 from fleet.logs.batch import HEAD, MESSAGE, STAMP_BYTES, Batch
-from fleet.logs.schemas import COMMAND, ERROR, ROLL, STATE, Doubles, pose_parts, signal_columns
+from fleet.logs.schemas import CLOCK_ERROR, COMMAND, ERROR, ROLL, STATE, Doubles, pose_parts, signal_columns
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.transforms import quaternion
 from fleet.scene.primitives import NED
@@ -26,17 +26,19 @@ from world.signal import Signal, width_of
 
 # The doubles of one vehicle: the number of each kind's first one. Telemetry comes behind them, since its size is the
 # agent's, and last what only a vehicle with a plant has: phi, p, the values of the plant's signals, measured phi, p.
-_STATE, _NAV, _COMMAND, _ERROR, _QUATERNION, _TELEMETRY = 0, 10, 20, 26, 34, 38
+_STATE, _NAV, _COMMAND, _ERROR, _QUATERNION, _CLOCK, _TELEMETRY = 0, 10, 20, 26, 34, 38, 39
 _VALUES = Struct(f"<{_TELEMETRY}d").pack_into  # all but telemetry
 _NO_NAV: tuple[float, ...] = (0.0,) * 10
 _NO_ROLL: tuple[float, ...] = (0.0,) * 2
 _NO_TAU: tuple[float, ...] = (0.0,) * 3
+_RIGHT: tuple[float, ...] = (0.0,)
 _PARTS = {
     "pose": pose_parts(NED, _STATE, _QUATERNION),
     "state": Doubles(STATE, _STATE).parts,
     "nav": Doubles(STATE, _NAV).parts,
     "command": Doubles(COMMAND, _COMMAND).parts,
     "error": Doubles(ERROR, _ERROR).parts,
+    "clock": Doubles(CLOCK_ERROR, _CLOCK).parts,
 }
 
 # Where the pool has what is common to a tick's messages.
@@ -152,7 +154,7 @@ class TickMessages:
                 nav = nav[: len(STATE)]
             _VALUES(
                 pool, place, *eta, *row.nu, *(nav or _NO_NAV), *tau, *applied, *e, e_norm, *formation, formation_norm,
-                *quaternion(eta[3], eta[4], phi),
+                *quaternion(eta[3], eta[4], phi), *(row.clock or _RIGHT),
             )  # fmt: skip
             telemetry = reported and command is not None and command.telemetry
             if telemetry:

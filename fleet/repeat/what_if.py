@@ -33,6 +33,8 @@ from fleet.repeat.resume import start_of
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import A_LOG, Policy
 from netem.lives import Lives
+from netem.transit import stamped
+from netem.vehicle_clock import Clocks
 from netem.wire.messages import Delivery, Nav
 from world.errors import PluginError
 from world.plugins.loading import admit
@@ -137,6 +139,9 @@ class _OtherAgent:
     def __init__(self, agent: int, scenario: Scenario, recorded: Scenario, given: _Given) -> None:
         self._agent, self._scenario, self._commands = agent, scenario, given.commands
         self._lives = Lives(recorded.faults.absences)
+        self._senders, self._own = (
+            Clocks.that_differ(s.clocks, s.faults.world, s.tick_ns) for s in (recorded, scenario)
+        )
         self._begins = [0, *(end for _, end in self._lives.gaps(agent) if end is not None)]  # of its lives
         self._core: Agent | PluggedAgent | None = None
         self._life = -1
@@ -151,8 +156,9 @@ class _OtherAgent:
         if start is not None and memory is not None:
             # It waits for what was on the way, which is in the log, too, beside what it had heard.
             heard = [delivery for delivery in deliveries if delivery.due_tick >= first]
-            due_later = {astuple(delivery): delivery for delivery in [*restore(None, memory), *heard]}
-            deliveries = [due_later[key] for key in sorted(due_later)]
+            # What it has is stamped by the senders' clocks, what is in the log by simulated time.
+            due_later = {(d.due_tick, d.src, d.seq, d.copy): d for d in [*restore(None, memory), *heard]}
+            deliveries = sorted(due_later.values(), key=astuple)
             if _law(scenario, agent) != _law(recorded, agent):
                 at = f"t = {first * scenario.tick_ns / 1e9:g} s"
                 self._notes.append(f"the log begins at {at}; the other agent has no memory then")
@@ -171,7 +177,8 @@ class _OtherAgent:
             if self._core is None or life != self._life:
                 self._core = self._begin(life)
             due = self._due(tick)
-            step = self._core.step(Nav(life, tick, measured[:5], measured[5:10], measured[10:]), due)
+            shown_ns = None if self._own is None else self._own.reading_ns(self._agent, tick)
+            step = self._core.step(Nav(life, tick, measured[:5], measured[5:10], measured[10:], shown_ns), due)
         except (AgentError, PluginError) as error:
             raise FleetError(str(error), status=3) from None
         tick_s = self._scenario.tick_ns / 1e9
@@ -195,7 +202,8 @@ class _OtherAgent:
         """What is due up to a tick; it is handed out once."""
         due = []
         while self._waiting and self._waiting[0].due_tick <= tick:
-            due.append(self._waiting.popleft())
+            delivery = self._waiting.popleft()
+            due.append(delivery if self._senders is None else stamped(delivery, self._senders))
         return due
 
     def found(self) -> WhatIf:

@@ -167,7 +167,7 @@ def _column(measure: SignalMeasure, scenarios: Sequence[Scenario]) -> MeasureCol
     if measure.signal.vehicle is not None and measure.signal.vehicle > most:
         raise StudyError(f'"{measure}": there is no vehicle {measure.signal.vehicle}; they are 1 to {most}')
     each = ((scenario, i) for scenario in scenarios for i in _vehicles(measure, scenario))
-    some = (places(scenario.layout(i), scenario.plant_signals(i)) for scenario, i in each)
+    some = (places(scenario.layout(i), scenario.plant_signals(i), i in scenario.clocks) for scenario, i in each)
     try:
         unit = unit_of(measure.signal, some)
     except SignalError as error:
@@ -206,9 +206,8 @@ class Samples:
         self._kept: dict[int, list[_Kept]] = {}
         for measure in self._names.values():
             for i in _vehicles(measure, scenario):
-                if (
-                    place := places(scenario.layout(i), scenario.plant_signals(i)).get(measure.signal.name)
-                ) is not None:
+                known = places(scenario.layout(i), scenario.plant_signals(i), i in scenario.clocks)
+                if (place := known.get(measure.signal.name)) is not None:
                     group = measure.signal.group
                     first = -(-measure.after_ns // scenario.tick_ns)
                     kept = _Kept(measure, group, place.values, scenario.log_every[group], first, array("d"))

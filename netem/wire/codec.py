@@ -14,15 +14,16 @@ LONGEST_REASON = 150  # characters, so that a sender cannot fill the logs
 _CLASSES: dict[str, type[msgspec.Struct]] = {cls.__struct_config__.tag: cls for cls in get_args(Message)}
 _NOT_FINITE = re.compile(r"Expected `float` [<>]= -?1\.79\S+(?= - at `\$(.*)`)")  # every field has a place
 _ENCODER = msgspec.msgpack.Encoder()
-_NAV_WITHOUT_ROLL = b"\x95"  # the head of an array of five
+_NAV, _NAV_WITH_ROLL = b"\x95", b"\x96"  # the heads of arrays of five and six
 _DECODER: msgspec.msgpack.Decoder[Message] = msgspec.msgpack.Decoder(Message)
 
 
 def encode(message: Message) -> bytes:
     """MessagePack array `[kind, field, ...]` of a declared message."""
     data = _ENCODER.encode(message)
-    if type(message) is Nav and not message.roll:
-        return _NAV_WITHOUT_ROLL + data[1:-1]  # agents that were written before there was roll know it like this
+    if type(message) is Nav and message.clock_ns is None:
+        # Agents that were written before there was roll, or a clock, know it without.
+        return _NAV_WITH_ROLL + data[1:-1] if message.roll else _NAV + data[1:-2]
     return data
 
 

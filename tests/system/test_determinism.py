@@ -40,10 +40,16 @@ CHANGING = (
     "loop: true, offset: random}}"
 )
 
+CLOCKS = "agent.clock={drift: {sigma: 2000 ppm}, offset: {mean: 5 ms, sigma: 30 ms}}"
+CLOCK_FAULTS = (
+    "faults=[{at: 1 s, for: 1 s, clock: {vehicles: 2, step: -200 ms, drift: 1e4 ppm}}, {at: 1.5 s, clock: {step: 1 s}}]"
+)
+SLOTS = "network.acoustic={modem: s2c, mac: tdma, slot: 1.4 s, guard: 1.05 s}"
+
 # What each adds: nothing; loss, jitter and the disturbance; draws in the world process; frames that are not sent
 # every tick, and an end tick between two of them; a last round that is cut; the tightest coupling there is; a
 # graph in which vehicles hear more than one other, and numbers of two digits; links that change by themselves; a QP
-# at every tick.
+# at every tick; clocks that are drawn, drift, and are set, of agents, modems and protocols.
 CASES: dict[str, tuple[str, list[str]]] = {
     "paper": ("paper", ["duration=4 s"]),
     "rough-sea": ("rough-sea", ["duration=6 s"]),
@@ -53,6 +59,9 @@ CASES: dict[str, tuple[str, list[str]]] = {
     "a round per tick": ("paper", ["duration=2 s", "network.period=10 ms", ROUGH]),
     "states and a trace": ("paper", ["duration=3 s", CHANGING]),
     "kept apart": ("crossing", ["duration=3 s", "keep_apart.distance=25 m", "checks={tumbled: waived}"]),
+    "clocks": ("rough-sea", ["duration=3 s", CLOCKS, CLOCK_FAULTS]),
+    "clocks and slots": ("acoustic-s2c", ["duration=6 s", SLOTS, CLOCKS, CLOCK_FAULTS, "checks={tumbled: waived}"]),
+    "clocks of a protocol": ("election", ["duration=3 s", CLOCKS, CLOCK_FAULTS]),
     "twelve in a ring": ("paper", ["vehicles=12", "graph.shape=ring", "duration=2 s", *NOISE, ROUGH]),
 }
 

@@ -338,10 +338,11 @@ static bool take_hello(struct agent *agent, struct reader *from) {
     return true;
 }
 
-/* The sixth field is the roll of a vehicle that has one; the law here needs none. */
+/* The sixth field is the roll of a vehicle that has one, the seventh what its clock shows: the law here needs neither. */
 static bool take_nav(struct agent *agent, struct reader *from, uint32_t fields, uint64_t tick) {
     double eta[5], nu[5];
-    if (!read_reals(from, eta, 5) || !read_reals(from, nu, 5) || (fields > 5 && !skip(from)) || from->left) {
+    if (!read_reals(from, eta, 5) || !read_reals(from, nu, 5) || (fields > 5 && !skip(from)) ||
+        (fields > 6 && !skip(from)) || from->left) {
         return false;
     }
     memcpy(agent->eta, eta, sizeof eta);
@@ -410,7 +411,7 @@ static bool take(struct agent *agent, struct reader *from) {
     if (life != agent->life) {
         return true; /* for a life that is over */
     }
-    if (is(kind, length, "nav") && (fields == 5 || fields == 6)) {
+    if (is(kind, length, "nav") && fields >= 5 && fields <= 7) {
         return take_nav(agent, from, fields, tick);
     }
     if (is(kind, length, "rx") && fields == 5) {

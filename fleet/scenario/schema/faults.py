@@ -11,6 +11,8 @@ from fleet.scenario.schema.sea import Current, SensorsSection
 from fleet.scenario.schema.section import Section
 from fleet.scenario.schema.value_types import (
     AnyMoment,
+    ClockDrift,
+    ClockTime,
     Force,
     ForceVector,
     LinkCondition,
@@ -90,6 +92,14 @@ class Slow(Section):
     by: Ticks
 
 
+class ClockFault(Section):
+    """A clock is set to another time, and goes faster or slower. At the end the step is undone."""
+
+    vehicles: VehicleNumbers | None = None
+    step: ClockTime = 0
+    drift: ClockDrift = 0.0
+
+
 class Gust(Section):
     """A current that rises to a velocity and falls again, for all vehicles."""
 
@@ -123,6 +133,7 @@ class FaultAction(Section):
     mute: VehicleNumbers | None = None  # sends nothing
     deaf: VehicleNumbers | None = None  # receives nothing
     slow: Slow | None = None
+    clock: ClockFault | None = None  # of the agent and its modem
     kill: VehicleNumbers | None = None  # the agent ends; the vehicle drifts until it is restarted
     pause: VehicleNumbers | None = None  # the agent is suspended; the vehicle holds its last command
     noise: SensorNoise | None = None

@@ -155,6 +155,12 @@ def parts(section: FaultSection, name: str, spec: ScenarioSpec, links: Sequence[
                 NetFault(name, begin, end, kind, vehicles=vehicles, ticks=late),
                 WorldFault(name, begin, end, WorldFaultKind.SLOW, who, (float(late),)),
             ]
+        case "clock":
+            values = _numbers_of(section)
+            return [
+                NetFault(name, begin, end, kind, vehicles=who, values=values),
+                WorldFault(name, begin, end, WorldFaultKind.CLOCK, who, values),
+            ]
         case "kill":
             if end is not None:
                 # An agent begins again with a round: only then do agents send, and the network counts their messages.
@@ -185,6 +191,8 @@ def _numbers_of(section: FaultAction) -> tuple[float, ...]:
         return *section.gust.velocity, section.gust.over / 1e9
     if section.dropout is not None:
         return (section.dropout.probability,)
+    if section.clock is not None:
+        return section.clock.step / 1e9, section.clock.drift
     if (w := section.wrench) is not None:
         return *w.force, w.pitch_moment, w.yaw_moment
     return ()
@@ -205,7 +213,7 @@ def does_nothing(section: FaultAction) -> bool:
             return not any(numbers[:6])  # but for the time constant
         case "gust":
             return not any(numbers[:3])
-        case "noise" | "bias" | "wrench" | "dropout":
+        case "noise" | "bias" | "wrench" | "dropout" | "clock":
             return not any(numbers)
     return False
 

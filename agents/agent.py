@@ -1,6 +1,7 @@
 """The core of an agent with our payload: from what a vehicle measured and received to its forces and its message.
 
-No clock, no I/O, no randomness of its own: an answer depends on the configuration and on the samples so far.
+No clock of its own, no I/O, no randomness: an answer depends on the configuration and on the samples so far. What time
+it is by the clock of its vehicle, the nav says; samples come with simulated time, however that clock goes.
 
 | symbol | meaning | unit | frame | paper |
 |---|---|---|---|---|
@@ -26,7 +27,7 @@ from agents.following import followed
 from agents.laws.consensus import consensus_error
 from agents.laws.kinematics import earth_velocity
 from agents.laws.velocity_command import clip
-from agents.neighbours import NeighbourTable
+from agents.neighbours import AHEAD_S, NeighbourTable
 from agents.payload import StateMessage, encode
 from agents.sample import Sample
 from agents.trajectory import Motion
@@ -56,14 +57,16 @@ class Agent(Brain):
         self._leads = False
         self._first_tick: int | None = None  # of an agent on standby: since when it could have heard neighbours
         self._standby_ticks = round(config.standby_after_s / self._tick_s)
+        self._ahead_ticks = round(AHEAD_S / self._tick_s)
         self._out_of_range = False  # whether a state did not fit into the compact payload
         self.course: Motion | None = None  # where to be and how to move at the next sample, alone; None: in formation
 
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:
-        """The payloads to every neighbour: own position and velocity over ground at this tick."""
+        """The payloads to every neighbour: own position and velocity over ground at this tick, and the own time."""
         eta, nu = self._measured(nav)
         phi = nav.roll[0] if nav.roll else 0.0
-        message = StateMessage(self.config.id, nav.tick, eta[:3], earth_velocity(eta, nu, phi))
+        now = nav.tick if nav.clock_ns is None else nav.clock_ns // self.config.tick_ns
+        message = StateMessage(self.config.id, now, eta[:3], earth_velocity(eta, nu, phi))
         if self.config.codec == "full":
             return (encode(message),)
         try:
@@ -88,9 +91,12 @@ class Agent(Brain):
         config = self.config
         eta, nu = self._measured(nav)
         dt = self._elapsed(tick)
-        self._neighbours.absorb(deliveries, tick)
-        heard = self._neighbours.heard(tick)
-        t = tick * config.tick_ns / 1e9
+        if nav.clock_ns is None:
+            now, t, ahead = tick, tick * config.tick_ns / 1e9, 0
+        else:  # the vehicle's own time; its samples still come with simulated time
+            now, t, ahead = nav.clock_ns // config.tick_ns, nav.clock_ns / 1e9, self._ahead_ticks
+        self._neighbours.absorb(deliveries, now, ahead)
+        heard = self._neighbours.heard(now)
         if self.course is not None:
             desired = self.course
             e, c = consensus_error(eta[:3], desired.position, 1.0, ())
@@ -99,7 +105,7 @@ class Agent(Brain):
                 desired = followed(eta[:3], heard, self._offsets, t)
             else:
                 desired = config.desired(t)
-            b = self._standby_weight(tick) if config.standby_for else config.reference_weight
+            b = self._standby_weight(tick, now) if config.standby_for else config.reference_weight
             e, c = consensus_error(eta[:3], desired.position, b, heard)
         known = (*e, float(len(heard)), float(self._neighbours.rejected))
         demand: Vec3 = (0.0, 0.0, 0.0)
@@ -121,13 +127,13 @@ class Agent(Brain):
         low, high = self._tau_limits
         return Decision(clip(demand, low, high), telemetry)
 
-    def _standby_weight(self, tick: int) -> float:
+    def _standby_weight(self, tick: int, now: int) -> float:
         """b_i [1] of an agent on standby: 1 while it has heard none of the neighbours that it stands by for."""
         if self._first_tick is None:
-            self._first_tick = tick
+            self._first_tick = now
         newest = self._neighbours.newest(self.config.standby_for)
         since = self._first_tick if newest is None else max(newest, self._first_tick)
-        leads = tick - since > self._standby_ticks
+        leads = now - since > self._standby_ticks
         if leads != self._leads:
             self._leads = leads
             who = ", ".join(map(str, self.config.standby_for))

@@ -116,10 +116,10 @@ class WholeAgent(Protocol):
         """The payloads to send to every neighbour, at round ticks; at most 40 kB together.
 
         Args:
-            nav: the own measured state: `tick`, `eta` (x, y, z [m, NED], theta, psi [rad]), `nu` (u, v, w [m/s,
-                body, over ground], q, r [rad/s]), `roll` (phi [rad], p [rad/s]; empty, or zero, without a plant), and
-                `belief` (covariance of x, y, z, psi [m, rad]: the upper triangle, row by row; empty where the vehicle
-                does not know it).
+            nav: the own measured state: `tick` (by the vehicle's own clock), `eta` (x, y, z [m, NED], theta, psi
+                [rad]), `nu` (u, v, w [m/s, body, over ground], q, r [rad/s]), `roll` (phi [rad], p [rad/s]; empty
+                without a plant), and `belief` (covariance of x, y, z, psi [m, rad]: the upper triangle, row by row;
+                empty where the vehicle does not know it).
         """
 
     def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> tuple[Vec3, Telemetry]:
@@ -128,7 +128,7 @@ class WholeAgent(Protocol):
         Args:
             nav: the own measured state, as for `transmit`.
             deliveries: what is due at this tick, ordered by (due_tick, sent_tick, src, seq, copy); each has `src`,
-                `sent_tick`, `due_tick`, `seq`, `copy` and `payload`.
+                `sent_tick` (by the clock of the sender), `due_tick` (by the own one), `seq`, `copy` and `payload`.
 
         Returns:
             Surge force [N], pitch moment and yaw moment [N m], before the actuators' limits; and the telemetry.

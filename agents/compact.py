@@ -14,7 +14,8 @@
 Signed numbers are two's complement of the number of steps, rounded to the nearest: the error is at most half a step
 per axis, 2.5 cm and 5 mm/s, but for the smallest value of each range, which is not used. The receiver knows the round
 period and its own time, so 8192 rounds say which round is meant as long as a message is younger than that. The age of
-a state is therefore exact, as in the full message.
+a state is therefore exact, as in the full message. A clock that is not right shows other times at a round than whole
+rounds: the message then has the nearest one, so an age is wrong by half a round at most.
 
 The CRC finds every error of one or two bits and every burst of up to 16, and misses one in 65536 of the others.
 """
@@ -53,7 +54,7 @@ def encode(message: StateMessage, round_ticks: int) -> bytes:
     """
     if not 0 <= message.sender < 1024:
         raise OutOfRange(f"vehicle {message.sender} is beyond 1023")
-    bits = (VERSION << 10 | message.sender) << 13 | message.sent_tick // round_ticks % ROUNDS
+    bits = (VERSION << 10 | message.sender) << 13 | (message.sent_tick + round_ticks // 2) // round_ticks % ROUNDS
     scales = (PER_METRE,) * 3 + (PER_MPS,) * 3
     values = (*message.position, *message.velocity)
     for name, value, scale, width in zip(_NAMES, values, scales, _POSITION_BITS + _VELOCITY_BITS, strict=True):
@@ -65,13 +66,14 @@ def encode(message: StateMessage, round_ticks: int) -> bytes:
     return body + crc_hqx(body, 0xFFFF).to_bytes(2, "big")
 
 
-def decode(data: bytes, now: int, round_ticks: int) -> StateMessage:
+def decode(data: bytes, now: int, round_ticks: int, ahead: int = 0) -> StateMessage:
     """The state message in `data`.
 
     Args:
         data: as it came from the network.
         now: tick at which it was received.
         round_ticks: ticks from one round to the next.
+        ahead: by how many ticks the sender's clock may be ahead of the receiver's; half of all rounds at most.
 
     Raises:
         PayloadError: wrong length, bad checksum, or unknown version.
@@ -91,7 +93,7 @@ def decode(data: bytes, now: int, round_ticks: int) -> StateMessage:
     round_number, sender, version = bits & ROUNDS - 1, bits >> 13 & 1023, bits >> 23
     if version != VERSION:
         raise PayloadError("version", f"expected version {VERSION}, got {version}")
-    newest = now // round_ticks
+    newest = now // round_ticks + min(-(-ahead // round_ticks), ROUNDS // 2)
     sampled = newest - (newest - round_number) % ROUNDS
     if sampled < 0:  # no round of this run: it becomes one to come, which the receiver refuses
         sampled += ROUNDS

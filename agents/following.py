@@ -28,7 +28,7 @@ def followed(position: Vec3, heard: Iterable[NeighbourState], offsets: Mapping[i
         position: its own position [m, NED].
         heard: the neighbours heard so far, without those whose last state is too old.
         offsets: Delta_ij by the number j of the neighbour [m, NED]; one for each neighbour in `heard`.
-        t: simulated time [s].
+        t: time by the vehicle's clock [s].
 
     Returns:
         Position [m, NED] and velocity [m/s, NED].

@@ -30,6 +30,7 @@ from typing import Any
 from agents.agent import Agent
 from agents.config import AgentConfig
 from agents.message import VERSION
+from agents.own_time import by_simulated_time
 from agents.signals import SignalLayout
 from agents.trajectory import Motion
 from netem.wire.messages import Delivery, Nav
@@ -53,7 +54,7 @@ class FormationAgent:
 
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:
         """The payloads to every neighbour: own position and velocity."""
-        return self._agent.transmit(nav)
+        return self._agent.transmit(by_simulated_time(nav))
 
     def decide(
         self, nav: Nav, deliveries: Iterable[Delivery], course: Motion | None = None
@@ -73,7 +74,7 @@ class FormationAgent:
         """
         self._agent.course = None if course is None else _motion(course)
         states = [d for d in deliveries if d.payload[:1] != _OWN]
-        tau, telemetry = self._agent.decide(nav, states)
+        tau, telemetry = self._agent.decide(by_simulated_time(nav), states)
         return tau, {
             name: telemetry[place.start] if width == 1 else telemetry[place]
             for name, (width, place) in self._where.items()

@@ -3,7 +3,7 @@
 | symbol | meaning | unit | frame |
 |---|---|---|---|
 | k_j | tick at which the newest state heard from j was sampled | tick | - |
-| age = (now - k_j) Ts | how old that is | s | - |
+| age = (now - k_j) Ts | how old that is, by the own clock and the neighbour's; never negative | s | - |
 | pos_j, vel_j | position and velocity over ground in that state | m, m/s | NED |
 | eta_j^d(t) | where j should be: the reference plus j's offset, which follows from Delta_ij | m | NED |
 | position now, hold | pos_j | m | NED |
@@ -34,6 +34,7 @@ from agents.trajectory import Reference
 from netem.wire.messages import Delivery
 from world.vectors import Vec3, minus, plus
 
+AHEAD_S = 60.0  # by so much the clock of a neighbour may be ahead of the own one
 _REFUSED = (*CAUSES, "wrong_sender", "from_future")
 
 
@@ -77,19 +78,26 @@ class NeighbourTable:
         self._drop_after = round(drop_after_s / tick_s) if drop_after_s else None
         self._newest: dict[int, StateMessage | None] = {n.id: None for n in self._neighbours}
         self.counters = dict.fromkeys(("accepted", "duplicate", "superseded", *_REFUSED), 0)
+        self._now = 0  # tick at which `heard` was asked last
         self.rejected = 0  # payloads that were refused so far: damaged, not ours, or not from who the network names
 
-    def absorb(self, deliveries: Iterable[Delivery], now: int) -> None:
-        """Take what is due at tick `now`; payloads that cannot be used are counted and dropped."""
+    def absorb(self, deliveries: Iterable[Delivery], now: int, ahead: int = 0) -> None:
+        """Take what is due at tick `now`; payloads that cannot be used are counted and dropped.
+
+        Args:
+            deliveries: what is due.
+            now: the tick by the own clock.
+            ahead: by how many ticks the clocks of neighbours may be ahead of it; 0: all clocks are right.
+        """
         for delivery in deliveries:
-            became = self._absorb(delivery, now)
+            became = self._absorb(delivery, now, ahead)
             self.counters[became] += 1
             self.rejected += became in _REFUSED
 
-    def _absorb(self, delivery: Delivery, now: int) -> str:
+    def _absorb(self, delivery: Delivery, now: int, ahead: int) -> str:
         try:
             if self._compact_round:
-                message = decode_compact(delivery.payload, now, self._compact_round)
+                message = decode_compact(delivery.payload, now, self._compact_round, ahead)
             else:
                 message = decode(delivery.payload)
         except PayloadError as error:
@@ -97,7 +105,7 @@ class NeighbourTable:
         # The network knows the sender of a packet. A payload that names another one is damaged or forged.
         if message.sender != delivery.src or message.sender not in self._newest:
             return "wrong_sender"
-        if message.sent_tick > now:
+        if message.sent_tick > now + ahead:
             return "from_future"
         newest = self._newest[message.sender]
         if newest is not None and message.sent_tick <= newest.sent_tick:
@@ -107,6 +115,7 @@ class NeighbourTable:
 
     def heard(self, now: int) -> tuple[NeighbourState, ...]:
         """The neighbours heard so far, extrapolated to tick `now`, by ascending number."""
+        self._now = now
         tick_s = self._tick_s
         states = []
         for neighbour in self._neighbours:
@@ -115,6 +124,8 @@ class NeighbourTable:
                 continue
             position = message.position
             ticks = now - message.sent_tick
+            if ticks < 0:  # by another clock
+                ticks = 0
             if self._drop_after is not None and ticks > self._drop_after:
                 continue
             age = ticks * tick_s
@@ -130,13 +141,13 @@ class NeighbourTable:
             states.append(NeighbourState(neighbour.id, neighbour.weight, delta, position, message.velocity, age))
         return tuple(states)
 
-    def seen(self, now: int) -> list[Seen]:
-        """The states that `heard` goes by, as they were sampled, by ascending number."""
+    def seen(self) -> list[Seen]:
+        """The states that `heard` went by last, as they were sampled, by ascending number."""
         found = []
         for message in self._newest.values():
             if message is None:
                 continue
-            ticks = now - message.sent_tick
+            ticks = max(0, self._now - message.sent_tick)
             if self._drop_after is None or ticks <= self._drop_after:
                 found.append(Seen(message.sender, message.position, message.velocity, ticks * self._tick_s))
         return found

@@ -11,6 +11,7 @@ from agents.config import AgentConfig, Law
 from agents.decision import Decision
 from agents.errors import ControllerError
 from agents.laws.velocity_command import clip
+from agents.own_time import by_own_clock, received_by_own_clock
 from agents.plugins.fenced_law import law_fence
 from agents.plugins.laws import load
 from netem.wire.messages import Delivery, Nav
@@ -37,7 +38,7 @@ class PluggedAgent(Brain):
             return ()
         fence, method = self._fence, self._user.transmit
         try:
-            payloads = fence.call(nav.tick, method, nav)
+            payloads = fence.call(nav.tick, method, by_own_clock(nav, self.config.tick_ns))
             if not isinstance(payloads, (list, tuple)) or not all(isinstance(p, bytes) for p in payloads):
                 raise fence.wrong(nav.tick, method, f"returned {shown(payloads)}: expected a list of bytes")
             if (size := sum(map(len, payloads))) > MAX_PAYLOAD_BYTES:
@@ -58,7 +59,8 @@ class PluggedAgent(Brain):
         if not self._failed:
             fence, method = self._fence, self._user.decide
             try:
-                answer = fence.call(tick, method, nav, list(deliveries))
+                own = by_own_clock(nav, self.config.tick_ns)
+                answer = fence.call(tick, method, own, received_by_own_clock(list(deliveries), own))
                 if not isinstance(answer, tuple) or len(answer) != 2:
                     text = f"returned {shown(answer)}: expected ((tau1, tau2, tau3), telemetry)"
                     raise fence.wrong(tick, method, text)

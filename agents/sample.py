@@ -17,7 +17,7 @@ class NeighbourState(NamedTuple):
     offset: Vec3  # Delta_ij = p_i - p_j, what to keep from it [m, NED]
     position: Vec3  # where it should be now, extrapolated as the scenario says [m, NED]
     velocity: Vec3  # over ground, when it sent [m/s, NED]
-    age: float  # time since it sampled what it sent [s]
+    age: float  # time since it sampled what it sent [s], by its clock and the own one
 
 
 class Command(NamedTuple):
@@ -31,9 +31,9 @@ class Command(NamedTuple):
 class Sample(NamedTuple):
     """All that a law may know at one control sample."""
 
-    tick: int
-    t: float  # simulated time [s]
-    dt: float  # time since the previous sample [s]; one tick, and more after samples that were missed
+    tick: int  # of simulated time: counts samples, however the vehicle's clock goes
+    t: float  # time by the vehicle's clock [s]; simulated time where none is set
+    dt: float  # simulated time since the previous sample [s]; one tick, and more after samples that were missed
     eta: Vec5  # own measured x, y, z [m, NED], theta, psi [rad]
     nu: Vec5  # own measured u, v, w [m/s, body, over ground], q, r [rad/s]
     velocity: Vec3  # own velocity over ground [m/s, NED]

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from fleet.parquet_pages import unpacked_bytes
+from fleet.parquet_pages import column_chunks, unpacked_bytes
 from netem.whole_file import open_file
 
 TEXT = pa.string()
@@ -44,24 +44,26 @@ def read_columns(path: Path, most: Most, choose: Callable[[pa.Schema], Sequence[
         about_size, mark = int.from_bytes(file.read(4), "little"), file.read(4)
         if mark != b"PAR1":
             raise ValueError("it is no Parquet file, or is cut off")
-        _bound(about_size, _MOST_ABOUT, "bytes that say what is in it", most)
+        _bound(about_size, min(_MOST_ABOUT, size), "bytes that say what is in it", most)
         file.seek(0)
         limits = {"thrift_string_size_limit": _MOST_ABOUT, "thrift_container_size_limit": _MOST_ABOUT}
         about = pq.ParquetFile(file, **limits).metadata
         _bound(about.num_row_groups, _MOST_GROUPS, "groups of rows", most)
+        file.seek(size - 8 - about_size)
+        groups = column_chunks(file.read(about_size))
+        if [len(chunks) for chunks in groups] != [about.num_columns] * about.num_row_groups:
+            raise ValueError("it is damaged: a group of rows has other columns than it says")
         _bound(about.num_rows, most.rows, "rows", most)
         schema = about.schema.to_arrow_schema()
         if about.num_columns != len(schema):
             schema = pa.schema([])  # columns within columns
         columns = list(choose(schema))
         unpacked = 0
-        for k in range(about.num_row_groups):
-            group = about.row_group(k)
-            for column in range(about.num_columns):
-                chunk = group.column(column)
-                if chunk.num_values != group.num_rows or chunk.file_path:
+        for k, chunks in enumerate(groups):
+            for chunk in chunks:
+                if chunk.values != about.row_group(k).num_rows:
                     raise ValueError("it is damaged: a column has other rows than it says")
-                if any(f"{chunk.path_in_schema}.".startswith(f"{name}.") for name in columns):  # as Arrow chooses
+                if any(f"{chunk.path}.".startswith(f"{name}.") for name in columns):  # as Arrow chooses
                     unpacked += unpacked_bytes(file, chunk)
                     _bound(unpacked, most.bytes, "bytes, unpacked", most)
         texts = [name for name in columns if schema.field(name).type == TEXT]

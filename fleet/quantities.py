@@ -74,12 +74,15 @@ FILE_SIZE = Dimension("a size", "100 MB", _units(MB=10**6, GB=10**9, kB=1000, B=
 AGE = Dimension(
     "an age", "7 days", _units(days=86_400, day=86_400, d=86_400, weeks=604_800, week=604_800, h=3600, min=60, s=1)
 )
+CLOCK_DRIFT = Dimension(
+    "a clock drift", "20 ppm", {"ppm": Fraction(1, 10**6), "ppb": Fraction(1, 10**9), "s/s": Fraction(1)}
+)
 TEMPERATURE = Dimension("a temperature", "10 degC", _units(degC=1))
 NUMBER = Dimension("a number", "0.8", {"": Fraction(1)})
 
 DIMENSIONS = (
     TIME, LENGTH, SPEED, ACCELERATION, ANGLE, ANGULAR_RATE, FORCE, MOMENT, RATE, MASS, INERTIA, DAMPING,
-    ROTATION_DAMPING, ANGLE_WALK, TICKS, BIT_RATE, FREQUENCY, LEVEL, SIZE, TEMPERATURE, RATIO, NUMBER,
+    ROTATION_DAMPING, ANGLE_WALK, TICKS, BIT_RATE, FREQUENCY, LEVEL, SIZE, CLOCK_DRIFT, TEMPERATURE, RATIO, NUMBER,
 )  # fmt: skip
 
 

@@ -8,7 +8,8 @@ m ticks. In the round that begins at tick k, that is in the ticks k to k + m - 1
 2. The MAC (medium access control) fixes the starts in the round, at whole ticks and never before the modem is free.
    `aloha`: a seeded random back-off after the payload is in the buffer and the modem is free. `csma`: likewise, but a
    modem that hears somebody at its start draws another back-off from the end of what it hears. `tdma`: at the start
-   of the vehicle's next slot. A payload whose start is in a later round stays in the buffer.
+   of the vehicle's next slot by its own clock (`netem.access`). A payload whose start is in a later round stays in
+   the buffer.
 3. All distances are between the positions at round tick k; a vehicle without an agent keeps its last known position.
    The active faults, and which vehicles have an agent, are also those at tick k. So a run with faults that a user
    injected while it was running can be repeated.
@@ -45,25 +46,17 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
+from netem.access import Access
 from netem.air import Air
 from netem.causes import Cause
 from netem.config import NetemConfig
-from netem.draws import uniform
 from netem.faults import ActiveFaults
 from netem.link_trace import TRY
 from netem.links import Links
 from netem.medium import MediumRound, Place
-from netem.modem import AcousticConfig
 from netem.station import ANSWER, Answer, Burst, Reception, Station, Transfer, Waiting
 from netem.transit import PendingPacket, Transit
 from netem.wire.messages import Fate
-
-BACK_OFF = "back-off"  # purpose of draws
-
-
-def draws(acoustic: AcousticConfig) -> list[str]:
-    """The purposes of the draws that decide when modems talk."""
-    return [BACK_OFF] if acoustic.mac != "tdma" and acoustic.backoff_ticks else []
 
 
 class _State(Struct, omit_defaults=True):
@@ -95,6 +88,7 @@ class AcousticChannel:
         self._stations = {i: Station(i) for i in sorted(config.vehicles)}
         self._transfers: dict[int, Transfer] = {}  # of modems with `tries`
         self._answers: list[Answer] = []  # acknowledgements that are due
+        self._access = Access(config, config.acoustic)
         self._air = Air(config.acoustic, config.seed, config.tick_ns)
         self._receptions: list[Reception] = []  # those that have not ended
 
@@ -104,10 +98,11 @@ class AcousticChannel:
         Raises:
             ValueError: the round has no positions of the vehicles.
         """
-        tick, until, transmissions, positions, faults = round_
+        tick, until, transmissions, positions, faults, clocks = round_
         if positions is None:
             raise ValueError("an acoustic channel needs the vehicles' positions")
         self._air.places.update(positions)
+        self._access.begin_round(tick, clocks)
         for src in sorted(transmissions):
             for payload in transmissions[src]:
                 self._accept(tick, src, payload, faults)
@@ -181,16 +176,16 @@ class AcousticChannel:
         if station.start_tick is None or station.start_tick > now:
             return
         if station.free_tick > now:  # it is answering somebody
-            station.start_tick = self._next_start(src, station.free_tick)
+            station.start_tick = self._access.next_start(station, station.free_tick)
         elif self._acoustic.mac == "csma" and (idle := self._air.idle_tick(src, now)) > now:
-            station.start_tick = self._next_start(src, idle)
+            station.start_tick = self._access.next_start(station, idle)
         else:
             self._start(station, now, faults)
 
     def _schedule(self, station: Station, earliest: int) -> None:
         """Fix the next start of a modem that has something to send, unless it is fixed or waits for an answer."""
         if station.start_tick is None and station.waiting and station.vehicle not in self._transfers:
-            station.start_tick = self._next_start(station.vehicle, max(earliest, station.free_tick))
+            station.start_tick = self._access.next_start(station, max(earliest, station.free_tick))
 
     def _start(self, station: Station, start: int, faults: ActiveFaults) -> None:
         """Transmit the first payload of the buffer, or once more the one that nobody has acknowledged."""
@@ -220,18 +215,6 @@ class AcousticChannel:
         if transfer is None:
             self._schedule(station, station.free_tick)
 
-    def _next_start(self, src: int, earliest: int) -> int:
-        """The start tick that the MAC gives to a modem that is ready to transmit from tick `earliest` on."""
-        acoustic, station = self._acoustic, self._stations[src]
-        if acoustic.mac != "tdma":
-            station.draws += 1
-            drawn = uniform(self._config.seed, BACK_OFF, src, station.draws)
-            return earliest + int(drawn * (acoustic.backoff_ticks + 1))
-        vehicles = sorted(self._config.vehicles)
-        slot, turn = acoustic.slot_ticks, len(vehicles) * acoustic.slot_ticks
-        first = vehicles.index(src) * slot
-        return first + max(0, -(-(earliest - first) // turn)) * turn
-
     def _drop(self, tick: int, src: int, station: Station) -> None:
         """Forget what is in the modem of a vehicle without an agent."""
         for sent in (*station.late, *station.waiting):
@@ -250,7 +233,7 @@ class AcousticChannel:
     def _failed(self, station: Station, transfer: Transfer, now: int) -> None:
         """Nobody has answered in time: try again, or give up this neighbour."""
         if transfer.tried < self._acoustic.modem_of(station.vehicle).tries:
-            station.start_tick = self._next_start(station.vehicle, max(now, station.free_tick))
+            station.start_tick = self._access.next_start(station, max(now, station.free_tick))
         else:
             self._finish(station, transfer, now)
 
@@ -261,7 +244,7 @@ class AcousticChannel:
             self._lose_unsent(src, transfer.sent, now, transfer.cause or Cause.RANGE, [dst])
         transfer.tried, transfer.arrived, transfer.cause = 0, False, None
         if transfer.to:
-            station.start_tick = self._next_start(src, max(now, station.free_tick))
+            station.start_tick = self._access.next_start(station, max(now, station.free_tick))
         else:
             del self._transfers[src]
             self._schedule(station, now)

@@ -10,6 +10,7 @@ from netem.link_states import LinkStates
 from netem.link_trace import LinkTrace
 from netem.lives import Absence
 from netem.modem import AcousticConfig
+from netem.vehicle_clock import VehicleClock
 
 if TYPE_CHECKING:
     from netem.faults import NetFault
@@ -31,3 +32,4 @@ class NetemConfig:
     ideal: bool = False  # zero latency: due in the sending tick itself (in-process only)
     acoustic: AcousticConfig | None = None  # in the water; None: links of their own
     changing: dict[Link, LinkStates | LinkTrace] = field(default_factory=dict)  # in place of a condition
+    clocks: dict[int, VehicleClock] = field(default_factory=dict)  # of the vehicles for which one is set

@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Literal
 
-FaultKind = Literal["link", "down", "up", "partition", "mute", "deaf", "slow"]
+FaultKind = Literal["link", "down", "up", "partition", "mute", "deaf", "slow", "clock"]
 
 
 class WorldFaultKind(StrEnum):
@@ -29,8 +29,9 @@ class WorldFaultKind(StrEnum):
     | wrench | five forces and moments [N, N m, body] | added to the disturbance |
     | pause | | the agent is suspended: no samples; the vehicle holds its last command |
     | slow | ticks | commands take effect so much later |
+    | clock | step [s], drift [s/s] | added to the clock of its agent, and of its modem |
 
-    The last two act on simulated time, not on a process.
+    Pause and slow act on simulated time, not on a process.
     """
 
     NOISE = "noise"
@@ -49,6 +50,7 @@ class WorldFaultKind(StrEnum):
     WRENCH = "wrench"
     PAUSE = "pause"
     SLOW = "slow"
+    CLOCK = "clock"
 
     @property
     def numbers(self) -> int:
@@ -69,4 +71,5 @@ _NUMBERS = {
     WorldFaultKind.GUST: 4,
     WorldFaultKind.WRENCH: 5,
     WorldFaultKind.SLOW: 1,
+    WorldFaultKind.CLOCK: 2,
 }

@@ -23,9 +23,10 @@ class NetFault(TimedFault, frozen=True):
 
     kind: FaultKind
     links: tuple[Link, ...] = ()  # of link, down, up, partition
-    vehicles: tuple[int, ...] = ()  # of mute, deaf, slow
+    vehicles: tuple[int, ...] = ()  # of mute, deaf, slow, clock
     condition: Condition | None = None  # of link
     ticks: int = 0  # of slow: how late
+    values: tuple[float, ...] = ()  # of clock: step [s] and drift [s/s]
 
 
 _CONDITION = NetFault.__struct_fields__.index("condition")
@@ -66,6 +67,8 @@ def read_faults(values: Any) -> tuple[NetFault, ...]:
     for fault in faults:
         if fault.kind == "link" and fault.condition is None:
             raise MalformedMessage("control", f"the fault {fault.id!r:.40} of a link has no condition")
+        if fault.kind == "clock" and len(fault.values) != 2:
+            raise MalformedMessage("control", f"the fault {fault.id!r:.40} of a clock has no step and drift")
     return faults
 
 

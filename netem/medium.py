@@ -11,6 +11,7 @@ from netem.config import NetemConfig
 from netem.faults import ActiveFaults
 from netem.links import Links
 from netem.transit import PendingPacket, Transit
+from netem.vehicle_clock import Clocks
 from netem.wire.messages import Fate
 
 Place = tuple[float, ...]  # x, y, z [m, NED]
@@ -24,6 +25,7 @@ class MediumRound(NamedTuple):
     transmissions: Mapping[int, tuple[bytes, ...]]  # payloads by sender
     positions: Mapping[int, Place] | None  # of everyone alive; None: unknown
     faults: ActiveFaults  # at the round tick
+    clocks: Clocks | None = None  # None: all are right
 
 
 class Medium(Protocol):

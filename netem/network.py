@@ -17,11 +17,12 @@ from msgspec import Struct
 from netem.acoustic import AcousticChannel
 from netem.condition import Condition, Link, condition_from_values, condition_values
 from netem.config import NetemConfig
-from netem.faults import active_faults, fault_from_values, fault_values
+from netem.faults import NetFault, active_faults, fault_from_values, fault_values
 from netem.impairment import LinkMemory, LinkModel
 from netem.links import make_links
 from netem.medium import IndependentLinks, Medium, MediumRound, Place
 from netem.transit import PendingPacket, Transit
+from netem.vehicle_clock import Clocks
 from netem.wire.messages import Delivery, Fate
 
 # The order of packet records in the log.
@@ -53,12 +54,23 @@ class Netem:
 
     def __init__(self, config: NetemConfig) -> None:
         self.config = config
+        self._clocks: Clocks | None = None
         self.faults = config.faults  # in the order in which they begin; replaced as a whole by who injects
         self._links = make_links(config)
         self._transit = Transit(config)
         make = IndependentLinks if config.acoustic is None else AcousticChannel
         self._medium: Medium = make(config, self._links, self._transit)
         self._round = -1
+
+    @property
+    def faults(self) -> tuple[NetFault, ...]:
+        """All faults, in the order in which they begin; replaced as a whole by who injects."""
+        return self._faults
+
+    @faults.setter
+    def faults(self, faults: tuple[NetFault, ...]) -> None:
+        self._faults = faults
+        self._clocks = Clocks.that_differ(self.config.clocks, faults, self.config.tick_ns)
 
     @property
     def entered(self) -> dict[Link, tuple[int, int]]:
@@ -88,10 +100,10 @@ class Netem:
         faults, ideal, transit = active_faults(self.faults, tick), self.config.ideal, self._transit
         until = tick if ideal else tick + self.config.round_ticks
         alive = transmissions.keys() if positions is None else positions.keys()
-        self._medium.carry(MediumRound(tick, until, transmissions, positions, faults))
+        self._medium.carry(MediumRound(tick, until, transmissions, positions, faults, self._clocks))
         # On an ideal network today's packets are due today, so they are announced before they are settled.
         fates = [] if ideal else transit.settle(tick)
-        inboxes, unheard = transit.announce(alive, until, faults)
+        inboxes, unheard = transit.announce(alive, until, faults, self._clocks)
         if ideal:
             fates = transit.settle(tick)
         transit.lost += unheard

@@ -11,6 +11,7 @@ from msgspec.structs import replace
 from netem.causes import Cause
 from netem.config import NetemConfig
 from netem.faults import ActiveFaults
+from netem.vehicle_clock import Clocks
 from netem.wire.messages import Delivery, Fate
 
 
@@ -44,6 +45,11 @@ class PendingPacket(NamedTuple):
         )
 
 
+def stamped(delivery: Delivery, clocks: Clocks) -> Delivery:
+    """The same with the time of sending by the clock of its sender, as its modem stamps it."""
+    return replace(delivery, sent_tick=clocks.reading_ticks(delivery.src, delivery.sent_tick))
+
+
 class Transit:
     """A medium adds packets and losses; rounds take inboxes and final fates out."""
 
@@ -63,9 +69,13 @@ class Transit:
         self.lost.append(fate)
 
     def announce(
-        self, alive: Collection[int], until: int, faults: ActiveFaults
+        self, alive: Collection[int], until: int, faults: ActiveFaults, clocks: Clocks | None = None
     ) -> tuple[dict[int, tuple[Delivery, ...]], list[Fate]]:
-        """Inboxes of the living with what is due up to tick `until`, and what is lost at receivers that cannot hear."""
+        """Inboxes of the living with what is due up to tick `until`, and what is lost at receivers that cannot hear.
+
+        Args:
+            clocks: that stamp what is sent; None: all are right.
+        """
         inboxes = {}
         unheard = []
         for i in sorted(self.pending):
@@ -77,7 +87,8 @@ class Transit:
                     unheard.append(packet.fate(packet.due_tick, cause))
                 else:
                     self.announced.append(packet)
-                    inbox.append(Delivery(*packet[:5], packet.payload))
+                    delivery = Delivery(*packet[:5], packet.payload)
+                    inbox.append(delivery if clocks is None else stamped(delivery, clocks))
             if i in alive:
                 inboxes[i] = tuple(inbox)
         return inboxes, unheard

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from netem.lives import Absence
+from netem.vehicle_clock import VehicleClock
 from netem.wire.messages import WorldFault
 from world.navigation.config import Navigation
 from world.tumble import LIMIT_RAD
@@ -87,4 +88,5 @@ class WorldConfig:
     faults: tuple[WorldFault, ...] = ()  # in the order in which they begin
     absences: tuple[Absence, ...] = ()  # when a vehicle has no agent
     memory_ticks: int = 0  # all that world and agents remember is in a frame every so many ticks; 0: never
+    clocks: dict[int, VehicleClock] = field(default_factory=dict)  # of the vehicles for which one is set
     keep_going: bool = False  # the run goes on without a vehicle whose motion leaves the finite numbers

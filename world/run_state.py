@@ -20,7 +20,6 @@ from world.vectors import ZERO, Vec3
 
 Sensed = tuple[tuple[float, ...], tuple[float, ...]]  # eta, nu and roll; the covariance of the estimate, or nothing
 NOT_SENSED: Sensed = ((), ())
-NO_ROLL = (0.0, 0.0)
 
 
 class RunState:
@@ -150,10 +149,10 @@ class RunState:
     def nav(self, i: int, life: int, k: int) -> Nav:
         """What the agent of vehicle i gets at tick k."""
         world = self.world
-        eta, nu, roll = world.sense(i)
+        shown_ns = None if world.clocks is None else world.clocks.reading_ns(i, k)
         navigation = world.navigation(i)
         belief = () if navigation is None else navigation.covariance()
-        return Nav(life, k, eta, nu, (roll or NO_ROLL) if belief else roll, belief)
+        return Nav(life, k, *world.sense(i), shown_ns, belief)
 
     def row(self, i: int, sensed: Sensed, tau: tuple[float, ...], command: bytes) -> VehicleFrame:
         """Vehicle i in the frame of the tick that it has reached.
@@ -164,14 +163,10 @@ class RunState:
             command: the agent's, encoded.
         """
         world = self.world
-        plant = world.of_plant(i)
+        clock = () if world.clocks is None else world.clock_error(i)
         navigation = world.navigation(i)
-        if navigation is None:
-            return VehicleFrame(i, *world.state(i), sensed[0], tau, command, plant, (), ())
-        nav, belief = sensed
-        if belief and not plant:
-            nav = nav[: -len(NO_ROLL)]
-        return VehicleFrame(i, *world.state(i), nav, tau, command, plant, belief, navigation.take_fixes())
+        fixes = () if navigation is None else navigation.take_fixes()
+        return VehicleFrame(i, *world.state(i), sensed[0], tau, command, world.of_plant(i), clock, sensed[1], fixes)
 
     def memory(self, i: int, agent: bytes | None) -> VehicleMemory | None:
         """All that the next ticks of vehicle i depend on; None, with a note, where its plant cannot say that.

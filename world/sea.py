@@ -13,6 +13,7 @@ from typing import Any, cast
 
 from netem.draws import undecided, uniform
 from netem.fault_kinds import WorldFaultKind
+from netem.vehicle_clock import Clocks
 from netem.wire.messages import WorldFault
 from world.api import PlantConfig
 from world.config import NavNoise, VehicleSetup, WorldConfig
@@ -124,6 +125,10 @@ class World:
             return cast(Vec2, vehicle.plant.pitch)
         return vehicle.state[3], vehicle.state[8]
 
+    def clock_error(self, i: int) -> tuple[float, ...]:
+        """By how much the clock of vehicle i is ahead at its tick [s]; () while all clocks are right."""
+        return () if self.clocks is None else (self.clocks.ahead_ns(i, self._vehicles[i].tick) / 1e9,)
+
     def of_plant(self, i: int) -> tuple[float, ...]:
         """True roll phi [rad] and roll rate p [rad/s] of vehicle i at its tick, and behind them what its plant reports;
         () of a vehicle without a plant, which cannot roll."""
@@ -223,6 +228,7 @@ class World:
 
         # A long timeline has hundreds, of which a round sees one or two.
         self._near = lru_cache(maxsize=8)(near)
+        self.clocks = Clocks.that_differ(self.config.clocks, faults, self.config.tick_ns)  # None: all are right
 
     def advance(self, i: int, tau: Vec3) -> None:
         """Integrate vehicle i, and it alone, to its next tick with `tau` [N, N m] held.

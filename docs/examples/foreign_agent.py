@@ -36,7 +36,7 @@ def take(timeout):
     """The next message for this life as [kind, incarnation, ...]; None for any other, or when there is none."""
     try:
         kind, *fields = msgpack.unpackb(came.get(timeout=timeout).to_bytes())
-        sizes = {"nav": (4, 5, 6), "rx": (4,), "end": (3,), "hello": (5,)}[kind]  # roll, belief
+        sizes = {"nav": (4, 5, 6, 7), "rx": (4,), "end": (3,), "hello": (5,)}[kind]  # roll, clock, belief
         if len(fields) in sizes and (kind == "hello" or (fields[0] == life and isinstance(fields[1], int))):
             return [kind, *fields]
     except queue.Empty:

@@ -9,6 +9,7 @@ from math import dist
 from fleet.analysis.forgetting import forgetting_warnings
 from fleet.analysis.keep_apart import keep_apart_warnings
 from fleet.analysis.link_shares import short_traces
+from fleet.analysis.slots import slot_warnings
 from fleet.analysis.stability import oldest_s
 from fleet.quantities import vehicle_numbers
 from fleet.recorder.settling import least_s
@@ -20,13 +21,14 @@ from netem.correlation import effective
 LARGE_MB = 50.0  # from which on a warning about the size is given
 MESSAGE_BYTES = 70  # in a log, compressed and indexed: 68 to 72 measured with 3, 4 and 12 vehicles
 THIN = "log: {every: 10 ticks}"
-BY_ROUND = frozenset(OF_THE_NETWORK) - {"slow"}  # faults that act at round ticks only
+BY_ROUND = frozenset(OF_THE_NETWORK) - {"slow", "clock"}  # faults that act at round ticks only
 
 
 def warnings(scenario: Scenario) -> list[str]:
     """One sentence for each setting that is valid and hardly intended."""
     return [*check_warnings(scenario), *_idle_faults(scenario), *_correlated(scenario), *forgetting_warnings(scenario),
-            *keep_apart_warnings(scenario), *short_traces(scenario), *_large_log(scenario)]  # fmt: skip
+            *keep_apart_warnings(scenario), *short_traces(scenario), *slot_warnings(scenario),
+            *_large_log(scenario)]  # fmt: skip
 
 
 def check_warnings(scenario: Scenario) -> list[str]:

@@ -10,8 +10,10 @@ from collections.abc import Iterator
 from math import dist
 
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections import formation, graph, nemesis, partitions
-from netem import acoustic, air, fading, impairment, link_states, link_trace
+from fleet.scenario.schema.clock import ClockSection
+from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.sections import clocks, formation, graph, nemesis, partitions
+from netem import access, air, fading, impairment, link_states, link_trace
 from netem.condition import Condition, Link
 from netem.faults import NetFault
 from netem.link_states import LinkStates
@@ -47,6 +49,8 @@ def _parts(scenario: Scenario) -> Iterator[tuple[str, list[str]]]:
     for control in scenario.controls:
         if isinstance(control.navigation, DeadReckoning):
             yield "navigation", _navigation(control.navigation)
+    for clock in _clocks(spec):
+        yield "clocks", clocks.draws(clock)
     yield "current", current.draws("", spec.sea.current.sigma)
     for changing in scenario.changing.values():
         yield "link states", link_states.draws(changing) if isinstance(changing, LinkStates) else []
@@ -75,6 +79,11 @@ def _navigation(config: DeadReckoning) -> list[str]:
     return [*navigator.draws(config), *instruments.draws(config), *of_fixes]
 
 
+def _clocks(spec: ScenarioSpec) -> Iterator[ClockSection]:
+    agents = [spec.agent, *(overrides.agent for overrides in spec.per_vehicle.values())]
+    yield from (agent.clock for agent in agents if agent is not None and agent.clock is not None)
+
+
 def _of_condition(condition: Condition) -> list[str]:
     return impairment.draws(condition) if condition.seed is None else []  # one of its own: the scenario's is not asked
 
@@ -97,7 +106,7 @@ def _acoustic(scenario: Scenario) -> Iterator[tuple[str, list[str]]]:
     places = [position for (position, _) in scenario.initial]
     ranges = [dist(places[src - 1][:3], places[dst - 1][:3]) for src, dst in scenario.graph.links]
     surely, anywhere = air.draws(channel, ranges), air.draws(channel)
-    yield f"backoff of {channel.mac}", acoustic.draws(channel)
+    yield f"backoff of {channel.mac}", access.draws(channel)
     yield "acoustic fading", fading.draws(channel.shadowing, channel.rician)
     if air.CAPTURE in surely:
         yield f"{PERHAPS}collisions", [air.CAPTURE]

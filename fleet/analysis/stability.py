@@ -26,6 +26,7 @@ import numpy as np
 
 from fleet.analysis.border import MOST_DELAY_S, LinearFleet, Mode, linear_fleet
 from fleet.analysis.linear import NotLinear
+from fleet.analysis.slots import describe_slack
 from fleet.analysis.spectrum import eigenvalues
 from fleet.quantities import vehicle_names
 from fleet.recorder.connectivity import Connectivity
@@ -131,6 +132,7 @@ def report(scenario: Scenario, found: Analysis) -> list[str]:
         talking = describe_turns(network, acoustic, n, scenario.tick_ns)
         lines.append(f"{talking}; what is heard is up to {oldest_s(scenario):.4g} s old without loss")
         lines.append(describe_noise(network, acoustic, scenario.plans))
+        lines += describe_slack(scenario)
     if found.gain_max is not None:
         lines += _limits(scenario, found)
         thumb = "rule of thumb, necessary and not sufficient:"

@@ -162,8 +162,8 @@ class OwnChecks:
         )
 
 
-def reported(scenario: Scenario, i: int) -> tuple[SignalLayout | None, tuple[Signal, ...] | None, bool]:
-    """What agent i and the plant of vehicle i report, and whether the vehicle has to find out where it is.
+def reported(scenario: Scenario, i: int) -> tuple[SignalLayout | None, tuple[Signal, ...] | None, bool, bool]:
+    """What agent i and the plant of vehicle i report, whether its clock is set, and whether it has to navigate.
 
     None: its laws are not known here, because those of a log may not run; it has no plant. A plant that may not run
     reports nothing but its motion.
@@ -173,9 +173,9 @@ def reported(scenario: Scenario, i: int) -> tuple[SignalLayout | None, tuple[Sig
     except PluginError:
         laws = None
     try:
-        return laws, scenario.plant_signals(i), scenario.navigates(i)
+        return laws, scenario.plant_signals(i), i in scenario.clocks, scenario.navigates(i)
     except PluginError:
-        return laws, (), scenario.navigates(i)
+        return laws, (), i in scenario.clocks, scenario.navigates(i)
 
 
 def _ended(what: str) -> list[int]:

@@ -44,6 +44,8 @@ def values_of(group: str, row: VehicleFrame, command: Command | None, error: Err
             return (*row.eta, *row.nu, *row.plant[:ROLL_SIZE])
         case "plant":
             return tuple(row.plant[ROLL_SIZE:])
+        case "clock":
+            return tuple(row.clock)
         case "nav":
             return tuple(row.nav)
         case "belief":

@@ -58,8 +58,8 @@ def signal_columns(declared: tuple[Signal, ...]) -> tuple[MessageField, ...]:
     return tuple(MessageField(s.name, s.unit, s.meaning, 0 if s.width == 1 else s.width) for s in declared)
 
 
-STATE, ROLL, COMMAND, ERROR, BELIEF = map(
-    signal_columns, (signals.STATE, signals.ROLL, signals.COMMAND, signals.ERROR, signals.BELIEF)
+STATE, ROLL, COMMAND, ERROR, CLOCK_ERROR, BELIEF = map(
+    signal_columns, (signals.STATE, signals.ROLL, signals.COMMAND, signals.ERROR, signals.CLOCK, signals.BELIEF)
 )
 FIX = (
     MessageField("source", "", "gps, usbl or lbl", type=STRING),
@@ -91,7 +91,13 @@ PACKET = (
 OURS = {
     f"{PACKAGE}.{name}": columns
     for name, columns in (
-        *(("State", STATE), ("StateWithRoll", STATE + ROLL), ("Command", COMMAND), ("Error", ERROR)),
+        *(
+            ("State", STATE),
+            ("StateWithRoll", STATE + ROLL),
+            ("Command", COMMAND),
+            ("Error", ERROR),
+            ("Clock", CLOCK_ERROR),
+        ),
         *(("Belief", BELIEF), ("Fix", FIX)),
         *(("Fault", FAULT), ("Snapshot", SNAPSHOT), ("Packet", PACKET)),
     )

@@ -343,7 +343,7 @@ class Examination:
                 self._fail(UNASKED, "nothing after the end", _shown(taken[1]))
 
     def _send_nav(self, tick: int) -> None:
-        self._fleet.nav(encode(Nav(LIFE, tick, *self._state, self._roll, self._belief)))
+        self._fleet.nav(encode(Nav(LIFE, tick, *self._state, self._roll, None, self._belief)))
 
     def _send_inbox(self, deliveries: tuple[Delivery, ...] = (), *, more: bool = False) -> None:
         self._fleet.rx(encode(Inbox(LIFE, self._known + self._m, more, deliveries)))

@@ -24,16 +24,22 @@ C; `fleet protocol check --id 3` plays the rest of a run against yours and judge
 
 Every message is a MessagePack array `[kind, field, field, ...]` put on a key below `fleet/<run>/`, with the fields in
 the order of the tables below. `uint` is an unsigned integer, `bool`, `str` (at most 4096 characters) and `bin` (bytes)
-are MessagePack's own, `real[n]` is an array of n IEEE-754 doubles (`*`: any number), finite unless said otherwise; an
-integer is taken where a real is expected. `x[*]` is an array of x, and records are arrays of their fields. Nothing may
-be left out and nothing may follow, but for `roll` and `belief`, the last fields of `nav`: only a vehicle with a plant
-has the one, and only one that navigates by a filter the other (with `roll` zero if it has none). An agent that has no
-use for them passes over them. **A message has at most {MAX_BYTES} bytes**: the transport loses longer
+are MessagePack's own, `real[n]` is an array of n IEEE-754 doubles (`..n`: n at most, `*`: any number), finite unless
+said otherwise; an integer is taken where a real is expected. `x[*]` is an array of x, and records are arrays of their
+fields. Nothing may be left out and nothing may follow, but for the last fields of `nav`, `roll`, `clock_ns` and
+`belief`: only a vehicle with a plant has roll, the clock is there only in a scenario that sets one, and belief only
+where the vehicle navigates by a filter. An agent that has no use for them passes over them. **A message has at most
+{MAX_BYTES} bytes**: the transport loses longer
 ones without a word.
 
 Ticks count control periods Ts from the start of the run; what happens at tick k happens at time t = k Ts. Round ticks
-are those that `round_ticks` divides. Positions are north, east, down (NED) in m, angles in rad (psi from north to
-east, theta positive nose up), velocities u, v, w are along the body's axes (forward, starboard, down) over ground.
+are those that `round_ticks` divides. Where `nav` has a `clock_ns`, the vehicle's own clock shows another time: what an
+agent computes from the time (the reference, ages, the `sent_tick` of its payload) then follows from `clock_ns`, in
+ticks `clock_ns / tick_ns` rounded down, while messages are answered by `tick`. `sent_tick` of a delivery is by the
+clock of its sender, `due_tick` by simulated time.
+
+Positions are north, east, down (NED) in m, angles in rad (psi from north to east, theta positive nose up), velocities
+u, v, w are along the body's axes (forward, starboard, down) over ground.
 With roll zero, the velocity over ground is `(cos psi f - sin psi v, sin psi f + cos psi v, cos theta w - sin theta u)`
 with `f = cos theta u + sin theta w`. With roll phi, v and w in it are `cos phi v - sin phi w` and
 `sin phi v + cos phi w`; without that it is wrong by at most `2 sin(|phi| / 2) sqrt(v^2 + w^2)`.

@@ -207,7 +207,7 @@ class ExactAverage:
             and all(isinstance(each, list) and len(each) == 5 for each in sums)
             and all(
                 type(j) is int
-                and is_count(opened, delivery.sent_tick)
+                and is_count(opened, delivery.sent_tick + self._forget_ticks)  # by either end's clock
                 and isinstance(hears, bool)
                 and is_real(value, _MOST_SUM)
                 and is_real(weight, _MOST_SUM)

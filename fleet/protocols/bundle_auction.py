@@ -138,14 +138,17 @@ class BundleAuction:
         return bool(messages)
 
     def _valid(self, values: Any, delivery: Delivery) -> bool:
-        """Whether a message is about as many places, bids no more than one is worth, and has no news of the future."""
+        """Whether a message is about as many places, bids no more than one is worth, and has no news of the future.
+
+        News is stamped by the clock of whom it is about, which may be ahead by the time after which one is forgotten.
+        """
         count = len(self._places)
         match values:
             case [[*bids], [*winners], [*heard], [*done]] if len(bids) == len(winners) == count:
                 return (
                     all(is_real(bid, 1.0) and bid >= 0.0 for bid in bids)
                     and all(is_count(winner, _LARGEST) for winner in winners)
-                    and all(_is_news(pair, delivery.sent_tick) for pair in heard)
+                    and all(_is_news(pair, delivery.sent_tick + self._silence_ticks) for pair in heard)
                     and [delivery.src, delivery.sent_tick] in heard
                     and all(is_count(j, count - 1) for j in done)
                 )

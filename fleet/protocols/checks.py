@@ -55,8 +55,8 @@ class AtMostOneLeader:
     """No two vehicles lead at the same time.
 
     Who leads is what the agents report. An agent that is suspended reports nothing, and does not know how late it is.
-    In the whole fleet it counts until the `leads_until` of its last report [s], which is compared with the true time,
-    or until it goes on if it has no such signal. It is on no side, so on sides it does not count.
+    In the whole fleet it counts until its clock shows the `leads_until` of its last report [s], or until it goes on if
+    it has no such signal. It is on no side, so on sides it does not count.
     """
 
     def __init__(self, facts: Facts, *, per: Literal["fleet", "side"] = "fleet", grace: str = "0 s") -> None:
@@ -103,7 +103,7 @@ class AtMostOneLeader:
                 until = vehicle["control.leads_until"]
             except LookupError:  # a protocol without leases
                 until = None
-            self._until[vehicle.id] = inf if until is None else until
+            self._until[vehicle.id] = inf if until is None else until - _ahead(vehicle)
             return bool(leads == 1.0)
         return vehicle.id in self._sides.suspended and t < self._until.get(vehicle.id, -inf)
 
@@ -160,6 +160,14 @@ class AgreeAfterHeal:
         if leader:
             return leader in side and tick.vehicles[leader - 1]["control.leads"] == 1.0
         return self._of_fleet and 2 * len(side) <= self._vehicles
+
+
+def _ahead(vehicle: Vehicle) -> float:
+    """By how much the clock of a vehicle is ahead [s]."""
+    try:
+        return vehicle["clock.error"] or 0.0
+    except LookupError:  # no clock is set
+        return 0.0
 
 
 def _shown(vehicles: tuple[int, ...]) -> str:

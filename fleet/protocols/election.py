@@ -13,7 +13,8 @@ which it was made, candidate, tick up to which it grants that candidate a lease]
   with its clock before it acts as the leader.
 
 What this promises, and on which assumptions, is in docs/guide/protocols/election.md. Leases are those of C. Gray and
-D. Cheriton ("Leases", SOSP 1989); the clocks of all vehicles agree.
+D. Cheriton ("Leases", SOSP 1989). Times are those of each vehicle's own clock, and the promises hold as long as the
+clocks agree.
 """
 
 from __future__ import annotations
@@ -142,7 +143,11 @@ class Election:
         return next(end for end in grants if not leads_at(end))  # at the latest with the last grant
 
     def _is_valid(self, values: Any, delivery: Delivery) -> bool:
-        """Whether these are records of vehicles of this fleet, made by now, that grant for a lease at most."""
+        """Whether these are records of vehicles of this fleet, made by now, that grant for a lease at most.
+
+        Who passes a record on, who made it and who is its candidate have clocks of their own: each may be ahead of the
+        one before, but not by more than a lease.
+        """
         return (
             isinstance(values, list)
             and len(values) <= self._vehicles
@@ -150,9 +155,9 @@ class Election:
             and all(
                 is_count(i, self._vehicles)
                 and i != NOBODY
-                and is_count(made, delivery.sent_tick)
+                and is_count(made, delivery.sent_tick + self._lease)  # by a clock that may be ahead
                 and is_count(candidate, self._vehicles)
-                and is_count(until, made + self._lease)
+                and is_count(until, made + 2 * self._lease)  # by the clock of the candidate
                 for i, made, candidate, until in values
             )
         )

@@ -19,7 +19,7 @@ from agents.signals import SignalLayout
 from fleet.checks.belief import SIZE as BELIEF_SIZE
 from fleet.checks.belief import belief_values
 from fleet.logs.batch import HEAD, MESSAGE, STAMP_BYTES, Batch
-from fleet.logs.schemas import BELIEF, COMMAND, ERROR, ROLL, STATE, Doubles, pose_parts, signal_columns
+from fleet.logs.schemas import BELIEF, CLOCK_ERROR, COMMAND, ERROR, ROLL, STATE, Doubles, pose_parts, signal_columns
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.transforms import quaternion
 from fleet.scene.primitives import NED
@@ -29,18 +29,20 @@ from world.signal import Signal, width_of
 # The doubles of one vehicle: the number of each kind's first one. Telemetry comes behind them, since its size is the
 # agent's, then what only a vehicle with a plant has: phi, p, the values of the plant's signals, measured phi, p. Last
 # is the belief of a vehicle that does not know where it is.
-_STATE, _NAV, _COMMAND, _ERROR, _QUATERNION, _TELEMETRY = 0, 10, 20, 26, 34, 38
+_STATE, _NAV, _COMMAND, _ERROR, _QUATERNION, _CLOCK, _TELEMETRY = 0, 10, 20, 26, 34, 38, 39
 _VALUES = Struct(f"<{_TELEMETRY}d").pack_into  # all but telemetry
 _BELIEF = Struct(f"<{BELIEF_SIZE}d").pack_into
 _NO_NAV: tuple[float, ...] = (0.0,) * 10
 _NO_ROLL: tuple[float, ...] = (0.0,) * 2
 _NO_TAU: tuple[float, ...] = (0.0,) * 3
+_RIGHT: tuple[float, ...] = (0.0,)
 _PARTS = {
     "pose": pose_parts(NED, _STATE, _QUATERNION),
     "state": Doubles(STATE, _STATE).parts,
     "nav": Doubles(STATE, _NAV).parts,
     "command": Doubles(COMMAND, _COMMAND).parts,
     "error": Doubles(ERROR, _ERROR).parts,
+    "clock": Doubles(CLOCK_ERROR, _CLOCK).parts,
 }
 
 # Where the pool has what is common to a tick's messages.
@@ -165,7 +167,7 @@ class TickMessages:
                 nav = nav[: len(STATE)]
             _VALUES(
                 pool, place, *eta, *row.nu, *(nav or _NO_NAV), *tau, *applied, *e, e_norm, *formation, formation_norm,
-                *quaternion(eta[3], eta[4], phi),
+                *quaternion(eta[3], eta[4], phi), *(row.clock or _RIGHT),
             )  # fmt: skip
             telemetry = reported and command is not None and command.telemetry
             if telemetry:

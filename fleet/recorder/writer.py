@@ -24,6 +24,7 @@ from fleet.logs.schemas import (
     ANEW,
     BELIEF,
     CLOCK,
+    CLOCK_ERROR,
     COMMAND,
     ERROR,
     FAULT,
@@ -50,7 +51,7 @@ from fleet.recorder.snapshot import TOPIC, Snapshot, Start
 from fleet.recorder.tick_messages import TickMessages, VehicleTopic
 from fleet.recorder.transforms import TRANSFORMS_UNITS, Transforms
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.log_rates import without_snapshots
+from fleet.scenario.sections.log_rates import CLOCK_GROUP, without_snapshots
 from fleet.scenario.sections.timeline import Event
 from netem.clock import Clock
 from netem.wire.messages import Command, Fate, Frame
@@ -172,6 +173,8 @@ class LogWriter:
                 if (name, signals) not in made:
                     made[name, signals] = flat_schema(name, signal_columns(signals))
                 found[group][i] = made[name, signals]
+        if self._scenario.clocks:
+            found[CLOCK_GROUP] = dict.fromkeys(self._scenario.clocks, flat_schema("Clock", CLOCK_ERROR))
         if plants:
             found["plant"] = {}
         for i, signals in plants.items():

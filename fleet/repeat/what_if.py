@@ -34,6 +34,8 @@ from fleet.repeat.resume import start_of
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import A_LOG, Policy
 from netem.lives import Lives
+from netem.transit import stamped
+from netem.vehicle_clock import Clocks
 from netem.wire.messages import Delivery, Nav
 from world.errors import PluginError
 from world.plugins.loading import admit
@@ -140,6 +142,9 @@ class _OtherAgent:
         self._agent, self._scenario = agent, scenario
         self._beliefs, self._commands = given.beliefs, given.commands
         self._lives = Lives(recorded.faults.absences)
+        self._senders, self._own = (
+            Clocks.that_differ(s.clocks, s.faults.world, s.tick_ns) for s in (recorded, scenario)
+        )
         self._begins = [0, *(end for _, end in self._lives.gaps(agent) if end is not None)]  # of its lives
         self._core: Agent | PluggedAgent | None = None
         self._life = -1
@@ -154,8 +159,9 @@ class _OtherAgent:
         if start is not None and memory is not None:
             # It waits for what was on the way, which is in the log, too, beside what it had heard.
             heard = [delivery for delivery in deliveries if delivery.due_tick >= first]
-            due_later = {astuple(delivery): delivery for delivery in [*restore(None, memory), *heard]}
-            deliveries = [due_later[key] for key in sorted(due_later)]
+            # What it has is stamped by the senders' clocks, what is in the log by simulated time.
+            due_later = {(d.due_tick, d.src, d.seq, d.copy): d for d in [*restore(None, memory), *heard]}
+            deliveries = sorted(due_later.values(), key=astuple)
             if _law(scenario, agent) != _law(recorded, agent):
                 at = f"t = {first * scenario.tick_ns / 1e9:g} s"
                 self._notes.append(f"the log begins at {at}; the other agent has no memory then")
@@ -174,7 +180,11 @@ class _OtherAgent:
             if self._core is None or life != self._life:
                 self._core = self._begin(life)
             due = self._due(tick)
-            step = self._core.step(_nav(life, tick, measured, self._beliefs.get(tick, ())), due)
+            shown_ns = None if self._own is None else self._own.reading_ns(self._agent, tick)
+            belief = self._beliefs.get(tick, ())
+            known = () if belief and isnan(belief[0]) else belief
+            nav = Nav(life, tick, measured[:5], measured[5:10], measured[10:], shown_ns, known)
+            step = self._core.step(nav, due)
         except (AgentError, PluginError) as error:
             raise FleetError(str(error), status=3) from None
         tick_s = self._scenario.tick_ns / 1e9
@@ -198,7 +208,8 @@ class _OtherAgent:
         """What is due up to a tick; it is handed out once."""
         due = []
         while self._waiting and self._waiting[0].due_tick <= tick:
-            due.append(self._waiting.popleft())
+            delivery = self._waiting.popleft()
+            due.append(delivery if self._senders is None else stamped(delivery, self._senders))
         return due
 
     def found(self) -> WhatIf:
@@ -213,13 +224,6 @@ class _OtherAgent:
             self._life + 1,
             self._notes,
         )
-
-
-def _nav(life: int, tick: int, measured: tuple[float, ...], belief: tuple[float, ...]) -> Nav:
-    """What the agent got: eta, nu and roll, and how sure it was."""
-    if not belief or isnan(belief[0]):
-        return Nav(life, tick, measured[:5], measured[5:10], measured[10:])
-    return Nav(life, tick, measured[:5], measured[5:10], measured[10:] or (0.0, 0.0), belief)
 
 
 def _law(scenario: Scenario, agent: int) -> object:

@@ -20,6 +20,7 @@ from fleet.scenario.schema.shapes import REFERENCE
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections import formation, graph, link_conditions, nemesis, per_vehicle, reference, timeline
 from fleet.scenario.sections.acoustic import compile_acoustic, modem_values
+from fleet.scenario.sections.clocks import vehicle_clock
 from fleet.scenario.sections.graph import Graph
 from fleet.scenario.sections.keep_apart import keep_apart_params
 from fleet.scenario.sections.modem_files import Values, modem_of
@@ -31,6 +32,7 @@ from netem.link_states import LinkStates
 from netem.link_trace import LinkTrace
 from netem.modem import AcousticConfig, Modem
 from netem.selectors import parse_selector, select
+from netem.vehicle_clock import VehicleClock
 from world.vectors import Vec3, Vec5
 from world.vehicle import VehicleParams
 
@@ -180,7 +182,7 @@ class Parts:
         """(entries, law, section, profile) of the choices with which a guidance law is sure to run."""
         for entries, choice in self.choices():
             names = per_vehicle.law_names(choice)
-            if names is not None and choice.agent is None:
+            if names is not None and choice.whole_agent is None:
                 assert choice.guidance is not None and choice.profile is not None
                 yield entries, names[0], choice.guidance, choice.profile
 
@@ -205,6 +207,12 @@ class Parts:
             for e, choice in self.choices()
         }
         return tuple(made[self.entries(i)] for i in range(1, self.spec.vehicles + 1))
+
+    @cached_property
+    def clocks(self) -> dict[int, VehicleClock]:
+        """The clocks of the vehicles for which one is set."""
+        given = ((i, self.choice(self.entries(i)).clock) for i in range(1, self.spec.vehicles + 1))
+        return {i: vehicle_clock(clock, self.spec.seed, i) for i, clock in given if clock is not None}
 
     def sections(self, key: str) -> Iterator[tuple[tuple[str, ...], Any]]:
         """(path of its parent, section) of a section wherever it is written: for all vehicles, and for some."""

@@ -36,6 +36,7 @@ from netem.config import NetemConfig
 from netem.link_states import LinkStates
 from netem.link_trace import LinkTrace
 from netem.modem import AcousticConfig
+from netem.vehicle_clock import VehicleClock
 from world import disturbance
 from world.config import Harmonic, NavNoise, PlantSetup, VehicleSetup, WorldConfig
 from world.plants.classes import file_of
@@ -71,6 +72,7 @@ class Scenario:
     faults: FaultPlan
     other_laws: tuple[tuple[str, Law], ...]  # kind and law of those that are not built in, each name once
     acoustic: AcousticConfig | None  # None: the network is not acoustic
+    clocks: dict[int, VehicleClock]  # of the vehicles for which one is set
     undrawn: ScenarioSpec = field(compare=False, repr=False)  # with the nemesis in place of the faults that it drew
     reading: Reading = field(compare=False, repr=False)
     source: str = field(default="", compare=False)  # the shipped name or the path it was loaded from
@@ -91,6 +93,7 @@ class Scenario:
             controls=parts.controls,
             faults=parts.faults,
             acoustic=parts.acoustic,
+            clocks=parts.clocks,
             other_laws=_others(parts.controls),
             undrawn=_without_files(parts.spec, parts),
             reading=reading,
@@ -198,6 +201,7 @@ class Scenario:
             memory_ticks=self.memory_ticks,
             keep_going=spec.on_death != "abort" and not self.ideal,
             noise=self.noise,
+            clocks=dict(self.clocks),
         )
 
     @property
@@ -301,6 +305,7 @@ class Scenario:
             memory_ticks=self.memory_ticks,
             ideal=self.ideal,
             acoustic=self.acoustic,
+            clocks=dict(self.clocks),
         )
 
     def to_yaml(self) -> str:

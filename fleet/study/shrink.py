@@ -34,7 +34,7 @@ MOST_ROUNDS = 5  # over everything, and over each number
 _SHARES = (Fraction(1, 4), Fraction(1, 2), Fraction(3, 4), Fraction(9, 10))  # of a number that is made less
 _TIMES = frozenset({"at", "for", "id"})
 # Kinds whose every number makes them stronger. (A smaller efficiency or saturation is stronger; others have none.)
-_MILDER = ("link", "noise", "bias", "dropout", "slow", "gust", "current", "wrench")
+_MILDER = ("link", "noise", "bias", "dropout", "slow", "clock", "gust", "current", "wrench")
 _MORE_IS_WORSE = ("delay", "loss", "duplicate", "corrupt", "reorder")  # words of a link's condition
 _NUMBER = re.compile(rf"(?<![\w.])({NUMBER.pattern})(?=\s*[^\W\d_]|\s*%|\s+[-+.\d]|\s*$)", re.ASCII)
 

@@ -14,8 +14,8 @@ LONGEST_REASON = 150  # characters, so that a sender cannot fill the logs
 _CLASSES: dict[str, type[msgspec.Struct]] = {cls.__struct_config__.tag: cls for cls in get_args(Message)}
 _NOT_FINITE = re.compile(r"Expected `float` [<>]= -?1\.79\S+(?= - at `\$(.*)`)")  # every field has a place
 _ENCODER = msgspec.msgpack.Encoder()
-# The heads of a nav without belief, and without roll too: an array of six, of five.
-_NAV_WITHOUT_BELIEF, _NAV_WITHOUT_ROLL = b"\x96", b"\x95"
+# The heads of arrays of five, six and seven: a nav without roll, clock and belief, and so on.
+_NAV, _NAV_WITH_ROLL, _NAV_WITH_CLOCK = b"\x95", b"\x96", b"\x97"
 _DECODER: msgspec.msgpack.Decoder[Message] = msgspec.msgpack.Decoder(Message)
 
 
@@ -23,8 +23,10 @@ def encode(message: Message) -> bytes:
     """MessagePack array `[kind, field, ...]` of a declared message."""
     data = _ENCODER.encode(message)
     if type(message) is Nav and not message.belief:
-        # Agents that were written before there was roll, or belief, know it like this.
-        return _NAV_WITHOUT_BELIEF + data[1:-1] if message.roll else _NAV_WITHOUT_ROLL + data[1:-2]
+        # Agents that were written before there was roll, a clock, or belief know it without.
+        if message.clock_ns is not None:
+            return _NAV_WITH_CLOCK + data[1:-1]
+        return _NAV_WITH_ROLL + data[1:-2] if message.roll else _NAV + data[1:-3]
     return data
 
 

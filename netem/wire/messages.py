@@ -26,6 +26,7 @@ Text = Annotated[str, Meta(max_length=4096)]
 Real = Annotated[float, Meta(ge=-_GREATEST, le=_GREATEST)]  # the bounds refuse NaN and infinity
 Reals = tuple[Real, ...]
 Reals2 = Annotated[Reals, Meta(min_length=2, max_length=2)]
+RealsTo2 = Annotated[Reals, Meta(max_length=2)]
 Reals3 = Annotated[Reals, Meta(min_length=3, max_length=3)]
 Reals5 = Annotated[Reals, Meta(min_length=5, max_length=5)]
 Reals10 = Annotated[Reals, Meta(min_length=10, max_length=10)]
@@ -56,7 +57,7 @@ class Delivery(WireRecord, frozen=True):
     """One payload that reaches an agent."""
 
     due_tick: Annotated[Uint, about("first tick at which the receiver may use it", "tick")]
-    sent_tick: Annotated[Uint, about("round tick at which it was sent", "tick")]
+    sent_tick: Annotated[Uint, about("round tick at which it was sent, by the clock of its sender", "tick")]
     src: Annotated[Uint, about("sending vehicle")]
     seq: Annotated[Uint, about("number of the payload on its directed link, from 0")]
     copy: Annotated[Uint, about("0 for the original, 1.. for duplicates made by the network")]
@@ -101,6 +102,7 @@ class VehicleFrame(WireRecord, frozen=True):
     tau: Annotated[Reals, about("applied thrust and moments after limits; empty at the end", "N, N m")]
     command: Annotated[bytes, about("the agent's Command message; empty when none")]
     plant: Annotated[Reals, about("true phi, p and what its plant reports, in that order; empty without a plant")]
+    clock: Annotated[Reals, about("by how much its clock is ahead; empty while all clocks are right", "s")]
     belief: Annotated[Reals, about("covariance of what it reported, as in nav; empty where nav has none")]
     fixes: Annotated[tuple[Fix, ...], about("those that its navigation got since the frame before")]
 
@@ -193,10 +195,11 @@ class Nav(WireRecord, frozen=True, tag="nav"):
     tick: Annotated[Uint, about("control tick; consecutive on this key", "tick")]
     eta: Annotated[Reals5, about("x, y, z (NED), theta, psi (unwrapped)", "m, rad")]
     nu: Annotated[Reals5, about("u, v, w (body, over ground), q, r", "m/s, rad/s")]
-    roll: Annotated[
-        Reals2,
-        about("phi, p; **left out** where the vehicle has no roll, and 0, 0 there if belief follows", "rad, rad/s"),
-    ] = ()
+    roll: Annotated[RealsTo2, about("phi, p; **left out** without roll, or empty before `clock_ns`", "rad, rad/s")] = ()
+    clock_ns: Annotated[
+        Uint | None,
+        about("what the vehicle's clock shows; **left out** while all clocks are right, or nil before `belief`", "ns"),
+    ] = None
     belief: Annotated[
         Reals10,
         about(

@@ -1,7 +1,7 @@
 """The declared messages and records as rows of a table: field, wire type, unit, meaning.
 
 A wire type is uint, bool, str, bin, the name of a record or of an enumeration of texts, or an array of one of these or
-of reals: `real[3]` of a declared length, `[*]` of any. What may be left open is `or nil`.
+of reals: `real[3]` of a declared length, `real[..2]` of at most one, `[*]` of any. What may be left open is `or nil`.
 """
 
 from __future__ import annotations
@@ -71,6 +71,8 @@ def _wire_type(declared: inspect.Type) -> str:
             return cls.__name__
         case inspect.UnionType(types=types):
             return " or ".join(map(_wire_type, types))
+        case inspect.VarTupleType(item_type=item, min_length=None, max_length=int(most)):
+            return f"{_wire_type(item)}[..{most}]"
         case inspect.VarTupleType(item_type=item, min_length=size):
             return f"{_wire_type(item)}[{'*' if size is None else size}]"
     return _SCALARS[type(declared)]

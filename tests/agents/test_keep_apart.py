@@ -179,11 +179,12 @@ def test_the_table_gives_states_as_they_were_sampled_and_leaves_out_whom_it_drop
     table = NeighbourTable(neighbours, "neighbour", None, Offset(ZERO), 0.01, drop_after_s=1.0)
     state = StateMessage(3, 5, (1.0, 2.0, 3.0), (0.5, 0.0, 0.0))
     table.absorb([Delivery(30, 5, 3, 0, 0, encode(state))], 30)
-    assert table.seen(30) == [Seen(3, (1.0, 2.0, 3.0), (0.5, 0.0, 0.0), 0.25)]
+    table.heard(30)
+    assert table.seen() == [Seen(3, (1.0, 2.0, 3.0), (0.5, 0.0, 0.0), 0.25)]
     last = 5 + 100  # one second later
-    assert [seen.id for seen in table.seen(last)] == [heard.id for heard in table.heard(last)] == [3]
-    assert table.seen(last + 1) == []
+    assert [heard.id for heard in table.heard(last)] == [seen.id for seen in table.seen()] == [3]
     assert table.heard(last + 1) == ()
+    assert table.seen() == []
 
 
 def test_warnings_tell_what_cannot_be_kept_apart() -> None:

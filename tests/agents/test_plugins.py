@@ -106,7 +106,7 @@ def metadata_of(result: Result) -> dict[str, str]:
 
 
 def nav(tick: int) -> Any:
-    return SimpleNamespace(tick=tick, eta=(0.0,) * 5, nu=(0.1, 0.0, 0.0, 0.0, 0.0), roll=(), belief=())
+    return SimpleNamespace(tick=tick, eta=(0.0,) * 5, nu=(0.1, 0.0, 0.0, 0.0, 0.0), roll=(), clock_ns=None, belief=())
 
 
 # --- found -----------------------------------------------------------------

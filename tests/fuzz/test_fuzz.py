@@ -396,7 +396,7 @@ def test_faults_that_are_meant_are_taken(text: str) -> None:
 
 FAULTS = ["link", "down", "up", "partition", "kill", "mute", "deaf", "slow", "pause", "noise", "bias", "freeze",
           "dropout", "dvl", "compass", "fix", "efficiency", "saturate", "off", "stuck", "current", "gust",
-          "wrench"]  # fmt: skip
+          "wrench", "clock"]  # fmt: skip
 PLAUSIBLE = st.one_of(
     ANYTHING,
     st.sampled_from(
@@ -405,6 +405,7 @@ PLAUSIBLE = st.one_of(
             {"1->2": "loss 20%"}, {"*->*": "delay 1e9s"}, {"1<->2": "loss 5%"}, {"9->9": "down"}, "1->2", ["1->2"],
             {"vehicles": 2, "by": "5 ticks"}, {"vehicles": 1, "position_noise": "10 cm"}, {"probability": "30 %"},
             {"velocity": "0 0.5 0 m/s", "over": "10s"}, {"velocity": "1e308 0 0 m/s", "over": "0 s"},
+            {"vehicles": 2, "step": "-1 s", "drift": "1e5 ppm"}, {"step": "25 h"}, {"drift": "-2 ppb"},
             {"mean": "0.2 0 0 m/s", "sigma": "5 5 0 cm/s", "time_constant": "20s"}, {"vehicles": [0]},
             {"lost": "30 %", "jump": "1 m", "chance": "20 %"}, {"bias": "1e308 0 0 m/s"}, {"bias": "1e308 deg"},
         ]

@@ -412,10 +412,10 @@ conditions = st.dictionaries(
 
 
 @st.composite
-def faults(draw: st.DrawFn) -> tuple[NetFault, ...]:
+def faults(draw: st.DrawFn, more: tuple[str, ...] = ()) -> tuple[NetFault, ...]:
     found = []
     for number in range(draw(st.integers(0, 3))):
-        kind: Any = draw(st.sampled_from(["link", "down", "up", "partition", "mute", "deaf", "slow"]))
+        kind: Any = draw(st.sampled_from(["link", "down", "up", "partition", "mute", "deaf", "slow", *more]))
         begin = draw(fault_times)
         found.append(
             NetFault(
@@ -427,6 +427,7 @@ def faults(draw: st.DrawFn) -> tuple[NetFault, ...]:
                 draw(vehicles_of_a_fault),
                 Condition(loss=0.5) if kind == "link" else None,
                 draw(st.integers(1, 250)),
+                (draw(st.floats(-2.0, 2.0)), draw(st.floats(-0.1, 0.1))) if kind == "clock" else (),
             )
         )
     return tuple(sorted(found, key=lambda f: f.begin))
@@ -491,7 +492,7 @@ def test_ledger_balances_and_every_fate_is_told_once_in_its_round(
     assert reached == sorted(d for d in told if d[4] < end)
 
 
-@given(channels, conditions, faults(), traffic, places, st.integers(0, 8))
+@given(channels, conditions, faults(("clock",)), traffic, places, st.integers(0, 8))
 @settings(max_examples=150, deadline=None)
 def test_state_and_restore_continue_as_if_uninterrupted(
     acoustic: AcousticConfig,

@@ -16,7 +16,7 @@ KINDS = sorted(declared())
 UINTS = st.one_of(st.integers(0, 300), st.integers(0, 2**64 - 1))
 REALS = st.floats(allow_nan=False, allow_infinity=False)
 OR_NIL = " or nil"
-ARRAY = re.compile(r"(.*)\[(\*|\d+)\]")
+ARRAY = re.compile(r"(.*)\[(\*|(?:\.\.)?\d+)\]")
 
 
 def values(wire: str) -> SearchStrategy[Any]:
@@ -29,7 +29,8 @@ def values(wire: str) -> SearchStrategy[Any]:
         return st.none() | values(wire.removesuffix(OR_NIL))
     if match := ARRAY.fullmatch(wire):
         item, size = match.groups()
-        least, most = (0, 4) if size == "*" else (int(size), int(size))
+        most = 4 if size == "*" else int(size.removeprefix(".."))
+        least = most if size.isdigit() else 0
         return st.lists(values(item), min_size=least, max_size=most).map(tuple)
     return {
         "uint": UINTS,

@@ -47,5 +47,6 @@ EVERYTHING = (
     "faults=[{at: 310 ms, for: 200 ms, kill: 3}, {at: 600 ms, for: 250 ms, pause: '1, 4'}, {at: 900 ms, kill: '2-3', "
     "for: 400 ms}, {at: 1 s, for: 300 ms, kill: 3}, {at: 1.2 s, for: 400 ms, slow: {vehicles: 1, by: 7 ticks}}, "
     "{at: 1.3 s, gust: {velocity: 0.3 0 0 m/s, over: 500 ms}}, {at: 1.5 s, pause: 2}, {at: 1.6 s, up: '*'}, "
+    "{at: 1.4 s, for: 400 ms, clock: {vehicles: 2, step: 30 ms, drift: -900 ppm}}, "
     "{at: 1 s, current: {sigma: 5 5 0 cm/s, time_constant: 2 s}}, {at: 0 s, dropout: {probability: 30 %}}]"
 )

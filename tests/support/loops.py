@@ -46,6 +46,7 @@ class Nav(NamedTuple):
     eta: Vec5
     nu: Vec5
     roll: tuple[float, ...] = ()
+    clock_ns: int | None = None
     belief: tuple[float, ...] = ()
 
 

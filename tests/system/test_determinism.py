@@ -45,10 +45,16 @@ CHANGING = (
     "loop: true, offset: random}}"
 )
 
+CLOCKS = "agent.clock={drift: {sigma: 2000 ppm}, offset: {mean: 5 ms, sigma: 30 ms}}"
+CLOCK_FAULTS = (
+    "faults=[{at: 1 s, for: 1 s, clock: {vehicles: 2, step: -200 ms, drift: 1e4 ppm}}, {at: 1.5 s, clock: {step: 1 s}}]"
+)
+SLOTS = "network.acoustic={modem: s2c, mac: tdma, slot: 1.4 s, guard: 1.05 s}"
+
 # What each adds: nothing; loss, jitter and the disturbance; draws in the world process; frames that are not sent
-# every tick, and an end tick between two of them; a last round that is cut; the tightest coupling there is; links that
-# change by themselves; estimates in place of the truth; a graph in which vehicles hear more than one other, and numbers
-# of two digits; a QP at every tick.
+# every tick, and an end tick between two of them; a last round that is cut; the tightest coupling there is; estimates
+# in place of the truth; a graph in which vehicles hear more than one other, and numbers of two digits; links that
+# change by themselves; a QP at every tick; clocks that are drawn, drift, and are set, of agents, modems and protocols.
 CASES: dict[str, tuple[str, list[str]]] = {
     "paper": ("paper", ["duration=4 s"]),
     "rough-sea": ("rough-sea", ["duration=6 s"]),
@@ -59,6 +65,9 @@ CASES: dict[str, tuple[str, list[str]]] = {
     "states and a trace": ("paper", ["duration=3 s", CHANGING]),
     "kept apart": ("crossing", ["duration=3 s", "keep_apart.distance=25 m", "checks={tumbled: waived}"]),
     "dead reckoning": ("dead-reckoning", ["duration=3 s", INSTRUMENTS, "log.every=3 ticks"]),
+    "clocks": ("rough-sea", ["duration=3 s", CLOCKS, CLOCK_FAULTS]),
+    "clocks and slots": ("acoustic-s2c", ["duration=6 s", SLOTS, CLOCKS, CLOCK_FAULTS, "checks={tumbled: waived}"]),
+    "clocks of a protocol": ("election", ["duration=3 s", CLOCKS, CLOCK_FAULTS]),
     "twelve in a ring": ("paper", ["vehicles=12", "graph.shape=ring", "duration=2 s", *NOISE, ROUGH]),
 }
 

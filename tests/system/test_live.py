@@ -79,6 +79,7 @@ def test_every_live_action_is_a_script_line(tmp_path: Path) -> None:
             ["kill", "4", "--id", "crash"],
             ["pause", "2", "--for", "200ms"],
             ["slow", "vehicles=1", "by=3 ticks", "--for", "500ms"],
+            ["clock", "vehicles=3", "step=-30ms", "drift=500 ppm", "--for", "700ms", "--id", "watch"],
         ):
             hand.until(hand.now() + rng.random() * 0.4)
             answers.append(tool(out, "inject", *arguments))
@@ -93,11 +94,11 @@ def test_every_live_action_is_a_script_line(tmp_path: Path) -> None:
         assert tool(out, "clock", "speed", "max").returncode == 0
         assert live.status(60.0) == 0, live.said
         log = live.log
-    assert [a.returncode for a in answers] == [0] * 9, [a.stderr for a in answers]
+    assert [a.returncode for a in answers] == [0] * 10, [a.stderr for a in answers]
     name = log.parent.name
     assert answers[0].stdout.startswith(f"{name}: live-1: link 1<->2: delay 60ms 20ms loss gemodel 10% 40%")
     assert healed.stdout.startswith(f"{name}: healed split at t = ")
-    names = {"live-1", "split", "live-2", "live-3", "fog", "live-4", "crash", "live-5", "live-6"}
+    names = {"live-1", "split", "live-2", "live-3", "fog", "live-4", "crash", "live-5", "live-6", "watch"}
     assert set(re.findall(r"^fault ([\w-]+): ", listed.stdout, re.MULTILINE)) == names
     assert re.search(r"^4 +no agent ", said.stdout, re.MULTILINE)
     assert reborn.stdout.startswith(f"{name}: healed crash at t = ")

@@ -338,11 +338,18 @@ static bool take_hello(struct agent *agent, struct reader *from) {
     return true;
 }
 
-/* A sixth field is the roll of a vehicle that has one, a seventh how sure it is; the law here needs neither. */
+/* After five fields come roll, what its clock shows, and how sure the vehicle is: the law here needs none of them. */
 static bool take_nav(struct agent *agent, struct reader *from, uint32_t fields, uint64_t tick) {
     double eta[5], nu[5];
-    if (!read_reals(from, eta, 5) || !read_reals(from, nu, 5) || (fields > 5 && !skip(from)) ||
-        (fields > 6 && !skip(from)) || from->left) {
+    if (!read_reals(from, eta, 5) || !read_reals(from, nu, 5)) {
+        return false;
+    }
+    while (fields-- > 5) {
+        if (!skip(from)) {
+            return false;
+        }
+    }
+    if (from->left) {
         return false;
     }
     memcpy(agent->eta, eta, sizeof eta);
@@ -411,7 +418,7 @@ static bool take(struct agent *agent, struct reader *from) {
     if (life != agent->life) {
         return true; /* for a life that is over */
     }
-    if (is(kind, length, "nav") && fields >= 5 && fields <= 7) {
+    if (is(kind, length, "nav") && fields >= 5 && fields <= 8) {
         return take_nav(agent, from, fields, tick);
     }
     if (is(kind, length, "rx") && fields == 5) {

@@ -10,6 +10,7 @@ from msgspec import Meta, Struct
 from fleet.analysis.border import LinearFleet
 from fleet.analysis.link_shares import effective_loss, written
 from fleet.analysis.seed import seeded
+from fleet.analysis.slots import slack
 from fleet.analysis.stability import Analysis, oldest_s
 from fleet.cli.documents.failure import ProblemRow, problem_rows
 from fleet.cli.documents.listing import Duration, Expect, Name, Title, Vehicles
@@ -49,6 +50,13 @@ class ExpectedByTheory(Struct):
     ]
     settled_delay_limit_s: Annotated[
         float | None, Meta(description="The same at the gain at which K settles [s]; null: as above.")
+    ]
+    clock_difference_s: Annotated[
+        float | None, Meta(description="By how much clocks may differ until time slots overlap [s]; null: no slots.")
+    ]
+    clock_drift: Annotated[
+        float | None,
+        Meta(description="Drift of each clock, right at the start, that slots bear for the run [s/s]; null: no slots."),
     ]
     not_computed: Annotated[str, Meta(description="Why there are no limits of the linear loop; empty: there are.")]
 
@@ -141,7 +149,7 @@ def _changing(its: LinkStates | LinkTrace, links: Sequence[Link]) -> ChangingLin
 
 
 def _theory(scenario: Scenario, found: Analysis) -> ExpectedByTheory:
-    most, settled = found.gain_max, found.settled
+    most, settled, left = found.gain_max, found.settled, slack(scenario)
     gain_limit: float | None = None
     delay_limits: tuple[float | None, float | None] = None, None
     if found.at_most is not None and found.at_settled is not None and most is not None and settled is not None:
@@ -162,6 +170,8 @@ def _theory(scenario: Scenario, found: Analysis) -> ExpectedByTheory:
         gain_limit_per_s=gain_limit,
         delay_limit_s=delay_limits[0],
         settled_delay_limit_s=delay_limits[1],
+        clock_difference_s=None if left is None else left.difference_s,
+        clock_drift=None if left is None else left.drift,
         not_computed=found.not_linear,
     )
 

@@ -103,7 +103,8 @@ def signal(parts: Parts, report: Report) -> None:
         path: Path = ("checks", "signal", *(() if one else (index,)))
         if vehicles is not None or not of_a_plugin(check.topic):
             try:
-                ask(check, vehicles or dict.fromkeys(range(1, spec.vehicles + 1), places(None, None)))
+                everyone = range(1, spec.vehicles + 1)
+                ask(check, vehicles or {i: places(None, None, i in parts.clocks) for i in everyone})
             except SignalCheckError as error:
                 report.add((*path, error.key), error.problem, error.hint)
         if check.fault is not None and not report.mistaken("faults", "nemesis"):
@@ -119,7 +120,7 @@ def _signals(parts: Parts, report: Report) -> dict[int, Mapping[str, SignalPlace
         if others and (not report.policy.imports or report.mistaken("agent", "controller", "guidance", "tracking")):
             return None
         return {
-            i: places(layout(control), control.plant_signals(), control.navigation is not None)
+            i: places(layout(control), control.plant_signals(), i in parts.clocks, control.navigation is not None)
             for i, control in enumerate(controls, start=1)
         }
     except (FleetError, PluginError):  # reported where it is about

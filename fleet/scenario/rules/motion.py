@@ -174,7 +174,7 @@ def knowledge(parts: Parts, report: Report) -> None:
         choice = parts.choice(parts.entries(i))
         assert choice.neighbours is not None
         knows = choice.knows_reference is not False
-        if not knows and choice.neighbours.extrapolate == "reference" and choice.agent is None:
+        if not knows and choice.neighbours.extrapolate == "reference" and choice.whole_agent is None:
             entries = tuple(n for n in spec.per_vehicle if i in vehicle_numbers(n))
             at = report.origin(entries, "neighbours", "extrapolate") or ("knows_reference",)
             text = f"vehicle {i} does not know the reference (knows_reference: false), so it cannot extrapolate by it"

@@ -134,7 +134,7 @@ def talking(parts: Parts, report: Report) -> None:
     except DataFileError:
         return  # reported already
     codec, size = spec.network.payload, SIZES[spec.network.payload]
-    built_in = any(choice.agent is None for _, choice in parts.choices())
+    built_in = any(choice.whole_agent is None for _, choice in parts.choices())
     if built_in and size > modem.mtu:
         compact = SIZES["compact"]
         hint = f"network.payload: compact has {compact} bytes" if codec == "full" and compact <= modem.mtu else ""

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, PlainSerializer
 
 from agents.config import Angles, Cost, Extrapolation
+from fleet.scenario.schema.clock import ClockSection
 from fleet.scenario.schema.navigation import NavigationChoice
 from fleet.scenario.schema.section import Section, named
 from fleet.scenario.schema.value_types import (
@@ -83,6 +84,22 @@ class TrackingSection(Section):
     u_eps: PositiveSpeed | None = None
 
 
+class AgentSection(Section):
+    """A whole agent in place of the laws, and the clock of the vehicle's agent, whichever it is."""
+
+    law: str | None = None
+    parameters: dict[str, Any] | None = None
+    clock: ClockSection | None = None
+
+
+def _show_agent(section: AgentSection | None) -> Any:
+    if section is None:
+        return None
+    values = section.model_dump(exclude_none=True)
+    return values["law"] if list(values) == ["law"] else values
+
+
+AgentChoice = Annotated[AgentSection, BeforeValidator(named), PlainSerializer(_show_agent)]
 Profile = Literal["paper", "consistent", "hardened", "remus100"]
 GuidanceChoice = Annotated[GuidanceSection, BeforeValidator(named)]
 TrackingChoice = Annotated[TrackingSection, BeforeValidator(named)]
@@ -99,7 +116,7 @@ class NeighboursSection(Section):
 class VehicleOverrides(Section):
     """The sections that may differ for some vehicles."""
 
-    agent: LawChoice | None = None
+    agent: AgentChoice | None = None
     controller: LawChoice | None = None
     profile: Profile | None = None
     guidance: GuidanceChoice | None = None
@@ -110,3 +127,13 @@ class VehicleOverrides(Section):
     navigation: NavigationChoice | None = None
     external: bool | None = None  # the run does not start its agent
     knows_reference: bool | None = None
+
+    @property
+    def whole_agent(self) -> AgentSection | None:
+        """The agent that is in place of the laws; None: there is none."""
+        return None if self.agent is None or self.agent.law is None else self.agent
+
+    @property
+    def clock(self) -> ClockSection | None:
+        """The clock that is set; None: it is right."""
+        return None if self.agent is None else self.agent.clock

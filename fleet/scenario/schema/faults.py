@@ -12,6 +12,8 @@ from fleet.scenario.schema.section import Section
 from fleet.scenario.schema.value_types import (
     Angle,
     AnyMoment,
+    ClockDrift,
+    ClockTime,
     Force,
     ForceVector,
     Length,
@@ -124,6 +126,14 @@ class Slow(Section):
     by: Ticks
 
 
+class ClockFault(Section):
+    """A clock is set to another time, and goes faster or slower. At the end the step is undone."""
+
+    vehicles: VehicleNumbers | None = None
+    step: ClockTime = 0
+    drift: ClockDrift = 0.0
+
+
 class Gust(Section):
     """A current that rises to a velocity and falls again, for all vehicles."""
 
@@ -157,6 +167,7 @@ class FaultAction(Section):
     mute: VehicleNumbers | None = None  # sends nothing
     deaf: VehicleNumbers | None = None  # receives nothing
     slow: Slow | None = None
+    clock: ClockFault | None = None  # of the agent and its modem
     kill: VehicleNumbers | None = None  # the agent ends; the vehicle drifts until it is restarted
     pause: VehicleNumbers | None = None  # the agent is suspended; the vehicle holds its last command
     noise: SensorNoise | None = None

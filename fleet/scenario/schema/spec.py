@@ -14,6 +14,7 @@ from agents.config import OnError
 from fleet.quantities import describe_value
 from fleet.scenario.schema.checks import ChecksSection
 from fleet.scenario.schema.control import (
+    AgentChoice,
     GuidanceChoice,
     GuidanceSection,
     LawChoice,
@@ -58,6 +59,7 @@ class LogSection(Section):
     control: Ticks | None = None
     error: Ticks | None = None
     plant: Ticks | None = None  # what plants report
+    clock: Ticks | None = None  # errors of clocks
     belief: Ticks | None = None  # of vehicles that do not know where they are
     transforms: TicksOrNever | None = None  # of all vehicles, about 10 Hz; 0 ticks: never
     scene: TicksOrNever | None = None  # hulls, links, places for 3D viewers, about 2 Hz; 0 ticks: never
@@ -118,7 +120,7 @@ class ScenarioSpec(Section):
     model_error: ModelErrorSection = ModelErrorSection()
     external: bool | None = None  # true: the run starts no agent
     knows_reference: bool | None = None  # false: only those in graph.reference and graph.standby know it
-    agent: LawChoice | None = None  # in place of controller, guidance and tracking, which it may use
+    agent: AgentChoice | None = None  # in place of controller, guidance and tracking, which it may use; its clock
     controller: LawChoice = LawSection(law="nboc")
     profile: Profile = "paper"
     guidance: GuidanceChoice = GuidanceSection()

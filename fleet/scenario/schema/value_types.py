@@ -108,9 +108,22 @@ def _within(dimension: q.Dimension, low: float, high: float, limits: str) -> Cal
 
 
 _probability = _within(q.RATIO, 0.0, 1.0, "0 and 100 %")
+_MOST_DRIFT = "-100000 and 100000 ppm"  # a tenth: no quartz is so bad, but borders are looked for
+_drift = _within(q.CLOCK_DRIFT, -0.1, 0.1, _MOST_DRIFT)
+_spread = _within(q.CLOCK_DRIFT, 0.0, 0.1, "0 and 100000 ppm")
 _fraction = _within(q.NUMBER, 0.0, 1.0, "0 and 1")
 _pitch_limit = _within(q.ANGLE, radians(10.0), radians(90.0), "10 and 90 deg")
 _spreading = _within(q.NUMBER, 1.0, 2.0, "1 (cylindrical) and 2 (spherical)")
+
+
+def _clock_time(value: Any) -> int:
+    ns = q.time_ns(value)
+    if abs(ns) > _MOST_CLOCK_TIME:
+        raise q.QuantityError(f"must be between -24 h and 24 h, got {q.describe_value(value)}")
+    return ns
+
+
+_MOST_CLOCK_TIME = 24 * 3600 * 10**9  # ns
 
 
 def _bytes(value: Any) -> int:
@@ -194,6 +207,10 @@ Gain = Annotated[float, _scalar(q.RATE, "positive")]
 Gains = Annotated[Vec3, _vector(q.RATE, "positive")]
 Time = Annotated[int, Text(q.time_ns, q.show_time, "not negative")]
 Period = Annotated[int, Text(q.time_ns, q.show_time, "positive")]
+ClockDrift = Annotated[float, Text(_drift, lambda value: q.show(value, q.CLOCK_DRIFT))]
+ClockSpread = Annotated[float, Text(_spread, lambda value: q.show(value, q.CLOCK_DRIFT))]
+ClockTime = Annotated[int, Text(_clock_time, q.show_time)]
+ClockTimeSpread = Annotated[int, Text(_clock_time, q.show_time, "not negative")]
 Ticks = Annotated[int, Text(q.ticks, _show_ticks, "positive")]
 TicksOrNever = Annotated[int, Text(q.ticks, _show_ticks, "not negative")]
 Count = Annotated[int, Field(ge=0)]

@@ -11,7 +11,13 @@ from typing import Any
 from agents.config import Extrapolation, GuidanceParams, KeepApartParams, Law, TrackingParams
 from agents.controllers import CONTROLLERS, GUIDANCE, TRACKING
 from agents.profiles import profile
-from fleet.scenario.schema.control import GuidanceSection, LawSection, TrackingSection, VehicleOverrides
+from fleet.scenario.schema.control import (
+    AgentSection,
+    GuidanceSection,
+    LawSection,
+    TrackingSection,
+    VehicleOverrides,
+)
 from fleet.scenario.schema.navigation import NavigationSection
 from fleet.scenario.schema.section import Section
 from fleet.scenario.schema.spec import ScenarioSpec
@@ -81,6 +87,8 @@ def _over(below: VehicleOverrides, above: VehicleOverrides) -> VehicleOverrides:
             values[key] = low
         elif low is None or isinstance(high, (str, bool, LawSection)):
             values[key] = high
+        elif isinstance(high, AgentSection):
+            values[key] = _over_agent(low, high)
         elif isinstance(high, VehicleSection) and (high.model is not None or high.plant is not None):
             values[key] = high  # another vehicle, not this one with some of its numbers
         elif isinstance(high, NavigationSection):
@@ -93,13 +101,23 @@ def _over(below: VehicleOverrides, above: VehicleOverrides) -> VehicleOverrides:
             values[key] = low.model_copy(update=written)
     # A controller chosen here replaces the agent and the laws that were chosen below it.
     if above.controller is not None:
-        if above.agent is None:
-            values["agent"] = None
+        if above.whole_agent is None:
+            clock = None if values["agent"] is None else values["agent"].clock
+            values["agent"] = None if clock is None else AgentSection(clock=clock)
         for key in ("guidance", "tracking"):
             section = getattr(above, key)
             if section is None or section.law is None:
                 values[key] = values[key].model_copy(update={"law": None, "parameters": None})
     return VehicleOverrides.model_construct(**values)
+
+
+def _over_agent(below: AgentSection, above: AgentSection) -> AgentSection:
+    """An agent over another, and what is written of its clock over that of the other's."""
+    law = above if above.law is not None else below
+    low, high = below.clock, above.clock
+    if low is not None and high is not None:
+        high = low.model_copy(update=given(high))
+    return law.model_copy(update={"clock": high or low})
 
 
 def law_names(choice: VehicleOverrides) -> tuple[str, str] | None:
@@ -133,7 +151,7 @@ def control(
     guidance_name, tracking_name = names or ("optimal", "neurodynamic")
     params, tau_max = vehicle
     return Control(
-        agent=_law(choice.agent),
+        agent=_law(choice.whole_agent),
         controller=_law(choice.controller) if names is None else None,
         guidance_law=Law(guidance_name, choice.guidance.parameters or {}),
         tracking_law=Law(tracking_name, choice.tracking.parameters or {}),
@@ -154,8 +172,8 @@ def control(
     )
 
 
-def _law(section: LawSection | None) -> Law | None:
-    return None if section is None else Law(section.law, section.parameters or {})
+def _law(section: LawSection | AgentSection | None) -> Law | None:
+    return None if section is None or section.law is None else Law(section.law, section.parameters or {})
 
 
 def vehicle(section: VehicleSection, folder: Path | None) -> tuple[VehicleParams, Vec3]:

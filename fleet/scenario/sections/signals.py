@@ -50,11 +50,13 @@ BELIEF = (
     Signal("formation", "m", "believed position minus desired position, NED", 3),
     Signal("formation_norm", "m", "its Euclidean norm"),
 )
+CLOCK = (Signal("error", "s", "by how much its clock is ahead of simulated time"),)  # of a vehicle whose clock is set
 _ALWAYS = {"state": STATE, "nav": STATE, "command": COMMAND, "error": ERROR}
 OF_THE_LAWS = ("guidance", "control")  # groups whose signals the laws of a vehicle declare
 OF_THE_PLANT = "plant"  # the group whose signals the plant of a vehicle declares
+OF_THE_CLOCK = "clock"
 OF_NAVIGATION = "belief"  # the group of a vehicle that does not know where it is
-GROUPS = (*_ALWAYS, OF_THE_PLANT, OF_NAVIGATION, *OF_THE_LAWS)
+GROUPS = (*_ALWAYS, OF_THE_CLOCK, OF_THE_PLANT, OF_NAVIGATION, *OF_THE_LAWS)
 
 # A signal within a larger pattern, such as that of a measure; `read_name` makes a name of the match.
 SIGNAL = r"(?P<bar>\|)?\s*(?:uuv/(?P<vehicle>\*|[1-9]\d{0,5})/)?(?P<name>[A-Za-z]\w*\.\w+)\s*(?(bar)\|)"
@@ -121,17 +123,21 @@ def component(vector: str, k: int) -> str:
 
 
 def places(
-    layout: SignalLayout | None, plant: tuple[Signal, ...] | None, navigates: bool = False
+    layout: SignalLayout | None,
+    plant: tuple[Signal, ...] | None,
+    has_clock: bool = False,
+    navigates: bool = False,
 ) -> dict[str, SignalPlace]:
     """Every signal of a vehicle, vectors and their components, by name.
 
     Args:
         layout: what its agent reports; None: that is not known.
         plant: what its plant reports; None: it has none.
+        has_clock: whether its clock is set.
         navigates: whether it does not know where it is.
     """
     found: dict[str, SignalPlace] = {}
-    for group, (start, signals) in _groups(layout, plant, navigates).items():
+    for group, (start, signals) in _groups(layout, plant, has_clock, navigates).items():
         for signal in signals:
             name, width = f"{group}.{signal.name}", signal.width
             units = signal.unit.split(", ") if ", " in signal.unit else [signal.unit] * width
@@ -144,19 +150,24 @@ def places(
 
 
 def flat_signals(
-    layout: SignalLayout | None, plant: tuple[Signal, ...] | None, navigates: bool = False
+    layout: SignalLayout | None,
+    plant: tuple[Signal, ...] | None,
+    has_clock: bool = False,
+    navigates: bool = False,
 ) -> dict[str, tuple[int, list[tuple[str, int]]]]:
     """By topic group where its values begin, and name and number of values of each signal; as `places` has them."""
     return {
         group: (start, [(signal.name, signal.width) for signal in signals])
-        for group, (start, signals) in _groups(layout, plant, navigates).items()
+        for group, (start, signals) in _groups(layout, plant, has_clock, navigates).items()
     }
 
 
 def _groups(
-    layout: SignalLayout | None, plant: tuple[Signal, ...] | None, navigates: bool
+    layout: SignalLayout | None, plant: tuple[Signal, ...] | None, has_clock: bool, navigates: bool
 ) -> dict[str, tuple[int, tuple[Signal, ...]]]:
     groups = {group: (0, signals) for group, signals in _ALWAYS.items()}
+    if has_clock:
+        groups[OF_THE_CLOCK] = 0, CLOCK
     if plant is not None:
         groups |= dict.fromkeys(("state", "nav"), (0, STATE + ROLL)) | {OF_THE_PLANT: (0, plant)}
     if navigates:

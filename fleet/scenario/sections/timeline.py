@@ -155,6 +155,12 @@ def parts(section: FaultSection, name: str, spec: ScenarioSpec, links: Sequence[
                 NetFault(name, begin, end, kind, vehicles=vehicles, ticks=late),
                 WorldFault(name, begin, end, WorldFaultKind.SLOW, who, (float(late),)),
             ]
+        case "clock":
+            values = _numbers_of(section)
+            return [
+                NetFault(name, begin, end, kind, vehicles=who, values=values),
+                WorldFault(name, begin, end, WorldFaultKind.CLOCK, who, values),
+            ]
         case "kill":
             if end is not None:
                 # An agent begins again with a round: only then do agents send, and the network counts their messages.
@@ -191,6 +197,8 @@ def _numbers_of(section: FaultAction) -> tuple[float, ...]:
         return compass.lost, compass.bias, compass.jump, compass.chance
     if (fix := section.fix) is not None:
         return fix.lost, *fix.bias, fix.jump, fix.chance
+    if section.clock is not None:
+        return section.clock.step / 1e9, section.clock.drift
     if (w := section.wrench) is not None:
         return *w.force, w.pitch_moment, w.yaw_moment
     return ()
@@ -214,7 +222,7 @@ def does_nothing(section: FaultAction) -> bool:
         case "dvl" | "compass" | "fix":
             jumps = numbers[-2] and numbers[-1]
             return not any(numbers[:-2]) and not jumps
-        case "noise" | "bias" | "wrench" | "dropout":
+        case "noise" | "bias" | "wrench" | "dropout" | "clock":
             return not any(numbers)
     return False
 

@@ -33,6 +33,7 @@ _EXAMPLES = {
     "bias": "bias vehicles=2 position=1 0 0 m",
     "dropout": "dropout vehicles=2 probability=30%",
     "slow": "slow vehicles=2 by=5 ticks",
+    "clock": "clock vehicles=2 step=200ms",
     "gust": "gust velocity=0 0.5 0 m/s over=10s",
     "current": "current 0.2 0 0 m/s",
     "dvl": "dvl vehicles=2 lost=100%",

@@ -117,6 +117,10 @@ def _steps(path: str, source: Source) -> list[Step]:
 
 
 def _with_value(steps: list[Step], value: Node, root: Mapping) -> Mapping:
+    named = root.entries.get("agent")
+    if len(steps) > 1 and steps[0][0] == "agent" and isinstance(named, Scalar) and isinstance(named.value, str):
+        law = Mapping({"law": named}, {"law": named.place}, named.place)  # its name alone is short for this
+        root = root.with_entry("agent", root.keys["agent"], law)
     below_links = [key for key, _ in steps[:2]] == ["network", "links"] and len(steps) > 3
     changed = _set(root, steps, value, keep=below_links)  # a number of some links does not put them over others
     assert isinstance(changed, Mapping)  # there is at least one step

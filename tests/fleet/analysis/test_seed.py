@@ -117,6 +117,7 @@ EVERYTHING = [
     "sensors.position_noise=1 cm",
     "navigation={grade: mems, heading_rate: 5 Hz, usbl: {at: 0 0 0 m, period: 100 ms, delay: 20 ms}}",
     "sea.current={sigma: 5 5 0 cm/s}",
+    "agent.clock={drift: {sigma: 20 ppm}, offset: {sigma: 5 ms}}",
     "network.links={'*': delay 60ms 20ms 25% loss 20% 25% duplicate 20% 25% corrupt 20% 25% reorder 20% 25%, "
     "'1->2': loss gemodel 20% 50%}",
     "faults=[{at: 100 ms, dropout: {probability: 50 %}}, {at: 100 ms, noise: {position_noise: 1 cm}}, "

@@ -144,7 +144,7 @@ def _row(scenario: Scenario, i: int, tick: int, off: float) -> VehicleFrame:
         a + b
         for a, b in zip(scenario.reference.at(t).position, scenario.plans[i - 1].at(t).position, strict=True)
     )  # fmt: skip
-    return VehicleFrame(i, (x, y + off, z, 0.0, 0.0), (0.0,) * 5, (), (), b"", (), (), ())
+    return VehicleFrame(i, (x, y + off, z, 0.0, 0.0), (0.0,) * 5, (), (), b"", (), (), (), ())
 
 
 # --- max_age ---------------------------------------------------------------

@@ -337,12 +337,15 @@ def topics(log: Path) -> Counter[str]:
         return Counter(channel.topic for _, channel, _ in make_reader(file).iter_messages())
 
 
-GPS = ("--set", "navigation={gps: {depth: 1 km, period: 100 ms}}")
+MORE = ("--set", "navigation={gps: {depth: 1 km, period: 100 ms}}", "--set", "agent.clock={}")
 
 
 @pytest.mark.parametrize(
     ("scenario", "more", "lacks"),
-    [("paper", (), {"uuv/<i>/plant", "uuv/<i>/belief", "uuv/<i>/fix"}), ("remus", GPS, set())],
+    [
+        ("paper", (), {"uuv/<i>/plant", "uuv/<i>/clock", "uuv/<i>/belief", "uuv/<i>/fix"}),
+        ("remus", MORE, set()),
+    ],
 )
 def test_log_opens_in_mcaps_own_reader_with_the_documented_topics(
     scenario: str, more: tuple[str, ...], lacks: set[str], tmp_path: Path
@@ -353,7 +356,7 @@ def test_log_opens_in_mcaps_own_reader_with_the_documented_topics(
     page = (ROOT / "docs" / "reference" / "topics.md").read_text("utf-8")
     documented = set(re.findall(r"`((?:uuv|link)/<\w+>[^`]*)`", page))
     documented |= set(re.findall(r"^\| `(transforms)`, `(scene)` \|", page, re.MULTILINE)[0])
-    assert len(documented) == 13
+    assert len(documented) == 14
     documented -= lacks
     found: dict[str, set[str]] = {}
     with log.open("rb") as file:

@@ -148,7 +148,7 @@ def test_on_a_wall_clock_one_missed_tick_is_no_silence() -> None:
     asked, told = (0.0,) * 10, {}
     for tick in range(120):
         answers = b"command" if tick not in (30, 31) and tick < 60 else b""
-        row = VehicleFrame(1, (0.0,) * 5, (0.0,) * 5, asked, (0.0,) * 3, answers, (), (), ())
+        row = VehicleFrame(1, (0.0,) * 5, (0.0,) * 5, asked, (0.0,) * 3, answers, (), (), (), ())
         scene.see(Frame(tick, False, (), (), (row,), b""), [1] if answers else [])
         told[tick] = 1 in scene.silent()
     assert [tick for tick, silent in told.items() if silent] == list(range(110, 120))  # 0.5 s after the last

@@ -95,7 +95,7 @@ class Drawn:
             nav = self._reals(10 if signals is None else 12) if asked else ()
             plant = () if signals is None else self._finite(2 + width_of(signals))
             command, tau = (b"c", self._reals(3)) if i in commands else (b"", ())
-            rows.append(VehicleFrame(i, self._finite(5), self._finite(5), nav, tau, command, plant, (), ()))
+            rows.append(VehicleFrame(i, self._finite(5), self._finite(5), nav, tau, command, plant, (), (), ()))
             e, formation = self._reals(3), self._reals(3)
             errors[i] = VehicleError(e, abs(e[0]), formation, abs(formation[1]))
         return Frame(tick, False, (), (), tuple(rows), b""), commands, errors

@@ -80,6 +80,15 @@ def since(directory: Path, ns: int) -> list[Record]:
         ),
         pytest.param("average-naive", ["duration=1 s", "expect=pass"], marks=pytest.mark.slow),
         ("election", ["duration=3 s", "faults=[{at: 1.5 s, for: 1 s, kill: 1}]", "agent.parameters.lease_s=1"]),
+        (
+            "election",
+            [
+                "duration=3 s",
+                "agent.parameters.lease_s=1",
+                "agent.clock={drift: {sigma: 900 ppm}, offset: 5 ms}",
+                "faults=[{at: 700 ms, for: 900 ms, clock: {vehicles: 2, step: -200 ms, drift: 900 ppm}}]",
+            ],
+        ),
         ("event-triggered", ["duration=2 s", "agent.parameters.silence_s=0.5", "agent.parameters.threshold_m=0.02"]),
         ("auction", ["duration=3 s", "faults=[{at: 1 s, kill: 3}]", "agent.parameters.silence_s=0.5"]),
     ],

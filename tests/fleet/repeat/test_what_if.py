@@ -43,8 +43,12 @@ def run(folder: Path, name: str, *overrides: str) -> Path:
         ),
         ("paper", ["duration=1 s", "on_death=continue", "sensors.position_noise=5 cm", "neighbours.drop_after=200 ms"]),
         ("dead-reckoning", ["duration=2 s"]),
+        (
+            "election",
+            ["duration=2 s", "log.every=1 tick", "agent.clock={drift: {sigma: 900 ppm}, offset: -40 ms}", EVERYTHING],
+        ),
     ],
-    ids=["full of faults", "ideal", "acoustic", "noise", "dead reckoning"],
+    ids=["full of faults", "ideal", "acoustic", "noise", "dead reckoning", "clocks"],
 )
 def test_with_nothing_changed_every_command_is_that_of_the_log(name: str, overrides: list[str], tmp_path: Path) -> None:
     directory = run(tmp_path, name, *overrides)

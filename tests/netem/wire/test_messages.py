@@ -33,7 +33,7 @@ def plainest(wire: str) -> Any:
         return None
     if match := ARRAY.fullmatch(wire):
         item, size = match.groups()
-        return [plainest(item)] * (1 if size == "*" else int(size))
+        return [plainest(item)] * (1 if size == "*" else int(size.removeprefix("..")))
     return {"uint": 0, "real": 0.5, "bool": False, "str": "", "bin": b""}[wire]
 
 
@@ -52,7 +52,9 @@ def spoilt(wire: str) -> Iterator[Any]:
         for index in range(len(good)):
             yield from ([*good[:index], bad, *good[index + 1 :]] for bad in spoilt(item))
         if size != "*":
-            yield from (good[:-1], [*good, good[0]], [])
+            yield [*good, good[0]]
+        if size.isdigit():
+            yield from (good[:-1], [])
         yield from (None, 0, 0.5, {}, "", b"", dict.fromkeys("012", good[0]))
     elif wire in texts():
         yield from (None, True, 0, 0.5, b"", [], {}, "", "x" * 4097, good.upper(), f"{good} ")
@@ -104,8 +106,8 @@ def test_integers_are_read_as_reals() -> None:
     assert {type(x) for x in found.eta + found.nu} == {float}
 
 
-def test_a_nav_without_roll_is_the_one_that_it_always_was() -> None:
-    """Agents that were written when no vehicle could roll go on."""
+def test_a_nav_without_roll_and_clock_is_the_one_that_it_always_was() -> None:
+    """Agents that were written when no vehicle could roll, and all clocks were right, go on."""
     old = msgpack.packb(["nav", 0, 3, [1.0, 2.0, 3.0, 4.0, 5.0], [0.5, 0.0, 0.0, 0.0, 0.0]])
     nav = Nav(0, 3, (1.0, 2.0, 3.0, 4.0, 5.0), (0.5, 0.0, 0.0, 0.0, 0.0))
     assert encode(nav) == old
@@ -113,11 +115,13 @@ def test_a_nav_without_roll_is_the_one_that_it_always_was() -> None:
     rolled = Nav(0, 3, nav.eta, nav.nu, (0.1, -0.2))
     assert msgpack.unpackb(encode(rolled)) == [*msgpack.unpackb(old), [0.1, -0.2]]
     assert decode(encode(rolled)) == rolled
-    sure = Nav(0, 3, nav.eta, nav.nu, (0.0, 0.0), tuple(map(float, range(10))))
-    assert msgpack.unpackb(encode(sure))[5:] == [[0.0, 0.0], [*sure.belief]]
-    assert decode(encode(sure)) == sure
-    with pytest.raises(MalformedMessage, match="roll"):
-        decode(msgpack.packb([*msgpack.unpackb(old), []]))
+    for roll in ((), (0.1, -0.2)):
+        told = Nav(0, 3, nav.eta, nav.nu, roll, 30_000_001)
+        assert msgpack.unpackb(encode(told)) == [*msgpack.unpackb(old), [*roll], 30_000_001]
+        assert decode(encode(told)) == told
+        sure = Nav(0, 3, nav.eta, nav.nu, roll, None, tuple(map(float, range(10))))
+        assert msgpack.unpackb(encode(sure))[5:] == [[*roll], None, [*sure.belief]]
+        assert decode(encode(sure)) == sure
 
 
 def test_telemetry_may_hold_anything() -> None:

@@ -123,6 +123,7 @@ TARGETS: dict[str, st.SearchStrategy[Any]] = {
     "up": SELECTORS,
     "partition": st.sampled_from(["1,2 / 3,4", "1, 2 /3", "halves", "one", "ring", "isolate:3", "isolate: 3"]),
     "slow": st.fixed_dictionaries({"by": st.integers(1, 99).map("{} ticks".format)}, optional={"vehicles": VEHICLES}),
+    "clock": some(vehicles=VEHICLES, step=st.integers(-99, 99).map("{} ms".format), drift=amount("ppm", -99.0)),
     "noise": some(vehicles=VEHICLES, position_noise=amount("m"), angle_noise=amount("deg"), rate_noise=amount("deg/s")),
     "bias": some(vehicles=VEHICLES, position=vector("m"), velocity=vector("m/s"), yaw=amount("deg", -99.0)),
     "dropout": st.fixed_dictionaries({"probability": SHARE}, optional={"vehicles": VEHICLES}),

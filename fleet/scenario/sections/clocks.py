@@ -1,0 +1,27 @@
+"""The clocks of the vehicles: what a scenario gives, or draws from its seed."""
+
+from __future__ import annotations
+
+from fleet.scenario.schema.clock import ClockSection, DriftSection, OffsetSection
+from netem.draws import normal
+from netem.vehicle_clock import VehicleClock
+
+DRIFT, OFFSET = "clock drift", "clock offset"  # purposes of draws
+_MOST_DRIFT = 0.5  # s/s: what is drawn beyond it is this
+
+
+def vehicle_clock(section: ClockSection, seed: int, i: int) -> VehicleClock:
+    """The clock of vehicle i."""
+    drift, offset = section.drift or DriftSection(), section.offset or OffsetSection()
+    rho, theta = drift.mean, offset.mean
+    if drift.sigma:
+        rho += drift.sigma * normal(seed, DRIFT, i)
+    if offset.sigma:
+        theta += round(offset.sigma * normal(seed, OFFSET, i))
+    return VehicleClock(theta, max(-_MOST_DRIFT, min(_MOST_DRIFT, rho)))
+
+
+def draws(section: ClockSection) -> list[str]:
+    """The purposes of the draws of a clock."""
+    given = ((DRIFT, section.drift), (OFFSET, section.offset))
+    return [purpose for purpose, part in given if part is not None and part.sigma]

@@ -1,0 +1,94 @@
+"""The clocks of vehicles: what a clock shows at a moment of simulated time. The only place where the two are related.
+
+| symbol | meaning | unit |
+|---|---|---|
+| t | simulated time, which is true | s |
+| theta, rho | offset and drift of a clock; a drift of 20 ppm gains 20 us per second | s, s/s |
+| t_f, t_e | beginning and end of a fault `clock` with step s_f and drift rho_f | s |
+
+    ahead(t) = theta + rho t + sum over faults that have begun: s_f (while t < t_e) + rho_f (min(t, t_e) - t_f)
+
+A clock shows t + ahead(t), but never less than 0. When a fault ends, its step is undone and its drift stops; what the
+drift has added stays. The numbers are whole nanoseconds, so every process computes the same.
+
+Clocks change what agents and modems take for the time. They never change simulated time: a tick stays a tick, and a log
+has the true time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+CLOCK = "clock"  # the kind of a fault
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleClock:
+    """The clock of one vehicle."""
+
+    offset_ns: int = 0  # theta, by which it is ahead at the start
+    drift: float = 0.0  # rho, s/s
+
+
+class ClockFault(Protocol):
+    """A fault of the network or of the world; of kind `clock` its values are step [s] and drift [s/s]."""
+
+    @property
+    def kind(self) -> Any: ...
+    @property
+    def begin(self) -> int: ...
+    @property
+    def end(self) -> int | None: ...
+    @property
+    def vehicles(self) -> tuple[int, ...]: ...
+    @property
+    def values(self) -> tuple[float, ...]: ...
+
+
+class Clocks:
+    """The clocks of a fleet, and the faults that change them."""
+
+    def __init__(self, own: Mapping[int, VehicleClock], faults: Iterable[ClockFault], tick_ns: int) -> None:
+        """Take the clocks that are set and the faults of kind `clock` among all; other vehicles have right clocks."""
+        self._own = own
+        self._faults = [fault for fault in faults if fault.kind == CLOCK]
+        self._tick_ns = tick_ns
+
+    @classmethod
+    def that_differ(cls, own: Mapping[int, VehicleClock], faults: Iterable[ClockFault], tick_ns: int) -> Clocks | None:
+        """The clocks of a fleet; None if none is set and no fault changes any: then nobody needs to look at them."""
+        clocks = cls(own, faults, tick_ns)
+        return clocks if own or clocks._faults else None
+
+    def ahead_ns(self, i: int, tick: int) -> int:
+        """By how much the clock of vehicle i is ahead of simulated time at a tick."""
+        clock = self._own.get(i, _RIGHT)
+        ahead = clock.offset_ns + round(clock.drift * (tick * self._tick_ns))
+        for fault in self._concerning(i, tick):
+            step_s, drift = fault.values
+            lasts = fault.end is None or tick < fault.end
+            until = tick if lasts or fault.end is None else fault.end
+            ahead += round(drift * ((until - fault.begin) * self._tick_ns)) + (round(step_s * 1e9) if lasts else 0)
+        return ahead
+
+    def reading_ns(self, i: int, tick: int) -> int:
+        """What the clock of vehicle i shows at a tick."""
+        return max(0, tick * self._tick_ns + self.ahead_ns(i, tick))
+
+    def reading_ticks(self, i: int, tick: int) -> int:
+        """The same in whole ticks."""
+        return self.reading_ns(i, tick) // self._tick_ns
+
+    def drift(self, i: int, tick: int) -> float:
+        """How fast the clock of vehicle i gains at a tick [s/s]."""
+        drifts = [f.values[1] for f in self._concerning(i, tick) if f.end is None or tick < f.end]
+        return self._own.get(i, _RIGHT).drift + sum(drifts)
+
+    def _concerning(self, i: int, tick: int) -> list[ClockFault]:
+        """The faults of vehicle i's clock that have begun."""
+        return [f for f in self._faults if f.begin <= tick and (not f.vehicles or i in f.vehicles)]
+
+
+_RIGHT = VehicleClock()

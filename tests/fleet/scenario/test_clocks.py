@@ -1,0 +1,109 @@
+"""Clocks in a scenario: given, drawn, merged and printed; and what a check says of slots."""
+
+from __future__ import annotations
+
+from statistics import mean, stdev
+
+import pytest
+from small_scenario import only_problem, small
+
+from fleet.analysis.preflight import warnings
+from fleet.analysis.slots import describe_slack, slack
+from fleet.execution.judged import run
+from fleet.scenario.loading import load_scenario, parse_scenario
+from netem.vehicle_clock import VehicleClock
+
+WATER = "network={period: 1 s, payload: compact, acoustic: {modem: mfsk-1066, mac: tdma, slot: 1500 ms, guard: 200 ms}}"
+ELECTION = "fleet.protocols.election:Election"
+
+
+def test_a_clock_is_of_all_or_of_some_and_reads_back() -> None:
+    scenario = small(
+        "agent.clock={drift: 20 ppm, offset: 5 ms}",
+        "per_vehicle={'2': {agent: {clock: {drift: -15 ppm}}}, '3': {agent: {clock: {offset: {mean: -1 s}}}}}",
+    )
+    expected = {
+        1: VehicleClock(5_000_000, 20e-6), 2: VehicleClock(5_000_000, -15e-6), 3: VehicleClock(-1_000_000_000, 20e-6)
+    }  # fmt: skip
+    assert scenario.clocks == scenario.world_config.clocks == scenario.netem_config.clocks == expected
+    assert parse_scenario(scenario.to_yaml(), "again.yaml") == scenario
+    assert small().clocks == {}
+
+
+def test_a_clock_leaves_the_laws_alone() -> None:
+    """One for some vehicles is no whole agent, and a controller chosen for some keeps their clocks."""
+    whole = f"agent={{law: {ELECTION}, parameters: {{vehicles: 3}}, clock: {{offset: 1 s}}}}"
+    scenario = small(whole, "per_vehicle={'2': {agent: {clock: {drift: 1 ppm}}}, '3': {controller: bc}}")
+    assert [c.agent is not None for c in scenario.controls] == [True, True, False]
+    assert {i: clock.offset_ns for i, clock in scenario.clocks.items()} == dict.fromkeys((1, 2, 3), 10**9)
+    assert [c.agent for c in small("agent.clock={}").controls] == [None] * 3
+    short = small(f"agent={ELECTION}", "agent.parameters.vehicles=3", "agent.clock.offset=1 ms")
+    assert short.controls[0].agent is not None and short.clocks[1] == VehicleClock(1_000_000)
+
+
+def test_drawn_clocks_are_normal_and_each_vehicle_has_its_own() -> None:
+    drawn = "agent.clock={drift: {mean: 10 ppm, sigma: 20 ppm}, offset: {sigma: 5 ms}}"
+    fleet = load_scenario("paper", ["vehicles=300", drawn]).clocks
+    drifts = [clock.drift * 1e6 for clock in fleet.values()]
+    offsets = [clock.offset_ns / 1e6 for clock in fleet.values()]
+    assert abs(mean(drifts) - 10) < 4 and abs(stdev(drifts) - 20) < 3
+    assert abs(mean(offsets)) < 1 and abs(stdev(offsets) - 5) < 0.7
+    few, other = (load_scenario("paper", [drawn, f"seed={seed}"]).clocks for seed in (1, 2))
+    assert few == {i: fleet[i] for i in (1, 2, 3, 4)} and few != other
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("agent.clock.drift=20", "expected a clock drift such as \"20 ppm\", got \"20\" without a unit"),
+        ("agent.clock.drift=20 ms", "got a time"),
+        ("agent.clock.drift=20 %", "got a relative error"),
+        ("agent.clock.drift=200000 ppm", "must be between -100000 and 100000 ppm"),
+        ("agent.clock.drift={sigma: -1 ppm}", "must be between 0 and 100000 ppm"),
+        ("agent.clock.offset=25 h", "must be between -24 h and 24 h"),
+        ("agent.clock.offset={std: 1 ms}", "unknown key"),
+        ("agent.clock=5 ms", "expected a mapping"),
+        ("faults=[{at: 0 s, clock: {vehicles: 9, step: 1 s}}]", "there is no vehicle 9"),
+        ("faults=[{at: 0 s, clock: {vehicles: 2}}]", "changes nothing"),
+        ("faults=[{at: 0 s, clock: {vehicles: 2, step: 1}}]", "without a unit"),
+    ],
+)  # fmt: skip
+def test_mistakes(override: str, words: str) -> None:
+    assert words in only_problem(override)
+
+
+def test_what_slots_bear_is_their_guard_less_sound_and_a_tick() -> None:
+    scenario = small("duration=4 s", WATER)
+    found = slack(scenario)
+    assert found is not None
+    # The slot is 1.5 s; the formation is 7.07 m across; a start is up to a tick late.
+    airtime_s = scenario.acoustic.modem.airtime_ns(15) / 1e9  # type: ignore[union-attr]
+    assert found.difference_s == pytest.approx(1.5 - airtime_s - 50**0.5 / 1500 - 0.01, abs=1e-6)
+    assert found.drift == pytest.approx(found.difference_s / 8)
+    assert "ppm, fast or slow, for 4 s" in next(describe_slack(scenario))
+    assert slack(small()) is None and list(describe_slack(small())) == []
+
+
+@pytest.mark.parametrize(
+    ("clock", "overlaps"),
+    [
+        ("per_vehicle={'2': {agent: {clock: {offset: 1400 ms}}}}", "2 is 1.4 s ahead of that of vehicle 1"),
+        ("per_vehicle={'2': {agent: {clock: {offset: -1400 ms}}}}", "3 is 1.4 s ahead of that of vehicle 2"),
+        ("agent.clock.offset=1400 ms", ""),
+        ("faults=[{at: 1 s, for: 1 s, clock: {vehicles: 1, step: 1400 ms}}]", "at 1 s the clock of vehicle 1 is 1.4 s"),
+    ],
+)
+def test_slots_that_overlap_are_told_before_a_run(clock: str, overlaps: str) -> None:
+    found = warnings(small("duration=4 s", WATER, clock))
+    assert (len(found) == 1 and overlaps in found[0]) if overlaps else found == []
+
+
+def test_only_differences_matter_and_the_log_keeps_the_truth() -> None:
+    """A check sees the error of the clock; the vehicles follow the reference by what their clocks show."""
+    still = {"duration": "2 s", "initial": {"scatter": "0 m", "surge": "0.5 m/s", "around": "reference"}}
+    ahead = "|clock.error|"
+    result = run(
+        small("agent.clock={offset: 100 ms}"),
+        set=still | {"checks": {"signal": {"topic": ahead, "within": ["99.9 ms", "100.1 ms"]}}},
+    )
+    assert {v.check: v.passed for v in result.verdicts}["clock.error"]

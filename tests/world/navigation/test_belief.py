@@ -105,7 +105,7 @@ def test_a_replayed_error_is_that_of_the_trace() -> None:
 def test_a_row_with_fixes_is_not_longer_than_it_is_counted() -> None:
     """Frames are split by this count; a part that is too long would be lost on the way."""
     fix = Fix("usbl", 2**63, 2**63, (1.1, 2.2), 3.3, 4.4, True)
-    row = VehicleFrame(1, (0.1,) * 5, (0.1,) * 5, (0.1,) * 12, (0.1,) * 3, b"", (), (0.1,) * 10, (fix,) * MOST_TOLD)
+    row = VehicleFrame(1, (0.1,) * 5, (0.1,) * 5, (0.1,) * 12, (0.1,) * 3, b"", (), (), (0.1,) * 10, (fix,) * MOST_TOLD)
     assert len(msgspec.msgpack.encode(row)) <= _row_bytes(row) < PART_BYTES
 
 

@@ -136,8 +136,7 @@ class World:
         return () if plant is None else (*plant.roll, *plant.reported)
 
     def sense(self, i: int) -> Measured:
-        """Measured eta [m, rad], nu [m/s, rad/s] and roll (phi [rad], p [rad/s]; () without a plant) of vehicle i at
-        its tick: the truth or what its navigation believes, with noise and faults of its sensor."""
+        """Eta [m, rad], nu [m/s, rad/s], roll (phi [rad], p [rad/s]; () without a plant) as vehicle i measures them."""
         eta, nu = self.state(i)
         vehicle = self._vehicles[i]
         measured: Measured = (eta, nu, () if vehicle.plant is None else vehicle.plant.roll)
@@ -267,10 +266,10 @@ class World:
         """Let vehicle i measure what it does in a tick, in a current [m/s, NED]; `after` is its state at the next."""
         vehicle = self._vehicles[i]
         faults = self._active(i, vehicle.tick + 1) if self._faults else []
-        phi = 0.0 if vehicle.plant is None else vehicle.plant.roll[0]
-        assert vehicle.navigation is not None
+        navigation, phi = vehicle.navigation, 0.0 if vehicle.plant is None else vehicle.plant.roll[0]
         try:
-            vehicle.navigation.step(vehicle.state, after, current, faults, phi)
+            if navigation is not None:
+                navigation.step(vehicle.state, after, current, faults, phi)
         except (OverflowError, ValueError, ZeroDivisionError):
             raise IntegrationError("its navigation left the finite numbers", after[3], i, vehicle.tick) from None
 
@@ -281,8 +280,7 @@ class World:
         wrenches: list[Vec6] = [(x, y, z, 0.0, m, n) for _, (x, y, z, m, n), _ in forces]
         plant.advance(tick, tau, current, wrenches, self._h)
         after = _of_plant(plant)
-        if vehicle.navigation is not None:
-            self._navigate(i, after, current)
+        self._navigate(i, after, current)
         vehicle.state = after
         vehicle.tick = tick + 1
         if plant.notes:
@@ -331,9 +329,8 @@ class World:
 
     def close(self) -> None:
         """End what the plants hold; no vehicle is moved afterwards."""
-        for vehicle in self._vehicles.values():
-            if vehicle.plant is not None:
-                vehicle.plant.close()
+        for plant in filter(None, (vehicle.plant for vehicle in self._vehicles.values())):
+            plant.close()
 
     def memory(self, i: int, *, moves: bool = True) -> list[Any]:
         """All that vehicle i's next ticks depend on besides its faults.

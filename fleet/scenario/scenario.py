@@ -359,13 +359,8 @@ def _without_files(spec: ScenarioSpec, parts: Parts) -> ScenarioSpec:
     if traced:
         inside = {n: s.model_copy(update={"trace": parts.traces[s.trace or ""].text()}) for n, s in traced.items()}
         network = network.model_copy(update={"links": network.links | inside})
-    changes = {
-        "vehicle": in_numbers(spec.vehicle),
-        "navigation": inlined_navigation(spec.navigation, folder),
-        "per_vehicle": per_vehicle,
-        "network": network,
-    }
-    return spec.model_copy(update=changes)
+    changes = {"vehicle": in_numbers(spec.vehicle), "navigation": inlined_navigation(spec.navigation, folder)}
+    return spec.model_copy(update=changes | {"per_vehicle": per_vehicle, "network": network})
 
 
 def _drift(current: CurrentSection) -> tuple[Vec3, float] | None:

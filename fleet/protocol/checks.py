@@ -17,6 +17,7 @@ MALFORMED = "drops malformed messages and goes on"
 EARLIER = "ignores nav, rx and end of an earlier life"
 GAP = "goes on after ticks in which it was not asked"
 ROLLS = "answers a nav with roll, its sixth field"
+SHOWS = "answers a nav with what its clock shows, its seventh field"
 BELIEVES = "answers a nav with belief, its eighth field"
 MEMORY = "puts memory, if at all, before the cmd of a tick at which it is asked for"
 UNASKED = "puts nothing that it was not asked for"
@@ -24,7 +25,7 @@ FORM = "puts well-formed messages of its own kinds only"
 ENDS = "closes its session when it is told the end"
 CHECKS = (
     *(ASKS, HELLO, READY, TOKEN, COMMANDS, TRANSMITS, LATE, PARTS, DAMAGED),
-    *(MALFORMED, EARLIER, GAP, ROLLS, BELIEVES, MEMORY, UNASKED, FORM, ENDS),
+    *(MALFORMED, EARLIER, GAP, ROLLS, SHOWS, BELIEVES, MEMORY, UNASKED, FORM, ENDS),
 )
 
 

@@ -38,6 +38,7 @@ from fleet.protocol.checks import (
     PARTS,
     READY,
     ROLLS,
+    SHOWS,
     TOKEN,
     TRANSMITS,
     UNASKED,
@@ -110,6 +111,7 @@ class Examination:
         self._telemetry = scenario.layout(vehicle).size
         self._state = scenario.initial[vehicle - 1]
         self._roll: tuple[float, ...] = ()
+        self._clock_ns: int | None = None
         self._belief: tuple[float, ...] = ()
         self._neighbours = [neighbour.id for neighbour in self._config.neighbours]
         self._i, self._file, self._port = vehicle, file, port
@@ -225,10 +227,13 @@ class Examination:
         self._roll = (0.05, 0.01)
         self._ask(tick + 1, ROLLS)
         self._reached.add(ROLLS)
+        self._clock_ns = 20_000_001
+        self._ask(tick + 2, SHOWS)
+        self._reached.add(SHOWS)
         self._belief = (0.25, 0.0, 0.0, 0.01, 0.25, 0.0, 0.0, 0.01, 0.0, 0.001)
-        self._ask(tick + 2, BELIEVES)
+        self._ask(tick + 3, BELIEVES)
         self._reached.add(BELIEVES)
-        for k in range(tick + 3, tick + 3 * m + 1):
+        for k in range(tick + 4, tick + 3 * m + 1):
             self._ask(k)
         self._end(tick + 3 * m + 1)
 
@@ -343,7 +348,7 @@ class Examination:
                 self._fail(UNASKED, "nothing after the end", _shown(taken[1]))
 
     def _send_nav(self, tick: int) -> None:
-        self._fleet.nav(encode(Nav(LIFE, tick, *self._state, self._roll, None, self._belief)))
+        self._fleet.nav(encode(Nav(LIFE, tick, *self._state, self._roll, self._clock_ns, self._belief)))
 
     def _send_inbox(self, deliveries: tuple[Delivery, ...] = (), *, more: bool = False) -> None:
         self._fleet.rx(encode(Inbox(LIFE, self._known + self._m, more, deliveries)))

@@ -104,7 +104,8 @@ def signal(parts: Parts, report: Report) -> None:
         if vehicles is not None or not of_a_plugin(check.topic):
             try:
                 everyone = range(1, spec.vehicles + 1)
-                ask(check, vehicles or {i: places(None, None, i in parts.clocks) for i in everyone})
+                unknown = {i: places(None, None, i in parts.clocks, navigates=True) for i in everyone}
+                ask(check, vehicles or unknown)
             except SignalCheckError as error:
                 report.add((*path, error.key), error.problem, error.hint)
         if check.fault is not None and not report.mistaken("faults", "nemesis"):

@@ -164,3 +164,13 @@ def test_faults_of_instruments(entry: str, values: tuple[float, ...]) -> None:
     assert (found.kind, found.values) == (entry.partition(":")[0], values)
     assert len(values) == WorldFaultKind(found.kind).numbers
     assert parse_scenario(s.to_yaml(), "again.yaml") == s
+
+
+def test_a_check_of_belief_is_read_though_the_laws_may_not_run() -> None:
+    """A log of a law that is not here can still be opened."""
+    text = (
+        "title: Two\nvehicles: 2\nduration: 5 s\nnetwork: ideal\nreference: {start: 0 0 5 m, velocity: 0.5 0 0 m/s}\n"
+        "formation: {shape: line, spacing: 5 m}\ngraph: {shape: path}\ninitial: {scatter: 1 m}\n"
+        "controller: not_here:Law\nnavigation: dead-reckoning\nchecks: {signal: {topic: belief.nees, below: 20}}\n"
+    )
+    assert parse_scenario(text, "x.yaml").navigates(1)

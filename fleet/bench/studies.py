@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
-from importlib.util import find_spec
 from math import inf
 from statistics import median
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -103,8 +102,6 @@ def measure_study(runs: int, duration_s: float, workers: int, *, say: Callable[[
     ways: list[tuple[str, int, Callable[[], AbstractContextManager[Make]]]] = []
     for count in dict.fromkeys([1, workers]):
         ways.append(("concurrent.futures", count, lambda count=count: _futures(count, task)))  # type: ignore[misc]
-        if count > 1 and find_spec("joblib") is not None:  # with one worker joblib stays in this process
-            ways.append(("joblib", count, lambda count=count: _joblib(count, task)))  # type: ignore[misc]
         ways.append(("fleet search, shrink", count, lambda count=count: _local(count, task)))  # type: ignore[misc]
         ways.append(("fleet sweep", count, lambda count=count: _swept(count, duration_s)))  # type: ignore[misc]
     bare(1)
@@ -171,8 +168,6 @@ def show_study(measured: StudyMeasured, terminal: Terminal) -> None:
     )
     found = columns(headings, cells)
     show([replace(found[0], justify="left"), *found[1:]], title, terminal, "-o FILE")
-    if find_spec("joblib") is None:
-        terminal.print("joblib is not installed, and was not measured", highlight=False)
 
 
 def show_memory(measured: StudyMeasured, terminal: Terminal) -> None:
@@ -198,14 +193,6 @@ def _cpu_s() -> float:
 def _futures(workers: int, task: Callable[[int], Task]) -> Iterator[Make]:
     with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
         yield lambda runs: list(pool.map(make_run, map(task, range(1, runs + 1)))).clear()
-
-
-@contextmanager
-def _joblib(workers: int, task: Callable[[int], Task]) -> Iterator[Make]:
-    from joblib import Parallel, delayed, parallel_config
-
-    with parallel_config("loky"), Parallel(workers) as parallel:
-        yield lambda runs: parallel(delayed(make_run)(task(seed)) for seed in range(1, runs + 1)).clear()
 
 
 @contextmanager

@@ -185,8 +185,8 @@ def scale(agents: list[int], tick: str, picture: Path | None, output: Path | Non
 def study(runs: int, duration: float, workers: int, memory: int | None, output: Path | None, as_json: bool) -> None:
     """Measure what a run of a study costs beside the bare run, and how much faster more workers are.
 
-    The runs of fleet sweep, and of fleet search and shrink, are compared with concurrent.futures, and with joblib
-    where it is installed. Needs pip install 'uuv-fleet[study]'.
+    The runs of fleet sweep, and of fleet search and shrink, are compared with concurrent.futures. Needs
+    pip install 'uuv-fleet[study]'.
 
     \b
     Examples:

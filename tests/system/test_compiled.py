@@ -23,6 +23,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 COPIED = (".packaging", "agents", "fleet", "netem", "world", "pyproject.toml", "README.md", "LICENSE", "NOTICE")
 # Tests of modules that are not compiled: they say the same there as on the sources.
 PLAIN = (
+    "agents/test_own_samples.py",
     "agents/test_trust.py",
     "netem/test_grammar.py",
     "netem/test_private_file.py",
@@ -30,6 +31,7 @@ PLAIN = (
     "netem/wire/test_audit.py",
     "netem/wire/test_certificate_router.py",
     "netem/wire/test_messages.py",
+    "world/navigation/test_leaks.py",
     "world/plants/test_fmu.py",
     "world/plants/test_fmu_archive.py",
 )

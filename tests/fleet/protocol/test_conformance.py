@@ -169,7 +169,7 @@ def test_the_example_completes_a_run(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_example_takes_part_on_a_wall_clock_and_leaves_on_ctrl_c(tmp_path: Path) -> None:
-    arguments = ["--set", "per_vehicle={3: {external: true}}", "--duration", "24 s", "--max-missed", "1"]
+    arguments = ["--set", "per_vehicle={3: {external: true}}", "--duration", "8 s", "--max-missed", "1"]
     checks = "checks={tumbled: waived, deaths: {at_most: 1}}"  # its own
     arguments += ["--set", checks, "--clock", "real", "--speed", "2", "--set", "on_death=continue"]
     with LiveRun(tmp_path / "runs", "paper", *arguments) as run:
@@ -185,4 +185,4 @@ def test_the_example_takes_part_on_a_wall_clock_and_leaves_on_ctrl_c(tmp_path: P
     assert result["deaths"] == {"3": ["left: its session ended"]}
     kept = result["timing"]["vehicles"]["3"]
     # It does not wait for what is not said: then it would answer nothing. How much comes in time is the machine's.
-    assert 300 <= kept["asked"] < 2400 and kept["missed"] < kept["asked"]
+    assert 300 <= kept["asked"] < 800 and kept["missed"] < kept["asked"]

@@ -2,63 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Any
-
 import msgspec
 import numpy as np
 import pytest
 from in_process_runs import Alone, log_of
 
-from agents.agent import Agent
-from agents.payload import decode as decode_payload
 from fleet.execution.judged import run
 from fleet.logs.open_log import open_log
 from fleet.scenario.loading import load_scenario
-from netem.wire.messages import Delivery, Fix, Nav, VehicleFrame
+from netem.wire.messages import Fix, VehicleFrame
 from netem.wire.parts import PART_BYTES
 from world.navigation.config import NavigationTrace, TracePoint
 from world.navigation.navigator import MOST_TOLD
 from world.navigation.replay import ReplayedError
 from world.process import _row_bytes
-from world.sea import World
 
 FAULTS = "faults=[{at: 500 ms, for: 1 s, fix: {lost: 50 %}}]"
 SHORT = ["duration=2 s", "checks={}", "navigation.tilt=1 deg", FAULTS]
-
-
-def test_no_truth_reaches_an_agent(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every number of a nav differs from the truth of its tick, and so does every position that is sent to others."""
-    told: list[tuple[int, Nav]] = []
-    sent: list[Any] = []
-    true: dict[tuple[int, int], tuple[float, ...]] = {}
-    sense, decide, transmit = World.sense, Agent.decide, Agent.transmit
-
-    def spied_sense(self: World, i: int) -> Any:
-        eta, nu = self.state(i)
-        true[i, self.tick(i)] = (*eta, *nu)
-        return sense(self, i)
-
-    def spied_decide(self: Agent, nav: Nav, deliveries: Iterable[Delivery]) -> Any:
-        told.append((self.config.id, nav))
-        return decide(self, nav, deliveries)
-
-    def spied_transmit(self: Agent, nav: Nav) -> Any:
-        payloads = transmit(self, nav)
-        sent.extend(map(decode_payload, payloads))
-        return payloads
-
-    monkeypatch.setattr(World, "sense", spied_sense)
-    monkeypatch.setattr(Agent, "decide", spied_decide)
-    monkeypatch.setattr(Agent, "transmit", spied_transmit)
-    run(load_scenario("dead-reckoning", SHORT))
-    assert len(told) == 4 * 200
-    assert len(sent) == 4 * 20
-    for i, nav in told:
-        assert not {*nav.eta, *nav.nu} & {*true[i, nav.tick]}
-        assert len(nav.belief) == 10
-    for message in sent:
-        assert not {*message.position, *message.velocity} & {*true[message.sender, message.sent_tick]}
 
 
 def test_an_agent_does_what_it_would_do_if_the_belief_were_true() -> None:

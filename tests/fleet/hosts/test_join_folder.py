@@ -17,7 +17,7 @@ def test_it_holds_everything_as_plain_text_and_is_for_this_user_only(tmp_path: P
     FOLDER.write(path, Keys("ab"), 0, 0)
     FOLDER.write(path, Keys("ab"), 2, 40)  # another life
     assert (path / "join.conf").read_text().splitlines() == [
-        "version 1", "endpoint tls/sea:1", "endpoint tls/192.0.2.7:1", "lease_ms 20000", "run ab", "vehicle 3",
+        "version 2", "endpoint tls/sea:1", "endpoint tls/192.0.2.7:1", "lease_ms 20000", "run ab", "vehicle 3",
         "incarnation 2", "begin 40", "cfg fleet/ab/cfg/3", "nav fleet/ab/nav/3", "rx fleet/ab/rx/3",
         "cmd fleet/ab/cmd/3", "tx fleet/ab/tx/3", "note fleet/ab/note/agent-3", "alive fleet/ab/alive/agent-3",
     ]  # fmt: skip

@@ -32,6 +32,7 @@ from fleet.hosts.rendezvous import Rendezvous, listening_for_certificates
 from fleet.protocol.conformance import CHECKS, Examination
 from fleet.scenario.loading import load_scenario
 from netem.wire.keys import Keys
+from netem.wire.messages import PROTOCOL_VERSION
 
 pytest.importorskip("cryptography", reason="cryptography is not installed: pip install 'uuv-fleet[hosts]'")
 
@@ -167,10 +168,10 @@ def test_the_agent_in_c_survives_garbage(program: Path, tmp_path: Path) -> None:
     JoinFolder(2, ("tls/a:1", "tls/b:1"), 1, "", KeyPair("", "")).write(tmp_path / "join-2", Keys("ab"), 0, 0)
     command = [str(program), str(tmp_path / "join-2")]
     slice_ = load_scenario("paper").agent_config(2).to_values()
-    answer = msgpack.packb({"agent": slice_, "incarnation": 0, "begin": 0, "version": 1})
+    answer = msgpack.packb({"agent": slice_, "incarnation": 0, "begin": 0, "version": PROTOCOL_VERSION})
     nav = msgpack.packb(["nav", 0, 0, [0.0] * 5, [0.1] * 5])
     rx = msgpack.packb(["rx", 0, 10, False, [[10, 0, 1, 0, 0, bytes(63)]] * 3])
-    hellos = [msgpack.packb(["hello", role, 0, 0, 1, True]) for role in ("world", "netem")]
+    hellos = [msgpack.packb(["hello", role, 0, 0, PROTOCOL_VERSION, True]) for role in ("world", "netem")]
     draw = Random(7)
     sent = [frame("g", answer), *(frame("n", hello) for hello in hellos)]
     for _ in range(3000):

@@ -10,7 +10,7 @@ import click
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument
 from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES, Whole
+from fleet.cli.types import OVERRIDES, Whole, key_options
 from fleet.terminal.folding import say
 from world.plugins.trust import Trust
 
@@ -51,7 +51,7 @@ def command(
 
     from fleet.repeat.what_if import what_if
 
-    changes = [*overrides, *([f"controller={controller}"] if controller is not None else [])]
+    changes = [*overrides, *key_options(controller=controller)]
     terminal = Console(stderr=True)
     with Status("reading the log", console=terminal) as status:
         tell = lambda share: status.update(f"agent {agent}: {100 * share:.0f} %")  # noqa: E731

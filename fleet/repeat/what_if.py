@@ -32,6 +32,7 @@ from fleet.recorder.snapshot import Start
 from fleet.repeat.recorded_run import recorded as read
 from fleet.repeat.resume import start_of
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.text.overrides import Override
 from fleet.scenario.trust import A_LOG, Policy
 from netem.lives import Lives
 from netem.transit import stamped
@@ -73,7 +74,7 @@ class WhatIf:
 def what_if(
     path: Path,
     agent: int,
-    overrides: Sequence[str] = (),
+    overrides: Sequence[str | Override] = (),
     progress: Callable[[float], None] = lambda _: None,
     trust: Trust = NOTHING,
 ) -> WhatIf:

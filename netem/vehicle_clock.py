@@ -32,7 +32,7 @@ class VehicleClock:
     drift: float = 0.0  # rho, s/s
 
 
-class ClockFault(Protocol):
+class ClockChange(Protocol):
     """A fault of the network or of the world; of kind `clock` its values are step [s] and drift [s/s]."""
 
     @property
@@ -50,14 +50,14 @@ class ClockFault(Protocol):
 class Clocks:
     """The clocks of a fleet, and the faults that change them."""
 
-    def __init__(self, own: Mapping[int, VehicleClock], faults: Iterable[ClockFault], tick_ns: int) -> None:
+    def __init__(self, own: Mapping[int, VehicleClock], faults: Iterable[ClockChange], tick_ns: int) -> None:
         """Take the clocks that are set and the faults of kind `clock` among all; other vehicles have right clocks."""
         self._own = own
         self._faults = [fault for fault in faults if fault.kind == CLOCK]
         self._tick_ns = tick_ns
 
     @classmethod
-    def that_differ(cls, own: Mapping[int, VehicleClock], faults: Iterable[ClockFault], tick_ns: int) -> Clocks | None:
+    def that_differ(cls, own: Mapping[int, VehicleClock], faults: Iterable[ClockChange], tick_ns: int) -> Clocks | None:
         """The clocks of a fleet; None if none is set and no fault changes any: then nobody needs to look at them."""
         clocks = cls(own, faults, tick_ns)
         return clocks if own or clocks._faults else None
@@ -86,7 +86,7 @@ class Clocks:
         drifts = [f.values[1] for f in self._concerning(i, tick) if f.end is None or tick < f.end]
         return self._own.get(i, _RIGHT).drift + sum(drifts)
 
-    def _concerning(self, i: int, tick: int) -> list[ClockFault]:
+    def _concerning(self, i: int, tick: int) -> list[ClockChange]:
         """The faults of vehicle i's clock that have begun."""
         return [f for f in self._faults if f.begin <= tick and (not f.vehicles or i in f.vehicles)]
 

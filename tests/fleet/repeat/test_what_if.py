@@ -93,7 +93,7 @@ def test_what_cannot_be_asked_is_refused_in_words(tmp_path: Path) -> None:
         ([str(directory), "--agent", "9"], "there is no agent 9: they are 1 to 4"),
         ([str(thin), "--agent", "1"], "has every 5th nav only"),
         ([str(directory), "--agent", "1", "--set", "vehicles=5"], "another number of vehicles"),
-        ([str(directory), "--agent", "1", "--controller", "pid"], '--controller pid: controller.law: there is no'),
+        ([str(directory), "--agent", "1", "--controller", "pid"], "--controller pid: controller.law: there is no"),
         ([str(directory), "--agent", "1", "--plot", str(tmp_path / "x.gif")], "a picture ends in one of .png"),
         ([str(tmp_path / "nothing"), "--agent", "1"], "cannot read"),
     ):

@@ -10,8 +10,6 @@ from collections.abc import Iterator
 from math import dist
 
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.schema.clock import ClockSection
-from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections import clocks, formation, graph, nemesis, partitions
 from netem import access, air, fading, impairment, link_states, link_trace
 from netem.condition import Condition, Link
@@ -49,7 +47,7 @@ def _parts(scenario: Scenario) -> Iterator[tuple[str, list[str]]]:
     for control in scenario.controls:
         if isinstance(control.navigation, DeadReckoning):
             yield "navigation", _navigation(control.navigation)
-    for clock in _clocks(spec):
+    for clock in clocks.clock_sections(spec):
         yield "clocks", clocks.draws(clock)
     yield "current", current.draws("", spec.sea.current.sigma)
     for changing in scenario.changing.values():
@@ -77,11 +75,6 @@ def _parts(scenario: Scenario) -> Iterator[tuple[str, list[str]]]:
 def _navigation(config: DeadReckoning) -> list[str]:
     of_fixes = [purpose for source in config.fixes for purpose in fixes.draws(source)]
     return [*navigator.draws(config), *instruments.draws(config), *of_fixes]
-
-
-def _clocks(spec: ScenarioSpec) -> Iterator[ClockSection]:
-    agents = [spec.agent, *(overrides.agent for overrides in spec.per_vehicle.values())]
-    yield from (agent.clock for agent in agents if agent is not None and agent.clock is not None)
 
 
 def _of_condition(condition: Condition) -> list[str]:

@@ -51,7 +51,8 @@ from fleet.recorder.snapshot import TOPIC, Snapshot, Start
 from fleet.recorder.tick_messages import TickMessages, VehicleTopic
 from fleet.recorder.transforms import TRANSFORMS_UNITS, Transforms
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.log_rates import CLOCK_GROUP, without_snapshots
+from fleet.scenario.sections.log_rates import without_snapshots
+from fleet.scenario.sections.signals import OF_NAVIGATION, OF_THE_CLOCK, OF_THE_PLANT
 from fleet.scenario.sections.timeline import Event
 from netem.clock import Clock
 from netem.wire.messages import Command, Fate, Frame
@@ -174,19 +175,19 @@ class LogWriter:
                     made[name, signals] = flat_schema(name, signal_columns(signals))
                 found[group][i] = made[name, signals]
         if self._scenario.clocks:
-            found[CLOCK_GROUP] = dict.fromkeys(self._scenario.clocks, flat_schema("Clock", CLOCK_ERROR))
+            found[OF_THE_CLOCK] = dict.fromkeys(self._scenario.clocks, flat_schema("Clock", CLOCK_ERROR))
         if plants:
-            found["plant"] = {}
+            found[OF_THE_PLANT] = {}
         for i, signals in plants.items():
             if signals:
                 plant = self._scenario.controls[i - 1].plant
                 assert plant is not None
-                name = message_name(plant.name, "plant")
+                name = message_name(plant.name, OF_THE_PLANT)
                 if (name, signals) not in made:
                     made[name, signals] = flat_schema(name, signal_columns(signals))
-                found["plant"][i] = made[name, signals]
+                found[OF_THE_PLANT][i] = made[name, signals]
         if navigating := [i for i in ids if self._scenario.navigates(i)]:
-            found["belief"] = dict.fromkeys(navigating, flat_schema("Belief", BELIEF))
+            found[OF_NAVIGATION] = dict.fromkeys(navigating, flat_schema("Belief", BELIEF))
         return found
 
     def _topic(self, name: str, schema: Schema) -> VehicleTopic:

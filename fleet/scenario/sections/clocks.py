@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 from fleet.scenario.schema.clock import ClockSection, DriftSection, OffsetSection
+from fleet.scenario.schema.spec import ScenarioSpec
 from netem.draws import normal
 from netem.vehicle_clock import VehicleClock
 
 DRIFT, OFFSET = "clock drift", "clock offset"  # purposes of draws
 _MOST_DRIFT = 0.5  # s/s: what is drawn beyond it is this
+
+
+def clock_sections(spec: ScenarioSpec) -> list[ClockSection]:
+    """The clocks that a scenario sets: for all vehicles, and for some."""
+    agents = [spec.agent, *(overrides.agent for overrides in spec.per_vehicle.values())]
+    return [agent.clock for agent in agents if agent is not None and agent.clock is not None]
 
 
 def vehicle_clock(section: ClockSection, seed: int, i: int) -> VehicleClock:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Collection
+from collections.abc import Callable, Collection
+from contextlib import suppress
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from fleet import quantities as q
 from fleet.errors import FleetError
@@ -14,6 +15,7 @@ from netem.curve import Curve
 from netem.parsing import nearest
 from netem.whole_file import read_file
 
+T = TypeVar("T")
 _MAX_BYTES = 100_000
 
 
@@ -64,16 +66,31 @@ def find_beside(kind: str, name: str, folder: Path | None, most: int) -> tuple[b
     Raises:
         DataFileError: there is no such file, it cannot be read, or it is larger.
     """
+    try:
+        return read_beside(kind, name, folder, lambda path: (read_file(path, most), str(path)))
+    except (OSError, ValueError) as error:  # ValueError: the name has a null byte
+        raise DataFileError(kind, name, [getattr(error, "strerror", None) or str(error)]) from None
+
+
+def read_beside(
+    kind: str, name: str, folder: Path | None, read: Callable[[Path], T], most_shown: int | None = None
+) -> T:
+    """What `read` makes of a file of the user's, which is searched in `folder`, then in the current directory.
+
+    Args:
+        kind: what the file describes; for the texts of errors.
+        read: reads the file at a path. After its FileNotFoundError the next place is tried.
+        most_shown: characters of the name in errors; None: all.
+
+    Raises:
+        DataFileError: there is no such file.
+    """
     places = [folder / name] if folder is not None else []
     for path in [*places, Path(name)]:
-        try:
-            return read_file(path, most), str(path)
-        except FileNotFoundError:
-            continue
-        except (OSError, ValueError) as error:  # ValueError: the name has a null byte
-            raise DataFileError(kind, name, [getattr(error, "strerror", None) or str(error)]) from None
+        with suppress(FileNotFoundError):
+            return read(path)
     looked = ", ".join(str(p.parent) for p in places) or "."
-    raise DataFileError(kind, name, [f"there is no such file (looked in {looked})"])
+    raise DataFileError(kind, name[:most_shown], [f"there is no such file (looked in {looked})"])
 
 
 def read(kind: str, data: bytes, name: str) -> dict[str, Any]:

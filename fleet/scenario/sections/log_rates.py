@@ -8,13 +8,13 @@ from math import gcd, lcm
 from agents.config import Law
 from agents.controllers import law_class
 from fleet.scenario.schema.spec import ScenarioSpec
-from fleet.scenario.sections.signals import OF_NAVIGATION
+from fleet.scenario.sections.clocks import clock_sections
+from fleet.scenario.sections.signals import OF_NAVIGATION, OF_THE_CLOCK, OF_THE_PLANT
 from world.errors import PluginError
 from world.plugins.checks import resumable
 
 SNAPSHOT_NS = 10_000_000_000
 LOG_GROUPS = ("pose", "state", "nav", "command", "guidance", "control", "error")
-PLANT_GROUP, CLOCK_GROUP = "plant", "clock"
 DRAWN_GROUPS = {"transforms": 100_000_000, "scene": 500_000_000}  # topics of the whole fleet: about how often [ns]
 
 
@@ -26,8 +26,8 @@ def snapshot_grid(spec: ScenarioSpec) -> int:
 
 def log_every(spec: ScenarioSpec) -> dict[str, int]:
     """Ticks between two records of each topic group; 0 for never."""
-    groups = (*LOG_GROUPS, *[PLANT_GROUP] * _has_plants(spec), *[CLOCK_GROUP] * _has_clocks(spec))
-    groups = (*groups, OF_NAVIGATION) if _navigate(spec) else groups
+    some = {OF_THE_PLANT: _has_plants(spec), OF_THE_CLOCK: bool(clock_sections(spec)), OF_NAVIGATION: _navigate(spec)}
+    groups = (*LOG_GROUPS, *(group for group, logged in some.items() if logged))
     every = {group: getattr(spec.log, group) or spec.log.every for group in groups}
     step = gcd(*every.values())  # what is drawn shall need no frame of its own
     for group, about_ns in DRAWN_GROUPS.items():
@@ -44,11 +44,6 @@ def _has_plants(spec: ScenarioSpec) -> bool:
 def _navigate(spec: ScenarioSpec) -> bool:
     sections = [spec.navigation, *(overrides.navigation for overrides in spec.per_vehicle.values())]
     return any(section is not None and not section.ideal for section in sections)
-
-
-def _has_clocks(spec: ScenarioSpec) -> bool:
-    agents = [spec.agent, *(overrides.agent for overrides in spec.per_vehicle.values())]
-    return any(agent is not None and agent.clock is not None for agent in agents)
 
 
 def memory_ticks(spec: ScenarioSpec, others: Iterable[tuple[str, Law]]) -> int:

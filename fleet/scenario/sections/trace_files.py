@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from fleet.scenario.sections.data_files import DataFileError
+from fleet.scenario.sections.data_files import DataFileError, read_beside
 from fleet.scenario.sections.trace_table import MOST_ROWS, TraceTable, bare_cell, read_cells, read_csv
 from netem.whole_file import read_file
 
@@ -40,14 +40,7 @@ def load_trace(text: str, folder: Path | None = None) -> TraceTable:
         return read_csv(text, INSIDE)
     if not text.endswith((".csv", ".parquet")):
         raise DataFileError("trace", text[:80] or '""', ["expected a file that ends in .csv or .parquet"])
-    places = [folder / text] if folder is not None else []
-    for path in [*places, Path(text)]:
-        try:
-            return read_trace(path)
-        except FileNotFoundError:
-            continue
-    looked = ", ".join(str(p.parent) for p in places) or "."
-    raise DataFileError("trace", text[:80], [f"there is no such file (looked in {looked})"])
+    return read_beside("trace", text, folder, read_trace, most_shown=80)
 
 
 def read_trace(path: Path) -> TraceTable:

@@ -30,7 +30,8 @@ from fleet.recorder.snapshot import Snapshot
 from fleet.recorder.transforms import quaternion
 from fleet.recorder.writer import LogWriter
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.log_rates import LOG_GROUPS, PLANT_GROUP
+from fleet.scenario.sections.log_rates import LOG_GROUPS
+from fleet.scenario.sections.signals import OF_THE_PLANT
 from fleet.scenario.sections.timeline import Event
 from netem.causes import Cause
 from netem.wire.messages import Command, Fate, Frame, VehicleFrame
@@ -143,7 +144,7 @@ def frame_entries(
     scenario: Scenario, frame: Frame, commands: dict[int, Command], errors: dict[int, VehicleError]
 ) -> list[Entry]:
     found: list[Entry] = []
-    for group in (*LOG_GROUPS, PLANT_GROUP) if scenario.plants else LOG_GROUPS:
+    for group in (*LOG_GROUPS, OF_THE_PLANT) if scenario.plants else LOG_GROUPS:
         if frame.tick % scenario.log_every[group] and frame.tick != TICKS:
             continue
         for row in frame.vehicles:

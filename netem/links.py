@@ -56,7 +56,9 @@ class ChangingLinks(Links):
             elif changing.shared is None:
                 self._processes[link] = StateProcess(config.seed, changing, link)
             else:
-                self._processes[link] = shared.setdefault(changing, StateProcess(config.seed, changing, link))
+                if changing not in shared:
+                    shared[changing] = StateProcess(config.seed, changing, link)
+                self._processes[link] = shared[changing]
 
     def enter(self, at_ns: int, link: Link, seq: int, payload: bytes, faults: ActiveFaults) -> list[LinkOutcome]:
         """What a link makes of a packet, in the condition that it has when the packet enters it."""

@@ -258,18 +258,17 @@ class World:
         if not isfinite(sum(state)):
             raise IntegrationError("the motion left the finite numbers", state[3], i, tick)
         if vehicle.navigation is not None:
-            self._navigate(i, state, current)
+            self._navigate(i, vehicle.navigation, state, current)
         vehicle.state = state
         vehicle.tick = tick + 1
 
-    def _navigate(self, i: int, after: State, current: Vec3) -> None:
+    def _navigate(self, i: int, navigation: Navigator | ReplayedError, after: State, current: Vec3) -> None:
         """Let vehicle i measure what it does in a tick, in a current [m/s, NED]; `after` is its state at the next."""
         vehicle = self._vehicles[i]
         faults = self._active(i, vehicle.tick + 1) if self._faults else []
-        navigation, phi = vehicle.navigation, 0.0 if vehicle.plant is None else vehicle.plant.roll[0]
+        phi = 0.0 if vehicle.plant is None else vehicle.plant.roll[0]
         try:
-            if navigation is not None:
-                navigation.step(vehicle.state, after, current, faults, phi)
+            navigation.step(vehicle.state, after, current, faults, phi)
         except (OverflowError, ValueError, ZeroDivisionError):
             raise IntegrationError("its navigation left the finite numbers", after[3], i, vehicle.tick) from None
 
@@ -280,7 +279,8 @@ class World:
         wrenches: list[Vec6] = [(x, y, z, 0.0, m, n) for _, (x, y, z, m, n), _ in forces]
         plant.advance(tick, tau, current, wrenches, self._h)
         after = _of_plant(plant)
-        self._navigate(i, after, current)
+        if vehicle.navigation is not None:
+            self._navigate(i, vehicle.navigation, after, current)
         vehicle.state = after
         vehicle.tick = tick + 1
         if plant.notes:

@@ -111,8 +111,8 @@ class Times:
                     for thread in process.threads():
                         self.user[process.pid, thread.id] = thread.user_time
                         self.kernel[process.pid, thread.id] = thread.system_time
-                    if role := _role(process.cmdline()):  # one that has ended has no command any more
-                        self.roles[process.pid] = role
+                    if command := process.cmdline():  # one that has ended has no command any more
+                        self.roles[process.pid] = _role(command, self.roles.get(process.ppid(), ""))
 
     def of(self, pids: Sequence[int], known: set[tuple[int, int]] | None = None) -> tuple[float, float]:
         """(user, kernel) time of processes; of the threads that are not known, if some are."""
@@ -124,13 +124,14 @@ class Times:
         return sum(self.user.values()) + sum(self.kernel.values())
 
 
-def _role(command: list[str]) -> str:
+def _role(command: list[str], above: str = "") -> str:
+    """The role of a process; `above`: of its parent, whose command a child has between its fork and its exec."""
     words = " ".join(command)
     if words.startswith("fleet agent"):
         return AGENTS
     if words.startswith(("fleet world", "fleet netem")):
         return words.split()[1]
-    return CONSOLE if "-m fleet run" in words else ""  # the fork server and the like
+    return CONSOLE if "-m fleet run" in words and above != CONSOLE else ""  # "": the fork server and the like
 
 
 def py_spy() -> str | None:
@@ -284,7 +285,7 @@ def kind_of(stack: Sequence[Frame]) -> str:
 
 
 def _rows(stacks: Stacks, times: Times, out: Path, scenario: str, *, in_process: bool) -> Iterator[ProcessTime]:
-    for role in dict.fromkeys(times.roles.values()):
+    for role in filter(None, dict.fromkeys(times.roles.values())):
         pids = [pid for pid, of in times.roles.items() if of == role]
         name = "run" if in_process else role
         seen = {key: of for key, of in stacks.items() if key[0] in pids}

@@ -105,6 +105,13 @@ def test_processes_are_known_by_their_names(command: list[str], role: str) -> No
     assert profile._role(command) == role
 
 
+def test_a_child_with_its_parents_command_is_no_second_console() -> None:
+    """What a fork has until it executes its own program."""
+    command = ["python", "-P", "-m", "fleet", "run", "paper"]
+    assert profile._role(command, above="console") == ""
+    assert profile._role(["fleet", "agent", "3"], above="console") == "agents"
+
+
 def run(*arguments: str) -> tuple[int, str]:
     result = CliRunner().invoke(profile.main, ["paper", *arguments])
     return result.exit_code, result.stderr.strip()

@@ -7,8 +7,8 @@ parameters that the scenario gives it. It has
   broken at that tick. The first failure decides; after it the check is not called any more;
 * optionally `verdict()`: asked at the end, and while a run goes on as if it ended now, so it must change nothing. It
   returns None, a text about what was found, or a `Failure` for what can only be judged at the end;
-* optionally `margin()`: how far the property was from being broken at its nearest so far, as a `Margin` with value, unit
-  and time [s], negative once it is broken; None: that is not known. A search is guided by it.
+* optionally `margin()`: how far the property was from being broken at its nearest so far, as a `Margin` with value,
+  unit and time [s], negative once it is broken; None: that is not known.
 
 `docs/guide/your-checks.md` is the guide; `fleet new check NAME` writes a template.
 """

@@ -123,9 +123,10 @@ class RunningPythonCheck:
         try:
             margin = self._margin(now, method, self._fence.call(now, method))
         except CheckError as error:
-            if over:
-                self._break(error)
-            return self._verdict(False, _words(_broken(error)), None)
+            if not over:
+                return self._verdict(False, _words(_broken(error)), None)
+            self._break(error)
+            return self._judged(moment, now, over=over)
         return verdict if margin is None else verdict.with_margin(margin.value, margin.unit, margin.at_s)
 
     def _judged(self, moment: Moment | None, now: int, *, over: bool) -> Verdict:

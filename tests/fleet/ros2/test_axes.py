@@ -50,9 +50,7 @@ def test_vectors_by_hand() -> None:
 
 
 @given(ANGLES, ANGLES, ANGLES, st.tuples(*[st.floats(-9.0, 9.0)] * 3))
-def test_a_vector_of_the_body_points_the_same_way_in_both_worlds(
-    theta: float, psi: float, phi: float, v: tuple
-) -> None:
+def test_a_vector_of_the_body_points_the_same_way(theta: float, psi: float, phi: float, v: tuple) -> None:
     """enu(R v) is the new attitude applied to the vector in the body's new axes."""
     assert turned(attitude(theta, psi, phi), body(v)) == pytest.approx(
         enu(tuple(turned(quaternion(theta, psi, phi), v))), abs=1e-9

@@ -12,14 +12,13 @@ from foreign_log import foreign
 from in_process_runs import Alone, alone, log_of
 from mcap.reader import make_reader
 
-rosbags = pytest.importorskip("rosbags.highlevel", reason="the extra [ros2] is not installed")
-
 import fleet
 from fleet.cli.main import cli
 from fleet.ros2.diagnostics import ERROR, OK
 from fleet.ros2.mapping import GRAVITY, SEA_WATER, SURFACE_PA
 
 __all__ = ["alone"]
+rosbags = pytest.importorskip("rosbags.highlevel", reason="the extra [ros2] is not installed")
 SHORT = ("duration=2 s", "vehicles=3", "checks={}")
 Messages = dict[str, list]
 

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import pytest
-
-pytest.importorskip("rosbags", reason="the extra [ros2] is not installed")
-
 from repository import ROOT
 
 from fleet.errors import FleetError
@@ -25,6 +22,8 @@ from fleet.ros2.rmw import (
     unpack,
 )  # fmt: skip
 from fleet.ros2.types import DISTRIBUTIONS, NO_HASH, dds_name, ros_name, types_of
+
+pytest.importorskip("rosbags", reason="the extra [ros2] is not installed")
 
 STRING = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 ADD = "RIHS01_e118de6bf5eeb66a2491b5bda11202e7b68f198d6f67922cf30364858239c81a"

@@ -78,7 +78,8 @@ def search(
     from fleet.study.search import search as first_that_fails
     from fleet.study.shrink import Shrinker
 
-    tried, modules = _tried(scenario, [*overrides, *net, *fault], trust, "liveness" if liveness else "swarm" if nemesis else None)
+    mode: NemesisMode = "liveness" if liveness else "swarm" if nemesis else None
+    tried, modules = _tried(scenario, [*overrides, *net, *fault], trust, mode)
     path = place_of(tried, out, force=force)
     most_runs, budget_s = budget
     least = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from statistics import median
 from time import thread_time_ns
 
@@ -33,7 +34,7 @@ def _step_us(grade: str, seconds: int) -> float:
     for second in range(seconds):
         way = [_course(second * SECOND + k) for k in range(SECOND + 1)]
         began = thread_time_ns()
-        for before, after in zip(way, way[1:], strict=False):
+        for before, after in pairwise(way):
             navigator.step(before, after, (0.0, 0.0, 0.0), (), 0.0)
             navigator.believed(after, ())
             navigator.covariance()

@@ -51,9 +51,7 @@ def formation(runs: Sequence[Run], view: View) -> Figure:
     return _norm(runs, view, "formation_norm", "formation error [m]", "formation", believed=believed)
 
 
-def _norm(
-    runs: Sequence[Run], view: View, name: str, label: str, error: str, *, believed: bool = False
-) -> Figure:
+def _norm(runs: Sequence[Run], view: View, name: str, label: str, error: str, *, believed: bool = False) -> Figure:
     figure, axes = over_time(2, runs, view) if believed else over_time(1, runs, view, 2.4)
     log = view.log_scale is not False
     panel = [(ax, component(group, name)) for ax, group in zip(axes, ("error", "belief"), strict=False)]

@@ -34,7 +34,7 @@ from fleet.scenario.scenario import Scenario
 from fleet.scene.belief import PlaceBelief, drawn_belief
 from fleet.scene.link_state import HISTORY, LinkState, mark_of, state_of
 from fleet.scene.model import SLENDER, SceneModel, diameter
-from fleet.scene.primitives import REFERENCE, CircleShape, CrossShape, FramePoint, Primitive, points_of
+from fleet.scene.primitives import REFERENCE, CircleShape, CrossShape, Primitive, points_of
 from fleet.scene.styles import FOXGLOVE, NO_AGENT
 from netem.condition import Link
 from netem.wire.messages import Fate, Frame, VehicleFrame
@@ -95,6 +95,7 @@ class Scene:
             for silent in (False, True)
         }
         self._navigating = frozenset(self._model.navigating)
+        self._beliefs: dict[tuple[int, int], Template] = {}  # by vehicle and number of coordinates
         self._names = {link: _link(link).SerializeToString() for link in scenario.graph.links}
         self._lines = {state: Template(partial(_line, state), 6) for state in FOXGLOVE.links}
         self._offsets: list[Vec3] = []  # where the vehicles should be in the message before
@@ -111,7 +112,7 @@ class Scene:
         self._seen = frame
 
     def message(self, frame: Frame, stamp: bytes) -> bytes:
-        """A SceneUpdate message: hulls, links, beliefs, then where the vehicles should be; `stamp` is `stamp_field`'s."""
+        """A SceneUpdate message: hulls, links, beliefs, places of the vehicles; `stamp` is `stamp_field`'s."""
         silent = self.silent()
         found = [field(b"\x12", stamp + self._hulls[row.id, row.id in silent]) for row in frame.vehicles]
         t = frame.tick * self._scenario.tick_ns / 1e9
@@ -132,11 +133,16 @@ class Scene:
 
     def _belief(self, row: VehicleFrame, place: Vec3) -> bytes:
         """What a vehicle believes of its place; an empty entity, which replaces the one before, if nobody asked it."""
-        drawn = []
+        drawn: list[Primitive] = []
         if row.nav:
             x, y, z = (believed - true for believed, true in zip(row.nav[:3], row.eta[:3], strict=True))
             drawn = drawn_belief(row.id, PlaceBelief((x, y, z), row.belief))
-        return _patches(row.id, drawn, place).SerializeToString()
+        x, y, z = place
+        values = [value for thing in drawn for dx, dy, dz in _ends(thing) for value in (x + dx, y + dy, z + dz)]
+        key = row.id, len(values)
+        if key not in self._beliefs:
+            self._beliefs[key] = Template(partial(_believed, row.id), len(values))
+        return self._beliefs[key](*values)
 
     def silent(self) -> frozenset[int]:
         """The vehicles that nobody commands."""
@@ -191,33 +197,22 @@ def _formation(things: Iterable[Primitive], diameters: Sequence[float]) -> Scene
     return SceneEntity(frame_id=REFERENCE, id="formation", frame_locked=True, spheres=spheres)
 
 
-def _patches(i: int, things: Iterable[Primitive], place: Vec3) -> SceneEntity:
-    """The belief of a vehicle: the outline of an area, and a small cross.
-
-    Args:
-        things: with points that are counted from the vehicle.
-        place: of the vehicle in `reference`.
-    """
-    lines = []
-    for thing in things:
-        colour = _colour(FOXGLOVE.colour(thing.colour))
-        ends = [_beside(place, point) for point in points_of(thing)]
-        if isinstance(thing, CrossShape):
-            x, y, z = ends[0]
-            arms = [Point3(x=x + dx, y=y + dy, z=z) for dx, dy in _ARMS]
-            lines.append(_strip(LinePrimitive.LINE_LIST, arms, colour))
-        else:
-            lines.append(_strip(LinePrimitive.LINE_LOOP, [Point3(x=x, y=y, z=z) for x, y, z in ends], colour))
+def _believed(i: int, *values: float) -> SceneEntity:
+    """The belief of vehicle i: the corners of an area, which may be left out, and the four ends of a cross [m]."""
+    points = [Point3(x=x, y=y, z=z) for x, y, z in zip(values[::3], values[1::3], values[2::3], strict=True)]
+    colour = _colour(FOXGLOVE.vehicle(i))
+    lines = [
+        LinePrimitive(type=kind, thickness=1.5, scale_invariant=True, points=some, color=colour)
+        for kind, some in ((LinePrimitive.LINE_LOOP, points[:-4]), (LinePrimitive.LINE_LIST, points[-4:]))
+        if some
+    ]
     return SceneEntity(frame_id=REFERENCE, id=f"belief {i}", frame_locked=True, lines=lines)
 
 
-def _strip(kind: Any, points: list[Point3], colour: Color) -> LinePrimitive:
-    return LinePrimitive(type=kind, thickness=1.5, scale_invariant=True, points=points, color=colour)
-
-
-def _beside(place: Vec3, point: FramePoint) -> Vec3:
-    x, y, z = enu((point.north, point.east, point.down))
-    return place[0] + x, place[1] + y, place[2] + z
+def _ends(thing: Primitive) -> list[Vec3]:
+    """The corners of an area, and the ends of a cross, in axes of `reference`."""
+    points = [enu((point.north, point.east, point.down)) for point in points_of(thing)]
+    return [(x + dx, y + dy, z) for x, y, z in points for dx, dy in _ARMS] if isinstance(thing, CrossShape) else points
 
 
 def hull(i: int, mass: float, silent: bool) -> SceneEntity:

@@ -18,8 +18,8 @@ from fleet.scene.primitives import NED, AreaShape, CrossShape, FramePoint, Primi
 from fleet.scene.styles import VEHICLE
 from world.vectors import Vec3
 
-CORNERS = 48  # of an ellipse
-_TURNS = [2.0 * pi * k / CORNERS for k in range(CORNERS)]
+CORNERS = 36  # of an ellipse
+_ROUND = [(cos(2.0 * pi * k / CORNERS), sin(2.0 * pi * k / CORNERS)) for k in range(CORNERS)]
 _MOST_M = 1e6  # a larger ellipse would be no picture
 
 
@@ -58,6 +58,8 @@ def ellipse(vehicle: int, place: Sequence[float], covariance: Sequence[float], f
         return None
     north, east, down = place
     c, s = cos(bearing), sin(bearing)
-    around = [(long * cos(turn), short * sin(turn)) for turn in _TURNS]
-    points = tuple(FramePoint(frame, north + c * x - s * y, east + s * x + c * y, down) for x, y in around)
+    ahead_n, ahead_e, aside_n, aside_e = c * long, s * long, -s * short, c * short
+    points = tuple(
+        FramePoint(frame, north + ahead_n * x + aside_n * y, east + ahead_e * x + aside_e * y, down) for x, y in _ROUND
+    )
     return AreaShape(f"{VEHICLE} {vehicle}", points)

@@ -106,7 +106,5 @@ def test_foxglove_shows_it(log: Path) -> None:
     assert [len(each["belief 3"].lines) for each in found] == [2] * (len(found) - 1) + [0]
     points = found[0]["belief 3"].lines[0].points
     state, belief = (open_log(log)[f"uuv/3/{group}"] for group in ("state", "belief"))
-    middle = np.mean(
-        [(p.y, p.x, -p.z) for p in points], axis=0
-    )  # the reference begins in 0 0 20
+    middle = np.mean([(p.y, p.x, -p.z) for p in points], axis=0)  # the reference begins in 0 0 20
     assert middle == pytest.approx([state.x[0], state.y[0], state.z[0] - 20.0] + belief.off[0], abs=1e-9)

@@ -29,6 +29,7 @@ from fleet.study.errors import StudyError
 from fleet.study.measures import MEASURES
 from fleet.study.modules import NO_MODULES, Modules, folder_of
 from fleet.study.signal_measures import Samples
+from fleet.study.sometimes import column_of
 from world.plugins.trust import Trust
 
 A_STUDY = "a study names it"  # why a law that is not installed needs trust
@@ -152,6 +153,9 @@ def _measured(result: Result) -> dict[str, Any]:
     row["passed"] = result.passed
     for verdict in result.verdicts:  # of several of one check the worst, which are those that failed
         name = verdict.check
+        if verdict.reached is not None:
+            row[column_of(name)] = float(verdict.reached)
+            continue
         row[f"check.{name}"] = row.get(f"check.{name}", True) and verdict.passed
         if verdict.value is not None:
             row[f"value.{name}"] = max(row.get(f"value.{name}", verdict.value), verdict.value)

@@ -43,7 +43,7 @@ def show(result: Result, terminal: Terminal) -> None:
             say(line)
     for verdict in sorted(result.verdicts, key=lambda verdict: verdict.passed):
         style, mark = ("green", "pass") if verdict.passed else ("red", "FAIL")
-        say(f"{verdict.check}: {verdict.asked}; found {verdict.found}", style, mark)
+        say(f"{verdict.check}: {verdict.asked}; found {verdict.words}", style, mark)
     _show_events(result.events, say)
     explained = {without_agent(line) for line in result.lines}
     notes = folded(note for note in result.notes if without_agent(note) not in explained)

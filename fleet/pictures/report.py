@@ -11,7 +11,7 @@ from pathlib import Path
 from msgspec import convert
 
 from fleet.logs.payload_kinds import count_kinds
-from fleet.logs.reader import Tell, digest
+from fleet.logs.reader import Tell
 from fleet.logs.run_name import begun_at, run_name
 from fleet.logs.topic_names import link_topic
 from fleet.pictures.gallery import PER_RUN, WHAT, draw
@@ -78,7 +78,7 @@ class ReportSection:
 
 
 def write(path: Path, runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> None:
-    """Write the page; `share` is called with the share that is done of a digest or of the pictures.
+    """Write the page; `share` is called with the share of the pictures that is done.
 
     Raises:
         FleetError: the place cannot be written.
@@ -89,7 +89,7 @@ def write(path: Path, runs: Sequence[Run], view: View, share: Tell = lambda _: N
 
 def page(runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> str:
     """The whole page as HTML."""
-    results = [_result(run, share) for run in runs]
+    results = [_result(run) for run in runs]
     together = None
     if len(runs) > 1:
         together = {
@@ -149,8 +149,8 @@ def _section(number: int, run: Run, found: RunResult, kinds: Sequence[str], view
     )
 
 
-def _result(run: Run, share: Tell) -> RunResult:
-    of_log = digest(run.log.path, share)
+def _result(run: Run) -> RunResult:
+    of_log = run.digest
     try:
         result = read_result(run.log.path.parent)
     except FileNotFoundError:

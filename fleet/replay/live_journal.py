@@ -38,6 +38,7 @@ class LiveJournal:
         self.bus, self.keys = bus, keys
         self.missing = Missing()
         self._waiting: deque[Any] = deque(maxlen=MOST_WAITING)
+        self._newest: dict[str, Any] = {}  # by key
         self._came = Event()
         bus.subscribe(keys.log_end, lambda sample: self.missing.end(sample.payload.to_bytes()))
 
@@ -54,6 +55,14 @@ class LiveJournal:
         """Follow a topic, or those of a pattern of zenoh's. Returns what ends it."""
         return self.bus.subscribe(self.keys.log(topic), self.receive)
 
+    def subscribe_newest(self, topic: str) -> None:
+        """Follow the newest message of a topic, or of each of a pattern; none of the others is missing."""
+        self.bus.subscribe(self.keys.log(topic), self.receive_newest)
+
+    def receive_newest(self, sample: Any) -> None:
+        """Keep a sample in place of the one before it; on a thread of zenoh."""
+        self._newest[str(sample.key_expr)] = sample
+
     def receive(self, sample: Any) -> None:
         """Keep a sample; on a thread of zenoh."""
         self._waiting.append(sample)  # when it is full, the oldest one goes
@@ -66,17 +75,27 @@ class LiveJournal:
     def take(self) -> list[JournalMessage]:
         """What has come, in its order."""
         self._came.clear()
-        waiting, prefix, found = self._waiting, len(self.keys.log("")), []
+        waiting, found = self._waiting, []
         for _ in range(len(waiting)):
             sample = waiting.popleft()
-            topic = str(sample.key_expr)[prefix:]
-            try:
-                log_ns = unpack(sample.attachment.to_bytes()).log_ns
-            except (ValueError, AttributeError):
-                continue  # not the publisher's
-            self.missing.came(topic, place_of(sample))
-            found.append(JournalMessage(topic, log_ns, sample.payload.to_bytes()))
+            if (message := self._message(sample)) is not None:
+                self.missing.came(message.topic, place_of(sample))
+                found.append(message)
         return found
+
+    def take_newest(self) -> list[JournalMessage]:
+        """The newest of each topic of which that is followed, where one has come."""
+        some = [self._newest.pop(key) for key in list(self._newest)]
+        return [message for message in map(self._message, some) if message is not None]
+
+    def _message(self, sample: Any) -> JournalMessage | None:
+        """None: it is not the publisher's."""
+        topic = str(sample.key_expr)[len(self.keys.log("")) :]
+        try:
+            log_ns = unpack(sample.attachment.to_bytes()).log_ns
+        except (ValueError, AttributeError):
+            return None
+        return JournalMessage(topic, log_ns, sample.payload.to_bytes())
 
     def close(self) -> None:
         """End."""

@@ -12,7 +12,7 @@ from typing import Any
 
 from fleet.execution.connection import LiveRun, OpenConnection, RemoteError, find, is_live
 from fleet.execution.directory import SCENARIO, in_use
-from fleet.logs.topic_names import link_of
+from fleet.logs.topic_names import BELIEFS, link_of
 from fleet.replay.live_journal import LiveJournal
 from fleet.replay.missing import Missing, left_out
 from fleet.replay.player import MeasuredRate
@@ -70,6 +70,8 @@ class LiveFeed:
             self._listening = True
             for topic in (TRANSFORMS, FAULTS, "link/*"):
                 self._journal.subscribe(topic)
+            if self.picture.scene.navigating:
+                self._journal.subscribe_newest(BELIEFS)  # a picture shows one of each vehicle
 
     @property
     def missing(self) -> Missing:
@@ -88,7 +90,7 @@ class LiveFeed:
 
     def advance(self) -> bool:
         """Take what has come; whether there is something new to show."""
-        come = self._journal.take()
+        beliefs, come = self._journal.take_newest(), self._journal.take()
         placed: tuple[float, bytes] | None = None
         shown_s = self.picture.at_s
         for topic, log_ns, data in come:
@@ -105,8 +107,10 @@ class LiveFeed:
                     self.picture.signal(name, at_s, value)
         if placed is not None:
             take(self.picture, TRANSFORMS, *placed)
+        for topic, log_ns, data in beliefs:
+            take(self.picture, topic, log_ns / 1e9, data)
         self._rate.update(time.monotonic_ns(), int(self.picture.at_s * 1e9))
-        return bool(come)
+        return bool(come or beliefs)
 
     def look(self) -> None:
         """Ask the console how it is doing. Waits for the answer: on a thread of its own."""

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from msgspec import convert
+from msgspec import convert, structs
 
 from fleet.logs.payload_kinds import count_kinds
 from fleet.logs.reader import Tell
@@ -20,6 +20,7 @@ from fleet.pictures.report_scenario import conditions_note, conditions_table, ne
 from fleet.pictures.report_tables import (
     Mark,
     Table,
+    believed_errors,
     checks_table,
     kinds_table,
     links_table,
@@ -168,16 +169,19 @@ def _tables(run: Run, result: Result | None) -> list[tuple[str, Table]]:
     tables: list[tuple[str, Table]] = []
     reported = [i for i in run.log.vehicles if f"uuv/{i}/error" in run.log]
     if result and result.vehicles:
+        believed = believed_errors(run, result.vehicles)
         headings = {
             "settle_10pct_s": "settle to 10 % [s]", "settle_5cm_s": "settle to 5 cm [s]",
             "e_rms_m": "RMS consensus error, last 10 s [m]",
             "formation_final_m": "final formation error [m]",
+            **({"believed_m": "as it believes it [m]"} if believed else {}),
             "effort_Ns": "surge effort [N s]", "u_cmd_max_mps": "max u_cmd [m/s]", "qp_failures": "QP failures",
             "payloads_rejected": "payloads rejected",
         }  # fmt: skip
         vehicles = result.vehicles
         shown = worst(vehicles, {i: row.formation_final_m or 0.0 for i, row in vehicles.items()})
-        measured = [(i, *(number(key, getattr(vehicles[i], key)) for key in headings)) for i in shown]
+        rows = {i: structs.asdict(row) | {"believed_m": believed.get(i)} for i, row in vehicles.items()}
+        measured = [(i, *(number(key, rows[i][key]) for key in headings)) for i in shown]
         measured += rest(len(vehicles) - len(shown), "whose final formation error is smaller")
         tables.append(("Vehicles", Table(("UUV", *headings.values()), measured)))
     elif reported:

@@ -27,6 +27,7 @@ from fleet.scenario.sections.log_rates import log_every, memory_ticks
 from fleet.scenario.sections.modem_files import shipped_modems
 from fleet.scenario.sections.navigation import inlined_navigation
 from fleet.scenario.sections.per_vehicle import Control, inlined_vehicle, model_name
+from fleet.scenario.sections.signals import BeliefKind
 from fleet.scenario.sections.timeline import FaultPlan
 from fleet.scenario.sections.vehicle_files import shipped_vehicles
 from fleet.scenario.text import yaml_writer
@@ -228,9 +229,9 @@ class Scenario:
         limit = control.tumble_limit
         return VehicleSetup(i, eta0, nu0, control.vehicle, control.tau_max, limit, size, plant, control.navigation)
 
-    def navigates(self, i: int) -> bool:
-        """Whether vehicle i has to find out where it is."""
-        return self.controls[i - 1].navigation is not None
+    def belief(self, i: int) -> BeliefKind:
+        """What vehicle i believes of its place."""
+        return BeliefKind.of(self.controls[i - 1].navigation)
 
     def plant_signals(self, i: int) -> tuple[Signal, ...] | None:
         """What the plant of vehicle i reports; None: it has none. Raises PluginError: it cannot be used."""

@@ -103,7 +103,8 @@ class Bench:
 
 BENCHES = {
     "election": Bench("election", f"{ELECTION}:Election", (
-        *_COMMON, _NEMESIS % "partition, down, deaf, mute, pause, kill", 'network.links={"*": delay 100ms 30ms loss 10%}',
+        *_COMMON, _NEMESIS % "partition, down, deaf, mute, pause, kill",
+        'network.links={"*": delay 100ms 30ms loss 10%}',
         "checks={fleet.protocols.checks:AtMostOneLeader: {per: fleet}, "
         "fleet.protocols.checks:AgreeAfterHeal: {within: 9 s, quorum: fleet}}",
     ), still=True),
@@ -279,7 +280,9 @@ def plant(bug: Bug, folder: Path) -> str:
         for other, planted in names.items():
             text = text.replace(f"from {other} import", f"from {planted} import")
         if bench.still:
-            text = text.replace("FormationAgent, ", "").replace("\nfrom fleet.protocols", f"\n{_STILL}\nfrom fleet.protocols", 1)
+            text = text.replace("FormationAgent, ", "").replace(
+                "\nfrom fleet.protocols", f"\n{_STILL}\nfrom fleet.protocols", 1
+            )
         (folder / f"{name}.py").write_text(text, "utf-8")
     return f"{names[bug.chain[0]]}:{bench.law.partition(':')[2]}"
 
@@ -311,11 +314,12 @@ def table(lines: list[dict[str, Any]]) -> Iterator[str]:
             cells.append(f"{middle:g}" if middle < inf else f"not in {most}")
         found = min((line for line in mine if line["found"]), key=lambda line: len(line["least"]), default=None)
         least = "; ".join(found["least"]) if found else ""
-        yield f"| {mine[0]['protocol']} | {mine[0]['what']} | {' | '.join(cells)} | {found['check'] if found else ''} | {least} |"
-    found_by = {guide: sum(one < inf for one in each) for guide, each in medians.items()}
+        fails = found["check"] if found else ""
+        yield f"| {' | '.join((mine[0]['protocol'], mine[0]['what'], *cells, fails, least))} |"
     yield ""
-    yield (f"Found without a guide: {found_by[False]} of {len(medians[False])}, median {statistics.median(medians[False]):g} runs; "
-           f"with it: {found_by[True]}, median {statistics.median(medians[True]):g} runs.")  # fmt: skip
+    for guide, each in medians.items():
+        found_by, middle = sum(one < inf for one in each), statistics.median(each)
+        yield f"{'With' if guide else 'Without'} a guide: found {found_by} of {len(each)}, median {middle:g} runs."
 
 
 if __name__ == "__main__":

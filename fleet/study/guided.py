@@ -169,7 +169,7 @@ class GuidedSearch:
         others += [tried.drawn for near in self._corpus.nearest.values() for tried in near]
         others += self._fresh
         latest = max((end_of(fault, scenario.duration_ns) for faults in others for fault in faults), default=0)
-        mutator = Mutator(scenario.vehicles, scenario.graph.links, scenario.duration_ns, latest)
+        mutator = Mutator(scenario, latest)
         near_ns = None if at_s is None else round(at_s * 1e9)
         drawn = mutator.mutated(parent.drawn, others, near_ns, draws)
         # Its own seed keeps what the parent met on its network; another one makes the same faults meet other losses.

@@ -23,15 +23,14 @@ from math import log2
 from typing import Any
 
 from fleet.quantities import QuantityError, show_time, time_ns
+from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.partitions import DRAWN_PARTITIONS
 from fleet.study.shrink import TIMES, number_places, scaled
-from netem.condition import Link
 from netem.draws import uniform
 from netem.selectors import Selector
 
 PURPOSE = "guide"  # of the draws
 MOST_FAULTS = 12  # that moves make
-_MS = 10**6
 _OF_VEHICLES = frozenset({"kill", "pause", "mute", "deaf", "freeze", "off", "stuck"})
 
 Fault = dict[str, Any]  # as plain values
@@ -59,9 +58,11 @@ class Draws:
 class Mutator:
     """Makes fault lists of a scenario."""
 
-    def __init__(self, vehicles: int, links: Sequence[Link], duration_ns: int, latest_ns: int) -> None:
+    def __init__(self, scenario: Scenario, latest_ns: int) -> None:
         """Prepare it; no fault that it makes ends after `latest_ns`, so that time to recover is left."""
-        self._vehicles, self._duration, self._latest = vehicles, duration_ns, latest_ns
+        self._vehicles, links = scenario.vehicles, scenario.graph.links
+        self._duration, self._tick = scenario.duration_ns, scenario.tick_ns
+        self._latest = max(latest_ns, self._tick)
         self._pairs = sorted({(min(link), max(link)) for link in links})
         self._links = sorted(links)
 
@@ -102,7 +103,7 @@ class Mutator:
         new = dict(draws.one(donors))
         if near_ns is not None:  # it begins up to a fifth of the run before
             back = draws.share() ** 2 * self._duration / 5
-            new["at"] = _shown(near_ns - back)
+            new["at"] = self._shown(near_ns - back)
         return [*faults, self._fitting(new)]
 
     def _place(self, faults: list[Fault], near_ns: int | None, draws: Draws) -> int:
@@ -114,12 +115,12 @@ class Mutator:
 
     def _shift(self, fault: Fault, draws: Draws) -> Fault:
         far = self._duration / 4 * 10 ** (-2 * draws.share())  # log-uniform
-        return {**fault, "at": _shown(_ns(fault, "at") + (far if draws.share() < 0.5 else -far))}
+        return {**fault, "at": self._shown(_ns(fault, "at") + (far if draws.share() < 0.5 else -far))}
 
     def _stretch(self, fault: Fault, draws: Draws) -> Fault:
         if "for" not in fault:
             return fault
-        return {**fault, "for": _shown(_ns(fault, "for") * 2 ** (4 * draws.share() - 2))}
+        return {**fault, "for": self._shown(_ns(fault, "for") * 2 ** (4 * draws.share() - 2))}
 
     def _aim(self, fault: Fault, draws: Draws) -> Fault:
         kind = kind_of(fault)
@@ -151,12 +152,16 @@ class Mutator:
 
     def _fitting(self, fault: Fault) -> Fault:
         """The fault with times that fit into the run."""
-        at = min(max(0, _ns(fault, "at")), max(0, self._latest - 100 * _MS))
-        fits = {**fault, "at": show_time(at // _MS * _MS)}
+        at = min(max(0, _ns(fault, "at")), self._latest - self._tick) // self._tick * self._tick
+        fits = {**fault, "at": show_time(at)}
         if "for" in fits or at + self._duration > self._latest:
             lasts = min(_ns(fits, "for") if "for" in fits else self._duration, self._latest - at)
-            fits["for"] = show_time(max(_MS, lasts // _MS * _MS))
+            fits["for"] = self._shown(max(lasts, self._tick))
         return fits
+
+    def _shown(self, ns: float) -> str:
+        """A time in whole ticks."""
+        return show_time(max(0, int(ns)) // self._tick * self._tick)
 
 
 def kind_of(fault: Fault) -> str:
@@ -189,7 +194,3 @@ def _ns(fault: Fault, key: str) -> int:
         return time_ns(fault[key])
     except QuantityError:  # not one that a scenario was read from
         return 0
-
-
-def _shown(ns: float) -> str:
-    return show_time(max(0, int(ns)) // _MS * _MS)

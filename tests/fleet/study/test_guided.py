@@ -18,6 +18,7 @@ from fleet.study.moves import MOST_FAULTS, Draws, Mutator, end_of
 from fleet.study.search import Searched
 from fleet.study.shrink import tree_of
 
+PICK = "mute, down, partition, {wrench: {vehicles: 1, force: 400 0 0 N}}"
 NEMESIS = f"nemesis={{every: 400 ms, for: 300 ms, until: 1500 ms, pick: [{PICK}]}}"
 CHECK = "checks={formation_error: {below: 4 m, after: 800 ms}, tumbled: waived}"
 

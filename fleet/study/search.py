@@ -43,6 +43,7 @@ class Searched:
         reason: of the first of these.
         kinds: by check, the first seed that fails it; without a folder of failures one only.
         reached: what some run must reach.
+        sample: whether the runs were drawn one like the other, so that they tell what others would do.
     """
 
     name: str  # of the scenario
@@ -55,6 +56,7 @@ class Searched:
     reason: str = ""
     kinds: dict[str, int] = field(default_factory=dict)
     reached: list[Reached] = field(default_factory=list)
+    sample: bool = True
 
     @property
     def most_failures(self) -> float | None:
@@ -63,7 +65,8 @@ class Searched:
         Runs of which none reached what some must reach say nothing of those that would.
         """
         missed = any(not one.hits for one in self.reached)
-        return most_failures(self.runs) if self.runs and self.seed is None and not missed else None
+        known = self.runs and self.seed is None and self.sample and not missed
+        return most_failures(self.runs) if known else None
 
 
 def nemesis_of(scenario: Scenario, mode: Literal["swarm", "liveness"] = "swarm") -> Override:

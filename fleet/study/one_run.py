@@ -111,7 +111,7 @@ def _made(task: Task) -> dict[str, Any]:
         if task.seen:
             return _seen(scenario, check if isfinite(task.timeout_s) else None, Seen(scenario, samples))
         if task.log:
-            result = _recorded(scenario, Path(task.log), check, samples)
+            result = recorded(scenario, Path(task.log), check, samples)
         else:
             result = judged(scenario, check if isfinite(task.timeout_s) else None, samples)
         return _measured(result) | samples.numbers()
@@ -135,7 +135,12 @@ def _failed(error: Exception) -> dict[str, Any]:
     return {"status": FAILED, "reason": reason[:2000]}
 
 
-def _recorded(scenario: Scenario, directory: Path, check: Callable[[float], None], samples: Samples) -> Result:
+def recorded(
+    scenario: Scenario,
+    directory: Path,
+    check: Callable[[float], None] | None = None,
+    samples: Samples | None = None,
+) -> Result:
     """Make a run, and the directory that `fleet run` would have made; it is there as a whole or not at all."""
     part = directory.with_name(f".{directory.name}-{token_hex(4)}")
     part.mkdir(parents=True)

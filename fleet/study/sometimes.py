@@ -40,10 +40,14 @@ class Reached:
         reached = row.get(column_of(self.name))
         if reached is None:
             return
+        self.note(row["seed"], reached=bool(reached))
+
+    def note(self, seed: int, *, reached: bool) -> None:
+        """Count a run by its seed."""
         self.runs += 1
         if reached:
             self.hits += 1
-            self.seed = row["seed"] if self.seed is None else min(self.seed, row["seed"])
+            self.seed = seed if self.seed is None else min(self.seed, seed)
 
     @property
     def words(self) -> str:

@@ -122,59 +122,40 @@ def component(vector: str, k: int) -> str:
     return f"{vector}_{k}"
 
 
-def places(
-    layout: SignalLayout | None,
-    plant: tuple[Signal, ...] | None,
-    has_clock: bool = False,
-    navigates: bool = False,
-) -> dict[str, SignalPlace]:
-    """Every signal of a vehicle, vectors and their components, by name.
+class VehicleSignals(NamedTuple):
+    """What a log has of one vehicle."""
 
-    Args:
-        layout: what its agent reports; None: that is not known.
-        plant: what its plant reports; None: it has none.
-        has_clock: whether its clock is set.
-        navigates: whether it does not know where it is.
-    """
-    found: dict[str, SignalPlace] = {}
-    for group, (start, signals) in _groups(layout, plant, has_clock, navigates).items():
-        for signal in signals:
-            name, width = f"{group}.{signal.name}", signal.width
-            units = signal.unit.split(", ") if ", " in signal.unit else [signal.unit] * width
-            found[name] = SignalPlace(slice(start, start + width), signal.unit)
-            if width > 1:
-                for k, unit in enumerate(units):
-                    found.setdefault(component(name, k), SignalPlace(slice(start + k, start + k + 1), unit))
-            start += width
-    return found
+    layout: SignalLayout | None = None  # what its agent reports; None: that is not known
+    plant: tuple[Signal, ...] | None = None  # what its plant reports; None: it has none
+    has_clock: bool = False  # its clock is set
+    navigates: bool = False  # it does not know where it is
 
+    def groups(self) -> dict[str, tuple[int, tuple[Signal, ...]]]:
+        """By topic group where its values begin, and its signals."""
+        groups = {group: (0, signals) for group, signals in _ALWAYS.items()}
+        if self.has_clock:
+            groups[OF_THE_CLOCK] = 0, CLOCK
+        if self.plant is not None:
+            groups |= dict.fromkeys(("state", "nav"), (0, STATE + ROLL)) | {OF_THE_PLANT: (0, self.plant)}
+        if self.navigates:
+            groups[OF_NAVIGATION] = 0, BELIEF
+        if self.layout is not None:
+            groups |= {group: (self.layout.group(group).start, getattr(self.layout, group)) for group in OF_THE_LAWS}
+        return groups
 
-def flat_signals(
-    layout: SignalLayout | None,
-    plant: tuple[Signal, ...] | None,
-    has_clock: bool = False,
-    navigates: bool = False,
-) -> dict[str, tuple[int, list[tuple[str, int]]]]:
-    """By topic group where its values begin, and name and number of values of each signal; as `places` has them."""
-    return {
-        group: (start, [(signal.name, signal.width) for signal in signals])
-        for group, (start, signals) in _groups(layout, plant, has_clock, navigates).items()
-    }
-
-
-def _groups(
-    layout: SignalLayout | None, plant: tuple[Signal, ...] | None, has_clock: bool, navigates: bool
-) -> dict[str, tuple[int, tuple[Signal, ...]]]:
-    groups = {group: (0, signals) for group, signals in _ALWAYS.items()}
-    if has_clock:
-        groups[OF_THE_CLOCK] = 0, CLOCK
-    if plant is not None:
-        groups |= dict.fromkeys(("state", "nav"), (0, STATE + ROLL)) | {OF_THE_PLANT: (0, plant)}
-    if navigates:
-        groups[OF_NAVIGATION] = 0, BELIEF
-    if layout is not None:
-        groups |= {group: (layout.group(group).start, getattr(layout, group)) for group in OF_THE_LAWS}
-    return groups
+    def places(self) -> dict[str, SignalPlace]:
+        """Every signal, vectors and their components, by name."""
+        found: dict[str, SignalPlace] = {}
+        for group, (start, signals) in self.groups().items():
+            for signal in signals:
+                name, width = f"{group}.{signal.name}", signal.width
+                units = signal.unit.split(", ") if ", " in signal.unit else [signal.unit] * width
+                found[name] = SignalPlace(slice(start, start + width), signal.unit)
+                if width > 1:
+                    for k, unit in enumerate(units):
+                        found.setdefault(component(name, k), SignalPlace(slice(start + k, start + k + 1), unit))
+                start += width
+        return found
 
 
 def unit_of(signal: SignalName, vehicles: Iterable[Mapping[str, SignalPlace]]) -> str:

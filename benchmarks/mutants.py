@@ -5,7 +5,8 @@ the tests of the room with `-x`. A mutant is killed if a test fails, or the test
 is the share of the mutants that are killed. Some survivors are equivalent: no test can tell them from the code.
 
 Of a room's tests, those run that have entered the function of the mistake, the quickest first; all of the room, if it
-stands outside functions. The trajectories of `tests/golden/test_golden.py` are tests of the laws and of the plant. What runs only in processes that a test starts is not seen, and counts as never entered.
+stands outside functions. The trajectories of `tests/golden/test_golden.py` are tests of the laws and of the plant.
+What runs only in processes that a test starts is not seen, and counts as never entered.
 
     python benchmarks/mutants.py --room agents --count 75
 """

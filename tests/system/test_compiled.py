@@ -122,7 +122,7 @@ def build(tmp_path: Path, python: Path, modules: str = "", **environment: str) -
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
-        timeout=400,
+        timeout=850,
     )
     assert sorted(path.name for path in sources.iterdir() if path.suffix != ".egg-info") == sorted(COPIED)
     (wheel,) = tmp_path.glob("*.whl")

@@ -170,7 +170,7 @@ def reported(scenario: Scenario, i: int) -> VehicleSignals:
         plant = scenario.plant_signals(i)
     except PluginError:
         plant = ()
-    return VehicleSignals(laws, plant, i in scenario.clocks, scenario.navigates(i))
+    return VehicleSignals(laws, plant, i in scenario.clocks, scenario.belief(i))
 
 
 def _ended(what: str) -> list[int]:

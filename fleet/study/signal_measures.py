@@ -184,8 +184,8 @@ def _column(measure: SignalMeasure, scenarios: Sequence[Scenario]) -> MeasureCol
 
 
 def _places(scenario: Scenario, i: int) -> dict[str, SignalPlace]:
-    clock, navigates = i in scenario.clocks, scenario.navigates(i)
-    return VehicleSignals(scenario.layout(i), scenario.plant_signals(i), clock, navigates).places()
+    clock, belief = i in scenario.clocks, scenario.belief(i)
+    return VehicleSignals(scenario.layout(i), scenario.plant_signals(i), clock, belief).places()
 
 
 def _vehicles(measure: SignalMeasure, scenario: Scenario) -> range:

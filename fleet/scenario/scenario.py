@@ -59,7 +59,6 @@ class Reading(NamedTuple):
 class Scenario:
     """A valid scenario, equal to another with the same run and verdict. It makes each core's configuration once."""
 
-
     spec: ScenarioSpec  # the values of the file, in SI units
     reference: Reference
     plans: tuple[Offset, ...]  # p_i(t) [m, NED]

@@ -117,9 +117,7 @@ class LogContents(Struct):
     messages: Annotated[int, Meta(description="Number of messages.")]
     start_s: Annotated[float, Meta(description="Time of the first message [s].")]
     end_s: Annotated[float, Meta(description="Time of the last message [s].")]
-    run: Annotated[
-        dict[str, str], Meta(description="All that determines the run; empty: it is no log of a run.")
-    ]
+    run: Annotated[dict[str, str], Meta(description="All that determines the run; empty: it is no log of a run.")]
     faults: Annotated[list[FaultTime], Meta(description="In the order in which they began.")]
     events: Annotated[list[EventCount], Meta(description="What happened to vehicles, one row for each.")]
     topics: Annotated[dict[str, tuple[str, int]], Meta(description="Schema and number of messages, by topic.")]

@@ -74,6 +74,9 @@ def _run(run: Path) -> Iterator[tuple[str, str]]:
     yield "run", str(run)
     try:
         result = read_result(run)
+    except FileNotFoundError:
+        yield "result", "none: the run goes on, or was killed"
+        return
     except ResultError as error:
         yield "result", str(error)
         return

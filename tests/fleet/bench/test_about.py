@@ -20,7 +20,7 @@ def test_the_report(checks: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     runner = CliRunner()
     without = runner.invoke(cli, ["about"]).output
     assert "uuv-fleet" in without and "numpy" in without and "\nrun " not in without
-    directory = runner.invoke(cli, [*QUICK, f"checks={checks}"]).output.strip()
+    directory = runner.invoke(cli, [*QUICK, f"checks={checks}"]).stdout.strip()
     text = runner.invoke(cli, ["about", str(tmp_path / directory)]).output
     assert "scenario       paper, seed 7, 0.5 s, digest " in text
     assert f"run            ~/{directory}\n" in text and f"fleet run ~/{directory}/scenario.yaml" in text

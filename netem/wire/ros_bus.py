@@ -58,13 +58,9 @@ class RosBus(OpenBus):
             return None
         try:
             config = zenoh.Config.from_file(path) if path else zenoh.Config()
-            if not path:  # nothing of it listens beyond this host
-                for key, value in {
-                    "mode": "client",
-                    "listen/endpoints": [],
-                    "scouting/multicast/enabled": False,
-                }.items():
-                    config.insert_json5(key, json.dumps(value))
+            alone = {} if path else {"mode": "client", "listen/endpoints": [], "scouting/multicast/enabled": False}
+            for key, value in alone.items():  # so that nothing listens beyond this host
+                config.insert_json5(key, json.dumps(value))
             for entry in filter(None, (single or "").split(";")):
                 key, _, value = entry.partition("=")
                 config.insert_json5(key.strip(), value.strip())

@@ -57,7 +57,7 @@ class Reading(NamedTuple):
 
 @dataclass(frozen=True)
 class Scenario:
-    """A valid scenario; equal ones determine the same run and verdict. Configurations of cores are made when needed."""
+    """A valid scenario, equal to another with the same run and verdict. It makes each core's configuration once."""
 
     spec: ScenarioSpec  # the values of the file, in SI units
     reference: Reference

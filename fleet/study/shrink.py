@@ -48,8 +48,8 @@ class Shrunk(NamedTuple):
         check: the check that fails.
         found: what the verdict of that check says, of the first scenario and of the least one.
         runs: that were made.
-        steps: what was made less, in words and in order.
-        digest: of the log of the least one's run.
+        steps: the reductions, in words and in order.
+        digest: of the log of the run of the smallest one.
     """
 
     scenario: Scenario

@@ -1,4 +1,4 @@
-"""The probability that a run fails a check, by splitting: parts of runs on an engine, repeats that are kept in a file."""
+"""The probability that a run fails a check, by splitting; repeats are kept in a file."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from fleet.study.errors import StudyError
 from fleet.study.modules import NO_MODULES, Modules
 from fleet.study.one_run import Task
 from fleet.study.plan import run_key
-from fleet.study.splitting import Ask, Make, Splitting, SplitPath, interval
+from fleet.study.splitting import Ask, Make, SplitPath, Splitting, interval
 from netem.whole_file import read_file, write_whole
 
 _MOST_BYTES = 10_000_000

@@ -8,7 +8,7 @@ from random import Random
 
 import pytest
 
-from fleet.study.splitting import Ask, Splitting, SplitPath, interval
+from fleet.study.splitting import Ask, SplitPath, Splitting, interval
 
 STEPS = 60
 

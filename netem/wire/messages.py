@@ -92,6 +92,13 @@ class Fix(WireRecord, frozen=True):
     used: Annotated[bool, about("false when the filter refused it")]
 
 
+class Part(WireRecord, frozen=True):
+    """A message of, or for, one of several agents that share a process."""
+
+    vehicle: Annotated[Uint, about("vehicle number")]
+    message: Annotated[bytes, about("one that would travel on the agent's own key")]
+
+
 class VehicleFrame(WireRecord, frozen=True):
     """One vehicle at one tick, as the world computed it."""
 
@@ -363,6 +370,23 @@ class Note(WireRecord, frozen=True, tag="note"):
     text: Annotated[Text, about("one line")]
 
 
+class Bundle(WireRecord, frozen=True, tag="bundle"):
+    """Messages of several agents that share a process, in one put. Agents elsewhere never get it."""
+
+    route: ClassVar[Route] = Route("host/{h}, cmd/host-{h}, tx/host-{h}", "world and netem, host h", "host h, world, netem")
+
+    parts: Annotated[tuple[Part, ...], about("those of one agent in their order")]
+
+
+class Ended(WireRecord, frozen=True, tag="ended"):
+    """One of several agents that share a process has ended; the others go on."""
+
+    route: ClassVar[Route] = Route("note/host-{h}", "host h", "console")
+
+    vehicle: Annotated[Uint, about("vehicle number")]
+    status: Annotated[Uint, about("with which a process of its own would have ended")]
+
+
 Message = (
     Hello
     | Nav
@@ -381,4 +405,6 @@ Message = (
     | Restart
     | WorldFaults
     | Note
+    | Bundle
+    | Ended
 )

@@ -44,7 +44,9 @@ class RealtimeAgentProcess(AgentProcess):
                     self._take(key, message, at_ns)
             if self._stamped.flooded and not self._noted_flood:
                 self._noted_flood = True
-                self._agent.shell.note(self._vehicle, self._loop.tick, "more comes in than it takes: messages are dropped")
+                self._agent.shell.note(
+                    self._vehicle, self._loop.tick, "more comes in than it takes: messages are dropped"
+                )
             for nav in self._realtime.to_answer(navs) if navs else ():
                 self._answer(self._keys.nav(self._vehicle), nav)
 

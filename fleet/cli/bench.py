@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from fleet.bench.figures import FiguresComparison
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-SIZES = Numbers(1, 1000, "4,20,100", whole=True)
+SIZES = Numbers(1, 3000, "4,20,100", whole=True)
 
 
 def _writable(_: click.Context, __: click.Parameter, path: Path | None) -> Path | None:

@@ -148,9 +148,7 @@ class ExternalAgents:
     def waiting(self, waited_s: float, most_s: float) -> str:
         """Whom the run waits for, in words. Raises RunBroken: they did not join within `most_s`."""
         if waited_s > most_s:
-            raise RunBroken(
-                f"{self.awaited_text()} did not join within {most_s:g} s; --join-timeout gives more time"
-            )
+            raise RunBroken(f"{self.awaited_text()} did not join within {most_s:g} s; --join-timeout gives more time")
         return f"waiting for {self.awaited_text()} to join, {waited_s:.0f} s"
 
     def close(self) -> None:

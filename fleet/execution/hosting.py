@@ -37,7 +37,9 @@ class Hosting:
     def agents(self, role: str) -> tuple[int, ...]:
         """The vehicles whose agents a process began with; none for world and netem."""
         kind, _, number = role.partition("-")
-        return {"agent": (int(number),), "host": self.members[int(number) - 1]}[kind] if number else ()
+        if not number:
+            return ()
+        return (int(number),) if kind == "agent" else self.members[int(number) - 1]
 
     def used(self, scenario: Scenario) -> tuple[int, int]:
         """How many processes of agents the run starts, and how many agents the fullest has."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import agents.main
@@ -27,7 +28,9 @@ from netem.wire.keys import Keys
 from netem.wire.settings import PENDING
 
 FORKSERVER_S = 0.2  # how long to wait for the end of a fork server that does not answer
-ASKED_PER_CPU = 3  # processes of agents that the world asks at a time; more of them find colder caches, fewer leave processors idle
+ASKED_PER_CPU = (
+    3  # processes of agents that the world asks at a time; more of them find colder caches, fewer leave processors idle
+)
 
 Target = tuple[Callable[..., None], tuple[Any, ...]]  # a function that a process runs, and its arguments
 
@@ -92,8 +95,9 @@ class Launch:
         targets = {WORLD: self._world(), NETEM: self._netem()}
         for h in range(1, len(self._hosting.members) + 1):
             targets[host_role(h)] = self._host(h, host_role(h))
+        elsewhere = {*self._scenario.external, *chain(*self._hosting.members)}
         for i in range(1, self._scenario.vehicles + 1):
-            if i not in self._scenario.external and self._hosting.role(i) == agent_role(i):
+            if i not in elsewhere:
                 targets[agent_role(i)] = self.agent(i)
         order = self._options.start_order
         return targets if order is None else {role: targets[role] for role in order(list(targets))}

@@ -373,7 +373,9 @@ class Note(WireRecord, frozen=True, tag="note"):
 class Bundle(WireRecord, frozen=True, tag="bundle"):
     """Messages of several agents that share a process, in one put. Agents elsewhere never get it."""
 
-    route: ClassVar[Route] = Route("host/{h}, cmd/host-{h}, tx/host-{h}", "world and netem, host h", "host h, world, netem")
+    route: ClassVar[Route] = Route(
+        "host/{h}, cmd/host-{h}, tx/host-{h}", "world and netem, host h", "host h, world, netem"
+    )
 
     parts: Annotated[tuple[Part, ...], about("those of one agent in their order")]
 

@@ -40,6 +40,7 @@ from netem.wire.keys import Keys
 RUN = "5ec7e7"
 KEYS = Keys(RUN)
 VEHICLES = (1, 2)
+HOST, HOSTS = "host-1", ((2,),)  # where agent 2 is in its first life
 WORLD = "world"
 LIMIT_S = 60.0
 
@@ -47,9 +48,12 @@ LIMIT_S = 60.0
 PUTS: dict[str, set[str]] = {
     **{KEYS.tx(i): {agent_role(i)} for i in VEHICLES},
     **{KEYS.cmd(i): {agent_role(i)} for i in VEHICLES},
-    **{KEYS.note(agent_role(i)): {agent_role(i)} for i in VEHICLES},
+    KEYS.note("agent-1"): {"agent-1"},
+    KEYS.note("agent-2"): {"agent-2", HOST},
     **{KEYS.nav(i): set() for i in VEHICLES},
     **{KEYS.rx(i): {NETEM} for i in VEHICLES},
+    **{key: {HOST} for key in (KEYS.tx(HOST), KEYS.cmd(HOST), KEYS.note(HOST))},
+    KEYS.host(1): {NETEM},
     KEYS.note(NETEM): {NETEM},
     KEYS.note(WORLD): set(),
     KEYS.links: {NETEM},
@@ -58,16 +62,18 @@ PUTS: dict[str, set[str]] = {
     KEYS.grant: {CONSOLE},
 }
 # A put may name many keys at once.
-WILD_PUTS = [KEYS.tx("*"), KEYS.cmd("*"), KEYS.rx("*"), KEYS.nav("*"), KEYS.note("*"), f"{KEYS.prefix}/**", "**"]
+WILD_PUTS = [KEYS.tx("*"), KEYS.cmd("*"), KEYS.rx("*"), KEYS.nav("*"), KEYS.note("*"), KEYS.host("*"),
+             f"{KEYS.prefix}/**", "**"]  # fmt: skip
 
 HEARD_BY = {
     WORLD: [KEYS.cmd("*")],
     NETEM: [KEYS.tx("*")],
     CONSOLE: [KEYS.frame, KEYS.links, KEYS.note("*")],
     **{agent_role(i): [KEYS.nav(i), KEYS.rx(i)] for i in VEHICLES},
+    HOST: [KEYS.host(1)],
 }
-ROLES = [CONSOLE, NETEM, OPERATOR, "agent-1", "agent-2"]
-ATTACKERS = ["agent-1", NETEM, CONSOLE, OPERATOR]
+ROLES = [CONSOLE, NETEM, OPERATOR, "agent-1", "agent-2", HOST]
+ATTACKERS = ["agent-1", HOST, NETEM, CONSOLE, OPERATOR]
 
 
 def listeners(key: str) -> set[str]:
@@ -80,7 +86,7 @@ class Hall:
     """A router with every role's session, subscribed and answering as the processes of a run are."""
 
     def __init__(self, private: Path) -> None:
-        self.credentials = generate(VEHICLES)
+        self.credentials = generate(VEHICLES, hosts=HOSTS)
         self._folder = RunFolder()
         self.endpoint = self._folder.endpoint
         self.port = f"tcp/127.0.0.1:{free_port()}"  # for those who cannot use the socket
@@ -88,7 +94,7 @@ class Hall:
         self.tokens: list[str] = []
         self._marks = 0
         listener = Listener((self.port,), LEASE_MS)
-        world = Bus.host(self.endpoint, KEYS, VEHICLES, self.credentials, private, listener)
+        world = Bus.host(self.endpoint, KEYS, VEHICLES, self.credentials, private, listener, HOSTS)
         self.sessions = {WORLD: world}
         for role in ROLES:
             self.sessions[role] = self.join(role)
@@ -136,6 +142,7 @@ class Hall:
         for key, listener in [
             (KEYS.nav(1), "agent-1"),
             (KEYS.nav(2), "agent-2"),
+            (KEYS.host(1), HOST),
             (KEYS.round, NETEM),
             (KEYS.frame, CONSOLE),
         ]:
@@ -243,7 +250,9 @@ def test_nobody_can_say_what_is_not_theirs(guarded: Hall) -> None:
     on a wildcard, which would name its own key among others, is refused as a whole."""
     for role in ATTACKERS:
         forged, deleted = f"forged by {role}".encode(), guarded.who_heard(b"")
-        allowed = {KEYS.rx("*")} if role == NETEM else set()  # it may put every inbox, at once or one by one
+        allowed = (
+            {KEYS.rx("*"), KEYS.host("*")} if role == NETEM else set()
+        )  # it may put every inbox, at once or one by one
         for key in [*(key for key, speakers in PUTS.items() if role not in speakers), *WILD_PUTS]:
             if key not in allowed:
                 guarded.put(role, key, forged)
@@ -266,7 +275,7 @@ def test_without_the_list_every_forgery_is_heard(unguarded: Hall) -> None:
 
 WIRETAPS = [
     KEYS.rx(2), KEYS.nav(2), KEYS.rx("*"), KEYS.nav("*"), KEYS.tx(2), KEYS.tx("*"), KEYS.cmd(2), KEYS.cmd("*"),
-    KEYS.frame, KEYS.links, KEYS.round, KEYS.note("*"), KEYS.grant, f"{KEYS.prefix}/**", "**",
+    KEYS.frame, KEYS.links, KEYS.round, KEYS.note("*"), KEYS.grant, KEYS.host("*"), f"{KEYS.prefix}/**", "**",
 ]  # fmt: skip
 
 
@@ -315,7 +324,15 @@ def test_without_the_list_an_agent_overhears_everything(unguarded: Hall) -> None
 
 # --- asking and answering --------------------------------------------------
 
-QUESTIONS = [KEYS.cfg(2), KEYS.cfg("*"), KEYS.ctl(WORLD), KEYS.ctl(NETEM), f"{KEYS.op}/status", f"{KEYS.prefix}/**"]
+QUESTIONS = [
+    KEYS.cfg(2),
+    KEYS.cfg(HOST),
+    KEYS.cfg("*"),
+    KEYS.ctl(WORLD),
+    KEYS.ctl(NETEM),
+    f"{KEYS.op}/status",
+    f"{KEYS.prefix}/**",
+]
 
 
 def answers(hall: Hall, role: str, key: str) -> list[str]:

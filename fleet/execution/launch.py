@@ -11,8 +11,8 @@ from typing import Any
 import agents.main
 import netem.main
 import world.main
-from fleet.errors import RunBroken
 from agents.running import running
+from fleet.errors import RunBroken
 from fleet.execution.directory import RunDirectory
 from fleet.execution.hosting import Hosting
 from fleet.execution.options import Options
@@ -104,7 +104,8 @@ class Launch:
 
     def agent(self, i: int, incarnation: int = 0, begin: int = 0) -> Target:
         """What an agent's process runs, in the life `incarnation` that begins at tick `begin`."""
-        return agents.main.run, (self.endpoint, self._keys.run, i, self.credentials[agent_role(i)], incarnation, begin)
+        credentials = self.credentials[self._hosting.role(i)]
+        return agents.main.run, (self.endpoint, self._keys.run, i, credentials, incarnation, begin)
 
     def computing(self, role: str) -> int:
         """The vehicle whose agent a host computes, or did when it ended; 0: none, or it is no host."""

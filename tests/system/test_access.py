@@ -40,7 +40,7 @@ from netem.wire.keys import Keys
 RUN = "5ec7e7"
 KEYS = Keys(RUN)
 VEHICLES = (1, 2)
-HOST, HOSTS = "host-1", ((2,),)  # where agent 2 is in its first life
+HOST, HOSTS = "host-1", ((3,),)  # where agent 3 is in its first life; later ones use its login
 WORLD = "world"
 LIMIT_S = 60.0
 
@@ -48,11 +48,13 @@ LIMIT_S = 60.0
 PUTS: dict[str, set[str]] = {
     **{KEYS.tx(i): {agent_role(i)} for i in VEHICLES},
     **{KEYS.cmd(i): {agent_role(i)} for i in VEHICLES},
-    KEYS.note("agent-1"): {"agent-1"},
-    KEYS.note("agent-2"): {"agent-2", HOST},
+    **{KEYS.note(agent_role(i)): {agent_role(i)} for i in VEHICLES},
     **{KEYS.nav(i): set() for i in VEHICLES},
     **{KEYS.rx(i): {NETEM} for i in VEHICLES},
     **{key: {HOST} for key in (KEYS.tx(HOST), KEYS.cmd(HOST), KEYS.note(HOST))},
+    **{key: {HOST} for key in (KEYS.tx(3), KEYS.cmd(3), KEYS.note("agent-3"))},
+    KEYS.nav(3): set(),
+    KEYS.rx(3): {NETEM},
     KEYS.host(1): {NETEM},
     KEYS.note(NETEM): {NETEM},
     KEYS.note(WORLD): set(),
@@ -70,7 +72,7 @@ HEARD_BY = {
     NETEM: [KEYS.tx("*")],
     CONSOLE: [KEYS.frame, KEYS.links, KEYS.note("*")],
     **{agent_role(i): [KEYS.nav(i), KEYS.rx(i)] for i in VEHICLES},
-    HOST: [KEYS.host(1)],
+    HOST: [KEYS.host(1), KEYS.nav(3), KEYS.rx(3)],
 }
 ROLES = [CONSOLE, NETEM, OPERATOR, "agent-1", "agent-2", HOST]
 ATTACKERS = ["agent-1", HOST, NETEM, CONSOLE, OPERATOR]
@@ -86,7 +88,7 @@ class Hall:
     """A router with every role's session, subscribed and answering as the processes of a run are."""
 
     def __init__(self, private: Path) -> None:
-        self.credentials = generate(VEHICLES, hosts=HOSTS)
+        self.credentials = generate((*VEHICLES, 3), hosts=HOSTS)
         self._folder = RunFolder()
         self.endpoint = self._folder.endpoint
         self.port = f"tcp/127.0.0.1:{free_port()}"  # for those who cannot use the socket
@@ -94,7 +96,7 @@ class Hall:
         self.tokens: list[str] = []
         self._marks = 0
         listener = Listener((self.port,), LEASE_MS)
-        world = Bus.host(self.endpoint, KEYS, VEHICLES, self.credentials, private, listener, HOSTS)
+        world = Bus.host(self.endpoint, KEYS, (*VEHICLES, 3), self.credentials, private, listener, HOSTS)
         self.sessions = {WORLD: world}
         for role in ROLES:
             self.sessions[role] = self.join(role)

@@ -64,6 +64,7 @@ class NetworkProcess(ABC, Generic[R]):
         self._inbox: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.rx(i)) for i in config.vehicles}
         self._links = bus.publisher(keys.links)
         self._round_heard = False
+        self._round_parts: list[Round] = []  # of a round that is not whole yet
         self._probes = Probes()
         self._counts = {"sent": {"links": 0}, "received": {"round": 0}}
         self._lock = Lock()  # a control request comes on a thread of zenoh
@@ -144,8 +145,22 @@ class NetworkProcess(ABC, Generic[R]):
         if isinstance(message, Hello):
             self._round_heard = True
             return
-        self._counts["received"]["round"] += isinstance(message, Round)
+        if isinstance(message, Round):
+            self._counts["received"]["round"] += 1
+            if (whole := self._whole(message)) is not None:
+                self._from_world(whole)
+            return
         self._from_world(message)
+
+    def _whole(self, part: Round) -> Round | None:
+        """A round of which the last part has come, or None."""
+        self._round_parts.append(part)
+        if part.more:
+            return None
+        parts, self._round_parts = self._round_parts, []
+        alive = tuple(i for each in parts for i in each.alive)
+        positions = tuple(position for each in parts for position in each.positions)
+        return part if len(parts) == 1 else Round(part.tick, alive, positions, part.paused)
 
     def _hand_out(self, inboxes: list[tuple[int, Inbox]]) -> None:
         hosted: dict[int, list[tuple[int, bytes]]] = {}

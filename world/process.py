@@ -53,6 +53,7 @@ log = logging.getLogger(__name__)
 FRAMES_PER_MESSAGE = 10
 FRAMES_WAIT_S = 0.02
 FIX_BYTES = 70  # of a fix in a frame, at most
+ROUND_BYTES = 36  # of a vehicle in a round, at most: two numbers and a position
 _ECHO = encode(Hello(WORLD, 0, 0, PROTOCOL_VERSION, True))
 _PROBE = encode(Hello(WORLD, 0, 0, PROTOCOL_VERSION, False))
 
@@ -239,8 +240,7 @@ class WorldProcess:
                 self._ask(item.id, item.nav)
             elif isinstance(item, Round):
                 round_over = True
-                self._sent["round"] += 1
-                self._round(encode(item))
+                self._send_round(item)
                 self._turns.passed(item.tick)
         while (turn := self._turns.take()) is not None:
             self._send_navs(turn)
@@ -250,6 +250,13 @@ class WorldProcess:
                     self._add_frame(item)
             if round_over:
                 self._flush_frames()  # the console can write them as soon as netem has reported
+
+    def _send_round(self, item: Round) -> None:
+        alive = [*zip(item.alive, item.positions, strict=True)]
+        for part, more in split(alive, lambda _: ROUND_BYTES, PART_BYTES):
+            self._sent["round"] += 1
+            there, positions = zip(*part, strict=True) if part else ((), ())
+            self._round(encode(Round(item.tick, there, positions, () if more else item.paused, more)))
 
     def _ask(self, i: int, nav: Nav) -> None:
         self._turns.ask(i, nav)

@@ -31,7 +31,11 @@ AGENT_TICKS = 20_000  # of a run, about
 LEAST_TICKS, MOST_TICKS = 30, 1000
 WEIGHED = 20  # agents whose memory is looked at
 ROLES = ("console", "world", "netem", "agents")
-BEGINNINGS = {"world": "fleet world", "netem": "fleet netem", "agents": ("fleet agent", "fleet host")}  # of titles
+BEGINNINGS = {
+    "world": ("fleet world",),
+    "netem": ("fleet netem",),
+    "agents": ("fleet agent", "fleet host"),
+}  # of titles
 
 
 class ScaleRow(Struct, frozen=True):

@@ -25,8 +25,8 @@ def line(row: ScaleRow) -> str:
     us = row.distributed_us
     return (
         f"{row.vehicles:4d} {row.per_process:4d} {row.tick_ms:5g} {row.in_process_us:11.0f} {row.total_us:12.0f} "
-        f"{us['agents']:7.0f} {us['world']:6.0f} {us['netem']:6.0f} {us['console']:8.0f} {row.x_real_time:7.2f} {row.ready_s:6.1f} "
-        f"{row.agent_mb:6.1f} {row.all_mb:5.0f}"
+        f"{us['agents']:7.0f} {us['world']:6.0f} {us['netem']:6.0f} {us['console']:8.0f} {row.x_real_time:7.2f} "
+        f"{row.ready_s:6.1f} {row.agent_mb:6.1f} {row.all_mb:5.0f}"
     )
 
 

@@ -82,9 +82,6 @@ class Console:
         Args:
             run: its id; its keys begin with fleet/<run>/.
             print_line: shows the operator a line that stays.
-
-        Raises:
-            FleetError: agents are to share processes, but not in a run like this.
         """
         self._scenario, self._directory, self._journal, self._options = scenario, directory, journal, options
         self._vehicles = range(1, scenario.vehicles + 1)

@@ -288,6 +288,7 @@ class Round(WireRecord, frozen=True, tag="round"):
     alive: Annotated[tuple[Uint, ...], about("vehicles alive at the tick, ascending")]
     positions: Annotated[tuple[Reals3, ...], about("true x, y, z (NED) of each alive vehicle", "m")]
     paused: Annotated[tuple[Uint, ...], about("those of them that are suspended: no transmission comes")]
+    more: Annotated[bool, about("more vehicles of the same round follow; **left out** in the last part")] = False
 
 
 class Pace(WireRecord, frozen=True, tag="pace"):

@@ -408,7 +408,7 @@ def test_users_file_is_gone_once_the_router_is_up(guarded: Hall, tmp_path: Path)
 
 
 def test_passwords_are_long_fresh_and_unseen() -> None:
-    first, second = generate(VEHICLES), generate(VEHICLES)
+    first, second = generate((*VEHICLES, 3), hosts=HOSTS), generate((*VEHICLES, 3), hosts=HOSTS)
     passwords = [c.password for c in (*first.values(), *second.values())]
     assert len(set(passwords)) == len(passwords) == 2 * len(ROLES)
     assert min(map(len, passwords)) >= 32  # of 64 symbols: 192 bits
@@ -429,8 +429,8 @@ def test_no_secret_is_left_lying_about(tmp_path: Path, monkeypatch: pytest.Monke
     exposed: list[str] = []
     write = RunDirectory.write_connection
 
-    def remember(vehicles: tuple[int, ...]) -> dict[str, Credentials]:
-        leaked.update(generate(vehicles))
+    def remember(vehicles: tuple[int, ...], **how: Any) -> dict[str, Credentials]:
+        leaked.update(generate(vehicles, **how))
         return leaked
 
     def look_round(directory: RunDirectory, values: dict[str, Any]) -> None:

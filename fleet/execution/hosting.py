@@ -8,11 +8,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 from math import ceil
 
+from agents.controllers import BUILT_IN, laws
 from fleet.errors import FleetError
 from fleet.execution.options import Options
 from fleet.processes.children import Child
 from fleet.processes.limits import processors
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.per_vehicle import Control
 from netem.clock import Clock
 from netem.wire.access import agent_role, host_role
 
@@ -63,8 +65,11 @@ def hosting(scenario: Scenario, options: Options) -> Hosting:
     most = scenario.spec.agents.per_process
     router = options.rendezvous is not None and options.rendezvous.router is not None
     if most == "auto":
-        alone = router or options.clock is Clock.REAL or len(own) <= AUTO_ABOVE
-        return _shared(own, 1 if alone else min(AUTO_MOST, ceil(len(own) / (AUTO_PER_CPU * processors()))))
+        if router or options.clock is Clock.REAL or len(own) <= AUTO_ABOVE:
+            return Hosting()
+        # A law of a user's may keep what it knows in its module, or end its process: it shares none unasked.
+        ours = [i for i in own if not _plugged(scenario.controls[i - 1])]
+        return _shared(ours, min(AUTO_MOST, ceil(len(ours) / (AUTO_PER_CPU * processors()))))
     if most > 1 and options.clock is Clock.REAL:
         raise _refused(most, "with --clock real an agent that is late would make the others late")
     if most > 1 and router:
@@ -72,9 +77,14 @@ def hosting(scenario: Scenario, options: Options) -> Hosting:
     return _shared(own, most)
 
 
+def _plugged(control: Control) -> bool:
+    """Whether a vehicle runs a law that is not built in."""
+    return any(law.name not in BUILT_IN[kind] for kind, law in laws(control).items())
+
+
 def _shared(own: Sequence[int], most: int) -> Hosting:
     """As few hosts as there can be, all about as full."""
-    if most == 1 or not own:
+    if most <= 1 or not own:
         return Hosting()
     count = ceil(len(own) / most)
     borders = [len(own) * h // count for h in range(count + 1)]

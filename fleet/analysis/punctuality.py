@@ -65,7 +65,9 @@ def verdict(timing: Timing, most_missed: float) -> Verdict:
     """Whether no agent missed more than a share of its ticks, nor the clock was moved by more than that."""
     found = f"{timing.label}: {'; '.join(timing.reasons)}" if timing.reasons else timing.label
     value, asked = max(missed_share(timing), moved_share(timing)), f"at most {most_missed:.3g} of all ticks missed"
-    return Verdict("on_time", value <= most_missed, asked, found, value, most_missed, "1")
+    return Verdict("on_time", value <= most_missed, asked, found, value, most_missed, "1").with_margin(
+        most_missed - value, "1"
+    )
 
 
 def missed_share(timing: Timing) -> float:

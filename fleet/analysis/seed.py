@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from math import dist
 
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections import clocks, formation, graph, nemesis, partitions
+from fleet.scenario.sections import clocks, formation, graph, liveness, nemesis, partitions, swarm
 from netem import access, air, fading, impairment, link_states, link_trace
 from netem.condition import Condition, Link
 from netem.faults import NetFault
@@ -57,7 +57,9 @@ def _parts(scenario: Scenario) -> Iterator[tuple[str, list[str]]]:
         for condition in possible:
             yield "link conditions", _of_condition(condition)
     yield from _acoustic(scenario)
-    yield "faults", nemesis.draws(scenario.undrawn, scenario.graph.links)
+    yield "faults", nemesis.draws(scenario.ground)
+    yield "faults", swarm.draws(scenario.ground)
+    yield "faults", liveness.draws(scenario.ground)
     for number, section in enumerate(spec.faults, start=1):
         if section.partition and section.at // spec.tick < scenario.ticks:
             yield "faults", partitions.draws(section.partition, spec.vehicles, section.id or f"f{number}")

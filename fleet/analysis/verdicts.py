@@ -59,7 +59,7 @@ def judge(scenario: Scenario, journal: Journal, middleware_lost: int) -> list[Ve
     if checks.ledger is not None:
         unbalanced = journal.ledger.unbalanced()
         found = "balanced" if not unbalanced else ", ".join(f"{s}->{d} off by {n}" for (s, d), n in unbalanced.items())
-        verdicts.append(Verdict("ledger", not unbalanced, "balanced", found, len(unbalanced), 0, "links"))
+        verdicts.append(_counted("ledger", len(unbalanced), 0, "links", "balanced", found))
     if checks.middleware_loss is not None:
         verdicts.append(_at_most("middleware_loss", checks.middleware_loss, middleware_lost))
     if journal.checks is not None:
@@ -97,7 +97,7 @@ def _below(name: str, check: Below, journal: Journal) -> Verdict:
     found, passed = f"at most {value:.4g} m (vehicle {vehicle}, {at_s:g} s)", value < check.below
     if len(journal.metrics.series if who is None else who) > 1:
         found += f", the median vehicle {journal.metrics.median_worst(what, after_s, who):.4g} m"
-    return Verdict(name, passed, asked, found, value, check.below, "m")
+    return Verdict(name, passed, asked, found, value, check.below, "m").with_margin(check.below - value, "m", at_s)
 
 
 def _recovery_times(check: Recovery, scenario: Scenario, journal: Journal) -> list[Verdict]:
@@ -128,6 +128,18 @@ def _no_recovery(check: Recovery, found: str, took_s: float | None = None) -> Ve
     return Verdict("recovery_time", False, _asked_recovery(check), found, took_s, check.below / 1e9, "s")
 
 
+def _nearest_recovery(check: Recovery, what: str, span_s: tuple[float, float], journal: Journal) -> float:
+    """Quantitative semantics of "eventually in time, and then to the end": how far below the limit errors stayed [m].
+
+    Since it is for the rest of the span, the latest begin that is in time is the best one.
+    """
+    begin, end = span_s
+    times, in_time = journal.metrics.times, begin + check.below / 1e9
+    latest = max((t for t in times if begin <= t < min(in_time, end)), default=inf)
+    who = None if check.vehicles is None else vehicle_numbers(check.vehicles)
+    return check.within - journal.metrics.worst(what, latest, who, end)[0]
+
+
 def _recovery_time(check: Recovery, scenario: Scenario, journal: Journal) -> Verdict:
     tick_ns, tick_s = scenario.tick_ns, scenario.tick_ns / 1e9
     end = max(
@@ -144,20 +156,22 @@ def _recovery_time(check: Recovery, scenario: Scenario, journal: Journal) -> Ver
         until = f"fault {disturbed.fault} begins at {disturbed.tick * tick_s:g} s"
     who = None if check.vehicles is None else vehicle_numbers(check.vehicles)
     what = "formation" if check.error == "formation" else "e"
+    margin_m = _nearest_recovery(check, what, (span[0] * tick_s, span[1] * tick_s), journal)
     at_s, vehicle, off_m, least_s = journal.metrics.settled(what, span, check.within, who)
     if at_s is None and disturbed is None and not journal.complete and (journal.written - end) * tick_ns < check.below:
         return _no_recovery(check, "there is still time")
     if vehicle == 0:
         return _no_recovery(check, f"{until}, before any frame of the log")
-    if at_s is None and off_m < check.within:
-        found = f"{off_m:.4g} m (vehicle {vehicle}) when {until}, and not within {check.within:g} m for the last"
-        return _no_recovery(check, f"{found} {least_s:.3g} s", inf)
     if at_s is None:
-        return _no_recovery(check, f"{off_m:.4g} m (vehicle {vehicle}) when {until}", inf)
+        found = f"{off_m:.4g} m (vehicle {vehicle}) when {until}"
+        if off_m < check.within:
+            found += f", and not within {check.within:g} m for the last {least_s:.3g} s"
+        return _no_recovery(check, found, inf).with_margin(margin_m, "m")
     took = round(at_s / tick_s) - end
     passed = took * tick_ns < check.below
     found = f"{took * tick_s:g} s (vehicle {vehicle} the last)"
-    return Verdict("recovery_time", passed, _asked_recovery(check), found, took * tick_s, check.below / 1e9, "s")
+    asked, limit_s = _asked_recovery(check), check.below / 1e9
+    return Verdict("recovery_time", passed, asked, found, took * tick_s, limit_s, "s").with_margin(margin_m, "m")
 
 
 def _min_separation(check: MinSeparation, scenario: Scenario, journal: Journal) -> Verdict:
@@ -170,7 +184,8 @@ def _min_separation(check: MinSeparation, scenario: Scenario, journal: Journal) 
     i, j = least.pair
     found = f"at least {least.distance_m:.4g} m (vehicles {i} and {j}, {least.tick * scenario.tick_ns / 1e9:g} s)"
     passed = least.distance_m > check.above
-    return Verdict("min_separation", passed, asked, found, least.distance_m, check.above, "m")
+    verdict = Verdict("min_separation", passed, asked, found, least.distance_m, check.above, "m")
+    return verdict.with_margin(least.distance_m - check.above, "m", least.tick * scenario.tick_ns / 1e9)
 
 
 def _max_age(check: MaxAge, scenario: Scenario, journal: Journal) -> Verdict:
@@ -186,7 +201,8 @@ def _max_age(check: MaxAge, scenario: Scenario, journal: Journal) -> Verdict:
     tick_s = scenario.tick_ns / 1e9
     found = f"at most {age * tick_s:g} s (link {src}->{dst}, {tick * tick_s:g} s)"
     passed = age * scenario.tick_ns < check.below
-    return Verdict("max_age", passed, asked, found, age * tick_s, check.below / 1e9, "s")
+    verdict = Verdict("max_age", passed, asked, found, age * tick_s, check.below / 1e9, "s")
+    return verdict.with_margin(check.below / 1e9 - age * tick_s, "s", tick * tick_s)
 
 
 def _oldest(journal: Journal, after: int, links: list[Link]) -> tuple[int, Link, int] | None:
@@ -210,15 +226,18 @@ def _connected(check: Connected, scenario: Scenario, journal: Journal) -> Verdic
     if found is None or not found.windows:
         return Verdict("connected", False, asked, _ended(scenario, "the first window did"), None, 0, "windows")
     if found.trivial:
-        return Verdict("connected", True, asked, "each follows the reference itself", 0, 0, "windows")
+        found_none = "each follows the reference itself"
+        return Verdict("connected", True, asked, found_none, 0, 0, "windows").with_margin(0, "windows")
     if found.first is None:
-        return Verdict("connected", True, asked, f"in all {found.windows} windows", 0, 0, "windows")
+        words = f"in all {found.windows} windows"
+        return Verdict("connected", True, asked, words, 0, 0, "windows").with_margin(0, "windows")
     tick_s = scenario.tick_ns / 1e9
     begin, end, unreached = found.first
     missed = f"{vehicle_names(unreached)} not reached in the window that ends at {begin * tick_s:g} s, some until "
     missed += f"{(end - 1) * tick_s:g} s; {found.ticks} of {found.windows} windows"
     missed += f", {found.outages} stretches" if found.outages > 1 else ""
-    return Verdict("connected", False, asked, missed, found.ticks, 0, "windows")
+    verdict = Verdict("connected", False, asked, missed, found.ticks, 0, "windows")
+    return verdict.with_margin(-found.ticks, "windows", begin * tick_s)
 
 
 def _of(vehicles: str | None) -> str:
@@ -241,7 +260,7 @@ def _tumbled(check: Tumbled, scenario: Scenario, journal: Journal) -> Verdict:
         if lasting := sorted({spell.vehicle for spell in spells if spell.end is None}):
             found += f", to the end {vehicle_names(lasting)}"
     asked = f"at most {check.at_most}{_of(check.vehicles)}"
-    return Verdict("tumbled", len(spells) <= check.at_most, asked, found, len(spells), check.at_most, "times")
+    return _counted("tumbled", len(spells), check.at_most, "times", asked, found)
 
 
 def _deaths(check: Standing, scenario: Scenario, journal: Journal) -> Verdict:
@@ -249,7 +268,7 @@ def _deaths(check: Standing, scenario: Scenario, journal: Journal) -> Verdict:
     died = len(journal.died)
     found = ", ".join([str(died), *(f"{e.what} at {e.tick * tick_s:g} s" for e in journal.died[:4])])
     asked = f"at most {check.at_most} that no fault asked for"
-    return Verdict("deaths", died <= check.at_most, asked, found, died, check.at_most, "times")
+    return _counted("deaths", died, check.at_most, "times", asked, found)
 
 
 OF_THE_TOOL = frozenset({"deaths", "ledger", "middleware_loss"})  # no network is meant to break these
@@ -268,4 +287,8 @@ def judge_expected(scenario: Scenario, verdicts: list[Verdict]) -> Verdict | Non
 
 def _at_most(name: str, check: AtMost, found: int) -> Verdict:
     unit = "messages" if name == "middleware_loss" else "times"
-    return Verdict(name, found <= check.at_most, f"at most {check.at_most}", str(found), found, check.at_most, unit)
+    return _counted(name, found, check.at_most, unit, f"at most {check.at_most}", str(found))
+
+
+def _counted(name: str, count: int, at_most: int, unit: str, asked: str, found: str) -> Verdict:
+    return Verdict(name, count <= at_most, asked, found, count, at_most, unit).with_margin(at_most - count, unit)

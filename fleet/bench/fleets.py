@@ -20,6 +20,7 @@ from fleet.bench.figures import Collector, Measured, now, this_machine
 from fleet.bench.journal import measure_recorder
 from fleet.bench.measured_run import measured_run
 from fleet.bench.memory import sampled_pss
+from fleet.bench.navigation_step import GOAL_US, name_of
 from fleet.bench.network_core import SHARE, SHARE_GOAL, netem_figures
 from fleet.bench.start_up import COMMANDS, PYTHON, cpu_times
 from fleet.bench.steps import steps
@@ -27,6 +28,7 @@ from fleet.execution.options import Options
 from fleet.result.result import Wall
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.navigation import shipped_grades
 from netem.private_folder import PrivateFolder
 
 TICK_S = 0.01
@@ -53,6 +55,7 @@ GOALS: list[tuple[str, bool, float]] = [
     (f"N = 100: {PSS}", False, 12.0),
     ("N = 100: journal written", False, 400e3),
     *((f"{_STEPS}{name}", False, goal) for name, goal in GOALS_US.items()),
+    *((f"{_STEPS}{name_of(grade)}", False, GOAL_US) for grade in shipped_grades()),
     (f"network core: {SHARE}", False, SHARE_GOAL),
     (f"{_START}fleet --help", False, 0.1),
 ]

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from statistics import median
 
 from fleet.bench.agent_step import agent_steps
+from fleet.bench.navigation_step import navigation_steps
 from fleet.execution.clock import GrantPolicy
 from fleet.execution.in_process import InProcess
 from fleet.recorder.journal import Journal
@@ -27,14 +28,11 @@ def steps(repeats: int) -> dict[str, float]:
     size = load_scenario("paper").layout(1).size
     # Undisturbed and straight ahead: an open-loop vehicle in rough sea ends up vertical.
     world = World(load_scenario("paper").world_config)
-    believer = World(load_scenario("dead-reckoning").world_config)
     command = Command(0, 0, (1.0, 2.0, 3.0), (0.5,) * size)
     return {
         **agent_steps(max(60, repeats)),
         "world advance, one vehicle": median(_cost(lambda: world.advance(1, (1.0, 0.0, 0.0))) for _ in range(repeats)),
-        "the same by dead reckoning": median(
-            _cost(lambda: believer.advance(2, (1.0, 0.0, 0.0))) for _ in range(repeats)
-        ),
+        **navigation_steps(max(2, repeats // 20)),
         "nav encode and decode": median(_cost(lambda: decode(encode(nav))) for _ in range(repeats)),
         "command encode and decode": median(_cost(lambda: decode(encode(command))) for _ in range(repeats)),
         "journal and log, one tick of 4 vehicles": _log_tick(repeats),

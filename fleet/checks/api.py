@@ -6,7 +6,9 @@ parameters that the scenario gives it. It has
 * `step(tick)`: called at every tick of which the log has samples; returns None, or a `Failure` if the property is
   broken at that tick. The first failure decides; after it the check is not called any more;
 * optionally `verdict()`: asked at the end, and while a run goes on as if it ended now, so it must change nothing. It
-  returns None, a text about what was found, or a `Failure` for what can only be judged at the end.
+  returns None, a text about what was found, or a `Failure` for what can only be judged at the end;
+* optionally `margin()`: how far the property was from being broken at its nearest so far, as a `Margin` with value,
+  unit and time [s], negative once it is broken; None: that is not known.
 
 `docs/guide/your-checks.md` is the guide; `fleet new check NAME` writes a template.
 """
@@ -18,8 +20,9 @@ from typing import Any, NamedTuple, Protocol
 
 from fleet.quantities import time_ns
 from fleet.quantities import vehicle_numbers as vehicle_numbers
+from fleet.result.verdict import Margin as Margin
 
-__all__ = ["Check", "Facts", "Failure", "Fault", "Packet", "Tick", "Vehicle", "seconds", "vehicle_numbers"]
+__all__ = ["Check", "Facts", "Failure", "Fault", "Margin", "Packet", "Tick", "Vehicle", "seconds", "vehicle_numbers"]
 
 
 class Fault(NamedTuple):
@@ -95,7 +98,7 @@ class Failure(NamedTuple):
 
 
 class Check(Protocol):
-    """A check; `verdict` may be left out."""
+    """A check; `verdict` and `margin` may be left out."""
 
     def step(self, tick: Tick) -> Failure | None: ...
 

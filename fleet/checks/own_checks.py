@@ -21,7 +21,7 @@ from fleet.quantities import QuantityError, vehicle_numbers
 from fleet.result.verdict import Moment, Verdict
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signal_checks import ask
-from fleet.scenario.sections.signals import GROUPS, places
+from fleet.scenario.sections.signals import GROUPS, BeliefKind, places
 from fleet.scenario.sections.timeline import Event
 from fleet.scenario.sections.vehicle_events import DIVERGED
 from netem.wire.messages import Command, Fate, Frame
@@ -162,8 +162,8 @@ class OwnChecks:
         )
 
 
-def reported(scenario: Scenario, i: int) -> tuple[SignalLayout | None, tuple[Signal, ...] | None, bool, bool]:
-    """What agent i and the plant of vehicle i report, whether its clock is set, and whether it has to navigate.
+def reported(scenario: Scenario, i: int) -> tuple[SignalLayout | None, tuple[Signal, ...] | None, bool, BeliefKind]:
+    """What agent i and the plant of vehicle i report, whether its clock is set, and what it believes of its place.
 
     None: its laws are not known here, because those of a log may not run; it has no plant. A plant that may not run
     reports nothing but its motion.
@@ -173,9 +173,9 @@ def reported(scenario: Scenario, i: int) -> tuple[SignalLayout | None, tuple[Sig
     except PluginError:
         laws = None
     try:
-        return laws, scenario.plant_signals(i), i in scenario.clocks, scenario.navigates(i)
+        return laws, scenario.plant_signals(i), i in scenario.clocks, scenario.belief(i)
     except PluginError:
-        return laws, (), i in scenario.clocks, scenario.navigates(i)
+        return laws, (), i in scenario.clocks, scenario.belief(i)
 
 
 def _ended(what: str) -> list[int]:

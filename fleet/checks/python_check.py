@@ -7,7 +7,7 @@ from functools import partial
 from math import isnan
 from typing import Any
 
-from fleet.checks.api import Facts, Failure, Fault, Packet, Tick, Vehicle
+from fleet.checks.api import Facts, Failure, Fault, Margin, Packet, Tick, Vehicle
 from fleet.checks.values import TickValues
 from fleet.errors import FleetError
 from fleet.result.verdict import Moment, Verdict, who
@@ -117,6 +117,20 @@ class RunningPythonCheck:
             now: the newest tick.
             over: the run has come to its end.
         """
+        verdict = self._judged(moment, now, over=over)
+        if self._broken or not callable(method := getattr(self._check, "margin", None)):
+            return verdict
+        try:
+            margin = self._margin(now, method, self._fence.call(now, method))
+        except CheckError as error:
+            if not over:
+                return self._verdict(False, _words(_broken(error)), None)
+            self._break(error)
+            return self._judged(moment, now, over=over)
+        return verdict if margin is None else verdict.with_margin(margin.value, margin.unit, margin.at_s)
+
+    def _judged(self, moment: Moment | None, now: int, *, over: bool) -> Verdict:
+        """The verdict without its margin."""
         found, value = "as asked", 1.0  # it failed once
         method = getattr(self._check, "verdict", None)
         if self._failure is None and callable(method):
@@ -143,6 +157,17 @@ class RunningPythonCheck:
 
     def _break(self, error: CheckError) -> None:
         self._broken, self._failure = True, _broken(error)
+
+    def _margin(self, tick: int, method: Any, answer: Any) -> Margin | None:
+        """The margin that it returned, if that can be used."""
+        if answer is None:
+            return None
+        try:
+            value, unit, at = float(answer.value), str(answer.unit)[:_MOST_PARAMETER], answer.at_s
+            return Margin(value, unit, None if at is None else float(at))
+        except Exception:  # whatever the user's objects raise when they are asked
+            expected = "None or a fleet.checks.api.Margin"
+            raise self._fence.wrong(tick, method, f"returned {shown(answer)}: expected {expected}") from None
 
     def _checked(self, tick: int, method: Any, answer: Any) -> Failure | None:
         """What it returned, if that can be used."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from math import inf, isnan
 
-from fleet.checks.api import Failure
+from fleet.checks.api import Failure, Margin
+from fleet.checks.robustness import AlwaysMargin, EventuallyMargin, Unit, in_time
 from fleet.checks.values import TickValues
 from fleet.result.verdict import Moment, Verdict, who
 from fleet.scenario.scenario import Scenario
@@ -14,7 +15,6 @@ from fleet.scenario.sections.signal_checks import AskedOfSignal
 from fleet.scenario.sections.signals import SignalPlace
 from fleet.scenario.sections.timeline import Event
 
-Unit = tuple[int, ...]  # the vehicle that a number belongs to, or those that make a spread or are true
 _FLEET: Unit = ()  # one number of all vehicles
 
 
@@ -43,7 +43,7 @@ class RunningSignalCheck:
         self._places = [
             (i, place.values) for i in asked.vehicles if (place := vehicles[i].get(asked.signal.name)) is not None
         ]
-        self._safety = _Safety(asked, scenario.tick_ns) if asked.within_ns is None else None
+        self._safety = _Safety(asked, scenario.tick_ns, self._every) if asked.within_ns is None else None
         self._liveness = None if self._safety else _Liveness(asked, scenario, self._after)
 
     def event(self, event: Event) -> None:
@@ -84,9 +84,11 @@ class RunningSignalCheck:
         judge = self._safety or self._liveness
         assert judge is not None
         passed, found, value, limit, unit = judge.found(now, over=over)
-        return Verdict(
+        verdict = Verdict(
             self.name, passed and moment is None, self.words, found, value, limit, unit, moment, self.signals
         )
+        margin = judge.margin()
+        return verdict if margin is None else verdict.with_margin(margin.value, margin.unit, margin.at_s)
 
 
 def _joined(asked: AskedOfSignal, there: Sequence[tuple[int, float]]) -> tuple[Unit, float | None]:
@@ -108,8 +110,9 @@ _Found = tuple[bool, str, float | None, float | None, str]  # passed, found, val
 class _Safety:
     """Something bad never happens, or never lasts so long."""
 
-    def __init__(self, asked: AskedOfSignal, tick_ns: int) -> None:
+    def __init__(self, asked: AskedOfSignal, tick_ns: int, every: int) -> None:
         self._asked, self._tick_ns = asked, tick_ns
+        self._margin = AlwaysMargin(asked, tick_ns, every)
         self._since: dict[Unit, int] = {}  # where a stretch of bad samples began
         self._worst: tuple[float, float, Unit, int] | None = None  # how bad, value, whose, tick
         self._longest: tuple[int, Unit, int] | None = None  # ticks, whose, since
@@ -121,6 +124,7 @@ class _Safety:
         asked = self._asked
         condition, each, failed = asked.condition, asked.condition.over == "each", list[int]()
         values: list[float] = []
+        self._margin.step(tick, numbers if each else [(_FLEET, value) for _, value in numbers])
         for unit, value in numbers:
             key = unit if each else _FLEET
             if value is None:
@@ -169,6 +173,12 @@ class _Safety:
             words += f" at {self._s(tick)} s" if words else ""
         return not self.failure, "; ".join(filter(None, (self.failure, words))), value, limit, unit
 
+    def margin(self) -> Margin | None:
+        """By how much it holds so far."""
+        if self._worst is None:
+            return None
+        return self._margin.found(*((None, None) if self._longest is None else (self._longest[0], self._longest[2])))
+
     def _badness(self, value: float) -> float:
         condition = self._asked.condition
         if condition.low == -inf:
@@ -207,6 +217,10 @@ class _Liveness:
         self._took: tuple[int, Unit, str] | None = None  # ticks, whose, after which fault: the slowest of this wait
         self._slowest: tuple[int, Unit, str] | None = None  # of all waits that were judged
         self._judged = self._dropped = 0  # waits
+        self._late_ns = 0  # how much later than asked it was when a wait failed
+        self._distance = EventuallyMargin(asked, scenario.tick_ns)
+        if self._begin is not None:
+            self._distance.begin(self._begin)
         self.failure = ""
 
     def event(self, event: Event) -> None:
@@ -215,18 +229,22 @@ class _Liveness:
         if asked.fault is None or not event.is_fault:
             return
         if event.action == "begins":
+            self._distance.end(counts=self._begin is None)
             self._dropped += self._begin is not None
             self._begin = None
         elif asked.fault in (EVERY, event.fault) and self._after <= event.tick < self._last:
+            self._distance.end(counts=self._begin is None)
+            self._distance.begin(event.tick)
             self._dropped += self._begin is not None
             self._begin, self._whose = event.tick, event.fault
             self._since, self._done, self._took = {}, set(), None
 
     def step(self, tick: int, numbers: Sequence[tuple[Unit, float | None]]) -> Unit | None:
         begin, asked = self._begin, self._asked
+        each, late, failed = asked.condition.over == "each", False, list[int]()
+        self._distance.step(tick, numbers if each else [(_FLEET, value) for _, value in numbers])
         if begin is None:
             return None
-        each, late, failed = asked.condition.over == "each", False, list[int]()
         assert asked.within_ns is not None
         for unit, value in numbers:
             key = unit if each else _FLEET
@@ -254,11 +272,24 @@ class _Liveness:
         if not late:
             return None
         self._begin = None
+        self._late_ns = max(self._late_ns, (tick - begin) * self._tick_ns - asked.within_ns)
         if self.failure:
             return None
         more = f" and {len(failed) - 8} more" if len(failed) > 8 else ""
         self.failure = f"not within {asked.within_ns / 1e9:g} s after {self._since_when(begin)}{who(failed[:8])}{more}"
         return tuple(failed)
+
+    def margin(self) -> Margin | None:
+        """By how much it holds so far."""
+        asked = self._asked
+        assert asked.within_ns is not None
+        if not in_time(asked):
+            return self._distance.found(counts=self._begin is None)
+        if self.failure:
+            return Margin(-self._late_ns / 1e9, "s", None)
+        if self._slowest is None:
+            return None
+        return Margin((asked.within_ns - self._slowest[0] * self._tick_ns) / 1e9, "s", None)
 
     def _since_when(self, begin: int) -> str:
         at = f"{begin * self._tick_ns / 1e9:g} s"

@@ -156,6 +156,10 @@ def _notes(runs: Sequence[Any]) -> Iterator[str]:
     "--traces", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
     help="Write here what became of each packet, a CSV file per directed link that network.links can read.",
 )  # fmt: skip
+@click.option(
+    "--ros2", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
+    help="Write a bag of ROS 2 here; needs uuv-fleet[ros2].",
+)  # fmt: skip
 @click.option("--topics", metavar="PATTERN", multiple=True, help="Only topics such as 'uuv/*/state'; repeatable.")
 @FORCE
 def export(
@@ -164,6 +168,7 @@ def export(
     parquet: Path | None,
     netcdf: Path | None,
     traces: Path | None,
+    ros2: Path | None,
     topics: tuple[str, ...],
     force: bool,
 ) -> None:
@@ -179,23 +184,29 @@ def export(
       fleet export --parquet tables --topics 'uuv/*/error' --topics 'link/*'
       fleet export --netcdf tables --topics 'uuv/*/state'
       fleet export runs/latest --traces links
+      fleet export runs/latest --ros2 bag
     """
     from fleet.logs.export import export as write
     from fleet.logs.open_log import list_topics
     from fleet.logs.table import fits
     from fleet.terminal.progress import showing
 
-    if csv is None and parquet is None and netcdf is None and traces is None:
-        raise click.UsageError("say where the tables go: --csv DIR, --parquet DIR, --netcdf DIR or --traces DIR")
-    folders = [folder.absolute() for folder in (csv, parquet, netcdf, traces) if folder is not None]
-    if topics and traces is not None and len(folders) == 1:
-        raise click.UsageError("--topics chooses tables, and --traces alone writes none")
+    tables = [(form, folder) for form, folder in (("csv", csv), ("parquet", parquet), ("netcdf", netcdf)) if folder]
+    folders = [folder.absolute() for folder in (*(folder for _, folder in tables), traces, ros2) if folder is not None]
+    if not folders:
+        raise click.UsageError(
+            "say where the tables go: --csv DIR, --parquet DIR, --netcdf DIR, --traces DIR or --ros2 DIR"
+        )
+    if topics and not tables:
+        raise click.UsageError("--topics chooses tables, and --traces and --ros2 write none")
     if len(set(folders)) < len(folders):
         raise click.UsageError("each form needs a folder of its own: export.json says what is in one")
     if traces is not None:
         _export_traces(log, traces, force=force)
-        if len(folders) == 1:
-            return
+    if ros2 is not None:
+        _export_bag(log, ros2)
+    if not tables:
+        return
     with showing(f"reading {log}") as tell:
         found = list_topics(log, topics or None, tell)
     if topics and not len(found):
@@ -204,12 +215,24 @@ def export(
         say(f"fleet: {found.path}: {found.missing}", err=True)
     if left := [name for name in found if len(found[name]) and not fits(found[name])]:
         say(f"fleet: left out, being lists of messages and no tables: {', '.join(left)}", err=True)
-    for form, folder in (("csv", csv), ("parquet", parquet), ("netcdf", netcdf)):
-        if folder is not None:
-            with showing(f"writing {folder}") as tell:
-                paths = write(found, folder, form, force=force, share=tell)
-            for path in paths:
-                click.echo(path)
+    for form, folder in tables:
+        with showing(f"writing {folder}") as tell:
+            paths = write(found, folder, form, force=force, share=tell)
+        for path in paths:
+            click.echo(path)
+
+
+def _export_bag(log: Path, folder: Path) -> None:
+    from fleet.logs.reader import log_path
+    from fleet.ros2.bag import write_bag
+    from fleet.terminal.progress import showing
+
+    with showing(f"writing {folder}") as tell:
+        paths, missing = write_bag(log_path(log), folder, tell)
+    if missing:
+        say(f"fleet: {log}: {missing}", err=True)
+    for path in paths:
+        click.echo(path)
 
 
 def _export_traces(log: Path, folder: Path, *, force: bool) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import click
 
@@ -25,11 +25,16 @@ if TYPE_CHECKING:
     from world.plugins.trust import Trust
 
 
+NemesisMode = Literal["swarm", "liveness"] | None
+
+
 @click.command(cls=TrustingCommand)
 @click.argument("scenario", shell_complete=scenarios)
 @click.option("--budget", metavar="RUNS|TIME", type=Budget(), default="200", show_default=True,
               help="How many seeds are tried, or for how long new ones are begun, e.g. '10 min'.")  # fmt: skip
-@click.option("--nemesis", is_flag=True, help="Give a scenario that has none a nemesis: a fault in each tenth of it.")
+@click.option("--nemesis", is_flag=True, help="Give a scenario that has none a nemesis: a swarm of faults.")
+@click.option("--liveness", is_flag=True,
+              help="The same; from half of the run on a core is healed, and all others stay broken.")  # fmt: skip
 @click.option("--check", metavar="NAME", help="The check that must fail; by default any.")
 @OVERRIDES
 @disturbances
@@ -42,6 +47,7 @@ def search(
     scenario: str,
     budget: tuple[float, float],
     nemesis: bool,
+    liveness: bool,
     check: str | None,
     overrides: tuple[str, ...],
     fault: tuple[Override, ...],
@@ -62,7 +68,8 @@ def search(
     \b
     Examples:
       fleet search nemesis --budget 200
-      fleet search paper --nemesis --budget '10 min' --set 'network={period: 100 ms}'
+      fleet search election --nemesis --budget '10 min'
+      fleet search election --liveness
       fleet search my.yaml --set seed=201 --check formation_error
     """
     from fleet.cli.study_output import showing
@@ -71,7 +78,8 @@ def search(
     from fleet.study.search import search as first_that_fails
     from fleet.study.shrink import Shrinker
 
-    tried, modules = _tried(scenario, [*overrides, *net, *fault], trust, nemesis=nemesis)
+    mode: NemesisMode = "liveness" if liveness else "swarm" if nemesis else None
+    tried, modules = _tried(scenario, [*overrides, *net, *fault], trust, mode)
     path = place_of(tried, out, force=force)
     most_runs, budget_s = budget
     least = None
@@ -92,8 +100,8 @@ def search(
         raise StudyError("no run came to its end, so nothing is known")
 
 
-def _tried(name: str, changes: list[str | Override], trust: Trust, *, nemesis: bool) -> tuple[Scenario, Modules]:
-    """The scenario whose seeds are tried, and the modules that its runs need; `nemesis`: give it one."""
+def _tried(name: str, changes: list[str | Override], trust: Trust, mode: NemesisMode) -> tuple[Scenario, Modules]:
+    """The scenario whose seeds are tried, and the modules that its runs need; `mode`: of the nemesis that it gets."""
     from fleet.scenario.loading import load_scenario
     from fleet.study.modules import modules_of
     from fleet.study.search import nemesis_of
@@ -101,8 +109,8 @@ def _tried(name: str, changes: list[str | Override], trust: Trust, *, nemesis: b
 
     refuse_study(name)
     tried = load_scenario(name, changes, trust)
-    if nemesis:
-        tried = load_scenario(name, [*changes, nemesis_of(tried)], trust)
+    if mode is not None:
+        tried = load_scenario(name, [*changes, nemesis_of(tried, mode)], trust)
     return tried, modules_of([tried], Path(name).parent if Path(name).exists() else None)
 
 

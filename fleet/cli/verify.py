@@ -83,7 +83,7 @@ def check_log(log: Path, overrides: tuple[str, ...], trust: Trust, as_json: bool
         print_document(judged(found))
     else:
         for verdict in sorted(found.verdicts, key=lambda verdict: verdict.passed):  # failed ones on top
-            say(f"{'pass' if verdict.passed else 'FAIL'}  {verdict.check}: {verdict.asked}; found {verdict.found}")
+            say(f"{'pass' if verdict.passed else 'FAIL'}  {verdict.check}: {verdict.asked}; found {verdict.words}")
         how_far = f"judged up to t = {found.until_s:g} s of {found.end_s:g} s"
         say(f"{how_far}, as far as the file goes: {found.missing}" if found.missing else how_far)
     sys.exit(0 if found.passed else 1)

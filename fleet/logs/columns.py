@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from itertools import pairwise
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -155,12 +156,8 @@ def _columns(
 
 
 def _getter(path: tuple[str, ...], then: _Getter | None) -> _Getter:
-    def get(message: Any) -> Any:
-        for name in path:
-            message = getattr(message, name)
-        return message if then is None else then(message)
-
-    return get
+    get = attrgetter(".".join(path))
+    return get if then is None else lambda message: then(get(message))
 
 
 def _seconds(stamp: Any) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator
+from functools import lru_cache
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -90,11 +91,16 @@ def message_class(schema: Schema) -> Any:
     Raises:
         DecodeError, TypeError, KeyError: it describes none, or has a name of ours and fields of another type.
     """
+    return _message_class(schema.name, schema.data)
+
+
+@lru_cache(maxsize=32)  # thousands of topics share a few schemas
+def _message_class(name: str, data: bytes) -> Any:
     pool = descriptor_pool.DescriptorPool()
-    for file in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
+    for file in descriptor_pb2.FileDescriptorSet.FromString(data).file:
         pool.Add(file)
-    found = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
-    if problem := _unlike(found, OURS.get(schema.name, ()), lacking=True):
+    found = message_factory.GetMessageClass(pool.FindMessageTypeByName(name))
+    if problem := _unlike(found, OURS.get(name, ()), lacking=True):
         raise TypeError(problem)
     return found
 

@@ -3,9 +3,17 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from struct import Struct
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from fleet.logs.records import Block
 
 _TIMES = Struct("<QQII").pack
+_STAMP = np.dtype([("log", "<u8"), ("publish", "<u8"), ("sequence", "<u4"), ("length", "<u4")])  # the same, of many
 _MOST_PARTS = 3000  # of 1000 messages; hashing them in one piece costs less than one by one
 _MOST_BYTES = 64 * 1024  # of batches
 
@@ -31,6 +39,18 @@ class Digest:
         self._held += len(digested)
         if self._held >= _MOST_BYTES:
             self._take()
+
+    def add_block(self, block: Block, topics: Mapping[int, bytes]) -> None:
+        """Take the messages of a block; `topics` are the topics of its channels, in UTF-8."""
+        stamps = np.empty(len(block), _STAMP)
+        stamps["log"], stamps["publish"], stamps["sequence"] = block.log_ns, block.publish_ns, block.sequence
+        stamps["length"] = block.end - block.begin
+        packed, data, size = stamps.tobytes(), block.data, _STAMP.itemsize
+        parts = self._parts
+        columns = zip(block.channel.tolist(), block.begin.tolist(), block.end.tolist(), strict=True)
+        for at, (channel, begin, end) in zip(range(0, len(packed), size), columns, strict=True):
+            parts += (topics[channel], packed[at : at + size], data[begin:end])
+        self._take()
 
     def hexdigest(self) -> str:
         """The digest of all messages so far, in hexadecimal."""

@@ -20,8 +20,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 import fleet.logs.topic as held
+from fleet.logs.digest import Digest
 from fleet.logs.fault_intervals import FaultInterval, fault_intervals
-from fleet.logs.reader import LogReader, LogReadError, Tell, log_path
+from fleet.logs.reader import LogReader, LogReadError, Tell, digest, log_path
 from fleet.logs.records import Block
 from fleet.logs.topic import LogKeyError, Topic
 from fleet.logs.topic_names import link_of
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from fleet.scenario.scenario import Scenario
 
 BUCKETS = 4000  # spans of time that a picture can show, at most
+_AT_ONCE = 16 << 20  # bytes whose messages are handed out together: a chunk has one or two of each of many topics
 
 
 class Log:
@@ -107,13 +109,13 @@ class Log:
         """The simulated time of the last message [s]; 0 for a log without messages."""
         return max((topic.last_ns for topic in self._topics.values() if len(topic)), default=0) / 1e9
 
-    @property
+    @cached_property
     def vehicles(self) -> list[int]:
         """The numbers of the vehicles that the log has topics of, ascending from 1."""
         found = {int(match[1]) for topic in self if (match := re.match(r"uuv/(\d+)/", topic))}
         return sorted(found)
 
-    @property
+    @cached_property
     def links(self) -> list[tuple[int, int]]:
         """The directed links (source, destination) that the log has topics of, ascending."""
         return sorted(link for topic in self if (link := link_of(topic)) is not None)
@@ -162,6 +164,14 @@ class Log:
         if not self.scenario_text:
             raise LogReadError(f"{self.path} holds no scenario: it was not written by fleet run, or cut at its start")
         return parse_scenario(self.scenario_text, str(self.path))
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 over the ordered messages of the file, in hexadecimal, as `fleet run` prints it.
+
+        It is over all topics, also those that were not opened; of a damaged file, over what stands before the damage.
+        """
+        return digest(self.path)
 
     @property
     def faults(self) -> list[FaultInterval]:
@@ -298,7 +308,10 @@ class _Opening:
     def read(self) -> Log:
         """The log, with what could be held."""
         reader = LogReader(self._path, self._share)
-        for block in reader.blocks():
+        total = None if self._drawn is None else Digest()  # a picture says of which log it is
+        for block in reader.gathered(_AT_ONCE):
+            if total is not None:
+                total.add_block(block, reader.topics_of(block))
             for name, some in self._of(reader, block):
                 topic = self._topic(reader, name)
                 if topic is None:
@@ -307,12 +320,15 @@ class _Opening:
                 if self.hold_all or (self._drawn is not None and not topic.too_many):
                     topic.add(some)
             self._progress(int(block.log_ns[-1]) / 1e9)
-            if (self.hold_all or self._drawn is not None) and self._cost() > held.MOST_HELD:
+            if (self.hold_all or total is not None) and self._cost() > held.MOST_HELD:
                 self._relieve()
         # In the order of the channels, with those that hold nothing.
         ordered = {channel.topic: None for channel in reader.channels.values()}
         kept = {name: self._topic(reader, name) for name in ordered}
-        return Log(self._path, {name: topic for name, topic in kept.items() if topic is not None}, reader)
+        log = Log(self._path, {name: topic for name, topic in kept.items() if topic is not None}, reader)
+        if total is not None:
+            log.digest = total.hexdigest()
+        return log
 
     def _topic(self, reader: LogReader, name: str) -> Topic | None:
         if name not in self._topics:
@@ -365,16 +381,12 @@ class _Opening:
             topic.refuse()
 
     def _fetch(self, topic: Topic) -> None:
-        """Read one topic again.
-
-        Raises:
-            LogReadError: it is too large by itself.
-        """
+        """Read one topic again; raises LogReadError if it is too large by itself."""
         while self._held and sum(topic.cost for topic in self._held) > held.MOST_HELD // 2:
             self._held.pop(0).drop()
         reader = LogReader(self._path, self._share)
         self._seen.clear()
-        for block in reader.blocks():
+        for block in reader.gathered(_AT_ONCE):
             for name, some in self._of(reader, block):
                 if name == topic.name:
                     topic.add(some)

@@ -14,7 +14,7 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from fleet.errors import FleetError
 from fleet.logs.digest import Digest
-from fleet.logs.records import MAGIC, Block
+from fleet.logs.records import MAGIC, Block, together
 from fleet.logs.salvage import Damage, Item, Salvage
 from netem.whole_file import read_file
 
@@ -116,6 +116,23 @@ class LogReader:
             if not self.missing and (gone := self.metadata.get(RECOVERY, {}).get(LOST)):
                 self.missing = f"it was recovered from a damaged file, of which this is lost: {gone}"
 
+    def gathered(self, most: int) -> Iterator[Block]:
+        """The same, a few blocks as one, with at most so many bytes of data if each has fewer."""
+        some: list[Block] = []
+        size = 0
+        for block in self.blocks():
+            if some and size + len(block.data) > most:
+                yield together(some)
+                some, size = [], 0
+            some.append(block)
+            size += len(block.data)
+        if some:
+            yield together(some)
+
+    def topics_of(self, block: Block) -> dict[int, bytes]:
+        """The topics of a block's channels, in UTF-8."""
+        return {number: self.channels[number].topic.encode() for number in np.unique(block.channel).tolist()}
+
     def channel(self, topic: str) -> Channel | None:
         """The first channel of a topic that was declared so far; None: there is none."""
         return self._by_topic.get(topic)
@@ -182,9 +199,9 @@ def digest(path: Path, tell: Tell = lambda _: None) -> str:
     Raises:
         LogReadError: see `LogReader`.
     """
-    total = Digest()
-    for r in LogReader(path, tell):
-        total.add(r.topic.encode(), r.log_ns, r.publish_ns, r.sequence, r.data)
+    total, reader = Digest(), LogReader(path, tell)
+    for block in reader.blocks():
+        total.add_block(block, reader.topics_of(block))
     return total.hexdigest()
 
 

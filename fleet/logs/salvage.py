@@ -37,6 +37,7 @@ from fleet.logs.records import (
 _FOOTER = HEAD.size + 20  # [bytes]
 _ZSTD = b"\x04\x00\x00\x00zstd"  # in a chunk, behind its lengths: what it is recognised by when the framing is lost
 _WINDOW = 1 << 20
+_INDEXES = 1 << 16  # bytes of message indexes that are looked at together
 _LOOSE = 1 << 20  # bytes of messages outside chunks that make one block
 _TOO_LATE_NS = 1 << 63  # no time: those who read it as a signed number would find it before the year 1970
 _LATER_NS = 60 * 10**9  # after the end of a run; a later time in its log is a mistake
@@ -140,6 +141,8 @@ class Salvage:
                     yield from self._one(opcode, body)
                 if opcode != Opcode.MESSAGE_INDEX:
                     self._lost_at = -1
+                elif not self.damage:
+                    behind = self._behind_indexes(behind)
                 self.at = behind
             except EOFError:
                 self.cut = True
@@ -168,6 +171,22 @@ class Salvage:
                 self.damage[-1].messages += count
         else:
             yield from self._plain(opcode, body)
+
+    def _behind_indexes(self, at: int) -> int:
+        """Where the sound message indexes that follow on one another from a byte end: a chunk has one per channel."""
+        head, index = HEAD.size, int(Opcode.MESSAGE_INDEX)
+        while True:
+            window = self._read(at, _INDEXES)
+            begin = 0
+            while begin + head + 6 <= len(window):
+                opcode, length = HEAD.unpack_from(window, begin)
+                end = begin + head + length
+                if opcode != index or end > len(window) or not _is_index(window, begin + head, length):
+                    break
+                begin = end
+            at += begin
+            if not begin or len(window) < _INDEXES:
+                return at
 
     def _say(self, size: int) -> None:
         if self.at - self._told >= _TELL or self._told == 0:
@@ -340,9 +359,14 @@ def declarations(file: IO[bytes]) -> list[Schema | Channel]:
 
 
 def _index_entries(body: bytes) -> int:
-    if len(body) < 6 or U32.unpack_from(body, 2)[0] != len(body) - 6 or (len(body) - 6) % 16:
+    if not _is_index(body, 0, len(body)):
         raise _DamagedError("a damaged message index")
     return (len(body) - 6) // 16
+
+
+def _is_index(data: bytes, at: int, length: int) -> bool:
+    """Whether a message index may stand there: a channel, and a time and a place for each message."""
+    return length >= 6 and length % 16 == 6 and int(U32.unpack_from(data, at + 2)[0]) == length - 6
 
 
 def _too_late_ns(run: Mapping[str, str]) -> int:

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from msgspec import convert
+from msgspec import convert, structs
 
 from fleet.logs.payload_kinds import count_kinds
-from fleet.logs.reader import Tell, digest
+from fleet.logs.reader import Tell
 from fleet.logs.run_name import begun_at, run_name
 from fleet.logs.topic_names import link_topic
 from fleet.pictures.gallery import PER_RUN, WHAT, draw
@@ -20,6 +20,7 @@ from fleet.pictures.report_scenario import conditions_note, conditions_table, ne
 from fleet.pictures.report_tables import (
     Mark,
     Table,
+    believed_errors,
     checks_table,
     kinds_table,
     links_table,
@@ -78,7 +79,7 @@ class ReportSection:
 
 
 def write(path: Path, runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> None:
-    """Write the page; `share` is called with the share that is done of a digest or of the pictures.
+    """Write the page; `share` is called with the share of the pictures that is done.
 
     Raises:
         FleetError: the place cannot be written.
@@ -89,7 +90,7 @@ def write(path: Path, runs: Sequence[Run], view: View, share: Tell = lambda _: N
 
 def page(runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> str:
     """The whole page as HTML."""
-    results = [_result(run, share) for run in runs]
+    results = [_result(run) for run in runs]
     together = None
     if len(runs) > 1:
         together = {
@@ -149,8 +150,8 @@ def _section(number: int, run: Run, found: RunResult, kinds: Sequence[str], view
     )
 
 
-def _result(run: Run, share: Tell) -> RunResult:
-    of_log = digest(run.log.path, share)
+def _result(run: Run) -> RunResult:
+    of_log = run.digest
     try:
         result = read_result(run.log.path.parent)
     except FileNotFoundError:
@@ -168,16 +169,19 @@ def _tables(run: Run, result: Result | None) -> list[tuple[str, Table]]:
     tables: list[tuple[str, Table]] = []
     reported = [i for i in run.log.vehicles if f"uuv/{i}/error" in run.log]
     if result and result.vehicles:
+        believed = believed_errors(run, result.vehicles)
         headings = {
             "settle_10pct_s": "settle to 10 % [s]", "settle_5cm_s": "settle to 5 cm [s]",
             "e_rms_m": "RMS consensus error, last 10 s [m]",
             "formation_final_m": "final formation error [m]",
+            **({"believed_m": "as it believes it [m]"} if believed else {}),
             "effort_Ns": "surge effort [N s]", "u_cmd_max_mps": "max u_cmd [m/s]", "qp_failures": "QP failures",
             "payloads_rejected": "payloads rejected",
         }  # fmt: skip
         vehicles = result.vehicles
         shown = worst(vehicles, {i: row.formation_final_m or 0.0 for i, row in vehicles.items()})
-        measured = [(i, *(number(key, getattr(vehicles[i], key)) for key in headings)) for i in shown]
+        rows = {i: structs.asdict(row) | {"believed_m": believed.get(i)} for i, row in vehicles.items()}
+        measured = [(i, *(number(key, rows[i][key]) for key in headings)) for i in shown]
         measured += rest(len(vehicles) - len(shown), "whose final formation error is smaller")
         tables.append(("Vehicles", Table(("UUV", *headings.values()), measured)))
     elif reported:

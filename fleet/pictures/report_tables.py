@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 from fleet.logs.payload_kinds import KindCount
@@ -60,6 +60,13 @@ def side_by_side(runs: Sequence[Run], results: Sequence[Result | None]) -> Table
         age = result.ages.get("*")
         rows.append([*row, f"{age.max_s:.4g}" if age else "-"])
     return Table(headings, rows)
+
+
+def believed_errors(run: Run, vehicles: Iterable[str]) -> dict[str, float]:
+    """The last formation error of each vehicle that has to navigate, as it believes it [m]."""
+    topics = {i: f"uuv/{i}/belief" for i in vehicles}
+    known = {i: run.log[topic] for i, topic in topics.items() if topic in run.log}
+    return {i: float(one["formation_norm"][-1]) for i, one in known.items() if len(one) and not one.too_many}
 
 
 def _joined(numbers: Sequence[float | None], join: Callable[[list[float]], float], missing: str = "-") -> str:

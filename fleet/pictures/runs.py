@@ -15,7 +15,7 @@ import numpy as np
 
 from fleet.errors import FleetError
 from fleet.logs.open_log import Log, open_drawn
-from fleet.logs.reader import check_readable, digest
+from fleet.logs.reader import check_readable
 from fleet.logs.records import Array
 from fleet.logs.run_name import run_name
 from fleet.pictures.style import Provenance
@@ -74,10 +74,10 @@ class Run:
             self.notes.append(f"{self.label}: no limits and bounds, {str(error).splitlines()[0]}")
             return None
 
-    @cached_property
+    @property
     def digest(self) -> str:
         """The digest of the log, as `fleet run` prints it."""
-        return digest(self.log.path)
+        return self.log.digest
 
     @cached_property
     def verdicts(self) -> list[Verdict]:

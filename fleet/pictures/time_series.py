@@ -46,21 +46,24 @@ def consensus(runs: Sequence[Run], view: View) -> Figure:
 
 
 def formation(runs: Sequence[Run], view: View) -> Figure:
-    """Distance of each vehicle from its desired position."""
-    return _norm(runs, view, "formation_norm", "formation error [m]", "formation")
+    """Distance of each vehicle from its desired position; below it what vehicles that navigate believe of it."""
+    believed = any(run.series(i, "belief", "formation_norm") for run in runs for i in run.vehicles(view))
+    return _norm(runs, view, "formation_norm", "formation error [m]", "formation", believed=believed)
 
 
-def _norm(runs: Sequence[Run], view: View, name: str, label: str, error: str) -> Figure:
-    figure, (ax,) = over_time(1, runs, view, 2.4)
+def _norm(runs: Sequence[Run], view: View, name: str, label: str, error: str, *, believed: bool = False) -> Figure:
+    figure, axes = over_time(2, runs, view) if believed else over_time(1, runs, view, 2.4)
     log = view.log_scale is not False
-    notes = draw_lines(figure, [(ax, component("error", name))], runs, view, log=log)
-    draw_thresholds(ax, thresholds(runs, error))
-    ax.set_ylabel(label)
-    if log:
-        _logarithmic(ax)
-    else:
-        ax.set_ylim(0.0, None)
-    finish(figure, [ax], runs, notes)
+    panel = [(ax, component(group, name)) for ax, group in zip(axes, ("error", "belief"), strict=False)]
+    notes = draw_lines(figure, panel, runs, view, log=log)
+    draw_thresholds(axes[0], thresholds(runs, error))
+    for ax, text in zip(axes, (label, "as they believe it [m]"), strict=False):
+        ax.set_ylabel(text)
+        if log:
+            _logarithmic(ax)
+        else:
+            ax.set_ylim(0.0, None)
+    finish(figure, axes, runs, notes)
     return figure
 
 

@@ -22,7 +22,7 @@ from fleet.pictures.axes import MOST_NAMED, marks_legend
 from fleet.pictures.bands import outliers, spread
 from fleet.pictures.runs import NothingToDraw, Run, View
 from fleet.pictures.style import COLUMN_IN, LABEL_PT, LEGEND_PT, NORMAL, STYLE_NAMES, STYLES, THIN
-from fleet.pictures.track_beliefs import believed_way
+from fleet.pictures.track_beliefs import BELIEF_ENTRIES, BelievedWay, believed_way, draw_ways, draw_ways_in_space
 from fleet.pictures.track_marks import Happening, directions, happenings, places, told
 from fleet.scene.model import SceneModel
 from fleet.scene.primitives import CylinderShape, LineShape, Primitive
@@ -38,8 +38,6 @@ _MARK = 3.5  # pt
 _FAINT: dict[str, Any] = {"linewidths": 0.3, "alpha": 0.4, "zorder": 2, "gid": "others"}
 _CYLINDER: dict[str, Any] = {"facecolor": "0.85", "edgecolor": "0.4", "linewidth": 0.5, "zorder": 1, "gid": "obstacle"}
 _LINE: dict[str, Any] = {"color": PRINT.colour(COURSE), "linewidth": THIN, "linestyle": ":", "gid": "reference"}
-_BELIEVED: dict[str, Any] = {"linewidth": 0.6, "linestyle": (0, (2, 1))}
-_ELLIPSE: dict[str, Any] = {"alpha": 0.2, "linewidth": 0.5, "zorder": 1.5}
 _DOTS: dict[str, Any] = {"s": 1.5, "linewidths": 0, "zorder": 2, "gid": "ends"}
 
 
@@ -58,7 +56,9 @@ def top(runs: Sequence[Run], view: View) -> Figure:
     """North over east, to scale."""
     tracks, entries = _tracks(runs, view)
     wanted = [places(run, view) for run in runs]
-    low, high = _extent([*(track.positions for track in tracks), *(np.array([*w.values()]) for w in wanted if w)])
+    ways = _believed(tracks, view)
+    seen = [*(track.positions for track in tracks), *(way.positions for way in ways)]
+    low, high = _extent([*seen, *(np.array([*w.values()]) for w in wanted if w)])
     figure, ax, tall = _sheet(low, high)
     edges = [edge for run in runs for edge in _shapes(run, view)]
     for a, b in edges:
@@ -67,7 +67,7 @@ def top(runs: Sequence[Run], view: View) -> Figure:
     for thing in standing:
         _paint(ax, thing)
     distinct = _draw_from_above(ax, tracks)
-    beliefs = _draw_beliefs(ax, [track for track in tracks if track.vehicle in distinct], view)
+    draw_ways(ax, [way for way in ways if way.vehicle in distinct])
     for place in (place for w in wanted for i, place in w.items() if i in distinct):
         ax.plot(place[1], place[0], "+", color="black", markersize=6, markeredgewidth=THIN, zorder=5, gid="place")
     happened = _happened(runs, view, tracks)
@@ -75,8 +75,7 @@ def top(runs: Sequence[Run], view: View) -> Figure:
         ax.plot(one.position[1], one.position[0], one.mark, color=colour, markeredgecolor="black", markeredgewidth=0.5,
                 markersize=6, zorder=6, gid=f"{one.what}-{one.vehicle}")  # fmt: skip
     entries += _explained(happened, runs, standing, linked=bool(edges), flat=True)
-    if beliefs:
-        entries.append(Line2D([], [], label="as believed, 95 % ellipses", **_BELIEVED, color="0.3"))
+    entries += BELIEF_ENTRIES if ways else []
     _finish(figure, runs, [one for one, _ in happened], [])
     if tall:
         figure.legend(handles=entries, loc="outside right upper", handlelength=1.8)
@@ -137,16 +136,10 @@ def _draw_from_above(ax: Axes, tracks: list[VehicleTrack]) -> set[int]:
     return {track.vehicle for track in distinct}
 
 
-def _draw_beliefs(ax: Axes, tracks: list[VehicleTrack], view: View) -> bool:
-    """Where these vehicles believed that they were; whether one of them did not know it."""
-    found = [(track, way) for track in tracks if (way := believed_way(track.run, track.vehicle, view)) is not None]
-    for track, way in found:
-        gid = f"belief-{track.vehicle}"
-        ax.plot(way.positions[:, 1], way.positions[:, 0], color=track.colour, zorder=2.2, gid=gid, **_BELIEVED)
-        for one in way.ellipses:
-            norths, easts = [point.north for point in one.points], [point.east for point in one.points]
-            ax.fill(easts, norths, color=track.colour, gid=f"ellipse-{track.vehicle}", **_ELLIPSE)
-    return bool(found)
+def _believed(tracks: list[VehicleTrack], view: View) -> list[BelievedWay]:
+    """The ways that these vehicles believed in, as far as they had to."""
+    found = (believed_way(track.run, track.vehicle, track.colour, view) for track in tracks)
+    return [way for way in found if way is not None]
 
 
 def space(runs: Sequence[Run], view: View) -> Figure:
@@ -154,7 +147,8 @@ def space(runs: Sequence[Run], view: View) -> Figure:
     tracks, entries = _tracks(runs, view)
     standing = _standing(runs, view)
     courses = [np.array([point[1:] for point in thing.points]) for thing in standing if isinstance(thing, LineShape)]
-    low, high = _extent([*(track.positions for track in tracks), *courses])
+    ways = _believed(tracks, view)
+    low, high = _extent([*(track.positions for track in tracks), *(way.positions for way in ways), *courses])
     figure = Figure(figsize=(COLUMN_IN, 3.4), layout="constrained")
     FigureCanvasAgg(figure)
     ax: Any = figure.add_subplot(projection="3d")
@@ -164,13 +158,15 @@ def space(runs: Sequence[Run], view: View) -> Figure:
         ax.plot([a[1], b[1]], [a[0], b[0]], [a[2], b[2]], color="0.78", linewidth=0.5, gid="formation")
     for thing in standing:
         _paint_in_space(ax, thing)
-    _draw_in_space(ax, tracks)
+    distinct = _draw_in_space(ax, tracks)
+    draw_ways_in_space(ax, [way for way in ways if way.vehicle in distinct])
     happened = _happened(runs, view, tracks)
     for one, colour in happened:
         x, y, z = one.position
         ax.plot([y], [x], [z], one.mark, color=colour, markeredgecolor="black", markeredgewidth=0.5, markersize=6,
                 gid=f"{one.what}-{one.vehicle}")  # fmt: skip
     entries += _explained(happened, runs, standing, linked=bool(edges), flat=False)
+    entries += BELIEF_ENTRIES if ways else []
     scale = f"depth exaggerated {factor} times" if factor > 1 else "depth to scale"
     _finish(figure, runs, [one for one, _ in happened], [scale])
     marks_legend(figure, entries)
@@ -213,8 +209,8 @@ def _paint_in_space(ax: Any, thing: Primitive) -> None:
             ax.plot(*zip(*((p.east, p.north, p.down) for p in points), strict=True), **_LINE)
 
 
-def _draw_in_space(ax: Any, tracks: list[VehicleTrack]) -> None:
-    """The ways, with their beginnings and ends."""
+def _draw_in_space(ax: Any, tracks: list[VehicleTrack]) -> set[int]:
+    """The ways, with their beginnings and ends; returns the vehicles that are drawn one by one."""
     others, distinct = _apart(tracks)
     if others:
         colours = [track.colour for track in others]
@@ -227,6 +223,7 @@ def _draw_in_space(ax: Any, tracks: list[VehicleTrack]) -> None:
                 gid=f"vehicle-{track.vehicle}")  # fmt: skip
         ax.plot(p[:1, 1], p[:1, 0], p[:1, 2], "o", color=colour, markersize=_MARK, markerfacecolor="white")
         ax.plot(p[-1:, 1], p[-1:, 0], p[-1:, 2], "o", color=colour, markersize=_MARK)
+    return {track.vehicle for track in distinct}
 
 
 def exaggeration(across: float, deep: float) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import dist
 from typing import Any
 
-from fleet.checks.api import Facts, Failure, Tick, seconds
+from fleet.checks.api import Facts, Failure, Margin, Tick, seconds
 from fleet.protocols.bidder import rounds_needed
 from fleet.protocols.bundle_auction import places_of
 
@@ -30,6 +30,7 @@ class NoConflict:
         self._count = count
         self._since: dict[int, float] = {}  # by place
         self._longest = 0.0
+        self._at = facts.begin  # when it was so long [s]
 
     def step(self, tick: Tick) -> Failure | None:
         """Look who claims what."""
@@ -45,7 +46,8 @@ class NoConflict:
                 self._since.pop(j, None)
                 continue
             lasts = tick.t - self._since.setdefault(j, tick.t)
-            self._longest = max(self._longest, lasts)
+            if lasts > self._longest:
+                self._longest, self._at = lasts, tick.t
             if lasts > self._within:
                 text = f"place {j + 1} is claimed by {len(claimants)} vehicles for more than {self._within:g} s"
                 return Failure(text, tuple(claimants), {"place": j + 1.0})
@@ -54,6 +56,10 @@ class NoConflict:
     def verdict(self) -> str:
         """The longest conflict."""
         return f"a conflict lasted {self._longest:g} s at most, and {self._within:g} s are allowed"
+
+    def margin(self) -> Margin:
+        """How much longer a conflict could have lasted."""
+        return Margin(self._within - self._longest, "s", self._at)
 
 
 class AllVisited:
@@ -73,6 +79,7 @@ class AllVisited:
         self._reach = reach
         self._by = seconds(by) if by else facts.duration
         self._last = facts.begin
+        self._tick_s = facts.tick
 
     def step(self, tick: Tick) -> Failure | None:
         """Look who is where."""
@@ -88,6 +95,10 @@ class AllVisited:
     def verdict(self) -> str | Failure:
         """When the last one was visited."""
         return self._late() or f"all {self._count} places, the last at {self._last:g} s"
+
+    def margin(self) -> Margin:
+        """How much later the last place could have been visited; of one that was not, all that is known is below 0."""
+        return Margin(-self._tick_s * len(self._open) if self._open else self._by - self._last, "s", self._last)
 
     def _late(self) -> Failure | None:
         if not self._open:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import inf
 from typing import Literal
 
-from fleet.checks.api import Facts, Failure, Tick, Vehicle, seconds
+from fleet.checks.api import Facts, Failure, Margin, Tick, Vehicle, seconds
 from fleet.checks.sides import Sides
 
 
@@ -23,6 +23,7 @@ class TrueMean:
         self._below, self._within = below, seconds(within)
         self._sides = Sides(facts)
         self._found = ""
+        self._worst: tuple[float, float] | None = None  # by how much an average was off [degC], when [s]
 
     def step(self, tick: Tick) -> Failure | None:
         """Compare the averages with the mean, on every side."""
@@ -37,6 +38,8 @@ class TrueMean:
                 return None
             mean = sum(measured) / len(side)
             off = [average - mean for average in averages]
+            if self._worst is None or max(map(abs, off)) > self._worst[0]:
+                self._worst = max(map(abs, off)), tick.t
             if max(map(abs, off)) >= self._below:
                 those = tuple(i for i, each in zip(side, off, strict=True) if abs(each) >= self._below)
                 text = f"the mean of vehicles {_shown(side)} is {mean:.6g} degC, and their averages are off by up to"
@@ -49,6 +52,10 @@ class TrueMean:
     def verdict(self) -> str | Failure:
         """How far off the averages were last."""
         return self._found or Failure("no sample: the sides changed again, or the run ended, before it was judged")
+
+    def margin(self) -> Margin | None:
+        """How much farther off an average could have been."""
+        return None if self._worst is None else Margin(self._below - self._worst[0], "degC", self._worst[1])
 
 
 class AtMostOneLeader:
@@ -73,6 +80,9 @@ class AtMostOneLeader:
         self._sides = Sides(facts)
         self._until: dict[int, float] = {}  # true time [s] until which a vehicle leads, as it reported last
         self._most = 0
+        self._tick_s = facts.tick
+        self._led: dict[tuple[int, ...], tuple[int, float]] = {}  # of each side the last leader, and when it led [s]
+        self._gap = facts.duration - facts.begin, facts.begin  # the shortest between two leaders [s], and when
 
     def step(self, tick: Tick) -> Failure | None:
         """Count those that lead."""
@@ -82,6 +92,12 @@ class AtMostOneLeader:
         for group in groups:
             of_these = tuple(i for i in leaders if i in group)
             self._most = max(self._most, len(of_these))
+            if of_these and tick.t - self._sides.since >= self._grace:
+                before, at = self._led.get(group, (of_these[0], -inf))
+                if of_these != (before,):
+                    gap = tick.t - at if len(of_these) == 1 else -self._tick_s
+                    self._gap = min(self._gap, (gap, tick.t))
+                self._led[group] = of_these[0], tick.t
             if len(of_these) > 1 and tick.t - self._sides.since >= self._grace:
                 where = f"of the side {_shown(group)} " if self._per_side else ""
                 silent = _shown(tuple(i for i in of_these if i in self._sides.suspended))
@@ -92,6 +108,10 @@ class AtMostOneLeader:
     def verdict(self) -> str:
         """How many led at once, also within the grace."""
         return f"{self._most} at once at most" + (" on a side, with the grace" if self._grace else "")
+
+    def margin(self) -> Margin:
+        """The shortest time for which nobody led between two leaders."""
+        return Margin(self._gap[0], "s", self._gap[1])
 
     def _leads(self, vehicle: Vehicle, t: float) -> bool:
         """Whether a vehicle leads at `t` [s]; remembers what it reports for when it is suspended."""
@@ -128,6 +148,7 @@ class AgreeAfterHeal:
         self._sides = Sides(facts)
         self._agreed_since: float | None = None  # the change [s] after which they have agreed; None: they do not
         self._longest = 0.0  # from a change to the agreement [s]
+        self._waited = 0.0, facts.begin  # the longest time after a change without agreement [s], and until when
 
     def step(self, tick: Tick) -> Failure | None:
         """Compare what they name."""
@@ -139,6 +160,7 @@ class AgreeAfterHeal:
                 return None
             if len(set(named)) == 1 and self._may_be(int(named[0]), side, tick):
                 continue
+            self._waited = max(self._waited, (elapsed, tick.t))
             if elapsed < self._within:
                 self._agreed_since = None
                 return None
@@ -154,6 +176,10 @@ class AgreeAfterHeal:
         if self._agreed_since is None:
             return Failure("there was no agreement when the run ended, too early to judge it")
         return f"agreed {self._longest:.4g} s after a change at the latest"
+
+    def margin(self) -> Margin:
+        """How much longer they could have disagreed after a change."""
+        return Margin(self._within - self._waited[0], "s", self._waited[1])
 
     def _may_be(self, leader: int, side: tuple[int, ...], tick: Tick) -> bool:
         """Whether it is right that a side names this leader; 0: none."""

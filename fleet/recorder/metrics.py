@@ -146,7 +146,9 @@ class Metrics:
         worst = max(off, key=off.__getitem__)
         return Formation(off[worst], worst, median(off.values()), len(off))
 
-    def worst(self, what: str, after_s: float, vehicles: list[int] | None = None) -> tuple[float, int, float]:
+    def worst(
+        self, what: str, after_s: float, vehicles: list[int] | None = None, before_s: float = inf
+    ) -> tuple[float, int, float]:
         """The largest `e` or `formation` of any vehicle, or of some, from a time on: (value [m], vehicle, time [s]).
 
         A run that ended before `after_s` gives (inf, 0, end): nothing shows that the limit was kept.
@@ -156,7 +158,7 @@ class Metrics:
             if vehicles is not None and i not in vehicles:
                 continue
             for t, value in zip(self.times, getattr(series, what), strict=True):
-                if t >= after_s and not value <= found[0]:
+                if after_s <= t < before_s and not value <= found[0]:
                     found = (value, i, t)
         if found[1] == 0:
             return float("inf"), 0, self.times[-1] if self.times else 0.0

@@ -9,7 +9,7 @@ the fleet, so that they hardly lag behind the hulls between two messages.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from math import sqrt
 from typing import Any
@@ -31,18 +31,20 @@ from fleet.recorder.snapshot import Snapshot
 from fleet.recorder.template import Template, field
 from fleet.recorder.transforms import NO_TURN, enu
 from fleet.scenario.scenario import Scenario
+from fleet.scene.belief import PlaceBelief, drawn_belief
 from fleet.scene.link_state import HISTORY, LinkState, mark_of, state_of
 from fleet.scene.model import SLENDER, SceneModel, diameter
-from fleet.scene.primitives import REFERENCE, CircleShape, CrossShape, Primitive
+from fleet.scene.primitives import REFERENCE, CircleShape, CrossShape, Primitive, points_of
 from fleet.scene.styles import FOXGLOVE, NO_AGENT
 from netem.condition import Link
-from netem.wire.messages import Fate, Frame
+from netem.wire.messages import Fate, Frame, VehicleFrame
 from world.vectors import Vec3
 
 SCENE_UNITS = {
     "entities": ["m", "lengths and positions in each entity's frame; thickness and font_size in pixels"],
 }
 
+_ARMS = ((-0.5, 0.0), (0.5, 0.0), (0.0, -0.5), (0.0, 0.5))  # of a cross [m]
 UNHEARD_NS = 500_000_000  # after so long without a command an agent counts as absent
 
 
@@ -92,6 +94,8 @@ class Scene:
             for i, mass in masses.items()
             for silent in (False, True)
         }
+        self._navigating = frozenset(self._model.navigating)
+        self._beliefs: dict[tuple[int, int], Template] = {}  # by vehicle and number of coordinates
         self._names = {link: _link(link).SerializeToString() for link in scenario.graph.links}
         self._lines = {state: Template(partial(_line, state), 6) for state in FOXGLOVE.links}
         self._offsets: list[Vec3] = []  # where the vehicles should be in the message before
@@ -108,7 +112,7 @@ class Scene:
         self._seen = frame
 
     def message(self, frame: Frame, stamp: bytes) -> bytes:
-        """A SceneUpdate message: hulls, then links, then where the vehicles should be; `stamp` is `stamp_field`'s."""
+        """A SceneUpdate message: hulls, links, beliefs, places of the vehicles; `stamp` is `stamp_field`'s."""
         silent = self.silent()
         found = [field(b"\x12", stamp + self._hulls[row.id, row.id in silent]) for row in frame.vehicles]
         t = frame.tick * self._scenario.tick_ns / 1e9
@@ -116,12 +120,29 @@ class Scene:
         places = {row.id: _relative(row.eta[:3], origin) for row in frame.vehicles}
         for link, name in self._names.items():
             found.append(field(b"\x12", stamp + name + self._line(link, places, silent)))
+        found += [field(b"\x12", stamp + self._belief(row, places[row.id])) for row in self._believers(frame)]
         offsets = self._model.offsets(t)
         if offsets != self._offsets:
             self._offsets = offsets
             self._formation = _formation(self._model.moving(t), self._model.diameters).SerializeToString()
         found.append(field(b"\x12", stamp + self._formation))
         return b"".join(found)
+
+    def _believers(self, frame: Frame) -> Iterator[VehicleFrame]:
+        return (row for row in frame.vehicles if row.id in self._navigating)
+
+    def _belief(self, row: VehicleFrame, place: Vec3) -> bytes:
+        """What a vehicle believes of its place; an empty entity, which replaces the one before, if nobody asked it."""
+        drawn: list[Primitive] = []
+        if row.nav:
+            x, y, z = (believed - true for believed, true in zip(row.nav[:3], row.eta[:3], strict=True))
+            drawn = drawn_belief(row.id, PlaceBelief((x, y, z), row.belief))
+        x, y, z = place
+        values = [value for thing in drawn for dx, dy, dz in _ends(thing) for value in (x + dx, y + dy, z + dz)]
+        key = row.id, len(values)
+        if key not in self._beliefs:
+            self._beliefs[key] = Template(partial(_believed, row.id), len(values))
+        return self._beliefs[key](*values)
 
     def silent(self) -> frozenset[int]:
         """The vehicles that nobody commands."""
@@ -174,6 +195,24 @@ def _formation(things: Iterable[Primitive], diameters: Sequence[float]) -> Scene
                 place = enu((at.north, at.east, at.down))
                 spheres.append(_sphere(place, 2.0 * diameters[i - 1], FOXGLOVE.colour(thing.colour), 0.5))
     return SceneEntity(frame_id=REFERENCE, id="formation", frame_locked=True, spheres=spheres)
+
+
+def _believed(i: int, *values: float) -> SceneEntity:
+    """The belief of vehicle i: the corners of an area, which may be left out, and the four ends of a cross [m]."""
+    points = [Point3(x=x, y=y, z=z) for x, y, z in zip(values[::3], values[1::3], values[2::3], strict=True)]
+    colour = _colour(FOXGLOVE.vehicle(i))
+    lines = [
+        LinePrimitive(type=kind, thickness=1.5, scale_invariant=True, points=some, color=colour)
+        for kind, some in ((LinePrimitive.LINE_LOOP, points[:-4]), (LinePrimitive.LINE_LIST, points[-4:]))
+        if some
+    ]
+    return SceneEntity(frame_id=REFERENCE, id=f"belief {i}", frame_locked=True, lines=lines)
+
+
+def _ends(thing: Primitive) -> list[Vec3]:
+    """The corners of an area, and the ends of a cross, in axes of `reference`."""
+    points = [enu((point.north, point.east, point.down)) for point in points_of(thing)]
+    return [(x + dx, y + dy, z) for x, y, z in points for dx, dy in _ARMS] if isinstance(thing, CrossShape) else points
 
 
 def hull(i: int, mass: float, silent: bool) -> SceneEntity:

@@ -113,7 +113,7 @@ class LogWriter:
         sink.metadata("run", run_metadata(scenario, start) | ({} if clock is Clock.LOCKSTEP else {CLOCK: clock}))
         signals = {i: scenario.plant_signals(i) for i in range(1, scenario.vehicles + 1)}
         plants = {i: own for i, own in signals.items() if own is not None}
-        navigating = [i for i in range(1, scenario.vehicles + 1) if scenario.navigates(i)]
+        navigating = [i for i in range(1, scenario.vehicles + 1) if scenario.belief(i)]
         self._ticks = TickMessages(
             {
                 group: {i: self._topic(f"uuv/{i}/{group}", schema) for i, schema in schemas.items()}
@@ -186,7 +186,7 @@ class LogWriter:
                 if (name, signals) not in made:
                     made[name, signals] = flat_schema(name, signal_columns(signals))
                 found[OF_THE_PLANT][i] = made[name, signals]
-        if navigating := [i for i in ids if self._scenario.navigates(i)]:
+        if navigating := [i for i in ids if self._scenario.belief(i)]:
             found[OF_NAVIGATION] = dict.fromkeys(navigating, flat_schema("Belief", BELIEF))
         return found
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import Annotated
 
 from msgspec import Meta, Struct
+from msgspec.structs import replace
 
 from fleet.quantities import vehicle_names
 from netem.causes import Cause
@@ -50,6 +52,19 @@ class Moment(Struct, frozen=True):
         return "; ".join([active, *([] if self.message is None else [self.message.words])])
 
 
+class Margin(Struct, frozen=True):
+    """By how much a check holds: below 0 it fails, above 0 it passes, and 0 tells nothing."""
+
+    value: Annotated[float, Meta(description="How far it is from failing; negative: from passing.")]
+    unit: Annotated[str, Meta(description="Its unit.")] = "1"
+    at_s: Annotated[float | None, Meta(description="When it was least [s]; null: at no one time.")] = None
+
+    @property
+    def words(self) -> str:
+        """In words."""
+        return f"{self.value:.3g}" + ("" if self.unit == "1" else f" {self.unit}")
+
+
 class Verdict(Struct, frozen=True):
     """One check: what was asked and what was found, in words and as numbers."""
 
@@ -68,6 +83,21 @@ class Verdict(Struct, frozen=True):
     signals: Annotated[
         tuple[str, ...], Meta(description="Of one of your own checks, the signals that it looked at.")
     ] = ()
+    margin: Annotated[
+        Margin | None, Meta(description="By how much it passed or failed; null: that is not known, or not finite.")
+    ] = None
+
+    @property
+    def words(self) -> str:
+        """What was found, and the margin; one of 0 tells nothing."""
+        return self.found + (f"; margin {self.margin.words}" if self.margin is not None and self.margin.value else "")
+
+    def with_margin(self, value: float | None, unit: str, at_s: float | None = None) -> Verdict:
+        """The same with a margin, whose sign is never that of the other verdict."""
+        if value is None or not isfinite(value):
+            return self
+        value = max(value, 0.0) if self.passed else min(value, 0.0)
+        return replace(self, margin=Margin(value, unit, at_s))
 
 
 def who(vehicles: list[int]) -> str:

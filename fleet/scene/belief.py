@@ -1,4 +1,4 @@
-"""How sure a vehicle is of its place: the ellipse that holds it with 95 %, from the covariance of its estimate.
+"""What a vehicle believes of its place, to be drawn beside the truth: a cross, and the ellipse that holds it with 95 %.
 
 | symbol | meaning | unit |
 |---|---|---|
@@ -12,20 +12,39 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import atan2, cos, hypot, isfinite, pi, sin, sqrt
+from typing import NamedTuple
 
-from fleet.scene.primitives import NED, FramePoint, LineShape
+from fleet.scene.primitives import NED, AreaShape, CrossShape, FramePoint, Primitive, vehicle_frame
 from fleet.scene.styles import VEHICLE
+from world.vectors import Vec3
 
-_TURNS = [2.0 * pi * k / 48 for k in range(49)]
+CORNERS = 36  # of an ellipse
+_ROUND = [(cos(2.0 * pi * k / CORNERS), sin(2.0 * pi * k / CORNERS)) for k in range(CORNERS)]
 _MOST_M = 1e6  # a larger ellipse would be no picture
 
 
-def ellipse(vehicle: int, place: Sequence[float], covariance: Sequence[float]) -> LineShape | None:
-    """The ellipse of a vehicle as a line round it; None: it does not know how sure it is, or not at all.
+class PlaceBelief(NamedTuple):
+    """What a vehicle believes of its place, as the topic `belief` has it."""
+
+    off: Vec3  # believed minus true position, NED [m]
+    covariance: Sequence[float]  # of x, y, z and psi: upper triangle, row by row; empty or NaN: it does not know
+
+
+def drawn_belief(i: int, belief: PlaceBelief) -> list[Primitive]:
+    """What there is to draw of the belief of vehicle i, beside the vehicle; nothing if it is not finite."""
+    if not all(abs(value) < _MOST_M for value in belief.off):
+        return []
+    cross = CrossShape(f"{VEHICLE} {i}", FramePoint(vehicle_frame(i), *belief.off), "")
+    around = ellipse(i, belief.off, belief.covariance, vehicle_frame(i))
+    return [cross] if around is None else [around, cross]
+
+
+def ellipse(vehicle: int, place: Sequence[float], covariance: Sequence[float], frame: str = NED) -> AreaShape | None:
+    """The ellipse of a vehicle; None: it does not know how sure it is, or not at all.
 
     Args:
-        place: where it believes it is: north, east, down [m].
-        covariance: of x, y, z and psi, as the topic `belief` has it: upper triangle, row by row.
+        place: where it believes it is: north, east, down [m], in the frame.
+        covariance: as in `PlaceBelief`.
     """
     if len(covariance) != 10:
         return None
@@ -39,6 +58,8 @@ def ellipse(vehicle: int, place: Sequence[float], covariance: Sequence[float]) -
         return None
     north, east, down = place
     c, s = cos(bearing), sin(bearing)
-    around = [(long * cos(turn), short * sin(turn)) for turn in _TURNS]
-    points = tuple(FramePoint(NED, north + c * x - s * y, east + s * x + c * y, down) for x, y in around)
-    return LineShape(f"{VEHICLE} {vehicle}", points)
+    ahead_n, ahead_e, aside_n, aside_e = c * long, s * long, -s * short, c * short
+    points = tuple(
+        FramePoint(frame, north + ahead_n * x + aside_n * y, east + ahead_e * x + aside_e * y, down) for x, y in _ROUND
+    )
+    return AreaShape(f"{VEHICLE} {vehicle}", points)

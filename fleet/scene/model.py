@@ -7,13 +7,16 @@ kinds of `fleet.scene.primitives` that it has, in its theme. A new thing to draw
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 from math import pi
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
 from fleet.scenario.scenario import Scenario
+from fleet.scene.belief import PlaceBelief, drawn_belief
 from fleet.scene.link_state import CUT, GONE, LinkState
 from fleet.scene.primitives import (
     NED,
@@ -37,6 +40,7 @@ WORST = 5  # of a crowd, that have their numbers: those that are farthest off th
 TRAIL_S = 30.0  # that the way of a vehicle is shown
 # A packet is drawn slower than it was where the eye could not follow [s of the renderer].
 LEAST_FLIGHT_S, MOST_FLIGHT_S = 0.45, 3.0
+NO_BELIEFS: Mapping[int, PlaceBelief] = MappingProxyType({})
 STOPS = {CUT: 0.3, GONE: 0.55}  # shares of the way at which a packet stops; others arrive
 
 
@@ -58,7 +62,8 @@ class SceneModel:
         known = frozenset(self.links)
         self.both_ways = frozenset((src, dst) for src, dst in known if (dst, src) in known)
         self.diameters = [diameter(control.vehicle.m) for control in scenario.controls]  # of the hulls [m]
-        self.changes = any(plan.changes for plan in scenario.plans)  # whether `moving` does
+        self.navigating = [i for i in range(1, scenario.vehicles + 1) if scenario.belief(i)]
+        self.changes = bool(self.navigating) or any(plan.changes for plan in scenario.plans)  # whether `moving` does
 
     def reference(self, t: float) -> Vec3:
         """Where the reference is [m, NED]."""
@@ -84,13 +89,18 @@ class SceneModel:
         """What there is to paint all the time and stands still."""
         return [*self.obstacles, self.course(0.0, self.scenario.duration_ns / 1e9)]
 
-    def moving(self, t: float) -> list[Primitive]:
-        """What there is to paint at a time [s] and moves with the fleet, beside vehicles, links and packets."""
+    def moving(self, t: float, beliefs: Mapping[int, PlaceBelief] = NO_BELIEFS) -> list[Primitive]:
+        """What there is to paint at a time [s] and moves with the fleet, beside vehicles, links and packets.
+
+        Args:
+            beliefs: what vehicles believe of their places.
+        """
         wanted = [(i, FramePoint(REFERENCE, *offset)) for i, offset in enumerate(self.offsets(t), start=1)]
         return [
             CrossShape(REFERENCE_POINT, FramePoint(REFERENCE), "reference"),
             *(CircleShape(f"vehicle {i}", place, i) for i, place in wanted),
             *(LineShape(f"vehicle {i}", (place, FramePoint(vehicle_frame(i)))) for i, place in wanted),
+            *(one for i, belief in sorted(beliefs.items()) for one in drawn_belief(i, belief)),
         ]
 
     def legend(self) -> list[LegendRow]:
@@ -104,6 +114,9 @@ class SceneModel:
             rows.append(LegendRow("packet", "packet arrived", "packet", "a packet on its way"))
         rows.append(LegendRow("circle", "vehicle 1", "desired place", "where the vehicle should be"))
         rows.append(LegendRow("line", COURSE, "course", "the way of the reference"))
+        if self.navigating:
+            meaning = "where a vehicle believes it is: a cross, and the ellipse that holds it with 95 %"
+            rows.append(LegendRow("area", "vehicle 1", "believed place", meaning))
         if self.obstacles:
             meaning = "a cylinder that vehicles are to keep out of"
             rows.append(LegendRow("cylinder", OBSTACLE, "obstacle", meaning))

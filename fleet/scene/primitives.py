@@ -7,7 +7,8 @@ A frame moves, and a point moves with it: `ned` stands still, `reference` moves 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 import msgspec
 
@@ -62,10 +63,27 @@ class LineShape(Primitive, frozen=True):
     points: tuple[FramePoint, ...]
 
 
+class AreaShape(Primitive, frozen=True):
+    """A flat translucent patch with these corners, which is left out while one of its frames is nowhere."""
+
+    points: tuple[FramePoint, ...]
+
+
+def plain(things: Iterable[Primitive]) -> list[dict[str, Any]]:
+    """Primitives as plain values for JSON, lengths to the millimetre."""
+
+    def rounded(value: Any) -> Any:
+        if isinstance(value, list | tuple):
+            return [rounded(one) for one in value]
+        return round(value, 3) if isinstance(value, float) else value
+
+    return [{key: rounded(value) for key, value in msgspec.to_builtins(thing).items()} for thing in things]
+
+
 def points_of(primitive: Primitive) -> tuple[FramePoint, ...]:
     """The points of a primitive; none of a cylinder, which has no depth."""
     match primitive:
-        case LineShape(points=points):
+        case LineShape(points=points) | AreaShape(points=points):
             return points
         case CircleShape(at=at) | CrossShape(at=at):
             return (at,)

@@ -155,6 +155,8 @@ def _measured(result: Result) -> dict[str, Any]:
         row[f"check.{name}"] = row.get(f"check.{name}", True) and verdict.passed
         if verdict.value is not None:
             row[f"value.{name}"] = max(row.get(f"value.{name}", verdict.value), verdict.value)
+        if (margin := verdict.margin) is not None:
+            row[f"margin.{name}"] = min(row.get(f"margin.{name}", margin.value), margin.value)
     for measure in MEASURES.values():
         row[measure.name] = measure.of(result)
     return row

@@ -65,6 +65,7 @@ class StudyRecord(msgspec.Struct, omit_defaults=True):
     spec: StudySpec | None = None  # as people write it; older versions of fleet did not keep it
     border: BorderRecord | None = None  # of `fleet boundary`: not every point is run with every seed
     settings: OldSettings | None = None  # of version 2 only
+    margins: bool = False  # whether the table has those of the checks; that of an older version of fleet has none
 
     @property
     def rules(self) -> StudySpec:

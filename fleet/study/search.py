@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import count
 from math import inf
+from typing import Literal
 
 from fleet.execution.external_agents import refuse
 from fleet.scenario.scenario import Scenario
@@ -22,9 +23,6 @@ from fleet.study.one_run import JUDGED, Task, failed_checks, scenario_of
 from fleet.study.plan import run_key
 from fleet.study.spec import LARGEST_SEED
 from fleet.study.statistics import most_failures
-
-# Each lasts half of a tenth of the run; the last is over after three quarters of it, so that time to recover is left.
-_PICK = "partition, down, deaf, pause, kill, {link *: loss 60% delay 300ms}"
 
 
 @dataclass(slots=True)
@@ -56,17 +54,15 @@ class Searched:
         return most_failures(self.runs) if self.runs and self.seed is None else None
 
 
-def nemesis_of(scenario: Scenario) -> Override:
+def nemesis_of(scenario: Scenario, mode: Literal["swarm", "liveness"] = "swarm") -> Override:
     """A nemesis for a scenario that has none, as a change of it.
 
     Raises:
         StudyError: it has one.
     """
     if scenario.undrawn.nemesis is not None:
-        raise StudyError(f"{scenario.name} has a nemesis: change it with --set nemesis.every='3 s' and the like")
-    every = max(scenario.duration_ns // 10, 1)
-    until = max(3 * scenario.duration_ns // 4, 1)
-    return Override(SET, f"nemesis={{every: {every} ns, for: {every // 2} ns, until: {until} ns, pick: [{_PICK}]}}")
+        raise StudyError(f"{scenario.name} has a nemesis: change it with --set nemesis.mode={mode} and the like")
+    return Override(SET, f"nemesis={mode}")
 
 
 def search(

@@ -176,7 +176,7 @@ def _column(measure: SignalMeasure, scenarios: Sequence[Scenario]) -> MeasureCol
 
 
 def _places(scenario: Scenario, i: int) -> dict[str, SignalPlace]:
-    return places(scenario.layout(i), scenario.plant_signals(i), i in scenario.clocks, scenario.navigates(i))
+    return places(scenario.layout(i), scenario.plant_signals(i), i in scenario.clocks, scenario.belief(i))
 
 
 def _vehicles(measure: SignalMeasure, scenario: Scenario) -> range:

@@ -140,6 +140,7 @@ class Store:
                 pa.field("status", _TEXT), pa.field("reason", _TEXT), pa.field("passed", _BOOL),
                 *(pa.field(f"check.{name}", _BOOL) for name in checks),
                 *(pa.field(f"value.{name}", _NUMBER) for name in checks),
+                *(pa.field(f"margin.{name}", _NUMBER) for name in checks if self.record.margins),
                 *(_unit_field(column.name, _NUMBER, column.unit) for column in self.record.columns),
                 pa.field("digest", _TEXT), pa.field("version", _TEXT), pa.field("cores", _TEXT),
             ]

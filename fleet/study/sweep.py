@@ -105,6 +105,7 @@ def prepare(
     folder = path.parent.resolve() if path.exists() else None
     measures, columns = declared(spec or StudySpec(plan.scenario), scenarios)
     record = StudyRecord(
+        margins=True,
         version=VERSION,
         scenario=first.name,
         command=" ".join(change.name for change in plan.changes),

@@ -15,7 +15,7 @@ from typing import Any
 from fleet.errors import FleetError
 from fleet.execution.connection import LiveRun, OpenConnection, RemoteError, find, is_live
 from fleet.execution.directory import SCENARIO, in_use
-from fleet.logs.topic_names import link_of
+from fleet.logs.topic_names import BELIEFS, link_of
 from fleet.replay.attachment import unpack
 from fleet.replay.missing import Missing, left_out
 from fleet.replay.player import MeasuredRate
@@ -52,6 +52,7 @@ class LiveFeed:
         self.log = source.directory / "run.mcap"
         self.missing = Missing()
         self._waiting: deque[Any] = deque(maxlen=MOST_WAITING)
+        self._newest: dict[str, Any] = {}  # beliefs since the last picture, by key: it shows one of each vehicle
         self._status: Row = {}
         self._over = ""  # why there is nothing more to come
         self._published = True
@@ -87,6 +88,8 @@ class LiveFeed:
             self._listening = True
             for topic in (TRANSFORMS, FAULTS, "link/*"):
                 self._subscribe(topic)
+            if self.picture.scene.navigating:
+                self._bus.subscribe(self._keys.log(BELIEFS), self._believes)
 
     def _subscribe(self, topic: str) -> Callable[[], None]:
         return self._bus.subscribe(self._keys.log(topic), self._receive)
@@ -94,6 +97,10 @@ class LiveFeed:
     def _receive(self, sample: Any) -> None:
         """On a thread of zenoh."""
         self._waiting.append(sample)  # when it is full, the oldest one goes
+
+    def _believes(self, sample: Any) -> None:
+        """On a thread of zenoh."""
+        self._newest[str(sample.key_expr)] = sample
 
     @property
     def run(self) -> LiveRun | None:
@@ -108,15 +115,14 @@ class LiveFeed:
     def advance(self) -> bool:
         """Take what has come; whether there is something new to show."""
         waiting, prefix = self._waiting, len(self._keys.log(""))
+        beliefs = [self._newest.pop(key) for key in list(self._newest)]
         come = [waiting.popleft() for _ in range(len(waiting))]
         placed: tuple[float, bytes] | None = None
         shown_s = self.picture.at_s
         for sample in come:
             topic = str(sample.key_expr)[prefix:]
-            try:
-                at_s = unpack(sample.attachment.to_bytes()).log_ns / 1e9
-            except (ValueError, AttributeError):
-                continue  # not the publisher's
+            if (at_s := _logged_s(sample)) is None:
+                continue
             self.missing.came(topic, place_of(sample))
             data = sample.payload.to_bytes()
             if topic == TRANSFORMS:
@@ -131,8 +137,11 @@ class LiveFeed:
                     self.picture.signal(name, at_s, value)
         if placed is not None:
             take(self.picture, TRANSFORMS, *placed)
+        for sample in beliefs:
+            if (at_s := _logged_s(sample)) is not None:
+                take(self.picture, str(sample.key_expr)[prefix:], at_s, sample.payload.to_bytes())
         self._rate.update(time.monotonic_ns(), int(self.picture.at_s * 1e9))
-        return bool(come)
+        return bool(come or beliefs)
 
     def look(self) -> None:
         """Ask the console how it is doing. Waits for the answer: on a thread of its own."""
@@ -228,3 +237,11 @@ class LiveFeed:
         self._bus.close()
         if self._connection is not None:
             self._connection.close()
+
+
+def _logged_s(sample: Any) -> float | None:
+    """The log time of a sample [s]; None: it is not the publisher's."""
+    try:
+        return unpack(sample.attachment.to_bytes()).log_ns / 1e9
+    except (ValueError, AttributeError):
+        return None

@@ -12,7 +12,7 @@ from fleet.logs.fault_intervals import MOST_EVENTS
 from fleet.logs.reader import LogReadError
 from fleet.logs.run_name import run_name
 from fleet.logs.tape import Tape, Track
-from fleet.logs.topic_names import link_of
+from fleet.logs.topic_names import believer_of, link_of
 from fleet.quantities import vehicle_numbers
 from fleet.repeat.recorded_run import recorded
 from fleet.replay.player import Player
@@ -61,6 +61,7 @@ class LogFeed:
         checked = map(str, checked_signals(self.scenario.spec.checks, looked_at))
         self.charted = [name for name in checked if self.signals.of_all(name)]
         self._track = self._tracked()
+        self._beliefs = Track(self._tape, [n for n, t in self._topics.items() if believer_of(t) is not None])
         self.end_s = self._tape.end_ns / 1e9
         self.player = self._player(0, rate)
         self._jumped = False
@@ -110,6 +111,7 @@ class LogFeed:
         self._take(some, moving=True)
         if not self.picture.placed:  # else time is that of the places
             self.picture.at_s = min(self.player.position(now) / 1e9, self.end_s)
+        self._take_beliefs()
         new = bool(some) or self._jumped or not self.picture.placed
         self._jumped = False
         if self.player.over and not self.player.paused:
@@ -125,6 +127,12 @@ class LogFeed:
             take(self.picture, topic, entry.log_ns / 1e9, entry.data, moving=moving)
             for name, value in self.signals.values(topic, entry.data):
                 self.picture.signal(name, entry.log_ns / 1e9, value)
+
+    def _take_beliefs(self) -> None:
+        """Take the newest of each vehicle: they are many, and a picture shows one."""
+        stop = self._beliefs.before(int(self.picture.at_s * 1e9) + 1)
+        for _, entry in self._beliefs.entries(range(max(0, stop - len(self.picture.scene.navigating)), stop)):
+            take(self.picture, entry.channel.topic, entry.log_ns / 1e9, entry.data)
 
     def clock(self) -> Row:
         """How time goes."""
@@ -156,6 +164,7 @@ class LogFeed:
         self.picture.clear(0.0 if not first else track[first] / 1e9)
         self._take(range(first, stop), moving=False)
         self.picture.at_s = at_s
+        self._take_beliefs()
         self.player.seek(time.monotonic_ns(), at_ns)
         self._jumped = True
 
@@ -206,6 +215,7 @@ class LogFeed:
         before = self._track.before
         self._take(range(before(int(self.picture.at_s * 1e9) + 1), before(int(at_s * 1e9) + 1)), moving=True)
         self.picture.at_s = at_s
+        self._take_beliefs()
 
     def next_fault(self) -> float | None:
         """When the next fault begins or ends [s]; None: none does."""

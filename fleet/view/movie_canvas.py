@@ -17,7 +17,15 @@ from fleet.logs.records import Array
 from fleet.pictures.style import THIN
 from fleet.scene.link_state import LinkState
 from fleet.scene.model import LegendRow
-from fleet.scene.primitives import CircleShape, CrossShape, CylinderShape, FramePoint, LineShape, Primitive
+from fleet.scene.primitives import (
+    AreaShape,
+    CircleShape,
+    CrossShape,
+    CylinderShape,
+    FramePoint,
+    LineShape,
+    Primitive,
+)
 from fleet.scene.styles import PRINT
 from fleet.view.movie_camera import Camera
 
@@ -83,6 +91,10 @@ class Canvas:
             case CrossShape(at=at):
                 x, y = self._point(at, frames)
                 self.lines([[(x - 4, y), (x + 4, y)], [(x, y - 4), (x, y + 4)]], 2.0, colour, 1.0)
+            case AreaShape(points=points) if all(point.frame in frames for point in points):
+                corners = np.array([self._point(point, frames) for point in points])
+                style = {"facecolor": to_rgba(colour, 0.13), "edgecolor": to_rgba(colour, 0.7), "linewidth": THIN}
+                self.polygons([corners], 1.4, **style)
             case LineShape(points=points) if all(point.frame in frames for point in points):
                 places = np.array([self._point(point, frames) for point in points])
                 self.lines([places], 1.5, [(colour, 0.5)], THIN, linestyle="--")
@@ -110,6 +122,7 @@ def sample(row: LegendRow) -> Line2D:
         "packet": {"marker": "o", "markersize": 3, "linestyle": "", "color": PRINT.colour(row.word)},
         "circle": {"marker": "o", "markersize": 7, "linestyle": "", "fillstyle": "none", "color": "0.3"},
         "cylinder": {"marker": "o", "markersize": 7, "linestyle": "", "color": "0.8"},
+        "area": {"marker": "P", "markersize": 4, "linestyle": "", "color": PRINT.colour(row.word)},
         "line": {"linestyle": "--", "linewidth": THIN, "color": PRINT.colour(row.word), "alpha": 0.5},
     }
     return Line2D([], [], label=row.name, **styles[row.sign])

@@ -9,12 +9,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fleet.pictures.shades import union
-from fleet.pictures.style import THIN
+from fleet.pictures.style import LABEL_PT, THIN
 from fleet.scene.styles import PRINT
 from fleet.view.view_state import Row
 
 MOST_SIGNALS = 2  # that have a chart of their own
-LEFT, RIGHT, BOTTOM, HEIGHT, GAP = 0.09, 0.98, 0.095, 0.165, 0.09  # shares of the figure
+LEFT, RIGHT, BOTTOM, HEIGHT, GAP = 0.06, 0.98, 0.095, 0.15, 0.06  # shares of the figure
 
 
 class MovieChart:
@@ -51,7 +51,8 @@ class MovieChart:
         for k, label in enumerate(labels):
             ax = figure.add_axes((LEFT + k * (width + GAP), BOTTOM, width, HEIGHT))
             ax.set(xlim=window, xlabel="time [s]")
-            ax.set_ylabel(label, parse_math=False)
+            # Above: beside the axis there is no room for the name of a signal.
+            ax.set_title(label, loc="left", pad=2.0, size=LABEL_PT, parse_math=False)
             for begin, end in union([(row["from_s"], row["to_s"]) for row in faults]):
                 ax.axvspan(begin, end, color="0.88", linewidth=0)
             self._axes.append(ax)

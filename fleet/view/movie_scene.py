@@ -65,7 +65,7 @@ class MovieScene:
             charted: signals that are drawn beside the errors, as `MovieChart` takes them.
         """
         self._setup, self._begin_s, self._rate = picture.setup(), begin_s, rate
-        self._model = picture.scene
+        self._picture, self._model = picture, picture.scene
         self._happened = picture.happenings  # of the whole log
         self._camera = Camera(above=above)
         self._trails: dict[int, deque[list[float]]] = {}
@@ -113,7 +113,7 @@ class MovieScene:
         """Draw a frame.
 
         Args:
-            frame: as `ViewState.frame` gives it.
+            frame: as `ViewState.frame` gives it, of now.
             at_s: its time in the movie.
         """
         canvas, camera = self._canvas, self._camera
@@ -126,7 +126,7 @@ class MovieScene:
         rows = {row[0]: row for row in frame["uuv"]}
         frames = {NED: np.zeros(3), REFERENCE: np.array(frame["ref"])}
         frames |= {vehicle_frame(i): np.array(row[1:4]) for i, row in rows.items()}
-        moving = self._model.moving(frame["t"])
+        moving = self._picture.moving()
         points = [point for thing in moving for point in points_of(thing) if point.frame in frames]
         seen = np.array([*(row[1:4] for row in rows.values()), *(frames[one.frame] + one[1:] for one in points)])
         camera.follow(seen)

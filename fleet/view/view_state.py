@@ -12,12 +12,12 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from math import asin, atan2, dist
 from typing import Any
 
-import msgspec
-
 from fleet.logs.payload_kinds import DAMAGED, kind_of
 from fleet.quantities import QuantityError, vehicle_numbers
 from fleet.scenario.scenario import Scenario, timeline
+from fleet.scenario.sections.signals import OF_NAVIGATION as BELIEF
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED, VehicleEvents, is_fault, vehicle_events
+from fleet.scene.belief import PlaceBelief
 from fleet.scene.link_state import ARRIVED, BEHIND, LinkHistory, LinkState, fate_of, stale_after
 from fleet.scene.model import (
     CROWD,
@@ -31,7 +31,7 @@ from fleet.scene.model import (
     SceneModel,
     depth_text,
 )
-from fleet.scene.primitives import Primitive
+from fleet.scene.primitives import Primitive, plain
 from fleet.scene.styles import LINK_MEANINGS, NO_AGENT
 from netem.condition import Link
 from world.vectors import Vec3
@@ -59,6 +59,8 @@ class ViewState:
         self._numbers = {link: k for k, link in enumerate(scenario.graph.links)}
         self._round_s = scenario.round_ticks * scenario.tick_ns / 1e9
         self._stale_s = stale_after(self._round_s)
+        # An older one is left out: nobody asks a vehicle whose agent is dead where it is.
+        self._belief_lasts_s = max(1.0, 2.0 * scenario.log_every.get(BELIEF, 0) * scenario.tick_ns / 1e9)
         self._faults: list[Row] = _scripted(scenario)
         self._events: dict[str, Row] = {}  # what happened to vehicles, by id
         self._told: list[VehicleEvents] | None = None  # the same as the console counts it; None: it was not asked
@@ -80,6 +82,7 @@ class ViewState:
         self._turns: dict[int, Vec3] = {}  # phi, theta, psi [rad]
         self._speeds: dict[int, float] = {}
         self._placed_s = -1.0
+        self._beliefs: dict[int, tuple[float, PlaceBelief]] = {}  # the newest of each vehicle, and when
         self._packets: deque[list[Any]] = deque(maxlen=MOST_PACKETS)
         self._samples: deque[list[Any]] = deque(maxlen=MOST_SAMPLES)
         self._fresh: deque[list[Any]] = deque(maxlen=MOST_SAMPLES)  # since the last frame
@@ -113,6 +116,12 @@ class ViewState:
         self.at_s = max(self.at_s, at_s)
         if not self._samples or at_s - self._samples[-1][0] >= SAMPLE_S - 1e-9:
             self._sample()
+
+    def believes(self, i: int, at_s: float, message: Any) -> None:
+        """Take a message of the topic `uuv/<i>/belief`."""
+        off = tuple(message.off)
+        if i in self.neighbours and len(off) == 3:
+            self._beliefs[i] = at_s, PlaceBelief(off, tuple(message.covariance))
 
     def packet(self, link: Link, message: Any, *, moving: bool = True) -> None:
         """Take a message of a topic `link/<src>-<dst>`.
@@ -203,8 +212,8 @@ class ViewState:
             "links": [list(link) for link in self._numbers],
             "both_ways": [link in scene.both_ways for link in self._numbers],
             "hulls_m": [_rounded((SLENDER * width, width)) for width in scene.diameters],
-            "standing": _plain(scene.standing),
-            "moving": _plain(scene.moving(0.0)),
+            "standing": plain(scene.standing),
+            "moving": plain(scene.moving(0.0)),
             "legend": [row._asdict() for row in scene.legend()],
             "link_meanings": LINK_MEANINGS,
             "many": scenario.vehicles > MANY,
@@ -252,7 +261,7 @@ class ViewState:
             "kinds": self.kinds(),
         }
         if self.scene.changes:
-            row["moving"] = _plain(self.scene.moving(t))
+            row["moving"] = plain(self.moving())
         if any(self._new.values()):
             row["signals"] = {name: list(values) for name, values in self._new.items() if values}
             for values in self._new.values():
@@ -260,6 +269,11 @@ class ViewState:
         self._packets.clear()
         self._fresh.clear()
         return row
+
+    def moving(self) -> list[Primitive]:
+        """What there is to paint now, as the scene has it, and moves with the fleet."""
+        known = {i: belief for i, (t, belief) in self._beliefs.items() if self.at_s - t <= self._belief_lasts_s}
+        return self.scene.moving(self.at_s, known)
 
     def history(self) -> Row:
         """The samples of the last minute, for a page that has just been opened, or that has jumped."""
@@ -351,17 +365,6 @@ def _angles(x: float, y: float, z: float, w: float) -> Vec3:
 
 def _rounded(values: Iterable[float]) -> list[float]:
     return [round(value, 3) for value in values]
-
-
-def _plain(things: Iterable[Primitive]) -> list[Row]:
-    """Primitives as plain values, lengths to the millimetre."""
-
-    def rounded(value: Any) -> Any:
-        if isinstance(value, list | tuple):
-            return [rounded(one) for one in value]
-        return round(value, 3) if isinstance(value, float) else value
-
-    return [{key: rounded(value) for key, value in msgspec.to_builtins(thing).items()} for thing in things]
 
 
 def _worst(errors: Sequence[float | None]) -> list[int]:

@@ -12,12 +12,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from enum import IntEnum
 from math import hypot
 from typing import NamedTuple
 
 from agents.signals import SignalLayout
 from fleet.errors import FleetError
 from netem.parsing import nearest
+from world.navigation.config import Navigation, NavigationTrace
 from world.signal import Signal
 
 STATE = tuple(
@@ -56,11 +58,27 @@ OF_THE_LAWS = ("guidance", "control")  # groups whose signals the laws of a vehi
 OF_THE_PLANT = "plant"  # the group whose signals the plant of a vehicle declares
 OF_THE_CLOCK = "clock"
 OF_NAVIGATION = "belief"  # the group of a vehicle that does not know where it is
+OF_A_FILTER = frozenset(f"{OF_NAVIGATION}.{name}" for name in ("sd", "sd_psi", "covariance", "nees"))
 GROUPS = (*_ALWAYS, OF_THE_CLOCK, OF_THE_PLANT, OF_NAVIGATION, *OF_THE_LAWS)
 
 # A signal within a larger pattern, such as that of a measure; `read_name` makes a name of the match.
 SIGNAL = r"(?P<bar>\|)?\s*(?:uuv/(?P<vehicle>\*|[1-9]\d{0,5})/)?(?P<name>[A-Za-z]\w*\.\w+)\s*(?(bar)\|)"
 _GRAMMAR = re.compile(SIGNAL, re.ASCII)
+
+
+class BeliefKind(IntEnum):
+    """What a vehicle believes of its place, and so which signals of `BELIEF` it has."""
+
+    NONE = 0  # nothing: it knows where it is
+    PLACE = 1  # where it is, and not how sure that is
+    FILTER = 2  # both
+
+    @classmethod
+    def of(cls, navigation: Navigation | None) -> BeliefKind:
+        """The belief of a vehicle that navigates so."""
+        if navigation is None:
+            return cls.NONE
+        return cls.PLACE if isinstance(navigation, NavigationTrace) else cls.FILTER
 
 
 class SignalError(FleetError):
@@ -126,7 +144,7 @@ def places(
     layout: SignalLayout | None,
     plant: tuple[Signal, ...] | None,
     has_clock: bool = False,
-    navigates: bool = False,
+    belief: BeliefKind = BeliefKind.NONE,
 ) -> dict[str, SignalPlace]:
     """Every signal of a vehicle, vectors and their components, by name.
 
@@ -134,12 +152,15 @@ def places(
         layout: what its agent reports; None: that is not known.
         plant: what its plant reports; None: it has none.
         has_clock: whether its clock is set.
-        navigates: whether it does not know where it is.
+        belief: what it believes of its place.
     """
     found: dict[str, SignalPlace] = {}
-    for group, (start, signals) in _groups(layout, plant, has_clock, navigates).items():
+    for group, (start, signals) in _groups(layout, plant, has_clock, belief).items():
         for signal in signals:
             name, width = f"{group}.{signal.name}", signal.width
+            if name in OF_A_FILTER and belief is BeliefKind.PLACE:
+                start += width
+                continue
             units = signal.unit.split(", ") if ", " in signal.unit else [signal.unit] * width
             found[name] = SignalPlace(slice(start, start + width), signal.unit)
             if width > 1:
@@ -153,24 +174,24 @@ def flat_signals(
     layout: SignalLayout | None,
     plant: tuple[Signal, ...] | None,
     has_clock: bool = False,
-    navigates: bool = False,
+    belief: BeliefKind = BeliefKind.NONE,
 ) -> dict[str, tuple[int, list[tuple[str, int]]]]:
     """By topic group where its values begin, and name and number of values of each signal; as `places` has them."""
     return {
         group: (start, [(signal.name, signal.width) for signal in signals])
-        for group, (start, signals) in _groups(layout, plant, has_clock, navigates).items()
+        for group, (start, signals) in _groups(layout, plant, has_clock, belief).items()
     }
 
 
 def _groups(
-    layout: SignalLayout | None, plant: tuple[Signal, ...] | None, has_clock: bool, navigates: bool
+    layout: SignalLayout | None, plant: tuple[Signal, ...] | None, has_clock: bool, belief: BeliefKind
 ) -> dict[str, tuple[int, tuple[Signal, ...]]]:
     groups = {group: (0, signals) for group, signals in _ALWAYS.items()}
     if has_clock:
         groups[OF_THE_CLOCK] = 0, CLOCK
     if plant is not None:
         groups |= dict.fromkeys(("state", "nav"), (0, STATE + ROLL)) | {OF_THE_PLANT: (0, plant)}
-    if navigates:
+    if belief is not BeliefKind.NONE:
         groups[OF_NAVIGATION] = 0, BELIEF
     if layout is not None:
         groups |= {group: (layout.group(group).start, getattr(layout, group)) for group in OF_THE_LAWS}
@@ -206,6 +227,8 @@ def unit_of(signal: SignalName, vehicles: Iterable[Mapping[str, SignalPlace]]) -
 
 
 def _hint(name: str, known: Mapping[str, int]) -> str:
+    if re.sub(r"_\d+$", "", name) in OF_A_FILTER:
+        return "vehicles with dead reckoning have it, and those with a trace do not know how sure they are"
     group, _, field = name.partition(".")
     beside = [other.partition(".")[2] for other in known if other.startswith(f"{group}.")]
     if not beside:

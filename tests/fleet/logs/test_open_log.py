@@ -21,10 +21,11 @@ import fleet
 from fleet.errors import ScenarioError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
+from fleet.logs.digest import Digest
 from fleet.logs.export import export
 from fleet.logs.fault_intervals import FaultInterval
-from fleet.logs.open_log import LogKeyError
-from fleet.logs.reader import LogReadError
+from fleet.logs.open_log import LogKeyError, open_drawn
+from fleet.logs.reader import LogReader, LogReadError, digest
 from fleet.scenario.loading import load_scenario
 
 
@@ -115,6 +116,18 @@ def test_what_the_log_says_of_itself(run: Path) -> None:
     assert [(t.id, t.end, t.what) for t in log.events] == [(f"tumbled-{i}", 2.0, f"tumbled {i}") for i in (2, 3)]
     assert len(log) == len(log.topics) == len(list(log))
     assert f"{log.messages} messages in 38 topics, 2 s" in repr(log)
+
+
+@pytest.mark.parametrize("cut", [0, 20_000], ids=["whole", "cut"])
+def test_the_digest_is_that_of_the_messages(run: Path, tmp_path: Path, cut: int) -> None:
+    """Message by message, in blocks, and along with what is drawn."""
+    log = tmp_path / "run.mcap"
+    log.write_bytes((run / "run.mcap").read_bytes()[: -cut or None])
+    total = Digest()
+    for one in LogReader(log):
+        total.add(one.topic.encode(), one.log_ns, one.publish_ns, one.sequence, one.data)
+    drawn = open_drawn(log, ["uuv/1/*"], lambda _: None, {})
+    assert fleet.open_log(log).digest == digest(log) == drawn.digest == total.hexdigest()
 
 
 def test_only_the_topics_that_are_asked_for(run: Path) -> None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from mcap.writer import Writer
 
-from fleet.logs.reader import LogReadError, log_path, open_file
+from fleet.logs.reader import LogReader, LogReadError, log_path, open_file
 
 
 def test_a_link_to_a_run_gives_the_run(tmp_path: Path) -> None:
@@ -23,3 +24,39 @@ def test_a_link_to_a_run_gives_the_run(tmp_path: Path) -> None:
 def test_a_log_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(LogReadError, match=r"No such file or directory; a log is an MCAP file, or the directory of a "):
         open_file(tmp_path / "latest")
+
+
+@pytest.mark.parametrize("most", [1, 3000, 1 << 30])
+def test_blocks_that_are_gathered_hold_the_same_messages(tmp_path: Path, most: int) -> None:
+    log = tmp_path / "many.mcap"
+    with log.open("wb") as file:
+        writer = Writer(file, chunk_size=1000)
+        writer.start()
+        topics = [writer.register_channel(f"t/{k}", "", 0) for k in range(7)]
+        for k in range(300):
+            writer.add_message(topics[k * k % 7], k, bytes([k % 256]) * (k % 11), k, k)
+        writer.finish()
+    blocks = list(LogReader(log).gathered(most))
+    assert [one for block in blocks for one in block.messages()] == [
+        one for block in LogReader(log).blocks() for one in block.messages()
+    ]
+    assert len(blocks) == 1 if most == 1 << 30 else len(blocks) > 1
+
+
+def test_a_message_index_that_is_damaged_ends_the_reading_there(tmp_path: Path) -> None:
+    """Sound ones are passed many at a time."""
+    log = tmp_path / "damaged.mcap"
+    with log.open("wb") as file:
+        writer = Writer(file, chunk_size=1 << 20, use_statistics=False)
+        writer.start()
+        for channel in [writer.register_channel(f"t/{k}", "", 0) for k in range(9)]:
+            writer.add_message(channel, 1, b"x", 1, 1)
+        writer.finish()
+    data = bytearray(log.read_bytes())
+    index = b"\x07" + (22).to_bytes(8, "little") + (5).to_bytes(2, "little")
+    place = data.index(index) + len(index)
+    data[place : place + 4] = (17).to_bytes(4, "little")
+    log.write_bytes(data)
+    reader = LogReader(log)
+    assert len(list(reader)) == 9
+    assert [(one.what, one.offset) for one in reader.damage] == [("a damaged message index", data.index(index))]

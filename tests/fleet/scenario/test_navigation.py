@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import tomllib
 from importlib import resources
@@ -103,6 +104,10 @@ def test_a_log_needs_no_file(tmp_path: Path) -> None:
         (["navigation=mems", "faults=[{at: 0 s, fix: {lost: 10 %}}]"], "none of these vehicles has fixes"),
         (["navigation=mems", "faults=[{at: 0 s, dvl: {chance: 10 %}}]"], "changes nothing: give it a value"),
         (["checks={signal: [{topic: belief.nees, below: 9}]}"], "there is no signal belief.nees"),
+        (
+            [f"navigation={{trace: {json.dumps(TRACE)}}}", "checks={signal: [{topic: belief.sd_0, below: 9 m}]}"],
+            "vehicles with dead reckoning have it, and those with a trace do not know how sure they are",
+        ),
     ],
 )
 def test_mistakes_are_told(overrides: list[str], words: str) -> None:
@@ -173,4 +178,4 @@ def test_a_check_of_belief_is_read_though_the_laws_may_not_run() -> None:
         "formation: {shape: line, spacing: 5 m}\ngraph: {shape: path}\ninitial: {scatter: 1 m}\n"
         "controller: not_here:Law\nnavigation: dead-reckoning\nchecks: {signal: {topic: belief.nees, below: 20}}\n"
     )
-    assert parse_scenario(text, "x.yaml").navigates(1)
+    assert parse_scenario(text, "x.yaml").belief(1)

@@ -1,18 +1,27 @@
-"""The ellipse that holds a vehicle with 95 %, and that the picture of the tracks has it."""
+"""The ellipse that holds a vehicle with 95 %, and that every renderer has it."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import inf, nan
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from in_process_runs import Alone, log_of
+from matplotlib.figure import Figure
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 
-from fleet.pictures.runs import View, load
-from fleet.pictures.track import top
-from fleet.scene.belief import ellipse
+from fleet.logs.open_log import open_log
+from fleet.pictures.runs import Run, View, load
+from fleet.pictures.time_series import formation
+from fleet.pictures.track import space, top
+from fleet.scene.belief import PlaceBelief, drawn_belief, ellipse
+from fleet.scene.primitives import AreaShape, CrossShape, Primitive, plain
+from fleet.view.log_feed import LogFeed
 
 PLACE = (1.0, 2.0, 3.0)
 SIZE = st.floats(0.01, 100.0)
@@ -37,10 +46,65 @@ def test_what_is_no_covariance_is_no_ellipse(value: float) -> None:
     assert ellipse(1, PLACE, []) is None
 
 
-def test_the_tracks_show_them(alone: Alone) -> None:
-    scenario = "dead-reckoning", "duration=2 s", "checks={}", "per_vehicle.2.navigation=ideal"
-    (run,) = load([log_of(alone(*scenario))])
-    drawn = [str(artist.get_gid()) for artist in top([run], View()).axes[0].get_children()]
+@pytest.fixture(scope="module")
+def log(alone: Alone) -> Path:
+    """Of vehicles that navigate, but for the second."""
+    return log_of(alone("dead-reckoning", "duration=2 s", "checks={}", "per_vehicle.2.navigation=ideal"))
+
+
+@pytest.mark.parametrize("picture", [top, space])
+def test_the_tracks_show_them(picture: Callable[[list[Run], View], Figure], log: Path) -> None:
+    drawn = [str(artist.get_gid()) for artist in picture(load([log]), View()).axes[0].get_children()]
     assert drawn.count("ellipse-1") == drawn.count("ellipse-4") == 5
     assert "belief-3" in drawn
     assert not [gid for gid in drawn if gid in ("ellipse-2", "belief-2")]
+
+
+def test_the_picture_of_the_formation_shows_truth_and_belief(log: Path) -> None:
+    true, believed = formation(load([log]), View()).axes
+    assert len(true.get_lines()) == 4
+    assert len(believed.get_lines()) == 3
+
+
+def areas(things: list[Primitive]) -> dict[str, AreaShape]:
+    return {thing.colour: thing for thing in things if isinstance(thing, AreaShape)}
+
+
+def test_page_and_movie_show_the_newest(log: Path) -> None:
+    feed = LogFeed(log)
+    belief = open_log(log)["uuv/3/belief"]
+    for at_s in (1.0, 0.5):
+        feed.seek(at_s)
+        shown = areas(feed.picture.moving())
+        assert [*shown] == ["vehicle 1", "vehicle 3", "vehicle 4"]
+        k = int(np.searchsorted(belief.t, at_s))
+        wanted = ellipse(3, belief.off[k].tolist(), belief.covariance[k].tolist(), "uuv-3")
+        assert shown["vehicle 3"] == wanted
+        assert plain([shown["vehicle 3"]])[0] in feed.picture.frame()["moving"]
+
+
+def test_the_belief_of_a_vehicle_that_nobody_asks_is_not_shown_for_long(log: Path) -> None:
+    feed = LogFeed(log)
+    feed.seek(1.0)
+    feed.picture.at_s = 2.5
+    assert not areas(feed.picture.moving())
+
+
+def test_a_belief_that_is_no_number_is_not_drawn() -> None:
+    assert drawn_belief(1, PlaceBelief((nan, 0.0, 0.0), (1.0,) * 10)) == []
+    (cross,) = drawn_belief(1, PlaceBelief((1.0, 0.0, 0.0), (nan,) * 10))  # that of a replayed error
+    assert isinstance(cross, CrossShape)
+
+
+def test_foxglove_shows_it(log: Path) -> None:
+    """Every message has an entity for each vehicle that navigates; at the end nobody asks, and it is empty."""
+    with log.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        scenes = [scene for _, _, _, scene in reader.iter_decoded_messages(["scene"])]
+    found = [{one.id: one for one in scene.entities if one.id.startswith("belief")} for scene in scenes]
+    assert {tuple(each) for each in found} == {("belief 1", "belief 3", "belief 4")}
+    assert [len(each["belief 3"].lines) for each in found] == [2] * (len(found) - 1) + [0]
+    points = found[0]["belief 3"].lines[0].points
+    state, belief = (open_log(log)[f"uuv/3/{group}"] for group in ("state", "belief"))
+    middle = np.mean([(p.y, p.x, -p.z) for p in points], axis=0)  # the reference begins in 0 0 20
+    assert middle == pytest.approx([state.x[0], state.y[0], state.z[0] - 20.0] + belief.off[0], abs=1e-9)

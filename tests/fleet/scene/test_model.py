@@ -15,6 +15,7 @@ from fleet.scene.model import SceneModel, depth_text
 from fleet.scene.primitives import (
     NED,
     REFERENCE,
+    AreaShape,
     CircleShape,
     CrossShape,
     CylinderShape,
@@ -30,6 +31,7 @@ from fleet.view.movie_canvas import Canvas, sample
 PAGE_MODULES = ROOT / "fleet" / "view" / "page" / "modules"
 EXAMPLES: dict[type[Primitive], Primitive] = {
     CylinderShape: CylinderShape("obstacle", 1.0, 2.0, 3.0),
+    AreaShape: AreaShape("vehicle 1", (FramePoint(NED), FramePoint(NED, 1.0), FramePoint(REFERENCE, 0.0, 1.0))),
     CircleShape: CircleShape("vehicle 2", FramePoint(REFERENCE, 1.0), 2),
     CrossShape: CrossShape("reference", FramePoint(REFERENCE), "reference"),
     LineShape: LineShape("course", (FramePoint(NED), FramePoint(REFERENCE))),
@@ -62,9 +64,9 @@ def test_a_line_to_a_vehicle_that_is_nowhere_is_left_out() -> None:
 
 def test_every_sign_of_the_legend_has_a_sample_and_every_word_a_colour() -> None:
     scene = SceneModel(load_scenario("paper", OBSTACLES))
-    rows = scene.legend()
+    rows = [*scene.legend(), SceneModel(load_scenario("dead-reckoning")).legend()[-1]]
     samples = (PAGE_MODULES / "legend.js").read_text()
-    assert [row.name for row in rows][-3:] == ["desired place", "course", "obstacle"]
+    assert [row.name for row in rows][-4:] == ["desired place", "course", "obstacle", "believed place"]
     for row in rows:
         assert sample(row).get_label() == row.name
         assert f"  {row.sign}: (" in samples

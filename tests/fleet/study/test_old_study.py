@@ -33,6 +33,7 @@ def test_the_rows_of_a_study_are_as_before(tmp_path: Path) -> None:
     store, _ = prepare(plan_of(spec), tmp_path / "study", spec=spec)
     run_study(store, Here(), lambda progress: None)  # type: ignore[arg-type]
     before, now = (study.to_pandas().drop(columns=OF_THE_MACHINE) for study in (open_study(OLD), Study(store)))
+    now = now.drop(columns=[name for name in now.columns if name.startswith("margin.")])  # that version had none
     assert_frame_equal(before.drop(columns=OF_THE_BYTES), now.drop(columns=OF_THE_BYTES), rtol=1e-9)
     assert before.attrs == now.attrs
 

@@ -3,14 +3,27 @@
 from __future__ import annotations
 
 from collections import deque
+from itertools import count
 from types import SimpleNamespace
 from typing import Any
 
 from small_scenario import small
 
+from fleet.logs.schemas import BELIEF, flat_schema
 from fleet.replay.missing import Missing, pack_counts
+from fleet.scene.primitives import CrossShape
 from fleet.view.live_feed import LiveFeed
 from fleet.view.view_state import ViewState
+
+
+def sample(topic: str, data: bytes, place: int) -> Any:
+    """A sample of zenoh at time 0."""
+    return SimpleNamespace(
+        key_expr=f"x/{topic}",
+        attachment=SimpleNamespace(to_bytes=lambda: bytes([0x94, 0, 0, 0, 0])),
+        payload=SimpleNamespace(to_bytes=lambda: data),
+        source_info=SimpleNamespace(source_sn=place),
+    )
 
 
 def test_messages_that_did_not_come_are_said_also_when_the_run_is_over() -> None:
@@ -29,21 +42,28 @@ def test_messages_that_did_not_come_are_said_also_when_the_run_is_over() -> None
 
 def test_what_the_queue_has_no_room_for_is_counted() -> None:
     feed: Any = object.__new__(LiveFeed)
-    vars(feed).update(missing=Missing(), picture=ViewState(small()), _waiting=deque(maxlen=3))
+    vars(feed).update(missing=Missing(), picture=ViewState(small()), _waiting=deque(maxlen=3), _newest={})
     feed._keys = SimpleNamespace(log=lambda topic: f"x/{topic}")
     feed._rate = SimpleNamespace(update=lambda *_: None)
     feed.signals = SimpleNamespace(values=lambda *_: ())
-    stamp = SimpleNamespace(to_bytes=lambda: bytes([0x94, 0, 0, 0, 0]))
-    for count in (1, 6):
-        for _ in range(count):
-            place = feed.__dict__["place"] = feed.__dict__.get("place", -1) + 1
-            feed._receive(
-                SimpleNamespace(
-                    key_expr="x/faults",
-                    attachment=stamp,
-                    payload=SimpleNamespace(to_bytes=lambda: b"\xff"),
-                    source_info=SimpleNamespace(source_sn=place),
-                )
-            )
+    place = count()
+    for many in (1, 6):
+        for _ in range(many):
+            feed._receive(sample("faults", b"\xff", next(place)))
         assert feed.advance()
     assert feed.missing.count == 3
+
+
+def test_of_many_beliefs_the_newest_is_shown_and_none_is_missing() -> None:
+    feed: Any = object.__new__(LiveFeed)
+    vars(feed).update(missing=Missing(), picture=ViewState(small("navigation=mems")), _waiting=deque(), _newest={})
+    feed._keys = SimpleNamespace(log=lambda topic: f"x/{topic}")
+    feed._rate = SimpleNamespace(update=lambda *_: None)
+    message = flat_schema("Belief", BELIEF).message
+    for north in (1.0, 2.0, 3.0):
+        feed._believes(sample("uuv/2/belief", message(off=[north, 0.0, 0.0]).SerializeToString(), 0))
+    assert feed.advance()
+    crosses = [one for one in feed.picture.moving() if isinstance(one, CrossShape) and one.colour == "vehicle 2"]
+    assert [cross.at.north for cross in crosses] == [3.0]
+    assert not feed.advance()
+    assert feed.missing.count == 0

@@ -11,6 +11,7 @@ const SAMPLES = {
   packet: (word) => svg(10, 10, `<circle cx="5" cy="5" r="3" fill="${colour(word)}"/>`),
   circle: () => disc('fill="none" stroke="#b9cbdd" stroke-dasharray="3 3" stroke-width="1.5"'),
   cylinder: (word) => disc(`fill="${colour(word)}" fill-opacity="0.2" stroke="${colour(word)}"`),
+  area: (word) => svg(24, 16, `<ellipse cx="12" cy="8" rx="11" ry="6.5" fill="${colour(word)}" fill-opacity="0.2" stroke="${colour(word)}"/><path d="M8 8h8M12 4v8" stroke="${colour(word)}"/>`),
   line: (word) => line(colour(word), 1.5, [3, 3]),
 };
 

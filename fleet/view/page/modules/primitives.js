@@ -51,6 +51,13 @@ const PAINT = {
     g.fillText(text, x + 8, y + 17);
   },
 
+  area(g, { points, colour: word }, { project, frames }) {
+    g.strokeStyle = glass(word, 0.7);
+    g.lineWidth = 1;
+    g.fillStyle = glass(word, 0.16);
+    polygon(g, points.map((point) => project(place(point, frames))), true);
+  },
+
   line(g, { points, colour: word }, { project, frames }) {
     const [first, ...others] = points.map((point) => project(place(point, frames)));
     const last = others[others.length - 1];

@@ -1,0 +1,141 @@
+"""Bags of ROS 2: a directory with an MCAP file of CDR messages and metadata.yaml, as `ros2 bag` reads it."""
+
+from __future__ import annotations
+
+import shutil
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from fleet.errors import FleetError
+from fleet.logs.reader import LogReader, Tell
+from fleet.ros2.rmw import Qos
+from fleet.ros2.translation import RosMessage, Translation
+from fleet.ros2.types import RosTypes, types_of
+from fleet.view.feed import checks_judged
+
+_FORMAT = 9  # of metadata.yaml: Iron and later; they read it, and Humble reads the MCAP file alone
+
+
+class Bag:
+    """A bag that is written. `close` writes its index; `abandon` removes it."""
+
+    def __init__(self, folder: Path, types: RosTypes) -> None:
+        """Make the directory. Raises FleetError: there is something at that place, or it cannot be made."""
+        from rosbags.rosbag2 import StoragePlugin, Writer
+
+        self.folder, self._types = folder, types
+        self.messages = 0
+        self._connections: dict[str, Any] = {}
+        if folder.exists():
+            raise FleetError(f"{folder} exists already; a bag is a new directory")
+        self._writer = Writer(folder, version=_FORMAT, storage_plugin=StoragePlugin.MCAP)
+        try:
+            self._writer.open()
+        except OSError as error:
+            raise FleetError(f"cannot write {folder}: {error.strerror}") from None
+
+    def topic(self, name: str, type_name: str, qos: Qos, hash_: str | None = None) -> None:
+        """There may be messages on a topic.
+
+        Args:
+            hash_: of its type, as others said it; None: as it is known here.
+
+        Raises:
+            FleetError: its type is not known.
+        """
+        if type_name not in self._types.store.fielddefs:
+            raise FleetError(f"{name}: the type {type_name} is not known")
+        self._connections[name] = self._writer.add_connection(
+            name,
+            type_name,
+            msgdef=self._types.definition(type_name),
+            rihs01=hash_ or self._types.hash(type_name),
+            offered_qos_profiles=[_profile(qos)],
+        )
+
+    def write(self, topic: str, at_ns: int, data: bytes) -> None:
+        """Append a message in CDR at a time [ns]. Raises FleetError: the disk is full."""
+        try:
+            self._writer.write(self._connections[topic], at_ns, data)
+        except OSError as error:
+            raise FleetError(f"cannot write {self.folder}: {error.strerror}") from None
+        self.messages += 1
+
+    def add(self, message: RosMessage) -> None:
+        """Append a message, on a topic that need not be there yet. Raises FleetError: the disk is full."""
+        if message.name not in self._connections:
+            self.topic(message.name, message.topic.type, message.topic.qos)
+        self.write(message.name, message.at_ns, self._types.encode(message.topic.type, message.message))
+
+    def close(self) -> None:
+        """Write the index and metadata.yaml. Raises FleetError: the disk is full."""
+        try:
+            self._writer.close()
+        except OSError as error:
+            raise FleetError(f"cannot write {self.folder}: {error.strerror}") from None
+
+    def abandon(self) -> None:
+        """Remove what was written."""
+        with suppress(Exception):
+            self._writer.abort()
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def write_bag(log: Path, folder: Path, share: Tell = lambda _: None) -> tuple[list[Path], str]:
+    """Write a log as a bag; times are simulated time from 0.
+
+    Args:
+        log: an MCAP file of a run.
+        share: called now and then with the share of the log that is done.
+
+    Returns:
+        the files, and what was missing in the log, or "".
+
+    Raises:
+        FleetError: it has nothing for ROS, or the place is taken or cannot be written.
+        LogReadError: there is no log to read.
+    """
+    types = types_of()
+    reader = LogReader(log, share)
+    bag: Bag | None = None
+    try:
+        translation = Translation(types, {})
+        known = 0
+        for record in reader:
+            if len(reader.channels) != known:  # they are declared on the way
+                known = len(reader.channels)
+                translation.learn({c.topic: reader.schemas.get(c.schema_id) for c in reader.channels.values()})
+            for message in translation(record.topic, record.log_ns, record.data):
+                bag = bag or Bag(folder, types)
+                bag.add(message)
+        if bag is None:
+            raise FleetError(f"{log} holds nothing that has a topic in ROS 2: it is no log of a run")
+        judged = checks_judged(log)
+        if judged is not None and translation.diagnostics.checks(judged["rows"]):
+            bag.add(translation.diagnosed(reader.last_ns))
+        bag.close()
+    except BaseException:
+        if bag is not None:
+            bag.abandon()
+        raise
+    return sorted(folder.iterdir()), reader.missing
+
+
+def _profile(qos: Qos) -> Any:
+    """As rosbags has it."""
+    from rosbags.interfaces import Qos as Profile
+    from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+
+    never = QosTime(0, 0)
+    return Profile(
+        QosHistory.KEEP_LAST,
+        qos.depth,
+        QosReliability.BEST_EFFORT if qos.best_effort else QosReliability.RELIABLE,
+        QosDurability.TRANSIENT_LOCAL if qos.transient_local else QosDurability.VOLATILE,
+        never,
+        never,
+        QosLiveliness.AUTOMATIC,
+        never,
+        avoid_ros_namespace_conventions=False,
+    )

@@ -1,0 +1,150 @@
+"""From messages of a run's journal to those of ROS: of a live run, of a log that is played, and into a bag."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+from google.protobuf.message import DecodeError
+from mcap.records import Schema
+
+from fleet.logs.decoder import decoded, known_class
+from fleet.recorder.transforms import MAP
+from fleet.ros2.diagnostics import Diagnostics
+from fleet.ros2.mapping import (
+    DIAGNOSTICS,
+    OF_FLEET,
+    OF_VEHICLES,
+    SCENE,
+    TF,
+    TF_STATIC,
+    MessageMaker,
+    RosTopic,
+    is_source,
+    vehicle_of,
+)
+from fleet.ros2.markers import marker_array
+from fleet.ros2.types import RosTypes
+from fleet.scene.primitives import NED
+
+# What a message must have to be one of ours: a log of a stranger may call anything `nav`.
+_FIELDS = {
+    "nav": ("x", "y", "z", "theta", "psi", "u", "v", "w", "q", "r"),
+    "command": ("tau", "applied"),
+    "belief": ("covariance",),
+    "transforms": ("transforms",),
+    "scene": ("entities",),
+    "faults": ("fault", "action", "what"),
+}
+_FIELDS["state"] = _FIELDS["nav"]
+_BY_NAME = {topic.name: topic for topic in (*OF_VEHICLES, *OF_FLEET)}
+
+
+class RosMessage(NamedTuple):
+    """A message that is to be published, or written."""
+
+    name: str  # of the topic
+    topic: RosTopic
+    at_ns: int
+    message: Any
+
+
+class Translation:
+    """Translates one journal, message by message, in its order."""
+
+    def __init__(self, types: RosTypes, schemas: Mapping[str, Schema | None]) -> None:
+        """Begin; `schemas` as for `learn`."""
+        self.mapping = MessageMaker(types)
+        self.diagnostics = Diagnostics(self.mapping)
+        self._classes: dict[str, Any] = {}
+        self._covariances: dict[int, tuple[float, ...]] = {}
+        self._fixed: Any = None
+        self.damaged = 0  # messages that were left out
+        self.learn(schemas)
+
+    def learn(self, schemas: Mapping[str, Schema | None]) -> None:
+        """Take note of topics of the journal, each with its schema; others are left out."""
+        for topic, schema in schemas.items():
+            cls = known_class(schema) if is_source(topic) else None
+            group = topic.rpartition("/")[2]
+            if cls is not None and all(name in cls.DESCRIPTOR.fields_by_name for name in _FIELDS[group]):
+                self._classes[topic] = cls
+
+    @property
+    def vehicles(self) -> list[int]:
+        """Those with a topic that is translated."""
+        return sorted({found[0] for topic in self._classes if (found := vehicle_of(topic))})
+
+    def topics(self) -> list[tuple[str, RosTopic]]:
+        """The names of all topics of ROS that there can be messages on, and what they are."""
+        found = [
+            (topic.name.format(i=i), topic)
+            for i in self.vehicles
+            for topic in OF_VEHICLES
+            if topic.source.format(i=i) in self._classes
+        ]
+        there = {TF: "transforms", TF_STATIC: "transforms", SCENE: "scene"}
+        return found + [(t.name, t) for t in OF_FLEET if t.name not in there or there[t.name] in self._classes]
+
+    def __call__(self, topic: str, at_ns: int, data: bytes) -> Iterator[RosMessage]:
+        """The messages of ROS that a message of the journal becomes; none if it is damaged."""
+        cls = self._classes.get(topic)
+        if cls is None:
+            return
+        try:
+            message = decoded(cls, data)
+            found = vehicle_of(topic)
+            made = self._of_fleet(topic, at_ns, message) if found is None else self._of_vehicle(*found, at_ns, message)
+            yield from made
+        except (DecodeError, ValueError, TypeError, AttributeError):  # fields of other types, or too much of them
+            self.damaged += 1
+
+    def _of_vehicle(self, i: int, group: str, at_ns: int, message: Any) -> list[RosMessage]:
+        mapping = self.mapping
+        match group:
+            case "belief":
+                self._covariances[i] = tuple(message.covariance)
+                return []
+            case "state":
+                made = {"ground_truth/odom": mapping.odometry(at_ns, i, message)}
+            case "command":
+                force, pitch, yaw = message.applied
+                made = {"applied_wrench": mapping.wrench_stamped(at_ns, i, (force, pitch, yaw))}
+            case _:
+                made = {
+                    "odom": mapping.odometry(at_ns, i, message, self._covariances.get(i, ())),
+                    "twist": mapping.twist_stamped(at_ns, i, message),
+                    "imu": mapping.imu(at_ns, i, message),
+                    "pressure": mapping.pressure(at_ns, i, message),
+                }
+        return [
+            RosMessage(f"/uuv_{i}/{name}", _BY_NAME[f"/uuv_{{i}}/{name}"], at_ns, one) for name, one in made.items()
+        ]
+
+    def _of_fleet(self, topic: str, at_ns: int, message: Any) -> list[RosMessage]:
+        if topic == "scene":
+            return [self._message(SCENE, at_ns, marker_array(self.mapping, at_ns, message))]
+        if topic == "faults":
+            self.diagnostics.fault(message)
+            return [self.diagnosed(at_ns)]
+        moving, fixed = [], []
+        for one in message.transforms:
+            t, r = one.translation, one.rotation
+            if (one.parent_frame_id, one.child_frame_id) == (MAP, NED):
+                fixed.append((r.x, r.y, r.z, r.w))
+                continue
+            place, turn = (t.x, t.y, t.z), (r.x, r.y, r.z, r.w)
+            moving.append(self.mapping.transform(at_ns, one.parent_frame_id, one.child_frame_id, place, turn))
+        found = [self._message(TF, at_ns, self.mapping.transforms(moving))]
+        if fixed and self._fixed is None:
+            self._fixed = self.mapping.fixed(fixed[0], self.vehicles)
+            found.insert(0, self._message(TF_STATIC, at_ns, self._fixed))
+        return found
+
+    def diagnosed(self, at_ns: int) -> RosMessage:
+        """What is known of faults and checks."""
+        return self._message(DIAGNOSTICS, at_ns, self.diagnostics.message(at_ns))
+
+    @staticmethod
+    def _message(name: str, at_ns: int, message: Any) -> RosMessage:
+        return RosMessage(name, _BY_NAME[name], at_ns, message)

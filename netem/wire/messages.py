@@ -372,7 +372,7 @@ class Note(WireRecord, frozen=True, tag="note"):
 
 
 class Bundle(WireRecord, frozen=True, tag="bundle"):
-    """Messages of several agents that share a process, in one put. Agents elsewhere never get it."""
+    """Messages of several agents that share a process, in one put. You never get it."""
 
     route: ClassVar[Route] = Route(
         "host/{h}, cmd/host-{h}, tx/host-{h}", "world and netem, host h", "host h, world, netem"
@@ -382,7 +382,7 @@ class Bundle(WireRecord, frozen=True, tag="bundle"):
 
 
 class Ended(WireRecord, frozen=True, tag="ended"):
-    """One of several agents that share a process has ended; the others go on."""
+    """One of several agents that share a process has ended; the others continue."""
 
     route: ClassVar[Route] = Route("note/host-{h}", "host h", "console")
 

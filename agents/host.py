@@ -16,19 +16,9 @@ from netem.wire.access import NETEM, WORLD, host_role
 from netem.wire.bundles import bundles
 from netem.wire.bus import Bus
 from netem.wire.codec import encode, expect
+from netem.wire.host_messages import Bundle, Ended, Part
 from netem.wire.keys import Keys
-from netem.wire.messages import (
-    PROTOCOL_VERSION,
-    Bundle,
-    End,
-    Ended,
-    Hello,
-    Inbox,
-    Nav,
-    Part,
-    Receipt,
-    Transmission,
-)
+from netem.wire.messages import PROTOCOL_VERSION, End, Hello, Inbox, Nav, Receipt, Transmission
 
 
 class HostProcess:

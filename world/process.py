@@ -21,10 +21,10 @@ from netem.wire.bundles import Hosts
 from netem.wire.bus import Bus, Respond
 from netem.wire.codec import encode, expect
 from netem.wire.control import read_map
+from netem.wire.host_messages import Bundle
 from netem.wire.keys import Keys, vehicle_of
 from netem.wire.messages import (
     PROTOCOL_VERSION,
-    Bundle,
     Command,
     Death,
     End,

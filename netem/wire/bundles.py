@@ -8,8 +8,8 @@ from netem.errors import MalformedMessage
 from netem.wire.access import Members, host_role
 from netem.wire.bus import Bus
 from netem.wire.codec import encode
+from netem.wire.host_messages import Bundle, Part
 from netem.wire.keys import Keys
-from netem.wire.messages import Bundle, Part
 from netem.wire.parts import PART_BYTES, split
 
 _PART_BYTES = 12  # of a part, besides its message

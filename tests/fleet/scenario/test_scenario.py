@@ -426,6 +426,7 @@ def test_ten_mistakes_in_one_pass(monkeypatch: pytest.MonkeyPatch) -> None:
         ("duration=5 ms", "5 ms is not a whole number of ticks of 10 ms"),
         ("tick=7 ms", "is not a whole number of ticks of 7 ms"),
         ("vehicles=0", "must be 1 or more"),
+        ("agents.per_process=0", "must be 1 or more"),
         ("vehicles=3001", "must be 3000 or less"),
         ("seed=9223372036854775808", "expected a whole number"),
         ("seed=true", "expected a whole number, got true"),

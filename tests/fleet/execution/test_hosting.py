@@ -15,7 +15,7 @@ from fleet.scenario.loading import load_scenario
 from netem.clock import Clock
 
 OTHER_ROUTER = Options(Path(), rendezvous=Rendezvous(router="tcp/127.0.0.1:1"))
-OWN_LAW = "per_vehicle={1-60: {agent: {law: 'fleet.protocols.average:Average'}}}"
+OWN_LAW = "per_vehicle={1-60: {agent: {law: 'fleet.protocols.average:NaiveAverage'}}}"
 
 
 def members(*overrides: str, options: Options | None = None) -> list[list[int]]:
@@ -47,7 +47,7 @@ def test_who_shares_a_process(
 
 
 def test_a_router_that_is_there_has_no_logins_for_hosts() -> None:
-    with pytest.raises(FleetError, match="agents.per_process: 2: a router that is there already"):
+    with pytest.raises(FleetError, match=r"agents\.per_process: 2: a router that is there already"):
         members("agents.per_process=2", options=OTHER_ROUTER)
 
 

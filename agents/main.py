@@ -62,7 +62,9 @@ def run_host(endpoint: str, run_id: str, number: int, credentials: Credentials, 
     for slice_ in values["agents"]:
         config = AgentConfig.from_values(slice_)
         mark.at(config.id)
-        agents.append(OneAgent(bus, keys, config.id, _lockstep(bus, keys, config)))
+        core = _core(bus, keys, config, 0)
+        loop = AgentLoop(core, config.round_ticks, memory_ticks=config.memory_ticks)
+        agents.append(OneAgent(bus, keys, config.id, loop))
     mark.at(0)
     process = HostProcess(bus, keys, number, agents, mark)
     process.get_ready()
@@ -74,10 +76,19 @@ def clock_of(values: dict[str, Any]) -> Clock:
     return Clock(values.get("clock", Clock.LOCKSTEP))
 
 
-def begin_life(bus: Bus, keys: Keys, config: AgentConfig, incarnation: int, begin: int, clock: Clock) -> AgentProcess:
+def begin_life(
+    bus: Bus,
+    keys: Keys,
+    config: AgentConfig,
+    incarnation: int,
+    begin: int,
+    clock: Clock,
+    core: AgentCore | None = None,
+) -> AgentProcess:
     """Make an agent that is ready: world and netem have both answered it.
 
     Args:
+        core: what answers samples, of a program that is not ours and tells no memory; None: what `config` asks for.
         incarnation: which life of the agent it is, from 0.
         begin: tick of its first nav.
         clock: of the run.
@@ -87,22 +98,19 @@ def begin_life(bus: Bus, keys: Keys, config: AgentConfig, incarnation: int, begi
         SystemExit: a law cannot be made; a note about it has been sent to the console by then.
     """
     vehicle = config.id
+    memory_ticks = config.memory_ticks if core is None else 0
+    core = _core(bus, keys, config, begin) if core is None else core
+    m = config.round_ticks
     process: AgentProcess
     if clock is Clock.REAL:
         from agents.realtime_process import RealtimeAgentProcess
 
-        core = _core(bus, keys, config, begin)
-        late = RealtimeLoop(core, config.round_ticks, incarnation=incarnation, begin=begin)
-        process = RealtimeAgentProcess(bus, keys, vehicle, late)
+        process = RealtimeAgentProcess(bus, keys, vehicle, RealtimeLoop(core, m, incarnation=incarnation, begin=begin))
     else:
-        process = AgentProcess(bus, keys, vehicle, _lockstep(bus, keys, config, incarnation, begin))
+        loop = AgentLoop(core, m, incarnation=incarnation, begin=begin, memory_ticks=memory_ticks)
+        process = AgentProcess(bus, keys, vehicle, loop)
     process.get_ready()
     return process
-
-
-def _lockstep(bus: Bus, keys: Keys, config: AgentConfig, incarnation: int = 0, begin: int = 0) -> AgentLoop:
-    core, m = _core(bus, keys, config, begin), config.round_ticks
-    return AgentLoop(core, m, incarnation=incarnation, begin=begin, memory_ticks=config.memory_ticks)
 
 
 def _core(bus: Bus, keys: Keys, config: AgentConfig, begin: int) -> AgentCore:

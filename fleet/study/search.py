@@ -37,6 +37,7 @@ class Searched:
         runs: that were judged, later ones that were under way with the first one that fails included.
         without: runs without a result.
         reason: of the first of these.
+        sample: whether the runs were drawn one like the other, so that they tell what others would do.
     """
 
     name: str  # of the scenario
@@ -47,11 +48,12 @@ class Searched:
     runs: int = 0
     without: int = 0
     reason: str = ""
+    sample: bool = True
 
     @property
     def most_failures(self) -> float | None:
         """The share of such runs that fails at most, 95 % sure, since none of these did; None: that is not so."""
-        return most_failures(self.runs) if self.runs and self.seed is None else None
+        return most_failures(self.runs) if self.runs and self.seed is None and self.sample else None
 
 
 def nemesis_of(scenario: Scenario, mode: Literal["swarm", "liveness"] = "swarm") -> Override:
@@ -106,7 +108,7 @@ def search(
 
     def take(rows: list[Row]) -> None:
         for row in rows:
-            if failed := _failed(found, row, check):
+            if failed := failed_of(found, row, check):
                 failing[row["seed"]] = failed
         tell(found.runs + found.without)
 
@@ -118,7 +120,7 @@ def search(
     return found
 
 
-def _failed(found: Searched, row: Row, check: str | None) -> str:
+def failed_of(found: Searched, row: Row, check: str | None) -> str:
     """Count a run; returns the check that it fails, or an empty text.
 
     Args:

@@ -21,6 +21,8 @@ GALLERY = {
     "leader-lost": 7, "leader-lost-standby": 7, "acoustic-noise": 17, "remus": 3, "mixed": 3, "average": 10,
     "average-naive": 5, "election": 18, "election-slow": 8,
     "event-triggered": 8, "event-triggered-loss": 3, "auction": 12, "auction-partition": 8,
+    "navigation-aid": 5, "navigation-aid-clock": 5, "locate-naive": 5, "locate-naive-loop": 5,
+    "locate-consistent": 7, "locate-compass": 5,
 }  # fmt: skip
 # Brought forward for it: what a fault does there does not depend on its second.
 EARLY = {
@@ -34,6 +36,8 @@ EARLY = {
     "average": ["faults.1.at=3 s", "faults.1.for=4 s"],
     "election": ["faults.1.at=3 s", "faults.1.for=4 s", "faults.2.at=10 s", "faults.2.for=5 s"],
     "auction": ["faults.1.at=6 s"],
+    "locate-consistent": ["faults.1.at=2 s", "faults.1.for=3 s"],
+    "locate-compass": ["faults.1.at=2 s"],
 }
 PAGE = ROOT / "docs" / "guide" / "scenarios.md"
 LONG = 10  # [s]; a distributed run of more is one of the slow tests
@@ -45,6 +49,8 @@ LONGEST = (
     *("partition-heal", "rough-sea", "remus", "mixed"),
     *("acoustic-noise", "acoustic-80bps", "acoustic-s2c"),
     *("average", "election", "event-triggered", "auction-partition"),
+    *("navigation-aid", "navigation-aid-clock", "locate-naive", "locate-naive-loop"),
+    *("locate-consistent", "locate-compass"),
 )
 
 

@@ -11,7 +11,7 @@ from math import dist
 
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections import clocks, formation, graph, liveness, nemesis, partitions, swarm
-from netem import access, air, fading, impairment, link_states, link_trace
+from netem import access, air, fading, impairment, link_states, link_trace, ranges
 from netem.condition import Condition, Link
 from netem.faults import NetFault
 from netem.link_states import LinkStates
@@ -99,9 +99,10 @@ def _acoustic(scenario: Scenario) -> Iterator[tuple[str, list[str]]]:
     if channel is None:
         return
     places = [position for (position, _) in scenario.initial]
-    ranges = [dist(places[src - 1][:3], places[dst - 1][:3]) for src, dst in scenario.graph.links]
-    surely, anywhere = air.draws(channel, ranges), air.draws(channel)
+    distances = [dist(places[src - 1][:3], places[dst - 1][:3]) for src, dst in scenario.graph.links]
+    surely, anywhere = air.draws(channel, distances), air.draws(channel)
     yield f"backoff of {channel.mac}", access.draws(channel)
+    yield "measured ranges", ranges.draws(channel.ranging)
     yield "acoustic fading", fading.draws(channel.shadowing, channel.rician)
     if air.CAPTURE in surely:
         yield f"{PERHAPS}collisions", [air.CAPTURE]

@@ -10,10 +10,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from fleet.cli import hosts as cli_hosts
+from fleet.cli import junit as cli_junit
+from fleet.cli import ros2 as cli_ros2
 from fleet.cli import view as cli_view
 from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.group import EPILOG
+from fleet.cli.junit import JUNIT
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import OVERRIDES, Duration, Share, Speed, Whole, disturbances, is_given, key_options
 from fleet.terminal.folding import say, stdout
@@ -82,17 +85,19 @@ MOST_FAULTS = 20  # of the scenario, said before it runs
     "--publish", is_flag=True, help="Publish the journal on zenoh meanwhile; nobody who listens slows the run."
 )
 @click.option("--view", is_flag=True, help="Open a page of the browser that shows the run, and lets one disturb it.")
+@click.option("--ros2", is_flag=True, help="Publish it, and show it to ROS 2 as fleet ros2 does.")
 @click.option("--audit", is_flag=True, help="Say also which messages the router refuses, a tenth slower.")
 @click.option(
     "--wait-for-subscribers",
     is_flag=True,
-    help="With --publish or --view: begin when somebody listens, such as the page.",
+    help="With --publish, --view or --ros2: begin when somebody listens, such as the page.",
 )
 @cli_hosts.hosts_options
 @click.option("--join-timeout", type=Duration(), default="300 s", show_default=True,
               help="How long to wait for each agent that somebody else starts.")  # fmt: skip
 @click.option("--start-order", metavar="SEED", type=int, hidden=True)
 @json_option
+@JUNIT
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but the run's directory, and failures on stderr.")
 def run(
     scenario: str | None,
@@ -105,6 +110,7 @@ def run(
     trust: Trust,
     show_config: bool,
     as_json: bool,
+    junit: Path | None,
     quiet: bool,
     **how: Any,
 ) -> None:
@@ -122,8 +128,8 @@ def run(
       fleet run paper --speed 1 --view
       fleet run --from runs/latest@20s --set controller=bsmc
     """
-    if how["wait_for_subscribers"] and not (how["publish"] or how["view"]):
-        raise click.UsageError("--wait-for-subscribers needs --publish or --view: nobody could subscribe")
+    if how["wait_for_subscribers"] and not (how["publish"] or how["view"] or how["ros2"]):
+        raise click.UsageError("--wait-for-subscribers needs --publish, --view or --ros2: nobody could subscribe")
     if as_json and show_config:
         raise click.UsageError("--show-config prints YAML: not together with --json")
     changes: list[str | Override] = [*overrides, *net, *fault]
@@ -147,11 +153,23 @@ def run(
     options = replace(_options(loaded, start, how, terminal), quiet=quiet)
     if not quiet:
         _tell_plan(loaded, start, in_process=options.in_process)
-    with cli_view.page_process(asked=how["view"], stays=not (quiet or as_json)) as page:
-        result = execute(loaded, replace(options, on_published=page.published if page else None), terminal)
+    with (
+        cli_view.page_process(asked=how["view"], stays=not (quiet or as_json)) as page,
+        cli_ros2.bridge_process(asked=how["ros2"]) as bridge,
+    ):
+
+        def on_published(directory: Path) -> None:
+            if bridge is not None:
+                bridge.start(directory)
+            if page is not None:
+                page.published(directory)
+
+        result = execute(loaded, replace(options, on_published=on_published), terminal)
         if page is not None and result.directory is not None:
             page.over(result.directory)
         _print_result(result, as_json=as_json, quiet=quiet)
+    if junit is not None:
+        cli_junit.write(junit, result.scenario, cli_junit.of_run(result))
     sys.exit(result.status.exit)
 
 
@@ -177,6 +195,8 @@ def _options(scenario: Scenario, start: Start | None, how: dict[str, Any], termi
     _check_clock(how["speed"], how["clock"], one_process)
     if how["audit"] and (one_process or (place and place.router)):
         raise click.UsageError("--audit reads the log of the router that a run hosts; this run hosts none")
+    if how["ros2"] and one_process:
+        raise click.UsageError(f"--ros2 is of a run that goes on; not with {one_process}: fleet ros2 plays its log")
     if how["view"] and one_process:
         raise click.UsageError(f"--view is of a run that answers; not with {one_process}: fleet view shows its log")
     return Options(
@@ -184,7 +204,7 @@ def _options(scenario: Scenario, start: Start | None, how: dict[str, Any], termi
         in_process=how["in_process"],
         clock=Clock(how["clock"]),
         speed=how["speed"],
-        publish=how["publish"] or how["view"],
+        publish=how["publish"] or how["view"] or how["ros2"],
         wait=how["wait_for_subscribers"],
         port=how["port"],
         start=start,

@@ -55,6 +55,8 @@ GROUPS: dict[str, dict[str, Verb]] = {
         "sweep": Verb("sweep", "Run a scenario at many values and seeds."),
         "boundary": Verb("boundary", "Find where a scenario begins to fail."),
         "search": Verb("search", "Try random faults until a check fails."),
+        "regress": Verb("regress", "Run the failures that a search has kept again."),
+        "rare": Verb("rare", "Estimate how often a check fails, if that is seldom."),
         "shrink": Verb("shrink", "Make a failing run as small as it can be."),
     },
     "Other hosts and programs": {
@@ -63,8 +65,10 @@ GROUPS: dict[str, dict[str, Verb]] = {
         "certs": Verb("hosts", "Make certificates for runs over several hosts."),
         "protocol": Verb("protocol", "Print the wire protocol, or check an agent."),
         "record": Verb("replay", "Record zenoh traffic to an MCAP file."),
+        "ros2": Verb("ros2", "Show a live run or a log to ROS 2."),
     },
     "This tool": {
+        "about": Verb("about", "Print everything that a bug report needs."),
         "bench": Verb("bench", "Measure this machine."),
         "completion": Verb("completion", "Print what completes commands in your shell."),
         "schema": Verb("schema", "Print the JSON Schema of what --json prints."),
@@ -85,6 +89,7 @@ ELSEWHERE = {
     **dict.fromkeys(("kill", "down", "abort"), "fleet stop (a run), or fleet inject kill 3 (an agent)"),
     "pause": "fleet clock pause (a run), or fleet inject pause 3 (an agent)",
     "validate": "fleet check",
+    **dict.fromkeys(("bug", "doctor", "env", "version"), "fleet about (versions, machine and a run, for a bug report)"),
     "help": "--help, as in fleet run --help",
     "test": "fleet run (a scenario and its checks)",
 }

@@ -58,8 +58,9 @@ def signal_columns(declared: tuple[Signal, ...]) -> tuple[MessageField, ...]:
     return tuple(MessageField(s.name, s.unit, s.meaning, 0 if s.width == 1 else s.width) for s in declared)
 
 
-STATE, ROLL, COMMAND, ERROR, CLOCK_ERROR, BELIEF = map(
-    signal_columns, (signals.STATE, signals.ROLL, signals.COMMAND, signals.ERROR, signals.CLOCK, signals.BELIEF)
+STATE, ROLL, COMMAND, ERROR, CLOCK_ERROR, BELIEF, LOCATED = map(
+    signal_columns,
+    (signals.STATE, signals.ROLL, signals.COMMAND, signals.ERROR, signals.CLOCK, signals.BELIEF, signals.LOCATED),
 )
 FIX = (
     MessageField("source", "", "gps, usbl or lbl", type=STRING),
@@ -87,6 +88,14 @@ PACKET = (
     MessageField("payload", "", "the payload's bytes, as they arrived", type=BYTES),
     MessageField("corrupted", "", "whether the link changed the payload", type=BOOL),
 )
+RANGED = (
+    *PACKET,
+    MessageField("range", "m", "to the sender, as the receiver's modem measured it; NaN: it has not"),
+    MessageField("range_sd", "m", "its standard deviation, as the modem knows it"),
+    MessageField("ranged", "s", "when the vehicles were so far apart"),
+    MessageField("distance", "m", "their true distance then"),
+    MessageField("range_error", "m", "the range minus that distance"),
+)
 # By name, the schemas that every log of a run may have.
 OURS = {
     f"{PACKAGE}.{name}": columns
@@ -98,8 +107,8 @@ OURS = {
             ("Error", ERROR),
             ("Clock", CLOCK_ERROR),
         ),
-        *(("Belief", BELIEF), ("Fix", FIX)),
-        *(("Fault", FAULT), ("Snapshot", SNAPSHOT), ("Packet", PACKET)),
+        *(("Belief", BELIEF), ("Fix", FIX), ("Located", LOCATED)),
+        *(("Fault", FAULT), ("Snapshot", SNAPSHOT), ("Packet", PACKET), ("RangedPacket", RANGED)),
     )
 }
 

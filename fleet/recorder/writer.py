@@ -31,7 +31,9 @@ from fleet.logs.schemas import (
     FIX,
     FROM,
     FROM_TICK,
+    LOCATED,
     PACKET,
+    RANGED,
     ROLL,
     SNAPSHOT,
     START,
@@ -45,14 +47,14 @@ from fleet.logs.schemas import (
 )
 from fleet.logs.topic_names import link_topic
 from fleet.recorder.metrics import VehicleError
-from fleet.recorder.packets import packet_data
+from fleet.recorder.packets import packet_data, ranged_data
 from fleet.recorder.scene import SCENE_UNITS, Scene
 from fleet.recorder.snapshot import TOPIC, Snapshot, Start
 from fleet.recorder.tick_messages import TickMessages, VehicleTopic
 from fleet.recorder.transforms import TRANSFORMS_UNITS, Transforms
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.log_rates import without_snapshots
-from fleet.scenario.sections.signals import OF_NAVIGATION, OF_THE_CLOCK, OF_THE_PLANT
+from fleet.scenario.sections.signals import OF_LOCALIZATION, OF_NAVIGATION, OF_THE_CLOCK, OF_THE_PLANT, locates
 from fleet.scenario.sections.timeline import Event
 from netem.clock import Clock
 from netem.wire.messages import Command, Fate, Frame
@@ -140,7 +142,9 @@ class LogWriter:
         snapshot = flat_schema("Snapshot", SNAPSHOT)
         self._snapshot = snapshot.message
         self._snapshots = self._channel(TOPIC, snapshot)
-        packet = flat_schema("Packet", PACKET)
+        ranging = scenario.acoustic is not None and scenario.acoustic.ranging is not None
+        packet = flat_schema("RangedPacket", RANGED) if ranging else flat_schema("Packet", PACKET)
+        self._packet_data = ranged_data if ranging else packet_data
         self._by_link = {link: self._channel(link_topic(link), packet) for link in scenario.graph.links}
 
     def _schemas(self, plants: Mapping[int, tuple[Signal, ...]]) -> dict[str, dict[int, Schema]]:
@@ -188,6 +192,8 @@ class LogWriter:
                 found[OF_THE_PLANT][i] = made[name, signals]
         if navigating := [i for i in ids if self._scenario.belief(i)]:
             found[OF_NAVIGATION] = dict.fromkeys(navigating, flat_schema("Belief", BELIEF))
+        if locating := [i for i in ids if locates(self._scenario.layout(i))]:
+            found[OF_LOCALIZATION] = dict.fromkeys(locating, flat_schema("Located", LOCATED))
         return found
 
     def _topic(self, name: str, schema: Schema) -> VehicleTopic:
@@ -243,7 +249,7 @@ class LogWriter:
         self._scene.links.settle(fate)
         tick_ns = self._tick_ns
         final_ns = fate.final_tick * tick_ns
-        channel, data = self._by_link[fate.src, fate.dst], packet_data(fate, tick_ns)
+        channel, data = self._by_link[fate.src, fate.dst], self._packet_data(fate, tick_ns)
         self._add(channel, final_ns, fate.sent_tick * tick_ns, fate.seq, data)
         self._sink.flush(final_ns)
 

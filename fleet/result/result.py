@@ -72,7 +72,7 @@ class VehicleResult(Struct):
     agent: Annotated[str, Meta(description="The whole agent that it runs; empty: the laws of a controller.")] = ""
     signals: Annotated[
         dict[str, SignalValue],
-        Meta(description="What a whole agent reported at the end, by name; none: it reported nothing any more."),
+        Meta(description="Last signals of a whole agent, by name; none: it did not report any more."),
     ] = {}
 
 
@@ -91,7 +91,7 @@ class Formation(Struct, frozen=True):
 
 
 class TumbleSpell(Struct):
-    """A time in which a vehicle was tumbled."""
+    """A period of a tumbled vehicle."""
 
     vehicle: Annotated[int, Meta(description="Its number.")]
     from_s: Annotated[float, Meta(description="When it began [s].")]
@@ -119,6 +119,8 @@ class Wall(Struct):
     """Wall times."""
 
     in_process: Annotated[bool, Meta(description="Whether the run was one process.")] = False
+    processes: Annotated[int, Meta(description="Processes of agents that the run started; 0: it was one process.")] = 0
+    per_process: Annotated[int, Meta(description="Agents that each of them had, at most.")] = 0
     startup_s: Annotated[float, Meta(description="Until all processes were ready [s].")] = 0.0
     run_s: Annotated[float, Meta(description="From then to the end [s].")] = 0.0
     cores: Annotated[str, Meta(description="`compiled` or `plain Python`: the cores of world, agents and netem.")] = ""

@@ -75,7 +75,7 @@ class Verdict(Struct, frozen=True):
     value: Annotated[
         float | None, Meta(description="The number that is compared; null: nothing was found, or it is not finite.")
     ] = None
-    limit: Annotated[float | None, Meta(description="What it is compared with; null: it is only reported.")] = None
+    limit: Annotated[float | None, Meta(description="Limit of the comparison; null: it is only reported.")] = None
     unit: Annotated[str, Meta(description="Unit of both.")] = ""
     moment: Annotated[
         Moment | None, Meta(description="Of one of your own checks, when it failed; null: it did not.")
@@ -85,6 +85,10 @@ class Verdict(Struct, frozen=True):
     ] = ()
     margin: Annotated[
         Margin | None, Meta(description="By how much it passed or failed; null: that is not known, or not finite.")
+    ] = None
+
+    reached: Annotated[
+        bool | None, Meta(description="Of a check with `sometimes`: whether it was reached; null: of any other.")
     ] = None
 
     @property
@@ -98,6 +102,11 @@ class Verdict(Struct, frozen=True):
             return self
         value = max(value, 0.0) if self.passed else min(value, 0.0)
         return replace(self, margin=Margin(value, unit, at_s))
+
+    def of_sometimes(self, reached: bool) -> Verdict:
+        """The verdict of what some run of many must reach: no run fails for it."""
+        found = f"reached: {self.found}" if reached else "not reached in this run"
+        return Verdict(self.check, True, self.asked, found, signals=self.signals, reached=reached)
 
 
 def who(vehicles: list[int]) -> str:

@@ -57,10 +57,7 @@ class Reading(NamedTuple):
 
 @dataclass(frozen=True)
 class Scenario:
-    """A valid scenario. Two are equal if they determine the same run and the same verdict.
-
-    The configurations of the cores are made once, when they are asked for.
-    """
+    """A valid scenario, equal to another with the same run and verdict. It makes each core's configuration once."""
 
     spec: ScenarioSpec  # the values of the file, in SI units
     reference: Reference
@@ -211,13 +208,8 @@ class Scenario:
     @property
     def noise(self) -> NavNoise:
         """Standard deviations of the sensors."""
-        sensors = self.spec.sensors
-        return NavNoise(
-            position_m=sensors.position_noise,
-            angle_rad=sensors.angle_noise,
-            velocity_mps=sensors.velocity_noise,
-            rate_radps=sensors.rate_noise,
-        )
+        own = self.spec.sensors
+        return NavNoise(own.position_noise, own.angle_noise, own.velocity_noise, own.rate_noise)
 
     def _vehicle_setup(self, i: int) -> VehicleSetup:
         (eta0, nu0), control, size = self.initial[i - 1], self.controls[i - 1], self.layout(i).size
@@ -284,6 +276,7 @@ class Scenario:
             standby_for=standby,
             standby_after_s=0.0 if spec.graph.standby is None else spec.graph.standby.after / 1e9,
             keep_apart=control.keep_apart,
+            localization=control.localization,
         )
 
     def standby_for(self, i: int) -> tuple[int, ...]:
@@ -382,10 +375,9 @@ def _difference(a: Offset, b: Offset) -> Offset:
 
 def timeline(scenario: Scenario) -> list[tuple[str, float, float, str]]:
     """(id, begin [s], end [s], text) of each fault, in the order in which they begin."""
-    tick_s = scenario.tick_ns / 1e9
-    ends = {event.fault: event.tick for event in scenario.faults.events if event.action == "ends"}
-    begun = (event for event in scenario.faults.events if event.action == "begins")
-    return [(e.fault, e.tick * tick_s, ends[e.fault] * tick_s, e.what) for e in begun]
+    tick_s, events = scenario.tick_ns / 1e9, scenario.faults.events
+    ends = {event.fault: event.tick for event in events if event.action == "ends"}
+    return [(e.fault, e.tick * tick_s, ends[e.fault] * tick_s, e.what) for e in events if e.action == "begins"]
 
 
 def timeline_lines(scenario: Scenario, most: int | None = None) -> list[str]:

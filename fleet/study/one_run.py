@@ -25,10 +25,13 @@ from fleet.result.result import Result
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy
+from fleet.study.branches import Branch, run_branch
 from fleet.study.errors import StudyError
 from fleet.study.measures import MEASURES
 from fleet.study.modules import NO_MODULES, Modules, folder_of
+from fleet.study.seen import Seen
 from fleet.study.signal_measures import Samples
+from fleet.study.sometimes import column_of
 from world.plugins.trust import Trust
 
 A_STUDY = "a study names it"  # why a law that is not installed needs trust
@@ -49,6 +52,8 @@ class Task(NamedTuple):
     modules: Modules = NO_MODULES  # that may run besides installed ones
     signals: tuple[str, ...] = ()  # measures of signals, by name
     log: str = ""  # the run directory that is to be made; empty: none
+    seen: bool = False  # whether the row has what the run went through
+    branch: Branch | None = None  # a part of a run, in place of all of it
 
 
 def late(task: Task) -> StudyError:
@@ -104,14 +109,28 @@ def _made(task: Task) -> dict[str, Any]:
 
     try:
         scenario = scenario_of(task)
+        if task.branch is not None:
+            return run_branch(scenario, task.branch, check)
         samples = Samples(scenario, task.signals)
+        if task.seen:
+            return _seen(scenario, check if isfinite(task.timeout_s) else None, Seen(scenario, samples))
         if task.log:
-            result = _recorded(scenario, Path(task.log), check, samples)
+            result = recorded(scenario, Path(task.log), check, samples)
         else:
             result = judged(scenario, check if isfinite(task.timeout_s) else None, samples)
         return _measured(result) | samples.numbers()
     except Exception as error:  # a law of a user's may raise anything: the study says so and goes on
         return _failed(error)
+
+
+def _seen(scenario: Scenario, check: Callable[[float], None] | None, seen: Seen) -> dict[str, Any]:
+    """The row of a run, with what it went through, and when each margin was least [s]."""
+    result = judged(scenario, check, seen)
+    row = _measured(result) | {"seen": seen.features()}
+    for verdict in result.verdicts:
+        if (margin := verdict.margin) is not None and row[f"margin.{verdict.check}"] == margin.value:
+            row[f"at.{verdict.check}"] = margin.at_s
+    return row
 
 
 def _failed(error: Exception) -> dict[str, Any]:
@@ -120,7 +139,12 @@ def _failed(error: Exception) -> dict[str, Any]:
     return {"status": FAILED, "reason": reason[:2000]}
 
 
-def _recorded(scenario: Scenario, directory: Path, check: Callable[[float], None], samples: Samples) -> Result:
+def recorded(
+    scenario: Scenario,
+    directory: Path,
+    check: Callable[[float], None] | None = None,
+    samples: Samples | None = None,
+) -> Result:
     """Make a run, and the directory that `fleet run` would have made; it is there as a whole or not at all."""
     part = directory.with_name(f".{directory.name}-{token_hex(4)}")
     part.mkdir(parents=True)
@@ -152,6 +176,9 @@ def _measured(result: Result) -> dict[str, Any]:
     row["passed"] = result.passed
     for verdict in result.verdicts:  # of several of one check the worst, which are those that failed
         name = verdict.check
+        if verdict.reached is not None:
+            row[column_of(name)] = float(verdict.reached)
+            continue
         row[f"check.{name}"] = row.get(f"check.{name}", True) and verdict.passed
         if verdict.value is not None:
             row[f"value.{name}"] = max(row.get(f"value.{name}", verdict.value), verdict.value)

@@ -9,45 +9,30 @@ some languages' MessagePack writes 1.0 as 1). Ticks count control periods Ts fro
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, NamedTuple
+from typing import Annotated, ClassVar
 
-from msgspec import Meta, Struct
+from msgspec import Struct
 
 from netem.causes import Cause
 from netem.fault_kinds import WorldFaultKind
+from netem.wire.declaring import (
+    Real,
+    Reals,
+    Reals2,
+    Reals3,
+    Reals5,
+    Reals10,
+    RealsTo2,
+    Route,
+    Text,
+    Uint,
+    WireRecord,
+    about,
+)
+from netem.wire.host_messages import Bundle, Ended
 
 PROTOCOL_VERSION = 2
 RUN_OVER = "the run is over"  # the reason of nearly every End
-
-_GREATEST = 1.7976931348623157e308  # the greatest finite double
-
-Uint = Annotated[int, Meta(ge=0)]
-Text = Annotated[str, Meta(max_length=4096)]
-Real = Annotated[float, Meta(ge=-_GREATEST, le=_GREATEST)]  # the bounds refuse NaN and infinity
-Reals = tuple[Real, ...]
-Reals2 = Annotated[Reals, Meta(min_length=2, max_length=2)]
-RealsTo2 = Annotated[Reals, Meta(max_length=2)]
-Reals3 = Annotated[Reals, Meta(min_length=3, max_length=3)]
-Reals5 = Annotated[Reals, Meta(min_length=5, max_length=5)]
-Reals10 = Annotated[Reals, Meta(min_length=10, max_length=10)]
-
-
-def about(meaning: str, unit: str = "") -> Meta:
-    """What a field means, in one line, and its unit ("" when it has none)."""
-    return Meta(description=meaning, extra={"unit": unit})
-
-
-class Route(NamedTuple):
-    """Where a message travels: key expression below the run's prefix, sender, receiver."""
-
-    key: str
-    sender: str
-    receiver: str
-
-
-# Without a garbage collector's header: what holds numbers, texts, bytes and tuples of them alone is in no circle.
-class WireRecord(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
-    """A MessagePack array of fields; a message is a record with a tag, which comes first in the array."""
 
 
 # ------------------------------------------------------------------------------------------ records
@@ -56,12 +41,26 @@ class WireRecord(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tru
 class Delivery(WireRecord, frozen=True):
     """One payload that reaches an agent."""
 
-    due_tick: Annotated[Uint, about("first tick at which the receiver may use it", "tick")]
-    sent_tick: Annotated[Uint, about("round tick at which it was sent, by the clock of its sender", "tick")]
+    due_tick: Annotated[Uint, about("first tick of use by the receiver", "tick")]
+    sent_tick: Annotated[Uint, about("round tick of sending, by the clock of its sender", "tick")]
     src: Annotated[Uint, about("sending vehicle")]
     seq: Annotated[Uint, about("number of the payload on its directed link, from 0")]
     copy: Annotated[Uint, about("0 for the original, 1.. for duplicates made by the network")]
     payload: Annotated[bytes, about("opaque to the network")]
+    range_m: Annotated[
+        Real | None, about("to the sender, as the modem measured it; **left out** without a range", "m")
+    ] = None
+    range_sd_m: Annotated[Real | None, about("its standard deviation, as the modem knows it; likewise", "m")] = None
+    range_tick: Annotated[Uint | None, about("when the vehicles were so far apart; likewise", "tick")] = None
+
+
+class MeasuredRange(WireRecord, frozen=True):
+    """The distance of two vehicles, as a modem measured it."""
+
+    range_m: Annotated[Real, about("as measured", "m")]
+    sd_m: Annotated[Real, about("its standard deviation, as the modem knows it", "m")]
+    tick: Annotated[Uint, about("when the vehicles were so far apart", "tick")]
+    distance_m: Annotated[Real, about("their true distance", "m")]
 
 
 class Fate(WireRecord, frozen=True):
@@ -73,11 +72,12 @@ class Fate(WireRecord, frozen=True):
     seq: Annotated[Uint, about("number of the payload on its directed link, from 0")]
     copy: Annotated[Uint, about("0 for the original, 1.. for duplicates")]
     sent_tick: Annotated[Uint, about("round tick at which it was sent", "tick")]
-    due_tick: Annotated[Uint, about("tick at which it was, or would have been, usable", "tick")]
+    due_tick: Annotated[Uint, about("first tick of use, real or planned", "tick")]
     delay_ns: Annotated[Uint, about("drawn delay of the link, before rounding up to ticks", "ns")]
     cause: Annotated[Cause, about("delivered, in flight, or the cause of its loss")]
     corrupted: Annotated[bool, about("whether the link changed the payload")]
     payload: Annotated[bytes, about("the payload's bytes")]
+    measured: Annotated[MeasuredRange | None, about("of one that was delivered; **left out** without a range")] = None
 
 
 class Fix(WireRecord, frozen=True):
@@ -104,7 +104,7 @@ class VehicleFrame(WireRecord, frozen=True):
     plant: Annotated[Reals, about("true phi, p and what its plant reports, in that order; empty without a plant")]
     clock: Annotated[Reals, about("by how much its clock is ahead; empty while all clocks are right", "s")]
     belief: Annotated[Reals, about("covariance of what it reported, as in nav; empty where nav has none")]
-    fixes: Annotated[tuple[Fix, ...], about("those that its navigation got since the frame before")]
+    fixes: Annotated[tuple[Fix, ...], about("fixes of its navigation since the frame before")]
 
 
 class Arrival(WireRecord, frozen=True):
@@ -152,7 +152,7 @@ class TimedFault(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tru
 
     id: Annotated[Text, about("name of the fault, unique in a run")]
     begin: Annotated[Uint, about("first tick at which it acts", "tick")]
-    end: Annotated[Uint | None, about("first tick at which it does not act any more; nil: it lasts to the end", "tick")]
+    end: Annotated[Uint | None, about("first tick after the fault; nil: it lasts to the end", "tick")]
 
     def active(self, tick: int) -> bool:
         """Whether the fault acts at a tick."""
@@ -187,7 +187,7 @@ class Hello(WireRecord, frozen=True, tag="hello"):
 
 
 class Nav(WireRecord, frozen=True, tag="nav"):
-    """What the vehicle measured, or believes, of its own pose and velocity at a tick, and nothing else."""
+    """The vehicle's own measured or believed pose and velocity at a tick, and no others."""
 
     route: ClassVar[Route] = Route("nav/{i}", "world", "agent i")
 
@@ -242,7 +242,7 @@ class Memory(WireRecord, frozen=True, tag="memory"):
 
 
 class Transmission(WireRecord, frozen=True, tag="tx"):
-    """What the agent sends at a round tick; an empty list is the null message and is required."""
+    """The agent's payloads at a round tick; an empty list is the null message and is required."""
 
     route: ClassVar[Route] = Route("tx/{i}", "agent i", "netem")
 
@@ -257,7 +257,7 @@ class Receipt(WireRecord, frozen=True, tag="receipt"):
     route: ClassVar[Route] = Route("tx/{i}", "agent i", "netem")
 
     incarnation: Annotated[Uint, about("life of the sending agent")]
-    tick: Annotated[Uint, about("of the Nav at which it first used them", "tick")]
+    tick: Annotated[Uint, about("of the Nav of their first use", "tick")]
     arrivals: Annotated[tuple[Arrival, ...], about("in the order in which they were used")]
 
 
@@ -281,6 +281,7 @@ class Round(WireRecord, frozen=True, tag="round"):
     alive: Annotated[tuple[Uint, ...], about("vehicles alive at the tick, ascending")]
     positions: Annotated[tuple[Reals3, ...], about("true x, y, z (NED) of each alive vehicle", "m")]
     paused: Annotated[tuple[Uint, ...], about("those of them that are suspended: no transmission comes")]
+    more: Annotated[bool, about("more vehicles of the same round follow; **left out** in the last part")] = False
 
 
 class Pace(WireRecord, frozen=True, tag="pace"):
@@ -330,7 +331,7 @@ class Death(WireRecord, frozen=True, tag="death"):
     tick: Annotated[Uint | None, about("first tick without an agent; nil: the process has ended, the next", "tick")]
     incarnation: Annotated[Uint, about("the life that ended, if it has")]
     until: Annotated[
-        Uint | None, about("round tick at which another agent takes over; nil: no other than planned", "tick")
+        Uint | None, about("round tick of the takeover by another agent; nil: no other than planned", "tick")
     ]
 
 
@@ -381,4 +382,6 @@ Message = (
     | Restart
     | WorldFaults
     | Note
+    | Bundle
+    | Ended
 )

@@ -16,10 +16,11 @@ from fleet.cli.documents.boundary import BoundaryFound
 from fleet.cli.documents.check import Checked
 from fleet.cli.documents.listing import Runs, Scenarios
 from fleet.cli.documents.logs import Compared, LogContents, LogJudged, Verified
-from fleet.cli.documents.search import FirstFailing
+from fleet.cli.documents.search import FirstFailing, RegressedFolder
 from fleet.cli.documents.study import Less, Swept
 from fleet.cli.documents.what_if import OtherCommands
 from fleet.result.result import Result
+from fleet.study.rare import RareFound
 
 DOCUMENTS: dict[str, type[Struct]] = {
     "bench": Measured,
@@ -38,6 +39,8 @@ DOCUMENTS: dict[str, type[Struct]] = {
     "list": Scenarios,
     "ls": Runs,
     "ps": live.LiveRuns,
+    "rare": RareFound,
+    "regress": RegressedFolder,
     "run": Result,
     "search": FirstFailing,
     "shrink": Less,

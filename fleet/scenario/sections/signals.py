@@ -16,11 +16,12 @@ from enum import IntEnum
 from math import hypot
 from typing import NamedTuple
 
-from agents.signals import SignalLayout
+from agents.localization.localizer import Localizer
+from agents.signals import HEARD, SignalLayout
 from fleet.errors import FleetError
 from netem.parsing import nearest
 from world.navigation.config import Navigation, NavigationTrace
-from world.signal import Signal
+from world.signal import Signal, width_of
 
 STATE = tuple(
     Signal(name, unit, meaning)
@@ -52,6 +53,14 @@ BELIEF = (
     Signal("formation", "m", "believed position minus desired position, NED", 3),
     Signal("formation_norm", "m", "its Euclidean norm"),
 )
+LOCATED = (
+    Signal("place", "m", "position by its navigator and by ranges, NED", 3),
+    Signal("covariance", "m^2", "of its north and east: nn, ne, ee", 3),
+    Signal("sd", "m", "standard deviation of north and east", 2),
+    Signal("off", "m", "that position minus the true one, north and east", 2),
+    Signal("off_norm", "m", "its Euclidean norm"),
+    Signal("nees", "1", "its normalised square; of a consistent estimate chi-square with 2 degrees of freedom"),
+)
 CLOCK = (Signal("error", "s", "by how much its clock is ahead of simulated time"),)  # of a vehicle whose clock is set
 _ALWAYS = {"state": STATE, "nav": STATE, "command": COMMAND, "error": ERROR}
 OF_THE_LAWS = ("guidance", "control")  # groups whose signals the laws of a vehicle declare
@@ -59,7 +68,9 @@ OF_THE_PLANT = "plant"  # the group whose signals the plant of a vehicle declare
 OF_THE_CLOCK = "clock"
 OF_NAVIGATION = "belief"  # the group of a vehicle that does not know where it is
 OF_A_FILTER = frozenset(f"{OF_NAVIGATION}.{name}" for name in ("sd", "sd_psi", "covariance", "nees"))
-GROUPS = (*_ALWAYS, OF_THE_CLOCK, OF_THE_PLANT, OF_NAVIGATION, *OF_THE_LAWS)
+OF_LOCALIZATION = "located"  # the group of a vehicle whose agent uses ranges
+WHERE_LOCATED = slice(width_of(HEARD), width_of(HEARD) + 6)  # in the telemetry: position and covariance
+GROUPS = (*_ALWAYS, OF_THE_CLOCK, OF_THE_PLANT, OF_NAVIGATION, OF_LOCALIZATION, *OF_THE_LAWS)
 
 # A signal within a larger pattern, such as that of a measure; `read_name` makes a name of the match.
 SIGNAL = r"(?P<bar>\|)?\s*(?:uuv/(?P<vehicle>\*|[1-9]\d{0,5})/)?(?P<name>[A-Za-z]\w*\.\w+)\s*(?(bar)\|)"
@@ -140,62 +151,50 @@ def component(vector: str, k: int) -> str:
     return f"{vector}_{k}"
 
 
-def places(
-    layout: SignalLayout | None,
-    plant: tuple[Signal, ...] | None,
-    has_clock: bool = False,
-    belief: BeliefKind = BeliefKind.NONE,
-) -> dict[str, SignalPlace]:
-    """Every signal of a vehicle, vectors and their components, by name.
+class VehicleSignals(NamedTuple):
+    """What a log has of one vehicle."""
 
-    Args:
-        layout: what its agent reports; None: that is not known.
-        plant: what its plant reports; None: it has none.
-        has_clock: whether its clock is set.
-        belief: what it believes of its place.
-    """
-    found: dict[str, SignalPlace] = {}
-    for group, (start, signals) in _groups(layout, plant, has_clock, belief).items():
-        for signal in signals:
-            name, width = f"{group}.{signal.name}", signal.width
-            if name in OF_A_FILTER and belief is BeliefKind.PLACE:
+    layout: SignalLayout | None = None  # what its agent reports; None: that is not known
+    plant: tuple[Signal, ...] | None = None  # what its plant reports; None: it has none
+    has_clock: bool = False  # its clock is set
+    belief: BeliefKind = BeliefKind.NONE  # what it believes of its place
+
+    def groups(self) -> dict[str, tuple[int, tuple[Signal, ...]]]:
+        """By topic group where its values begin, and its signals."""
+        groups = {group: (0, signals) for group, signals in _ALWAYS.items()}
+        if self.has_clock:
+            groups[OF_THE_CLOCK] = 0, CLOCK
+        if self.plant is not None:
+            groups |= dict.fromkeys(("state", "nav"), (0, STATE + ROLL)) | {OF_THE_PLANT: (0, self.plant)}
+        if self.belief is not BeliefKind.NONE:
+            groups[OF_NAVIGATION] = 0, BELIEF
+        if self.layout is not None:
+            if locates(self.layout):
+                groups[OF_LOCALIZATION] = 0, LOCATED
+            groups |= {group: (self.layout.group(group).start, getattr(self.layout, group)) for group in OF_THE_LAWS}
+        return groups
+
+    def places(self) -> dict[str, SignalPlace]:
+        """Every signal, vectors and their components, by name."""
+        found: dict[str, SignalPlace] = {}
+        for group, (start, signals) in self.groups().items():
+            for signal in signals:
+                name, width = f"{group}.{signal.name}", signal.width
+                if name in OF_A_FILTER and self.belief is BeliefKind.PLACE:
+                    start += width
+                    continue
+                units = signal.unit.split(", ") if ", " in signal.unit else [signal.unit] * width
+                found[name] = SignalPlace(slice(start, start + width), signal.unit)
+                if width > 1:
+                    for k, unit in enumerate(units):
+                        found.setdefault(component(name, k), SignalPlace(slice(start + k, start + k + 1), unit))
                 start += width
-                continue
-            units = signal.unit.split(", ") if ", " in signal.unit else [signal.unit] * width
-            found[name] = SignalPlace(slice(start, start + width), signal.unit)
-            if width > 1:
-                for k, unit in enumerate(units):
-                    found.setdefault(component(name, k), SignalPlace(slice(start + k, start + k + 1), unit))
-            start += width
-    return found
+        return found
 
 
-def flat_signals(
-    layout: SignalLayout | None,
-    plant: tuple[Signal, ...] | None,
-    has_clock: bool = False,
-    belief: BeliefKind = BeliefKind.NONE,
-) -> dict[str, tuple[int, list[tuple[str, int]]]]:
-    """By topic group where its values begin, and name and number of values of each signal; as `places` has them."""
-    return {
-        group: (start, [(signal.name, signal.width) for signal in signals])
-        for group, (start, signals) in _groups(layout, plant, has_clock, belief).items()
-    }
-
-
-def _groups(
-    layout: SignalLayout | None, plant: tuple[Signal, ...] | None, has_clock: bool, belief: BeliefKind
-) -> dict[str, tuple[int, tuple[Signal, ...]]]:
-    groups = {group: (0, signals) for group, signals in _ALWAYS.items()}
-    if has_clock:
-        groups[OF_THE_CLOCK] = 0, CLOCK
-    if plant is not None:
-        groups |= dict.fromkeys(("state", "nav"), (0, STATE + ROLL)) | {OF_THE_PLANT: (0, plant)}
-    if belief is not BeliefKind.NONE:
-        groups[OF_NAVIGATION] = 0, BELIEF
-    if layout is not None:
-        groups |= {group: (layout.group(group).start, getattr(layout, group)) for group in OF_THE_LAWS}
-    return groups
+def locates(layout: SignalLayout) -> bool:
+    """Whether an agent with this layout reports where it is by ranges."""
+    return layout.guidance[len(HEARD) :][:2] == Localizer.signals[:2]
 
 
 def unit_of(signal: SignalName, vehicles: Iterable[Mapping[str, SignalPlace]]) -> str:

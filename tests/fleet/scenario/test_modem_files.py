@@ -20,6 +20,7 @@ from fleet.scenario.sections.acoustic import turn_s
 from fleet.scenario.sections.data_files import DataFileError
 from fleet.scenario.sections.modem_files import CURVES, NUMBERS, load_modem, parse_modem, shipped_modems
 from netem.modem import AcousticConfig
+from netem.ranging import RangingConfig
 
 SMALL = """\
 title: Three vehicles
@@ -85,11 +86,15 @@ def shipped_text(name: str = "s2c-burst") -> str:
     [
         ("[modem]", "[modm]", "there is no [modem]"),
         ("bit_rate =", "bitrate =", 'unknown modem.bitrate (did you mean "bit_rate"?); modem.bit_rate is missing'),
-        ('13.9, unit = "kbit/s"', '0, unit = "kbit/s"', "bit_rate must be between 0.1 and 1e+08 bit/s, is 0"),
+        (
+            '13.9, unit = "kbit/s"',
+            '0, unit = "kbit/s"',
+            "bit_rate must be between 0.1 bit/s and 100000000 bit/s, is 0 bit/s",
+        ),
         ('13.9, unit = "kbit/s"', '13.9, unit = "kbps"', "unknown unit"),
         ('13.9, unit = "kbit/s"', '13.9, unit = "kHz"', "got a frequency"),
-        ('1024, unit = "bytes"', '0.5, unit = "bytes"', "mtu must be between 1 and 1e+06 bytes, is 0.5"),
-        ('0.161, unit = "s"', '-0.1, unit = "s"', "preamble must be between 0 and 3600 s, is -0.1"),
+        ('1024, unit = "bytes"', '0.5, unit = "bytes"', "mtu must be between 1 bytes and 1000000 bytes, is 0.5 bytes"),
+        ('0.161, unit = "s"', '-0.1, unit = "s"', "preamble must be between 0 s and 3600 s, is -0.1 s"),
         (
             'value = 8, unit = "dB", source = "ns-3',
             'value = 9, unit = "dB", source = "ns-3',
@@ -158,6 +163,15 @@ def test_everything_that_can_be_said() -> None:
     assert told("network.acoustic.backoff=3 s").backoff_ticks == 300
     assert told("network.acoustic.backoff=0 s").backoff_ticks == 0
     assert told("network.acoustic.sound_speed=1480 m/s").sound_speed == 1480.0
+    assert told().ranging is None
+    assert told("network.acoustic.ranging=one-way") == told("network.acoustic.ranging={}")
+    assert told("network.acoustic.ranging={outliers: {probability: 5 %, excess: 9 m}}").ranging == RangingConfig(
+        "one-way", 0.5, 0.05, 9.0
+    )
+    two_way = RangingConfig("two-way", 0.1, request=2, turn_ns=3_000_000_000)
+    assert (
+        told("network.acoustic.ranging={method: two-way, noise: 10 cm, request: 2 bytes, turn: 3 s}").ranging == two_way
+    )
 
 
 def test_a_modem_file_lies_beside_the_scenario_and_is_not_needed_afterwards(tmp_path: Path) -> None:
@@ -209,8 +223,17 @@ def test_a_modem_file_lies_beside_the_scenario_and_is_not_needed_afterwards(tmp_
         ),
         ("network.acoustic.wind=400 kn", "must be at most 100 m/s, is 205.778"),
         ("network.acoustic.sound_speed=1 m/s", "must be between 100 and 10000 m/s"),
-        ("network.acoustic.carrier=1 Hz", "carrier must be between 100 and 1e+06 Hz, is 1"),
+        ("network.acoustic.carrier=1 Hz", "carrier must be between 0.1 kHz and 1000 kHz, is 0.001 kHz"),
         ("network.acoustic.wnd=3 m/s", 'did you mean "wind"?'),
+        ("network.acoustic.ranging=by-sight", "expected one-way or two-way"),
+        ("network.acoustic.ranging.noise=0 m", "must be"),
+        ("network.acoustic.ranging.turn=1 s", "has no effect on method one-way: it belongs to two-way"),
+        ("network.acoustic.ranging={method: two-way, request: 33 bytes}", "longer than the mtu of a modem, 32 bytes"),
+        ("network.acoustic={tries: 3, timeout: 9 s, acknowledgement: 1 byte, ranging: two-way}", "do not acknowledge"),
+        (
+            "network.acoustic={modem: fsk-80, mac: tdma, slot: 3 s, ranging: two-way}",
+            "receivers take turns to measure their range",
+        ),
         ("network={ideal: true, acoustic: s2c}", 'write "network: ideal" for the network without latency'),
         ("network=akustic", '"ideal", or "acoustic", got "akustic"'),
     ],
@@ -238,6 +261,7 @@ CHOICES: dict[str, st.SearchStrategy[str]] = {
     "network.acoustic.fading": st.sampled_from(
         ["{shadowing: 3 dB}", "{shadowing: 3 dB, correlation: 9 s, packets: rayleigh}", "{packets: rician 6 dB}"]
     ),
+    "network.acoustic.ranging": st.sampled_from(["two-way", "{noise: 2 m, outliers: {probability: 3 %}}"]),
     "network.acoustic.tries": st.integers(0, 5).map(str),
     "network.acoustic.timeout": st.integers(1, 10**10).map(lambda v: f"{v} ns"),
     "network.acoustic.acknowledgement": st.integers(1, 9).map(lambda v: f"{v} bytes"),
@@ -307,7 +331,7 @@ def test_check_says_how_often_each_talks() -> None:
     )
     s = small("network.acoustic={modem: fsk-80, mac: tdma, slot: 4 s}")
     lines = "\n".join(stability.report(s, stability.analyse(s)))
-    assert "with slots of 4 s each vehicle talks every 12 s; what is heard is up to 16.5 s old without loss" in lines
+    assert "with slots of 4 s each vehicle talks every 12 s; without loss a message is up to 16.5 s old" in lines
 
 
 def test_check_counts_the_wait_for_news() -> None:

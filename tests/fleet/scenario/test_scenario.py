@@ -323,7 +323,8 @@ CHAINS = ["follow-the-leader", "leader-lost", "leader-lost-standby", "rough-sea"
 SHAPES = (
     "survey", "helix", "acoustic-80bps", "acoustic-s2c", "acoustic-noise", "average", "average-naive", "election",
     "election-slow", "event-triggered", "event-triggered-loss", "auction", "auction-partition", "crossing",
-    "mission-2012", "mission-2012-model",
+    "mission-2012", "mission-2012-model", "navigation-aid", "navigation-aid-clock", "locate-naive",
+    "locate-naive-loop", "locate-consistent", "locate-compass",
 )  # fmt: skip
 
 
@@ -426,7 +427,8 @@ def test_ten_mistakes_in_one_pass(monkeypatch: pytest.MonkeyPatch) -> None:
         ("duration=5 ms", "5 ms is not a whole number of ticks of 10 ms"),
         ("tick=7 ms", "is not a whole number of ticks of 7 ms"),
         ("vehicles=0", "must be 1 or more"),
-        ("vehicles=1001", "must be 1000 or less"),
+        ("agents.per_process=0", "must be 1 or more"),
+        ("vehicles=3001", "must be 3000 or less"),
         ("seed=9223372036854775808", "expected a whole number"),
         ("seed=true", "expected a whole number, got true"),
         ("tick=0 s", "must be above 0"),

@@ -127,7 +127,7 @@ class RosAgent:
             header=self._make.header(delivery.sent_tick * self._settings.tick_ns, base_link(delivery.src)),
             sender=delivery.src,
             age=self._node.types.new("builtin_interfaces/msg/Duration", sec=age_ns // 10**9, nanosec=age_ns % 10**9),
-            range=nan,
+            range=nan if delivery.range_m is None else delivery.range_m,
             data=np.frombuffer(delivery.payload, np.uint8),
         )
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from live import LiveRun
+from msgspec.structs import replace
 from repository import ROOT
 from ros_session import ros_node, ros_router
 from small_scenario import small
@@ -97,7 +98,9 @@ def test_what_a_node_gets_and_answers() -> None:
         assert (packet.sender, bytes(packet.data)) == (1, b"hello")
         assert packet.age.sec * 10**9 + packet.age.nanosec == 5 * config.tick_ns
         assert packet.range != packet.range
-        assert agent.decide(Nav(0, 11, *NAV_STATE), []).tau == (x, y, 0.0)
+        measured = replace(delivery, range_m=12.5, range_sd_m=0.1, range_tick=5)
+        assert agent.decide(Nav(0, 11, *NAV_STATE), [measured]).tau == (x, y, 0.0)
+        assert wait_for(lambda: pilot.packets[1:], LIMIT_S, "the packet with a range")[0].range == 12.5
         assert agent.decide(Nav(0, 12, *NAV_STATE), []).tau == (x, y, 0.0)
         texts = [text for _, text in agent.take_notes()]
         for text, words in zip(texts, ("stamp twice", "stamp of no odometry", "what is no number"), strict=True):

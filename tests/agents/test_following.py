@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
 
 import msgpack
 import pytest
@@ -23,19 +22,9 @@ from fleet.execution.options import Options
 from fleet.repeat.resume import continuation
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
-from netem.wire.messages import Nav
+from netem.wire.messages import Delivery, Nav
 
 SHORT = ["duration=3 s", "checks={}", "log.snapshot=500 ms", "log.every=10 ticks"]
-
-
-class Heard(NamedTuple):
-    """A delivery."""
-
-    due_tick: int
-    sent_tick: int
-    src: int
-    seq: int
-    payload: bytes
 
 
 number = st.floats(-50.0, 50.0)
@@ -110,7 +99,7 @@ def sample(agent: Agent, tick: int, heard: int | None) -> tuple[float, ...]:
     message = (
         []
         if heard is None
-        else [Heard(tick, heard, 1, heard, encode(StateMessage(1, heard, (0.0, 0.0, 10.0), (0.7, 0.0, 0.0))))]
+        else [Delivery(tick, heard, 1, heard, 0, encode(StateMessage(1, heard, (0.0, 0.0, 10.0), (0.7, 0.0, 0.0))))]
     )
     nav = Nav(0, tick, (-6.0, 3.0, 10.0, 0.0, 0.0), (0.7, 0.0, 0.0, 0.0, 0.0))
     return agent.decide(nav, message).telemetry[:3]

@@ -128,7 +128,9 @@ class WholeAgent(Protocol):
         Args:
             nav: the own measured state, as for `transmit`.
             deliveries: what is due at this tick, ordered by (due_tick, sent_tick, src, seq, copy); each has `src`,
-                `sent_tick` (by the clock of the sender), `due_tick` (by the own one), `seq`, `copy` and `payload`.
+                `sent_tick` (by the clock of the sender), `due_tick` (by the own one), `seq`, `copy` and `payload`;
+                and, where modems measure ranges, `range_m` to the sender with its standard deviation `range_sd_m` [m],
+                and `range_tick`, when the vehicles were so far apart (by the own clock); None without a range.
 
         Returns:
             Surge force [N], pitch moment and yaw moment [N m], before the actuators' limits; and the telemetry.

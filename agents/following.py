@@ -34,7 +34,7 @@ def followed(position: Vec3, heard: Iterable[NeighbourState], offsets: Mapping[i
         Position [m, NED] and velocity [m/s, NED].
     """
     total = x = y = z = vx = vy = vz = 0.0
-    for j, a, (ox, oy, oz), (px, py, pz), (ux, uy, uz), _ in heard:
+    for j, a, (ox, oy, oz), (px, py, pz), (ux, uy, uz), _, _, _ in heard:
         offset = offsets[j]
         dx, dy, dz = offset.at(t).velocity if offset.changes else (0.0, 0.0, 0.0)
         total += a

@@ -150,7 +150,11 @@ class AgentLoop:
             return [Memory(self.incarnation, tick, self._memories[tick])] if tick in self._memories else []
         if not self.memory_ticks or tick % self.memory_ticks or tick == 0:
             return []
-        waiting = [[d.due_tick, d.sent_tick, d.src, d.seq, d.copy, d.payload] for d in self._deliveries]
+        waiting = [
+            [d.due_tick, d.sent_tick, d.src, d.seq, d.copy, d.payload]
+            + ([] if d.range_m is None else [d.range_m, d.range_sd_m, d.range_tick])
+            for d in self._deliveries
+        ]
         return [Memory(self.incarnation, tick, msgpack.packb([self.core.state(), waiting]))]
 
     def _due(self, tick: int) -> list[Delivery]:

@@ -35,6 +35,7 @@ from netem.wire.messages import Delivery
 from world.vectors import Vec3, minus, plus
 
 AHEAD_S = 60.0  # by so much the clock of a neighbour may be ahead of the own one
+_NO_RANGE = (None, None)
 _REFUSED = (*CAUSES, "wrong_sender", "from_future")
 
 
@@ -77,6 +78,7 @@ class NeighbourTable:
         self._age_cap = round(age_cap_s / tick_s) if age_cap_s else None
         self._drop_after = round(drop_after_s / tick_s) if drop_after_s else None
         self._newest: dict[int, StateMessage | None] = {n.id: None for n in self._neighbours}
+        self._ranges: dict[int, tuple[float, float]] = {}  # with the newest state: range and standard deviation [m]
         self.counters = dict.fromkeys(("accepted", "duplicate", "superseded", *_REFUSED), 0)
         self._now = 0  # tick at which `heard` was asked last
         self.rejected = 0  # payloads that were refused so far: damaged, not ours, or not from who the network names
@@ -111,6 +113,10 @@ class NeighbourTable:
         if newest is not None and message.sent_tick <= newest.sent_tick:
             return "duplicate" if message.sent_tick == newest.sent_tick else "superseded"
         self._newest[message.sender] = message
+        if delivery.range_m is not None and delivery.range_sd_m is not None:
+            self._ranges[message.sender] = delivery.range_m, delivery.range_sd_m
+        elif self._ranges:
+            self._ranges.pop(message.sender, None)
         return "accepted"
 
     def heard(self, now: int) -> tuple[NeighbourState, ...]:
@@ -138,7 +144,10 @@ class NeighbourTable:
                 position = plus(position, self._drift(neighbour, message.sent_tick * tick_s, span))
             offset = neighbour.offset
             delta = offset.at(now * tick_s).position if offset.changes else offset.start
-            states.append(NeighbourState(neighbour.id, neighbour.weight, delta, position, message.velocity, age))
+            ranged = self._ranges.get(neighbour.id, _NO_RANGE)
+            states.append(
+                NeighbourState(neighbour.id, neighbour.weight, delta, position, message.velocity, age, *ranged)
+            )
         return tuple(states)
 
     def seen(self) -> list[Seen]:
@@ -170,12 +179,14 @@ class NeighbourTable:
     def state(self) -> dict[str, Any]:
         """Plain values of what has been heard and counted."""
         newest = [[*m[:2], *m.position, *m.velocity] for m in self._newest.values() if m is not None]
-        return {"newest": newest, "counters": dict(self.counters)}
+        ranges = {"ranges": [[i, *measured] for i, measured in self._ranges.items()]} if self._ranges else {}
+        return {"newest": newest, "counters": dict(self.counters), **ranges}
 
     def restore(self, values: dict[str, Any]) -> None:
         """Continue from `state()`."""
         self._newest = dict.fromkeys(self._newest)
         for sender, sent_tick, x, y, z, vx, vy, vz in values["newest"]:
             self._newest[sender] = StateMessage(sender, sent_tick, (x, y, z), (vx, vy, vz))
+        self._ranges = {i: (range_m, sd_m) for i, range_m, sd_m in values.get("ranges", ())}
         self.counters = dict(values["counters"])
         self.rejected = sum(self.counters[cause] for cause in _REFUSED)

@@ -38,4 +38,11 @@ def received_by_own_clock(deliveries: list[Delivery], nav: Nav) -> list[Delivery
     if not isinstance(nav, OwnNav):
         return deliveries
     ahead = nav.tick - nav.sample
-    return [replace(delivery, due_tick=max(0, delivery.due_tick + ahead)) for delivery in deliveries]
+    return [_by_own_clock(delivery, ahead) for delivery in deliveries]
+
+
+def _by_own_clock(delivery: Delivery, ahead: int) -> Delivery:
+    due = max(0, delivery.due_tick + ahead)
+    if delivery.range_tick is None:
+        return replace(delivery, due_tick=due)
+    return replace(delivery, due_tick=due, range_tick=max(0, delivery.range_tick + ahead))

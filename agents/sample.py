@@ -18,6 +18,8 @@ class NeighbourState(NamedTuple):
     position: Vec3  # where it should be now, extrapolated as the scenario says [m, NED]
     velocity: Vec3  # over ground, when it sent [m/s, NED]
     age: float  # time since it sampled what it sent [s], by its clock and the own one
+    range_m: float | None = None  # to it, as the modem measured it with that message [m]; None: it did not
+    range_sd_m: float | None = None  # standard deviation of the range, as the modem knows it [m]
 
 
 class Command(NamedTuple):

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
+from warnings import warn
+
+from fleet.cores import hidden_cores
 
 if TYPE_CHECKING:
     from fleet.execution.judged import run as run
@@ -34,8 +38,15 @@ def __dir__() -> list[str]:
     return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
 
 
+@cache
+def _warn_of_hidden_cores() -> None:
+    if words := hidden_cores():
+        warn(words, RuntimeWarning, stacklevel=3)
+
+
 def __getattr__(name: str) -> Any:
     # Every command imports this package; numpy and protobuf come with the first use.
     if name in _OFFERED:
+        _warn_of_hidden_cores()
         return getattr(import_module(_OFFERED[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

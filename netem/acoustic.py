@@ -54,6 +54,7 @@ from netem.faults import ActiveFaults
 from netem.link_trace import TRY
 from netem.links import Links
 from netem.medium import MediumRound, Place
+from netem.ranges import Kept, Query, make_ranges
 from netem.station import ANSWER, Answer, Burst, Reception, Station, Transfer, Waiting
 from netem.transit import PendingPacket, Transit
 from netem.wire.messages import Fate
@@ -68,6 +69,8 @@ class _State(Struct, omit_defaults=True):
     receptions: list[Reception]
     transfers: list[tuple[int, Transfer]] = []
     answers: list[Answer] = []
+    queries: list[Query] = []
+    kept: list[Kept] = []
 
 
 class AcousticChannel:
@@ -91,6 +94,8 @@ class AcousticChannel:
         self._access = Access(config, config.acoustic)
         self._air = Air(config.acoustic, config.seed, config.tick_ns)
         self._receptions: list[Reception] = []  # those that have not ended
+        self._asks = config.acoustic.ranging is not None and config.acoustic.ranging.method == "two-way"
+        self._ranges = make_ranges(config, self._air, links.receivers)
 
     def carry(self, round_: MediumRound) -> None:
         """Transmit the payloads that start in a round, and decide the receptions that end in it.
@@ -103,6 +108,7 @@ class AcousticChannel:
             raise ValueError("an acoustic channel needs the vehicles' positions")
         self._air.places.update(positions)
         self._access.begin_round(tick, clocks)
+        self._ranges.begin_round(round_)
         for src in sorted(transmissions):
             for payload in transmissions[src]:
                 self._accept(tick, src, payload, faults)
@@ -113,12 +119,13 @@ class AcousticChannel:
         self._answers = [answer for answer in self._answers if answer.src in positions]
         # The earliest event first: what a modem hears, and whether it is answered, depends on all that came before.
         while (now := self._next_event(alive, until)) is not None:
-            if self._transfers or self._answers:
+            if self._transfers or self._answers or self._asks:
                 self._decide_receptions(now, faults)
                 self._answer(now, faults)
             for station in alive:
                 self._advance(station, now, faults)
         self._decide_receptions(until, faults)
+        self._transit.hand_over(self._ranges.give_up(until))
 
     def close(self, end_tick: int) -> None:
         """End the run before tick `end_tick`: record every payload that waits or is being received as in flight."""
@@ -129,8 +136,9 @@ class AcousticChannel:
         for src, transfer in self._transfers.items():
             self._lose_unsent(src, transfer.sent, end_tick, Cause.IN_FLIGHT, transfer.missing())
         for reception in self._receptions:
-            if not self._acoustic.modem_of(reception.src).tries and reception.copy != ANSWER:
+            if not self._acoustic.modem_of(reception.src).tries and reception.copy >= 0:
                 self._transit.lose(_lost(reception, self._end_tick(reception), Cause.IN_FLIGHT))
+        self._transit.hand_over(self._ranges.give_up(None))
         self._receptions, self._transfers, self._answers = [], {}, []
 
     # ---------------------------------------------------------------------------------- the modems
@@ -150,6 +158,7 @@ class AcousticChannel:
     def _next_event(self, alive: list[Station], until: int) -> int | None:
         """The next tick before `until` at which a modem has something to do; None: no modem has."""
         ticks = [answer.start_tick for answer in self._answers]
+        ticks += [query.start_tick for query in self._ranges.queries]
         for station in alive:
             ticks += [sent.ready_tick for sent in station.late[:1]]
             transfer = self._transfers.get(station.vehicle)
@@ -157,7 +166,7 @@ class AcousticChannel:
                 ticks.append(transfer.deadline_tick)
             elif station.start_tick is not None:
                 ticks.append(station.start_tick)
-        if self._transfers:
+        if self._transfers or self._asks:
             ticks += [self._end_tick(r) for r in self._receptions]
         return min((tick for tick in ticks if tick < until), default=None)
 
@@ -250,23 +259,23 @@ class AcousticChannel:
             self._schedule(station, now)
 
     def _answer(self, now: int, faults: ActiveFaults) -> None:
-        """Send the acknowledgements that are due, unless their modem transmits already."""
-        due = [answer for answer in self._answers if answer.start_tick <= now]
+        """Send the acknowledgements, requests and replies that are due, unless their modem transmits already."""
+        due = [Query(*answer, ANSWER) for answer in self._answers if answer.start_tick <= now]
         self._answers = [answer for answer in self._answers if answer.start_tick > now]
-        for start, src, dst, seq in due:
+        for start, src, dst, seq, kind in due + self._ranges.take_due(now):
             station = self._stations[src]
             if station.free_tick > now or src in faults.mute or src in faults.deaf:
                 continue
-            modem, tick_ns = self._acoustic.modem_of(src), self._config.tick_ns
-            airtime = modem.airtime_ns(modem.acknowledgement)
+            modem, tick_ns, ranging = self._acoustic.modem_of(src), self._config.tick_ns, self._acoustic.ranging
+            size = modem.acknowledgement if kind == ANSWER or ranging is None else ranging.request
+            airtime = modem.airtime_ns(size)
             station.free_tick = max(start + 1, -(-(start * tick_ns + airtime) // tick_ns))
             self._air.transmit(src, start, airtime)
             range_m = self._air.range_m(src, dst)
             if (src, dst) not in faults.cut and range_m is not None:
                 begin = start * tick_ns + self._acoustic.delay_ns(range_m)
-                size = bytes(modem.acknowledgement)
                 self._receptions.append(
-                    Reception(begin, begin + airtime, start, range_m, 0, src, dst, seq, ANSWER, start, size, False)
+                    Reception(begin, begin + airtime, start, range_m, 0, src, dst, seq, kind, start, bytes(size), False)
                 )
 
     # ---------------------------------------------------------------------------------- the channel
@@ -313,6 +322,8 @@ class AcousticChannel:
             cause = self._air.cause(r)
             if r.copy == ANSWER:
                 self._answered(r, cause)
+            elif r.copy < 0:
+                self._transit.hand_over(self._ranges.heard(r, self._end_tick(r)) if cause is None else [])
             elif cause is not None:
                 self._lose(r, self._end_tick(r), cause)
             else:
@@ -332,7 +343,8 @@ class AcousticChannel:
                 return
             transfer.arrived = True
         delay = end - r.sent_tick * tick_ns
-        self._transit.add(PendingPacket(due, r.sent_tick, r.src, r.seq, r.copy, r.dst, delay, r.payload, r.corrupted))
+        packet = PendingPacket(due, r.sent_tick, r.src, r.seq, r.copy, r.dst, delay, r.payload, r.corrupted)
+        self._transit.hand_over(self._ranges.received(packet, r))
 
     def _answered(self, r: Reception, cause: Cause | None) -> None:
         """What an acknowledgement does that has ended at the sender of the payload."""
@@ -360,6 +372,7 @@ class AcousticChannel:
         state = _State(
             [*self._stations.values()], sorted(self._air.places.items()), self._air.bursts, self._receptions,
             sorted(self._transfers.items()), self._answers,
+            self._ranges.queries, self._ranges.kept,
         )  # fmt: skip
         values: dict[str, Any] = msgspec.to_builtins(state, builtin_types=(bytes,))
         return values
@@ -375,6 +388,7 @@ class AcousticChannel:
         self._air.places, self._air.bursts = dict(state.places), state.air
         self._receptions = state.receptions
         self._transfers, self._answers = dict(state.transfers), state.answers
+        self._ranges.queries, self._ranges.kept = state.queries, state.kept
 
 
 def _lost(r: Reception, tick: int, cause: Cause) -> Fate:

@@ -11,9 +11,10 @@ from netem.draws import undecided, uniform
 from netem.medium import Place
 from netem.modem import AcousticConfig, Modem
 from netem.propagation import decibels, power
-from netem.station import ANSWER, Burst, Reception
+from netem.station import ANSWER, REPLY, REQUEST, Burst, Reception
 
-SNR, CAPTURE, ACKNOWLEDGEMENT = "snr", "capture", "acknowledgement"  # purposes of draws
+SNR, CAPTURE = "snr", "capture"  # purposes of draws
+_SHORT = {ANSWER: "acknowledgement", REQUEST: "range request", REPLY: "range reply"}  # in the place of SNR
 
 
 def draws(acoustic: AcousticConfig, ranges: Iterable[float] | None = None) -> list[str]:
@@ -92,10 +93,7 @@ class Air:
             if share < 1.0 and uniform(self._seed, CAPTURE, r.src, r.dst, r.start_tick) >= share:
                 return Cause.COLLISION
         lost = acoustic.packet_error_rate(r.range_m, len(r.payload), sender, receiver, gain)
-        if (
-            lost
-            and uniform(self._seed, ACKNOWLEDGEMENT if r.copy == ANSWER else SNR, r.src, r.dst, r.seq, *start) < lost
-        ):
+        if lost and uniform(self._seed, _SHORT.get(r.copy, SNR), r.src, r.dst, r.seq, *start) < lost:
             return Cause.SNR
         return None
 

@@ -8,6 +8,7 @@ from typing import Literal
 
 from netem import propagation
 from netem.curve import Curve
+from netem.ranging import RangingConfig
 
 Mac = Literal["aloha", "csma", "tdma"]
 
@@ -83,6 +84,7 @@ class AcousticConfig:
     shadowing_ns: int = 0  # after which its correlation is 1/e; 0: it never changes
     rician: float | None = None  # of each packet: power of the steady path over the scattered; 0 Rayleigh, None: none
     modems: dict[int, Modem] = field(default_factory=dict)  # of the vehicles that carry another one
+    ranging: RangingConfig | None = None  # None: modems measure no ranges
 
     def modem_of(self, vehicle: int) -> Modem:
         """The modem that a vehicle carries."""

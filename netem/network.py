@@ -8,7 +8,7 @@ never changes afterwards. On an ideal network (`NetemConfig.ideal`) a packet is 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from typing import Any, NamedTuple
 
 import msgspec
@@ -23,7 +23,7 @@ from netem.links import make_links
 from netem.medium import IndependentLinks, Medium, MediumRound, Place
 from netem.transit import PendingPacket, Transit
 from netem.vehicle_clock import Clocks
-from netem.wire.messages import Delivery, Fate
+from netem.wire.messages import Delivery, Fate, MeasuredRange
 
 # The order of packet records in the log.
 fate_order = attrgetter("final_tick", "src", "dst", "seq", "copy")
@@ -36,7 +36,7 @@ class Exchange(NamedTuple):
     fates: tuple[Fate, ...]
 
 
-class _State(Struct):
+class _State(Struct, omit_defaults=True):
     """What `Netem.state` writes, but for what belongs to the medium."""
 
     round: int
@@ -47,6 +47,7 @@ class _State(Struct):
     announced: list[PendingPacket]
     unheard: list[Fate]
     ledger: list[tuple[int, int, dict[str, Any]]]
+    ranges: list[tuple[tuple[int, int, int, int], MeasuredRange]] = []
 
 
 class Netem:
@@ -140,6 +141,7 @@ class Netem:
             transit.announced,
             transit.lost,
             [(*link, account.to_values()) for link, account in links.ledger.accounts.items()],
+            sorted(transit.ranges.items(), key=itemgetter(0)),
         )
         values: dict[str, Any] = msgspec.to_builtins(state, builtin_types=(bytes,))
         return values | self._medium.state()
@@ -162,5 +164,5 @@ class Netem:
         transit.pending = {i: [] for i in self.config.vehicles}
         for packet in state.pending:
             transit.pending[packet.dst].append(packet)  # sorted, and a sorted list is a heap
-        transit.announced, transit.lost = state.announced, state.unheard
+        transit.announced, transit.lost, transit.ranges = state.announced, state.unheard, dict(state.ranges)
         self._medium.restore(values)

@@ -9,6 +9,7 @@ from msgspec import Struct
 from netem.causes import Cause
 
 ANSWER = -1  # the `copy` of a reception that is an acknowledgement
+REQUEST, REPLY = -2, -3  # likewise of two-way ranging
 
 
 class Waiting(NamedTuple):

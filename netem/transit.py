@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from typing import NamedTuple
 
 from msgspec.structs import replace
@@ -12,7 +12,7 @@ from netem.causes import Cause
 from netem.config import NetemConfig
 from netem.faults import ActiveFaults
 from netem.vehicle_clock import Clocks
-from netem.wire.messages import Delivery, Fate
+from netem.wire.messages import Delivery, Fate, MeasuredRange
 
 
 class PendingPacket(NamedTuple):
@@ -28,7 +28,7 @@ class PendingPacket(NamedTuple):
     payload: bytes
     corrupted: bool
 
-    def fate(self, final_tick: int, cause: Cause) -> Fate:
+    def fate(self, final_tick: int, cause: Cause, measured: MeasuredRange | None = None) -> Fate:
         """The record of the packet once its fate is final."""
         return Fate(
             final_tick,
@@ -42,12 +42,23 @@ class PendingPacket(NamedTuple):
             cause,
             self.corrupted,
             self.payload,
+            measured,
         )
+
+    @property
+    def name(self) -> tuple[int, int, int, int]:
+        """What tells it from every other packet of a run."""
+        return self.dst, self.src, self.seq, self.copy
 
 
 def stamped(delivery: Delivery, clocks: Clocks) -> Delivery:
     """The same with the time of sending by the clock of its sender, as its modem stamps it."""
     return replace(delivery, sent_tick=clocks.reading_ticks(delivery.src, delivery.sent_tick))
+
+
+def ranged(delivery: Delivery, measured: MeasuredRange) -> Delivery:
+    """The same with its range, as its receiver knows it."""
+    return replace(delivery, range_m=measured.range_m, range_sd_m=measured.sd_m, range_tick=measured.tick)
 
 
 class Transit:
@@ -59,10 +70,18 @@ class Transit:
         }  # heaps of what is in no inbox yet
         self.announced: list[PendingPacket] = []  # in an inbox, not yet due
         self.lost: list[Fate] = []  # their final tick is still to come
+        self.ranges: dict[tuple[int, int, int, int], MeasuredRange] = {}  # of packets without a final fate
 
-    def add(self, packet: PendingPacket) -> None:
-        """A packet is on its way to its receiver."""
+    def add(self, packet: PendingPacket, measured: MeasuredRange | None = None) -> None:
+        """A packet is on its way to its receiver, perhaps with the range that its modem has measured."""
         heapq.heappush(self.pending[packet.dst], packet)
+        if measured is not None:
+            self.ranges[packet.name] = measured
+
+    def hand_over(self, packets: Iterable[tuple[PendingPacket, MeasuredRange | None]]) -> None:
+        """The same of several packets."""
+        for packet, measured in packets:
+            self.add(packet, measured)
 
     def lose(self, fate: Fate) -> None:
         """A packet is lost; the fate is reported once its final tick is reached."""
@@ -85,9 +104,12 @@ class Transit:
                 packet = heapq.heappop(queue)
                 if cause is not None:
                     unheard.append(packet.fate(packet.due_tick, cause))
+                    self.ranges.pop(packet.name, None)
                 else:
                     self.announced.append(packet)
                     delivery = Delivery(*packet[:5], packet.payload)
+                    if self.ranges and (measured := self.ranges.get(packet.name)) is not None:
+                        delivery = ranged(delivery, measured)
                     inbox.append(delivery if clocks is None else stamped(delivery, clocks))
             if i in alive:
                 inboxes[i] = tuple(inbox)
@@ -101,7 +123,10 @@ class Transit:
         final = [fate for fate in self.lost if fate.final_tick <= until]
         if final:
             self.lost = [fate for fate in self.lost if fate.final_tick > until]
-        return [packet.fate(packet.due_tick, Cause.DELIVERED) for packet in due] + final
+        if not self.ranges:
+            return [packet.fate(packet.due_tick, Cause.DELIVERED) for packet in due] + final
+        take = self.ranges.pop
+        return [packet.fate(packet.due_tick, Cause.DELIVERED, take(packet.name, None)) for packet in due] + final
 
     def close(self, end_tick: int) -> list[Fate]:
         """The fates of everything that is left when the run ends before tick `end_tick` is started."""
@@ -109,5 +134,5 @@ class Transit:
         rest = self.announced + [p for i in sorted(self.pending) for p in self.pending[i]]
         fates += [packet.fate(end_tick, Cause.IN_FLIGHT) for packet in rest]
         fates += [replace(fate, final_tick=end_tick, cause=Cause.IN_FLIGHT) for fate in self.lost]
-        self.announced, self.lost, self.pending = [], [], {i: [] for i in self.pending}
+        self.announced, self.lost, self.pending, self.ranges = [], [], {i: [] for i in self.pending}, {}
         return fates

@@ -37,7 +37,7 @@ def consensus_error(position: Vec3, desired: Vec3, b: float, heard: Iterable[Nei
     ey = b * (y - dy)
     ez = b * (z - dz)
     c = b
-    for _, a, (ox, oy, oz), (px, py, pz), _, _ in heard:
+    for _, a, (ox, oy, oz), (px, py, pz), _, _, _, _ in heard:
         ex += a * (x - px - ox)
         ey += a * (y - py - oy)
         ez += a * (z - pz - oz)

@@ -82,7 +82,7 @@ try:
                 inbox += deliveries
                 known = known if more else until
         if nav is not None and (nav <= known or told.get("clock") == "real"):  # everything that was due by then is here
-            for _, _, src, _, _, data in (delivery for delivery in inbox if delivery[0] <= tick):
+            for _, _, src, _, _, data, *_ in (delivery for delivery in inbox if delivery[0] <= tick):
                 if len(data) == 63 and zlib.crc32(data[:-4]) == int.from_bytes(data[-4:], "little"):
                     _, _, sent, *numbers = STATE.unpack(data[:-4])
                     heard[src] = max(heard.get(src, (-1.0,)), (sent * Ts, numbers[:3], numbers[3:]))

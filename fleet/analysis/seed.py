@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from math import dist
 
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections import clocks, formation, graph, nemesis, partitions
-from netem import access, air, fading, impairment, link_states, link_trace
+from fleet.scenario.sections import clocks, formation, graph, liveness, nemesis, partitions, swarm
+from netem import access, air, fading, impairment, link_states, link_trace, ranges
 from netem.condition import Condition, Link
 from netem.faults import NetFault
 from netem.link_states import LinkStates
@@ -57,7 +57,9 @@ def _parts(scenario: Scenario) -> Iterator[tuple[str, list[str]]]:
         for condition in possible:
             yield "link conditions", _of_condition(condition)
     yield from _acoustic(scenario)
-    yield "faults", nemesis.draws(scenario.undrawn, scenario.graph.links)
+    yield "faults", nemesis.draws(scenario.ground)
+    yield "faults", swarm.draws(scenario.ground)
+    yield "faults", liveness.draws(scenario.ground)
     for number, section in enumerate(spec.faults, start=1):
         if section.partition and section.at // spec.tick < scenario.ticks:
             yield "faults", partitions.draws(section.partition, spec.vehicles, section.id or f"f{number}")
@@ -97,9 +99,10 @@ def _acoustic(scenario: Scenario) -> Iterator[tuple[str, list[str]]]:
     if channel is None:
         return
     places = [position for (position, _) in scenario.initial]
-    ranges = [dist(places[src - 1][:3], places[dst - 1][:3]) for src, dst in scenario.graph.links]
-    surely, anywhere = air.draws(channel, ranges), air.draws(channel)
+    distances = [dist(places[src - 1][:3], places[dst - 1][:3]) for src, dst in scenario.graph.links]
+    surely, anywhere = air.draws(channel, distances), air.draws(channel)
     yield f"backoff of {channel.mac}", access.draws(channel)
+    yield "measured ranges", ranges.draws(channel.ranging)
     yield "acoustic fading", fading.draws(channel.shadowing, channel.rician)
     if air.CAPTURE in surely:
         yield f"{PERHAPS}collisions", [air.CAPTURE]

@@ -10,6 +10,7 @@ from rich.text import Text
 
 from fleet.analysis.preflight import large_log_hint
 from fleet.analysis.punctuality import summary
+from fleet.cores import hidden_cores
 from fleet.execution.notes import folded, without_agent
 from fleet.result.result import FaultEvent, LinkAge, Result, Status, VehicleResult
 from fleet.scenario.sections.vehicle_events import vehicle_events
@@ -70,6 +71,8 @@ def show(result: Result, terminal: Terminal) -> None:
     )
     if hint := large_log_hint(size / 1e6):
         say(f"the log is large: {hint}", mark="note")
+    if words := hidden_cores():
+        say(words, mark="note")
     if result.status is Status.CHECK_FAILED:
         failed = [verdict.check for verdict in result.verdicts if not verdict.passed]
         say(f"{len(failed)} of {len(result.verdicts)} checks: {', '.join(dict.fromkeys(failed))}", "red", "FAIL")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from fleet.cli import hosts as cli_hosts
+from fleet.cli import ros2 as cli_ros2
 from fleet.cli import view as cli_view
 from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
@@ -82,11 +83,12 @@ MOST_FAULTS = 20  # of the scenario, said before it runs
     "--publish", is_flag=True, help="Publish the journal on zenoh meanwhile; nobody who listens slows the run."
 )
 @click.option("--view", is_flag=True, help="Open a page of the browser that shows the run, and lets one disturb it.")
+@click.option("--ros2", is_flag=True, help="Publish it, and show it to ROS 2 as fleet ros2 does.")
 @click.option("--audit", is_flag=True, help="Say also which messages the router refuses, a tenth slower.")
 @click.option(
     "--wait-for-subscribers",
     is_flag=True,
-    help="With --publish or --view: begin when somebody listens, such as the page.",
+    help="With --publish, --view or --ros2: begin when somebody listens, such as the page.",
 )
 @cli_hosts.hosts_options
 @click.option("--join-timeout", type=Duration(), default="300 s", show_default=True,
@@ -122,8 +124,8 @@ def run(
       fleet run paper --speed 1 --view
       fleet run --from runs/latest@20s --set controller=bsmc
     """
-    if how["wait_for_subscribers"] and not (how["publish"] or how["view"]):
-        raise click.UsageError("--wait-for-subscribers needs --publish or --view: nobody could subscribe")
+    if how["wait_for_subscribers"] and not (how["publish"] or how["view"] or how["ros2"]):
+        raise click.UsageError("--wait-for-subscribers needs --publish, --view or --ros2: nobody could subscribe")
     if as_json and show_config:
         raise click.UsageError("--show-config prints YAML: not together with --json")
     changes: list[str | Override] = [*overrides, *net, *fault]
@@ -147,8 +149,18 @@ def run(
     options = replace(_options(loaded, start, how, terminal), quiet=quiet)
     if not quiet:
         _tell_plan(loaded, start, in_process=options.in_process)
-    with cli_view.page_process(asked=how["view"], stays=not (quiet or as_json)) as page:
-        result = execute(loaded, replace(options, on_published=page.published if page else None), terminal)
+    with (
+        cli_view.page_process(asked=how["view"], stays=not (quiet or as_json)) as page,
+        cli_ros2.bridge_process(asked=how["ros2"]) as bridge,
+    ):
+
+        def on_published(directory: Path) -> None:
+            if bridge is not None:
+                bridge.start(directory)
+            if page is not None:
+                page.published(directory)
+
+        result = execute(loaded, replace(options, on_published=on_published), terminal)
         if page is not None and result.directory is not None:
             page.over(result.directory)
         _print_result(result, as_json=as_json, quiet=quiet)
@@ -177,6 +189,8 @@ def _options(scenario: Scenario, start: Start | None, how: dict[str, Any], termi
     _check_clock(how["speed"], how["clock"], one_process)
     if how["audit"] and (one_process or (place and place.router)):
         raise click.UsageError("--audit reads the log of the router that a run hosts; this run hosts none")
+    if how["ros2"] and one_process:
+        raise click.UsageError(f"--ros2 is of a run that goes on; not with {one_process}: fleet ros2 plays its log")
     if how["view"] and one_process:
         raise click.UsageError(f"--view is of a run that answers; not with {one_process}: fleet view shows its log")
     return Options(
@@ -184,7 +198,7 @@ def _options(scenario: Scenario, start: Start | None, how: dict[str, Any], termi
         in_process=how["in_process"],
         clock=Clock(how["clock"]),
         speed=how["speed"],
-        publish=how["publish"] or how["view"],
+        publish=how["publish"] or how["view"] or how["ros2"],
         wait=how["wait_for_subscribers"],
         port=how["port"],
         start=start,

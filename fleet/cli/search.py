@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import click
 
@@ -25,11 +26,17 @@ if TYPE_CHECKING:
     from world.plugins.trust import Trust
 
 
+NemesisMode = Literal["swarm", "liveness"] | None
+
+
 @click.command(cls=TrustingCommand)
 @click.argument("scenario", shell_complete=scenarios)
 @click.option("--budget", metavar="RUNS|TIME", type=Budget(), default="200", show_default=True,
               help="How many seeds are tried, or for how long new ones are begun, e.g. '10 min'.")  # fmt: skip
-@click.option("--nemesis", is_flag=True, help="Give a scenario that has none a nemesis: a fault in each tenth of it.")
+@click.option("--nemesis", is_flag=True, help="Give a scenario that has none a nemesis: a swarm of faults.")
+@click.option("--liveness", is_flag=True,
+              help="The same; from half of the run on a core is healed, and all others stay broken.")  # fmt: skip
+@click.option("--guide", is_flag=True, help="Change the faults of runs that came near to failing, or to something new.")
 @click.option("--check", metavar="NAME", help="The check that must fail; by default any.")
 @OVERRIDES
 @disturbances
@@ -42,6 +49,8 @@ def search(
     scenario: str,
     budget: tuple[float, float],
     nemesis: bool,
+    liveness: bool,
+    guide: bool,
     check: str | None,
     overrides: tuple[str, ...],
     fault: tuple[Override, ...],
@@ -56,44 +65,56 @@ def search(
     """Try seeds of a nemesis until a check fails, and make that run as small as it can be.
 
     The first seed is that of the scenario; --set seed=201 goes on after 200. The first one that fails is found
-    whatever the number of workers. The exit status is 1 if a check failed, as that of fleet run, and 0 if none did
-    in all of the budget.
+    whatever the number of workers. With --guide most runs have the faults of runs before, changed; what fails is then a
+    list of faults and a seed. The exit status is 1 if a check failed, as that of fleet run, and 0 if none did in all
+    of the budget.
 
     \b
     Examples:
       fleet search nemesis --budget 200
-      fleet search paper --nemesis --budget '10 min' --set 'network={period: 100 ms}'
+      fleet search election --nemesis --budget '10 min' --guide
+      fleet search election --liveness
       fleet search my.yaml --set seed=201 --check formation_error
     """
     from fleet.cli.study_output import showing
     from fleet.study.errors import StudyError
+    from fleet.study.guided import GuidedSearch
     from fleet.study.local_engine import engine_of
     from fleet.study.search import search as first_that_fails
     from fleet.study.shrink import Shrinker
 
-    tried, modules = _tried(scenario, [*overrides, *net, *fault], trust, nemesis=nemesis)
+    if guide and liveness:
+        raise StudyError("--guide changes when faults end, and with --liveness that is given: use one of the two")
+    mode: NemesisMode = "liveness" if liveness else "swarm" if nemesis else None
+    tried, modules = _tried(scenario, [*overrides, *net, *fault], trust, mode)
     path = place_of(tried, out, force=force)
     most_runs, budget_s = budget
     least = None
     with showing(pieces) as tell, engine_of(workers, scheduler) as engine:
         modules = engine.carry(modules)
-        found = first_that_fails(tried, engine, lambda runs: tell("seeds", runs), check=check, most_runs=most_runs,
-                                 budget_s=budget_s, modules=modules)  # fmt: skip
+        told = partial(tell, "fault lists" if guide else "seeds")
+        if guide:
+            found = GuidedSearch(tried, check, modules).run(engine, told, most_runs, budget_s)
+        else:
+            found = first_that_fails(tried, engine, told, check=check, most_runs=most_runs, budget_s=budget_s,
+                                     modules=modules)  # fmt: skip
         if found.without:
             say(f"{found.without} runs have no result, the first one because of: {found.reason}", err=True)
         if found.scenario is not None:
-            say(f"seed {found.seed} fails {found.check}, the first one from {found.first_seed} on", err=True)
+            what = f"run {found.runs + found.without}" if guide else f"seed {found.seed}"
+            since = "" if guide else f", the first one from {found.first_seed} on"
+            say(f"{what} fails {found.check}{since}", err=True)
             least = Shrinker(found.scenario, engine, tell, modules).shrink(found.check, MOST_RUNS)
             write_least(least.scenario, path)
-    _print(found, least, check, path, as_json=as_json)
+    _print(found, least, check, path, guide=guide, as_json=as_json)
     if found.scenario is not None:
         sys.exit(1)
     if not found.runs:
         raise StudyError("no run came to its end, so nothing is known")
 
 
-def _tried(name: str, changes: list[str | Override], trust: Trust, *, nemesis: bool) -> tuple[Scenario, Modules]:
-    """The scenario whose seeds are tried, and the modules that its runs need; `nemesis`: give it one."""
+def _tried(name: str, changes: list[str | Override], trust: Trust, mode: NemesisMode) -> tuple[Scenario, Modules]:
+    """The scenario whose seeds are tried, and the modules that its runs need; `mode`: of the nemesis that it gets."""
     from fleet.scenario.loading import load_scenario
     from fleet.study.modules import modules_of
     from fleet.study.search import nemesis_of
@@ -101,12 +122,12 @@ def _tried(name: str, changes: list[str | Override], trust: Trust, *, nemesis: b
 
     refuse_study(name)
     tried = load_scenario(name, changes, trust)
-    if nemesis:
-        tried = load_scenario(name, [*changes, nemesis_of(tried)], trust)
+    if mode is not None:
+        tried = load_scenario(name, [*changes, nemesis_of(tried, mode)], trust)
     return tried, modules_of([tried], Path(name).parent if Path(name).exists() else None)
 
 
-def _print(found: Searched, least: Shrunk | None, check: str | None, path: Path, *, as_json: bool) -> None:
+def _print(found: Searched, least: Shrunk | None, check: str | None, path: Path, *, guide: bool, as_json: bool) -> None:
     """What the search came to."""
     if as_json:
         from fleet.cli.documents.search import first_failing
@@ -114,6 +135,9 @@ def _print(found: Searched, least: Shrunk | None, check: str | None, path: Path,
         print_document(first_failing(found, least, path))
     elif found.scenario is not None and least is not None:
         show_least(found.scenario, least, path)
+    elif guide:
+        which = f"the check {check}" if check else "a check"
+        say(f"none of {found.runs} runs fails {which}; they are no sample, so that says nothing of how many would")
     elif found.most_failures is not None:
         which = f"the check {check}" if check else "a check"
         say(f"none of {found.runs} runs fails {which}: at most {100 * found.most_failures:.2g} % of such runs do, "

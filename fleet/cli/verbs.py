@@ -63,6 +63,7 @@ GROUPS: dict[str, dict[str, Verb]] = {
         "certs": Verb("hosts", "Make certificates for runs over several hosts."),
         "protocol": Verb("protocol", "Print the wire protocol, or check an agent."),
         "record": Verb("replay", "Record zenoh traffic to an MCAP file."),
+        "ros2": Verb("ros2", "Show a live run or a log to ROS 2."),
     },
     "This tool": {
         "bench": Verb("bench", "Measure this machine."),

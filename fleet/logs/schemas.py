@@ -87,6 +87,14 @@ PACKET = (
     MessageField("payload", "", "the payload's bytes, as they arrived", type=BYTES),
     MessageField("corrupted", "", "whether the link changed the payload", type=BOOL),
 )
+RANGED = (
+    *PACKET,
+    MessageField("range", "m", "to the sender, as the receiver's modem measured it; NaN: it has not"),
+    MessageField("range_sd", "m", "its standard deviation, as the modem knows it"),
+    MessageField("ranged", "s", "when the vehicles were so far apart"),
+    MessageField("distance", "m", "their true distance then"),
+    MessageField("range_error", "m", "the range minus that distance"),
+)
 # By name, the schemas that every log of a run may have.
 OURS = {
     f"{PACKAGE}.{name}": columns
@@ -99,7 +107,7 @@ OURS = {
             ("Clock", CLOCK_ERROR),
         ),
         *(("Belief", BELIEF), ("Fix", FIX)),
-        *(("Fault", FAULT), ("Snapshot", SNAPSHOT), ("Packet", PACKET)),
+        *(("Fault", FAULT), ("Snapshot", SNAPSHOT), ("Packet", PACKET), ("RangedPacket", RANGED)),
     )
 }
 

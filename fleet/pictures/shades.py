@@ -29,7 +29,7 @@ MOST_ROWS = 5  # of words above an axis; faults that need more are numbered
 MOST_CHARACTERS = 34
 _MOST_LISTED = 12  # numbers that are explained
 _MOST_EVENTS = 5  # vehicles whose tumbles have a line
-_GIVEN = re.compile(r"(f\d+|nemesis-\d+)$")  # ids that nobody chose
+_GIVEN = re.compile(r"(f\d+|nemesis-\d+(-\d+)?|broken-\d+)$")  # ids that nobody chose
 
 
 def shade(axes: Sequence[Axes], intervals: Sequence[FaultInterval]) -> list[str]:

@@ -28,9 +28,9 @@ are MessagePack's own, `real[n]` is an array of n IEEE-754 doubles (`..n`: n at 
 said otherwise; an integer is taken where a real is expected. `x[*]` is an array of x, and records are arrays of their
 fields. Nothing may be left out and nothing may follow, but for the last fields of `nav`, `roll`, `clock_ns` and
 `belief`: only a vehicle with a plant has roll, the clock is there only in a scenario that sets one, and belief only
-where the vehicle navigates by a filter. An agent that has no use for them passes over them. **A message has at most
-{MAX_BYTES} bytes**: the transport loses longer
-ones without a word.
+where the vehicle navigates by a filter; for the last three fields of a `Delivery`, all of which are there where a
+modem has measured a range; and for the last field of a `Fate`, likewise. An agent that has no use for them passes over
+them. **A message has at most {MAX_BYTES} bytes**: the transport loses longer ones without a word.
 
 Ticks count control periods Ts from the start of the run; what happens at tick k happens at time t = k Ts. Round ticks
 are those that `round_ticks` divides. Where `nav` has a `clock_ns`, the vehicle's own clock shows another time: what an

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from math import nan
 from struct import Struct
+
+from msgspec.structs import astuple
 
 from fleet.logs.schemas import varint
 from fleet.recorder.log_file import SECOND_NS
@@ -10,6 +13,7 @@ from netem.causes import Cause
 from netem.wire.messages import Fate
 
 _double = Struct("<Bd").pack  # tag, value
+_RANGE_TAGS = range(0x49, 0x70, 8)  # of five doubles, fields 9 to 13
 _FATES = {cause: b"\x32" + varint(len(cause)) + cause.encode() for cause in Cause}
 
 
@@ -29,3 +33,13 @@ def packet_data(fate: Fate, tick_ns: int) -> bytes:
     if payload:
         data += b"\x3a" + varint(len(payload)) + payload
     return data + b"\x40\x01" if fate.corrupted else data
+
+
+def ranged_data(fate: Fate, tick_ns: int) -> bytes:
+    """The same as the message `RangedPacket`, with what its receiver's modem has measured."""
+    measured = fate.measured
+    values = (nan,) * 5
+    if measured is not None:
+        range_m, sd_m, tick, distance_m = astuple(measured)
+        values = (range_m, sd_m, tick * tick_ns / SECOND_NS, distance_m, range_m - distance_m)
+    return packet_data(fate, tick_ns) + b"".join(map(_double, _RANGE_TAGS, values))

@@ -32,6 +32,7 @@ from fleet.logs.schemas import (
     FROM,
     FROM_TICK,
     PACKET,
+    RANGED,
     ROLL,
     SNAPSHOT,
     START,
@@ -45,7 +46,7 @@ from fleet.logs.schemas import (
 )
 from fleet.logs.topic_names import link_topic
 from fleet.recorder.metrics import VehicleError
-from fleet.recorder.packets import packet_data
+from fleet.recorder.packets import packet_data, ranged_data
 from fleet.recorder.scene import SCENE_UNITS, Scene
 from fleet.recorder.snapshot import TOPIC, Snapshot, Start
 from fleet.recorder.tick_messages import TickMessages, VehicleTopic
@@ -140,7 +141,9 @@ class LogWriter:
         snapshot = flat_schema("Snapshot", SNAPSHOT)
         self._snapshot = snapshot.message
         self._snapshots = self._channel(TOPIC, snapshot)
-        packet = flat_schema("Packet", PACKET)
+        ranging = scenario.acoustic is not None and scenario.acoustic.ranging is not None
+        packet = flat_schema("RangedPacket", RANGED) if ranging else flat_schema("Packet", PACKET)
+        self._packet_data = ranged_data if ranging else packet_data
         self._by_link = {link: self._channel(link_topic(link), packet) for link in scenario.graph.links}
 
     def _schemas(self, plants: Mapping[int, tuple[Signal, ...]]) -> dict[str, dict[int, Schema]]:
@@ -243,7 +246,7 @@ class LogWriter:
         self._scene.links.settle(fate)
         tick_ns = self._tick_ns
         final_ns = fate.final_tick * tick_ns
-        channel, data = self._by_link[fate.src, fate.dst], packet_data(fate, tick_ns)
+        channel, data = self._by_link[fate.src, fate.dst], self._packet_data(fate, tick_ns)
         self._add(channel, final_ns, fate.sent_tick * tick_ns, fate.seq, data)
         self._sink.flush(final_ns)
 

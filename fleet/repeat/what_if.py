@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from msgspec.structs import astuple
+from msgspec.structs import astuple, replace
 
 from agents.agent import Agent
 from agents.controllers import BUILT_IN, laws
@@ -232,6 +232,13 @@ def _law(scenario: Scenario, agent: int) -> object:
     return laws(scenario.controls[agent - 1]), scenario.graph.links
 
 
+def _ranged(delivery: Delivery, m: Any, tick_ns: int) -> Delivery:
+    """A delivery with the range that its packet has in the log, if it has one."""
+    if "range" not in m.DESCRIPTOR.fields_by_name or isnan(m.range):
+        return delivery
+    return replace(delivery, range_m=m.range, range_sd_m=m.range_sd, range_tick=round(m.ranged * 1e9 / tick_ns))
+
+
 def _read(path: Path, agent: int, tick_ns: int, tell: Tell) -> _Given:
     given = _Given()
     reader = LogReader(path, tell)
@@ -256,7 +263,8 @@ def _read(path: Path, agent: int, tick_ns: int, tell: Tell) -> _Given:
             m = decode(record, PACKET)
             if m.fate == "delivered":
                 sent = record.publish_ns // tick_ns
-                given.deliveries.append(Delivery(record.log_ns // tick_ns, sent, link[0], m.seq, m.copy, m.payload))
+                delivery = Delivery(record.log_ns // tick_ns, sent, link[0], m.seq, m.copy, m.payload)
+                given.deliveries.append(_ranged(delivery, m, tick_ns))
     given.deliveries.sort(key=astuple)
     given.start = start_of(reader)
     return given

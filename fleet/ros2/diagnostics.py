@@ -14,8 +14,8 @@ MOST = 10_000  # faults that are kept: a log may come from a stranger
 class Diagnostics:
     """What is known of the faults and checks of one run."""
 
-    def __init__(self, mapping: MessageMaker) -> None:
-        self._mapping = mapping
+    def __init__(self, maker: MessageMaker) -> None:
+        self._maker = maker
         self._faults: dict[str, tuple[int, str]] = {}
         self._checks: list[tuple[int, str, str]] = []
 
@@ -41,14 +41,14 @@ class Diagnostics:
     def message(self, ns: int) -> Any:
         """All of it."""
         rows = [(level, f"fault {name}", text) for name, (level, text) in self._faults.items()]
-        return self._mapping.types.new(
+        return self._maker.types.new(
             "diagnostic_msgs/msg/DiagnosticArray",
-            header=self._mapping.header(ns, ""),
+            header=self._maker.header(ns, ""),
             status=[self._status(*row) for row in (*rows, *self._checks)],
         )
 
     def _status(self, level: int, name: str, text: str) -> Any:
-        return self._mapping.types.new(
+        return self._maker.types.new(
             "diagnostic_msgs/msg/DiagnosticStatus",
             level=level, name=f"uuv_fleet: {name}", message=text, hardware_id="uuv-fleet", values=[],
         )  # fmt: skip

@@ -87,6 +87,20 @@ def read_key(key: str) -> Entity | None:
     return None if name is None else Entity(int(domain), f"/{parts[0]}", name, parts[2])
 
 
+def read_token(token: str) -> tuple[str, str, Entity] | None:
+    """Node, kind and entity of a liveliness token; None: it is that of a node, or none of rmw_zenoh.
+
+    Later versions may put more behind it.
+    """
+    parts = token.split("/")
+    if len(parts) < 13 or parts[0] != TOKENS or parts[5] not in ("MP", "MS", "SS", "SC"):
+        return None
+    name = ros_name(parts[10])
+    if name is None or not parts[1].isdecimal() or len(parts[1]) > 3:
+        return None
+    return parts[8], parts[5], Entity(int(parts[1]), parts[9].replace("%", "/"), name, parts[11])
+
+
 def pack(attachment: Attachment) -> bytes:
     """The bytes of an attachment, 33 of them."""
     return _ATTACHMENT.pack(attachment.sequence, attachment.sent_ns, _GID_BYTES, attachment.gid)

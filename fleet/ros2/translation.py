@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from google.protobuf.message import DecodeError
@@ -54,8 +54,9 @@ class Translation:
 
     def __init__(self, types: RosTypes, schemas: Mapping[str, Schema | None]) -> None:
         """Begin; `schemas` as for `learn`."""
-        self.mapping = MessageMaker(types)
-        self.diagnostics = Diagnostics(self.mapping)
+        self.maker = MessageMaker(types)
+        self.diagnostics = Diagnostics(self.maker)
+        self.wanted: Callable[[str], bool] = lambda _: True  # whether messages on a topic of ROS are to be made
         self._classes: dict[str, Any] = {}
         self._covariances: dict[int, tuple[float, ...]] = {}
         self._fixed: Any = None
@@ -100,33 +101,42 @@ class Translation:
             self.damaged += 1
 
     def _of_vehicle(self, i: int, group: str, at_ns: int, message: Any) -> list[RosMessage]:
-        mapping = self.mapping
+        make, made = self.maker, self._made
         match group:
             case "belief":
                 self._covariances[i] = tuple(message.covariance)
                 return []
             case "state":
-                made = {"ground_truth/odom": mapping.odometry(at_ns, i, message)}
+                return made(i, at_ns, {"ground_truth/odom": lambda: make.odometry(at_ns, i, message)})
             case "command":
                 force, pitch, yaw = message.applied
-                made = {"applied_wrench": mapping.wrench_stamped(at_ns, i, (force, pitch, yaw))}
-            case _:
-                made = {
-                    "odom": mapping.odometry(at_ns, i, message, self._covariances.get(i, ())),
-                    "twist": mapping.twist_stamped(at_ns, i, message),
-                    "imu": mapping.imu(at_ns, i, message),
-                    "pressure": mapping.pressure(at_ns, i, message),
-                }
+                applied = (force, pitch, yaw)
+                return made(i, at_ns, {"applied_wrench": lambda: make.wrench_stamped(at_ns, i, applied)})
+        return made(i, at_ns, {
+            "odom": lambda: make.odometry(at_ns, i, message, self._covariances.get(i, ())),
+            "twist": lambda: make.twist_stamped(at_ns, i, message),
+            "imu": lambda: make.imu(at_ns, i, message),
+            "pressure": lambda: make.pressure(at_ns, i, message),
+        })  # fmt: skip
+
+    def _made(self, i: int, at_ns: int, some: Mapping[str, Callable[[], Any]]) -> list[RosMessage]:
+        """The messages that are wanted of those that could be made."""
         return [
-            RosMessage(f"/uuv_{i}/{name}", _BY_NAME[f"/uuv_{{i}}/{name}"], at_ns, one) for name, one in made.items()
+            RosMessage(f"/uuv_{i}/{name}", _BY_NAME[f"/uuv_{{i}}/{name}"], at_ns, make())
+            for name, make in some.items()
+            if self.wanted(f"/uuv_{i}/{name}")
         ]
 
     def _of_fleet(self, topic: str, at_ns: int, message: Any) -> list[RosMessage]:
         if topic == "scene":
-            return [self._message(SCENE, at_ns, marker_array(self.mapping, at_ns, message))]
+            made = marker_array(self.maker, at_ns, message) if self.wanted(SCENE) else None
+            return [] if made is None else [self._message(SCENE, at_ns, made)]
         if topic == "faults":
             self.diagnostics.fault(message)
             return [self.diagnosed(at_ns)]
+        return self._transforms(at_ns, message)
+
+    def _transforms(self, at_ns: int, message: Any) -> list[RosMessage]:
         moving, fixed = [], []
         for one in message.transforms:
             t, r = one.translation, one.rotation
@@ -134,10 +144,10 @@ class Translation:
                 fixed.append((r.x, r.y, r.z, r.w))
                 continue
             place, turn = (t.x, t.y, t.z), (r.x, r.y, r.z, r.w)
-            moving.append(self.mapping.transform(at_ns, one.parent_frame_id, one.child_frame_id, place, turn))
-        found = [self._message(TF, at_ns, self.mapping.transforms(moving))]
+            moving.append(self.maker.transform(at_ns, one.parent_frame_id, one.child_frame_id, place, turn))
+        found = [self._message(TF, at_ns, self.maker.transforms(moving))]
         if fixed and self._fixed is None:
-            self._fixed = self.mapping.fixed(fixed[0], self.vehicles)
+            self._fixed = self.maker.fixed(fixed[0], self.vehicles)
             found.insert(0, self._message(TF_STATIC, at_ns, self._fixed))
         return found
 

@@ -22,6 +22,7 @@ from fleet.scenario.sections import formation, graph, link_conditions, nemesis, 
 from fleet.scenario.sections.acoustic import compile_acoustic, modem_values
 from fleet.scenario.sections.clocks import vehicle_clock
 from fleet.scenario.sections.graph import Graph
+from fleet.scenario.sections.ground import Ground, instruments
 from fleet.scenario.sections.keep_apart import keep_apart_params
 from fleet.scenario.sections.modem_files import Values, modem_of
 from fleet.scenario.sections.navigation import navigation_of
@@ -224,12 +225,19 @@ class Parts:
     # --- faults ---------------------------------------------------------------------------------------------------
 
     @cached_property
+    def ground(self) -> Ground:
+        """What a nemesis acts on."""
+        nemesis = self.spec.nemesis
+        if nemesis is not None and nemesis.mode is None and (nemesis.every is None or nemesis.for_ is None):
+            raise UnknownValueError
+        has = {i: instruments(self.choice(self.entries(i))) for i in range(1, self.spec.vehicles + 1)}
+        clocks, navigators, fixed = (tuple(i for i, each in has.items() if each[k]) for k in range(3))
+        return Ground(self.spec, self.links, self.conditions, clocks, navigators, fixed)
+
+    @cached_property
     def explicit(self) -> ScenarioSpec:
         """The specification with the faults that its nemesis draws written out after its own."""
-        if self.spec.nemesis is None:
-            return self.spec
-        faults = [*self.spec.faults, *nemesis.drawn_faults(self.spec, self.spec.nemesis, self.links)]
-        return self.spec.model_copy(update={"faults": faults, "nemesis": None})
+        return self.spec if self.spec.nemesis is None else nemesis.explicit(self.ground)
 
     @cached_property
     def faults(self) -> timeline.FaultPlan:

@@ -22,6 +22,7 @@ from fleet.scenario.schema.vehicle import PlantSection, VehicleSection
 from fleet.scenario.sections.acoustic import inlined_modem
 from fleet.scenario.sections.formation import initial_rolls
 from fleet.scenario.sections.graph import Graph
+from fleet.scenario.sections.ground import Ground
 from fleet.scenario.sections.log_rates import log_every, memory_ticks
 from fleet.scenario.sections.modem_files import shipped_modems
 from fleet.scenario.sections.navigation import inlined_navigation
@@ -74,6 +75,7 @@ class Scenario:
     other_laws: tuple[tuple[str, Law], ...]  # kind and law of those that are not built in, each name once
     acoustic: AcousticConfig | None  # None: the network is not acoustic
     clocks: dict[int, VehicleClock]  # of the vehicles for which one is set
+    ground: Ground = field(compare=False, repr=False)  # what its nemesis acts on
     undrawn: ScenarioSpec = field(compare=False, repr=False)  # with the nemesis in place of the faults that it drew
     reading: Reading = field(compare=False, repr=False)
     source: str = field(default="", compare=False)  # the shipped name or the path it was loaded from
@@ -96,6 +98,7 @@ class Scenario:
             acoustic=parts.acoustic,
             clocks=parts.clocks,
             other_laws=_others(parts.controls),
+            ground=parts.ground,
             undrawn=_without_files(parts.spec, parts),
             reading=reading,
             source=source,

@@ -28,6 +28,7 @@ from fleet.scenario.trust import Policy
 from fleet.study.errors import StudyError
 from fleet.study.measures import MEASURES
 from fleet.study.modules import NO_MODULES, Modules, folder_of
+from fleet.study.seen import Seen
 from fleet.study.signal_measures import Samples
 from world.plugins.trust import Trust
 
@@ -49,6 +50,7 @@ class Task(NamedTuple):
     modules: Modules = NO_MODULES  # that may run besides installed ones
     signals: tuple[str, ...] = ()  # measures of signals, by name
     log: str = ""  # the run directory that is to be made; empty: none
+    seen: bool = False  # whether the row has what the run went through
 
 
 def late(task: Task) -> StudyError:
@@ -105,6 +107,8 @@ def _made(task: Task) -> dict[str, Any]:
     try:
         scenario = scenario_of(task)
         samples = Samples(scenario, task.signals)
+        if task.seen:
+            return _seen(scenario, check if isfinite(task.timeout_s) else None, Seen(scenario, samples))
         if task.log:
             result = _recorded(scenario, Path(task.log), check, samples)
         else:
@@ -112,6 +116,16 @@ def _made(task: Task) -> dict[str, Any]:
         return _measured(result) | samples.numbers()
     except Exception as error:  # a law of a user's may raise anything: the study says so and goes on
         return _failed(error)
+
+
+def _seen(scenario: Scenario, check: Callable[[float], None] | None, seen: Seen) -> dict[str, Any]:
+    """The row of a run, with what it went through, and when each margin was least [s]."""
+    result = judged(scenario, check, seen)
+    row = _measured(result) | {"seen": seen.features()}
+    for verdict in result.verdicts:
+        if (margin := verdict.margin) is not None and row[f"margin.{verdict.check}"] == margin.value:
+            row[f"at.{verdict.check}"] = margin.at_s
+    return row
 
 
 def _failed(error: Exception) -> dict[str, Any]:

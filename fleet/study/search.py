@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import count
 from math import inf
+from typing import Literal
 
 from fleet.execution.external_agents import refuse
 from fleet.scenario.scenario import Scenario
@@ -22,9 +23,6 @@ from fleet.study.one_run import JUDGED, Task, failed_checks, scenario_of
 from fleet.study.plan import run_key
 from fleet.study.spec import LARGEST_SEED
 from fleet.study.statistics import most_failures
-
-# Each lasts half of a tenth of the run; the last is over after three quarters of it, so that time to recover is left.
-_PICK = "partition, down, deaf, pause, kill, {link *: loss 60% delay 300ms}"
 
 
 @dataclass(slots=True)
@@ -39,6 +37,7 @@ class Searched:
         runs: that were judged, later ones that were under way with the first one that fails included.
         without: runs without a result.
         reason: of the first of these.
+        sample: whether the runs were drawn one like the other, so that they tell what others would do.
     """
 
     name: str  # of the scenario
@@ -49,24 +48,23 @@ class Searched:
     runs: int = 0
     without: int = 0
     reason: str = ""
+    sample: bool = True
 
     @property
     def most_failures(self) -> float | None:
         """The share of such runs that fails at most, 95 % sure, since none of these did; None: that is not so."""
-        return most_failures(self.runs) if self.runs and self.seed is None else None
+        return most_failures(self.runs) if self.runs and self.seed is None and self.sample else None
 
 
-def nemesis_of(scenario: Scenario) -> Override:
+def nemesis_of(scenario: Scenario, mode: Literal["swarm", "liveness"] = "swarm") -> Override:
     """A nemesis for a scenario that has none, as a change of it.
 
     Raises:
         StudyError: it has one.
     """
     if scenario.undrawn.nemesis is not None:
-        raise StudyError(f"{scenario.name} has a nemesis: change it with --set nemesis.every='3 s' and the like")
-    every = max(scenario.duration_ns // 10, 1)
-    until = max(3 * scenario.duration_ns // 4, 1)
-    return Override(SET, f"nemesis={{every: {every} ns, for: {every // 2} ns, until: {until} ns, pick: [{_PICK}]}}")
+        raise StudyError(f"{scenario.name} has a nemesis: change it with --set nemesis.mode={mode} and the like")
+    return Override(SET, f"nemesis={mode}")
 
 
 def search(
@@ -110,7 +108,7 @@ def search(
 
     def take(rows: list[Row]) -> None:
         for row in rows:
-            if failed := _failed(found, row, check):
+            if failed := failed_of(found, row, check):
                 failing[row["seed"]] = failed
         tell(found.runs + found.without)
 
@@ -122,7 +120,7 @@ def search(
     return found
 
 
-def _failed(found: Searched, row: Row, check: str | None) -> str:
+def failed_of(found: Searched, row: Row, check: str | None) -> str:
     """Count a run; returns the check that it fails, or an empty text.
 
     Args:

@@ -32,7 +32,7 @@ from netem.parsing import NUMBER
 
 MOST_ROUNDS = 5  # over everything, and over each number
 _SHARES = (Fraction(1, 4), Fraction(1, 2), Fraction(3, 4), Fraction(9, 10))  # of a number that is made less
-_TIMES = frozenset({"at", "for", "id"})
+TIMES = frozenset({"at", "for", "id"})
 # Kinds whose every number makes them stronger. (A smaller efficiency or saturation is stronger; others have none.)
 _MILDER = ("link", "noise", "bias", "dropout", "slow", "clock", "gust", "current", "wrench")
 _MORE_IS_WORSE = ("delay", "loss", "duplicate", "corrupt", "reorder")  # words of a link's condition
@@ -76,7 +76,7 @@ class Shrinker:
         self._doing, self._left = "the run as it is", 1  # what is tried; runs that may still be made
         self._check = ""
         refuse(scenario, "a run of a study")
-        self._tree = _tree(scenario)
+        self._tree = tree_of(scenario)
 
     def shrink(self, check: str | None = None, most_runs: int = 10_000) -> Shrunk:
         """Make it less until nothing can be left out, or the runs are used up.
@@ -169,11 +169,11 @@ class Shrinker:
     def _milder(self) -> Iterator[str]:
         for k in range(len(self._tree.get("faults") or [])):
             fault = self._tree["faults"][k]
-            kind = next(key for key in fault if key not in _TIMES)
+            kind = next(key for key in fault if key not in TIMES)
             if kind not in _MILDER:
                 continue
             self._doing = f"fault {fault.get('id', k + 1)} milder"
-            for place in _places(fault[kind]):
+            for place in number_places(fault[kind]):
                 for _ in range(MOST_ROUNDS):
                     tree = self._least(list(self._weaker(k, kind, place)))
                     if tree is None:
@@ -187,8 +187,8 @@ class Shrinker:
         """The scenario with one number of one fault made less, the least first."""
         value = self._tree["faults"][k][kind]
         for share in (Fraction(0), *_SHARES):
-            less = _scaled(value, place, share)
-            if less != _scaled(value, place, Fraction(1)):
+            less = scaled(value, place, share)
+            if less != scaled(value, place, Fraction(1)):
                 yield _with_fault(self._tree, k, {kind: less})
 
     def _least(self, candidates: Sequence[Tree]) -> Tree | None:
@@ -222,7 +222,7 @@ class Shrinker:
         return parse_scenario(json.dumps(tree), self._name)
 
 
-def _tree(scenario: Scenario) -> Tree:
+def tree_of(scenario: Scenario) -> Tree:
     root, problems = read(Source(scenario.name, scenario.to_yaml()))
     if root is None or problems:
         raise ScenarioError(problems)
@@ -252,7 +252,7 @@ def _without_vehicles(tree: Tree, n: int) -> Tree:
     return made
 
 
-def _places(value: Any) -> list[int]:
+def number_places(value: Any) -> list[int]:
     """The numbers of a value that make the fault stronger, counted over all its texts."""
     found, count = [], 0
     for text in _texts(value):
@@ -271,7 +271,7 @@ def _texts(value: Any) -> list[str]:
     return [str(value)]
 
 
-def _scaled(value: Any, place: int, share: Fraction) -> Any:
+def scaled(value: Any, place: int, share: Fraction) -> Any:
     """The value with its number at `place`, counted over all its texts, times a share."""
     seen = 0
 

@@ -1,22 +1,19 @@
 """A live run as a page shows it: its journal from the publisher, its clock and faults from its console.
 
-The publisher is a process of its own, so nothing here can hold the run up. What zenoh's thread brings waits in a queue
-until the next picture; what the queue has no room for is left out and counted.
+What comes waits in the journal until the next picture.
 """
 
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Callable, Collection
 from contextlib import suppress
 from typing import Any
 
-from fleet.errors import FleetError
 from fleet.execution.connection import LiveRun, OpenConnection, RemoteError, find, is_live
 from fleet.execution.directory import SCENARIO, in_use
 from fleet.logs.topic_names import BELIEFS, link_of
-from fleet.replay.attachment import unpack
+from fleet.replay.live_journal import LiveJournal
 from fleet.replay.missing import Missing, left_out
 from fleet.replay.player import MeasuredRate
 from fleet.replay.topics import ask_scenario, ask_topics
@@ -27,12 +24,6 @@ from fleet.view.chart_signals import published_signals
 from fleet.view.feed import FAULTS, TRANSFORMS, checks_asked, checks_so_far, take
 from fleet.view.source import LiveSource
 from fleet.view.view_state import NOT_PLACED, SAMPLE_S, Row, ViewState
-from netem.errors import BusError
-from netem.wire.access import Credentials
-from netem.wire.keys import Keys
-from netem.wire.open_bus import OpenBus, place_of
-
-MOST_WAITING = 50_000  # messages between two pictures
 
 
 class LiveFeed:
@@ -50,34 +41,25 @@ class LiveFeed:
         self.source = source
         self.name = source.directory.name
         self.log = source.directory / "run.mcap"
-        self.missing = Missing()
-        self._waiting: deque[Any] = deque(maxlen=MOST_WAITING)
-        self._newest: dict[str, Any] = {}  # beliefs since the last picture, by key: it shows one of each vehicle
         self._status: Row = {}
         self._over = ""  # why there is nothing more to come
         self._published = True
         self._rate = MeasuredRate()
         self._ends: dict[str, Callable[[], None]] = {}  # of the subscriptions to topics of signals
         self._connection: OpenConnection | None = None
-        observed = source.observed
-        self._keys = Keys(observed.run)
+        self._journal = journal = LiveJournal.connect(source.observed, self.name)
         try:
-            self._bus = OpenBus.connect(observed.endpoint, Credentials(observed.user, observed.password))
-        except BusError as error:
-            raise FleetError(f"the journal of {self.name} cannot be read: {error}", status=3) from None
-        try:
-            text = ask_scenario(self._bus, self._keys)
+            text = ask_scenario(journal.bus, journal.keys)
             self.scenario = parse_scenario(text, str(source.directory / SCENARIO))
-            self.signals = published_signals(ask_topics(self._bus, self._keys))
+            self.signals = published_signals(ask_topics(journal.bus, journal.keys))
         except BaseException:
-            self._bus.close()
+            journal.close()
             raise
         self.picture = ViewState(self.scenario)
         self.checks = checks_asked(self.scenario)  # as they stand
         checked = map(str, checked_signals(self.scenario.spec.checks))
         self.charted = [name for name in checked if self.signals.of_all(name)]
         self._run = source.run
-        self._bus.subscribe(self._keys.log_end, lambda sample: self.missing.end(sample.payload.to_bytes()))
         self._listening = False
         if not source.awaited:
             self.listen()
@@ -87,20 +69,14 @@ class LiveFeed:
         if not self._listening:
             self._listening = True
             for topic in (TRANSFORMS, FAULTS, "link/*"):
-                self._subscribe(topic)
+                self._journal.subscribe(topic)
             if self.picture.scene.navigating:
-                self._bus.subscribe(self._keys.log(BELIEFS), self._believes)
+                self._journal.subscribe_newest(BELIEFS)  # a picture shows one of each vehicle
 
-    def _subscribe(self, topic: str) -> Callable[[], None]:
-        return self._bus.subscribe(self._keys.log(topic), self._receive)
-
-    def _receive(self, sample: Any) -> None:
-        """On a thread of zenoh."""
-        self._waiting.append(sample)  # when it is full, the oldest one goes
-
-    def _believes(self, sample: Any) -> None:
-        """On a thread of zenoh."""
-        self._newest[str(sample.key_expr)] = sample
+    @property
+    def missing(self) -> Missing:
+        """What did not come."""
+        return self._journal.missing
 
     @property
     def run(self) -> LiveRun | None:
@@ -114,17 +90,11 @@ class LiveFeed:
 
     def advance(self) -> bool:
         """Take what has come; whether there is something new to show."""
-        waiting, prefix = self._waiting, len(self._keys.log(""))
-        beliefs = [self._newest.pop(key) for key in list(self._newest)]
-        come = [waiting.popleft() for _ in range(len(waiting))]
+        beliefs, come = self._journal.take_newest(), self._journal.take()
         placed: tuple[float, bytes] | None = None
         shown_s = self.picture.at_s
-        for sample in come:
-            topic = str(sample.key_expr)[prefix:]
-            if (at_s := _logged_s(sample)) is None:
-                continue
-            self.missing.came(topic, place_of(sample))
-            data = sample.payload.to_bytes()
+        for topic, log_ns, data in come:
+            at_s = log_ns / 1e9
             if topic == TRANSFORMS:
                 # As fast as it goes, a run makes more of them than anybody can see.
                 if placed is not None and placed[0] - shown_s >= SAMPLE_S:
@@ -137,9 +107,8 @@ class LiveFeed:
                     self.picture.signal(name, at_s, value)
         if placed is not None:
             take(self.picture, TRANSFORMS, *placed)
-        for sample in beliefs:
-            if (at_s := _logged_s(sample)) is not None:
-                take(self.picture, str(sample.key_expr)[prefix:], at_s, sample.payload.to_bytes())
+        for topic, log_ns, data in beliefs:
+            take(self.picture, topic, log_ns / 1e9, data)
         self._rate.update(time.monotonic_ns(), int(self.picture.at_s * 1e9))
         return bool(come or beliefs)
 
@@ -147,7 +116,7 @@ class LiveFeed:
         """Ask the console how it is doing. Waits for the answer: on a thread of its own."""
         if self._over:
             return
-        self._published = self._bus.connected
+        self._published = self._journal.bus.connected
         if self._run is None and self.source.awaited and in_use(self.source.directory):
             with suppress(RemoteError):
                 self._run = find(str(self.source.directory))
@@ -230,18 +199,10 @@ class LiveFeed:
             self._ends.pop(topic)()
         for topic in topics - self._ends.keys():
             self.missing.forget(topic)
-            self._ends[topic] = self._subscribe(topic)
+            self._ends[topic] = self._journal.subscribe(topic)
 
     def close(self) -> None:
         """End."""
-        self._bus.close()
+        self._journal.close()
         if self._connection is not None:
             self._connection.close()
-
-
-def _logged_s(sample: Any) -> float | None:
-    """The log time of a sample [s]; None: it is not the publisher's."""
-    try:
-        return unpack(sample.attachment.to_bytes()).log_ns / 1e9
-    except (ValueError, AttributeError):
-        return None

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
+from operator import attrgetter
 from typing import get_args
 
 import msgspec
 
 from netem.errors import MalformedMessage
-from netem.wire.messages import Message, Nav
+from netem.wire.messages import Delivery, Fate, Inbox, LinkReport, Message, Nav
 
 LONGEST_REASON = 150  # characters, so that a sender cannot fill the logs
 _CLASSES: dict[str, type[msgspec.Struct]] = {cls.__struct_config__.tag: cls for cls in get_args(Message)}
@@ -16,11 +17,20 @@ _NOT_FINITE = re.compile(r"Expected `float` [<>]= -?1\.79\S+(?= - at `\$(.*)`)")
 _ENCODER = msgspec.msgpack.Encoder()
 # The heads of arrays of five, six and seven: a nav without roll, clock and belief, and so on.
 _NAV, _NAV_WITH_ROLL, _NAV_WITH_CLOCK = b"\x95", b"\x96", b"\x97"
+_DELIVERY = attrgetter(*Delivery.__struct_fields__[:6])
+_FATE = attrgetter(*Fate.__struct_fields__[:11])
 _DECODER: msgspec.msgpack.Decoder[Message] = msgspec.msgpack.Decoder(Message)
 
 
 def encode(message: Message) -> bytes:
     """MessagePack array `[kind, field, ...]` of a declared message."""
+    if type(message) is Inbox and message.deliveries:
+        # What was written before there were ranges knows deliveries and fates without.
+        deliveries = [d if _has_range(d) else _DELIVERY(d) for d in message.deliveries]
+        return _ENCODER.encode(("rx", message.incarnation, message.until, message.more, deliveries))
+    if type(message) is LinkReport and message.fates:
+        fates = [_FATE(fate) if fate.measured is None else fate for fate in message.fates]
+        return _ENCODER.encode(("links", message.until, message.closing, message.more, fates, message.memory))
     data = _ENCODER.encode(message)
     if type(message) is Nav and not message.belief:
         # Agents that were written before there was roll, a clock, or belief know it without.
@@ -28,6 +38,10 @@ def encode(message: Message) -> bytes:
             return _NAV_WITH_CLOCK + data[1:-1]
         return _NAV_WITH_ROLL + data[1:-2] if message.roll else _NAV + data[1:-3]
     return data
+
+
+def _has_range(d: Delivery) -> bool:
+    return d.range_m is not None or d.range_sd_m is not None or d.range_tick is not None
 
 
 def decode(data: bytes) -> Message:

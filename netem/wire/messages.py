@@ -62,6 +62,20 @@ class Delivery(WireRecord, frozen=True):
     seq: Annotated[Uint, about("number of the payload on its directed link, from 0")]
     copy: Annotated[Uint, about("0 for the original, 1.. for duplicates made by the network")]
     payload: Annotated[bytes, about("opaque to the network")]
+    range_m: Annotated[
+        Real | None, about("to the sender, as the modem measured it; **left out** without a range", "m")
+    ] = None
+    range_sd_m: Annotated[Real | None, about("its standard deviation, as the modem knows it; likewise", "m")] = None
+    range_tick: Annotated[Uint | None, about("when the vehicles were so far apart; likewise", "tick")] = None
+
+
+class MeasuredRange(WireRecord, frozen=True):
+    """The distance of two vehicles, as a modem measured it."""
+
+    range_m: Annotated[Real, about("as measured", "m")]
+    sd_m: Annotated[Real, about("its standard deviation, as the modem knows it", "m")]
+    tick: Annotated[Uint, about("when the vehicles were so far apart", "tick")]
+    distance_m: Annotated[Real, about("their true distance", "m")]
 
 
 class Fate(WireRecord, frozen=True):
@@ -78,6 +92,7 @@ class Fate(WireRecord, frozen=True):
     cause: Annotated[Cause, about("delivered, in flight, or the cause of its loss")]
     corrupted: Annotated[bool, about("whether the link changed the payload")]
     payload: Annotated[bytes, about("the payload's bytes")]
+    measured: Annotated[MeasuredRange | None, about("of one that was delivered; **left out** without a range")] = None
 
 
 class Fix(WireRecord, frozen=True):

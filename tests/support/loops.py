@@ -56,6 +56,8 @@ class Delivery(NamedTuple):
     src: int
     seq: int
     payload: bytes
+    range_m: float | None = None
+    range_sd_m: float | None = None
 
 
 class Sample(NamedTuple):

@@ -19,9 +19,11 @@ def run(out: Path, name: str, *overrides: str, in_process: bool = True) -> Resul
 
 
 def test_distributed_is_in_process(tmp_path: Path) -> None:
-    """Through death, restart, suspension and every kind of loss: processes and loop write the same bytes."""
+    """Through death, restart, suspension, every kind of loss, ranges and clocks: both ways write the same bytes."""
     overrides = [
         "duration=8 s",
+        "network.acoustic.ranging={method: two-way, noise: 1 m, outliers: {probability: 10 %}}",
+        "agent.clock={drift: {sigma: 100 ppm}}",
         "on_death=continue",
         "checks={ledger: balanced, middleware_loss: {at_most: 0}, tumbled: waived}",
         "faults=[{at: 1.5 s, for: 2 s, kill: 3}, {at: 2 s, for: 2 s, pause: 2}, {at: 3 s, for: 2 s, mute: 1}, "

@@ -359,14 +359,20 @@ static bool take_nav(struct agent *agent, struct reader *from, uint32_t fields, 
     return true;
 }
 
+/* After six fields come a measured range, its standard deviation, and when it was measured: not needed here either. */
 static bool take_delivery(struct agent *agent, struct reader *from) {
     uint32_t fields, size;
     uint64_t due, source;
     const uint8_t *data;
     struct state state;
-    if (!read_array(from, &fields) || fields != 6 || !read_uint(from, &due) || !skip(from) ||
+    if (!read_array(from, &fields) || fields < 6 || fields > 9 || !read_uint(from, &due) || !skip(from) ||
         !read_uint(from, &source) || !skip(from) || !skip(from) || !read_bin(from, &data, &size)) {
         return false;
+    }
+    while (fields-- > 6) {
+        if (!skip(from)) {
+            return false;
+        }
     }
     for (uint32_t n = 0; n < agent->neighbour_count; n++) {
         struct neighbour *other = &agent->neighbours[n];

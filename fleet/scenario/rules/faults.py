@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 from fleet.quantities import show_time
 from fleet.scenario.parts import Parts
-from fleet.scenario.rules.report import Report, known_links, no_whole_ticks, whole_multiple
+from fleet.scenario.rules.report import Report, known_links, no_whole_ticks, vehicles_exist, whole_multiple
 from fleet.scenario.schema.faults import ACTIONS, FaultAction, FaultSection
+from fleet.scenario.schema.nemesis import DrawnKind, NemesisSection
 from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.sections.liveness import healed_at
 from fleet.scenario.sections.nemesis import fault_count
 from fleet.scenario.sections.partitions import is_drawn, partition
+from fleet.scenario.sections.swarm import span
 from fleet.scenario.sections.timeline import OF_THE_WORLD, does_nothing, vehicles_of
 from netem.condition import Link
 from netem.errors import TextError
@@ -56,27 +59,79 @@ def nemesis(parts: Parts, report: Report) -> None:
     nemesis = spec.nemesis
     if nemesis is None:
         return
-    times = {"every": nemesis.every, "for": nemesis.for_, "start": nemesis.start, "until": nemesis.until}
-    for key, time in times.items():
-        if time is not None:
-            whole_multiple(report, ("nemesis", key), time, spec.tick)
+    _keys_of_mode(nemesis, report)
+    if nemesis.mode is None and None in (nemesis.every, nemesis.for_, nemesis.pick):
+        return
+    for key in ("every", "for_", "start", "until", "heal"):
+        if (time := getattr(nemesis, key)) is not None:
+            whole_multiple(report, ("nemesis", key.rstrip("_")), time, spec.tick)
+    if nemesis.mode is None:
+        _grid(nemesis, spec, report)
+    else:
+        _mode(nemesis, parts, report)
+    most = most_faults(spec)
+    if (drawn := fault_count(nemesis, parts.ground)) + len(spec.faults) > most:
+        key, pace = ("every", f", one every {show_time(nemesis.every)}") if nemesis.every else ("mean", "")
+        message = f"{drawn} faults{pace}, expected at most {most} in a scenario"
+        report.add(("nemesis", key), message, "make it rarer, or end it earlier with until")
+    links = parts.links
+    for index, pick in enumerate(nemesis.pick or ()):
+        path = ("nemesis", "pick", index)
+        if pick.drawn is not None:
+            if nemesis.mode is None and pick.drawn not in get_args(DrawnKind):
+                report.add(path, f"{pick.drawn} has a strength that is drawn, which needs a mode", "write mode: swarm")
+            elif spec.network.ideal and pick.drawn not in OF_THE_WORLD:
+                report.add(path, f"{pick.drawn} needs a network, and this one is ideal", "give the network a period")
+        else:
+            report_fault(report, path, pick, spec, links)
+
+
+_OF_GRID, _OF_SWARM = ("every", "for_"), ("mean", "aims", "leader", "core", "heal")
+
+
+def _keys_of_mode(nemesis: NemesisSection, report: Report) -> None:
+    """Each form of a nemesis has keys of its own."""
+    for key in _OF_GRID:
+        name = key.rstrip("_")
+        if nemesis.mode is None and getattr(nemesis, key) is None:
+            report.add_missing(("nemesis",), name, "")
+        if nemesis.mode is not None and getattr(nemesis, key) is not None:
+            report.add(("nemesis", name), f"with mode: {nemesis.mode} the seed draws it", "leave it out", key=True)
+    if nemesis.mode is None and nemesis.pick is None:
+        report.add_missing(("nemesis",), "pick", "")
+    for key in _OF_SWARM:
+        wanted = "liveness" if key in ("core", "heal") else nemesis.mode or "swarm"
+        if getattr(nemesis, key) is not None and nemesis.mode != wanted:
+            report.add(("nemesis", key), f"has no effect without mode: {wanted}", key=True)
+    if nemesis.mode == "liveness" and nemesis.until is not None:
+        report.add(("nemesis", "until"), "liveness ends its faults at heal", "write heal", key=True)
+
+
+def _grid(nemesis: NemesisSection, spec: ScenarioSpec, report: Report) -> None:
+    """A fault fits into the time of a nemesis without a mode."""
+    assert nemesis.every is not None and nemesis.for_ is not None
     first = nemesis.every if nemesis.start is None else nemesis.start
     until = spec.duration if nemesis.until is None else nemesis.until
     if until - first < nemesis.for_:
         span = f"from {show_time(first)} to {show_time(until)}"
         report.add(("nemesis", "for"), f"no fault of {show_time(nemesis.for_)} fits: it acts {span}")
-    most = most_faults(spec)
-    if (drawn := fault_count(nemesis, spec)) + len(spec.faults) > most:
-        message = f"{drawn} faults, one every {show_time(nemesis.every)}, expected at most {most} in a scenario"
-        report.add(("nemesis", "every"), message, "make it rarer, or end it earlier with until")
-    links = parts.links
-    for index, pick in enumerate(nemesis.pick):
-        path = ("nemesis", "pick", index)
-        if pick.drawn is not None:
-            if spec.network.ideal and pick.drawn not in OF_THE_WORLD:
-                report.add(path, f"{pick.drawn} needs a network, and this one is ideal", "give the network a period")
-        else:
-            report_fault(report, path, pick, spec, links)
+
+
+def _mode(nemesis: NemesisSection, parts: Parts, report: Report) -> None:
+    """The times of a swarm are in order, and its vehicles are there."""
+    spec = parts.spec
+    start, until = span(nemesis, parts.ground)
+    end, key = until, "until"
+    if nemesis.mode == "liveness":
+        end, key = healed_at(nemesis, parts.ground), "heal"
+        if end >= spec.duration:
+            report.add(("nemesis", key), f"at {show_time(end)} the run is over", "heal the core earlier")
+    if start >= end:
+        report.add(("nemesis", "start"), f"no fault fits: it acts from {show_time(start)} to {show_time(end)}")
+    if nemesis.leader is not None:
+        vehicles_exist(spec, report, ("nemesis", "leader"), str(nemesis.leader))
+    if nemesis.core is not None:
+        vehicles_exist(spec, report, ("nemesis", "core"), nemesis.core)
 
 
 def report_fault(

@@ -5,8 +5,16 @@ from __future__ import annotations
 from fleet.quantities import show_time, vehicle_numbers
 from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import Report, known_links, vehicles_exist, whole_multiple
-from fleet.scenario.schema.network import AcousticSection, ModemSection
-from fleet.scenario.sections.acoustic import SIZES, extent_m, guard_ns, modem_values, speed_of_sound
+from fleet.scenario.schema.network import AcousticSection, ModemSection, RangingSection
+from fleet.scenario.sections.acoustic import (
+    DEFAULT_REQUEST,
+    SIZES,
+    extent_m,
+    guard_ns,
+    modem_values,
+    speed_of_sound,
+    turn_ns,
+)
 from fleet.scenario.sections.data_files import DataFileError
 from fleet.scenario.sections.modem_files import modem_of, modem_problems
 from fleet.scenario.sections.site_files import load_site
@@ -58,6 +66,8 @@ def acoustic(parts: Parts, report: Report) -> None:
     if section.wind > 100.0:
         report.add((*at, "wind"), f"must be at most 100 m/s, is {section.wind:g}")
     _modems(parts, report, section)
+    if section.ranging is not None:
+        _ranging(parts, report, section, section.ranging)
     fading = section.fading
     if fading is not None and fading.correlation is not None and fading.shadowing is None:
         report.add((*at, "fading", "correlation"), "has no effect without shadowing", key=True)
@@ -86,6 +96,30 @@ def _water(parts: Parts, report: Report, section: AcousticSection) -> None:
         except DataFileError as error:
             for problem in error.problems:
                 report.add((*at, "water", "site"), problem)
+
+
+def _ranging(parts: Parts, report: Report, section: AcousticSection, ranging: RangingSection) -> None:
+    """Requests have an effect, fit into a packet and a slot, and do not meet acknowledgements."""
+    at = ("network", "acoustic", "ranging")
+    if ranging.method == "one-way":
+        for key in ("request", "turn"):
+            if getattr(ranging, key) is not None:
+                report.add((*at, key), "has no effect on method one-way: it belongs to two-way", key=True)
+        return
+    for chosen in (section, *section.modems.values()):
+        try:
+            values = modem_values(chosen, parts.folder)
+        except DataFileError:
+            continue  # reported with the modem
+        if modem_problems(values):
+            continue
+        modem = modem_of(values)
+        if modem.tries:
+            report.add((*at, "method"), "two-way needs modems that do not acknowledge (tries: 0)", "method: one-way")
+            return
+        if (size := ranging.request or DEFAULT_REQUEST) > modem.mtu:
+            report.add((*at, "request"), f"{size} bytes are longer than the mtu of a modem, {modem.mtu} bytes")
+            return
 
 
 def _modems(parts: Parts, report: Report, section: AcousticSection) -> None:
@@ -154,12 +188,17 @@ def talking(parts: Parts, report: Report) -> None:
     if section.mac != "tdma" or section.slot is None:
         return
     airtime, guard = modem.airtime_ns(size) if built_in else modem.airtime_ns(0), guard_ns(section)
-    if airtime + guard > section.slot:
+    turns, asked = 0, ""
+    if section.ranging is not None and section.ranging.method == "two-way":
+        senders = [src for src, _ in parts.links]
+        most = max(map(senders.count, set(senders)), default=0)
+        turns, asked = most * turn_ns(section.ranging, modem), f", {most} receivers take turns to measure their range"
+    if airtime + turns + guard > section.slot:
         text = (
-            f"{show_time(section.slot)} are too short: {size} bytes are {airtime / 1e9:g} s on the air, "
+            f"{show_time(section.slot)} are too short: {size} bytes are {airtime / 1e9:g} s on the air{asked}, "
             f"and the guard is {show_time(guard)}"
         )
-        report.add((*at, "slot"), text, f"at least {(airtime + guard) / 1e9:g} s")
+        report.add((*at, "slot"), text, f"at least {(airtime + turns + guard) / 1e9:g} s")
     if crossing * 1e9 > guard:
         text = (
             f"{show_time(guard)} are too short: sound takes {crossing:.4g} s over the {extent:.4g} m of the formation"

@@ -1,8 +1,8 @@
-"""Faults at given times, and faults that a nemesis draws."""
+"""Faults at given times."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field
 
@@ -34,7 +34,6 @@ from fleet.scenario.schema.value_types import (
     Velocity,
     mistake,
 )
-from netem.parsing import nearest
 
 
 class SensorNoise(SensorsSection):
@@ -193,7 +192,7 @@ class FaultSection(FaultAction, FaultTimes):
     """One fault."""
 
 
-def _fault(value: Any) -> Any:
+def read_fault(value: Any) -> Any:
     """`link 1->2: loss 30%` is short for `link: {1->2: loss 30%}`."""
     if not isinstance(value, dict):
         return value
@@ -206,31 +205,4 @@ def _fault(value: Any) -> Any:
     return long
 
 
-FaultEntry = Annotated[FaultSection, BeforeValidator(_fault)]
-# The kinds that need nothing but a target, which a nemesis draws.
-DrawnKind = Literal["partition", "down", "mute", "deaf", "kill", "pause", "freeze", "off", "stuck"]
-
-
-class NemesisPick(FaultAction):
-    """A fault as it may come, or the name of one whose target is drawn each time."""
-
-    drawn: DrawnKind | None = None
-
-
-def _pick(value: Any) -> Any:
-    if not isinstance(value, str):
-        return _fault(value)
-    if value not in get_args(DrawnKind):
-        hint = nearest(value, get_args(DrawnKind)) or 'or a fault such as {link "*": loss 40%}'
-        raise mistake(f"expected one of {', '.join(get_args(DrawnKind))}, got {value[:40]!r}", hint=hint)
-    return {"drawn": value}
-
-
-class NemesisSection(Section):
-    """Random faults from the seed: one of `pick` in every period `every`, each for the time `for`."""
-
-    every: Period
-    for_: Annotated[Period, Field(alias="for")]
-    pick: Annotated[list[Annotated[NemesisPick, BeforeValidator(_pick)]], Field(min_length=1)]
-    start: Time | None = None  # of the first; `every`
-    until: Period | None = None  # when the last has ended; the end of the run
+FaultEntry = Annotated[FaultSection, BeforeValidator(read_fault)]

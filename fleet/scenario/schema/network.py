@@ -41,6 +41,7 @@ from fleet.scenario.schema.value_types import (
 )
 from netem.condition import Condition
 from netem.grammar import print_condition
+from netem.ranging import Method
 
 
 class WaterSection(Section):
@@ -85,6 +86,28 @@ class FadingSection(Section):
     packets: Scatter | None = None
 
 
+class OutlierSection(Section):
+    """Ranges that are too long, since the straight way was missed."""
+
+    probability: Probability
+    excess: PositiveLength = 20.0  # by which they are too long, on average; exponentially distributed
+
+
+class RangingSection(Section):
+    """What modems measure of the distance to the sender of a packet."""
+
+    method: Method = "one-way"
+    noise: PositiveLength = 0.5  # standard deviation
+    outliers: OutlierSection | None = None
+    request: Bytes | None = None  # two-way: of a request, and of a reply; 4 bytes
+    turn: Period | None = None  # two-way: from the request of one receiver to that of the next
+
+
+def _ranging(value: Any) -> Any:
+    """Ranging may be given by its method alone."""
+    return {"method": value} if isinstance(value, str) else value
+
+
 def _modem(value: Any) -> Any:
     """A modem may be given by its name alone."""
     return {"modem": value} if isinstance(value, str) else value
@@ -105,6 +128,7 @@ class AcousticSection(ModemSection):
     shipping: Fraction = 0.5
     wind: Speed = 5.0
     fading: FadingSection | None = None
+    ranging: Annotated[RangingSection | None, BeforeValidator(_ranging)] = None  # modems measure none
 
 
 def _acoustic(value: Any) -> Any:

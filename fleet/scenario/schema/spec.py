@@ -25,7 +25,7 @@ from fleet.scenario.schema.control import (
     TrackingSection,
     VehicleOverrides,
 )
-from fleet.scenario.schema.faults import FaultEntry, NemesisSection
+from fleet.scenario.schema.faults import FaultEntry
 from fleet.scenario.schema.groups import Group
 from fleet.scenario.schema.keep_apart import KeepApartSection
 from fleet.scenario.schema.motion import (
@@ -37,6 +37,7 @@ from fleet.scenario.schema.motion import (
     show_initial,
 )
 from fleet.scenario.schema.navigation import NavigationChoice
+from fleet.scenario.schema.nemesis import NemesisSection, read_nemesis
 from fleet.scenario.schema.network import NetworkSection, read_network, show_network
 from fleet.scenario.schema.sea import SeaSection, SensorsSection
 from fleet.scenario.schema.section import Section
@@ -135,6 +136,7 @@ class ScenarioSpec(Section):
     physics: PhysicsSection = PhysicsSection()
     log: Annotated[LogSection, BeforeValidator(_read_log), PlainSerializer(_show_log)] = LogSection()
     faults: list[FaultEntry] = []
-    nemesis: NemesisSection | None = None  # becomes explicit faults when the scenario is read
+    # Becomes explicit faults when the scenario is read.
+    nemesis: Annotated[NemesisSection, BeforeValidator(read_nemesis)] | None = None
     checks: ChecksSection = ChecksSection()
     expect: Literal["pass", "fail"] = "pass"  # fail: the run is meant to fail a check, and exits with 0 when it does

@@ -22,16 +22,18 @@ from typing import TypeVar
 from agents import compact, payload
 from agents.config import Codec
 from agents.offset import Offset
-from fleet.scenario.schema.network import AcousticSection, FadingSection, ModemSection, NetworkSection
+from fleet.scenario.schema.network import AcousticSection, FadingSection, ModemSection, NetworkSection, RangingSection
 from fleet.scenario.sections.aloha import Talking, talking
 from fleet.scenario.sections.modem_files import CURVES, NUMBERS, Values, changed, load_modem, without_replaced
 from fleet.scenario.sections.site_files import SiteFile, load_site
 from netem.modem import DEFAULT_GUARD_NS, SOUND_SPEED, AcousticConfig, Modem
 from netem.propagation import sound_speed
+from netem.ranging import RangingConfig
 
 DEFAULT_MODEM: str = AcousticSection().modem
 DEFAULT_SPREADING = 1.5
 DEFAULT_SALINITY = 35.0  # ppt
+DEFAULT_REQUEST = 4  # bytes, of two-way ranging
 _Modem = TypeVar("_Modem", bound=ModemSection)
 _KEYS = (*NUMBERS, *CURVES)
 _TIMES = ("preamble", "processing", "timeout")  # nanoseconds in a section
@@ -109,7 +111,26 @@ def compile_acoustic(
         shadowing_ns=fading.correlation or 0,
         rician=fading.packets,
         modems=modems,
+        ranging=None if section.ranging is None else _ranging(section.ranging, modem),
     )
+
+
+def _ranging(section: RangingSection, modem: Modem) -> RangingConfig:
+    outliers, request = section.outliers, DEFAULT_REQUEST if section.request is None else section.request
+    return RangingConfig(
+        method=section.method,
+        noise=section.noise,
+        outliers=0.0 if outliers is None else outliers.probability,
+        excess=0.0 if outliers is None else outliers.excess,
+        request=request if section.method == "two-way" else 0,
+        turn_ns=turn_ns(section, modem) if section.method == "two-way" else 0,
+    )
+
+
+def turn_ns(section: RangingSection, modem: Modem) -> int:
+    """From the request of one receiver to that of the next [ns]: from the section, or both ways over 150 m."""
+    request = DEFAULT_REQUEST if section.request is None else section.request
+    return 2 * (modem.airtime_ns(request) + DEFAULT_GUARD_NS) if section.turn is None else section.turn
 
 
 def backoff_ns(section: AcousticSection, modem: Modem, codec: Codec, vehicles: int) -> int:

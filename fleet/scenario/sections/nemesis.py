@@ -1,15 +1,20 @@
 """Random faults from the seed: a `nemesis:` becomes explicit faults before the run starts.
 
-Each fault is a pure function of (seed, number of the fault), so the faults can be printed, edited and run again.
+Without a mode they begin on a grid of times, as this module has it; `swarm` and `liveness` have the modes. Each fault
+is a pure function of (seed, number of the fault), so the faults can be printed, edited and run again.
 The word, and the idea of faults that come and go by themselves, are Jepsen's.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
-from fleet.scenario.schema.faults import DrawnKind, FaultSection, NemesisPick, NemesisSection
+from fleet.scenario.schema.faults import FaultSection
+from fleet.scenario.schema.nemesis import NemesisPick, NemesisSection
 from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.sections import liveness, swarm
+from fleet.scenario.sections.ground import Ground
 from fleet.scenario.sections.partitions import DRAWN_PARTITIONS, partition
 from netem.condition import Link
 from netem.draws import bits
@@ -19,8 +24,28 @@ PURPOSE = "nemesis"  # of the draws
 PARTITIONS = ("halves", *DRAWN_PARTITIONS)
 
 
-def drawn_faults(spec: ScenarioSpec, nemesis: NemesisSection, links: Sequence[Link]) -> list[FaultSection]:
-    """The faults that a nemesis draws for a scenario, in order of time; no id is one of the scenario's own."""
+def explicit(ground: Ground) -> ScenarioSpec:
+    """The specification of a scenario with the faults that its nemesis draws written out after its own.
+
+    With `mode: liveness` its checks judge the core. No id of a fault is one of the scenario's own.
+    """
+    spec, nemesis = ground.spec, ground.spec.nemesis
+    if nemesis is None:
+        return spec
+    changes: dict[str, Any] = {"nemesis": None}
+    match nemesis.mode:
+        case "liveness":
+            drawn = liveness.faults(nemesis, ground)
+            changes["checks"] = liveness.of_the_core(spec.checks, nemesis, ground)
+        case "swarm":
+            drawn = swarm.written(swarm.draw(nemesis, ground), ground)
+        case _:
+            drawn = _grid(spec, nemesis, ground.links)
+    return spec.model_copy(update=changes | {"faults": [*spec.faults, *drawn]})
+
+
+def _grid(spec: ScenarioSpec, nemesis: NemesisSection, links: Sequence[Link]) -> list[FaultSection]:
+    """The faults that begin one every so often, in order of time."""
     taken = {fault.id for fault in spec.faults}
     faults: list[FaultSection] = []
     for number, at in enumerate(_times(nemesis, spec), start=1):
@@ -40,18 +65,24 @@ def drawn_faults(spec: ScenarioSpec, nemesis: NemesisSection, links: Sequence[Li
     return faults
 
 
-def fault_count(nemesis: NemesisSection, spec: ScenarioSpec) -> int:
-    """How many faults a nemesis draws."""
-    return len(_times(nemesis, spec))
+def fault_count(nemesis: NemesisSection, ground: Ground) -> int:
+    """How many faults a nemesis draws, at most."""
+    if nemesis.mode is None:
+        return len(_times(nemesis, ground.spec))
+    until = liveness.healed_at(nemesis, ground) if nemesis.mode == "liveness" else None
+    return sum(one.pieces for one in swarm.draw(nemesis, ground, until)) + (
+        ground.spec.vehicles if nemesis.mode == "liveness" else 0
+    )
 
 
-def draws(spec: ScenarioSpec, links: Sequence[Link]) -> list[str]:
-    """The purpose of the draws of the nemesis of a scenario; none if there is none, or all seeds give the same faults.
+def draws(ground: Ground) -> list[str]:
+    """The purpose of the draws of a nemesis without a mode; none if there is none, or all seeds give the same faults.
 
     The partitions that it draws are faults of the scenario then, and draw on their own.
     """
+    spec, links = ground.spec, ground.links
     nemesis = spec.nemesis
-    if nemesis is None or not fault_count(nemesis, spec):
+    if nemesis is None or nemesis.mode is not None or not fault_count(nemesis, ground):
         return []
     picks = _picks(nemesis, links)
     pairs = {frozenset(link) for link in links}
@@ -64,17 +95,18 @@ def draws(spec: ScenarioSpec, links: Sequence[Link]) -> list[str]:
 
 def _picks(nemesis: NemesisSection, links: Sequence[Link]) -> list[NemesisPick]:
     """What may be drawn. A fleet of one keeps its scenario: faults that need a link are left out."""
-    return [pick for pick in nemesis.pick if links or pick.drawn not in ("partition", "down")]
+    return [pick for pick in nemesis.pick or () if links or pick.drawn not in ("partition", "down")]
 
 
 def _times(nemesis: NemesisSection, spec: ScenarioSpec) -> range:
     """When a fault begins [ns], so that each is over by the end of the nemesis."""
+    assert nemesis.every is not None and nemesis.for_ is not None  # a rule
     first = nemesis.every if nemesis.start is None else nemesis.start
     until = spec.duration if nemesis.until is None else min(nemesis.until, spec.duration)
     return range(first, until - nemesis.for_ + 1, nemesis.every)
 
 
-def _target(kind: DrawnKind, name: str, spec: ScenarioSpec, number: int, links: Sequence[Link]) -> str:
+def _target(kind: str, name: str, spec: ScenarioSpec, number: int, links: Sequence[Link]) -> str:
     if kind == "partition":
         cuts = [p for p in PARTITIONS if partition(p, spec.vehicles, spec.seed, name, links)] or ["halves"]
         return cuts[_draw(spec, number, 1, len(cuts))]

@@ -318,6 +318,7 @@ def test_result_file(tmp_path: Path) -> None:
         "unit": "links",
         "moment": None,
         "signals": [],
+        "margin": {"value": 0, "at_s": None, "unit": "links"},
     }
     assert list(values["vehicles"]) == ["1", "2", "3", "4"]
     assert set(values["ledger"]) == {"1->2", "2->3", "3->4"}

@@ -20,6 +20,7 @@ from fleet.scenario.sections.acoustic import turn_s
 from fleet.scenario.sections.data_files import DataFileError
 from fleet.scenario.sections.modem_files import CURVES, NUMBERS, load_modem, parse_modem, shipped_modems
 from netem.modem import AcousticConfig
+from netem.ranging import RangingConfig
 
 SMALL = """\
 title: Three vehicles
@@ -158,6 +159,15 @@ def test_everything_that_can_be_said() -> None:
     assert told("network.acoustic.backoff=3 s").backoff_ticks == 300
     assert told("network.acoustic.backoff=0 s").backoff_ticks == 0
     assert told("network.acoustic.sound_speed=1480 m/s").sound_speed == 1480.0
+    assert told().ranging is None
+    assert told("network.acoustic.ranging=one-way") == told("network.acoustic.ranging={}")
+    assert told("network.acoustic.ranging={outliers: {probability: 5 %, excess: 9 m}}").ranging == RangingConfig(
+        "one-way", 0.5, 0.05, 9.0
+    )
+    two_way = RangingConfig("two-way", 0.1, request=2, turn_ns=3_000_000_000)
+    assert (
+        told("network.acoustic.ranging={method: two-way, noise: 10 cm, request: 2 bytes, turn: 3 s}").ranging == two_way
+    )
 
 
 def test_a_modem_file_lies_beside_the_scenario_and_is_not_needed_afterwards(tmp_path: Path) -> None:
@@ -211,6 +221,15 @@ def test_a_modem_file_lies_beside_the_scenario_and_is_not_needed_afterwards(tmp_
         ("network.acoustic.sound_speed=1 m/s", "must be between 100 and 10000 m/s"),
         ("network.acoustic.carrier=1 Hz", "carrier must be between 100 and 1e+06 Hz, is 1"),
         ("network.acoustic.wnd=3 m/s", 'did you mean "wind"?'),
+        ("network.acoustic.ranging=by-sight", "expected one-way or two-way"),
+        ("network.acoustic.ranging.noise=0 m", "must be"),
+        ("network.acoustic.ranging.turn=1 s", "has no effect on method one-way: it belongs to two-way"),
+        ("network.acoustic.ranging={method: two-way, request: 33 bytes}", "longer than the mtu of a modem, 32 bytes"),
+        ("network.acoustic={tries: 3, timeout: 9 s, acknowledgement: 1 byte, ranging: two-way}", "do not acknowledge"),
+        (
+            "network.acoustic={modem: fsk-80, mac: tdma, slot: 3 s, ranging: two-way}",
+            "receivers take turns to measure their range",
+        ),
         ("network={ideal: true, acoustic: s2c}", 'write "network: ideal" for the network without latency'),
         ("network=akustic", '"ideal", or "acoustic", got "akustic"'),
     ],
@@ -238,6 +257,7 @@ CHOICES: dict[str, st.SearchStrategy[str]] = {
     "network.acoustic.fading": st.sampled_from(
         ["{shadowing: 3 dB}", "{shadowing: 3 dB, correlation: 9 s, packets: rayleigh}", "{packets: rician 6 dB}"]
     ),
+    "network.acoustic.ranging": st.sampled_from(["two-way", "{noise: 2 m, outliers: {probability: 3 %}}"]),
     "network.acoustic.tries": st.integers(0, 5).map(str),
     "network.acoustic.timeout": st.integers(1, 10**10).map(lambda v: f"{v} ns"),
     "network.acoustic.acknowledgement": st.integers(1, 9).map(lambda v: f"{v} bytes"),

@@ -8,7 +8,7 @@ from study_engine import Here
 
 from fleet.execution.judged import judged
 from fleet.study.errors import StudyError
-from fleet.study.shrink import Shrinker, _places
+from fleet.study.shrink import Shrinker, number_places
 
 FAULTS = (
     "faults=["
@@ -49,8 +49,8 @@ def test_a_check_without_anything_to_judge_does_not_count() -> None:
 
 
 def test_only_what_makes_a_fault_stronger_is_made_less() -> None:
-    assert _places({"*": "delay 300ms 20ms loss 60% rate 1kbit", "1->2": "loss gemodel 1% 10%"}) == [0, 1, 2]
-    assert _places({"vehicles": "2", "position_noise": "1 cm"}) == [0]
+    assert number_places({"*": "delay 300ms 20ms loss 60% rate 1kbit", "1->2": "loss gemodel 1% 10%"}) == [0, 1, 2]
+    assert number_places({"vehicles": "2", "position_noise": "1 cm"}) == [0]
 
 
 def test_the_runs_may_be_used_up() -> None:

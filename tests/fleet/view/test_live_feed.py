@@ -2,24 +2,34 @@
 
 from __future__ import annotations
 
-from collections import deque
 from itertools import count
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
 from small_scenario import small
 
 from fleet.logs.schemas import BELIEF, flat_schema
-from fleet.replay.missing import Missing, pack_counts
+from fleet.replay.live_journal import LiveJournal
+from fleet.replay.missing import pack_counts
 from fleet.scene.primitives import CrossShape
 from fleet.view.live_feed import LiveFeed
 from fleet.view.view_state import ViewState
+from netem.wire.keys import Keys
+
+KEYS = Keys("x")
+
+
+def journal() -> LiveJournal:
+    """Of a run that is not there."""
+    nothing: Any = SimpleNamespace(subscribe=lambda *_: None)
+    return LiveJournal(nothing, KEYS)
 
 
 def sample(topic: str, data: bytes, place: int) -> Any:
     """A sample of zenoh at time 0."""
     return SimpleNamespace(
-        key_expr=f"x/{topic}",
+        key_expr=KEYS.log(topic),
         attachment=SimpleNamespace(to_bytes=lambda: bytes([0x94, 0, 0, 0, 0])),
         payload=SimpleNamespace(to_bytes=lambda: data),
         source_info=SimpleNamespace(source_sn=place),
@@ -28,7 +38,7 @@ def sample(topic: str, data: bytes, place: int) -> Any:
 
 def test_messages_that_did_not_come_are_said_also_when_the_run_is_over() -> None:
     feed: Any = object.__new__(LiveFeed)
-    vars(feed).update(missing=Missing(), picture=ViewState(small()), _over="", _published=True, _status={})
+    vars(feed).update(_journal=journal(), picture=ViewState(small()), _over="", _published=True, _status={})
     feed._rate = SimpleNamespace(value=1.0)
     assert feed.clock()["note"] == ""
     feed.missing.came("transforms", 0)
@@ -40,28 +50,27 @@ def test_messages_that_did_not_come_are_said_also_when_the_run_is_over() -> None
     assert feed.clock()["note"].startswith("3 messages were left out")
 
 
-def test_what_the_queue_has_no_room_for_is_counted() -> None:
+def test_what_the_queue_has_no_room_for_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fleet.replay.live_journal.MOST_WAITING", 3)
     feed: Any = object.__new__(LiveFeed)
-    vars(feed).update(missing=Missing(), picture=ViewState(small()), _waiting=deque(maxlen=3), _newest={})
-    feed._keys = SimpleNamespace(log=lambda topic: f"x/{topic}")
+    vars(feed).update(_journal=journal(), picture=ViewState(small()))
     feed._rate = SimpleNamespace(update=lambda *_: None)
     feed.signals = SimpleNamespace(values=lambda *_: ())
     place = count()
     for many in (1, 6):
         for _ in range(many):
-            feed._receive(sample("faults", b"\xff", next(place)))
+            feed._journal.receive(sample("faults", b"\xff", next(place)))
         assert feed.advance()
     assert feed.missing.count == 3
 
 
 def test_of_many_beliefs_the_newest_is_shown_and_none_is_missing() -> None:
     feed: Any = object.__new__(LiveFeed)
-    vars(feed).update(missing=Missing(), picture=ViewState(small("navigation=mems")), _waiting=deque(), _newest={})
-    feed._keys = SimpleNamespace(log=lambda topic: f"x/{topic}")
+    vars(feed).update(_journal=journal(), picture=ViewState(small("navigation=mems")))
     feed._rate = SimpleNamespace(update=lambda *_: None)
     message = flat_schema("Belief", BELIEF).message
     for north in (1.0, 2.0, 3.0):
-        feed._believes(sample("uuv/2/belief", message(off=[north, 0.0, 0.0]).SerializeToString(), 0))
+        feed._journal.receive_newest(sample("uuv/2/belief", message(off=[north, 0.0, 0.0]).SerializeToString(), 0))
     assert feed.advance()
     crosses = [one for one in feed.picture.moving() if isinstance(one, CrossShape) and one.colour == "vehicle 2"]
     assert [cross.at.north for cross in crosses] == [3.0]

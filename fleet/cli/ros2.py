@@ -1,0 +1,221 @@
+"""The command `fleet ros2`."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from fleet.cli import completion
+from fleet.cli.group import exit_status
+from fleet.cli.log_argument import RUNS
+from fleet.cli.sessions import ending
+from fleet.cli.types import EndpointText, Whole
+from fleet.errors import FleetError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from fleet.ros2.bridge import RosBridge
+    from fleet.ros2.process import BridgeProcess
+    from fleet.ros2.translation import Translation
+    from fleet.terminal.status_line import StatusLine
+    from fleet.view.source import LiveSource, LogSource
+
+EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or domain, 129 terminal closed, 130 Ctrl-C."
+NODE = "uuv_fleet"
+
+
+@click.command(epilog=EPILOG)
+@click.argument(
+    "what", metavar="[RUN|LOG]", required=False, shell_complete=completion.published_runs,
+    help="A live run that was started with --publish (its name, its scenario or its directory), an MCAP file or the "
+    "directory of a run; by default the live run that began last, or else the newest run below runs.",
+)  # fmt: skip
+@click.option("--domain", metavar="N", type=Whole(0, 232), help="Domain of ROS; by default ROS_DOMAIN_ID, or 0.")
+@click.option("--distro", type=click.Choice(("humble", "jazzy", "kilted")), default="jazzy", show_default=True,
+              help="Distribution of ROS whose types nodes have.")  # fmt: skip
+@click.option("--connect", metavar="ENDPOINT", type=EndpointText(), help="Join the router there, such as rmw_zenohd.")
+@click.option(
+    "--listen", metavar="ENDPOINT", type=EndpointText(),
+    help="Be the router there; by default join the one at tcp/127.0.0.1:7447, or be it.",
+)  # fmt: skip
+@click.option("--control", is_flag=True, help="Offer services that inject and heal faults of a live run.")
+@click.option("-r", "--rate", metavar="X", type=click.FloatRange(0.001, 1000.0),
+              help="Of a log: times its own pace.")  # fmt: skip
+@click.option("-l", "--loop", is_flag=True, help="Of a log: begin again at the end.")
+@click.option(
+    "--interfaces", metavar="DIR", type=click.Path(path_type=Path),
+    help="Write the package uuv_fleet_msgs below DIR, which colcon builds, and end.",
+)  # fmt: skip
+@click.option("-q", "--quiet", is_flag=True, help="Say nothing but warnings' causes: errors.")
+def ros2(
+    what: str | None,
+    domain: int | None,
+    distro: str,
+    connect: str | None,
+    listen: str | None,
+    control: bool,
+    rate: float | None,
+    loop: bool,
+    interfaces: Path | None,
+    quiet: bool,
+) -> None:
+    """Show a live run or a log to nodes of ROS 2, over zenoh as rmw_zenoh speaks it.
+
+    Prints domain and address. Nodes need RMW_IMPLEMENTATION=rmw_zenoh_cpp, and for our clock use_sim_time.
+
+    \b
+    Examples:
+      fleet ros2                                  the live run that began last, or the newest log
+      fleet ros2 runs/latest --loop
+      fleet ros2 paper --connect tcp/192.0.2.7:7447 --domain 7
+      fleet ros2 paper --control                  services /fleet/inject and /fleet/heal
+    """
+    from rich.console import Console as Terminal
+
+    from fleet.terminal.status_line import StatusLine
+    from fleet.view.source import LiveSource, LogSource, find_source
+
+    if interfaces is not None:
+        _write_interfaces(interfaces)
+        return
+    if connect and listen:
+        raise click.UsageError("either --connect or --listen")
+    source = find_source(what, RUNS)
+    if isinstance(source, LogSource) and control:
+        raise click.UsageError("--control is about a live run: a log cannot be disturbed any more")
+    if isinstance(source, LiveSource) and (rate is not None or loop):
+        raise click.UsageError("--rate and --loop are about logs; the pace of a live run: fleet clock speed")
+    with StatusLine(Terminal(stderr=True), quiet=quiet) as line:
+
+        def open_bridge(translation: Translation, sessions: list[object]) -> RosBridge:
+            return _open_bridge(translation, sessions, line, source if control else None, domain, connect, listen)
+
+        if isinstance(source, LiveSource):
+            _serve_run(source, distro, line, open_bridge)
+        else:
+            _serve_log(source, distro, line, open_bridge, 1.0 if rate is None else rate, loop=loop)
+
+
+def _open_bridge(
+    translation: Translation,
+    sessions: list[object],
+    line: StatusLine,
+    controlled: LiveSource | LogSource | None,
+    domain: int | None,
+    connect: str | None,
+    listen: str | None,
+) -> RosBridge:
+    """A node with the topics of a journal, and the services that disturb the run `controlled`."""
+    from fleet.ros2.bridge import RosBridge, offer_control
+    from fleet.ros2.node import RosNode
+    from fleet.ros2.rmw import domain_of
+    from fleet.ros2.session import open_ros_session
+    from fleet.view.source import LiveSource
+    from netem.wire.session import quiet_zenoh
+
+    number = domain_of(domain)
+    quiet_zenoh()
+    bus, words = open_ros_session(connect, listen)
+    sessions.append(bus)
+    node = RosNode(bus, translation.maker.types, number, NODE)
+    bridge = RosBridge(node, translation)
+    if isinstance(controlled, LiveSource):
+        offer_control(node, controlled.controlled())
+        line.print("warning: whoever reaches this router can disturb the run: services /fleet/inject and /fleet/heal")
+    else:
+        line.print("nodes can watch; --control would let them disturb a live run, too")
+    line.print(f"ROS 2: domain {number}, {words}")
+    click.echo(f"{number} {bus.endpoint}")
+    return bridge
+
+
+def _serve_run(
+    source: LiveSource, distro: str, line: StatusLine, open_bridge: Callable[[Translation, list[object]], RosBridge]
+) -> None:
+    from fleet.replay.live_journal import LiveJournal
+    from fleet.ros2.bridge import schemas_of, show_run
+    from fleet.ros2.translation import Translation
+    from fleet.ros2.types import types_of
+    from netem.wire.session import quiet_zenoh
+
+    types = types_of(distro)
+    quiet_zenoh()
+    line.print(f"the live run in {source.directory}")
+    with ending() as sessions, exit_status(3):
+        journal = LiveJournal.connect(source.observed, source.directory.name)
+        sessions.append(journal)
+        bridge = open_bridge(Translation(types, schemas_of(journal)), sessions)
+        show_run(bridge, journal, source, line)
+        line.print(f"the run is over; its log: fleet ros2 {source.directory}")
+
+
+def _serve_log(
+    source: LogSource,
+    distro: str,
+    line: StatusLine,
+    open_bridge: Callable[[Translation, list[object]], RosBridge],
+    rate: float,
+    *,
+    loop: bool,
+) -> None:
+    from fleet.logs.tape import Tape
+    from fleet.ros2.bridge import play_log
+    from fleet.ros2.translation import Translation
+    from fleet.ros2.types import types_of
+    from fleet.terminal.keyboard import Keyboard
+    from fleet.terminal.progress import showing
+    from fleet.view.feed import checks_judged
+
+    types = types_of(distro)
+    with showing(f"reading {source.path}") as tell:
+        tape = Tape(source.path, tell)
+    translation = Translation(types, {c.topic: tape.schemas.get(c.schema_id) for c in tape.channels.values()})
+    if not translation.vehicles:
+        raise FleetError(f"{source.path} holds nothing that has a topic in ROS 2: it is no log of a run")
+    with ending() as sessions, exit_status(3):
+        if tape.missing:
+            line.print(f"warning: {source.path}: {tape.missing}")
+        bridge = open_bridge(translation, sessions)
+        line.print(f"playing {source.path}")
+        with Keyboard() as keyboard:
+            play_log(bridge, tape, keyboard, line, rate=rate, loop=loop)
+        if (judged := checks_judged(source.path)) is not None:
+            bridge.checks(judged["rows"])
+
+
+@contextmanager
+def bridge_process(*, asked: bool) -> Iterator[BridgeProcess | None]:
+    """The bridge of the run that is made within, where one is asked for; it is to be started when that is published."""
+    if not asked:
+        yield None
+        return
+    from contextlib import closing
+
+    from fleet.ros2.process import BridgeProcess
+    from fleet.ros2.types import types_of
+
+    types_of()
+    with closing(BridgeProcess()) as bridge:
+        yield bridge
+
+
+def _write_interfaces(folder: Path) -> None:
+    from fleet.ros2.types import INTERFACES
+
+    place = folder / INTERFACES.name
+    if place.exists():
+        raise FleetError(f"{place} exists already")
+    try:
+        shutil.copytree(INTERFACES, place)
+    except OSError as error:
+        raise FleetError(f"cannot write {place}: {error.strerror or error}") from None
+    click.echo(place)
+
+
+COMMANDS = (ros2,)

@@ -18,7 +18,7 @@ from math import nan
 from typing import Any
 
 from agents import compact
-from agents.brain import HEARD_SIZE, Brain
+from agents.brain import Brain
 from agents.config import AgentConfig
 from agents.controllers import build
 from agents.decision import Decision
@@ -27,6 +27,8 @@ from agents.following import followed
 from agents.laws.consensus import consensus_error
 from agents.laws.kinematics import earth_velocity
 from agents.laws.velocity_command import clip
+from agents.localization import payload as located
+from agents.localization.localizer import Localizer
 from agents.neighbours import AHEAD_S, NeighbourTable
 from agents.payload import StateMessage, encode
 from agents.sample import Sample
@@ -58,11 +60,15 @@ class Agent(Brain):
         self._first_tick: int | None = None  # of an agent on standby: since when it could have heard neighbours
         self._standby_ticks = round(config.standby_after_s / self._tick_s)
         self._ahead_ticks = round(AHEAD_S / self._tick_s)
+        # Without `localization` it has the navigator's position, and knows whether that had a fix of late.
+        self._localizer = Localizer(config) if config.codec == "located" else None
         self._out_of_range = False  # whether a state did not fit into the compact payload
         self.course: Motion | None = None  # where to be and how to move at the next sample, alone; None: in formation
 
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:
         """The payloads to every neighbour: own position and velocity over ground at this tick, and the own time."""
+        if self._localizer is not None:
+            nav = self._localizer.located(nav)
         eta, nu = self._measured(nav)
         phi = nav.roll[0] if nav.roll else 0.0
         now = nav.tick if nav.clock_ns is None else nav.clock_ns // self.config.tick_ns
@@ -70,10 +76,14 @@ class Agent(Brain):
         if self.config.codec == "full":
             return (encode(message),)
         try:
+            if self._localizer is not None:
+                return (located.encode(self._localizer.message(message)),)
             return (compact.encode(message, self.config.round_ticks),)
         except compact.OutOfRange as error:
             if not self._out_of_range:
-                self._notes.append((nav.tick, f"a state that the compact payload cannot hold is not sent: {error}"))
+                self._notes.append(
+                    (nav.tick, f"a state that the {self.config.codec} payload cannot hold is not sent: {error}")
+                )
             self._out_of_range = True
             return ()
 
@@ -87,6 +97,9 @@ class Agent(Brain):
         Raises:
             ControllerError: the measurement is not finite, time went back, or a law failed and `on_error` is not coast.
         """
+        if self._localizer is not None:
+            deliveries = list(deliveries)
+            nav = self._localizer.absorb(nav, deliveries)
         tick = nav.tick
         config = self.config
         eta, nu = self._measured(nav)
@@ -107,7 +120,9 @@ class Agent(Brain):
                 desired = config.desired(t)
             b = self._standby_weight(tick, now) if config.standby_for else config.reference_weight
             e, c = consensus_error(eta[:3], desired.position, b, heard)
-        known = (*e, float(len(heard)), float(self._neighbours.rejected))
+        known: tuple[float, ...] = (*e, float(len(heard)), float(self._neighbours.rejected))
+        if self._localizer is not None and config.localization is not None:
+            known = (*known, *self._localizer.telemetry())
         demand: Vec3 = (0.0, 0.0, 0.0)
         telemetry: tuple[float, ...] = known
         if not self._failed:
@@ -122,7 +137,7 @@ class Agent(Brain):
                 self._coast(error)
                 demand = (0.0, 0.0, 0.0)
         if self._failed:
-            telemetry = known + (nan,) * (self.layout.size - HEARD_SIZE)
+            telemetry = known + (nan,) * (self.layout.size - len(known))
         self._last_tick = tick
         low, high = self._tau_limits
         return Decision(clip(demand, low, high), telemetry)
@@ -156,14 +171,16 @@ class Agent(Brain):
 
     def state(self) -> dict[str, Any]:
         """Everything that the next sample depends on, as plain MessagePack values."""
-        standby = {"standby": [self._first_tick, self._leads]} if self.config.standby_for else {}
+        more = {"standby": [self._first_tick, self._leads]} if self.config.standby_for else {}
+        if self._localizer is not None:
+            more["localizer"] = self._localizer.state()
         return {
             "last_tick": self._last_tick,
             "failed": self._failed,
             "unsaid": self._out_of_range,
             "neighbours": self._neighbours.state(),
             "controller": self._controller.state(),
-            **standby,
+            **more,
         }
 
     def restore(self, values: dict[str, Any]) -> None:
@@ -175,3 +192,5 @@ class Agent(Brain):
         self._controller.restore(values["controller"])
         if self.config.standby_for:
             self._first_tick, self._leads = values.get("standby", (None, False))
+        if self._localizer is not None and "localizer" in values:  # not in the memory of a run without
+            self._localizer.restore(values["localizer"])

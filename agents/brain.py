@@ -9,11 +9,9 @@ from agents.config import AgentConfig
 from agents.controllers import layout
 from agents.decision import Decision, Step
 from agents.errors import ControllerError
-from agents.signals import HEARD, SignalLayout
+from agents.signals import SignalLayout
 from netem.wire.messages import Delivery, Nav
 from world.vectors import Vec3, Vec5
-
-HEARD_SIZE = sum(signal.width for signal in HEARD)
 
 
 class Brain:

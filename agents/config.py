@@ -20,7 +20,8 @@ Extrapolation = Literal["hold", "neighbour", "reference"]
 Cost = Literal["printed", "consistent"]
 Angles = Literal["printed", "exact"]
 OnError = Literal["abort", "coast", "die"]
-Codec = Literal["full", "compact"]
+Codec = Literal["full", "compact", "located"]
+Method = Literal["aid", "naive", "consistent"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +98,14 @@ class KeepApartParams:
 
 
 @dataclass(frozen=True, slots=True)
+class LocalizationParams:
+    """How a vehicle uses ranges to others (agents/localization/localizer.py)."""
+
+    method: Method
+    gate: float  # chi-square with 1 degree of freedom: a range that fits worse is refused
+
+
+@dataclass(frozen=True, slots=True)
 class Law:
     """A law by name (one that ships, `module:Class`, or an entry point) and what it is made with."""
 
@@ -129,11 +138,12 @@ class AgentConfig:
     agent: Law | None = None  # in place of everything
     on_error: OnError = "abort"  # what follows when a law fails
     budget_s: float = 0.0  # wall time a law may take for a sample; 0: any
-    codec: Codec = "full"  # of what it sends to its neighbours: agents.payload or agents.compact
+    codec: Codec = "full"  # of what it sends: agents.payload, agents.compact or agents.localization.payload
     memory_ticks: int = 0  # how often it sends all that it remembers to the world; 0: never
     standby_for: tuple[int, ...] = ()  # while it hears none of these neighbours it follows the reference itself
     standby_after_s: float = 0.0  # for so long
     keep_apart: KeepApartParams | None = None  # between guidance and tracking; None: nothing is there
+    localization: LocalizationParams | None = None  # between navigation and guidance; None: nothing is there
 
     def desired(self, t: float) -> Motion:
         """Where this vehicle should be at time t [s], and how it should move: pd_i = eta_1^d + p_i and its rate.

@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol
 
-from agents.config import AgentConfig, KeepApartParams, Law
+from agents.config import AgentConfig, KeepApartParams, Law, LocalizationParams
 from agents.laws.backstepping import BacksteppingTracking, NeurodynamicTracking, SlidingModeTracking
 from agents.laws.guidance import FixedGuidance, OptimalGuidance
 from agents.laws.keep_apart import KeepApart
 from agents.laws.velocity_command import direction_command, floor_speed
+from agents.localization.localizer import Localizer
 from agents.neighbours import NeighbourTable
 from agents.plugins.fenced_law import FencedLaw
 from agents.plugins.laws import load
@@ -90,6 +91,8 @@ class LawChoice(Protocol):
     def tracking_law(self) -> Law: ...
     @property
     def keep_apart(self) -> KeepApartParams | None: ...
+    @property
+    def localization(self) -> LocalizationParams | None: ...
 
 
 def laws(config: LawChoice) -> dict[str, Law]:
@@ -110,10 +113,11 @@ def layout(config: LawChoice) -> SignalLayout:
     signals = {kind: law_class(kind, law).signals for kind, law in laws(config).items()}
     if "agent" in signals:
         return SignalLayout((), signals["agent"])
+    known = HEARD if config.localization is None else (*HEARD, *Localizer.signals)
     if "controller" in signals:
-        return SignalLayout(HEARD, signals["controller"])
+        return SignalLayout(known, signals["controller"])
     keep_apart = () if config.keep_apart is None else KeepApart.signals
-    return SignalLayout((*HEARD, *COMMANDED, *signals["guidance"], *keep_apart), signals["tracking"])
+    return SignalLayout((*known, *COMMANDED, *signals["guidance"], *keep_apart), signals["tracking"])
 
 
 class FencedController:

@@ -27,6 +27,8 @@ from agents.compact import decode as decode_compact
 from agents.config import Codec, Extrapolation, Neighbour
 from agents.errors import PayloadError
 from agents.laws.keep_apart import Seen
+from agents.localization.payload import decode as decode_located
+from agents.localization.payload import is_located
 from agents.offset import Offset
 from agents.payload import CAUSES, StateMessage, decode
 from agents.sample import NeighbourState
@@ -98,7 +100,9 @@ class NeighbourTable:
 
     def _absorb(self, delivery: Delivery, now: int, ahead: int) -> str:
         try:
-            if self._compact_round:
+            if is_located(delivery.payload):
+                message = decode_located(delivery.payload).state
+            elif self._compact_round:
                 message = decode_compact(delivery.payload, now, self._compact_round, ahead)
             else:
                 message = decode(delivery.payload)

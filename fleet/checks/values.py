@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Protocol
 
 from fleet.checks.belief import belief_values
+from fleet.checks.located import located_values
 from fleet.scenario.sections.signals import ROLL
 from netem.wire.messages import Command, Frame, VehicleFrame
 from world.vectors import Vec3
@@ -50,6 +51,8 @@ def values_of(group: str, row: VehicleFrame, command: Command | None, error: Err
             return tuple(row.nav)
         case "belief":
             return belief_values(row, error)
+        case "located":
+            return () if command is None else located_values(row, command.telemetry)
         case "error":
             return (*error.e, error.e_norm, *error.formation, error.formation_norm)
         case "command":

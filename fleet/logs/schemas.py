@@ -58,8 +58,9 @@ def signal_columns(declared: tuple[Signal, ...]) -> tuple[MessageField, ...]:
     return tuple(MessageField(s.name, s.unit, s.meaning, 0 if s.width == 1 else s.width) for s in declared)
 
 
-STATE, ROLL, COMMAND, ERROR, CLOCK_ERROR, BELIEF = map(
-    signal_columns, (signals.STATE, signals.ROLL, signals.COMMAND, signals.ERROR, signals.CLOCK, signals.BELIEF)
+STATE, ROLL, COMMAND, ERROR, CLOCK_ERROR, BELIEF, LOCATED = map(
+    signal_columns,
+    (signals.STATE, signals.ROLL, signals.COMMAND, signals.ERROR, signals.CLOCK, signals.BELIEF, signals.LOCATED),
 )
 FIX = (
     MessageField("source", "", "gps, usbl or lbl", type=STRING),
@@ -106,7 +107,7 @@ OURS = {
             ("Error", ERROR),
             ("Clock", CLOCK_ERROR),
         ),
-        *(("Belief", BELIEF), ("Fix", FIX)),
+        *(("Belief", BELIEF), ("Fix", FIX), ("Located", LOCATED)),
         *(("Fault", FAULT), ("Snapshot", SNAPSHOT), ("Packet", PACKET), ("RangedPacket", RANGED)),
     )
 }

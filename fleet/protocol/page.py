@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from inspect import getdoc
 
 from agents import compact, payload
+from agents.localization import payload as located
 from fleet.protocol import slice_fields
 from netem.wire.access import LEASE_MS
 from netem.wire.messages import PROTOCOL_VERSION
@@ -141,6 +142,7 @@ def page() -> str:
         parts.append(f"### `{name}`\n\n{getdoc(enum)} One of these texts: {', '.join(f'`{text}`' for text in enum)}.\n")
     parts.append(f"## The payload of our own agents\n\nOpaque to the network.\n\n{getdoc(payload)}\n")
     parts.append(f"### The compact payload\n\n{getdoc(compact)}\n")
+    parts.append(f"### The located payload\n\n{getdoc(located)}\n")
     return "\n".join(parts)
 
 

@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
-from agents.config import AgentConfig, Cylinder, GuidanceParams, KeepApartParams, Law, Neighbour, TrackingParams
+from agents.config import (
+    AgentConfig,
+    Cylinder,
+    GuidanceParams,
+    KeepApartParams,
+    Law,
+    LocalizationParams,
+    Neighbour,
+    TrackingParams,
+)
 from agents.offset import Offset, OffsetChange
 from agents.trajectory import Circle, Path, StraightLine
 from world.vehicle import VehicleParams
@@ -38,11 +47,12 @@ FIELDS: dict[type, dict[str, Meaning]] = {
         "agent": ("Law or null", "", _LAWS),
         "on_error": ("str", "", "abort, coast or die: what ours does when a law fails"),
         "budget_s": ("real", "s", "wall time that a law of ours may take for a sample; 0: any"),
-        "codec": ("str", "", "full or compact: which payload the scenario wants, at the end of this page"),
+        "codec": ("str", "", "full, compact or located: which payload the scenario wants, at the end of this page"),
         "memory_ticks": ("uint", "tick", "between two `memory` messages, which yours may leave out; 0: none"),
         "standby_for": ("uint[*]", "", "neighbours; while it hears none of them it follows the reference itself"),
         "standby_after_s": ("real", "s", "for so long it must not have heard them"),
         "keep_apart": ("KeepApartParams or null", "", "what keeps vehicles apart; yours may do the same"),
+        "localization": ("LocalizationParams or null", "", "how ranges to others are used; yours may do the same"),
     },
     Neighbour: {
         "id": ("uint", "", "the neighbour's number j, `src` of its deliveries"),
@@ -98,6 +108,10 @@ FIELDS: dict[type, dict[str, Meaning]] = {
         "north": ("real", "m", "of the axis"),
         "east": ("real", "m", ""),
         "radius": ("real", "m", ""),
+    },
+    LocalizationParams: {
+        "method": ("str", "", "aid, naive or consistent"),
+        "gate": ("real", "1", "chi-square with 1 degree of freedom: a range that fits worse is refused"),
     },
     VehicleParams: {
         "m": ("real", "kg", "mass"),

@@ -18,20 +18,35 @@ from numpy.typing import NDArray
 from agents.signals import SignalLayout
 from fleet.checks.belief import SIZE as BELIEF_SIZE
 from fleet.checks.belief import belief_values
+from fleet.checks.located import SIZE as LOCATED_SIZE
+from fleet.checks.located import located_values
 from fleet.logs.batch import HEAD, MESSAGE, STAMP_BYTES, Batch
-from fleet.logs.schemas import BELIEF, CLOCK_ERROR, COMMAND, ERROR, ROLL, STATE, Doubles, pose_parts, signal_columns
+from fleet.logs.schemas import (
+    BELIEF,
+    CLOCK_ERROR,
+    COMMAND,
+    ERROR,
+    LOCATED,
+    ROLL,
+    STATE,
+    Doubles,
+    pose_parts,
+    signal_columns,
+)
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.transforms import quaternion
+from fleet.scenario.sections.signals import locates
 from fleet.scene.primitives import NED
 from netem.wire.messages import Command, Frame
 from world.signal import Signal, width_of
 
 # The doubles of one vehicle: the number of each kind's first one. Telemetry comes behind them, since its size is the
 # agent's, then what only a vehicle with a plant has: phi, p, the values of the plant's signals, measured phi, p. Last
-# is the belief of a vehicle that does not know where it is.
+# is the belief of a vehicle that does not know where it is, and where it is by ranges.
 _STATE, _NAV, _COMMAND, _ERROR, _QUATERNION, _CLOCK, _TELEMETRY = 0, 10, 20, 26, 34, 38, 39
 _VALUES = Struct(f"<{_TELEMETRY}d").pack_into  # all but telemetry
 _BELIEF = Struct(f"<{BELIEF_SIZE}d").pack_into
+_LOCATED = Struct(f"<{LOCATED_SIZE}d").pack_into
 _NO_NAV: tuple[float, ...] = (0.0,) * 10
 _NO_ROLL: tuple[float, ...] = (0.0,) * 2
 _NO_TAU: tuple[float, ...] = (0.0,) * 3
@@ -81,6 +96,7 @@ class _Slot(NamedTuple):
     plant: Callable[..., None] | None  # packs what its plant adds; None: it has none
     behind: int  # where that begins
     believed: int  # where its belief begins; 0: it knows where it is
+    located: int  # where its position by ranges begins; 0: it uses none
     kind: int  # what it reports: a number among those that differ
 
 
@@ -121,10 +137,18 @@ class TickMessages:
             added = 0 if kind.plant is None else 2 * len(ROLL) + width_of(kind.plant)
             telemetry, plant = (Struct(f"<{size}d").pack_into for size in (kind.agent.size, added))
             believed = behind + 8 * added
+            located = believed + 8 * (BELIEF_SIZE if kind.navigates else 0)
+            ranged = locates(kind.agent)
             self._slots[i] = _Slot(
-                place, telemetry, plant if added else None, behind, believed if kind.navigates else 0, number[kind]
+                place,
+                telemetry,
+                plant if added else None,
+                behind,
+                believed if kind.navigates else 0,
+                located if ranged else 0,
+                number[kind],
             )
-            place = believed + 8 * (BELIEF_SIZE if kind.navigates else 0)
+            place = located + 8 * (LOCATED_SIZE if ranged else 0)
         self._pool = bytearray(place)
         self._constants: dict[bytes, int] = {}  # their places
         self._size, self._added = place, list[bytes]()  # of the pool with what is still to be put at its end
@@ -151,13 +175,13 @@ class TickMessages:
             stamp: the same, as `fleet.logs.schemas.stamp_field` writes it.
         """
         pool, there = self._pool, []
-        reported = "guidance" in groups or "control" in groups
+        reported = "guidance" in groups or "control" in groups or "located" in groups
         for row in frame.vehicles:
             i, eta, nav = row.id, row.eta, row.nav
             command = commands.get(i)
             tau, applied = (_NO_TAU, _NO_TAU) if command is None else (command.tau, row.tau)
             e, e_norm, formation, formation_norm = errors[i]
-            place, pack_telemetry, pack_plant, behind, believed, _ = self._slots[i]
+            place, pack_telemetry, pack_plant, behind, believed, located, _ = self._slots[i]
             if believed and nav:
                 _BELIEF(pool, believed, *belief_values(row, errors[i]))
             phi = 0.0
@@ -172,6 +196,8 @@ class TickMessages:
             telemetry = reported and command is not None and command.telemetry
             if telemetry:
                 pack_telemetry(pool, place + 8 * _TELEMETRY, *telemetry)
+                if located:
+                    _LOCATED(pool, located, *located_values(row, telemetry))
             there.append((i, bool(nav), command is not None, bool(telemetry)))
         _STAMP(pool, 0, at_ns, frame.tick)
         pool[_TIMESTAMP : _TIMESTAMP + len(stamp)] = stamp
@@ -197,7 +223,8 @@ class TickMessages:
         for group in groups:
             topics = self._topics[group]
             for i, nav, command, telemetry in there:
-                has = {"nav": nav, "belief": nav, "command": command, "guidance": telemetry, "control": telemetry}
+                has = {"nav": nav, "belief": nav, "command": command}
+                has |= dict.fromkeys(("guidance", "control", "located"), telemetry)
                 if i in topics and has.get(group, True):
                     messages.append((topics[i].channel, *self._message(group, i, stamp)))
         none = [np.empty(0, np.int32)]
@@ -250,10 +277,12 @@ class TickMessages:
 
 def _parts(group: str, kind: _Kind) -> list[bytes | int]:
     """The parts of a message of a topic group."""
-    agent, plant, _ = kind
-    if group == "belief":
-        size = 0 if plant is None else 2 * len(ROLL) + width_of(plant)
-        return Doubles(BELIEF, _TELEMETRY + agent.size + size).parts
+    agent, plant, navigates = kind
+    if group in ("belief", "located"):
+        behind = _TELEMETRY + agent.size + (0 if plant is None else 2 * len(ROLL) + width_of(plant))
+        if group == "belief":
+            return Doubles(BELIEF, behind).parts
+        return Doubles(LOCATED, behind + (BELIEF_SIZE if navigates else 0)).parts
     if group in ("guidance", "control"):
         return Doubles(signal_columns(getattr(agent, group)), _TELEMETRY + agent.group(group).start).parts
     if plant is None or group not in ("state", "nav", "plant"):

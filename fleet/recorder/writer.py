@@ -31,6 +31,7 @@ from fleet.logs.schemas import (
     FIX,
     FROM,
     FROM_TICK,
+    LOCATED,
     PACKET,
     RANGED,
     ROLL,
@@ -53,7 +54,7 @@ from fleet.recorder.tick_messages import TickMessages, VehicleTopic
 from fleet.recorder.transforms import TRANSFORMS_UNITS, Transforms
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.log_rates import without_snapshots
-from fleet.scenario.sections.signals import OF_NAVIGATION, OF_THE_CLOCK, OF_THE_PLANT
+from fleet.scenario.sections.signals import OF_LOCALIZATION, OF_NAVIGATION, OF_THE_CLOCK, OF_THE_PLANT, locates
 from fleet.scenario.sections.timeline import Event
 from netem.clock import Clock
 from netem.wire.messages import Command, Fate, Frame
@@ -191,6 +192,8 @@ class LogWriter:
                 found[OF_THE_PLANT][i] = made[name, signals]
         if navigating := [i for i in ids if self._scenario.belief(i)]:
             found[OF_NAVIGATION] = dict.fromkeys(navigating, flat_schema("Belief", BELIEF))
+        if locating := [i for i in ids if locates(self._scenario.layout(i))]:
+            found[OF_LOCALIZATION] = dict.fromkeys(locating, flat_schema("Located", LOCATED))
         return found
 
     def _topic(self, name: str, schema: Schema) -> VehicleTopic:

@@ -284,6 +284,7 @@ class Scenario:
             standby_for=standby,
             standby_after_s=0.0 if spec.graph.standby is None else spec.graph.standby.after / 1e9,
             keep_apart=control.keep_apart,
+            localization=control.localization,
         )
 
     def standby_for(self, i: int) -> tuple[int, ...]:

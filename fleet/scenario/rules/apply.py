@@ -59,6 +59,7 @@ RULES: tuple[Callable[[Parts, Report], None], ...] = (
     checks.recovery_time,
     laws.laws,
     plants.plants,
+    navigation.localization,
     navigation.faults,
     checks.signal,
     checks.python,

@@ -12,7 +12,7 @@ from fleet.scenario.sections.data_files import DataFileError
 from fleet.scenario.sections.navigation import DEFAULTS, KINDS, NUMBERS, grade_of, grade_problems, navigation_of
 from fleet.scenario.sections.timeline import action, vehicles_of
 from netem.fault_kinds import WorldFaultKind
-from world.navigation.config import DeadReckoning, Navigation
+from world.navigation.config import DeadReckoning, Navigation, NavigationTrace
 from world.navigation.instrument_faults import KINDS as KINDS_OF_FAULT
 
 MOST_UNDER_WAY = 20  # fixes: the filter keeps a past position for each
@@ -66,6 +66,25 @@ def _fixes(parts: Parts, report: Report, path: tuple[str, ...], kind: Any, secti
     elif delay > MOST_UNDER_WAY * period:
         text = f"{show_time(delay)} is more than {MOST_UNDER_WAY} periods of {show_time(period)}"
         report.add((*path, "delay"), text, "give a longer period")
+
+
+def localization(parts: Parts, report: Report) -> None:
+    """Localisation has ranges, messages that say how sure their sender is, and a covariance of its own."""
+    network = parts.spec.network
+    for parent, section in parts.sections("agent"):
+        if section is None or section.localization is None:
+            continue
+        path = (*parent, "agent", "localization")
+        if network.acoustic is None or network.acoustic.ranging is None:
+            hint = "network.acoustic.ranging: one-way"
+            report.add(path, "has no effect: modems measure no ranges", hint, key=True)
+        if network.payload != "located":
+            hint = "network.payload: located"
+            report.add(path, "has no effect: messages do not say how sure their sender is", hint, key=True)
+    for i, control in enumerate(parts.controls, start=1):
+        if control.localization is not None and isinstance(control.navigation, NavigationTrace):
+            text = f"vehicle {i} has localisation, but its navigation replays a trace, which has no covariance"
+            report.add(("navigation",) if report.has(("navigation",)) else ("per_vehicle",), text, "give it a grade")
 
 
 def faults(parts: Parts, report: Report) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, PlainSerializer
 
-from agents.config import Angles, Cost, Extrapolation
+from agents.config import Angles, Cost, Extrapolation, Method
 from fleet.scenario.schema.clock import ClockSection
 from fleet.scenario.schema.navigation import NavigationChoice
 from fleet.scenario.schema.section import Section, named
@@ -84,12 +84,25 @@ class TrackingSection(Section):
     u_eps: PositiveSpeed | None = None
 
 
+class LocalizationSection(Section):
+    """How ranges to others correct the position that the navigator believes."""
+
+    method: Method
+    gate: PositiveNumber = 10.83  # chi-square with 1 degree of freedom, 99.9 %
+
+
+def _localization(value: Any) -> Any:
+    """Localisation may be given by its method alone."""
+    return {"method": value} if isinstance(value, str) else value
+
+
 class AgentSection(Section):
-    """A whole agent in place of the laws, and the clock of the vehicle's agent, whichever it is."""
+    """A whole agent in place of the laws, and the clock and the localisation of the agent, whichever it is."""
 
     law: str | None = None
     parameters: dict[str, Any] | None = None
     clock: ClockSection | None = None
+    localization: Annotated[LocalizationSection | None, BeforeValidator(_localization)] = None
 
 
 def _show_agent(section: AgentSection | None) -> Any:
@@ -132,6 +145,11 @@ class VehicleOverrides(Section):
     def whole_agent(self) -> AgentSection | None:
         """The agent that is in place of the laws; None: there is none."""
         return None if self.agent is None or self.agent.law is None else self.agent
+
+    @property
+    def localization(self) -> LocalizationSection | None:
+        """How it uses ranges; None: not at all."""
+        return None if self.agent is None else self.agent.localization
 
     @property
     def clock(self) -> ClockSection | None:

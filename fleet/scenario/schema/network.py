@@ -206,5 +206,7 @@ def show_network(network: NetworkSection) -> Any:
         modem = {"modem": network.acoustic.modem}
         shown["acoustic"] = modem | network.acoustic.model_dump(exclude_none=True, exclude_defaults=True)
     return (
-        shown | ({"links": links} if links else {}) | ({"payload": "compact"} if network.payload == "compact" else {})
+        shown
+        | ({"links": links} if links else {})
+        | ({"payload": network.payload} if network.payload != "full" else {})
     )

@@ -62,6 +62,7 @@ class LogSection(Section):
     plant: Ticks | None = None  # what plants report
     clock: Ticks | None = None  # errors of clocks
     belief: Ticks | None = None  # of vehicles that do not know where they are
+    located: Ticks | None = None  # of vehicles that use ranges
     transforms: TicksOrNever | None = None  # of all vehicles, about 10 Hz; 0 ticks: never
     scene: TicksOrNever | None = None  # hulls, links, places for 3D viewers, about 2 Hz; 0 ticks: never
     snapshot: Time | None = None  # of all that determines the rest of the run; about 10 s; 0 s: none

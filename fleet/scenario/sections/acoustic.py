@@ -21,6 +21,7 @@ from typing import TypeVar
 
 from agents import compact, payload
 from agents.config import Codec
+from agents.localization import payload as located
 from agents.offset import Offset
 from fleet.scenario.schema.network import AcousticSection, FadingSection, ModemSection, NetworkSection, RangingSection
 from fleet.scenario.sections.aloha import Talking, talking
@@ -37,7 +38,7 @@ DEFAULT_REQUEST = 4  # bytes, of two-way ranging
 _Modem = TypeVar("_Modem", bound=ModemSection)
 _KEYS = (*NUMBERS, *CURVES)
 _TIMES = ("preamble", "processing", "timeout")  # nanoseconds in a section
-SIZES: dict[Codec, int] = {"full": payload.SIZE, "compact": compact.SIZE}
+SIZES: dict[Codec, int] = {"full": payload.SIZE, "compact": compact.SIZE, "located": located.SIZE}
 
 
 def modem_values(section: ModemSection, folder: Path | None) -> Values:

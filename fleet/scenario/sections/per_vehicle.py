@@ -8,13 +8,14 @@ from functools import reduce
 from pathlib import Path
 from typing import Any
 
-from agents.config import Extrapolation, GuidanceParams, KeepApartParams, Law, TrackingParams
+from agents.config import Extrapolation, GuidanceParams, KeepApartParams, Law, LocalizationParams, TrackingParams
 from agents.controllers import CONTROLLERS, GUIDANCE, TRACKING
 from agents.profiles import profile
 from fleet.scenario.schema.control import (
     AgentSection,
     GuidanceSection,
     LawSection,
+    LocalizationSection,
     TrackingSection,
     VehicleOverrides,
 )
@@ -61,6 +62,7 @@ class Control:
     knows_reference: bool  # also if it does not follow it
     keep_apart: KeepApartParams | None  # of all vehicles
     navigation: Navigation | None  # None: it knows where it is
+    localization: LocalizationParams | None  # None: it uses no ranges
 
     def plant_signals(self) -> tuple[Signal, ...] | None:
         """What its plant reports; None: it has none. Raises PluginError: it cannot be used."""
@@ -102,8 +104,9 @@ def _over(below: VehicleOverrides, above: VehicleOverrides) -> VehicleOverrides:
     # A controller chosen here replaces the agent and the laws that were chosen below it.
     if above.controller is not None:
         if above.whole_agent is None:
-            clock = None if values["agent"] is None else values["agent"].clock
-            values["agent"] = None if clock is None else AgentSection(clock=clock)
+            below_it = values["agent"] or AgentSection()
+            kept = AgentSection(clock=below_it.clock, localization=below_it.localization)
+            values["agent"] = None if kept == AgentSection() else kept
         for key in ("guidance", "tracking"):
             section = getattr(above, key)
             if section is None or section.law is None:
@@ -117,7 +120,7 @@ def _over_agent(below: AgentSection, above: AgentSection) -> AgentSection:
     low, high = below.clock, above.clock
     if low is not None and high is not None:
         high = low.model_copy(update=given(high))
-    return law.model_copy(update={"clock": high or low})
+    return law.model_copy(update={"clock": high or low, "localization": above.localization or below.localization})
 
 
 def law_names(choice: VehicleOverrides) -> tuple[str, str] | None:
@@ -169,7 +172,12 @@ def control(
         knows_reference=choice.knows_reference is not False,
         keep_apart=keep_apart,
         navigation=navigation,
+        localization=_localization(choice.localization),
     )
+
+
+def _localization(section: LocalizationSection | None) -> LocalizationParams | None:
+    return None if section is None else LocalizationParams(section.method, section.gate)
 
 
 def _law(section: LawSection | AgentSection | None) -> Law | None:

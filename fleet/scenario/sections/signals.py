@@ -16,11 +16,12 @@ from enum import IntEnum
 from math import hypot
 from typing import NamedTuple
 
-from agents.signals import SignalLayout
+from agents.localization.localizer import Localizer
+from agents.signals import HEARD, SignalLayout
 from fleet.errors import FleetError
 from netem.parsing import nearest
 from world.navigation.config import Navigation, NavigationTrace
-from world.signal import Signal
+from world.signal import Signal, width_of
 
 STATE = tuple(
     Signal(name, unit, meaning)
@@ -52,6 +53,14 @@ BELIEF = (
     Signal("formation", "m", "believed position minus desired position, NED", 3),
     Signal("formation_norm", "m", "its Euclidean norm"),
 )
+LOCATED = (
+    Signal("place", "m", "position by its navigator and by ranges, NED", 3),
+    Signal("covariance", "m^2", "of its north and east: nn, ne, ee", 3),
+    Signal("sd", "m", "standard deviation of north and east", 2),
+    Signal("off", "m", "that position minus the true one, north and east", 2),
+    Signal("off_norm", "m", "its Euclidean norm"),
+    Signal("nees", "1", "its normalised square; of a consistent estimate chi-square with 2 degrees of freedom"),
+)
 CLOCK = (Signal("error", "s", "by how much its clock is ahead of simulated time"),)  # of a vehicle whose clock is set
 _ALWAYS = {"state": STATE, "nav": STATE, "command": COMMAND, "error": ERROR}
 OF_THE_LAWS = ("guidance", "control")  # groups whose signals the laws of a vehicle declare
@@ -59,7 +68,9 @@ OF_THE_PLANT = "plant"  # the group whose signals the plant of a vehicle declare
 OF_THE_CLOCK = "clock"
 OF_NAVIGATION = "belief"  # the group of a vehicle that does not know where it is
 OF_A_FILTER = frozenset(f"{OF_NAVIGATION}.{name}" for name in ("sd", "sd_psi", "covariance", "nees"))
-GROUPS = (*_ALWAYS, OF_THE_CLOCK, OF_THE_PLANT, OF_NAVIGATION, *OF_THE_LAWS)
+OF_LOCALIZATION = "located"  # the group of a vehicle whose agent uses ranges
+WHERE_LOCATED = slice(width_of(HEARD), width_of(HEARD) + 6)  # in the telemetry: position and covariance
+GROUPS = (*_ALWAYS, OF_THE_CLOCK, OF_THE_PLANT, OF_NAVIGATION, OF_LOCALIZATION, *OF_THE_LAWS)
 
 # A signal within a larger pattern, such as that of a measure; `read_name` makes a name of the match.
 SIGNAL = r"(?P<bar>\|)?\s*(?:uuv/(?P<vehicle>\*|[1-9]\d{0,5})/)?(?P<name>[A-Za-z]\w*\.\w+)\s*(?(bar)\|)"
@@ -194,8 +205,15 @@ def _groups(
     if belief is not BeliefKind.NONE:
         groups[OF_NAVIGATION] = 0, BELIEF
     if layout is not None:
+        if locates(layout):
+            groups[OF_LOCALIZATION] = 0, LOCATED
         groups |= {group: (layout.group(group).start, getattr(layout, group)) for group in OF_THE_LAWS}
     return groups
+
+
+def locates(layout: SignalLayout) -> bool:
+    """Whether an agent with this layout reports where it is by ranges."""
+    return layout.guidance[len(HEARD) :][:2] == Localizer.signals[:2]
 
 
 def unit_of(signal: SignalName, vehicles: Iterable[Mapping[str, SignalPlace]]) -> str:

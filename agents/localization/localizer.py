@@ -1,0 +1,177 @@
+"""Where a vehicle is, by its own navigator and by ranges to others that say where they are.
+
+It holds a horizontal position with its covariance; the depth is that of the pressure sensor. Between two samples the
+position moves by the velocity that the navigator believes, and the covariance grows by as much as the navigator's did.
+That is on the safe side: of an error that lasts, such as that of the heading, the growth includes what is common to
+the way before. When the navigator becomes surer than this estimate, for instance by a fix, its estimate is taken over
+as a whole, which is consistent whatever was fused before. So a vehicle that hears nobody has its navigator's position.
+
+| method | what is used | as |
+|---|---|---|
+| `aid` | messages of vehicles that had a fix of late and used no ranges (Bahr, Leonard and Fallon 2009) | independent |
+| `naive` | all messages | independent, which they are not: who has used my position tells me mine as news |
+| `consistent` | all messages | of unknown correlation: covariance intersection |
+
+A range is of a past tick, and the sender's position of another one. The own position then is today's minus the way
+since, of which the localiser has a history; the sender's is carried on by its velocity.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from typing import Any
+
+from agents.config import AgentConfig
+from agents.errors import PayloadError
+from agents.laws.kinematics import earth_velocity
+from agents.localization.fusion import Covariance, fused, grown
+from agents.localization.payload import LocatedMessage, decode, is_located
+from agents.payload import StateMessage
+from netem.wire.messages import Delivery, Nav
+from world.signal import Signal
+from world.vectors import Vec3
+
+_HISTORY_S = 60.0  # a range that is older is of no use
+_FRESH_S = 60.0  # a vehicle whose last fix is older is no aid
+_FIX_GAIN = 0.005  # by this share a fix lessens the navigator's variance at least; its other sensors take longer
+_DRIFT_MPS = 0.05  # by which a sender's velocity is off, until the range is measured: an assumption
+_NOTHING: Covariance = (0.0, 0.0, 0.0)
+
+
+class Localizer:
+    """The estimate of one vehicle. Call `located` at every sample, and `absorb` with what has come."""
+
+    signals = (
+        Signal("located", "m", "its position by its navigator and by ranges, NED", 3),
+        Signal("located_covariance", "m^2", "of its north and east: nn, ne, ee", 3),
+        Signal("ranges_used", "1", "ranges that have changed it since the start"),
+        Signal("ranges_refused", "1", "ranges that were refused since the start, because they fit too badly"),
+    )
+
+    def __init__(self, config: AgentConfig) -> None:
+        """Begin; without `config.localization` it has the position of the navigator, and uses no ranges."""
+        self._id = config.id
+        self._tick_s = config.tick_ns / 1e9
+        self._round_ticks = config.round_ticks
+        self._params = config.localization
+        self._tick: int | None = None  # of the last sample
+        self._place = (0.0, 0.0)
+        self._covariance: Covariance = _NOTHING
+        self._depth = 0.0
+        self._own: Covariance = _NOTHING  # of the navigator
+        self._velocity: Vec3 = (0.0, 0.0, 0.0)
+        self._way = (0.0, 0.0)  # since the start
+        self._history: deque[tuple[int, float, float]] = deque()  # tick, and the way until then
+        self._fixed: int | None = None  # tick of the last fix
+        self._alone = True  # no range is in the estimate
+        self.used = 0
+        self.refused = 0
+
+    def located(self, nav: Nav) -> Nav:
+        """The same nav with the position and covariance by all that is known; idempotent within a tick."""
+        if nav.tick != self._tick:
+            self._advance(nav)
+        nn, ne, ee = self._covariance
+        _, _, z, theta, psi = nav.eta
+        own = nav.belief
+        belief = (nn, ne, 0.0, 0.0, ee, 0.0, 0.0, own[7], own[8], own[9]) if own else ()
+        eta = (*self._place, z, theta, psi)
+        return Nav(nav.incarnation, nav.tick, eta, nav.nu, nav.roll, nav.clock_ns, belief)
+
+    def _advance(self, nav: Nav) -> None:
+        x, y, z, theta, psi = nav.eta
+        u, v, w, q, r = nav.nu
+        velocity = earth_velocity((x, y, z, theta, psi), (u, v, w, q, r), nav.roll[0] if nav.roll else 0.0)
+        own: Covariance = (nav.belief[0], nav.belief[1], nav.belief[4]) if nav.belief else _NOTHING
+        if self._tick is not None:
+            span = 0.5 * (nav.tick - self._tick) * self._tick_s
+            dn, de = span * (velocity[0] + self._velocity[0]), span * (velocity[1] + self._velocity[1])
+            self._way = self._way[0] + dn, self._way[1] + de
+            self._place = self._place[0] + dn, self._place[1] + de
+            self._covariance = grown(self._covariance, self._own, own)
+            before = self._own[0] + self._own[2]
+            if own[0] + own[2] < (1.0 - _FIX_GAIN) * before or not nav.belief:
+                self._fixed = nav.tick
+        elif not nav.belief:
+            self._fixed = nav.tick
+        if self._alone or own[0] + own[2] <= self._covariance[0] + self._covariance[2]:
+            self._place, self._covariance, self._alone = (x, y), own, True
+        self._tick, self._own, self._velocity, self._depth = nav.tick, own, velocity, z
+        if nav.tick % self._round_ticks == 0 or not self._history:
+            self._history.append((nav.tick, *self._way))
+            while (nav.tick - self._history[0][0]) * self._tick_s > _HISTORY_S:
+                self._history.popleft()
+
+    def message(self, state: StateMessage) -> LocatedMessage:
+        """What to tell the others, with the position in `state`."""
+        fresh = self._fixed is not None and self._tick is not None
+        if fresh:
+            fresh = self._alone and (self._tick - self._fixed) * self._tick_s <= _FRESH_S  # type: ignore[operator]
+        return LocatedMessage(state, self._covariance, fresh)
+
+    def absorb(self, nav: Nav, deliveries: Iterable[Delivery]) -> Nav:
+        """Use the ranges that have come, and return the nav by all that is known."""
+        self.located(nav)
+        now = nav.tick if nav.clock_ns is None else round(nav.clock_ns / (self._tick_s * 1e9))
+        for delivery in deliveries if self._params is not None else ():
+            if delivery.range_m is None or not is_located(delivery.payload):
+                continue
+            try:
+                message = decode(delivery.payload)
+            except PayloadError:
+                continue  # counted where states are taken
+            if message.state.sender == delivery.src and message.state.sent_tick <= now + 60.0 / self._tick_s:
+                self._use(delivery, message, now - nav.tick)
+        return self.located(nav)
+
+    def _use(self, delivery: Delivery, message: LocatedMessage, ahead: int) -> None:
+        assert delivery.range_m is not None and self._params is not None
+        method = self._params.method
+        ranged = delivery.range_tick
+        if (method == "aid" and not message.fixed) or ranged is None:
+            return
+        then = next((kept for kept in reversed(self._history) if kept[0] <= ranged), None)
+        if then is None:
+            return
+        state = message.state
+        since = (ranged + ahead - state.sent_tick) * self._tick_s  # by clocks that may differ by milliseconds
+        other = state.position[0] + since * state.velocity[0], state.position[1] + since * state.velocity[1]
+        back = self._way[0] - then[1], self._way[1] - then[2]
+        variance = (delivery.range_sd_m or 0.0) ** 2 + (_DRIFT_MPS * since) ** 2
+        found = fused(
+            (self._place[0] - back[0], self._place[1] - back[1]),
+            self._covariance,
+            other,
+            message.covariance,
+            self._depth - state.position[2] - since * state.velocity[2],
+            delivery.range_m,
+            variance,
+            method != "consistent",
+        )
+        if found is None:
+            return
+        if found.nis > self._params.gate:
+            self.refused += 1
+            return
+        self.used += 1
+        self._alone = False
+        self._place, self._covariance = (found.north + back[0], found.east + back[1]), found.covariance
+
+    def telemetry(self) -> tuple[float, ...]:
+        """The values of `signals`."""
+        return (*self._place, self._depth, *self._covariance, float(self.used), float(self.refused))
+
+    def state(self) -> list[Any]:
+        """Everything that the next sample depends on, as plain values."""
+        numbers = [*self._place, *self._covariance, self._depth, *self._own, *self._velocity, *self._way]
+        history = [list(kept) for kept in self._history]
+        return [self._tick, numbers, history, self._fixed, self._alone, self.used, self.refused]
+
+    def restore(self, values: list[Any]) -> None:
+        """Continue from `state()`."""
+        self._tick, numbers, history, self._fixed, self._alone, self.used, self.refused = values
+        x, y, nn, ne, ee, self._depth, a, b, c, vx, vy, vz, north, east = numbers
+        self._place, self._covariance, self._own = (x, y), (nn, ne, ee), (a, b, c)
+        self._velocity, self._way = (vx, vy, vz), (north, east)
+        self._history = deque((tick, n, e) for tick, n, e in history)

@@ -323,7 +323,8 @@ CHAINS = ["follow-the-leader", "leader-lost", "leader-lost-standby", "rough-sea"
 SHAPES = (
     "survey", "helix", "acoustic-80bps", "acoustic-s2c", "acoustic-noise", "average", "average-naive", "election",
     "election-slow", "event-triggered", "event-triggered-loss", "auction", "auction-partition", "crossing",
-    "mission-2012", "mission-2012-model",
+    "mission-2012", "mission-2012-model", "navigation-aid", "navigation-aid-clocks", "localization-naive",
+    "localization-naive-loop", "localization-consistent", "localization-consistent-compass",
 )  # fmt: skip
 
 

@@ -1,0 +1,170 @@
+"""Localisation by ranges: the payload, the fusion against what it must be, and the estimate over histories."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import cos, hypot, sin, sqrt
+from random import Random
+from typing import get_args
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from small_scenario import small
+
+from agents.config import AgentConfig, LocalizationParams, Method
+from agents.errors import PayloadError
+from agents.localization import payload
+from agents.localization.fusion import fused, grown
+from agents.localization.localizer import Localizer
+from agents.payload import StateMessage
+from fleet.errors import ScenarioError
+from netem.wire.messages import Delivery, Nav
+
+TICK_S, ROUND = 0.01, 10
+METHODS = get_args(Method)
+angles = st.floats(0.0, 6.28)
+variances = st.floats(0.01, 400.0)
+
+
+def config(method: Method | None = "consistent") -> AgentConfig:
+    params = None if method is None else LocalizationParams(method, 10.83)
+    return replace(small().agent_config(2), codec="located", localization=params)
+
+
+def nav(tick: int, x: float, y: float, variance: float = 25.0, u: float = 1.0) -> Nav:
+    belief = (variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.01, 0.0, 0.001)
+    return Nav(0, tick, (x, y, 5.0, 0.0, 0.0), (u, 0.0, 0.0, 0.0, 0.0), (), None, belief)
+
+
+def said(
+    src: int, sent: int, x: float, y: float, variance: float, range_m: float, fixed: bool = True, at: int | None = None
+) -> Delivery:
+    state = StateMessage(src, sent, (x, y, 5.0), (1.0, 0.0, 0.0))
+    data = payload.encode(payload.LocatedMessage(state, (variance, 0.0, variance), fixed))
+    return Delivery(sent + 5, sent, src, sent, 0, data, range_m, 0.5, sent if at is None else at)
+
+
+@given(st.lists(st.floats(-1e4, 1e4), min_size=6, max_size=6), variances, variances, st.floats(-0.99, 0.99))
+def test_a_message_comes_back_to_the_millimetre(v: list[float], nn: float, ee: float, rho: float) -> None:
+    state = StateMessage(3, 77, (v[0], v[1], v[2]), (v[3] / 1e3, v[4] / 1e3, v[5] / 1e3))
+    data = payload.encode(payload.LocatedMessage(state, (nn, rho * sqrt(nn * ee), ee), True))
+    found = payload.decode(data)
+    assert len(data) == payload.SIZE == 42 and payload.is_located(data)
+    assert found.state.position == pytest.approx(state.position, abs=6e-4)
+    assert found.covariance == pytest.approx((nn, rho * sqrt(nn * ee), ee), rel=1e-6, abs=1e-6)
+    for bad in (data[:-1], data[:9] + bytes([data[9] ^ 1]) + data[10:], b"\x03" + data[1:]):
+        with pytest.raises(PayloadError):
+            payload.decode(bad)
+
+
+@given(angles, variances, variances, st.floats(0.0, 400.0))
+def test_a_range_makes_no_estimate_worse_and_intersection_is_less_sure(
+    a: float, own: float, other: float, error: float
+) -> None:
+    where = (200.0 * cos(a), 200.0 * sin(a))
+    given_ = ((0.0, 0.0), (own, 0.0, own), where, (other, 0.0, other), 0.0, 200.0 + 0.01 * error, 0.25)
+    alone = fused(*given_, independent=True)
+    assert alone is not None
+    assert alone.covariance[0] + alone.covariance[2] < 2 * own
+    across = fused(*given_, independent=False)
+    if across is not None:
+        assert alone.covariance[0] + alone.covariance[2] < across.covariance[0] + across.covariance[2] < 2 * own
+    assert fused((0.0, 0.0), (own, 0.0, own), (0.0, 0.05), (1.0, 0.0, 1.0), 0.0, 1.0, 0.25, independent=True) is None
+
+
+def test_a_covariance_grows_in_the_directions_in_which_the_other_grew() -> None:
+    assert grown((1.0, 0.0, 1.0), (4.0, 0.0, 4.0), (5.0, 0.5, 6.0)) == pytest.approx((2.0, 0.5, 3.0))
+    assert grown((1.0, 0.0, 1.0), (4.0, 0.0, 4.0), (3.0, 0.0, 2.0)) == (1.0, 0.0, 1.0)
+    assert grown((1.0, 0.0, 1.0), (4.0, 0.0, 4.0), (5.0, 0.0, 2.0)) == pytest.approx((2.0, 0.0, 1.0))
+
+
+def test_who_hears_nobody_has_its_navigators_position() -> None:
+    localizer = Localizer(config())
+    for tick in range(300):
+        asked = nav(tick, tick * TICK_S, 0.0, 1.0 + 0.01 * tick if tick < 200 else 0.5)
+        assert localizer.absorb(asked, []) == asked
+
+
+@pytest.mark.parametrize("method", [*METHODS, None])
+def test_which_messages_each_method_uses(method: Method | None) -> None:
+    for fixed, used in ((True, ("aid", "naive", "consistent")), (False, ("naive", "consistent"))):
+        localizer = Localizer(config(method))
+        localizer.absorb(nav(0, 0.0, 0.0), [])
+        found = localizer.absorb(nav(10, 0.1, 0.0), [said(1, 0, 100.0, 0.0, 0.01, 103.0, fixed)])
+        assert (localizer.used == 1) == (method in used)
+        if method in used:  # 3 m farther than believed: nearly all of it is the own error
+            assert found.eta[0] == pytest.approx(0.1 - 3.0, abs=0.4)
+            assert found.belief[0] < 1.0 and found.belief[4] > 20.0
+
+
+def test_a_late_range_corrects_the_place_where_the_vehicle_was() -> None:
+    """Ten seconds on, the same correction: the way since then is known."""
+    prompt, late = Localizer(config("aid")), Localizer(config("aid"))
+    for tick in range(1001):
+        asked = nav(tick, tick * TICK_S, 0.0)
+        heard = said(1, 0, 100.0, 0.0, 0.01, 103.0)
+        one = prompt.absorb(asked, [heard] if tick == 10 else [])
+        other = late.absorb(asked, [heard] if tick == 1000 else [])
+    assert other.eta[:2] == pytest.approx(one.eta[:2], abs=1e-6)
+    assert late.absorb(nav(1001, 10.0, 0.0), [said(1, 990, 100.0, 0.0, 0.01, 150.0)]).eta[0] == pytest.approx(
+        other.eta[0] + 0.01, abs=1e-6
+    )
+    assert late.refused == 1  # an outlier
+
+
+def test_a_restored_localizer_goes_on_the_same_way() -> None:
+    one, other = Localizer(config()), Localizer(config())
+    for tick in range(200):
+        heard = [said(1, tick - 5, 30.0, 40.0, 0.1, 50.0 + tick % 3)] if tick % 20 == 10 else []
+        asked = nav(tick, tick * TICK_S, 0.0, 25.0 + 0.01 * tick)
+        first = one.absorb(asked, heard)
+        fresh = Localizer(config())
+        if tick:
+            fresh.restore(other.state())
+        other = fresh
+        assert other.absorb(asked, heard) == first
+    assert one.used > 1
+
+
+def exchanged(method: Method, seed: int) -> float:
+    """Mean NEES of two vehicles that drift and tell each other where they are, as often as they can; 2 is right."""
+    draw = Random(seed)
+    both = [Localizer(config(method)) for _ in range(2)]
+    start = [(0.0, 0.0), (60.0, 10.0)]
+    off = [(draw.gauss(0, 3), draw.gauss(0, 3)) for _ in both]
+    nees = []
+    for tick in range(0, 3000, ROUND):
+        true = [(x + tick * TICK_S, y) for x, y in start]
+        asked = [nav(tick, t[0] + o[0], t[1] + o[1], 9.0) for t, o in zip(true, off, strict=True)]
+        located = [b.located(a) for b, a in zip(both, asked, strict=True)]
+        for i, other in ((0, 1), (1, 0)):
+            far = hypot(true[0][0] - true[1][0], true[0][1] - true[1][1]) + draw.gauss(0, 0.5)
+            state = StateMessage(other + 1, tick, located[other].eta[:3], (1.0, 0.0, 0.0))  # type: ignore[arg-type]
+            data = payload.encode(both[other].message(state))
+            heard = Delivery(tick, tick, other + 1, tick, 0, data, far, 0.5, tick)
+            both[i].absorb(asked[i], [heard])
+        for b, t, a in zip(both, true, asked, strict=True):
+            x, y, nn, ne, ee = *b.located(a).eta[:2], *b.telemetry()[3:6]
+            dx, dy = x - t[0], y - t[1]
+            nees.append((ee * dx * dx - 2 * ne * dx * dy + nn * dy * dy) / (nn * ee - ne * ne))
+    return sum(nees) / len(nees)
+
+
+def test_naive_becomes_overconfident_and_intersection_stays_consistent() -> None:
+    """Two vehicles without fixes cannot learn where both are: over 20 seeds a mean of 2 is right, and less is safe."""
+    means = {m: sum(exchanged(m, seed) for seed in range(20)) / 20 for m in ("naive", "consistent")}
+    assert means["consistent"] < 3.0 < 10.0 < means["naive"]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (["network={payload: located}"], "modems measure no ranges"),
+        (["network={acoustic: {modem: s2c, ranging: one-way}}"], "messages do not say how sure their sender is"),
+        (["agent.localization=by-heart"], "expected aid or naive or consistent"),
+    ],
+)
+def test_localisation_needs_ranges_and_messages(overrides: list[str], words: str) -> None:
+    with pytest.raises(ScenarioError, match=words):
+        small("agent.localization=aid", *overrides)

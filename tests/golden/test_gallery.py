@@ -22,6 +22,7 @@ GALLERY = {
     "average-naive": 5, "election": 40, "election-slow": 8,
     "navigation-aid": 5, "navigation-aid-clocks": 5, "localization-naive": 5, "localization-naive-loop": 5,
     "localization-consistent": 7, "localization-consistent-compass": 5,
+    "mirror-image": 5, "mirror-image-turn": 5, "formation-on-belief": 6, "formation-no-fixes": 6,
     "event-triggered": 8, "event-triggered-loss": 3, "auction": 17, "auction-partition": 10,
 }  # fmt: skip
 # Brought forward for it: what a fault does there does not depend on its second.
@@ -34,6 +35,7 @@ EARLY = {
     "leader-lost-standby": ["faults.1.at=4 s"],
     "localization-consistent": ["faults.1.at=2 s", "faults.1.for=3 s"],
     "localization-consistent-compass": ["faults.1.at=2 s"],
+    "formation-no-fixes": ["faults.1.at=2 s"],
 }
 PAGE = ROOT / "docs" / "guide" / "scenarios.md"
 LONG = 10  # [s]; a distributed run of more is one of the slow tests
@@ -47,6 +49,7 @@ LONGEST = (
     *("average", "election", "event-triggered", "auction-partition"),
     *("navigation-aid", "navigation-aid-clocks", "localization-naive", "localization-naive-loop"),
     *("localization-consistent", "localization-consistent-compass"),
+    *("mirror-image", "mirror-image-turn", "formation-on-belief", "formation-no-fixes"),
 )
 
 

@@ -324,7 +324,8 @@ SHAPES = (
     "survey", "helix", "acoustic-80bps", "acoustic-s2c", "acoustic-noise", "average", "average-naive", "election",
     "election-slow", "event-triggered", "event-triggered-loss", "auction", "auction-partition", "crossing",
     "mission-2012", "mission-2012-model", "navigation-aid", "navigation-aid-clocks", "localization-naive",
-    "localization-naive-loop", "localization-consistent", "localization-consistent-compass",
+    "localization-naive-loop", "localization-consistent", "localization-consistent-compass", "mirror-image",
+    "mirror-image-turn", "formation-on-belief", "formation-no-fixes",
 )  # fmt: skip
 
 

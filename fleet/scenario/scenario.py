@@ -211,13 +211,8 @@ class Scenario:
     @property
     def noise(self) -> NavNoise:
         """Standard deviations of the sensors."""
-        sensors = self.spec.sensors
-        return NavNoise(
-            position_m=sensors.position_noise,
-            angle_rad=sensors.angle_noise,
-            velocity_mps=sensors.velocity_noise,
-            rate_radps=sensors.rate_noise,
-        )
+        own = self.spec.sensors
+        return NavNoise(own.position_noise, own.angle_noise, own.velocity_noise, own.rate_noise)
 
     def _vehicle_setup(self, i: int) -> VehicleSetup:
         (eta0, nu0), control, size = self.initial[i - 1], self.controls[i - 1], self.layout(i).size
@@ -383,10 +378,9 @@ def _difference(a: Offset, b: Offset) -> Offset:
 
 def timeline(scenario: Scenario) -> list[tuple[str, float, float, str]]:
     """(id, begin [s], end [s], text) of each fault, in the order in which they begin."""
-    tick_s = scenario.tick_ns / 1e9
-    ends = {event.fault: event.tick for event in scenario.faults.events if event.action == "ends"}
-    begun = (event for event in scenario.faults.events if event.action == "begins")
-    return [(e.fault, e.tick * tick_s, ends[e.fault] * tick_s, e.what) for e in begun]
+    tick_s, events = scenario.tick_ns / 1e9, scenario.faults.events
+    ends = {event.fault: event.tick for event in events if event.action == "ends"}
+    return [(e.fault, e.tick * tick_s, ends[e.fault] * tick_s, e.what) for e in events if e.action == "begins"]
 
 
 def timeline_lines(scenario: Scenario, most: int | None = None) -> list[str]:

@@ -20,8 +20,8 @@ GALLERY = {
     "nemesis": 18, "acoustic-80bps": 25, "acoustic-s2c": 20, "rough-sea": 10, "breakdown": 30, "follow-the-leader": 20,
     "leader-lost": 12, "leader-lost-standby": 12, "acoustic-noise": 25, "remus": 5, "mixed": 5, "average": 20,
     "average-naive": 5, "election": 40, "election-slow": 8,
-    "navigation-aid": 5, "navigation-aid-clocks": 5, "localization-naive": 5, "localization-naive-loop": 5,
-    "localization-consistent": 7, "localization-consistent-compass": 5,
+    "navigation-aid": 5, "navigation-aid-clock": 5, "locate-naive": 5, "locate-naive-loop": 5,
+    "locate-consistent": 7, "locate-compass": 5,
     "mirror-image": 5, "mirror-image-turn": 5, "formation-on-belief": 6, "formation-no-fixes": 6,
     "event-triggered": 8, "event-triggered-loss": 3, "auction": 17, "auction-partition": 10,
 }  # fmt: skip
@@ -33,8 +33,8 @@ EARLY = {
     "nemesis": ["nemesis.every=3 s", "nemesis.for=2 s"],
     "leader-lost": ["faults.1.at=4 s"],
     "leader-lost-standby": ["faults.1.at=4 s"],
-    "localization-consistent": ["faults.1.at=2 s", "faults.1.for=3 s"],
-    "localization-consistent-compass": ["faults.1.at=2 s"],
+    "locate-consistent": ["faults.1.at=2 s", "faults.1.for=3 s"],
+    "locate-compass": ["faults.1.at=2 s"],
     "formation-no-fixes": ["faults.1.at=2 s"],
 }
 PAGE = ROOT / "docs" / "guide" / "scenarios.md"
@@ -47,8 +47,8 @@ LONGEST = (
     *("partition-heal", "rough-sea", "remus", "mixed"),
     *("acoustic-noise", "acoustic-80bps", "acoustic-s2c"),
     *("average", "election", "event-triggered", "auction-partition"),
-    *("navigation-aid", "navigation-aid-clocks", "localization-naive", "localization-naive-loop"),
-    *("localization-consistent", "localization-consistent-compass"),
+    *("navigation-aid", "navigation-aid-clock", "locate-naive", "locate-naive-loop"),
+    *("locate-consistent", "locate-compass"),
     *("mirror-image", "mirror-image-turn", "formation-on-belief", "formation-no-fixes"),
 )
 

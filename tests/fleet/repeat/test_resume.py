@@ -63,7 +63,11 @@ def since(directory: Path, ns: int) -> list[Record]:
         ("paper", ["duration=2.4 s", CHANGING, "faults=[{at: 1 s, for: 500 ms, link: {1->2: loss 50%}}]"]),
         ("ideal", ["duration=1.5 s"]),
         pytest.param(
-            *("acoustic-s2c", ["duration=20 s", "log.snapshot=10 s", "faults=[{at: 8 s, for: 6 s, kill: 2}]"]),
+            "acoustic-s2c",
+            [
+                *("duration=20 s", "log.snapshot=10 s", "faults=[{at: 8 s, for: 6 s, kill: 2}]"),
+                "network.acoustic.ranging=two-way",
+            ],
             marks=pytest.mark.slow,
         ),
         ("nemesis", ["duration=4 s", NEMESIS, "sea.current={sigma: 5 5 0 cm/s, time_constant: 2 s}"]),
@@ -71,6 +75,7 @@ def since(directory: Path, ns: int) -> list[Record]:
             "dead-reckoning",
             ["duration=4 s", "per_vehicle.1.navigation.usbl={at: 0 0 0 m, period: 400 ms, delay: 1 s}", INSTRUMENTS],
         ),
+        ("locate-consistent", ["duration=9 s", "log.snapshot=3 s", "faults=[{at: 4 s, for: 2 s, kill: 3}]"]),
         ("crossing", ["duration=2 s", "keep_apart.distance=25 m"]),
         pytest.param("helix", ["duration=2 s", "sensors.position_noise=5 cm"], marks=pytest.mark.slow),
         ("rough-sea", ["duration=2 s", "per_vehicle={'2': {controller: bsmc}}", "network.payload=compact"]),

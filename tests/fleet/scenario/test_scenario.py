@@ -323,8 +323,9 @@ CHAINS = ["follow-the-leader", "leader-lost", "leader-lost-standby", "rough-sea"
 SHAPES = (
     "survey", "helix", "acoustic-80bps", "acoustic-s2c", "acoustic-noise", "average", "average-naive", "election",
     "election-slow", "event-triggered", "event-triggered-loss", "auction", "auction-partition", "crossing",
-    "mission-2012", "mission-2012-model", "navigation-aid", "navigation-aid-clocks", "localization-naive",
-    "localization-naive-loop", "localization-consistent", "localization-consistent-compass", "mirror-image",
+    "mission-2012", "mission-2012-model", "navigation-aid", "navigation-aid-clock", "locate-naive",
+    "locate-naive-loop", "locate-consistent", "locate-compass",
+    "mirror-image",
     "mirror-image-turn", "formation-on-belief", "formation-no-fixes",
 )  # fmt: skip
 

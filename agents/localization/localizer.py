@@ -167,9 +167,7 @@ class Localizer:
             """With the range from where the vehicle then was, if it is here now."""
             place = own.place[0] - back[0], own.place[1] - back[1]
             independent = method != "consistent"
-            return fused(
-                place, own.covariance, other, message.covariance, deeper, ranged_m, variance, independent
-            )
+            return fused(place, own.covariance, other, message.covariance, deeper, ranged_m, variance, independent)
 
         if self.mirror is not None:
             self._compare(fuse, back)
@@ -185,7 +183,12 @@ class Localizer:
         if self.mirror is not None:
             sender = other[0] - then[1], other[1] - then[2]
             own = self._without_way(self._place, self._covariance)
-            self.mirror.seen(sender, message.covariance[0] + message.covariance[2], own, self._without_way(self._navigator, self._own))
+            self.mirror.seen(
+                sender,
+                message.covariance[0] + message.covariance[2],
+                own,
+                self._without_way(self._navigator, self._own),
+            )
 
     def _compare(self, fuse: Callable[[Estimate], Fused | None], back: tuple[float, float]) -> None:
         """Let a range judge between the place and its mirror image, and correct the latter."""

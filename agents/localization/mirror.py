@@ -1,21 +1,23 @@
 """The mirror image of a position: what ranges leave open while sender and receiver move on straight ways.
 
-Seen from a vehicle that takes off its own way, a sender that moves straight stands on a line. Every range from a point of
-that line fits the true position and its mirror image across the line alike, so a filter with one position may settle on
-the wrong one, and be sure of it. This keeps both, and says how likely each is. As soon as one of both vehicles turns, ranges fit
-only one of them.
+Seen from a vehicle that takes off its own way, a sender that moves straight stands on a line. Every range from a point
+of that line fits the true position and its mirror image across the line alike, so a filter with one position may settle
+on the wrong one, and be sure of it. This keeps both, and says how likely each is. As soon as one of both vehicles
+turns, ranges fit only one of them.
 
 | symbol | meaning | unit |
 |---|---|---|
-| s | place of a sender, minus the own way since the start | m |
+| s, q | place of a sender, minus the own way since the start; its variance | m, m^2 |
 | l, u, v | mean of all s, direction of the line that fits them best, and their variance across it | m, 1, m^2 |
-| p, P; m, M | own place and covariance; its mirror image, m = l + A (p - l), M = A P A^T + 4 (v + q), A = 2 u u^T - 1 | m, m^2 |
-| q | variance of s: the ranges have fitted p to its errors, and not m | m^2 |
+| p, P | own place and its covariance, likewise minus the own way | m, m^2 |
+| m = l + A (p - l), A = 2 u u^T - 1 | its mirror image | m |
+| M = A P A^T + 4 (v + q) | covariance of that: ranges have fitted p to the errors of s, and not m | m^2 |
 | o = ln(Pr(p) / Pr(m)) | log odds of both | 1 |
 
-At first o is what the navigator alone says: the difference of its normalised squares at m and at p, halved. Each range adds
-half the difference of its normalised innovations squared (Bar-Shalom, Li and Kirubarajan 2001, ch. 11.6: the likelihoods
-of a static multiple-model estimator; the determinants of both innovations are nearly the same, and are left out).
+At first o is what the navigator alone says: the difference of its normalised squares at m and at p, halved. Each range
+adds half the difference of its normalised innovations squared (Bar-Shalom, Li and Kirubarajan 2001, ch. 11.6: the
+likelihoods of a static multiple-model estimator; the determinants of both innovations are nearly the same, and are left
+out).
 """
 
 from __future__ import annotations
@@ -26,9 +28,9 @@ from typing import Any, NamedTuple
 from agents.localization.fusion import Covariance, grown
 
 Place = tuple[float, float]  # north, east [m]
-LEAST_SPREAD_M = 10.0  # of the line, as a standard deviation: with less its direction is not known well enough
+LEAST_SPREAD_M = 10.0  # of the line, as a standard deviation: with less its direction is not known
 _CREDIBLE = 9.21  # chi-square with 2 degrees of freedom, 99 %: a mirror image that the navigator contradicts is none
-_APART = 12.0  # standard deviations: until the estimate has settled on one side, its own covariance holds both
+_APART = 12.0  # standard deviations: before the estimate settles on one side, its own covariance holds both
 _MOST_NIS = 40.0  # that counts of one range: it may be an outlier
 _SWAPPED = 3.0  # log odds, 20 to 1: then the likelier one is believed
 _SETTLED = 9.2  # log odds, 10 000 to 1

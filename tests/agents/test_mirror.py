@@ -45,8 +45,8 @@ TURNED = [(40.0, 3.0 * k) for k in range(1, 14)]
 
 
 def test_a_straight_way_leaves_it_open_and_a_turn_tells() -> None:
-    """A filter that begins on the wrong side settles there. Its covariance with the mirror image holds the true place, and
-    with the turn the true one is believed."""
+    """A filter that begins on the wrong side settles there. Its covariance with the mirror image holds the true place,
+    and with the turn the true one is believed."""
     mirror = MirrorImage()
     own = along(mirror, Estimate((2.5, -24.5), (4.0, 0.0, 4.0)), STRAIGHT)
     assert own.place == pytest.approx((3.0, -25.0), abs=0.5)

@@ -45,8 +45,8 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_agent_in_c_in_a_real_run(made: Path, program: Path, tmp_path: Path) -> None:
-    """It gets what its vehicle believes, and does what the agent in Python does, byte for byte. Meanwhile nobody gets in without a certificate, and agent
-    1's opens nothing of agent 2's."""
+    """It gets what its vehicle believes, and does what the agent in Python does, byte for byte. Meanwhile nobody gets
+    in without a certificate, and agent 1's opens nothing of agent 2's."""
     endpoint = f"tls/127.0.0.1:{free_port()}"
     join = tmp_path / "join-2.json"
     sets = ["per_vehicle={2: {external: true, navigation: mems}}", "checks={deaths: {at_most: 0}}"]

@@ -1,1 +1,1 @@
-"""Agents: what each vehicle measures and hears becomes what it does and sends; laws plug in through agents.api."""
+"""Agents: they turn measurements and messages into commands and messages; laws plug in through agents.api."""

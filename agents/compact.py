@@ -6,7 +6,7 @@
 |---|---|---|---|
 | 2 | version, 1 | | |
 | 10 | sender, vehicle number | 0 to 1023 | 1 |
-| 13 | round at which the state was sampled, modulo 8192 | | 1 round |
+| 13 | round of the state, modulo 8192 | | 1 round |
 | 18, 18, 16 | position x, y, z, NED | x, y within 6553.55 m, z within 1638.35 m | 5 cm |
 | 9, 9, 9 | velocity over ground, NED | within 2.55 m/s | 1 cm/s |
 | 16 | CRC-16/CCITT (polynomial 0x1021, first 0xffff) of the bytes before | | |

@@ -16,6 +16,7 @@ from threading import Event, Thread
 from agents.config import AgentConfig
 from agents.controllers import BUILT_IN, laws
 from agents.join_file import ENDPOINT, JoinError, JoinFile, NotYetError
+from agents.loop import AgentCore
 from agents.main import begin_life, clock_of
 from netem.clock import Clock
 from netem.errors import BusError, MalformedMessage
@@ -27,18 +28,22 @@ from world.errors import PluginError
 from world.plugins.loading import admit
 from world.plugins.trust import NOTHING, Permission, Trust
 
+MakeCore = Callable[[AgentConfig, Clock], AgentCore]
 CONNECT_MS = 3000
 ASK_S = 10.0
 WATCH_S = 0.2  # how often to look whether the run is still there
 
 
-def serve(joining: JoinFile, notify: Callable[[str], None], trust: Trust = NOTHING) -> End:
+def serve(
+    joining: JoinFile, notify: Callable[[str], None], trust: Trust = NOTHING, make: MakeCore | None = None
+) -> End:
     """Serve as the agent of a join file until the world ends its life.
 
     Args:
         joining: the content of the join file.
         notify: called with one line of text when the agent has joined.
         trust: which modules of laws may run besides those that are installed: the run names them, not this user.
+        make: makes what answers samples of the agent's configuration and the clock of the run; None: our agent.
 
     Returns:
         The world's last message to this agent.
@@ -55,12 +60,14 @@ def serve(joining: JoinFile, notify: Callable[[str], None], trust: Trust = NOTHI
     bus.on_lost(lost.set)
     try:
         config, incarnation, begin, clock = _ask(bus, keys, joining.vehicle)
-        _admit(config, trust)
+        core = None if make is None else make(config, clock)
+        if core is None:
+            _admit(config, trust)
         ended: SimpleQueue[End | BaseException] = SimpleQueue()
 
         def live() -> None:
             try:
-                process = begin_life(bus, keys, config, incarnation, begin, clock)
+                process = begin_life(bus, keys, config, incarnation, begin, clock, core)
                 notify(f"agent {config.id} has joined run {joining.run} at {joining.endpoint}")
                 ended.put(process.serve())
             except BaseException as error:  # a law may raise anything, and ends with SystemExit

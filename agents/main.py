@@ -7,7 +7,7 @@ from typing import Any
 
 from agents.config import AgentConfig
 from agents.errors import AgentError
-from agents.loop import AgentLoop
+from agents.loop import AgentCore, AgentLoop
 from agents.make_agent import make_agent
 from agents.process import READY_TIMEOUT_S, RETRY_S, AgentProcess, _give_up
 from agents.realtime_loop import RealtimeLoop
@@ -45,10 +45,19 @@ def clock_of(values: dict[str, Any]) -> Clock:
     return Clock(values.get("clock", Clock.LOCKSTEP))
 
 
-def begin_life(bus: Bus, keys: Keys, config: AgentConfig, incarnation: int, begin: int, clock: Clock) -> AgentProcess:
+def begin_life(
+    bus: Bus,
+    keys: Keys,
+    config: AgentConfig,
+    incarnation: int,
+    begin: int,
+    clock: Clock,
+    core: AgentCore | None = None,
+) -> AgentProcess:
     """Make an agent that is ready: world and netem have both answered it.
 
     Args:
+        core: what answers samples, of a program that is not ours and tells no memory; None: what `config` asks for.
         incarnation: which life of the agent it is, from 0.
         begin: tick of its first nav.
         clock: of the run.
@@ -58,8 +67,9 @@ def begin_life(bus: Bus, keys: Keys, config: AgentConfig, incarnation: int, begi
         SystemExit: a law cannot be made; a note about it has been sent to the console by then.
     """
     vehicle = config.id
+    memory_ticks = config.memory_ticks if core is None else 0
     try:
-        core = make_agent(config)
+        core = make_agent(config) if core is None else core
     except (AgentError, PluginError) as error:
         role = agent_role(vehicle)
         _give_up(Shell(bus, role, keys.note(role)), vehicle, begin, error)
@@ -70,7 +80,7 @@ def begin_life(bus: Bus, keys: Keys, config: AgentConfig, incarnation: int, begi
 
         process = RealtimeAgentProcess(bus, keys, vehicle, RealtimeLoop(core, m, incarnation=incarnation, begin=begin))
     else:
-        loop = AgentLoop(core, m, incarnation=incarnation, begin=begin, memory_ticks=config.memory_ticks)
+        loop = AgentLoop(core, m, incarnation=incarnation, begin=begin, memory_ticks=memory_ticks)
         process = AgentProcess(bus, keys, vehicle, loop)
     process.get_ready()
     return process

@@ -1,4 +1,4 @@
-"""What one agent sends to its neighbours: when and where it was, and how it moved.
+"""An agent's message to its neighbours: its time, place and motion.
 
 | bytes | type | field | unit |
 |---|---|---|---|

@@ -5,7 +5,8 @@ the tests of the room with `-x`. A mutant is killed if a test fails, or the test
 is the share of the mutants that are killed. Some survivors are equivalent: no test can tell them from the code.
 
 Of a room's tests, those run that have entered the function of the mistake, the quickest first; all of the room, if it
-stands outside functions. What runs only in processes that a test starts is not seen, and counts as never entered.
+stands outside functions. The trajectories of `tests/golden/test_golden.py` are tests of the laws and of the plant.
+What runs only in processes that a test starts is not seen, and counts as never entered.
 
     python benchmarks/mutants.py --room agents --count 75
 """
@@ -30,7 +31,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 ROOT = Path(__file__).resolve().parent.parent
-ROOMS = ("netem", "agents", "world", "fleet/protocols")
+_GOLDEN = "tests/golden/test_golden.py"
+ROOMS = {  # with their tests
+    "netem": ["tests/netem"],
+    "agents": ["tests/agents", _GOLDEN],
+    "world": ["tests/world", _GOLDEN],
+    "fleet/protocols": ["tests/fleet/protocols"],
+}
 MEMORY = 4 << 30  # bytes that a mutant's tests may take
 LEAST_S = 30.0  # of CPU time for the tests of a mutant, beside a multiple of what they take without it
 HANGS_S = 600.0  # of wall time: it waits for something; pytest-timeout ends a test that hangs earlier
@@ -269,11 +276,11 @@ class Bench:
     def entered(self, room: str) -> dict[str, dict[str, Any]]:
         """What each test of a room enters, and its CPU time [s]."""
         out = self._scratch / "entered.json"
-        if code := self.pytest([f"tests/{room}"], 3600.0, MUTANTS_ENTERED=str(out)):
-            raise SystemExit(f"tests/{room} fail without a mutant, exit code {code}: {self._scratch / 'output'}")
+        if code := self.pytest(ROOMS[room], 3600.0, MUTANTS_ENTERED=str(out)):
+            raise SystemExit(f"{ROOMS[room]} fail without a mutant, exit code {code}: {self._scratch / 'output'}")
         found: dict[str, dict[str, Any]] = json.loads(out.read_text("utf-8"))
         if code := self.pytest([*found, "--collect-only"], 600.0):
-            raise SystemExit(f"tests/{room} cannot be named one by one, exit code {code}: {self._scratch / 'output'}")
+            raise SystemExit(f"{ROOMS[room]} cannot be named one by one, exit code {code}: {self._scratch / 'output'}")
         return found
 
     def outcome(self, mutant: Mutant, tests: dict[str, dict[str, Any]], room: str) -> str:
@@ -282,7 +289,7 @@ class Bench:
         chosen = {name: test["s"] for name, test in tests.items() if mutant.function == 0 or at in test["entered"]}
         if not chosen:
             return "never entered"
-        names = _quickest_file_first(chosen) if mutant.function else [f"tests/{room}"]
+        names = _quickest_file_first(chosen) if mutant.function else ROOMS[room]
         file = self.root / mutant.path
         text = file.read_text("utf-8")
         try:

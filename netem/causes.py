@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class Cause(StrEnum):
-    """What became of a packet: delivered, in flight when the run ended, or the cause of its loss."""
+    """The fate of a packet: delivered, in flight when the run ended, or the cause of its loss."""
 
     # The causes of a loss, in the order of the ledger's columns.
     LOSS = "loss"

@@ -9,21 +9,21 @@ FaultKind = Literal["link", "down", "up", "partition", "mute", "deaf", "slow", "
 
 
 class WorldFaultKind(StrEnum):
-    """What a fault of sensors, actuators or sea does, and which numbers it has.
+    """The effect of a fault of sensors, actuators or sea, and its numbers.
 
     | kind | values | what it does to a vehicle |
     |---|---|---|
     | noise | sigma of position [m], angle [rad], velocity [m/s], rate [rad/s] | white noise beside the sensor's own |
     | bias | twelve numbers on eta, nu, phi and p [m, rad, m/s, rad/s] | added to what is measured |
-    | freeze | | the sensor repeats the measurement of the tick at which the fault began |
-    | dropout | probability | of a tick at which the sensor repeats its last measurement |
+    | freeze | | the sensor repeats its measurement at the begin of the fault |
+    | dropout | probability | that the sensor repeats its last measurement at a tick |
     | dvl | probability, bias on three axes [m/s, body], sigma [m/s], probability | samples lost, biased, jumping |
     | compass | probability, bias [rad], sigma [rad], probability | the same of the heading sensor |
     | fix | probability, bias north and east [m], sigma [m], probability | the same of fixes |
     | efficiency | three factors | multiply the force and moments that the actuators apply |
     | saturate | three limits [N, N m, N m] | in place of the actuators' own where they are smaller |
     | off | | the actuators apply no force |
-    | stuck | | they go on with the force of the tick at which the fault began |
+    | stuck | | they keep their force at the begin of the fault |
     | current | x, y, z [m/s, NED], three sigma [m/s], time constant [s] | added to the sea's own, for every vehicle |
     | gust | x, y, z [m/s, NED], how long it blows [s] | a current that rises and falls once: (1 - cos) / 2 |
     | wrench | five forces and moments [N, N m, body] | added to the disturbance |

@@ -19,7 +19,7 @@ Count = Annotated[int, Meta(ge=0, le=2**53)]
 
 
 class Account(msgspec.Struct):
-    """What became of the packets of one directed link."""
+    """Fates of the packets of one directed link."""
 
     sent: Annotated[Count, Meta(description="Packets that were sent.")] = 0
     duplicated: Annotated[Count, Meta(description="Copies that the network made.")] = 0

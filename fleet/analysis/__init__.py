@@ -1,1 +1,1 @@
-"""What can be said about a run: before it, when it is judged, and about its clock."""
+"""Analysis of a run: before it, when it is judged, and of its clock."""

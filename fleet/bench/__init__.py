@@ -1,1 +1,1 @@
-"""What the emulator costs: measurements that print a table."""
+"""Cost of the emulator: measurements that print a table."""

@@ -73,7 +73,7 @@ class Change(Struct, forbid_unknown_fields=True):
 
 
 class FiguresComparison(Struct, forbid_unknown_fields=True):
-    """What changed since another measurement."""
+    """Changes since another measurement."""
 
     with_: Annotated[str, Meta(description="The file of that measurement.")] = field(name="with")
     warnings: Annotated[list[str], Meta(description="Why the two may not be comparable.")]

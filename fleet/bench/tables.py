@@ -1,4 +1,4 @@
-"""The figures of `fleet bench` as tables, and what changed since another measurement."""
+"""The figures of `fleet bench` as tables, and changes since another measurement."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ class WallClockRow(Struct, frozen=True):
     label: Annotated[str, Meta(description="on time, or degraded.")]
     missed: Annotated[float, Meta(description="Share of its ticks that the worst agent missed [1].")]
     moved: Annotated[
-        float, Meta(description="Share of the run by which the clock was moved because the world was late [1].")
+        float, Meta(description="Total move of the clock because the world was late, as a share of the run [1].")
     ]
     answer_p99_ms: Annotated[float, Meta(description="99th percentile of the answers of the slowest agent [ms].")]
     overdue: Annotated[float, Meta(description="Share of the deliveries that were used too late [1].")]

@@ -1,1 +1,1 @@
-"""Checks of the user's own, on any signal or in Python: fed tick by tick, by a run that goes on or from its log."""
+"""Your own checks, on any signal or in Python: fed tick by tick, by a live run or from its log."""

@@ -11,7 +11,6 @@ from math import isfinite
 
 from msgspec.structs import replace
 
-from agents.signals import SignalLayout
 from fleet.checks.api import Failure, Fault
 from fleet.checks.last_messages import LastMessages
 from fleet.checks.python_check import RunningPythonCheck, SeenVehicle, facts_of, packets_of
@@ -21,12 +20,11 @@ from fleet.quantities import QuantityError, vehicle_numbers
 from fleet.result.verdict import Moment, Verdict
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signal_checks import ask
-from fleet.scenario.sections.signals import GROUPS, BeliefKind, places
+from fleet.scenario.sections.signals import GROUPS, VehicleSignals
 from fleet.scenario.sections.timeline import Event
 from fleet.scenario.sections.vehicle_events import DIVERGED
 from netem.wire.messages import Command, Fate, Frame
 from world.errors import PluginError
-from world.signal import Signal
 
 
 class OwnChecks:
@@ -37,7 +35,7 @@ class OwnChecks:
         checks = scenario.spec.checks
         self._tick_s, self._last = scenario.tick_ns / 1e9, scenario.ticks
         self._every = {group: scenario.log_every[group] for group in GROUPS if group in scenario.log_every}
-        self._places = {i: places(*reported(scenario, i)) for i in range(1, scenario.vehicles + 1)}
+        self._places = {i: reported(scenario, i).places() for i in range(1, scenario.vehicles + 1)}
         self._messages = LastMessages(scenario.graph.links, scenario.tick_ns)
         self._signals: list[RunningSignalCheck] = []
         self._python: list[RunningPythonCheck] = []
@@ -162,20 +160,17 @@ class OwnChecks:
         )
 
 
-def reported(scenario: Scenario, i: int) -> tuple[SignalLayout | None, tuple[Signal, ...] | None, bool, BeliefKind]:
-    """What agent i and the plant of vehicle i report, whether its clock is set, and what it believes of its place.
-
-    None: its laws are not known here, because those of a log may not run; it has no plant. A plant that may not run
-    reports nothing but its motion.
-    """
+def reported(scenario: Scenario, i: int) -> VehicleSignals:
+    """What a log has of vehicle i. Laws and plants of a log that may not run report nothing that is known here."""
     try:
         laws = scenario.layout(i)
     except PluginError:
         laws = None
     try:
-        return laws, scenario.plant_signals(i), i in scenario.clocks, scenario.belief(i)
+        plant = scenario.plant_signals(i)
     except PluginError:
-        return laws, (), i in scenario.clocks, scenario.belief(i)
+        plant = ()
+    return VehicleSignals(laws, plant, i in scenario.clocks, scenario.belief(i))
 
 
 def _ended(what: str) -> list[int]:

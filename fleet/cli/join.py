@@ -6,6 +6,7 @@ import os
 import sys
 import time
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn, TypeVar
 
@@ -14,10 +15,12 @@ import click
 from fleet.cli.group import report
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import Duration
+from fleet.errors import FleetError
 from fleet.processes.interrupts import ending_status
 from world.plugins.trust import Trust
 
 if TYPE_CHECKING:
+    from agents.join import MakeCore
     from fleet.terminal.status_line import StatusLine
 
 T = TypeVar("T")
@@ -46,9 +49,17 @@ _AGENT = (
     flag_value="300 s",
     help="Wait for the file, and for a run that takes this agent, at most so long; 300 s if no time is given.",
 )
+@click.option(
+    "--ros2",
+    metavar="[DISTRO]",
+    type=click.Choice(("humble", "jazzy", "kilted")),
+    is_flag=False,
+    flag_value="jazzy",
+    help="A node of ROS 2 is the agent: it gets what the vehicle measures and receives, and answers with a wrench.",
+)
 @trust_option
 @click.option("-q", "--quiet", is_flag=True, help="Say nothing but errors.")
-def agent(path: Path, wait: int | None, trust: Trust, quiet: bool) -> None:
+def agent(path: Path, wait: int | None, ros2: str | None, trust: Trust, quiet: bool) -> None:
     """Run the agent of an external vehicle here, in this terminal, until the run is over.
 
     It is the agent that fleet run would have started: the scenario says which laws it runs, and the log is the same.
@@ -58,6 +69,7 @@ def agent(path: Path, wait: int | None, trust: Trust, quiet: bool) -> None:
       fleet run paper --set "per_vehicle={3: {external: true}}"     in one terminal; in another:
       fleet agent --join runs/latest/join-3.json
       fleet agent --join runs/latest/join-3.json --wait       also before the run is started
+      fleet agent --join runs/latest/join-3.json --ros2       a node of ROS 2 commands vehicle 3
     """
     import setproctitle
     from rich.console import Console as Terminal
@@ -81,7 +93,8 @@ def agent(path: Path, wait: int | None, trust: Trust, quiet: bool) -> None:
         joining = JoinFile.read(path)
         setproctitle.setproctitle(f"fleet agent {joining.vehicle} [{joining.scenario}]")
         quiet_zenoh()
-        return joining.vehicle, serve(joining, begun, trust)
+        make = None if ros2 is None else _node(ros2, joining.vehicle, line)
+        return joining.vehicle, serve(joining, begun, trust, make)
 
     try:
         with line:
@@ -92,6 +105,8 @@ def agent(path: Path, wait: int | None, trust: Trust, quiet: bool) -> None:
     except KeyboardInterrupt as error:
         tell("left the run" if joined else f"not waiting for {path} any longer" if wait else "no run was joined")
         _leave(ending_status(error))
+    except FleetError as error:
+        _leave(report(error))
     except SystemExit:
         _leave(3)  # the law failed, and what it raised has been printed
     except Exception as error:
@@ -99,6 +114,23 @@ def agent(path: Path, wait: int | None, trust: Trust, quiet: bool) -> None:
         _leave(3)
     tell(f"agent {vehicle}: {end.reason}")
     _leave(0 if end.reason == RUN_OVER else 3)
+
+
+@cache
+def _node(distribution: str, vehicle: int, line: StatusLine) -> MakeCore:
+    """What makes a node of ROS 2 the agent of a vehicle, once there is one. Raises FleetError: nodes cannot meet."""
+    from fleet.ros2.agent import RosAgent
+    from fleet.ros2.node import RosNode
+    from fleet.ros2.rmw import domain_of
+    from fleet.ros2.session import open_ros_session
+    from fleet.ros2.types import types_of
+
+    types, domain = types_of(distribution), domain_of(None)
+    bus, words = open_ros_session(None, None)
+    line.print(f"ROS 2: domain {domain}, {words}")
+    adapter = RosAgent(RosNode(bus, types, domain, f"uuv_{vehicle}_agent"), vehicle, line.print)
+    adapter.wait_for_node()
+    return adapter.begin
 
 
 def patiently(join: Callable[[], T], wait_s: float, path: Path, line: StatusLine) -> T:

@@ -66,6 +66,7 @@ GROUPS: dict[str, dict[str, Verb]] = {
         "ros2": Verb("ros2", "Show a live run or a log to ROS 2."),
     },
     "This tool": {
+        "about": Verb("about", "Print everything that a bug report needs."),
         "bench": Verb("bench", "Measure this machine."),
         "completion": Verb("completion", "Print what completes commands in your shell."),
         "schema": Verb("schema", "Print the JSON Schema of what --json prints."),
@@ -86,6 +87,7 @@ ELSEWHERE = {
     **dict.fromkeys(("kill", "down", "abort"), "fleet stop (a run), or fleet inject kill 3 (an agent)"),
     "pause": "fleet clock pause (a run), or fleet inject pause 3 (an agent)",
     "validate": "fleet check",
+    **dict.fromkeys(("bug", "doctor", "env", "version"), "fleet about (versions, machine and a run, for a bug report)"),
     "help": "--help, as in fleet run --help",
     "test": "fleet run (a scenario and its checks)",
 }

@@ -22,7 +22,7 @@ class ProgressLine:
         """Prepare it.
 
         Args:
-            waiting: who waits for whom, in words; empty: the run moves.
+            waiting: the waiting process and its cause, in words; empty: the run moves.
         """
         self._journal, self._waiting, self._line = journal, waiting, line
         self._tick_s = scenario.tick_ns / 1e9

@@ -1,1 +1,1 @@
-"""What a run records: frames and fates in one order, measured, and written as MCAP."""
+"""Recording of a run: frames and fates in one order, measured, and written as MCAP."""

@@ -19,7 +19,6 @@ from fleet.repeat.recorded_run import recorded
 from fleet.result.verdict import Verdict
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signal_checks import SignalCheckError
-from fleet.scenario.sections.signals import flat_signals
 from fleet.scenario.sections.timeline import Event
 from fleet.scenario.text.overrides import Override
 from fleet.scenario.trust import Policy
@@ -139,11 +138,11 @@ class _Feed:
         self._samples = {
             f"uuv/{i}/{group}": (i, group, signals)
             for i in range(1, scenario.vehicles + 1)
-            for group, signals in flat_signals(*reported(scenario, i)).items()
+            for group, signals in reported(scenario, i).groups().items()
             if group in checks.groups
         }
         self._columns = {FAULTS: FAULT, **dict.fromkeys(self._links, PACKET)} | {
-            topic: tuple(MessageField(name, "", "", 0 if width == 1 else width) for name, width in of[2][1])
+            topic: tuple(MessageField(each.name, "", "", 0 if each.width == 1 else each.width) for each in of[2][1])
             for topic, of in self._samples.items()
         }
         self._found: dict[tuple[int, str], Values] = {}  # of the tick that is read
@@ -189,10 +188,11 @@ class _Feed:
             self._tick = tick
         i, group, (start, signals) = self._samples[record.topic]
         values: list[float] = [nan] * start
-        for name, width in signals:
-            value = getattr(message, name, None)  # a log of another version may lack it
-            numbers = [nan] * width if value is None else [value] if width == 1 else [*value]
-            values += numbers if len(numbers) == width else [nan] * width
+        for signal in signals:
+            value = getattr(message, signal.name, None)  # a log of another version may lack it
+            missing = [nan] * signal.width
+            numbers = missing if value is None else [value] if signal.width == 1 else [*value]
+            values += numbers if len(numbers) == signal.width else missing
         self._found[i, group] = tuple(values)
 
     def _show(self) -> None:

@@ -72,7 +72,7 @@ class VehicleResult(Struct):
     agent: Annotated[str, Meta(description="The whole agent that it runs; empty: the laws of a controller.")] = ""
     signals: Annotated[
         dict[str, SignalValue],
-        Meta(description="What a whole agent reported at the end, by name; none: it reported nothing any more."),
+        Meta(description="Last signals of a whole agent, by name; none: it did not report any more."),
     ] = {}
 
 
@@ -91,7 +91,7 @@ class Formation(Struct, frozen=True):
 
 
 class TumbleSpell(Struct):
-    """A time in which a vehicle was tumbled."""
+    """A period of a tumbled vehicle."""
 
     vehicle: Annotated[int, Meta(description="Its number.")]
     from_s: Annotated[float, Meta(description="When it began [s].")]

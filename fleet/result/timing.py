@@ -68,8 +68,8 @@ class NetworkTiming(Struct):
 
     links: Annotated[dict[str, LinkTiming], Meta(description="By link, as `1->2`.")]
     hop: Annotated[Spread, Meta(description="From the network to the agent.")]
-    margin: Annotated[Spread, Meta(description="From the arrival to the tick at which it is due; below 0: too late.")]
-    overdue: Annotated[Count, Meta(description="Deliveries that were used after the tick at which they were due.")]
+    margin: Annotated[Spread, Meta(description="From the arrival to its due tick; below 0: too late.")]
+    overdue: Annotated[Count, Meta(description="Deliveries that were used after their due tick.")]
     unread: Annotated[Count, Meta(description="Deliveries that no agent had confirmed at the end.")]
     late: Annotated[Counts, Meta(description="Transmissions that came late, by vehicle.")]
     missed: Annotated[Counts, Meta(description="Transmissions that did not come, by vehicle.")]

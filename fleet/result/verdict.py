@@ -75,7 +75,7 @@ class Verdict(Struct, frozen=True):
     value: Annotated[
         float | None, Meta(description="The number that is compared; null: nothing was found, or it is not finite.")
     ] = None
-    limit: Annotated[float | None, Meta(description="What it is compared with; null: it is only reported.")] = None
+    limit: Annotated[float | None, Meta(description="Limit of the comparison; null: it is only reported.")] = None
     unit: Annotated[str, Meta(description="Unit of both.")] = ""
     moment: Annotated[
         Moment | None, Meta(description="Of one of your own checks, when it failed; null: it did not.")

@@ -36,11 +36,11 @@ def wall_ns() -> int:
 class RosPublisher:
     """Publishes messages of one type on one topic."""
 
-    def __init__(self, bus: RosBus, types: RosTypes, entity: Entity, token: str, qos: Qos) -> None:
+    def __init__(self, bus: RosBus, types: RosTypes, entity: Entity, token: str, qos: Qos, *, drop: bool) -> None:
         self._types, self._type = types, entity.type
         self._gid = gid_of(token)
         self._sequence = 0
-        self._plain = None if qos.transient_local else bus.plain(entity.key)
+        self._plain = None if qos.transient_local else bus.plain(entity.key, drop=drop)
         self._put = bus.latched(entity.key) if self._plain is None else self._plain.put
 
     @property
@@ -80,10 +80,17 @@ class RosNode:
         bus.token(node_token(domain, bus.id, name))
         bus.watch_tokens(f"{TOKENS}/{domain}/**", self._look)
 
-    def publisher(self, topic: str, type_name: str, qos: Qos = DEFAULT) -> RosPublisher:
-        """Publish on a topic from now on. Raises FleetError: it has no such name, or the type is not known."""
+    def publisher(self, topic: str, type_name: str, qos: Qos = DEFAULT, *, drop: bool = True) -> RosPublisher:
+        """Publish on a topic from now on.
+
+        Args:
+            drop: what a slow subscriber has no room for is lost to it; otherwise publishing waits.
+
+        Raises:
+            FleetError: it has no such name, or the type is not known.
+        """
         entity, token = self._declare(topic, type_name, "MP", qos)
-        return RosPublisher(self._bus, self.types, entity, token, qos)
+        return RosPublisher(self._bus, self.types, entity, token, qos, drop=drop)
 
     def subscribe(self, topic: str, type_name: str, handler: Callable[[Any], None]) -> None:
         """Call `handler` with each message of a topic. Raises FleetError, as for `publisher`."""

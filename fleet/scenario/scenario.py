@@ -57,10 +57,7 @@ class Reading(NamedTuple):
 
 @dataclass(frozen=True)
 class Scenario:
-    """A valid scenario. Two are equal if they determine the same run and the same verdict.
-
-    The configurations of the cores are made once, when they are asked for.
-    """
+    """A valid scenario, equal to another with the same run and verdict. It makes each core's configuration once."""
 
     spec: ScenarioSpec  # the values of the file, in SI units
     reference: Reference

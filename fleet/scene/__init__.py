@@ -1,1 +1,1 @@
-"""What there is to see of a run at a time, as primitives that every renderer paints."""
+"""The scene of a run at a time, as primitives that every renderer paints."""

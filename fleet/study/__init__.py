@@ -1,1 +1,1 @@
-"""Studies: many runs of one scenario, what they come to, and how sure that is."""
+"""Studies: many runs of one scenario, their results, and how sure these are."""

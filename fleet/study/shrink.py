@@ -48,7 +48,7 @@ class Shrunk(NamedTuple):
         check: the check that fails.
         found: what the verdict of that check says, of the first scenario and of the least one.
         runs: that were made.
-        steps: what was made less, in words and in order.
+        steps: the reductions, in words and in order.
     """
 
     scenario: Scenario

@@ -22,7 +22,15 @@ from fleet.recorder.metrics import VehicleError
 from fleet.recorder.separation import Separation
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.checked_signals import checked_signals
-from fleet.scenario.sections.signals import SIGNAL, SignalError, SignalName, SignalPlace, places, read_name, unit_of
+from fleet.scenario.sections.signals import (
+    SIGNAL,
+    SignalError,
+    SignalName,
+    SignalPlace,
+    VehicleSignals,
+    read_name,
+    unit_of,
+)
 from fleet.study.errors import StudyError
 from fleet.study.measures import MORE_IS_BETTER, SEPARATION, STANDING, MeasureColumn
 from netem.parsing import nearest
@@ -176,7 +184,8 @@ def _column(measure: SignalMeasure, scenarios: Sequence[Scenario]) -> MeasureCol
 
 
 def _places(scenario: Scenario, i: int) -> dict[str, SignalPlace]:
-    return places(scenario.layout(i), scenario.plant_signals(i), i in scenario.clocks, scenario.belief(i))
+    clock, belief = i in scenario.clocks, scenario.belief(i)
+    return VehicleSignals(scenario.layout(i), scenario.plant_signals(i), clock, belief).places()
 
 
 def _vehicles(measure: SignalMeasure, scenario: Scenario) -> range:

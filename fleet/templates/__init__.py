@@ -1,1 +1,1 @@
-"""What `fleet new` writes: files that run as they are, in which TheLaw, the_law and the_scenario stand for names."""
+"""Templates of `fleet new`: files that run at once, in which TheLaw, the_law and the_scenario stand for names."""

@@ -56,8 +56,8 @@ class WireRecord(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tru
 class Delivery(WireRecord, frozen=True):
     """One payload that reaches an agent."""
 
-    due_tick: Annotated[Uint, about("first tick at which the receiver may use it", "tick")]
-    sent_tick: Annotated[Uint, about("round tick at which it was sent, by the clock of its sender", "tick")]
+    due_tick: Annotated[Uint, about("first tick of use by the receiver", "tick")]
+    sent_tick: Annotated[Uint, about("round tick of sending, by the clock of its sender", "tick")]
     src: Annotated[Uint, about("sending vehicle")]
     seq: Annotated[Uint, about("number of the payload on its directed link, from 0")]
     copy: Annotated[Uint, about("0 for the original, 1.. for duplicates made by the network")]
@@ -87,7 +87,7 @@ class Fate(WireRecord, frozen=True):
     seq: Annotated[Uint, about("number of the payload on its directed link, from 0")]
     copy: Annotated[Uint, about("0 for the original, 1.. for duplicates")]
     sent_tick: Annotated[Uint, about("round tick at which it was sent", "tick")]
-    due_tick: Annotated[Uint, about("tick at which it was, or would have been, usable", "tick")]
+    due_tick: Annotated[Uint, about("first tick of use, real or planned", "tick")]
     delay_ns: Annotated[Uint, about("drawn delay of the link, before rounding up to ticks", "ns")]
     cause: Annotated[Cause, about("delivered, in flight, or the cause of its loss")]
     corrupted: Annotated[bool, about("whether the link changed the payload")]
@@ -119,7 +119,7 @@ class VehicleFrame(WireRecord, frozen=True):
     plant: Annotated[Reals, about("true phi, p and what its plant reports, in that order; empty without a plant")]
     clock: Annotated[Reals, about("by how much its clock is ahead; empty while all clocks are right", "s")]
     belief: Annotated[Reals, about("covariance of what it reported, as in nav; empty where nav has none")]
-    fixes: Annotated[tuple[Fix, ...], about("those that its navigation got since the frame before")]
+    fixes: Annotated[tuple[Fix, ...], about("fixes of its navigation since the frame before")]
 
 
 class Arrival(WireRecord, frozen=True):
@@ -167,7 +167,7 @@ class TimedFault(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tru
 
     id: Annotated[Text, about("name of the fault, unique in a run")]
     begin: Annotated[Uint, about("first tick at which it acts", "tick")]
-    end: Annotated[Uint | None, about("first tick at which it does not act any more; nil: it lasts to the end", "tick")]
+    end: Annotated[Uint | None, about("first tick after the fault; nil: it lasts to the end", "tick")]
 
     def active(self, tick: int) -> bool:
         """Whether the fault acts at a tick."""
@@ -202,7 +202,7 @@ class Hello(WireRecord, frozen=True, tag="hello"):
 
 
 class Nav(WireRecord, frozen=True, tag="nav"):
-    """What the vehicle measured, or believes, of its own pose and velocity at a tick, and nothing else."""
+    """The vehicle's own measured or believed pose and velocity at a tick, and no others."""
 
     route: ClassVar[Route] = Route("nav/{i}", "world", "agent i")
 
@@ -257,7 +257,7 @@ class Memory(WireRecord, frozen=True, tag="memory"):
 
 
 class Transmission(WireRecord, frozen=True, tag="tx"):
-    """What the agent sends at a round tick; an empty list is the null message and is required."""
+    """The agent's payloads at a round tick; an empty list is the null message and is required."""
 
     route: ClassVar[Route] = Route("tx/{i}", "agent i", "netem")
 
@@ -272,7 +272,7 @@ class Receipt(WireRecord, frozen=True, tag="receipt"):
     route: ClassVar[Route] = Route("tx/{i}", "agent i", "netem")
 
     incarnation: Annotated[Uint, about("life of the sending agent")]
-    tick: Annotated[Uint, about("of the Nav at which it first used them", "tick")]
+    tick: Annotated[Uint, about("of the Nav of their first use", "tick")]
     arrivals: Annotated[tuple[Arrival, ...], about("in the order in which they were used")]
 
 
@@ -345,7 +345,7 @@ class Death(WireRecord, frozen=True, tag="death"):
     tick: Annotated[Uint | None, about("first tick without an agent; nil: the process has ended, the next", "tick")]
     incarnation: Annotated[Uint, about("the life that ended, if it has")]
     until: Annotated[
-        Uint | None, about("round tick at which another agent takes over; nil: no other than planned", "tick")
+        Uint | None, about("round tick of the takeover by another agent; nil: no other than planned", "tick")
     ]
 
 

@@ -58,15 +58,16 @@ class RosBus(OpenBus):
             return None
         try:
             config = zenoh.Config.from_file(path) if path else zenoh.Config()
-            if not path:
-                config.insert_json5("scouting/multicast/enabled", "false")
+            alone = {} if path else {"mode": "client", "listen/endpoints": [], "scouting/multicast/enabled": False}
+            for key, value in alone.items():  # so that nothing listens beyond this host
+                config.insert_json5(key, json.dumps(value))
             for entry in filter(None, (single or "").split(";")):
                 key, _, value = entry.partition("=")
                 config.insert_json5(key.strip(), value.strip())
             for key, value in _ROS.items():
                 config.insert_json5(key, json.dumps(value))
-            where = [config.get_json(f"{way}/endpoints") for way in ("connect", "listen")]
-            return cls(zenoh.open(config), " and ".join(text for text in where if text not in ("[]", "null")))
+            where = [json.loads(config.get_json(f"{way}/endpoints")) for way in ("connect", "listen")]
+            return cls(zenoh.open(config), ", ".join(map(str, filter(None, where))))
         except zenoh.ZError as error:
             named = f"{SESSION_FILE}={path}" if path else f"{SETTINGS}={single}"
             raise BusError(f"zenoh does not take {named:.200}: {reason(error)}") from None
@@ -114,9 +115,9 @@ class RosBus(OpenBus):
 
         return put
 
-    def plain(self, key: str) -> OpenPublication:
-        """Puts on a key; what a slow subscriber has no room for is lost to it. Raises BusError: the key is none."""
-        return self.publication(key, "zenoh/bytes", drop=True)
+    def plain(self, key: str, *, drop: bool) -> OpenPublication:
+        """Puts on a key; `drop` as for `publication`. Raises BusError: the key is none."""
+        return self.publication(key, "zenoh/bytes", drop=drop)
 
     def hear(self, key: str, handler: Callable[[RosSample], None]) -> Callable[[], None]:
         """Call `handler` on a thread of zenoh for every put of others. Returns what ends it."""

@@ -57,10 +57,11 @@ def test_any_bytes_are_refused(data: bytes) -> None:
 def test_numbers_that_are_not_finite_and_depths_are_refused_on_both_sides() -> None:
     deep: Any = 1
     deep_map: Any = 1
+    key: Any = 1
     for _ in range(16):
-        deep, deep_map = [deep], {"a": deep_map}
+        deep, deep_map, key = [deep], {"a": deep_map}, (key,)
     assert unpack("mine", pack("mine", [*deep, *deep])) and unpack("mine", pack("mine", deep_map)) == deep_map
-    for values in (nan, [1.0, inf], {"a": [-inf]}, [deep], {"a": deep_map}):
+    for values in (nan, [1.0, inf], {"a": [-inf]}, [deep], {"a": deep_map}, {key: 1}):
         with pytest.raises(ValueError, match="plain values with finite numbers"):
             pack("mine", values)
     for inside in (b"\xcb\x7f\xf8\0\0\0\0\0\0", b"\xc7\x00\x05", b"\x91" * 20 + b"\x01", b"\x91" * 30_000 + b"\x01"):

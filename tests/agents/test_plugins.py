@@ -468,7 +468,8 @@ def test_coasting_is_the_same_in_processes(module: Callable[[str], str], tmp_pat
         assert note.startswith(f"t = {tick / 100:.2f} s (tick {tick}) agent {i}: Law ")
         assert words in note
         assert "; it is not called again, the vehicle coasts" in note
-        assert [m.tau[0] for _, m in logged(alone, f"uuv/{i}/command")] == [1.0] * tick + [0.0] * (50 - tick)
+        taus = [tuple(m.tau) for _, m in logged(alone, f"uuv/{i}/command")]
+        assert taus == [(1.0, 0.0, 0.0)] * tick + [(0.0, 0.0, 0.0)] * (50 - tick)
         assert [isnan(m.a) for _, m in logged(alone, f"uuv/{i}/control")] == [False] * tick + [True] * (50 - tick)
 
 
@@ -660,6 +661,27 @@ def test_a_whole_agent_that_answers_nonsense(
     result = run(scenario(f"agent={name}:Law"), tmp_path)
     assert result.reason.startswith("agent 1, tick 0: Law returned ")
     assert words in result.reason
+
+
+@pytest.mark.parametrize(("method", "rounds"), [("transmit", 2), ("decide", 3)])
+def test_a_whole_agent_that_fails_coasts(
+    method: str, rounds: int, module: Callable[[str], str], tmp_path: Path
+) -> None:
+    """From the tick on at which it fails there is no force; what it has sent by then is the last."""
+    name = module(f"""\
+        class Law:
+            signals = ()
+            def __init__(self, config): pass
+            def transmit(self, nav): return self.unless("transmit", nav, [b"mine"])
+            def decide(self, nav, deliveries): return self.unless("decide", nav, ((1.0, 2.0, 3.0), {{}}))
+            def unless(self, failing, nav, answer):
+                return answer if (failing, nav.tick) != ({method!r}, 20) else 1 / 0
+    """)
+    result = run(scenario(f"agent={name}:Law", "on_controller_error=coast"), tmp_path)
+    assert result.status is Status.PASS
+    taus = [tuple(m.tau) for _, m in logged(result, "uuv/2/command")]
+    assert taus == [(1.0, 2.0, 3.0)] * 20 + [(0.0, 0.0, 0.0)] * 30
+    assert len(logged(result, "link/2-1")) == rounds
 
 
 @pytest.mark.parametrize("name", ["3d", "a-b", "class", "", "ü"])

@@ -33,7 +33,7 @@ def endpoint() -> str:
 class Command:
     """`python -m fleet ...` in the background; nothing of it is left when the `with` block ends."""
 
-    def __init__(self, *arguments: Any, most_kib: int | None = None) -> None:
+    def __init__(self, *arguments: Any, most_kib: int | None = None, environment: dict[str, str] | None = None) -> None:
         """`most_kib`: the largest file that it may write [KiB]."""
         limit = [] if most_kib is None else ["bash", "-c", f'ulimit -f {most_kib}; exec "$@"', "bash"]
         descriptor, name = mkstemp(prefix="printed-")
@@ -44,6 +44,7 @@ class Command:
                 stdin=subprocess.DEVNULL,
                 stdout=printed,
                 stderr=subprocess.STDOUT,
+                env=os.environ | (environment or {}),
             )
         self.pid = self._process.pid
 

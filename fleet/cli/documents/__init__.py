@@ -1,1 +1,1 @@
-"""What `--json` prints: one struct per command, and the page that describes them."""
+"""Documents that `--json` prints: one struct per command, and the page that describes them."""

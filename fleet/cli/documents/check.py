@@ -29,7 +29,7 @@ class Eigenvalue(Struct):
 
 
 class ExpectedByTheory(Struct):
-    """What theory expects of a fleet: `docs/background/stability.md` says what the numbers mean."""
+    """Expectations of theory for a fleet: `docs/background/stability.md` says what the numbers mean."""
 
     parts: Annotated[list[list[int]], Meta(description="Vehicles that links connect, taken both ways; one: connected.")]
     followers: Annotated[list[int], Meta(description="Vehicles that follow the reference themselves.")]
@@ -102,7 +102,7 @@ class Checked(Struct):
     ideal: Annotated[bool, Meta(description="Whether the network is ideal.")]
     expect: Expect
     seed: Annotated[int, Meta(description="The seed.")]
-    draws: Annotated[list[str], Meta(description="What is drawn from the seed; empty: it decides nothing.")]
+    draws: Annotated[list[str], Meta(description="Draws from the seed; empty: it decides nothing.")]
     theory: Annotated[ExpectedByTheory, Meta(description="What theory expects.")]
     changing_links: Annotated[list[ChangingLinksRow], Meta(description="Those with states or traces.")]
     faults: Annotated[list[PlannedFault], Meta(description="In the order in which they begin.")]

@@ -17,7 +17,7 @@ class ScenarioRow(Struct):
     """One scenario that ships with the package."""
 
     name: Name
-    group: Annotated[str, Meta(description="The group of the list in which it stands.")]
+    group: Annotated[str, Meta(description="Its group in the list.")]
     title: Title
     vehicles: Vehicles
     duration_s: Duration

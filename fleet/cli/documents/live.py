@@ -18,7 +18,7 @@ Clock = Annotated[str, Meta(description="How the clock goes, in words: paused, a
 FaultId = Annotated[str, Meta(description="The fault's id.")]
 FaultWords = Annotated[str, Meta(description="The fault, as a scenario writes it.")]
 From = Annotated[float, Meta(description="Simulated time at which it begins [s].")]
-To = Annotated[float, Meta(description="Simulated time at which it ends, at the latest with the run [s].")]
+To = Annotated[float, Meta(description="Simulated time of its end, at the latest that of the run [s].")]
 UntilHealed = Annotated[bool, Meta(description="Whether it has no end of its own but the run's.")]
 
 
@@ -54,7 +54,7 @@ class FaultRow(Struct):
 
 
 class EventCount(Struct):
-    """What happened to one vehicle, how often: it tumbled or diverged."""
+    """Events of one vehicle, with their number: it tumbled or diverged."""
 
     what: Annotated[str, Meta(description="Which event, and which vehicle: `tumbled 3`.")]
     times: Annotated[int, Meta(description="How often it happened.")]
@@ -82,7 +82,7 @@ class VehicleRow(Struct):
     e_m: Annotated[float | None, Meta(description="Consensus error [m].")]
     settled: Annotated[bool, Meta(description="Whether the consensus error has stayed below 5 cm for long enough.")]
     oldest_s: Annotated[float | None, Meta(description="Greatest age of what it heard last of a neighbour [s].")]
-    oldest_of: Annotated[int | None, Meta(description="Which neighbour that is; null: it hears of nobody.")]
+    oldest_of: Annotated[int | None, Meta(description="Number of that neighbour; null: it hears of none.")]
 
 
 class LinkRow(Struct):
@@ -105,7 +105,7 @@ class RunStatus(Struct):
     at_s: At
     end_s: End
     clock: Clock
-    waiting: Annotated[str, Meta(description="Who waits for whom, in words; empty: the run moves.")]
+    waiting: Annotated[str, Meta(description="The waiting process and its cause, in words; empty: the run moves.")]
     formation: Annotated[Formation, Meta(description="Formation errors.")]
     delivered: Annotated[int, Meta(description="Packets delivered on all links.")]
     lost: Annotated[int, Meta(description="Packets lost on all links.")]
@@ -113,7 +113,7 @@ class RunStatus(Struct):
         list[FaultRow],
         Meta(description="The active ones of the scenario, injected, and of agents that died; with --all every one."),
     ]
-    events: Annotated[list[EventRow], Meta(description="What happened to vehicles so far, one row for each.")]
+    events: Annotated[list[EventRow], Meta(description="Events of vehicles so far, one row for each.")]
     vehicles_total: Annotated[int, Meta(description="Number of vehicles.")]
     vehicles: Annotated[list[VehicleRow], Meta(description="The worst ten by formation error; with --all up to 500.")]
     links_total: Annotated[int, Meta(description="Number of directed links.")]
@@ -144,7 +144,7 @@ class ClockSet(Struct):
 
     run: RunName
     clock: Clock
-    at_s: Annotated[float, Meta(description="Simulated time up to which the run has been let go [s].")]
+    at_s: Annotated[float, Meta(description="Simulated time that has been granted to the run [s].")]
 
 
 class Stopping(Struct):

@@ -18,7 +18,7 @@ from fleet.repeat.check_log import JudgedLog
 from fleet.repeat.verify import Verification
 from fleet.result.verdict import Verdict
 
-Missing = Annotated[str, Meta(description="What is missing in the file; empty: it is whole.")]
+Missing = Annotated[str, Meta(description="Missing parts of the file; empty: it is whole.")]
 Plain = str | int | float | bool | None
 
 
@@ -56,7 +56,7 @@ class Verified(Struct):
     reproduced: Annotated[bool, Meta(description="Whether everything that was compared is the same.")]
     messages: Annotated[int, Meta(description="Messages reproduced bit for bit.")]
     until_s: Annotated[float, Meta(description="Simulated time of the last recorded message [s].")]
-    end_s: Annotated[float, Meta(description="Simulated time at which the run was to end [s].")]
+    end_s: Annotated[float, Meta(description="Planned end of the run in simulated time [s].")]
     missing: Missing
     skipped: Annotated[int, Meta(description="Messages that the re-run gave where the file has gaps.")]
     difference: Annotated[FirstDifference | None, Meta(description="The first difference; null: there is none.")]
@@ -117,7 +117,7 @@ class LogContents(Struct):
     messages: Annotated[int, Meta(description="Number of messages.")]
     start_s: Annotated[float, Meta(description="Time of the first message [s].")]
     end_s: Annotated[float, Meta(description="Time of the last message [s].")]
-    run: Annotated[dict[str, str], Meta(description="What determines the run; empty: it is no log of a run.")]
+    run: Annotated[dict[str, str], Meta(description="All that determines the run; empty: it is no log of a run.")]
     faults: Annotated[list[FaultTime], Meta(description="In the order in which they began.")]
     events: Annotated[list[EventCount], Meta(description="What happened to vehicles, one row for each.")]
     topics: Annotated[dict[str, tuple[str, int]], Meta(description="Schema and number of messages, by topic.")]
@@ -131,7 +131,7 @@ class LogJudged(Struct):
     log: Annotated[str, Meta(description="Path of the log.")]
     passed: Annotated[bool, Meta(description="Whether every check passed.")]
     until_s: Annotated[float, Meta(description="Simulated time up to which it was judged [s].")]
-    end_s: Annotated[float, Meta(description="Simulated time at which the run was to end [s].")]
+    end_s: Annotated[float, Meta(description="Planned end of the run in simulated time [s].")]
     missing: Missing
     checks: Annotated[list[Verdict], Meta(description="The verdicts.")]
 

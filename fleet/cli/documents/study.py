@@ -71,9 +71,9 @@ class Less(Struct):
     file: Annotated[str, Meta(description="The least scenario.")]
     scenario: Annotated[str, Meta(description="Name of the scenario.")]
     check: Annotated[str, Meta(description="The check that fails.")]
-    found: Annotated[list[str], Meta(description="What the check found: at first, and in the least scenario.")]
+    found: Annotated[list[str], Meta(description="Finding of the check: at first, and in the least scenario.")]
     runs: Annotated[int, Meta(description="Runs that were made.")]
-    steps: Annotated[list[str], Meta(description="What was made less, in words and in order.")]
+    steps: Annotated[list[str], Meta(description="The reductions, in words and in order.")]
     before: Annotated[Size, Meta(description="The first scenario.")]
     after: Annotated[Size, Meta(description="The least one.")]
 

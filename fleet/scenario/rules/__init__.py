@@ -1,1 +1,1 @@
-"""What must hold between the sections of a scenario; every mistake is reported, not only the first."""
+"""Rules between the sections of a scenario; every mistake is reported, not only the first."""

@@ -17,7 +17,7 @@ from fleet.scenario.rules.report import LINKS_SHOWN, Report, vehicles_exist, who
 from fleet.scenario.schema.checks import CHECK_NAME, EVERY, OF_THE_SCHEMA
 from fleet.scenario.sections.python_checks import load_check, parameters_of
 from fleet.scenario.sections.signal_checks import SignalCheckError, ask, of_a_plugin
-from fleet.scenario.sections.signals import BeliefKind, SignalPlace, places
+from fleet.scenario.sections.signals import BeliefKind, SignalPlace, VehicleSignals
 from netem.selectors import parse_selector, select
 from world.errors import PluginError
 
@@ -104,7 +104,9 @@ def signal(parts: Parts, report: Report) -> None:
         if vehicles is not None or not of_a_plugin(check.topic):
             try:
                 everyone = range(1, spec.vehicles + 1)
-                unknown = {i: places(None, None, i in parts.clocks, belief=BeliefKind.FILTER) for i in everyone}
+                unknown = {
+                    i: VehicleSignals(has_clock=i in parts.clocks, belief=BeliefKind.FILTER).places() for i in everyone
+                }
                 ask(check, vehicles or unknown)
             except SignalCheckError as error:
                 report.add((*path, error.key), error.problem, error.hint)
@@ -121,7 +123,9 @@ def _signals(parts: Parts, report: Report) -> dict[int, Mapping[str, SignalPlace
         if others and (not report.policy.imports or report.mistaken("agent", "controller", "guidance", "tracking")):
             return None
         return {
-            i: places(layout(control), control.plant_signals(), i in parts.clocks, BeliefKind.of(control.navigation))
+            i: VehicleSignals(
+                layout(control), control.plant_signals(), i in parts.clocks, BeliefKind.of(control.navigation)
+            ).places()
             for i, control in enumerate(controls, start=1)
         }
     except (FleetError, PluginError):  # reported where it is about

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from importlib import resources
 from pathlib import Path
@@ -150,6 +150,18 @@ def table(
         except q.QuantityError as error:
             problems.append(f"{section}.{key}: {error.message}")
     return numbers
+
+
+def out_of_range(
+    numbers: Mapping[str, float], known: Mapping[str, q.Dimension], bounds: Mapping[str, tuple[float, float]]
+) -> list[str]:
+    """A line for each number that is outside its bounds, which belong to the range; all are in SI units."""
+    problems = []
+    for key, (low, high) in bounds.items():
+        if key in numbers and not low <= numbers[key] <= high:
+            least, most, value = (q.show(number, known[key]) for number in (low, high, numbers[key]))
+            problems.append(f"{key} must be between {least} and {most}, is {value}")
+    return problems
 
 
 def curves(

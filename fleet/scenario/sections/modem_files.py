@@ -21,7 +21,7 @@ from typing import Any
 
 from fleet import quantities as q
 from fleet.scenario.sections import data_files
-from fleet.scenario.sections.data_files import DataFileError, table
+from fleet.scenario.sections.data_files import DataFileError, out_of_range, table
 from netem.modem import Modem
 
 _PACKAGE = "netem.modems"
@@ -55,7 +55,7 @@ WHOLE = ("mtu", "tries", "acknowledgement")
 _OF = {"mtu": " of bytes", "acknowledgement": " of bytes"}
 Values = dict[str, Any]  # of a modem: numbers, and curves or None
 # The ranges in which the formulas hold; wider than those of any real modem.
-BOUNDS: dict[str, tuple[float, float]] = {
+_BOUNDS: dict[str, tuple[float, float]] = {
     "bit_rate": (0.1, 1e8),
     "preamble": (0.0, 3600.0),
     "carrier": (100.0, 1e6),
@@ -145,12 +145,7 @@ def modem_of(values: Values) -> Modem:
 
 def modem_problems(values: Values) -> list[str]:
     """A line for each value that no modem can have."""
-    problems = []
-    counted = without_replaced(values)
-    for key, (low, high) in BOUNDS.items():
-        if key in counted and not low <= values[key] <= high:
-            unit = next(unit for unit, size in NUMBERS[key].units.items() if size == 1)
-            problems.append(f"{key} must be between {low:g} and {high:g} {unit}, is {values[key]:g}".replace("  ", " "))
+    problems = out_of_range(without_replaced(values), NUMBERS, _BOUNDS)
     problems += [
         f"{key} must be a whole number{_OF.get(key, '')}, is {values[key]:g}" for key in WHOLE if values[key] % 1
     ]

@@ -20,7 +20,7 @@ from typing import Any
 from fleet import quantities as q
 from fleet.scenario.schema.navigation import DEFAULT_GRADE, ExpectedCurrent, FixSection, NavigationSection
 from fleet.scenario.sections import data_files
-from fleet.scenario.sections.data_files import DataFileError, table
+from fleet.scenario.sections.data_files import DataFileError, out_of_range, table
 from fleet.scenario.sections.navigation_trace import load_trace, trace_text
 from world.navigation.config import DeadReckoning, FixKind, FixSource, Grade, Navigation, NavigationTrace
 
@@ -33,11 +33,13 @@ NUMBERS: dict[str, q.Dimension] = {
     "tilt": q.ANGLE,
 }  # fmt: skip
 # The ranges in which the filter's linear equations hold; wider than those of any real instrument.
-_MOST: dict[str, float] = {
-    "heading_bias": 0.5, "heading_noise": 0.5, "heading_walk": 0.1, "gyro_bias": 0.1, "gyro_walk": 0.1,
-    "dvl_scale": 0.3, "dvl_noise": 10.0, "dvl_altitude": 1e5, "depth_bias": 1e4, "depth_noise": 1e4, "tilt": 0.5,
+_BOUNDS: dict[str, tuple[float, float]] = {
+    **dict.fromkeys(("heading_rate", "gyro_rate", "dvl_rate", "depth_rate"), (0.001, 10_000.0)),
+    **dict.fromkeys(("heading_bias", "heading_noise", "tilt"), (0.0, 0.5)),
+    **dict.fromkeys(("heading_walk", "gyro_bias", "gyro_walk"), (0.0, 0.1)),
+    "dvl_scale": (0.0, 0.3), "dvl_noise": (0.0, 10.0), "dvl_altitude": (0.0, 1e5),
+    "depth_bias": (0.0, 1e4), "depth_noise": (0.0, 1e4),
 }  # fmt: skip
-_RATES = (0.001, 10_000.0)  # Hz
 DEFAULT_START_M = 1.0
 KINDS: tuple[FixKind, ...] = ("gps", "usbl", "lbl")
 # Values in place of what a scenario leaves out; docs/guide/navigation.md has their sources.
@@ -80,13 +82,7 @@ def load_grade(name: str, folder: Path | None = None) -> GradeFile:
 
 def grade_problems(numbers: dict[str, float]) -> list[str]:
     """A line for each number that no instrument can have."""
-    problems = []
-    for key, value in numbers.items():
-        low, high = _RATES if key.endswith("_rate") else (0.0, _MOST[key])
-        if not low <= value <= high:
-            shown = [q.show(one, NUMBERS[key]) for one in (low, high, value)]
-            problems.append(f"{key} must be between {shown[0]} and {shown[1]}, is {shown[2]}")
-    return problems
+    return out_of_range(numbers, NUMBERS, _BOUNDS)
 
 
 def grade_of(section: NavigationSection, folder: Path | None) -> Grade:

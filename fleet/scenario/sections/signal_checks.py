@@ -25,8 +25,8 @@ from fleet.scenario.sections.signals import (
     SignalError,
     SignalName,
     SignalPlace,
+    VehicleSignals,
     parse_name,
-    places,
     unit_of,
 )
 
@@ -129,7 +129,7 @@ def of_a_plugin(text: str) -> bool:
     signal = parse_name(text)
     if signal is None:
         return False
-    of_roll = places(None, ()).keys() - places(None, None).keys()
+    of_roll = VehicleSignals(plant=()).places().keys() - VehicleSignals().places().keys()
     return signal.group in (*OF_THE_LAWS, OF_THE_PLANT) or signal.name in of_roll
 
 

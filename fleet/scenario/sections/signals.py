@@ -151,64 +151,45 @@ def component(vector: str, k: int) -> str:
     return f"{vector}_{k}"
 
 
-def places(
-    layout: SignalLayout | None,
-    plant: tuple[Signal, ...] | None,
-    has_clock: bool = False,
-    belief: BeliefKind = BeliefKind.NONE,
-) -> dict[str, SignalPlace]:
-    """Every signal of a vehicle, vectors and their components, by name.
+class VehicleSignals(NamedTuple):
+    """What a log has of one vehicle."""
 
-    Args:
-        layout: what its agent reports; None: that is not known.
-        plant: what its plant reports; None: it has none.
-        has_clock: whether its clock is set.
-        belief: what it believes of its place.
-    """
-    found: dict[str, SignalPlace] = {}
-    for group, (start, signals) in _groups(layout, plant, has_clock, belief).items():
-        for signal in signals:
-            name, width = f"{group}.{signal.name}", signal.width
-            if name in OF_A_FILTER and belief is BeliefKind.PLACE:
+    layout: SignalLayout | None = None  # what its agent reports; None: that is not known
+    plant: tuple[Signal, ...] | None = None  # what its plant reports; None: it has none
+    has_clock: bool = False  # its clock is set
+    belief: BeliefKind = BeliefKind.NONE  # what it believes of its place
+
+    def groups(self) -> dict[str, tuple[int, tuple[Signal, ...]]]:
+        """By topic group where its values begin, and its signals."""
+        groups = {group: (0, signals) for group, signals in _ALWAYS.items()}
+        if self.has_clock:
+            groups[OF_THE_CLOCK] = 0, CLOCK
+        if self.plant is not None:
+            groups |= dict.fromkeys(("state", "nav"), (0, STATE + ROLL)) | {OF_THE_PLANT: (0, self.plant)}
+        if self.belief is not BeliefKind.NONE:
+            groups[OF_NAVIGATION] = 0, BELIEF
+        if self.layout is not None:
+            if locates(self.layout):
+                groups[OF_LOCALIZATION] = 0, LOCATED
+            groups |= {group: (self.layout.group(group).start, getattr(self.layout, group)) for group in OF_THE_LAWS}
+        return groups
+
+    def places(self) -> dict[str, SignalPlace]:
+        """Every signal, vectors and their components, by name."""
+        found: dict[str, SignalPlace] = {}
+        for group, (start, signals) in self.groups().items():
+            for signal in signals:
+                name, width = f"{group}.{signal.name}", signal.width
+                if name in OF_A_FILTER and self.belief is BeliefKind.PLACE:
+                    start += width
+                    continue
+                units = signal.unit.split(", ") if ", " in signal.unit else [signal.unit] * width
+                found[name] = SignalPlace(slice(start, start + width), signal.unit)
+                if width > 1:
+                    for k, unit in enumerate(units):
+                        found.setdefault(component(name, k), SignalPlace(slice(start + k, start + k + 1), unit))
                 start += width
-                continue
-            units = signal.unit.split(", ") if ", " in signal.unit else [signal.unit] * width
-            found[name] = SignalPlace(slice(start, start + width), signal.unit)
-            if width > 1:
-                for k, unit in enumerate(units):
-                    found.setdefault(component(name, k), SignalPlace(slice(start + k, start + k + 1), unit))
-            start += width
-    return found
-
-
-def flat_signals(
-    layout: SignalLayout | None,
-    plant: tuple[Signal, ...] | None,
-    has_clock: bool = False,
-    belief: BeliefKind = BeliefKind.NONE,
-) -> dict[str, tuple[int, list[tuple[str, int]]]]:
-    """By topic group where its values begin, and name and number of values of each signal; as `places` has them."""
-    return {
-        group: (start, [(signal.name, signal.width) for signal in signals])
-        for group, (start, signals) in _groups(layout, plant, has_clock, belief).items()
-    }
-
-
-def _groups(
-    layout: SignalLayout | None, plant: tuple[Signal, ...] | None, has_clock: bool, belief: BeliefKind
-) -> dict[str, tuple[int, tuple[Signal, ...]]]:
-    groups = {group: (0, signals) for group, signals in _ALWAYS.items()}
-    if has_clock:
-        groups[OF_THE_CLOCK] = 0, CLOCK
-    if plant is not None:
-        groups |= dict.fromkeys(("state", "nav"), (0, STATE + ROLL)) | {OF_THE_PLANT: (0, plant)}
-    if belief is not BeliefKind.NONE:
-        groups[OF_NAVIGATION] = 0, BELIEF
-    if layout is not None:
-        if locates(layout):
-            groups[OF_LOCALIZATION] = 0, LOCATED
-        groups |= {group: (layout.group(group).start, getattr(layout, group)) for group in OF_THE_LAWS}
-    return groups
+        return found
 
 
 def locates(layout: SignalLayout) -> bool:

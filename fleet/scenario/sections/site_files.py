@@ -7,7 +7,7 @@ from pathlib import Path
 
 from fleet import quantities as q
 from fleet.scenario.sections import data_files
-from fleet.scenario.sections.data_files import DataFileError, table
+from fleet.scenario.sections.data_files import DataFileError, out_of_range, table
 
 _PACKAGE = "netem.sites"
 NUMBERS: dict[str, q.Dimension] = {
@@ -49,11 +49,7 @@ def load_site(name: str, folder: Path | None = None) -> SiteFile:
     problems = [f"unknown key {key!r}" for key in values if key not in (*texts, "site")]
     problems += [f"{key} is missing" for key in texts if not isinstance(values.get(key), str)]
     numbers = table(values, "site", NUMBERS, problems)
-    problems += [
-        f"{key} must be between {low:g} and {high:g}, is {numbers[key]:g}"
-        for key, (low, high) in _BOUNDS.items()
-        if key in numbers and not low <= numbers[key] <= high
-    ]
+    problems += out_of_range(numbers, NUMBERS, _BOUNDS)
     if problems:
         raise DataFileError("site", path, problems)
     return SiteFile(values["name"], values["title"], values["fit"], **numbers)

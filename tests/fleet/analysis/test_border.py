@@ -74,7 +74,7 @@ def fleets(draw: st.DrawFn) -> LinearFleet:
 
 @pytest.mark.filterwarnings("ignore:Generating overly large repr")  # of a large matrix
 @given(fleets(), st.floats(0.2, 5.0))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_as_many_modes_grow_as_the_matrix_has_eigenvalues_outside(fleet: LinearFleet, gain: float) -> None:
     """The turns of the determinant count the eigenvalues: hold, rounds, delays, caps and double zeros included."""
     sizes = np.abs(eigenvalues(fleet, gain))

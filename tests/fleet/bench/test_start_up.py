@@ -15,9 +15,11 @@ def test_each_command_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     """Byte code is written to a folder of our own, whatever the environment says, and found there the next time."""
     found = "import sys; sys.exit(0 if sys.pycache_prefix and not sys.dont_write_bytecode else 'no byte code')"
     monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
-    monkeypatch.setitem(start_up.COMMANDS, "fleet list", [sys.executable, "-c", found])
+    monkeypatch.setattr(
+        start_up, "COMMANDS", {"first": [sys.executable, "-c", found], "second": COMMANDS["fleet list"]}
+    )
     times = cpu_times(1)
-    assert list(times) == list(COMMANDS)
+    assert list(times) == ["first", "second"]
     assert all(0 < spent < float("inf") for spent in times.values())
 
 

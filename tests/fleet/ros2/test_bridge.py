@@ -183,6 +183,7 @@ def test_where_nodes_meet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
             open_ros_session(connect, None)
 
 
+@pytest.mark.slow
 def test_a_run_that_is_shown_has_the_log_that_it_has_alone(alone: Alone, tmp_path: Path) -> None:
     """A node that subscribes to all of a vehicle is there before the first tick."""
     with ros_router() as (_, endpoint), ros_node(endpoint, "listener") as node:
@@ -202,6 +203,7 @@ def test_a_run_that_is_shown_has_the_log_that_it_has_alone(alone: Alone, tmp_pat
         assert not node.problems
 
 
+@pytest.mark.slow
 def test_a_live_run_is_shown_and_disturbed(tmp_path: Path) -> None:
     """A service cuts a link, an unknown word is refused in a sentence, and the run's log holds the fault."""
     with (

@@ -43,6 +43,11 @@ def _packer(numbers: int) -> Callable[..., bytes]:
     return Struct(f"<{numbers}q").pack
 
 
+def salted(seed: int, salt: int) -> int:
+    """The seed of other draws than those of a run, for a branch of it; salt 0: the run's own."""
+    return bits(seed, "branch", salt) - 2**63 if salt else seed
+
+
 def undecided(chance: float) -> bool:
     """Whether a draw decides on something of this chance: of 0 and 1 it does not."""
     return 0.0 < chance < 1.0

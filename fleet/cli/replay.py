@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,7 @@ from fleet.errors import FleetError
 
 if TYPE_CHECKING:
     from fleet.replay.observed import Observed
+    from fleet.terminal.status_line import StatusLine
 
 EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or a full disk, 129 terminal closed, 130 Ctrl-C."
 
@@ -152,6 +154,11 @@ def replay(
 @click.option("--run", metavar="NAME", shell_complete=completion.published_runs,
               help="Record the journal of this live run, started with --publish, until it ends: its name or the "
               "beginning of it, its scenario, or its directory.")  # fmt: skip
+@click.option(
+    "--ros2", is_flag=True,
+    help="Write a bag of what nodes of ROS 2 publish, by rmw_zenoh and ROS_DOMAIN_ID; --output is its directory, and "
+    "--key a topic such as '/uuv_1/*'.",
+)  # fmt: skip
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no summary.")
 def record(
     keys: tuple[str, ...],
@@ -161,6 +168,7 @@ def record(
     connect: str | None,
     listen: str | None,
     run: str | None,
+    ros2: bool,
     quiet: bool,
 ) -> None:
     """Record zenoh traffic of any kind to an MCAP file, until Ctrl-C.
@@ -173,6 +181,7 @@ def record(
       fleet record --key 'robot/**' -o robot.mcap --connect tcp/127.0.0.1:7447
       fleet record --key 'robot/**' --key 'base/*/status' --listen tcp/0.0.0.0:7447 --duration '10 min'
       fleet record --run paper -o journal.mcap
+      fleet record --ros2 -o bag                  everything on the domain of ROS, as ros2 bag record
     """
     from rich.console import Console as Terminal
 
@@ -186,15 +195,21 @@ def record(
             raise click.UsageError("--run says already where to connect")
         connect, credentials, prefix = _observer(run)
         keys = keys or (f"{prefix}/log/**",)
-    if not keys:
+    if ros2 and run is not None:
+        raise click.UsageError("--run is the journal of a run, and --ros2 records what nodes publish")
+    if not keys and not ros2:
         raise click.UsageError("record what? Give --key 'robot/**', or --key '**' for everything")
-    path = output or Path(f"record-{datetime.now(UTC):%Y%m%d-%H%M%S}.mcap")  # noqa: TID251 (a name)
+    path = output or Path(f"record-{datetime.now(UTC):%Y%m%d-%H%M%S}{'' if ros2 else '.mcap'}")  # noqa: TID251 (a name)
     with ending() as sessions, StatusLine(Terminal(stderr=True), quiet=quiet) as line:
-        bus = _session(connect, listen, credentials)
+        if ros2:
+            bus, source, keys, open_writer = _ros2(connect, listen, keys, path, line)
+        else:
+            bus = source = _session(connect, listen, credentials)
+            open_writer = partial(TrafficWriter, path, keys)
         sessions.append(bus)
         with exit_status(2):
-            recorder = Recorder(bus, keys)
-            writer = TrafficWriter(path, keys)
+            recorder = Recorder(source, keys)
+            writer = open_writer()
         line.print(f"recording {', '.join(keys)} at {bus.endpoint} to {path}")
         with exit_status(3), holding_interrupts() as interrupted:
             try:
@@ -206,6 +221,25 @@ def record(
                     _finish(recorder, writer, line, path)
                 raise
             _finish(recorder, writer, line, path)
+
+
+def _ros2(
+    connect: str | None, listen: str | None, topics: tuple[str, ...], path: Path, line: StatusLine
+) -> tuple[Any, Any, tuple[str, ...], Callable[[], Any]]:
+    """A session among nodes of ROS 2, what to subscribe with, to which keys, and what opens the bag."""
+    from fleet.ros2.record import BagWriter, WithHistory
+    from fleet.ros2.rmw import domain_of
+    from fleet.ros2.session import open_ros_session
+    from fleet.ros2.types import types_of
+    from netem.wire.session import quiet_zenoh
+
+    if connect and listen:
+        raise click.UsageError("either --connect or --listen")
+    types, domain = types_of(), domain_of(None)
+    quiet_zenoh()
+    bus, _ = open_ros_session(connect, listen)
+    keys = tuple(f"{domain}/{topic.strip('/')}/*/*" for topic in topics) or (f"{domain}/**",)
+    return bus, WithHistory(bus), keys, partial(BagWriter, path, types, line.print)
 
 
 def _finish(recorder: Any, writer: Any, line: Any, path: Path) -> None:

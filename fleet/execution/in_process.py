@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import msgpack
 
@@ -25,6 +26,7 @@ from fleet.recorder.journal import Journal
 from fleet.recorder.snapshot import Start
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.sections.timeline import MOST_RESTARTS
+from netem.draws import salted
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.lives import Absence
 from netem.rounds import Rounds
@@ -50,17 +52,20 @@ class InProcess:
         journal: Journal,
         start: Start | None = None,
         agents: Mapping[int, MakeLoop] | None = None,
+        salt: int = 0,
     ) -> None:
         """Prepare a run.
 
         Args:
             start: where it goes on from another run; None: at its beginning.
             agents: by vehicle, what makes an agent in place of the scenario's.
+            salt: of what world and network draw from here on; 0: as in every run of this seed.
         """
         self._other_agents = agents or {}
         self._scenario, self._journal, self._begin = scenario, journal, start
-        self._world = Lockstep(scenario.world_config, frame_every=frame_every(scenario))
-        self.rounds = Rounds(scenario.netem_config)
+        seed = salted(scenario.seed, salt)
+        self._world = Lockstep(replace(scenario.world_config, seed=seed), frame_every=frame_every(scenario))
+        self.rounds = Rounds(replace(scenario.netem_config, seed=seed))
         self._loops: dict[int, AgentLoop] = {}
         self.notes: list[str] = []
         self.deaths: dict[int, list[str]] = {}

@@ -10,13 +10,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import IO, Any
+from typing import IO, Any, Protocol
 
 from fleet.errors import FleetError
 from fleet.logs.mcap_writer import McapWriter
 from fleet.replay.capture_format import ATTACHMENT, DELETE, ENCODING, KIND, PROFILE, PUT, message_encoding
 from fleet.terminal.status_line import StatusLine
-from netem.wire.open_bus import OpenBus, ZenohSample, sample_of
+from netem.wire.open_bus import ZenohSample, sample_of
 
 FLUSH_NS = 1_000_000_000  # a recorder that is killed loses so much at most
 POLL_S = 0.1
@@ -32,6 +32,24 @@ class Limits:
 
     duration_ns: int | None = None
     size: int | None = None
+
+
+class SampleWriter(Protocol):
+    """What samples are written with."""
+
+    samples: int
+
+    @property
+    def size(self) -> int: ...
+    def add(self, sample: ZenohSample, at_ns: int, /) -> None: ...
+    def flush(self, now_ns: int, /) -> None: ...
+    def close(self) -> None: ...
+
+
+class SampleSource(Protocol):
+    """What samples come from: a session of zenoh."""
+
+    def subscribe(self, key: str, handler: Callable[[Any], None], /) -> object: ...
 
 
 class TrafficWriter:
@@ -133,7 +151,7 @@ class PublisherGone:
 class Recorder:
     """Writes what a session receives to a file, in the order of reception."""
 
-    def __init__(self, bus: OpenBus, keys: Sequence[str]) -> None:
+    def __init__(self, bus: SampleSource, keys: Sequence[str]) -> None:
         """Begin to listen. Raises BusError: a key expression is none."""
         self._queue: SimpleQueue[tuple[int, Any]] = SimpleQueue()
         self._finished = False
@@ -149,7 +167,7 @@ class Recorder:
 
     def record(
         self,
-        writer: TrafficWriter,
+        writer: SampleWriter,
         limits: Limits,
         line: StatusLine,
         interrupted: Callable[[], KeyboardInterrupt | None] = lambda: None,
@@ -189,7 +207,7 @@ class Recorder:
                 writer.flush(self._zero_ns + time.monotonic_ns())
             self._drain(writer, MOST_BATCH)
 
-    def finish(self, writer: TrafficWriter) -> None:
+    def finish(self, writer: SampleWriter) -> None:
         """Write what was received before now, and close the file. Raises FleetError."""
         try:
             self._drain(writer, self._queue.qsize())
@@ -197,9 +215,9 @@ class Recorder:
             self._finished = True  # a thread of zenoh that waits for room would keep the session from closing
             writer.close()
 
-    def _drain(self, writer: TrafficWriter, most: int) -> None:
+    def _drain(self, writer: SampleWriter, most: int) -> None:
         for _ in range(min(most, self._queue.qsize())):
             self._add(writer, *self._queue.get_nowait())
 
-    def _add(self, writer: TrafficWriter, at_ns: int, received: Any) -> None:
+    def _add(self, writer: SampleWriter, at_ns: int, received: Any) -> None:
         writer.add(sample_of(received), at_ns)

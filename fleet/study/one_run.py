@@ -25,6 +25,7 @@ from fleet.result.result import Result
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy
+from fleet.study.branches import Branch, run_branch
 from fleet.study.errors import StudyError
 from fleet.study.measures import MEASURES
 from fleet.study.modules import NO_MODULES, Modules, folder_of
@@ -51,6 +52,7 @@ class Task(NamedTuple):
     signals: tuple[str, ...] = ()  # measures of signals, by name
     log: str = ""  # the run directory that is to be made; empty: none
     seen: bool = False  # whether the row has what the run went through
+    branch: Branch | None = None  # a part of a run, in place of all of it
 
 
 def late(task: Task) -> StudyError:
@@ -106,6 +108,8 @@ def _made(task: Task) -> dict[str, Any]:
 
     try:
         scenario = scenario_of(task)
+        if task.branch is not None:
+            return run_branch(scenario, task.branch, check)
         samples = Samples(scenario, task.signals)
         if task.seen:
             return _seen(scenario, check if isfinite(task.timeout_s) else None, Seen(scenario, samples))

@@ -134,6 +134,16 @@ class RosBus(OpenBus):
 
         return self.subscribe(key, receive)
 
+    def subscribe_with_history(self, key: str, handler: Callable[[Any], None]) -> Callable[[], None]:
+        """As `subscribe`, and also what publishers keep for subscribers that come late. Raises BusError."""
+        try:
+            history = zenoh.ext.HistoryConfig(detect_late_publishers=True)
+            subscriber = zenoh.ext.declare_advanced_subscriber(self._session, key, handler, history=history)
+        except zenoh.ZError:
+            raise BusError(f"{key!r} is no key expression of zenoh: parts such as uuv_1/*, none empty") from None
+        self._held.append(subscriber)
+        return lambda: self._held.remove(subscriber)
+
     def serve(self, key: str, handler: Callable[[RosSample], tuple[bytes, bytes] | None]) -> None:
         """Answer calls of a service: `handler` gets a request, and returns payload and attachment, or None."""
 

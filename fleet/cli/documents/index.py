@@ -20,6 +20,7 @@ from fleet.cli.documents.search import FirstFailing
 from fleet.cli.documents.study import Less, Swept
 from fleet.cli.documents.what_if import OtherCommands
 from fleet.result.result import Result
+from fleet.study.rare import RareFound
 
 DOCUMENTS: dict[str, type[Struct]] = {
     "bench": Measured,
@@ -38,6 +39,7 @@ DOCUMENTS: dict[str, type[Struct]] = {
     "list": Scenarios,
     "ls": Runs,
     "ps": live.LiveRuns,
+    "rare": RareFound,
     "run": Result,
     "search": FirstFailing,
     "shrink": Less,

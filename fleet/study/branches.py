@@ -1,0 +1,135 @@
+"""Parts of a run: from its start, or from a snapshot of another part, with draws of their own, until a check is near.
+
+What is drawn before the run begins (initial states, clocks, faults of a nemesis) and what agents draw belongs to the
+seed. What world and network draw while it goes on belongs to the salt.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from math import inf
+from typing import Any, NamedTuple
+
+from fleet.analysis.seed import declared
+from fleet.analysis.verdicts import judge
+from fleet.checks.own_checks import OwnChecks
+from fleet.execution.clock import GrantPolicy
+from fleet.execution.external_agents import refuse
+from fleet.execution.in_process import InProcess
+from fleet.recorder.journal import Journal
+from fleet.recorder.metrics import VehicleError
+from fleet.recorder.snapshot import Snapshot, Start
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.timeline import Event
+from fleet.study.errors import StudyError
+from netem.wire.messages import Command, Fate, Frame
+
+_FAILED = -1e-300  # the margin of a check that failed at its limit: below 0
+# Whose margin is the least over the time, so that a part of a run can go on from what it was before.
+_OF_THE_TIME = ("formation_error", "consensus_error", "min_separation", "max_age")
+# Drawn before a run begins, or with a state that a snapshot has. Others are computed from the seed of the whole run.
+_BRANCHES = frozenset({"initial scatter", "random graph", "clocks", "faults", "sensor noise", "link conditions",
+                       "link states"})  # fmt: skip
+
+
+class Branch(NamedTuple):
+    """A part of a run.
+
+    Attributes:
+        check: whose margin counts.
+        salt: of the draws; 0: those of the run of this seed.
+        start: a snapshot; empty: the start of the run.
+        best: the least margin before.
+        level: it ends when the margin is at or below this; None: it goes on to the end of the run.
+    """
+
+    check: str
+    salt: int
+    start: bytes = b""
+    best: float = inf
+    level: float | None = None
+
+
+class _ReachedError(Exception):
+    """The margin is at the level."""
+
+
+class _Path:
+    """What the journal writes to: keeps each snapshot at which the margin was smaller than ever."""
+
+    def __init__(self, branch: Branch, margin: Callable[[], float]) -> None:
+        self.best = branch.best
+        self.places: list[list[Any]] = []  # [margin, snapshot]
+        self._level, self._margin = branch.level, margin
+
+    def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None: ...
+    def packet(self, fate: Fate) -> None: ...
+    def event(self, event: Event) -> None: ...
+
+    def snapshot(self, snapshot: Snapshot) -> None:
+        if (margin := self._margin()) >= self.best:
+            return
+        self.best = margin
+        self.places.append([margin, snapshot.to_bytes()])
+        if self._level is not None and margin <= self._level:
+            raise _ReachedError
+
+
+def run_branch(scenario: Scenario, branch: Branch, progress: Callable[[float], None]) -> dict[str, Any]:
+    """Make a part of a run; returns its row: `best` margin, `places` on the way to it, `ticks` that were simulated."""
+    start = None
+    if branch.start:
+        start = Start(Snapshot.from_bytes(branch.start), "")
+    begin = 0 if start is None else start.snapshot.tick
+
+    def margin() -> float:
+        verdict = next((one for one in judge(scenario, journal, 0) if one.check == branch.check), None)
+        if verdict is None or verdict.margin is None:
+            return inf
+        return verdict.margin.value if verdict.passed else min(verdict.margin.value, _FAILED)
+
+    path = _Path(branch, margin)
+    journal = Journal(scenario, path, checks=OwnChecks.asked(scenario, begin))
+    runner = InProcess(scenario, journal, start, salt=branch.salt)
+    try:
+        runner.serve(GrantPolicy.of(scenario, begin=begin), lambda: progress(0.0))
+        journal.finish()
+        best = min(path.best, margin())
+    except _ReachedError:
+        best = path.best
+    return {"status": "pass", "reason": "", "best": best, "places": path.places, "ticks": journal.framed - begin}
+
+
+def refuse_branches(scenario: Scenario, check: str) -> None:
+    """See whether parts of a run can be made and put together.
+
+    Raises:
+        StudyError: they cannot.
+    """
+    refuse(scenario, "a run of a study")
+    known = list(_checks(scenario))
+    if check not in known:
+        has = ", ".join(known) or "none"
+        text = f"the margin of the check {check} is not the least over the time, or there is no such check"
+        raise StudyError(f"{scenario.name}: {text}; those that can be used here: {has}")
+    others = [part for part, purposes in declared(scenario).items() if purposes and part not in _BRANCHES]
+    if others:
+        text = f"{', '.join(others)} cannot be drawn anew from a snapshot on"
+        raise StudyError(f"{scenario.name}: {text}; count with fleet sweep instead")
+    if not scenario.memory_ticks:
+        raise StudyError(f"{scenario.name} has no snapshots: log.snapshot is 0 s, or a law cannot save its state")
+
+
+def _checks(scenario: Scenario) -> Iterator[str]:
+    """The checks whose margin is the least over the time."""
+    checks = scenario.spec.checks
+    for name in _OF_THE_TIME:
+        if getattr(checks, name) is not None:
+            yield name
+    for key, place, name, _ in checks.own():
+        if key != "signal":
+            continue
+        one = (checks.signal or [])[place]
+        timed = (one.eventually_within, one.for_at_least, one.agree_within, one.at_most_one)
+        if all(value is None for value in timed):
+            yield name

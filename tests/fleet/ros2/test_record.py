@@ -1,0 +1,96 @@
+"""Traffic of ROS 2 into a bag: from a fleet that is shown, and from nodes that speak it badly."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+from in_process_runs import alone as alone
+from ros_session import ros_router
+from showing import going_on
+from traffic import LIMIT_S, Command
+from traffic import log as log
+from waiting import wait_for
+
+from fleet.logs.tape import Tape
+from fleet.ros2.bridge import RosBridge, play_log
+from fleet.ros2.node import RosNode
+from fleet.ros2.record import BagWriter
+from fleet.ros2.rmw import Attachment, Entity, pack
+from fleet.ros2.translation import Translation
+from fleet.ros2.types import types_of
+from netem.wire.open_bus import ZenohSample
+
+rosbags = pytest.importorskip("rosbags.highlevel", reason="the extra [ros2] is not installed")
+CLOCK = "rosgraph_msgs/msg/Clock"
+
+
+def read(folder: Path) -> dict[str, list[Any]]:
+    found: dict[str, list[Any]] = {}
+    with rosbags.AnyReader([folder]) as reader:
+        for connection, _, data in reader.messages():
+            found.setdefault(connection.topic, []).append(reader.deserialize(data, connection.msgtype))
+    return found
+
+
+def test_what_a_fleet_publishes_is_recorded(log: Path, tmp_path: Path) -> None:
+    """Also the transforms that were published before the recorder came."""
+    tape = Tape(log)
+    with ros_router() as (bus, endpoint):
+        schemas = {c.topic: tape.schemas.get(c.schema_id) for c in tape.channels.values()}
+        bridge = RosBridge(RosNode(bus, types_of(), 0, "fleet"), Translation(types_of(), schemas))
+
+        def play() -> None:
+            with going_on(lambda keys, line: play_log(bridge, tape, keys, line, rate=1000.0, loop=False)):
+                wait_for(lambda: bridge.at_ns == tape.end_ns, LIMIT_S, "the end")
+
+        play()
+        with Command("record", "--ros2", "-o", tmp_path / "bag", "--connect", endpoint) as recorder:
+            recorder.until("recording 0/**")
+            odometry = bridge._publishers["/uuv_1/odom"]
+            wait_for(lambda: odometry.matched, LIMIT_S, "the subscription")
+            bridge.at_ns = 0
+            play()
+            recorder.send(signal.SIGINT)
+            assert recorder.status() == 130, recorder.printed
+    found = read(tmp_path / "bag")
+    assert len(found["/tf_static"]) == 1
+    assert len(found["/uuv_1/odom"]) > 10
+    assert found["/clock"][-1].clock.sec == 2
+
+
+def test_what_cannot_be_recorded_is_told_once(tmp_path: Path) -> None:
+    types, told = types_of(), []
+    writer = BagWriter(tmp_path / "bag", types, told.append)
+    time = types.new("builtin_interfaces/msg/Time", sec=1, nanosec=0)
+    data = types.encode(CLOCK, types.new(CLOCK, clock=time))
+    attachment = pack(Attachment(1, 1, bytes(16)))
+    good = Entity(0, "/clock", CLOCK, types.hash(CLOCK))
+    humble = Entity(0, "/humble", CLOCK, "TypeHashNotSupported")
+    cases = [
+        (good.key, data, attachment),
+        (humble.key, data, attachment),
+        (good.key, data[:5], attachment),
+        (good.key, data, None),
+        (Entity(0, "/clock2", CLOCK, "RIHS01_0").key, data, attachment),
+        (Entity(0, "/own", "own_msgs/msg/Own", "RIHS01_0").key, data, attachment),
+        ("0/anything", data, attachment),
+    ]
+    for _ in range(2):
+        for key, payload, attached in cases:
+            writer.add(ZenohSample(key, payload, False, "zenoh/bytes", attached, None), 5)
+    writer.close()
+    writer.close()
+    assert writer.samples == 4
+    assert {topic: len(some) for topic, some in read(tmp_path / "bag").items()} == {"/clock": 2, "/humble": 2}
+    assert len(told) == 5
+    for words in (
+        "no rosgraph_msgs/msg/Clock in CDR",
+        "without an attachment",
+        "another version",
+        "not known here",
+        "no key of rmw_zenoh",
+    ):
+        assert any(words in text for text in told), (words, told)

@@ -1,0 +1,123 @@
+"""Rare failures: parts of runs against whole ones, a scenario with a known answer, and what cannot be split."""
+
+from __future__ import annotations
+
+import json
+from contextlib import nullcontext
+from pathlib import Path
+from statistics import fmean
+
+import pytest
+from click.testing import CliRunner, Result
+from study_engine import Here
+
+from fleet.cli.main import cli
+from fleet.execution.judged import judged
+from fleet.scenario.loading import parse_scenario
+from fleet.scenario.scenario import Scenario
+from fleet.study.branches import Branch, run_branch
+from netem.draws import salted
+
+SELDOM = """\
+title: Two vehicles, and how old their news of each other gets
+vehicles: 2
+duration: 4 s
+tick: 100 ms
+seed: 3
+reference: {start: 0 0 5 m, velocity: 0.5 0 0 m/s}
+formation: {shape: line, spacing: 8 m}
+graph: {shape: path, reference: all}
+initial: {scatter: 0 m, around: reference}
+network: {period: 100 ms, links: {"*": loss 20%}}
+log: {every: 1 tick, snapshot: 100 ms}
+checks: {max_age: {below: 450 ms}, tumbled: waived}
+"""
+
+
+def seldom(*overrides: str) -> Scenario:
+    return parse_scenario(SELDOM, "seldom", overrides)
+
+
+def least(scenario: Scenario, branch: Branch) -> float:
+    best: float = run_branch(scenario, branch, lambda t: None)["best"]
+    return best
+
+
+def streak(rounds: int, length: int, loss: float) -> float:
+    """P(so many losses one after the other in so many rounds)."""
+    states = [1.0, *[0.0] * length]
+    for _ in range(rounds):
+        lost = [0.0, *[p * loss for p in states[:length]]]
+        lost[0] = sum(states[:length]) * (1 - loss)
+        lost[length] += states[length]
+        states = lost
+    return states[length]
+
+
+def test_a_part_without_salt_goes_on_as_the_run_did() -> None:
+    scenario = seldom()
+    whole = next(verdict for verdict in judged(scenario).verdicts if verdict.check == "max_age")
+    assert whole.margin is not None
+    row = run_branch(scenario, Branch("max_age", 0), lambda t: None)
+    assert row["best"] == whole.margin.value and row["ticks"] == scenario.ticks
+    margin, state = row["places"][1]
+    assert least(scenario, Branch("max_age", 0, state, margin)) == row["best"]
+    others = {least(scenario, Branch("max_age", salt, state, margin)) for salt in range(1, 9)}
+    assert len(others) > 1 and max(others) <= margin
+    reached = run_branch(scenario, Branch("max_age", 0, level=margin), lambda t: None)
+    assert reached["best"] == margin and reached["ticks"] < scenario.ticks
+
+
+def test_no_salt_is_the_seed_itself() -> None:
+    assert salted(7, 0) == 7
+    assert len({salted(7, salt) for salt in range(100)}) == 100
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fleet.study.local_engine.engine_of", lambda *_: nullcontext(Here()))
+    monkeypatch.chdir(tmp_path)
+    Path("seldom.yaml").write_text(SELDOM, "utf-8")
+
+
+def call(*args: str) -> Result:
+    return CliRunner().invoke(cli, ["rare", "seldom.yaml", *args])
+
+
+@pytest.mark.usefixtures("here")
+def test_it_finds_the_known_probability_and_goes_on() -> None:
+    options = ("--check", "max_age", "--effort", "8", "--set", "duration=3 s", "--json")
+    first = json.loads(call(*options, "--repeats", "1").stdout)
+    result = call(*options, "--repeats", "3")
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    kept = [one["probability"] for one in json.loads(Path("seldom-rare.json").read_text("utf-8"))["repeats"]]
+    assert len(kept) == 3 and kept[0] == first["probability"] and fmean(kept) == found["probability"]
+    answer = 1 - (1 - streak(30, 4, 0.2)) ** 2
+    assert answer / 4 < found["probability"] < answer * 4
+    assert call("--check", "max_age", "--repeats", "2").exit_code != 0  # the file is of another run
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize(
+    ("args", "said"),
+    [
+        (("--check", "max_age", "--effort", "4", "--net", "* loss 0%"), "so splitting cannot help"),
+        (
+            (
+                "--check",
+                "deaths",
+            ),
+            "those that can be used here: max_age",
+        ),
+        (("--check", "max_age", "--set", "log.snapshot=0 s"), "seldom has no snapshots"),
+        (
+            ("--check", "max_age", "--set", "sea.current={sigma: 0.1 0 0 m/s, time_constant: 10 s}"),
+            "current cannot be drawn anew from a snapshot on",
+        ),
+    ],
+)
+def test_what_cannot_be_split_is_told(args: tuple[str, ...], said: str) -> None:
+    result = call(*args)
+    assert result.exit_code != 0
+    assert said in str(result.exception) + result.output

@@ -1,19 +1,22 @@
-"""An agent process: connects, asks for its configuration, and answers in lockstep or on a wall clock."""
+"""A process of one agent or of several: connects, asks for the configuration, and answers navs."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
 
 from agents.config import AgentConfig
 from agents.errors import AgentError
+from agents.host import HostProcess
 from agents.loop import AgentCore, AgentLoop
 from agents.make_agent import make_agent
-from agents.process import READY_TIMEOUT_S, RETRY_S, AgentProcess, _give_up
+from agents.process import READY_TIMEOUT_S, RETRY_S, AgentProcess, OneAgent, give_up
 from agents.realtime_loop import RealtimeLoop
+from agents.running import Running
 from netem.clock import Clock
 from netem.errors import BusError
-from netem.wire.access import Credentials, agent_role
+from netem.wire.access import Credentials, agent_role, host_role
 from netem.wire.bus import Bus
 from netem.wire.control import read_map
 from netem.wire.keys import Keys
@@ -36,8 +39,36 @@ def run(
     keys = Keys(run_id)
     bus = Bus.connect(endpoint, credentials)
     end_with_link(bus, credentials)
-    config, clock = _ask_config(bus, keys, vehicle)
-    begin_life(bus, keys, config, incarnation, begin, clock).serve()
+    values = _ask_config(bus, keys.cfg(vehicle))
+    config = AgentConfig.from_values(values["agent"])
+    begin_life(bus, keys, config, incarnation, begin, clock_of(values)).serve()
+
+
+def run_host(endpoint: str, run_id: str, number: int, credentials: Credentials, running: Path) -> None:
+    """Join a run as host `number`, and answer the navs of its agents in lockstep until the process is ended.
+
+    Args:
+        running: a file that says at any time which of them is computing.
+
+    Raises:
+        BusError: the run cannot be joined.
+    """
+    quiet_zenoh()
+    keys = Keys(run_id)
+    bus = Bus.connect(endpoint, credentials)
+    values = _ask_config(bus, keys.cfg(host_role(number)))
+    mark = Running(running)
+    agents = []
+    for slice_ in values["agents"]:
+        config = AgentConfig.from_values(slice_)
+        mark.at(config.id)
+        core = _core(bus, keys, config, 0)
+        loop = AgentLoop(core, config.round_ticks, memory_ticks=config.memory_ticks)
+        agents.append(OneAgent(bus, keys, config.id, loop))
+    mark.at(0)
+    process = HostProcess(bus, keys, number, agents, mark)
+    process.get_ready()
+    process.serve()
 
 
 def clock_of(values: dict[str, Any]) -> Clock:
@@ -68,11 +99,7 @@ def begin_life(
     """
     vehicle = config.id
     memory_ticks = config.memory_ticks if core is None else 0
-    try:
-        core = make_agent(config) if core is None else core
-    except (AgentError, PluginError) as error:
-        role = agent_role(vehicle)
-        _give_up(Shell(bus, role, keys.note(role)), vehicle, begin, error)
+    core = _core(bus, keys, config, begin) if core is None else core
     m = config.round_ticks
     process: AgentProcess
     if clock is Clock.REAL:
@@ -86,12 +113,19 @@ def begin_life(
     return process
 
 
-def _ask_config(bus: Bus, keys: Keys, vehicle: int) -> tuple[AgentConfig, Clock]:
+def _core(bus: Bus, keys: Keys, config: AgentConfig, begin: int) -> AgentCore:
+    try:
+        return make_agent(config)
+    except (AgentError, PluginError) as error:
+        role = agent_role(config.id)
+        give_up(Shell(bus, role, keys.note(role)), config.id, begin, error)
+
+
+def _ask_config(bus: Bus, key: str) -> dict[str, Any]:
     deadline = monotonic() + READY_TIMEOUT_S
     while monotonic() < deadline:
-        answer = bus.ask(keys.cfg(vehicle))
+        answer = bus.ask(key)
         if answer is not None:
-            values = read_map(answer)
-            return AgentConfig.from_values(values["agent"]), clock_of(values)
+            return read_map(answer)
         sleep(RETRY_S)  # the console does not answer yet: zenoh returns at once
-    raise BusError(f"the console did not answer on {keys.cfg(vehicle)} within {READY_TIMEOUT_S:.0f} s")
+    raise BusError(f"the console did not answer on {key} within {READY_TIMEOUT_S:.0f} s")

@@ -6,13 +6,16 @@ import logging
 import sys
 import traceback
 from collections.abc import Callable
+from functools import cached_property
 from time import monotonic, sleep
 from typing import NoReturn
+
+from msgspec.structs import replace
 
 from agents.errors import ControllerError
 from agents.loop import AgentLoop, Answer
 from netem.errors import BusError, MalformedMessage, OutOfPlace
-from netem.wire.access import agent_role
+from netem.wire.access import NETEM, WORLD, agent_role
 from netem.wire.bus import Bus
 from netem.wire.codec import encode, expect
 from netem.wire.keys import Keys
@@ -29,13 +32,68 @@ POLLS = 20  # looks at the queues between two probes
 CONTROLLER_FAILED = 70  # exit status: a law failed, and the scenario says that the run shall end
 
 
+class OneAgent:
+    """An agent of a process: what comes in goes to its `AgentLoop`; what is wrong goes to the console."""
+
+    def __init__(self, bus: Bus, keys: Keys, vehicle: int, loop: AgentLoop) -> None:
+        self._bus, self._keys, self.vehicle, self.loop = bus, keys, vehicle, loop
+
+    @cached_property
+    def shell(self) -> Shell:
+        """For notes: most agents never write one."""
+        role = agent_role(self.vehicle)
+        return Shell(self._bus, role, self._keys.note(role))
+
+    @property
+    def hello(self) -> Hello:
+        """A probe of this agent."""
+        return Hello("agent", self.vehicle, self.loop.incarnation, PROTOCOL_VERSION, False)
+
+    def is_over(self, end: End) -> bool:
+        """Whether this life is over, and not only the one before it."""
+        return end.incarnation >= self.loop.incarnation
+
+    def take(self, key: str, message: Message) -> list[Answer]:
+        """Pass a nav or an inbox on; a late echo of a repeated probe needs no answer.
+
+        Raises:
+            SystemExit: a law failed, and the scenario says that the agent ends then.
+            Exception: whatever the controller raised; a note about it has been sent to the console by then.
+        """
+        try:
+            if isinstance(message, Nav):
+                out = self._handle(self.loop.nav, message)
+            elif isinstance(message, Inbox):
+                out = self._handle(self.loop.inbox, message)
+            else:
+                return []
+        except OutOfPlace as error:
+            self.shell.reject(key, self.loop.tick, error)
+            return []
+        for tick, text in self.loop.core.take_notes():
+            self.shell.note(self.vehicle, tick, text)
+        return out
+
+    def _handle(self, handle: Callable[..., list[Answer]], message: Nav | Inbox) -> list[Answer]:
+        try:
+            return handle(message)
+        except OutOfPlace:
+            raise
+        except ControllerError as error:
+            give_up(self.shell, self.vehicle, error.tick, error)
+        except Exception as error:
+            where = traceback.extract_tb(error.__traceback__)[-1]
+            text = f"controller failed: {type(error).__name__}: {error} ({where.filename}:{where.lineno})"
+            self.shell.note(self.vehicle, self.loop.tick + 1, text)
+            raise
+
+
 class AgentProcess:
-    """Passes what comes in to an `AgentLoop` and publishes what comes out."""
+    """Passes what comes in to an agent and publishes what comes out."""
 
     def __init__(self, bus: Bus, keys: Keys, vehicle: int, loop: AgentLoop) -> None:
         self._keys, self._vehicle, self._loop, self._bus = keys, vehicle, loop, bus
-        role = agent_role(vehicle)
-        self._shell = Shell(bus, role, keys.note(role))
+        self._agent = OneAgent(bus, keys, vehicle, loop)
         self._tx: Callable[[bytes], None] = bus.publisher(keys.tx(vehicle))
         self._cmd: Callable[[bytes], None] = bus.publisher(keys.cmd(vehicle))
         self._navs = bus.channel(keys.nav(vehicle))
@@ -50,27 +108,19 @@ class AgentProcess:
         Raises:
             BusError: one of them does not answer.
         """
-        probe = encode(Hello("agent", self._vehicle, self._loop.incarnation, PROTOCOL_VERSION, False))
-        unheard: dict[PutQueue | Stamped, Callable[[bytes], None]] = {self._navs: self._cmd, self._rx: self._tx}
-        deadline = monotonic() + READY_TIMEOUT_S
-        patience = RETRY_S
-        while unheard:
-            for put in unheard.values():
-                put(probe)
-            retry = min(deadline, monotonic() + patience)
-            while unheard and monotonic() < retry:
-                for channel in [c for c in unheard if c.poll() is not None]:
-                    del unheard[channel]
-                sleep(patience / POLLS)
-            patience = min(2 * patience, RAREST_S)
-            if monotonic() >= deadline:
-                raise BusError(f"no answer from world and netem within {READY_TIMEOUT_S:.0f} s")
-        self._cmd(encode(Hello("agent", self._vehicle, self._loop.incarnation, PROTOCOL_VERSION, True)))
+        channels = {WORLD: self._navs, NETEM: self._rx}
+        probe = self._agent.hello
+        knock(
+            encode(probe),
+            {WORLD: self._cmd, NETEM: self._tx},
+            lambda awaited: [role for role in awaited if channels[role].poll() is not None],
+        )
+        self._cmd(encode(replace(probe, echo=True)))
         self._bus.token(self._keys.alive(agent_role(self._vehicle)))
 
     def serve(self) -> End:
         """Answer navs, one after the other, until the world ends this life; processes of our own are ended instead."""
-        loop, inboxes = self._loop, self._rx
+        agent, loop, inboxes = self._agent, self._loop, self._rx
         assert isinstance(inboxes, PutQueue)
         while True:
             # A nav that cannot be answered yet waits for an inbox; inboxes that come early wait in their channel.
@@ -78,50 +128,47 @@ class AgentProcess:
             try:
                 message = expect(data, Nav, Inbox, End, Hello)
             except MalformedMessage as error:
-                self._shell.reject(key, loop.tick, error)
+                agent.shell.reject(key, loop.tick, error)
                 continue
             if isinstance(message, End):
-                if self._is_over(message):
+                if agent.is_over(message):
                     return message
-            elif not isinstance(message, Hello):  # a late echo of a repeated probe
+            else:
                 self._answer(key, message)
-
-    def _is_over(self, end: End) -> bool:
-        """Whether this life is over, and not only the one before it."""
-        return end.incarnation >= self._loop.incarnation
 
     def _answer(self, key: str, message: Message) -> None:
         """Pass a nav or an inbox on, and publish the answers."""
-        loop = self._loop
-        try:
-            if isinstance(message, Nav):
-                out = self._handle(loop.nav, message)
-            else:
-                assert isinstance(message, Inbox)
-                out = self._handle(loop.inbox, message)
-        except OutOfPlace as error:
-            self._shell.reject(key, loop.tick, error)
-            return
-        for tick, text in loop.core.take_notes():
-            self._shell.note(self._vehicle, tick, text)
-        for answer in out:
+        for answer in self._agent.take(key, message):
             (self._tx if isinstance(answer, (Transmission, Receipt)) else self._cmd)(encode(answer))
 
-    def _handle(self, handle: Callable[..., list[Answer]], message: Nav | Inbox) -> list[Answer]:
-        try:
-            return handle(message)
-        except OutOfPlace:
-            raise
-        except ControllerError as error:
-            _give_up(self._shell, self._vehicle, error.tick, error)
-        except Exception as error:
-            where = traceback.extract_tb(error.__traceback__)[-1]
-            text = f"controller failed: {type(error).__name__}: {error} ({where.filename}:{where.lineno})"
-            self._shell.note(self._vehicle, self._loop.tick + 1, text)
-            raise
+
+def knock(probe: bytes, puts: dict[str, Callable[[bytes], None]], heard: Callable[[list[str]], list[str]]) -> None:
+    """Probe until everybody has answered.
+
+    Args:
+        puts: who is to answer, and how a probe gets there.
+        heard: which of them have answered.
+
+    Raises:
+        BusError: one of them does not answer.
+    """
+    awaited = [*puts]
+    deadline = monotonic() + READY_TIMEOUT_S
+    patience = RETRY_S
+    while awaited:
+        for role in awaited:
+            puts[role](probe)
+        retry = min(deadline, monotonic() + patience)
+        while awaited and monotonic() < retry:
+            there = heard(awaited)
+            awaited = [role for role in awaited if role not in there]
+            sleep(patience / POLLS)
+        patience = min(2 * patience, RAREST_S)
+        if monotonic() >= deadline:
+            raise BusError(f"no answer from world and netem within {READY_TIMEOUT_S:.0f} s")
 
 
-def _give_up(shell: Shell, vehicle: int, tick: int, error: Exception) -> NoReturn:
+def give_up(shell: Shell, vehicle: int, tick: int, error: Exception) -> NoReturn:
     """End this process; the reason goes to the console in one line, and to the process log with its traceback."""
     shell.note(vehicle, tick, f"controller failed: {error}")
     if error.__cause__ is not None:

@@ -32,7 +32,7 @@ class RealtimeAgentProcess(AgentProcess):
             navs = []
             while item is not None:
                 message = self._read(*item)
-                if isinstance(message, End) and self._is_over(message):
+                if isinstance(message, End) and self._agent.is_over(message):
                     return message
                 if isinstance(message, Nav):
                     navs.append(message)
@@ -44,7 +44,9 @@ class RealtimeAgentProcess(AgentProcess):
                     self._take(key, message, at_ns)
             if self._stamped.flooded and not self._noted_flood:
                 self._noted_flood = True
-                self._shell.note(self._vehicle, self._loop.tick, "more comes in than it takes: messages are dropped")
+                self._agent.shell.note(
+                    self._vehicle, self._loop.tick, "more comes in than it takes: messages are dropped"
+                )
             for nav in self._realtime.to_answer(navs) if navs else ():
                 self._answer(self._keys.nav(self._vehicle), nav)
 
@@ -52,7 +54,7 @@ class RealtimeAgentProcess(AgentProcess):
         try:
             message = expect(data, Nav, Inbox, End, Hello)
         except MalformedMessage as error:
-            self._shell.reject(key, self._loop.tick, error)
+            self._agent.shell.reject(key, self._loop.tick, error)
             return None
         assert isinstance(message, (Nav, Inbox, End, Hello))
         return message
@@ -61,4 +63,4 @@ class RealtimeAgentProcess(AgentProcess):
         try:
             self._realtime.arrive(inbox, at_ns)
         except OutOfPlace as error:
-            self._shell.reject(key, self._loop.tick, error)
+            self._agent.shell.reject(key, self._loop.tick, error)

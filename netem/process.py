@@ -21,10 +21,12 @@ from netem.faults import read_faults
 from netem.lives import Absence, Lives
 from netem.realtime_rounds import RealtimeRounds
 from netem.rounds import Rounds
-from netem.wire.access import NETEM
+from netem.wire.access import NETEM, Members
+from netem.wire.bundles import Hosts
 from netem.wire.bus import Bus, Respond
 from netem.wire.codec import encode, expect
 from netem.wire.control import read_map
+from netem.wire.host_messages import Bundle
 from netem.wire.keys import Keys, vehicle_of
 from netem.wire.messages import (
     PROTOCOL_VERSION,
@@ -54,13 +56,15 @@ _ECHO = encode(Hello(NETEM, 0, 0, PROTOCOL_VERSION, True))
 class NetworkProcess(ABC, Generic[R]):
     """Gives messages and control requests to the rounds of a clock and publishes inboxes and reports."""
 
-    def __init__(self, bus: Bus, keys: Keys, config: NetemConfig, rounds: R) -> None:
-        self._round_key = keys.round
+    def __init__(self, bus: Bus, keys: Keys, config: NetemConfig, rounds: R, members: Members = ()) -> None:
+        self._keys, self._round_key = keys, keys.round
+        self._hosts = Hosts(bus, keys, members, keys.tx)
         self._rounds = rounds
         self._shell = Shell(bus, NETEM, keys.note(NETEM))
         self._inbox: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.rx(i)) for i in config.vehicles}
         self._links = bus.publisher(keys.links)
         self._round_heard = False
+        self._round_parts: list[Round] = []  # of a round that is not whole yet
         self._probes = Probes()
         self._counts = {"sent": {"links": 0}, "received": {"round": 0}}
         self._lock = Lock()  # a control request comes on a thread of zenoh
@@ -87,6 +91,8 @@ class NetworkProcess(ABC, Generic[R]):
         try:
             if key == self._round_key:
                 self._world_put(data)
+            elif host := self._hosts.number(key):
+                self._host_put(host, expect(data, Bundle, Hello))
             else:
                 self._agent_put(vehicle_of(key), data)
         except (MalformedMessage, OutOfPlace) as error:
@@ -104,6 +110,21 @@ class NetworkProcess(ABC, Generic[R]):
                 sys.stderr.flush()
                 os._exit(1)
 
+    def _host_put(self, h: int, message: Message) -> None:
+        """Handle a put of a host: a Hello, or a Bundle of what its agents would put."""
+        if isinstance(message, Hello):
+            _check_probe(message)
+            self._probes.spend(-h)
+            self._hosts.greet(h, _ECHO)
+            return
+        assert isinstance(message, Bundle)
+        for part in message.parts:
+            try:
+                self._hosts.check(h, part.vehicle)
+                self._agent_put(part.vehicle, part.message)
+            except (MalformedMessage, OutOfPlace) as error:
+                self._shell.reject(self._keys.tx(part.vehicle), self._rounds.tick, error)
+
     def _agent_put(self, i: int, data: bytes) -> None:
         """Handle a put of agent i: a Transmission, a Hello, or in real time a Receipt."""
         message = expect(data, Transmission, Hello, Receipt)
@@ -112,8 +133,7 @@ class NetworkProcess(ABC, Generic[R]):
         if isinstance(message, Transmission) and (longest := max(map(len, message.payloads), default=0)) > PART_BYTES:
             raise MalformedMessage("tx", f"a payload of {longest} bytes; at most {PART_BYTES} are carried")
         if isinstance(message, Hello):
-            if message.echo or message.version != PROTOCOL_VERSION:
-                raise MalformedMessage("hello", f"expected a probe of protocol version {PROTOCOL_VERSION}")
+            _check_probe(message)
             self._probes.spend(i)
             self._inbox[i](_ECHO)
         else:
@@ -125,13 +145,35 @@ class NetworkProcess(ABC, Generic[R]):
         if isinstance(message, Hello):
             self._round_heard = True
             return
-        self._counts["received"]["round"] += isinstance(message, Round)
+        if isinstance(message, Round):
+            self._counts["received"]["round"] += 1
+            if (whole := self._whole(message)) is not None:
+                self._from_world(whole)
+            return
         self._from_world(message)
 
+    def _whole(self, part: Round) -> Round | None:
+        """A round of which the last part has come, or None."""
+        self._round_parts.append(part)
+        if part.more:
+            return None
+        parts, self._round_parts = self._round_parts, []
+        alive = tuple(i for each in parts for i in each.alive)
+        positions = tuple(position for each in parts for position in each.positions)
+        return part if len(parts) == 1 else Round(part.tick, alive, positions, part.paused)
+
     def _hand_out(self, inboxes: list[tuple[int, Inbox]]) -> None:
+        hosted: dict[int, list[tuple[int, bytes]]] = {}
         for i, inbox in inboxes:
+            host = self._hosts.of(i, inbox.incarnation)
             for deliveries, more in split(inbox.deliveries, _bytes, PART_BYTES):
-                self._inbox[i](encode(replace(inbox, more=more, deliveries=tuple(deliveries))))
+                data = encode(replace(inbox, more=more, deliveries=tuple(deliveries)))
+                if host:
+                    hosted.setdefault(host, []).append((i, data))
+                else:
+                    self._inbox[i](data)
+        for host, messages in hosted.items():
+            self._hosts.put(host, messages)
 
     def _report(self, report: LinkReport) -> None:
         memory = pieces(report.memory, PART_BYTES)
@@ -202,6 +244,11 @@ class NetemProcess(NetworkProcess[Rounds]):
             inboxes, report = outcome
             self._hand_out(inboxes)
             self._report(report)
+
+
+def _check_probe(hello: Hello) -> None:
+    if hello.echo or hello.version != PROTOCOL_VERSION:
+        raise MalformedMessage("hello", f"expected a probe of protocol version {PROTOCOL_VERSION}")
 
 
 def _absences(values: Any) -> list[Absence]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from netem.clock import Clock
 from netem.wire.access import WORLD as WORLD
-from netem.wire.access import Credentials, Listener
+from netem.wire.access import Credentials, Listener, Members
 from netem.wire.audit import Refusals, listen
 from netem.wire.bus import Bus
 from netem.wire.certificate_router import CertificateRouter, new_session_id
@@ -33,6 +33,7 @@ def run(
     listener: Listener | None = None,
     certified: Listener | None = None,
     audit: bool = False,
+    members: Members = (),
 ) -> None:
     """Host the router and serve the sea of a run until the process is ended.
 
@@ -45,14 +46,15 @@ def run(
         frame_every: a frame is due every so many ticks.
         clock: what decides when a tick begins.
         speed: how fast ticks begin on a wall clock, times real time.
-        most_asked: agents that are asked at a time, in lockstep.
+        most_asked: processes that are asked at a time, in lockstep.
         listener: where the router listens besides; None: only at `endpoint`.
         certified: where a second router listens for agents without a password; None: nowhere.
         audit: report also which messages the router refuses, not only which logins.
+        members: the vehicles of each process that hosts several agents.
     """
     keys = Keys(run_id)
-    bus, refusals = host(endpoint, keys, credentials, private, config, listener, certified, audit=audit)
-    _process(bus, keys, config, frame_every, clock, speed, most_asked, refusals).serve_or_give_up()
+    bus, refusals = host(endpoint, keys, credentials, private, config, listener, certified, members, audit=audit)
+    _process(bus, keys, config, frame_every, clock, speed, most_asked, refusals, members).serve_or_give_up()
 
 
 def host(
@@ -63,6 +65,7 @@ def host(
     config: WorldConfig,
     listener: Listener | None,
     certified: Listener | None,
+    members: Members,
     *,
     audit: bool,
 ) -> tuple[Bus, Refusals]:
@@ -70,7 +73,7 @@ def host(
     refusals = Refusals()
     listen(refusals, decisions=audit)
     vehicles = tuple(setup.id for setup in config.vehicles)
-    bus = Bus.host(endpoint, keys, vehicles, credentials, private, listener)
+    bus = Bus.host(endpoint, keys, vehicles, credentials, private, listener, members)
     if audit:
         bus.watch_ends(refusals.end)
     if certified is not None:
@@ -111,11 +114,12 @@ def _process(
     speed: float,
     most_asked: int,
     refusals: Refusals | None = None,
+    members: Members = (),
 ) -> WorldProcess:
     if clock is Clock.LOCKSTEP:
         if most_asked < len(config.vehicles):
             share_processor()
-        return WorldProcess(bus, keys, Lockstep(config, frame_every=frame_every), refusals, most_asked)
+        return WorldProcess(bus, keys, Lockstep(config, frame_every=frame_every), refusals, most_asked, members)
     from world.realtime_process import RealtimeWorldProcess
 
     return RealtimeWorldProcess(bus, keys, config, frame_every, speed, refusals)

@@ -15,11 +15,13 @@ import msgpack
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.lives import Absence
 from netem.wire.access import WORLD as WORLD
-from netem.wire.access import agent_role
+from netem.wire.access import Members, agent_role, host_role
 from netem.wire.audit import Refusals
+from netem.wire.bundles import Hosts
 from netem.wire.bus import Bus, Respond
 from netem.wire.codec import encode, expect
 from netem.wire.control import read_map
+from netem.wire.host_messages import Bundle
 from netem.wire.keys import Keys, vehicle_of
 from netem.wire.messages import (
     PROTOCOL_VERSION,
@@ -44,13 +46,14 @@ from netem.wire.shell import Probes, Shell
 from world.errors import IntegrationError
 from world.lockstep import Lockstep, NavTo, Out
 from world.realtime import RealtimeRun
-from world.turns import Turns
+from world.turns import Turn, Turns
 
 log = logging.getLogger(__name__)
 
 FRAMES_PER_MESSAGE = 10
 FRAMES_WAIT_S = 0.02
 FIX_BYTES = 70  # of a fix in a frame, at most
+ROUND_BYTES = 36  # of a vehicle in a round, at most: two numbers and a position
 _ECHO = encode(Hello(WORLD, 0, 0, PROTOCOL_VERSION, True))
 _PROBE = encode(Hello(WORLD, 0, 0, PROTOCOL_VERSION, False))
 
@@ -65,19 +68,23 @@ class WorldProcess:
         run: Lockstep | RealtimeRun,
         refusals: Refusals | None = None,
         most_asked: int | None = None,
+        members: Members = (),
     ) -> None:
         """Connect a run.
 
         Args:
             refusals: what the router refuses, if it lives here.
-            most_asked: agents that are asked at a time; None: all.
+            most_asked: processes that are asked at a time; None: all.
+            members: the vehicles of each host.
         """
         self._keys = keys
         self._grant_key = keys.grant
         self._run = run
         self._state = run.state
         self._ids = run.state.ids
-        self._turns = Turns(run.config.round_ticks, len(self._ids) if most_asked is None else most_asked)
+        most = len(self._ids) if most_asked is None else most_asked
+        self._hosts = hosts = Hosts(bus, keys, members, keys.cmd)
+        self._turns = Turns(run.config.round_ticks, most, lambda i, nav: -hosts.of(i, nav.incarnation) or i)
         self._shell = Shell(bus, WORLD, keys.note(WORLD))
         self._nav: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.nav(i)) for i in self._ids}
         self._round = bus.publisher(keys.round)
@@ -93,7 +100,8 @@ class WorldProcess:
         self._grant_heard = False
         self._listen(bus)
         bus.answer(keys.ctl(WORLD), self._control)
-        self._token_roles = {keys.alive(agent_role(i)): i for i in self._ids}
+        self._token_roles = {keys.alive(agent_role(i)): [i] for i in self._ids}
+        self._token_roles |= {keys.alive(host_role(h)): [*group] for h, group in enumerate(members, start=1)}
         bus.watch_tokens(keys.alive("*"), self._token)
         bus.token(keys.alive(WORLD))
         self._refusals = refusals or Refusals()
@@ -136,11 +144,16 @@ class WorldProcess:
         try:
             if key == self._grant_key:
                 self._from_console(expect(data, Grant, Death, Restart, WorldFaults, Hello))
+            elif host := self._hosts.number(key):
+                self._from_host(host, expect(data, Bundle, Hello))
             else:
-                self._command(key, data)
+                self._publish(self._from_agent(vehicle_of(key), data))
         except (MalformedMessage, OutOfPlace) as error:
-            i = vehicle_of(key)
-            self._shell.reject(key, self._state.tick_of(i) if i in self._ids else 0, error)
+            self._reject(key, error)
+
+    def _reject(self, key: str, error: MalformedMessage | OutOfPlace) -> None:
+        i = vehicle_of(key)
+        self._shell.reject(key, self._state.tick_of(i) if i in self._ids else 0, error)
 
     def _from_console(self, message: Message) -> None:
         """Do what the console asks for, in its order: nothing acts on a tick that was granted before."""
@@ -165,8 +178,31 @@ class WorldProcess:
             case Hello():
                 self._grant_heard = True
 
-    def _command(self, key: str, data: bytes) -> None:
-        i = vehicle_of(key)
+    def _from_host(self, h: int, message: Message) -> None:
+        """Do what the agents of a host ask for, and answer them together."""
+        if isinstance(message, Hello):
+            _check_version(message)
+            self._probes.spend(-h)
+            self._hosts.greet(h, _ECHO)
+            return
+        assert isinstance(message, Bundle)
+        out: list[Out] = []
+        try:
+            for part in message.parts:
+                try:
+                    self._hosts.check(h, part.vehicle)
+                    out += self._from_agent(part.vehicle, part.message)
+                except (MalformedMessage, OutOfPlace) as error:
+                    self._reject(self._keys.cmd(part.vehicle), error)
+        finally:
+            self._publish(out)  # also when one vehicle cannot be moved: the others were
+
+    def _from_agent(self, i: int, data: bytes) -> list[Out]:
+        """Take a message of agent i.
+
+        Returns:
+            What follows, to be published.
+        """
         message = expect(data, Command, Memory, Hello)
         if i not in self._nav:
             raise MalformedMessage("cmd", f"no vehicle {i} in this run")
@@ -175,17 +211,17 @@ class WorldProcess:
                 raise MalformedMessage("cmd", f"{len(data)} bytes; at most {PART_BYTES} fit into a frame")
             out = self._take_command(i, message, data)
             self._received["cmd"] += 1
-            self._publish(out)
-        elif isinstance(message, Memory):
+            return out
+        if isinstance(message, Memory):
             self._run.remember(i, message)
         elif isinstance(message, Hello):
-            if message.version != PROTOCOL_VERSION:
-                raise MalformedMessage("hello", f"protocol version {message.version}, ours is {PROTOCOL_VERSION}")
+            _check_version(message)
             if message.echo:
                 self._ready.add((i, message.incarnation))
             else:
                 self._probes.spend(i)
                 self._nav[i](_ECHO)
+        return []
 
     def _take_command(self, i: int, command: Command, data: bytes) -> list[Out]:
         if not self._turns.holds(i):
@@ -204,17 +240,23 @@ class WorldProcess:
                 self._ask(item.id, item.nav)
             elif isinstance(item, Round):
                 round_over = True
-                self._sent["round"] += 1
-                self._round(encode(item))
+                self._send_round(item)
                 self._turns.passed(item.tick)
         while (turn := self._turns.take()) is not None:
-            self._send_nav(*turn)
+            self._send_navs(turn)
         with self._frames_lock:
             for item in out:
                 if isinstance(item, Frame):
                     self._add_frame(item)
             if round_over:
                 self._flush_frames()  # the console can write them as soon as netem has reported
+
+    def _send_round(self, item: Round) -> None:
+        alive = [*zip(item.alive, item.positions, strict=True)]
+        for part, more in split(alive, lambda _: ROUND_BYTES, PART_BYTES):
+            self._sent["round"] += 1
+            there, positions = zip(*part, strict=True) if part else ((), ())
+            self._round(encode(Round(item.tick, there, positions, () if more else item.paused, more)))
 
     def _ask(self, i: int, nav: Nav) -> None:
         self._turns.ask(i, nav)
@@ -223,9 +265,21 @@ class WorldProcess:
         """Whether agent i has been asked, and not only waits for its turn."""
         return self._turns.holds(i)
 
-    def _send_nav(self, i: int, nav: Nav) -> None:
-        self._sent["nav"] += 1
-        self._nav[i](encode(nav))
+    def _send_navs(self, turn: Turn) -> None:
+        """Send navs to agents of one process."""
+        self._sent["nav"] += len(turn)
+        i, nav = turn[0]
+        if host := self._hosts.of(i, nav.incarnation):
+            self._hosts.put(host, [(i, encode(nav)) for i, nav in turn])
+        else:
+            self._nav[i](encode(nav))
+
+    def _tell(self, i: int, incarnation: int, data: bytes) -> None:
+        """Send a message to a life of agent i, wherever it is."""
+        if host := self._hosts.of(i, incarnation):
+            self._hosts.put(host, [(i, data)])
+        else:
+            self._nav[i](data)
 
     def _add_frame(self, frame: Frame) -> None:
         lives, tumbles = frame.lives, frame.tumbles
@@ -253,12 +307,11 @@ class WorldProcess:
             self._frames_bytes = 0
 
     def _token(self, key: str, alive: bool) -> None:
-        i = self._token_roles.get(key)
         state = self._state
-        ended = i is not None and not alive and not self._run.finished
-        # Of an agent that was to end this may come only when its successor has begun.
-        if i is not None and ended and not state.without_agent(i) and not state.incarnation(i):
-            self._shell.note(i, state.tick_of(i), "its session ended")
+        for i in () if alive or self._run.finished else self._token_roles.get(key, ()):
+            # Of an agent that was to end this may come only when its successor has begun.
+            if not state.without_agent(i) and not state.incarnation(i):
+                self._shell.note(i, state.tick_of(i), "its session ended")
 
     def _control(self, key: str, data: bytes, respond: Respond) -> None:
         """Answer the console, on a zenoh thread, while the main thread may wait: of the run this only reads."""
@@ -281,7 +334,7 @@ class WorldProcess:
                 respond(msgpack.packb({"ticks": [[i, self._state.tick_of(i)] for i in self._ids]}))
             case "dismiss":
                 for i, incarnation, tick in request["agents"]:
-                    self._nav[i](encode(End(incarnation, tick, request["reason"])))
+                    self._tell(i, incarnation, encode(End(incarnation, tick, request["reason"])))
                 respond(msgpack.packb({}))
             case "close":
                 counts = {"sent": self._sent, "received": self._received}
@@ -297,6 +350,11 @@ class WorldProcess:
     def _timing(self) -> dict[str, Any]:
         """How the world and the agents kept up with the wall clock; empty in lockstep."""
         return {}
+
+
+def _check_version(hello: Hello) -> None:
+    if hello.version != PROTOCOL_VERSION:
+        raise MalformedMessage("hello", f"protocol version {hello.version}, ours is {PROTOCOL_VERSION}")
 
 
 def _checked(faults: tuple[WorldFault, ...]) -> tuple[WorldFault, ...]:

@@ -84,7 +84,7 @@ class RealtimeWorldProcess(WorldProcess):
         return True  # nobody waits for a turn
 
     def _ask(self, i: int, nav: Nav) -> None:
-        self._send_nav(i, nav)  # nobody waits for a turn
+        self._send_navs([(i, nav)])  # nobody waits for a turn
 
     def _take_command(self, i: int, command: Command, data: bytes) -> list[Out]:
         return self._realtime.command(i, command, data)

@@ -1,4 +1,4 @@
-"""Whose turn it is: some agents at a time are asked, each tick after tick up to the next round.
+"""Whose turn it is: some processes at a time are asked, each tick after tick up to the next round.
 
 A process that is woken between a hundred others finds little of its memory in the processor's caches, and its sample
 takes twice as long as the same agent's next one. Between two rounds no vehicle depends on another, so one may take
@@ -8,70 +8,106 @@ several ticks while others wait.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable, Hashable
 
 from netem.wire.messages import Nav
+
+Turn = list[tuple[int, Nav]]  # vehicles, whose agents are asked in one message, and what they are asked
 
 
 class Turns:
     """Which navs may leave.
 
-    A turn is over with the command of a round tick. What an agent needs for the ticks after that, it gets when all have
-    passed it, so until then it gets no turn: who has one never waits for who has none.
+    An agent's turn is over with the command of a round tick. What it needs for the ticks after that, it gets when all
+    have passed it, so until then it gets no turn: who has one never waits for who has none. Agents of one process have
+    their turns together.
     """
 
-    def __init__(self, round_ticks: int, most: int) -> None:
+    def __init__(self, round_ticks: int, most: int, process: Callable[[int, Nav], Hashable] = lambda i, _: i) -> None:
         """Nobody has a turn.
 
         Args:
             round_ticks: ticks from one round to the next.
-            most: agents that have a turn at a time.
+            most: processes that have a turn at a time.
+            process: where the agent is that a nav is for; by default each is in one of its own.
         """
-        self._round_ticks, self._most = round_ticks, most
-        self._holders: set[int] = set()
-        self._ready: deque[tuple[int, Nav]] = deque()
-        self._early: deque[tuple[int, Nav]] = deque()  # for ticks after a round that not all have passed
+        self._round_ticks, self._most, self._process = round_ticks, most, process
+        self._asked: dict[int, Hashable] = {}  # agents that have a turn, and where they are
+        self._holders: dict[Hashable, int] = {}  # how many of them are in each process
+        self._waiting: dict[Hashable, Turn] = {}  # navs that wait, by process
+        self._ready: deque[Hashable] = deque()  # processes with navs that wait for a turn
+        self._going: deque[Hashable] = deque()  # and with navs that need not, since the process has one
+        self._early: list[tuple[int, Nav]] = []  # for ticks after a round that not all have passed
         self._passed = -round_ticks  # the last round tick that all have passed
 
     @property
     def idle(self) -> bool:
         """Whether nobody has a turn."""
-        return not self._holders
+        return not self._asked
 
     def holds(self, i: int) -> bool:
         """Whether agent i has a turn: it has been asked and has not answered."""
-        return i in self._holders
+        return i in self._asked
 
     def ask(self, i: int, nav: Nav) -> None:
         """Queue a nav of agent i; one that goes on between two rounds is the next to leave."""
         before = (nav.tick - 1) // self._round_ticks * self._round_ticks  # the round whose deliveries it needs
         if before > self._passed:
             self._early.append((i, nav))
+            return
+        process = self._process(i, nav)
+        if process in self._waiting:
+            self._waiting[process].append((i, nav))
+            return
+        self._waiting[process] = [(i, nav)]
+        if process in self._holders:
+            self._going.append(process)
         elif 0 <= before < nav.tick - 1:
-            self._ready.appendleft((i, nav))
+            self._ready.appendleft(process)
         else:
-            self._ready.append((i, nav))
+            self._ready.append(process)
 
     def release(self, i: int) -> None:
         """Agent i has answered, or has ended."""
-        self._holders.discard(i)
+        process = self._asked.pop(i, None)
+        if process is None:
+            return
+        if self._holders[process] == 1:
+            del self._holders[process]
+        else:
+            self._holders[process] -= 1
 
     def forget(self, i: int) -> None:
         """Agent i has ended."""
         self.release(i)
-        self._ready = deque(item for item in self._ready if item[0] != i)
-        self._early = deque(item for item in self._early if item[0] != i)
+        self._early = [item for item in self._early if item[0] != i]
+        self._waiting = {
+            process: left
+            for process, turn in self._waiting.items()
+            if (left := [item for item in turn if item[0] != i])
+        }
+        for queue in (self._ready, self._going):
+            still = [process for process in queue if process in self._waiting]
+            queue.clear()
+            queue.extend(still)
 
     def passed(self, tick: int) -> None:
         """All vehicles have passed a round tick."""
         self._passed = tick
-        early, self._early = self._early, deque()
+        early, self._early = self._early, []
         for i, nav in early:
             self.ask(i, nav)
 
-    def take(self) -> tuple[int, Nav] | None:
-        """The next nav that may leave, or None when there is none now."""
-        if not self._ready or len(self._holders) >= self._most:
+    def take(self) -> Turn | None:
+        """The next navs that may leave, all for one process, or None when there are none now."""
+        if self._going:
+            process = self._going.popleft()
+        elif self._ready and len(self._holders) < self._most:
+            process = self._ready.popleft()
+        else:
             return None
-        i, nav = self._ready.popleft()
-        self._holders.add(i)
-        return i, nav
+        turn = self._waiting.pop(process)
+        for i, _ in turn:
+            self._asked[i] = process
+        self._holders[process] = self._holders.get(process, 0) + len(turn)
+        return turn

@@ -160,7 +160,9 @@ def _scenario(n: int, quick: bool) -> Scenario:
 
 
 def _paper(n: int, seconds: float, *changes: str) -> Scenario:
-    return load_scenario("paper", [f"vehicles={n}", f"duration={seconds} s", "checks={tumbled: waived}", *changes])
+    # A process each, as in the barriers; `fleet bench scale` measures fleets whose agents share processes.
+    settings = [f"vehicles={n}", f"duration={seconds} s", "checks={tumbled: waived}", "agents.per_process=1"]
+    return load_scenario("paper", [*settings, *changes])
 
 
 def _wall(scenario: Scenario, *, in_process: bool) -> Wall:

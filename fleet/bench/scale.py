@@ -17,6 +17,7 @@ from fleet.errors import FleetError, RunBroken
 from fleet.execution.clock import GrantPolicy
 from fleet.execution.console import Console
 from fleet.execution.directory import RunDirectory
+from fleet.execution.hosting import hosting
 from fleet.execution.in_process import InProcess
 from fleet.execution.options import Options
 from fleet.recorder.journal import Journal
@@ -30,12 +31,17 @@ AGENT_TICKS = 20_000  # of a run, about
 LEAST_TICKS, MOST_TICKS = 30, 1000
 WEIGHED = 20  # agents whose memory is looked at
 ROLES = ("console", "world", "netem", "agents")
+BEGINNINGS = {
+    "world": ("fleet world",),
+    "netem": ("fleet netem",),
+    "agents": ("fleet agent", "fleet host"),
+}  # of titles
 
 
 class ScaleRow(Struct, frozen=True):
     """One fleet size, with a log of every tick."""
 
-    vehicles: Annotated[int, Meta(description="Vehicles, each with an agent process.")]
+    vehicles: Annotated[int, Meta(description="Vehicles.")]
     tick_ms: Annotated[float, Meta(description="Length of a tick [ms].")]
     in_process_us: Annotated[float, Meta(description="CPU time per agent and tick of a run in one process [us].")]
     distributed_us: Annotated[
@@ -43,8 +49,9 @@ class ScaleRow(Struct, frozen=True):
     ]
     ready_s: Annotated[float, Meta(description="Wall time until every process was ready [s].")]
     x_real_time: Annotated[float, Meta(description="Simulated time by wall time of the distributed run.")]
-    agent_mb: Annotated[float, Meta(description="Memory of an agent process: PSS, mean [MB].")]
+    agent_mb: Annotated[float, Meta(description="Memory of the agents' processes: PSS, per agent, mean [MB].")]
     all_mb: Annotated[float, Meta(description="Memory of all processes: PSS [MB].")]
+    per_process: Annotated[int, Meta(description="Agents in a process, at most.")] = 1
 
     @property
     def total_us(self) -> float:
@@ -64,6 +71,7 @@ class _Meter:
 
     journal: Journal
     ticks: int
+    vehicles: int
     cpu_s: Counter[str] = field(default_factory=Counter)  # between the two
     passed: int = 0  # ticks between them
     wall_s: float = 0.0
@@ -90,26 +98,30 @@ class _Meter:
             sizes.setdefault(role, []).append(process.pid)
         agents = sizes.pop("agents", [])
         some = [pss_mb(pid) for pid in agents[:: max(1, len(agents) // WEIGHED)]]
-        self.agent_mb = sum(some) / len(some) if some else 0.0
-        others = sum(pss_mb(pid) for pids in sizes.values() for pid in pids)
-        self.all_mb = self.agent_mb * len(agents) + others
+        all_agents = sum(some) / max(1, len(some)) * len(agents)
+        self.agent_mb = all_agents / self.vehicles
+        self.all_mb = all_agents + sum(pss_mb(pid) for pids in sizes.values() for pid in pids)
 
-    def per_agent_tick_us(self, vehicles: int) -> dict[str, float]:
+    def per_agent_tick_us(self) -> dict[str, float]:
         """CPU time by role, in microseconds.
 
         Raises:
             FleetError: the run was over before it could be measured.
         """
         if not self.passed:
-            raise FleetError(f"the run with {vehicles} vehicles ended before it could be measured", status=3)
-        return {role: self.cpu_s[role] * 1e6 / (self.passed * vehicles) for role in ROLES if role in self.cpu_s}
+            raise FleetError(f"the run with {self.vehicles} vehicles ended before it could be measured", status=3)
+        each = self.passed * self.vehicles
+        return {role: self.cpu_s[role] * 1e6 / each for role in ROLES if role in self.cpu_s}
 
 
-def measure_scale(sizes: Sequence[int], tick: str, *, quick: bool, say: Callable[[str], None]) -> Iterator[ScaleRow]:
+def measure_scale(
+    sizes: Sequence[int], tick: str, per_process: str, *, quick: bool, say: Callable[[str], None]
+) -> Iterator[ScaleRow]:
     """Each row as soon as it is measured.
 
     Args:
         tick: of the scenario, as text with a unit.
+        per_process: agents in a process, as in a scenario.
 
     Raises:
         ScenarioError: the paper's scenario cannot have this tick.
@@ -118,6 +130,7 @@ def measure_scale(sizes: Sequence[int], tick: str, *, quick: bool, say: Callable
     for n in sizes:
         ticks = LEAST_TICKS if quick else min(max(AGENT_TICKS // n, LEAST_TICKS), MOST_TICKS)
         settings = [f"vehicles={n}", f"tick={tick}", "log.snapshot=0 s", "checks={tumbled: waived}"]
+        settings.append(f"agents.per_process={per_process}")
         tick_ns = load_scenario("paper", settings).tick_ns
         scenario = load_scenario("paper", [*settings, f"duration={ticks * tick_ns / 1e9:g} s"])
         say(f"N = {n}: in process, {ticks} ticks")
@@ -127,12 +140,13 @@ def measure_scale(sizes: Sequence[int], tick: str, *, quick: bool, say: Callable
         yield ScaleRow(
             vehicles=n,
             tick_ms=tick_ns / 1e6,
-            in_process_us=sum(alone.per_agent_tick_us(n).values()),
-            distributed_us=apart.per_agent_tick_us(n),
+            in_process_us=sum(alone.per_agent_tick_us().values()),
+            distributed_us=apart.per_agent_tick_us(),
             ready_s=ready_s,
             x_real_time=apart.passed * tick_ns / 1e9 / apart.wall_s,
             agent_mb=apart.agent_mb,
             all_mb=apart.all_mb,
+            per_process=hosting(scenario, Options()).used(scenario)[1],
         )
 
 
@@ -143,7 +157,7 @@ def _measured(scenario: Scenario, *, in_process: bool) -> tuple[_Meter, float]:
         with closing(RunDirectory(options.out, scenario.name, scenario.seed)) as directory:
             file = LogFile(directory.log)
             journal = Journal(scenario, LogWriter(file, scenario))
-            meter = _Meter(journal, scenario.ticks)
+            meter = _Meter(journal, scenario.ticks, scenario.vehicles)
             try:
                 if in_process:
                     InProcess(scenario, journal).serve(GrantPolicy.of(scenario), meter)
@@ -164,7 +178,7 @@ def _processes() -> Iterator[tuple[str, psutil.Process]]:
     """The processes of the run by role, without the console."""
     for process in psutil.Process().children(recursive=True):
         title = " ".join(process.cmdline())
-        for role, begins in (("world", "fleet world"), ("netem", "fleet netem"), ("agents", "fleet agent")):
+        for role, begins in BEGINNINGS.items():
             if title.startswith(begins):
                 yield role, process
 

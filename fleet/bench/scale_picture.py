@@ -15,8 +15,8 @@ from fleet.pictures.style import COLUMN_IN, DPI, NORMAL, STYLES, THIN
 
 HEADING = (
     "CPU time per agent and tick [us]; tick and ready on the wall clock; PSS\n"
-    "   N   tick  in-process  distributed  agents  world  netem  console  x real  ready  agent   all\n"
-    "       [ms]                                                           time    [s]   [MB]  [MB]"
+    "   N  per  tick  in-process  distributed  agents  world  netem  console  x real  ready  agent   all\n"
+    "     proc. [ms]                                                           time    [s]   [MB]  [MB]"
 )
 
 
@@ -24,9 +24,9 @@ def line(row: ScaleRow) -> str:
     """A row below `HEADING`."""
     us = row.distributed_us
     return (
-        f"{row.vehicles:4d} {row.tick_ms:6g} {row.in_process_us:11.0f} {row.total_us:12.0f} {us['agents']:7.0f} "
-        f"{us['world']:6.0f} {us['netem']:6.0f} {us['console']:8.0f} {row.x_real_time:7.2f} {row.ready_s:6.1f} "
-        f"{row.agent_mb:6.1f} {row.all_mb:5.0f}"
+        f"{row.vehicles:4d} {row.per_process:4d} {row.tick_ms:5g} {row.in_process_us:11.0f} {row.total_us:12.0f} "
+        f"{us['agents']:7.0f} {us['world']:6.0f} {us['netem']:6.0f} {us['console']:8.0f} {row.x_real_time:7.2f} "
+        f"{row.ready_s:6.1f} {row.agent_mb:6.1f} {row.all_mb:5.0f}"
     )
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from fleet.bench.figures import FiguresComparison
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-SIZES = Numbers(1, 1000, "4,20,100", whole=True)
+SIZES = Numbers(1, 3000, "4,20,100", whole=True)
 
 
 def _writable(_: click.Context, __: click.Parameter, path: Path | None) -> Path | None:
@@ -143,6 +143,8 @@ def real(agents: list[int], speeds: list[float], output: Path | None, as_json: b
 @bench.command()
 @_agents("4,20,100,300,1000")
 @click.option("--tick", metavar="TIME", default="100 ms", show_default=True, help="Of the scenario, with its unit.")
+@click.option("--per-process", metavar="N", default="1", show_default=True,
+              help="Agents in a process, as agents.per_process of a scenario: a number, or auto.")  # fmt: skip
 @click.option(
     "--picture", type=click.Path(path_type=Path, dir_okay=False), callback=_writable,
     help="Also draw the curve here, as PNG.",
@@ -150,19 +152,28 @@ def real(agents: list[int], speeds: list[float], output: Path | None, as_json: b
 @_output
 @json_option
 @_quick
-def scale(agents: list[int], tick: str, picture: Path | None, output: Path | None, as_json: bool, quick: bool) -> None:
+def scale(
+    agents: list[int],
+    tick: str,
+    per_process: str,
+    picture: Path | None,
+    output: Path | None,
+    as_json: bool,
+    quick: bool,
+) -> None:
     """Measure what a tick of an agent costs by the size of the fleet, each row as soon as it is there.
 
     \b
     Examples:
       fleet bench scale
       fleet bench scale --agents 4,100 --tick '10 ms' --picture scale.png
+      fleet bench scale --agents 100,300,1000 --per-process 25
     """
     from fleet.bench.scale import Scaled, ScaleRow, measure_scale
     from fleet.bench.scale_picture import HEADING, draw, line
 
     rows: list[ScaleRow] = []
-    for row in measure_scale(agents, tick, quick=quick, say=_say):
+    for row in measure_scale(agents, tick, per_process, quick=quick, say=_say):
         click.echo(line(row) if rows else f"{HEADING}\n{line(row)}", err=as_json)
         rows.append(row)
     _give(Scaled(rows), output, as_json=as_json)

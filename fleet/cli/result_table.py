@@ -62,7 +62,8 @@ def show(result: Result, terminal: Terminal) -> None:
     if result.timing is not None:
         say(summary(result.timing))
     wall, size = result.wall, result.log_bytes
-    how = "in-process" if wall.in_process else f"distributed, ready in {wall.startup_s:.2f} s"
+    hosted = f" over {wall.processes} processes of up to {wall.per_process} agents" if wall.per_process > 1 else ""
+    how = "in-process" if wall.in_process else f"distributed{hosted}, ready in {wall.startup_s:.2f} s"
     where = f", t = {result.from_s:g} to {result.sim_s:g} s," if result.from_s else ""
     say(
         f"{result.sim_s - result.from_s:g} s simulated{where} in {wall.run_s:.2f} s "

@@ -5,7 +5,22 @@ from __future__ import annotations
 from typing import Any
 
 from fleet.errors import RunBroken
+from fleet.execution.runner import Closing
 from netem.clock import Clock
+
+
+def closing(world: dict[str, Any], network: dict[str, Any], rejected: dict[str, int]) -> Closing:
+    """What the processes of a completed run report.
+
+    Args:
+        world, network: what they answered to `close`.
+        rejected: notes that were not kept, by key.
+    """
+    return Closing(
+        entered={(src, dst): (sent, copies) for src, dst, sent, copies in network.get("entered", ())},
+        rejected={**world.get("rejected", {}), **network.get("rejected", {}), **rejected},
+        timing={**world.get("timing", {}), "netem": network.get("timing", {})},
+    )
 
 
 def lost_messages(counts: dict[str, Any], clock: Clock = Clock.LOCKSTEP) -> int:

@@ -14,11 +14,12 @@ from typing import Any
 import msgpack
 
 from fleet.errors import RunBroken, StoppedError
-from fleet.execution.accounts import lost_messages
+from fleet.execution.accounts import closing, lost_messages
 from fleet.execution.clock import GrantPolicy, LiveClock
 from fleet.execution.directory import RunDirectory
 from fleet.execution.events import EXPECTED, EventKind, EventQueue
 from fleet.execution.external_agents import ExternalAgents
+from fleet.execution.hosting import hosting
 from fleet.execution.launch import Launch
 from fleet.execution.notes import Notes, tick_text
 from fleet.execution.operator import Operator
@@ -28,7 +29,7 @@ from fleet.execution.readiness import readiness
 from fleet.execution.runner import Closing
 from fleet.execution.session import Session, connect_to_router, connect_to_world
 from fleet.execution.supervisor import Supervisor
-from fleet.processes.children import Children
+from fleet.processes.children import Children, Exit
 from fleet.processes.interrupts import deferring_interrupts
 from fleet.recorder.journal import Journal
 from fleet.scenario.scenario import Scenario
@@ -89,7 +90,10 @@ class Console:
         self._children = Children(partial(self._events.put, EventKind.EXIT))
         self._external = ExternalAgents(scenario, directory, print_line)
         self._notes = Notes(scenario.tick_ns)
-        self._supervisor = Supervisor(self, scenario, journal, self._children, self._external, self._notes)
+        self._hosting = hosting(scenario, options)
+        self._supervisor = Supervisor(
+            self, scenario, journal, self._children, self._external, self._notes, self._hosting
+        )
         self._operator: Operator | None = None  # until everyone is ready
         self._launch: Launch | None = None
         self._session: Session | None = None
@@ -136,7 +140,7 @@ class Console:
 
     def _start(self, progress: Callable[[], None]) -> None:
         """Start the processes, connect to the router, and let the operator and external agents in."""
-        launch = Launch(self._scenario, self._options, self._keys, self._directory, self._children)
+        launch = Launch(self._scenario, self._options, self._hosting, self._keys, self._directory, self._children)
         self._launch = launch
         own = launch.credentials[CONSOLE]
         if launch.joins_router:
@@ -157,10 +161,8 @@ class Console:
 
     def _open(self, bus: Bus) -> None:
         self._session = session = Session(bus, self._keys)
-        clock = {} if self._options.clock is Clock.LOCKSTEP else {"clock": self._options.clock}
-        slices = {i: {"agent": self._scenario.agent_config(i).to_values()} | clock for i in self._vehicles}
         session.listen(self._events, self._notes)
-        session.configure(slices, self._external, self._events)
+        session.configure(self._scenario, self._options.clock, self._hosting, self._external, self._events)
 
     def _get_ready(self, progress: Callable[[], None]) -> None:
         """Wait until a greeting has passed on every key."""
@@ -231,11 +233,7 @@ class Console:
         world = self.ask(WORLD, "close", timeout_s=CLOSE_S)
         counts = {"world": world.get("counts", {}), "netem": network.get("counts", {}), "console": self._received}
         self.middleware_lost = lost_messages(counts, clock=self._options.clock)
-        return Closing(
-            entered={(src, dst): (sent, copies) for src, dst, sent, copies in network.get("entered", ())},
-            rejected={**world.get("rejected", {}), **network.get("rejected", {}), **self._notes.rejected},
-            timing={**world.get("timing", {}), "netem": network.get("timing", {})},
-        )
+        return closing(world, network, self._notes.rejected)
 
     def _timing_so_far(self) -> dict[str, Any]:
         """How late everyone was in a realtime run; empty in lockstep, or without an answer."""
@@ -284,6 +282,9 @@ class Console:
     def announce(self, message: Death | Restart) -> None:
         self._put(message)
 
+    def computing(self, role: str) -> int:
+        return self._launch.computing(role) if self._launch is not None else 0
+
     def start_agent(self, i: int, incarnation: int, begin: int) -> None:
         if i in self._external.vehicles:
             self._external.expect(i, incarnation, begin)
@@ -324,7 +325,9 @@ class Console:
                 self._record_message(kind, data)
             case EventKind.NOTE:
                 role, note = data
-                self._notes.receive(role, note, self._journal.framed)
+                ended = self._notes.receive(role, note, self._journal.framed)
+                if ended is not None and ended.vehicle in self._hosting.agents(role):
+                    self._events.put(EventKind.EXIT, Exit(agent_role(ended.vehicle), ended.status, 0))
             case EventKind.EXIT:
                 if not self._supervisor.ended(data):
                     self._explain(data)
@@ -369,13 +372,7 @@ class Console:
 
     def _wait_to_join(self, since: float, progress: Callable[[], None]) -> None:
         """Show whom the run waits for, since a wall time. Raises RunBroken: they did not join in time."""
-        waited_s = time.monotonic() - since
-        if waited_s > self._options.join_timeout_s:
-            raise RunBroken(
-                f"{self._external.awaited_text()} did not join within {self._options.join_timeout_s:g} s; "
-                "--join-timeout gives more time"
-            )
-        self.waiting = f"waiting for {self._external.awaited_text()} to join, {waited_s:.0f} s"
+        self.waiting = self._external.waiting(time.monotonic() - since, self._options.join_timeout_s)
         progress()
 
     def _who_waits(self) -> str:
@@ -383,7 +380,8 @@ class Console:
             return "waiting for agents to start again: " + ", ".join(map(str, sorted(starting)))
         world, network = self.ask(WORLD, "waiting"), self.ask(NETEM, "waiting")
         behind = self._journal.written < self._journal.framed
-        return who_waits(world, network, self._children.by_role, self._external.vehicles, log_is_behind=behind)
+        processes, external = self._hosting.children(self._children.by_role), self._external.vehicles
+        return who_waits(world, network, processes, external, log_is_behind=behind, computing=self.computing)
 
     def _explain(self, first: Any) -> None:
         """Raise RunBroken for a process that ended; what else happened meanwhile is taken first, frames included."""
@@ -393,7 +391,8 @@ class Console:
                 exits.append(data)
             elif kind is not EventKind.OPERATION:
                 self._handle(kind, data)
-        raise explain(exits, self._children.by_role, self.notes, self._now())
+        processes = self._hosting.children(self._children.by_role)
+        raise explain(exits, processes, self.notes, self._now(), self.computing)
 
     def _now(self) -> str:
         return tick_text(self._journal.framed, self._scenario.tick_ns)

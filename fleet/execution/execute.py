@@ -17,6 +17,7 @@ from fleet.errors import FleetError, RunBroken, StoppedError
 from fleet.execution.clock import WINDOW_NS, GrantPolicy
 from fleet.execution.directory import RunDirectory
 from fleet.execution.external_agents import refuse
+from fleet.execution.hosting import Hosting, hosting
 from fleet.execution.in_process import InProcess
 from fleet.execution.options import Options
 from fleet.execution.outcome import account_for, judge_run, settle
@@ -53,6 +54,7 @@ class _Run:
     line: StatusLine
     result: Result
     in_process: bool
+    hosting: Hosting
     wall_s: float = 0.0  # from the first process on
 
     @property
@@ -95,6 +97,7 @@ def _prepare(
         refuse(scenario, "a run in one process")
     elif options.port is not None:
         free_port(options.port)  # before anything is made
+    shared = Hosting() if in_process else hosting(scenario, options)
 
     # Before anything is made, too: one in Python may be wrong.
     checks = OwnChecks.asked(scenario, 0 if options.start is None else options.start.snapshot.tick)
@@ -131,7 +134,7 @@ def _prepare(
         seed=scenario.seed,
         status=Status.PASS,
     )
-    return _Run(scenario, options, directory, publication, log, journal, runner, line, result, in_process)
+    return _Run(scenario, options, directory, publication, log, journal, runner, line, result, in_process, shared)
 
 
 def _serve(run: _Run) -> None:
@@ -178,6 +181,8 @@ def _report(run: _Run) -> None:
     """Write result.json."""
     runner, result = run.runner, run.result
     wall = Wall(in_process=run.in_process, startup_s=runner.started_s, run_s=run.wall_s - runner.started_s)
+    if not run.in_process:
+        wall.processes, wall.per_process = run.hosting.used(run.scenario)
     account_for(result, run.scenario, run.journal, run.log, runner, wall)
     result.published = run.publication.summary()
     try:

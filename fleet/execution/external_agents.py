@@ -14,7 +14,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from agents.join_file import JoinFile
-from fleet.errors import FleetError
+from fleet.errors import FleetError, RunBroken
 from fleet.execution.directory import RunDirectory
 from fleet.hosts.join_folder import JoinFolder
 from fleet.scenario.scenario import Scenario
@@ -144,6 +144,12 @@ class ExternalAgents:
         names = ", ".join(f"agent {i} (external)" for i in self.awaited[:8])
         more = f" and {len(self._awaited) - 8} more" if len(self._awaited) > 8 else ""
         return f"{names}{more}"
+
+    def waiting(self, waited_s: float, most_s: float) -> str:
+        """Whom the run waits for, in words. Raises RunBroken: they did not join within `most_s`."""
+        if waited_s > most_s:
+            raise RunBroken(f"{self.awaited_text()} did not join within {most_s:g} s; --join-timeout gives more time")
+        return f"waiting for {self.awaited_text()} to join, {waited_s:.0f} s"
 
     def close(self) -> None:
         """Remove the join files."""

@@ -41,6 +41,9 @@ class Fleet(Protocol):
     def announce(self, message: Death | Restart) -> None:
         """Notify the world that an agent ended or begins again."""
 
+    def computing(self, role: str) -> int:
+        """The vehicle whose agent a host computes, or did when it ended; 0: none, or it is no host."""
+
     def start_agent(self, i: int, incarnation: int, begin: int) -> None:
         """Start the next life of vehicle i's agent, from tick `begin` on."""
 

@@ -5,13 +5,16 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import agents.main
 import netem.main
 import world.main
+from agents.running import running
 from fleet.errors import RunBroken
 from fleet.execution.directory import RunDirectory
+from fleet.execution.hosting import Hosting
 from fleet.execution.options import Options
 from fleet.hosts.join_folder import JoinFolder
 from fleet.hosts.rendezvous import Rendezvous
@@ -20,12 +23,14 @@ from fleet.processes.limits import allow_open_files, processors
 from fleet.processes.ports import free_port
 from fleet.processes.run_folder import RunFolder
 from fleet.scenario.scenario import Scenario, frame_every
-from netem.wire.access import LEASE_MS, NETEM, OPERATOR, WORLD, Credentials, Listener, agent_role, generate
+from netem.wire.access import LEASE_MS, NETEM, OPERATOR, WORLD, Credentials, Listener, agent_role, generate, host_role
 from netem.wire.keys import Keys
 from netem.wire.settings import PENDING
 
 FORKSERVER_S = 0.2  # how long to wait for the end of a fork server that does not answer
-ASKED_PER_CPU = 3  # agents that the world asks at a time; more of them find colder caches, fewer leave processors idle
+ASKED_PER_CPU = (
+    3  # processes of agents that the world asks at a time; more of them find colder caches, fewer leave processors idle
+)
 
 Target = tuple[Callable[..., None], tuple[Any, ...]]  # a function that a process runs, and its arguments
 
@@ -34,17 +39,24 @@ class Launch:
     """Starts the processes of one run, each with what it needs."""
 
     def __init__(
-        self, scenario: Scenario, options: Options, keys: Keys, directory: RunDirectory, children: Children
+        self,
+        scenario: Scenario,
+        options: Options,
+        hosting: Hosting,
+        keys: Keys,
+        directory: RunDirectory,
+        children: Children,
     ) -> None:
         """Choose endpoints, make credentials and the folder of the run's socket; nothing is started.
 
         Raises:
             RunBroken: the port is taken, or this machine allows too few open files, or has no place for the folder.
         """
-        self._scenario, self._options, self._keys = scenario, options, keys
+        self._scenario, self._options, self._hosting, self._keys = scenario, options, hosting, keys
         self._directory, self._children = directory, children
         self._rendezvous = options.rendezvous or Rendezvous()
-        self.credentials = self._rendezvous.credentials or generate(tuple(range(1, scenario.vehicles + 1)))  # by role
+        everyone = tuple(range(1, scenario.vehicles + 1))
+        self.credentials = self._rendezvous.credentials or generate(everyone, hosts=hosting.members)  # by role
         self.joins_router = self._rendezvous.router is not None  # one that is there already; else the world hosts one
         self._listener = self._other_endpoints()
         others = self._listener or self._rendezvous.certified
@@ -81,15 +93,23 @@ class Launch:
     def targets(self) -> dict[str, Target]:
         """What each process runs, by role, in the order in which they are started."""
         targets = {WORLD: self._world(), NETEM: self._netem()}
+        for h in range(1, len(self._hosting.members) + 1):
+            targets[host_role(h)] = self._host(h, host_role(h))
+        elsewhere = {*self._scenario.external, *chain(*self._hosting.members)}
         for i in range(1, self._scenario.vehicles + 1):
-            if i not in self._scenario.external:
+            if i not in elsewhere:
                 targets[agent_role(i)] = self.agent(i)
         order = self._options.start_order
         return targets if order is None else {role: targets[role] for role in order(list(targets))}
 
     def agent(self, i: int, incarnation: int = 0, begin: int = 0) -> Target:
         """What an agent's process runs, in the life `incarnation` that begins at tick `begin`."""
-        return agents.main.run, (self.endpoint, self._keys.run, i, self.credentials[agent_role(i)], incarnation, begin)
+        credentials = self.credentials[self._hosting.role(i)]
+        return agents.main.run, (self.endpoint, self._keys.run, i, credentials, incarnation, begin)
+
+    def computing(self, role: str) -> int:
+        """The vehicle whose agent a host computes, or did when it ended; 0: none, or it is no host."""
+        return running(self._private.path / role)
 
     def start(self, role: str, target: Target) -> None:
         """Start a process, named in `ps` after its role and the scenario.
@@ -119,12 +139,16 @@ class Launch:
         if self.joins_router:
             return world.main.join, (self.endpoint, self._keys.run, self.credentials[WORLD], *sea)
         clients = {role: known for role, known in self.credentials.items() if role != WORLD}
-        listening = self._listener, self._rendezvous.certified, self._options.audit
+        listening = self._listener, self._rendezvous.certified, self._options.audit, self._hosting.members
         return world.main.run, (self.endpoint, self._keys.run, clients, self._private.path, *sea, *listening)
 
     def _netem(self) -> Target:
-        network = self._scenario.netem_config, self._options.clock
+        network = self._scenario.netem_config, self._options.clock, self._hosting.members
         return netem.main.run, (self.endpoint, self._keys.run, self.credentials[NETEM], *network)
+
+    def _host(self, h: int, role: str) -> Target:
+        here = self.endpoint, self._keys.run
+        return agents.main.run_host, (*here, h, self.credentials[role], self._private.path / role)
 
     def _other_endpoints(self) -> Listener | None:
         """Where the run's own router listens besides its Unix socket."""

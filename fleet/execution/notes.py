@@ -10,6 +10,7 @@ from fleet.errors import printable
 from netem.errors import MalformedMessage
 from netem.wire.access import WORLD
 from netem.wire.codec import expect
+from netem.wire.host_messages import Ended
 from netem.wire.keys import vehicle_of
 from netem.wire.messages import Note
 from netem.wire.queues import Quota
@@ -71,12 +72,15 @@ class Notes:
         self._rejected[role] += 1
         return False
 
-    def receive(self, role: str, data: bytes, tick: int) -> None:
+    def receive(self, role: str, data: bytes, tick: int) -> Ended | None:
         """Take a note that `admit` let in.
 
         Args:
             role: to whose key it was put; the router lets nobody else put there.
             tick: now, for a note that is rejected.
+
+        Returns:
+            What a host says instead of a note: that an agent has ended.
         """
         self._queued.release(role)
         try:
@@ -85,20 +89,27 @@ class Notes:
             self._rejected[role] += 1
             if self._rejected[role] == 1:
                 self.lines.append(f"{tick_text(tick, self._tick_ns)} rejected from {role}: {printable(str(error))}")
-            return
+            return None
+        if isinstance(note, Ended):
+            return note
         if len(self.lines) >= MOST_NOTES:
             self._rejected[role] += 1
-            return
+            return None
         who = f"{'vehicle' if role == WORLD else 'agent'} {note.subject}" if note.subject else role
         self.add(note.tick, who, printable(note.text))
+        return None
 
     def add(self, tick: int, who: str, text: str) -> None:
         """Keep a note."""
         self.lines.append(note_text(tick, self._tick_ns, who, text))
 
 
-def _read(role: str, data: bytes) -> Note:
+def _read(role: str, data: bytes) -> Note | Ended:
     """Raises MalformedMessage: it is no note, or `role` speaks for another."""
+    if role.startswith("host-"):
+        ended = expect(data, Ended)
+        assert isinstance(ended, Ended)
+        return ended
     note = expect(data, Note)
     assert isinstance(note, Note)
     own = {0, vehicle_of(role.replace("agent-", "/"))} if role.startswith("agent-") else {note.subject}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from fleet.errors import RunBroken
@@ -23,22 +23,31 @@ MOST_NAMED = 8  # processes in a line
 _REAPED_S = 2.0  # the sockets of a fork server that is killed close a moment before it can be reaped
 
 
-def explain(exits: Sequence[Exit], children: Mapping[str, Child], notes: Sequence[str], at: str) -> RunBroken:
+def explain(
+    exits: Sequence[Exit],
+    children: Mapping[str, Child],
+    notes: Sequence[str],
+    at: str,
+    computing: Callable[[str], int] = lambda _: 0,
+) -> RunBroken:
     """The error for processes that ended: which one ended first, how, and its last lines.
 
     Args:
         exits: at least one, all of those that ended at about the same time.
-        children: by role.
+        children: by role; an agent without a process of its own stands for its host.
         notes: of the run; those about the agent that ended are repeated, with the other agents that report the same.
         at: the time in the run, in words.
+        computing: the agent that a host computed when it ended; 0: none, or no host.
     """
     if any(e.code == FORKSERVER_LOST for e in exits) and (death := forkserver_death(_REAPED_S)) is not None:
         return RunBroken(f"{death} at {at}; every process of the run ended with it")
     # The world hosts the router: when it ends, others may lose their session and end as well.
     first, *others = sorted(exits, key=lambda e: (e.role != WORLD, e.code >= 0, e.role))
     child = children[first.role]
-    reason = f"{first.role.replace('-', ' ')} (pid {child.pid}) {describe_exit(first.code)} at {at}"
-    about = [note for note in notes if f"agent {first.role.removeprefix('agent-')}:" in note]
+    culprit = computing(first.role)
+    reason = f"{first.role.replace('-', ' ')} ({_where(first.role, child)}) {describe_exit(first.code)} at {at}"
+    reason += f" while agent {culprit} computed" if culprit else ""
+    about = [note for note in notes if f"agent {culprit or first.role.removeprefix('agent-')}:" in note]
     alike = {without_agent(note) for note in about}
     lines = folded([*about, *(note for note in notes if note not in about and without_agent(note) in alike)])
     tail = child.tail()
@@ -66,27 +75,32 @@ def who_waits(
     external: Collection[int],
     *,
     log_is_behind: bool,
+    computing: Callable[[str], int] = lambda _: 0,
 ) -> str:
     """Who has not answered, in words.
 
     Args:
         world, network: what the world and netem answered to `waiting`; empty: no answer.
-        children: by role.
+        children: by role; an agent without a process of its own stands for its host.
         external: vehicles whose agent is no child.
         log_is_behind: whether the log has less than the journal received.
+        computing: the agent that a host computes; 0: none, or no host.
     """
     if not world:
-        return "waiting for the world" + _condition(children[WORLD])
+        return "waiting for the world" + _condition(WORLD, children[WORLD])
     if not network:
-        return "waiting for netem" + _condition(children[NETEM])
+        return "waiting for netem" + _condition(NETEM, children[NETEM])
     late = sorted({i for i, _ in world.get("waiting", ())})
     if missing := network.get("missing"):
         # The rest wait for an inbox, which waits for these.
         late = [i for i in missing if i in late] or late
     if not late:
         return "waiting for the log" if log_is_behind else "waiting"
+    # Of a host's agents only the one that computes is late; the others wait for it.
+    busy = {host: computing(host) for i in late if i not in external and (host := children[agent_role(i)].role)}
+    late = [i for i in late if i in external or busy[children[agent_role(i)].role] in (0, i)] or late
     named = [
-        f"agent {i}" + (" (external)" if i in external else _condition(children[agent_role(i)]))
+        f"agent {i}" + (" (external)" if i in external else _condition(agent_role(i), children[agent_role(i)]))
         for i in late[:MOST_NAMED]
     ]
     return "waiting for " + ", ".join(named) + _more(len(late))
@@ -96,8 +110,15 @@ def _more(total: int) -> str:
     return f" and {total - MOST_NAMED} more" if total > MOST_NAMED else ""
 
 
-def _condition(child: Child) -> str:
-    """Words on a process that cannot answer, so that a forgotten SIGSTOP is seen at once; usually none."""
+def _where(role: str, child: Child) -> str:
+    return f"pid {child.pid}" if child.role == role else f"{child.role}, pid {child.pid}"
+
+
+def _condition(role: str, child: Child) -> str:
+    """Words on a process that cannot answer, so that a forgotten SIGSTOP is seen at once; mostly none, or the host."""
+    where = _where(role, child)
     if ended(child.pid):  # and its exit has not been reported
-        return f" (pid {child.pid} has ended; {forkserver_suspended() or 'it has not been reaped yet'})"
-    return f" (pid {child.pid} is suspended)" if suspended(child.pid) else ""
+        return f" ({where} has ended; {forkserver_suspended() or 'it has not been reaped yet'})"
+    if suspended(child.pid):
+        return f" ({where} is suspended)"
+    return "" if child.role == role else f" ({where})"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -12,9 +12,12 @@ import msgpack
 from fleet.errors import RunBroken
 from fleet.execution.events import EventKind, EventQueue
 from fleet.execution.external_agents import ExternalAgents
+from fleet.execution.hosting import Hosting
 from fleet.execution.notes import Notes
+from fleet.scenario.scenario import Scenario
+from netem.clock import Clock
 from netem.errors import BusError
-from netem.wire.access import Credentials, agent_role
+from netem.wire.access import Credentials, agent_role, host_role
 from netem.wire.bus import Bus, Respond
 from netem.wire.codec import encode
 from netem.wire.control import read_map, request
@@ -95,18 +98,26 @@ class Session:
         self._bus.subscribe(keys.note("*"), queue_note)
         self._bus.answer(f"{keys.op}/*", lambda _, data, respond: put(EventKind.OPERATION, (data, respond)))
 
-    def configure(self, slices: Mapping[int, dict[str, Any]], external: ExternalAgents, events: EventQueue) -> None:
-        """Answer agents that ask for their slice of the scenario, and watch the tokens of external ones.
+    def configure(
+        self, scenario: Scenario, clock: Clock, hosting: Hosting, external: ExternalAgents, events: EventQueue
+    ) -> None:
+        """Answer agents, and hosts, that ask for their slice of the scenario, and watch the tokens of external agents.
 
-        Args:
-            slices: by vehicle.
+        Raises:
+            PluginError: a law cannot be used.
         """
-        vehicles = {self._keys.cfg(i): i for i in slices}
+        known = {} if clock is Clock.LOCKSTEP else {"clock": clock}
+        slices = [scenario.agent_config(i).to_values() for i in range(1, scenario.vehicles + 1)]
+        vehicles = {self._keys.cfg(i): i for i in range(1, scenario.vehicles + 1)}
+        hosts = {self._keys.cfg(host_role(h)): group for h, group in enumerate(hosting.members, start=1)}
 
         def answer(key: str, _: bytes, respond: Respond) -> None:
+            if key in hosts:
+                respond(msgpack.packb({"agents": [slices[i - 1] for i in hosts[key]]}))
+                return
             i = vehicles[key]
             more = external.answer(i) if i in external.vehicles else {}
-            respond(msgpack.packb(more if "error" in more else slices[i] | more))
+            respond(msgpack.packb(more if "error" in more else {"agent": slices[i - 1]} | known | more))
 
         def queue_token(i: int, _: str, alive: bool) -> None:
             events.put(EventKind.TOKEN, (i, alive))

@@ -14,6 +14,7 @@ import agents.process
 from fleet.errors import RunBroken
 from fleet.execution.external_agents import ExternalAgents
 from fleet.execution.fleet import Fleet
+from fleet.execution.hosting import Hosting
 from fleet.execution.notes import Notes, tick_text
 from fleet.processes.children import FORKSERVER_LOST, Children, Exit, describe_exit
 from fleet.recorder.journal import Journal
@@ -42,7 +43,9 @@ class Supervisor:
         children: Children,
         external: ExternalAgents,
         notes: Notes,
+        hosting: Hosting,
     ) -> None:
+        self._hosting = hosting
         self._fleet, self._scenario, self._journal = fleet, scenario, journal
         self._children, self._external, self._notes = children, external, notes
         self._vehicles = tuple(range(1, scenario.vehicles + 1))
@@ -86,17 +89,24 @@ class Supervisor:
 
         When an agent died, the world decides at which tick that was.
         """
-        if not exit_.role.startswith("agent-"):
+        own = [*self._hosting.agents(exit_.role)]
+        if not own:
             return False
-        i = int(exit_.role.removeprefix("agent-"))
-        if i not in self._ending:
-            if not self._survivable(exit_):
-                return False
-            child = self._children.by_role[exit_.role]
-            how = describe_exit(exit_.code)
-            last = f"; last line of {child.log_path}: {line}" if (line := "".join(child.tail()[-1:])) else ""
-            self._died(i, f"agent {i} (pid {child.pid}) {how}", how, last)
-        self._gone.add(i)
+        if exit_.role != agent_role(own[0]):  # of a host; those that were started again are elsewhere
+            own = [i for i in own if not self._incarnation[i] and i not in self._gone]
+        died = [i for i in own if i not in self._ending]
+        if died and not self._survivable(exit_):
+            return False
+        child = self._hosting.children(self._children.by_role)[exit_.role]
+        how, where = describe_exit(exit_.code), f"pid {child.pid}"
+        if child.role != agent_role(own[0] if own else 0):
+            where = f"{child.role}, {where}"
+        if computing := self._fleet.computing(exit_.role):
+            how += f" while agent {computing} computed"
+        last = f"; last line of {child.log_path}: {line}" if (line := "".join(child.tail()[-1:])) else ""
+        for i in died:
+            self._died(i, f"agent {i} ({where}) {how}", how, last)
+        self._gone.update(own)
         return True
 
     def registered(self, i: int) -> None:
@@ -195,8 +205,8 @@ class Supervisor:
         self._notes.add(self._journal.framed, who, f"its vehicle {fate}{last}")
 
     def _end(self, i: int, tick: int) -> None:
-        """End the agent of a vehicle. An external one is dismissed, and ignored from then on."""
-        if i in self._external.vehicles:
+        """End the agent of a vehicle. One elsewhere or on a host is dismissed, and ignored from then on."""
+        if i in self._external.vehicles or self._hosting.role(i, self._incarnation[i]) != agent_role(i):
             self._dismiss(i, self._incarnation[i], tick, "it was killed by a fault of the scenario or the operator")
             self._gone.add(i)
             return

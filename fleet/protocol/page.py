@@ -81,6 +81,8 @@ with `f = cos theta u + sin theta w`. With roll phi, v and w in it are `cos phi 
 6. Put the same `hello` with `echo` set on `cmd/<i>`, then declare the liveliness token `alive/agent-<i>`. You have
    joined. The first nav comes when all agents have, or when the run has reached `begin`: wait without a limit.
 
+`bundle` and `ended` below are for agents that share a process of the run, and for world and netem; you never get them.
+
 The router lets you put on `cmd/<i>`, `tx/<i>` and `note/agent-<i>`, subscribe to `nav/<i>` and `rx/<i>`, query
 `cfg/<i>` and hold your token. Anything else is dropped in silence. A `note` is a line for the operator.
 

@@ -119,6 +119,8 @@ class Wall(Struct):
     """Wall times."""
 
     in_process: Annotated[bool, Meta(description="Whether the run was one process.")] = False
+    processes: Annotated[int, Meta(description="Processes of agents that the run started; 0: it was one process.")] = 0
+    per_process: Annotated[int, Meta(description="Agents that each of them had, at most.")] = 0
     startup_s: Annotated[float, Meta(description="Until all processes were ready [s].")] = 0.0
     run_s: Annotated[float, Meta(description="From then to the end [s].")] = 0.0
     cores: Annotated[str, Meta(description="`compiled` or `plain Python`: the cores of world, agents and netem.")] = ""

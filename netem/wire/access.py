@@ -19,9 +19,17 @@ CONSOLE, NETEM, OPERATOR, WORLD = "console", "netem", "operator", "world"
 OBSERVER = "observer"  # of a published run: it has a router of its own, and may read the journal there
 
 
+Members = Sequence[Sequence[int]]  # the vehicles whose agents share a process, by host: host 1 comes first
+
+
 def agent_role(i: int) -> str:
     """The user name and token name of agent i."""
     return f"agent-{i}"
+
+
+def host_role(h: int) -> str:
+    """The user name of host h, a process of several agents."""
+    return f"host-{h}"
 
 
 LEASE_MS = 3_600_000  # between processes of one host
@@ -64,9 +72,12 @@ class Listener:
     certified: frozenset[str] = frozenset()  # who must show a client certificate of that name, if any does
 
 
-def generate(vehicles: tuple[int, ...], *, prefix: str = "", world: bool = False) -> dict[str, Credentials]:
-    """Fresh credentials for every client of a run, by role; `prefix` and `world` as in `access_control`."""
-    roles = [CONSOLE, NETEM, OPERATOR, *(agent_role(i) for i in vehicles), *([WORLD] if world else [])]
+def generate(
+    vehicles: tuple[int, ...], *, hosts: Members = (), prefix: str = "", world: bool = False
+) -> dict[str, Credentials]:
+    """Fresh credentials for every client of a run, by role; the arguments are those of `access_control`."""
+    roles = [CONSOLE, NETEM, OPERATOR, *map(agent_role, _alone(vehicles, hosts)), *([WORLD] if world else [])]
+    roles += [host_role(h) for h in range(1, len(hosts) + 1)]
     return {role: Credentials(prefix + role, secrets.token_urlsafe(24)) for role in roles}
 
 
@@ -74,6 +85,7 @@ def access_control(
     keys: Keys,
     vehicles: tuple[int, ...],
     *,
+    hosts: Members = (),
     certified: Mapping[str, Sequence[str]] = MappingProxyType({}),
     prefix: str = "",
     world: bool = False,
@@ -81,6 +93,8 @@ def access_control(
     """Zenoh's `access_control` block for one run: deny by default, then what each role needs.
 
     Args:
+        hosts: the agents that share processes, and in later lives their host's login: each login has a list of its
+            own, and the router looks through all lists whenever somebody logs in (1,000 lists: 3 ms).
         certified: roles that count only together with a client certificate, and the names that it may have.
         prefix: of the user names and of the rules' names, where several runs share a router.
         world: the world is a client, too.
@@ -93,14 +107,22 @@ def access_control(
             subject["cert_common_names"] = [*certified[role]]
         listed.allow(role, subject, *grants)
 
-    for i in vehicles:
+    for i in _alone(vehicles, hosts):
         allow(agent_role(i), *_agent_grants(keys, i))
+    for h, members in enumerate(hosts, start=1):
+        allow(host_role(h), *_host_grants(keys, h, members))
     allow(NETEM, *_netem_grants(keys))
     allow(CONSOLE, *_console_grants(keys))
     allow(OPERATOR, *_operator_grants(keys))
     if world:
         allow(WORLD, *_world_grants(keys))
     return listed.values()
+
+
+def _alone(vehicles: Sequence[int], hosts: Members) -> list[int]:
+    """The vehicles whose agents have a login of their own."""
+    hosted = {i for members in hosts for i in members}
+    return [i for i in vehicles if i not in hosted]
 
 
 def certificate_control(keys: Keys, vehicles: tuple[int, ...]) -> dict[str, Any]:
@@ -132,13 +154,13 @@ def observer_control(keys: Keys) -> dict[str, Any]:
 
 def _netem_grants(keys: Keys) -> tuple[Grant, ...]:
     return (
-        ("ingress", ["put"], [keys.rx("*"), keys.links, keys.note(NETEM)]),
+        ("ingress", ["put"], [keys.rx("*"), keys.host("*"), keys.links, keys.note(NETEM)]),
         ("ingress", ["declare_subscriber"], [keys.tx("*")]),
         ("ingress", ["declare_queryable", "reply"], [keys.ctl(NETEM)]),
         ("ingress", ["liveliness_token"], [keys.alive(NETEM)]),
         ("egress", ["put"], [keys.tx("*")]),
         ("egress", ["query"], [keys.ctl(NETEM)]),
-        ("egress", ["declare_subscriber"], [keys.rx("*"), keys.links, keys.note("*")]),
+        ("egress", ["declare_subscriber"], [keys.rx("*"), keys.host("*"), keys.links, keys.note("*")]),
     )
 
 
@@ -197,6 +219,23 @@ def _agent_grants(keys: Keys, i: int) -> list[Grant]:
         ("egress", ["declare_subscriber"], [keys.tx("*"), keys.cmd("*"), keys.note("*")]),
         ("egress", ["declare_queryable"], [keys.cfg("*")]),
     ]
+
+
+def _host_grants(keys: Keys, h: int, members: Sequence[int]) -> list[Grant]:
+    """What its agents may, for their later lives; and for the first, the keys on which it carries messages of all."""
+    role = host_role(h)
+    grants: list[Grant] = [
+        ("ingress", ["put"], [keys.tx(role), keys.cmd(role), keys.note(role)]),
+        ("ingress", ["declare_subscriber"], [keys.host(h)]),
+        ("ingress", ["query"], [keys.cfg(role)]),
+        ("ingress", ["liveliness_token"], [keys.alive(role)]),
+        ("egress", ["put"], [keys.host(h)]),
+        ("egress", ["reply"], [keys.cfg(role)]),
+    ]
+    allowed: dict[tuple[str, ...], dict[str, None]] = {}
+    for flow, messages, expressions in (*grants, *(grant for i in members for grant in _agent_grants(keys, i))):
+        allowed.setdefault((flow, *messages), {}).update(dict.fromkeys(expressions))
+    return [(flow, messages, [*expressions]) for (flow, *messages), expressions in allowed.items()]
 
 
 class _List:

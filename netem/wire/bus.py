@@ -13,7 +13,7 @@ from typing import Any
 import zenoh
 
 from netem.errors import BusError
-from netem.wire.access import LEASE_MS, Credentials, Listener, access_control
+from netem.wire.access import LEASE_MS, Credentials, Listener, Members, access_control
 from netem.wire.keys import Keys
 from netem.wire.linger import never_linger
 from netem.wire.parts import PART_BYTES, pieces
@@ -85,6 +85,7 @@ class Bus:
         credentials: dict[str, Credentials],
         private: Path,
         listener: Listener | None = None,
+        hosts: Members = (),
     ) -> Bus:
         """Open the router of a run: it listens on `endpoint`, checks users and enforces the access-control list.
 
@@ -94,6 +95,7 @@ class Bus:
             private: a directory of mode 0700; zenoh reads the users from a file there, which is removed
                 as soon as the session is open.
             listener: additional endpoints, for processes that do not belong to the run.
+            hosts: the agents that share processes.
 
         Raises:
             BusError: an endpoint is already in use, or this process may not listen on it.
@@ -102,7 +104,7 @@ class Bus:
         users = users_file(private, credentials.values())
         endpoints = [endpoint, *(listener.endpoints if listener else ())]
         certified = {role: [role] for role in listener.certified} if listener else {}
-        control = access_control(keys, vehicles, certified=certified)
+        control = access_control(keys, vehicles, hosts=hosts, certified=certified)
         settings = {
             **router_settings(len(vehicles), listener.lease_ms if listener else LEASE_MS),
             **listening(endpoints),

@@ -9,7 +9,7 @@ from typing import get_args
 import msgspec
 
 from netem.errors import MalformedMessage
-from netem.wire.messages import Delivery, Fate, Inbox, LinkReport, Message, Nav
+from netem.wire.messages import Delivery, Fate, Inbox, LinkReport, Message, Nav, Round
 
 LONGEST_REASON = 150  # characters, so that a sender cannot fill the logs
 _CLASSES: dict[str, type[msgspec.Struct]] = {cls.__struct_config__.tag: cls for cls in get_args(Message)}
@@ -17,6 +17,7 @@ _NOT_FINITE = re.compile(r"Expected `float` [<>]= -?1\.79\S+(?= - at `\$(.*)`)")
 _ENCODER = msgspec.msgpack.Encoder()
 # The heads of arrays of five, six and seven: a nav without roll, clock and belief, and so on.
 _NAV, _NAV_WITH_ROLL, _NAV_WITH_CLOCK = b"\x95", b"\x96", b"\x97"
+_LAST_ROUND = b"\x95"  # a round that fits into one message, as nearly all, is written as before there were parts
 _DELIVERY = attrgetter(*Delivery.__struct_fields__[:6])
 _FATE = attrgetter(*Fate.__struct_fields__[:11])
 _DECODER: msgspec.msgpack.Decoder[Message] = msgspec.msgpack.Decoder(Message)
@@ -37,6 +38,8 @@ def encode(message: Message) -> bytes:
         if message.clock_ns is not None:
             return _NAV_WITH_CLOCK + data[1:-1]
         return _NAV_WITH_ROLL + data[1:-2] if message.roll else _NAV + data[1:-3]
+    if type(message) is Round and not message.more:
+        return _LAST_ROUND + data[1:-1]
     return data
 
 

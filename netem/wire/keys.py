@@ -9,7 +9,8 @@ from dataclasses import dataclass
 class Keys:
     """The keys below `fleet/{run}`.
 
-    `i` is a vehicle number, `role` the name of a process, such as `world` or `agent-3`; "*" stands for all of them.
+    `i` is a vehicle number, or the role of a process that hosts several agents, such as `host-2`; `role` the name of a
+    process, such as `world` or `agent-3`; "*" stands for all of them.
     """
 
     run: str
@@ -33,6 +34,10 @@ class Keys:
     def rx(self, i: int | str) -> str:
         """Netem to agent i: the payloads that will be delivered to it."""
         return f"fleet/{self.run}/rx/{i}"
+
+    def host(self, h: int | str) -> str:
+        """World and netem to host h: navs and inboxes of the agents that share its process."""
+        return f"fleet/{self.run}/host/{h}"
 
     def every(self, i: int) -> str:
         """All keys that end with the number of vehicle i."""

@@ -9,45 +9,30 @@ some languages' MessagePack writes 1.0 as 1). Ticks count control periods Ts fro
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, NamedTuple
+from typing import Annotated, ClassVar
 
-from msgspec import Meta, Struct
+from msgspec import Struct
 
 from netem.causes import Cause
 from netem.fault_kinds import WorldFaultKind
+from netem.wire.declaring import (
+    Real,
+    Reals,
+    Reals2,
+    Reals3,
+    Reals5,
+    Reals10,
+    RealsTo2,
+    Route,
+    Text,
+    Uint,
+    WireRecord,
+    about,
+)
+from netem.wire.host_messages import Bundle, Ended
 
 PROTOCOL_VERSION = 2
 RUN_OVER = "the run is over"  # the reason of nearly every End
-
-_GREATEST = 1.7976931348623157e308  # the greatest finite double
-
-Uint = Annotated[int, Meta(ge=0)]
-Text = Annotated[str, Meta(max_length=4096)]
-Real = Annotated[float, Meta(ge=-_GREATEST, le=_GREATEST)]  # the bounds refuse NaN and infinity
-Reals = tuple[Real, ...]
-Reals2 = Annotated[Reals, Meta(min_length=2, max_length=2)]
-RealsTo2 = Annotated[Reals, Meta(max_length=2)]
-Reals3 = Annotated[Reals, Meta(min_length=3, max_length=3)]
-Reals5 = Annotated[Reals, Meta(min_length=5, max_length=5)]
-Reals10 = Annotated[Reals, Meta(min_length=10, max_length=10)]
-
-
-def about(meaning: str, unit: str = "") -> Meta:
-    """What a field means, in one line, and its unit ("" when it has none)."""
-    return Meta(description=meaning, extra={"unit": unit})
-
-
-class Route(NamedTuple):
-    """Where a message travels: key expression below the run's prefix, sender, receiver."""
-
-    key: str
-    sender: str
-    receiver: str
-
-
-# Without a garbage collector's header: what holds numbers, texts, bytes and tuples of them alone is in no circle.
-class WireRecord(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
-    """A MessagePack array of fields; a message is a record with a tag, which comes first in the array."""
 
 
 # ------------------------------------------------------------------------------------------ records
@@ -296,6 +281,7 @@ class Round(WireRecord, frozen=True, tag="round"):
     alive: Annotated[tuple[Uint, ...], about("vehicles alive at the tick, ascending")]
     positions: Annotated[tuple[Reals3, ...], about("true x, y, z (NED) of each alive vehicle", "m")]
     paused: Annotated[tuple[Uint, ...], about("those of them that are suspended: no transmission comes")]
+    more: Annotated[bool, about("more vehicles of the same round follow; **left out** in the last part")] = False
 
 
 class Pace(WireRecord, frozen=True, tag="pace"):
@@ -396,4 +382,6 @@ Message = (
     | Restart
     | WorldFaults
     | Note
+    | Bundle
+    | Ended
 )

@@ -13,7 +13,8 @@ from msgspec import inspect
 
 from netem.causes import Cause
 from netem.fault_kinds import WorldFaultKind
-from netem.wire.messages import Message, Route, TimedFault, WireRecord, WorldFault
+from netem.wire.declaring import Route, WireRecord
+from netem.wire.messages import Message, TimedFault, WorldFault
 
 _SCALARS: dict[type[inspect.Type], str] = {
     inspect.IntType: "uint",

@@ -28,7 +28,7 @@ from fleet.logs.reader import LogReader
 from fleet.result.result import Status
 from fleet.scenario.loading import load_scenario
 
-END_S = 30.0  # promised: 2 s; this long only tells a hang, also on a machine that does other things
+END_S = 60.0  # promised: 2 s; this long only tells a hang, also on a machine that does other things
 
 
 def assert_readable(run: LiveRun, least_s: float = 1.0) -> None:

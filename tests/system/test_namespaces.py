@@ -32,7 +32,7 @@ pytestmark = pytest.mark.slow
 
 
 def ip(*words: str, check: bool = True) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(["ip", *words], capture_output=True, text=True, check=check, timeout=20)
+    return subprocess.run(["ip", *words], capture_output=True, text=True, check=check, timeout=LIMIT_S)
 
 
 class Hosts:

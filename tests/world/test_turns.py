@@ -30,10 +30,10 @@ def nav(tick: int) -> Nav:
     return Nav(0, tick, (0.0,) * 5, (0.0,) * 5)
 
 
-@given(st.integers(1, 5), st.lists(st.integers(0, 4), min_size=1, max_size=30), st.integers(1, 50))
-def test_every_nav_leaves_when_its_agent_can_answer_it(most: int, order: list[int], window: int) -> None:
+@given(st.integers(1, 5), st.lists(st.integers(0, 4), min_size=1, max_size=30), st.integers(1, 50), st.integers(1, 4))
+def test_every_nav_leaves_when_its_agent_can_answer_it(most: int, order: list[int], window: int, shared: int) -> None:
     """Whoever is asked has a round behind it that is complete, so it can answer; and all ticks come to pass."""
-    lockstep, turns = Lockstep(SCENARIO.world_config), Turns(M, most)
+    lockstep, turns = Lockstep(SCENARIO.world_config), Turns(M, most, lambda i, _: i // shared)
     complete, asked, step, granted = {-M}, [], 0, 0
     out: list[Any] = []
     while not lockstep.finished:
@@ -44,11 +44,12 @@ def test_every_nav_leaves_when_its_agent_can_answer_it(most: int, order: list[in
                 complete.add(item.tick)
                 turns.passed(item.tick)
         while (turn := turns.take()) is not None:
-            i, question = turn
-            assert (question.tick - 1) // M * M in complete
-            assert turns.holds(i)
-            asked.append(turn)
-        assert len(asked) <= most
+            for i, question in turn:
+                assert (question.tick - 1) // M * M in complete
+                assert turns.holds(i)
+            assert len({i // shared for i, _ in turn}) == 1
+            asked += turn
+        assert len({i // shared for i, _ in asked}) <= most
         if not asked:
             assert granted < SCENARIO.ticks  # otherwise everybody would wait for nobody
             granted += window
@@ -64,19 +65,35 @@ def test_who_goes_on_between_rounds_keeps_its_turn() -> None:
     turns = Turns(M, 1)
     turns.ask(1, nav(0))
     turns.ask(2, nav(0))
-    assert turns.take() == (1, nav(0))
+    assert turns.take() == [(1, nav(0))]
     assert turns.take() is None
     turns.release(1)
     turns.ask(1, nav(1))  # after a round tick, which 2 has not passed
-    assert turns.take() == (2, nav(0))
+    assert turns.take() == [(2, nav(0))]
     turns.release(2)
     turns.ask(2, nav(1))
     assert turns.take() is None
     turns.passed(0)
-    assert turns.take() == (1, nav(1))
+    assert turns.take() == [(1, nav(1))]
     turns.release(1)
     turns.ask(1, nav(2))
-    assert turns.take() == (1, nav(2))
+    assert turns.take() == [(1, nav(2))]
+
+
+def test_agents_of_one_process_are_asked_together() -> None:
+    """Those that are asked while the others of their process compute need not wait for a turn."""
+    turns = Turns(M, 1, lambda i, _: (i - 1) // 3)
+    for i in (1, 2, 4, 5):
+        turns.ask(i, nav(0))
+    assert turns.take() == [(1, nav(0)), (2, nav(0))]
+    turns.ask(3, nav(0))
+    assert turns.take() == [(3, nav(0))]
+    for i in (1, 2):
+        turns.release(i)
+    assert turns.take() is None
+    turns.forget(3)
+    turns.forget(4)
+    assert turns.take() == [(5, nav(0))]
 
 
 def test_who_ended_is_not_asked_any_more() -> None:
@@ -84,7 +101,7 @@ def test_who_ended_is_not_asked_any_more() -> None:
     for i in (1, 2, 3):
         turns.ask(i, nav(0))
     turns.ask(4, nav(1))
-    assert [turns.take(), turns.take()] == [(1, nav(0)), (2, nav(0))]
+    assert [turns.take(), turns.take()] == [[(1, nav(0))], [(2, nav(0))]]
     for i in (1, 3, 4):
         turns.forget(i)
     turns.passed(0)

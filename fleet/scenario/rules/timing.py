@@ -43,6 +43,9 @@ def policies(parts: Parts, report: Report) -> None:
     if spec.network.ideal and spec.on_controller_error == "die":
         message = "the others of an ideal network wait for everybody, also for an agent that is gone"
         report.add(("on_controller_error",), message, "abort, coast, or give the network a period")
+    if spec.network.ideal and spec.agents.per_process not in ("auto", 1):
+        message = "nobody shares a process on an ideal network, which runs in one"
+        report.add(("agents", "per_process"), message, "leave it out, or give the network a period")
     for path, external in parts.sections("external"):
         if external and spec.network.ideal:
             message = "nobody can join an ideal network, which runs in one process"

@@ -12,6 +12,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer
 
 from agents.config import OnError
 from fleet.quantities import describe_value
+from fleet.scenario.schema.agents import AgentsSection
 from fleet.scenario.schema.checks import ChecksSection
 from fleet.scenario.schema.control import (
     AgentChoice,
@@ -106,7 +107,7 @@ class ScenarioSpec(Section):
     title: Annotated[str, BeforeValidator(_title)]  # what one learns from it, in one line
     # Of fleet list, which reads it in the file. It decides nothing in a run, so it is checked and forgotten.
     group: Annotated[Group | None, AfterValidator(lambda _: None), Field(exclude=True)] = None
-    vehicles: Annotated[int, Field(ge=1, le=1000)]
+    vehicles: Annotated[int, Field(ge=1, le=3000)]
     duration: Period
     tick: Period = 10_000_000  # the control period Ts
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
@@ -120,6 +121,7 @@ class ScenarioSpec(Section):
     sea: SeaSection = SeaSection()
     sensors: SensorsSection = SensorsSection()
     model_error: ModelErrorSection = ModelErrorSection()
+    agents: AgentsSection = AgentsSection()
     external: bool | None = None  # true: the run starts no agent
     knows_reference: bool | None = None  # false: only those in graph.reference and graph.standby know it
     agent: AgentChoice | None = None  # in place of controller, guidance and tracking, which it may use; its clock

@@ -329,7 +329,15 @@ def test_result_file(tmp_path: Path) -> None:
     assert (values["middleware_lost"], values["rejected"], values["notes"]) == (0, {}, [])
     assert values["digest"] == digest(directory / "run.mcap")
     assert values["messages"] == sum(topics(directory / "run.mcap").values())
-    assert set(values["wall"]) == {"in_process", "startup_s", "run_s", "cores", "x_real_time"}
+    assert set(values["wall"]) == {
+        "in_process",
+        "processes",
+        "per_process",
+        "startup_s",
+        "run_s",
+        "cores",
+        "x_real_time",
+    }
     assert values["wall"]["in_process"] is False
 
 

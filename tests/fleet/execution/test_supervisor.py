@@ -10,6 +10,7 @@ import pytest
 
 from fleet.errors import RunBroken
 from fleet.execution import supervisor as module
+from fleet.execution.hosting import Hosting
 from fleet.execution.notes import Notes
 from fleet.execution.supervisor import CONTROLLER_FAILED, Supervisor
 from fleet.processes.children import FORKSERVER_LOST, Exit
@@ -30,8 +31,8 @@ class Child:
 
 
 class Children:
-    def __init__(self, vehicles: int) -> None:
-        self.by_role = {f"agent-{i}": Child(f"agent-{i}") for i in range(1, vehicles + 1)}
+    def __init__(self, hosting: Hosting, vehicles: int) -> None:
+        self.by_role = {role: Child(role) for role in map(hosting.role, range(1, vehicles + 1))}
 
 
 class External:
@@ -75,6 +76,9 @@ class RecordingFleet:
     def announce(self, message: Death | Restart) -> None:
         self.announced.append(message)
 
+    def computing(self, role: str) -> int:
+        return 2 if role == "host-1" else 0
+
     def start_agent(self, i: int, incarnation: int, begin: int) -> None:
         self.started.append((i, incarnation, begin))
 
@@ -82,14 +86,21 @@ class RecordingFleet:
 class Rig:
     """A supervisor and all that it acts on."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, *overrides: str, external: Sequence[int] = ()) -> None:
+    def __init__(
+        self,
+        monkeypatch: pytest.MonkeyPatch,
+        *overrides: str,
+        external: Sequence[int] = (),
+        hosts: tuple[tuple[int, ...], ...] = (),
+    ) -> None:
         scenario = load_scenario("paper", ["duration=4 s", "checks={}", *overrides])
         self.fleet, self.external, self.killed = RecordingFleet(), External(*external), []
         self.notes = Notes(scenario.tick_ns)
         journal = Journal(scenario, None)  # type: ignore[arg-type]  # nothing is written
         journal.framed = 40
+        shared = Hosting(hosts)
         self.supervisor = Supervisor(
-            self.fleet, scenario, journal, Children(4), self.external, self.notes  # type: ignore[arg-type]
+            self.fleet, scenario, journal, Children(shared, 4), self.external, self.notes, shared  # type: ignore[arg-type]
         )  # fmt: skip
         monkeypatch.setattr(module, "POLL_S", -1.0)
         monkeypatch.setattr(module.os, "kill", lambda pid, number: self.killed.append(pid))
@@ -173,6 +184,35 @@ def test_a_scripted_kill_waits_until_the_world_is_there(monkeypatch: pytest.Monk
     rig.fleet.granted = 200
     rig.supervisor.poll()
     assert rig.fleet.started == [(3, 1, 200)]
+
+
+def test_a_host_that_dies_takes_its_living_agents_along(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Vehicle 1's agent ended before, so it had a process of its own; each life after the first has."""
+    rig = Rig(monkeypatch, "on_death=restart", hosts=((1, 2, 3), (4,)))
+    assert rig.supervisor.ended(Exit("agent-1", CONTROLLER_FAILED - 1, 0))
+    rig.fleet.granted = 100
+    rig.supervisor.poll()
+    assert rig.supervisor.ended(Exit("host-1", -11, 7))
+    rig.fleet.granted = 200
+    rig.supervisor.poll()
+    assert rig.supervisor.deaths == {
+        1: ["exited with status 69"],
+        2: ["was killed by SIGSEGV while agent 2 computed"],
+        3: ["was killed by SIGSEGV while agent 2 computed"],
+    }
+    assert rig.fleet.started == [(1, 1, 60), (2, 1, 110), (3, 1, 110)]
+    assert "agent 3 (host-1, pid 7) was killed by SIGSEGV while agent 2 computed: its vehicle" in rig.notes.lines[-1]
+
+
+def test_a_kill_of_an_agent_on_a_host_ends_its_life_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = Rig(monkeypatch, "faults=[{at: 1 s, for: 1 s, kill: 3}]", hosts=((1, 2, 3, 4),))
+    rig.fleet.granted, rig.fleet.answers["ticks"] = 100, {"ticks": [[3, 100]]}
+    rig.supervisor.poll()
+    reason = "it was killed by a fault of the scenario or the operator"
+    assert (rig.killed, rig.fleet.asked[-1][1:]) == ([], ("dismiss", {"agents": [[3, 0, 100]], "reason": reason}))
+    rig.fleet.granted = 200
+    rig.supervisor.poll()
+    assert (rig.fleet.started, rig.supervisor.deaths) == ([(3, 1, 200)], {})
 
 
 def test_an_external_agent_that_leaves(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -118,7 +118,7 @@ def _too_old(scenario: Scenario) -> Iterator[str]:
     oldest = oldest_s(scenario)
     if check.below / 1e9 <= oldest:
         yield (
-            f"checks.max_age can hardly pass: without any loss, what is heard is up to {oldest:.4g} s old, "
+            f"checks.max_age can hardly pass: even without loss a message is up to {oldest:.4g} s old, "
             f"and less than {check.below / 1e9:g} s is asked for"
         )
 

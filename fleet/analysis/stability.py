@@ -116,7 +116,7 @@ def report(scenario: Scenario, found: Analysis) -> list[str]:
         if len(followers) == n
         else f"{vehicle_names(followers)} follow{one}"
         if followers
-        else "nobody follows"
+        else "no vehicle follows"
     )
     parts = len(found.components)
     components = "; ".join(map(vehicle_names, found.components))
@@ -130,25 +130,25 @@ def report(scenario: Scenario, found: Analysis) -> list[str]:
     network, acoustic = scenario.spec.network, scenario.acoustic
     if acoustic is not None:
         talking = describe_turns(network, acoustic, n, scenario.tick_ns)
-        lines.append(f"{talking}; what is heard is up to {oldest_s(scenario):.4g} s old without loss")
+        lines.append(f"{talking}; without loss a message is up to {oldest_s(scenario):.4g} s old")
         lines.append(describe_noise(network, acoustic, scenario.plans))
         lines += describe_slack(scenario)
     if found.gain_max is not None:
         lines += _limits(scenario, found)
-        thumb = "rule of thumb, necessary and not sufficient:"
+        thumb = "rule of thumb (necessary, not sufficient)"
         decay = shunting_decay(scenario)
         if decay is not None:
             product = found.gain_max * found.lambda_max
             lines.append(
-                f"{thumb} K lambda_max(L+B) = {found.gain_max:.4g} x {found.lambda_max:.4g} = {product:.4g} 1/s, "
-                f"below a = {decay:g} 1/s" + ("" if product < decay else " it is NOT")
+                f"{thumb} {_kept(product < decay)}: K lambda_max(L+B) = {found.gain_max:.4g} x {found.lambda_max:.4g} "
+                f"= {product:.4g} 1/s must be below a = {decay:g} 1/s"
             )
         age = oldest_s(scenario)
         reckoning = dead_reckoning(scenario, found, age)
         if age > 0.0 and reckoning is not None:
             lines.append(
-                f"{thumb} K tau rho(A) = {found.gain_max:.4g} x {age:.4g} s x {found.spectral_radius_A:.4g} = "
-                f"{reckoning:.4g}, below 1" + ("" if reckoning < 1.0 else " it is NOT")
+                f"{thumb} {_kept(reckoning < 1.0)}: K tau rho(A) = {found.gain_max:.4g} x {age:.4g} s x "
+                f"{found.spectral_radius_A:.4g} = {reckoning:.4g} must be below 1"
             )
     return lines
 
@@ -163,17 +163,17 @@ def _limits(scenario: Scenario, found: Analysis) -> list[str]:
     border = fleet.gain_border(most)
     if border == 0.0:
         return ["limits of the linear loop: it is unstable at every gain"]
-    then = "" if border == inf else f", beyond it {_mode(fleet.mode(border))}"
+    then = "" if border == inf else f" (above, {_mode(fleet.mode(border))})"
     optimised = _optimised(scenario)
-    own = f"K is optimised, up to {most:.4g}" if optimised else f"K is {most:.4g}"
-    below = "" if most < border else ": held there the loop would grow" if optimised else ": NOT below"
-    lines = [f"limits of the linear loop, without loss: K < {border:.4g} 1/s{then}; {own}{below}"]
+    own = f"here K is optimised, {most:.4g} 1/s at most" if optimised else f"here K is {most:.4g} 1/s"
+    below = "" if most < border else ", too large if it stayed there" if optimised else ", which is TOO LARGE"
+    lines = [f"gain limit of the linear loop, without loss: K < {border:.4g} 1/s{then}; {own}{below}"]
     if not scenario.ideal and scenario.graph.links:
         delays = [_delay_limit(fleet, most) + f" at K = {most:.4g}"]
         if optimised:
-            delays.insert(0, _delay_limit(found.at_settled, max(settled)) + f" where K settles, at {_vector(settled)}")
+            delays.insert(0, _delay_limit(found.at_settled, max(settled)) + f" at the settled K = {_vector(settled)}")
         period = scenario.round_ticks * fleet.tick_s
-        lines.append(f"longest delay of all links that it bears with rounds of {period:g} s: " + "; ".join(delays))
+        lines.append(f"delay limit of all links, with rounds of {period:g} s: " + "; ".join(delays))
     return lines
 
 
@@ -182,8 +182,12 @@ def _delay_limit(fleet: LinearFleet, gain: float) -> str:
     if border is None:
         return f"over {MOST_DELAY_S:g} s"
     if border == 1:
-        return "none"
-    return f"{(border - 1) * fleet.tick_s:.4g} s (beyond it {_mode(fleet.mode(gain, border))})"
+        return "unstable without delay"
+    return f"{(border - 1) * fleet.tick_s:.4g} s (above, {_mode(fleet.mode(gain, border))})"
+
+
+def _kept(holds: bool) -> str:
+    return "kept" if holds else "BROKEN"
 
 
 def _mode(mode: Mode) -> str:
@@ -269,7 +273,7 @@ def _graph_warnings(found: Analysis) -> list[str]:
     return [
         "no chain of links leads from a vehicle that follows the reference (b_i > 0) to "
         f"{vehicle_names(found.unreached)}: "
-        "L+B is singular, and their place in the formation is not defined"
+        "L+B is singular, and these have no defined place in the formation"
     ]
 
 
@@ -280,9 +284,9 @@ def _loop_warning(scenario: Scenario, found: Analysis) -> list[str]:
     border = fleet.gain_border(gain)
     if border == 0.0:
         return ["the linear loop is unstable at every gain: the formation is not kept"]
-    what = f"where K settles, at {_vector(found.settled)}, it" if _optimised(scenario) else f"K = {gain:.4g} 1/s"
+    what = f"the settled K = {_vector(found.settled)}" if _optimised(scenario) else f"K = {gain:.4g} 1/s"
     return [
-        f"{what} is not below the limit of the linear loop, {border:.4g} 1/s with these rounds and delays: "
+        f"{what} is above the limit of the linear loop, {border:.4g} 1/s with these rounds and delays: "
         f"{_mode(fleet.mode(border))}, and the formation is not kept"
     ]
 
@@ -293,8 +297,8 @@ def _shunting_warning(scenario: Scenario, found: Analysis) -> list[str]:
         return []
     return [
         f"K lambda_max(L+B) = {found.gain_max * found.lambda_max:.4g} 1/s is not below a = {decay:g} 1/s: the surge "
-        f"loop of the neurodynamic law can burst; guidance.k_max has to be below {decay / found.lambda_max:.4g} 1/s at "
-        "least"
+        f"loop of the neurodynamic law can burst; set guidance.k_max below {decay / found.lambda_max:.4g} 1/s, or "
+        "lower"
     ]
 
 
@@ -305,8 +309,8 @@ def _dead_reckoning_warning(scenario: Scenario, found: Analysis) -> list[str]:
         return []
     return [
         f"K tau rho(A) = {product:.4g} is not below 1 at an age of {age:.4g} s: dead reckoning with the neighbours' "
-        f"velocities is unstable; use neighbours.extrapolate: reference, or a gain that is below "
-        f"{1.0 / (age * found.spectral_radius_A):.4g} 1/s at least (guidance.k_max)"
+        f"velocities is unstable; use neighbours.extrapolate: reference, or a gain below "
+        f"{1.0 / (age * found.spectral_radius_A):.4g} 1/s or lower (guidance.k_max)"
     ]
 
 
@@ -337,7 +341,7 @@ def _check_warnings(scenario: Scenario) -> list[str]:
     connectivity = Connectivity.asked(scenario)
     if connectivity is None or not connectivity.trivial:
         return []
-    return ["checks.connected always holds: whom it concerns follows the reference itself (graph.reference)"]
+    return ["checks.connected always holds: its vehicles follow the reference themselves (graph.reference)"]
 
 
 def _components(scenario: Scenario) -> list[list[int]]:

@@ -40,7 +40,7 @@ class OwnChecks:
         self._signals: list[RunningSignalCheck] = []
         self._python: list[RunningPythonCheck] = []
         facts = facts_of(scenario, begin, self._places) if checks.python else None
-        for key, place, name, _ in checks.own():
+        for key, place, name, *_ in checks.own():
             if facts is None or key not in (checks.python or {}):
                 asked = ask((checks.signal or [])[place], self._places)
                 self._signals.append(RunningSignalCheck(name, asked, scenario, self._places, begin))
@@ -122,7 +122,7 @@ class OwnChecks:
         for check in each:
             moment = self._moments.get(check.name)
             verdict = check.verdict(moment, self._now, over=over)
-            more = "" if moment is None else f"; {moment.words}"
+            more = "" if moment is None or verdict.reached is not None else f"; {moment.words}"
             found.append(replace(verdict, found=verdict.found + more))
         return found
 

@@ -12,6 +12,7 @@ from fleet.checks.values import TickValues
 from fleet.errors import FleetError
 from fleet.result.verdict import Moment, Verdict, who
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.schema.checks import SOMETIMES
 from fleet.scenario.sections.python_checks import load_check, parameters_of
 from fleet.scenario.sections.signals import SignalPlace
 from netem.parsing import nearest
@@ -91,6 +92,9 @@ class RunningPythonCheck:
         about = next(iter((found.__doc__ or class_name).strip().splitlines()), class_name).rstrip(".")
         self.words = ", ".join([about, *(f"{key} {_short(value)}" for key, value in parameters.items())])
         self._failure: Failure | None = None
+        self._sometimes = SOMETIMES in given  # what fails it is what some run must reach
+        if self._sometimes:
+            self.words = f"sometimes broken: {self.words}"
         self._at_s = 0.0
         self._broken = False
 
@@ -118,6 +122,8 @@ class RunningPythonCheck:
             over: the run has come to its end.
         """
         verdict = self._judged(moment, now, over=over)
+        if self._sometimes and not self._broken:
+            return verdict.of_sometimes(not verdict.passed and (over or self._failure is not None))
         if self._broken or not callable(method := getattr(self._check, "margin", None)):
             return verdict
         try:

@@ -84,6 +84,11 @@ class RunningSignalCheck:
         judge = self._safety or self._liveness
         assert judge is not None
         passed, found, value, limit, unit = judge.found(now, over=over)
+        if self._asked.sometimes:
+            words = judge.failure or found
+            return Verdict(self.name, True, self.words, words, None, limit, unit, None, self.signals).of_sometimes(
+                bool(judge.failure)
+            )
         verdict = Verdict(
             self.name, passed and moment is None, self.words, found, value, limit, unit, moment, self.signals
         )

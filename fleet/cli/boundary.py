@@ -149,7 +149,7 @@ def _pieces(line: StatusLine, progress: Progress, *, known: int, of: int) -> lis
 
 def _show(borders: Borders, found: list[Border]) -> None:
     """The table of the borders, and what is to be said of them."""
-    from fleet.cli.study_output import axis_columns, cell
+    from fleet.cli.study_output import axis_columns, cell, show_reached
     from fleet.terminal.table import TerminalColumn, show
 
     along = borders.along
@@ -164,6 +164,7 @@ def _show(borders: Borders, found: list[Border]) -> None:
     if any(row.where in OUTSIDE for row in found):
         columns.append(TerminalColumn("pass rate at\nthat end [%]", [_at_end(row) for row in found], 2))
     show(columns, borders.title, stdout(), "--json has all")
+    show_reached(borders.store)
     for row in found:
         if row.rising is not None:
             where = ", ".join(f"{key}={cell(value)}" for key, value in row.values.items())

@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from fleet.cli import hosts as cli_hosts
+from fleet.cli import junit as cli_junit
 from fleet.cli import ros2 as cli_ros2
 from fleet.cli import view as cli_view
 from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.group import EPILOG
+from fleet.cli.junit import JUNIT
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import OVERRIDES, Duration, Share, Speed, Whole, disturbances, is_given, key_options
 from fleet.terminal.folding import say, stdout
@@ -95,6 +97,7 @@ MOST_FAULTS = 20  # of the scenario, said before it runs
               help="How long to wait for each agent that somebody else starts.")  # fmt: skip
 @click.option("--start-order", metavar="SEED", type=int, hidden=True)
 @json_option
+@JUNIT
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but the run's directory, and failures on stderr.")
 def run(
     scenario: str | None,
@@ -107,6 +110,7 @@ def run(
     trust: Trust,
     show_config: bool,
     as_json: bool,
+    junit: Path | None,
     quiet: bool,
     **how: Any,
 ) -> None:
@@ -164,6 +168,8 @@ def run(
         if page is not None and result.directory is not None:
             page.over(result.directory)
         _print_result(result, as_json=as_json, quiet=quiet)
+    if junit is not None:
+        cli_junit.write(junit, result.scenario, cli_junit.of_run(result))
     sys.exit(result.status.exit)
 
 

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
+from fleet.cli import junit as cli_junit
 from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
+from fleet.cli.junit import JUNIT
 from fleet.cli.shrink import MOST_RUNS, pieces, place_of, show_least, write_least
 from fleet.cli.study_options import SCHEDULER, WORKERS, least_options
 from fleet.cli.trust import TrustingCommand, trust_option
@@ -20,6 +22,7 @@ from fleet.terminal.folding import say
 if TYPE_CHECKING:
     from fleet.scenario.scenario import Scenario
     from fleet.scenario.text.overrides import Override
+    from fleet.study.failures import Failure
     from fleet.study.modules import Modules
     from fleet.study.search import Searched
     from fleet.study.shrink import Shrunk
@@ -41,6 +44,9 @@ NemesisMode = Literal["swarm", "liveness"] | None
 @OVERRIDES
 @disturbances
 @least_options
+@click.option("--keep", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
+              help="Go on after a failure, and keep the least scenario of each kind of failure in DIR.")  # fmt: skip
+@JUNIT
 @WORKERS
 @SCHEDULER
 @trust_option
@@ -57,6 +63,8 @@ def search(
     net: tuple[Override, ...],
     out: Path | None,
     force: bool,
+    keep: Path | None,
+    junit: Path | None,
     workers: int | None,
     scheduler: str | None,
     trust: Trust,
@@ -67,7 +75,8 @@ def search(
     The first seed is that of the scenario; --set seed=201 goes on after 200. The first one that fails is found
     whatever the number of workers. With --guide most runs have the faults of runs before, changed; what fails is then a
     list of faults and a seed. The exit status is 1 if a check failed, as that of fleet run, and 0 if none did in all
-    of the budget.
+    of the budget. With --keep all of the budget is used, and the same command goes on with a greater one; fleet regress
+    DIR runs what is kept.
 
     \b
     Examples:
@@ -75,11 +84,14 @@ def search(
       fleet search election --nemesis --budget '10 min' --guide
       fleet search election --liveness
       fleet search my.yaml --set seed=201 --check formation_error
+      fleet search election --nemesis --budget 1000 --keep failures
     """
     from fleet.cli.study_output import showing
     from fleet.study.errors import StudyError
+    from fleet.study.failures import Failure, FailureFolder
     from fleet.study.guided import GuidedSearch
     from fleet.study.local_engine import engine_of
+    from fleet.study.regress import make_least
     from fleet.study.search import search as first_that_fails
     from fleet.study.shrink import Shrinker
 
@@ -87,9 +99,14 @@ def search(
         raise StudyError("--guide changes when faults end, and with --liveness that is given: use one of the two")
     mode: NemesisMode = "liveness" if liveness else "swarm" if nemesis else None
     tried, modules = _tried(scenario, [*overrides, *net, *fault], trust, mode)
-    path = place_of(tried, out, force=force)
+    if keep is not None and guide:
+        raise click.UsageError("--guide ends at the first failure: not together with --keep")
+    if keep is not None and (out is not None or force):
+        raise click.UsageError("--keep has a file for each kind of failure: not together with --out or --force")
+    folder = None if keep is None else FailureFolder(keep)
+    path = keep or place_of(tried, out, force=force)
     most_runs, budget_s = budget
-    least = None
+    least, kept = None, list[Failure]()
     with showing(pieces) as tell, engine_of(workers, scheduler) as engine:
         modules = engine.carry(modules)
         told = partial(tell, "fault lists" if guide else "seeds")
@@ -97,16 +114,21 @@ def search(
             found = GuidedSearch(tried, check, modules).run(engine, told, most_runs, budget_s)
         else:
             found = first_that_fails(tried, engine, told, check=check, most_runs=most_runs, budget_s=budget_s,
-                                     modules=modules)  # fmt: skip
+                                     modules=modules, keep=folder)  # fmt: skip
         if found.without:
             say(f"{found.without} runs have no result, the first one because of: {found.reason}", err=True)
-        if found.scenario is not None:
+        if folder is not None:
+            make_least(folder, tried, engine, tell, modules, MOST_RUNS)
+            kept = folder.of(tried)
+        elif found.scenario is not None:
             what = f"run {found.runs + found.without}" if guide else f"seed {found.seed}"
             since = "" if guide else f", the first one from {found.first_seed} on"
             say(f"{what} fails {found.check}{since}", err=True)
             least = Shrinker(found.scenario, engine, tell, modules).shrink(found.check, MOST_RUNS)
             write_least(least.scenario, path)
-    _print(found, least, check, path, guide=guide, as_json=as_json)
+    again = f"fleet run {scenario} --seed {found.seed}"
+    cli_junit.write(junit, found.name, cli_junit.of_search(found, kept, again))
+    _print(found, least, check, path, kept, as_json=as_json)
     if found.scenario is not None:
         sys.exit(1)
     if not found.runs:
@@ -127,21 +149,37 @@ def _tried(name: str, changes: list[str | Override], trust: Trust, mode: Nemesis
     return tried, modules_of([tried], Path(name).parent if Path(name).exists() else None)
 
 
-def _print(found: Searched, least: Shrunk | None, check: str | None, path: Path, *, guide: bool, as_json: bool) -> None:
+def _print(
+    found: Searched, least: Shrunk | None, check: str | None, path: Path, kept: list[Failure], *, as_json: bool
+) -> None:
     """What the search came to."""
     if as_json:
         from fleet.cli.documents.search import first_failing
 
-        print_document(first_failing(found, least, path))
+        print_document(first_failing(found, least, path, kept))
     elif found.scenario is not None and least is not None:
         show_least(found.scenario, least, path)
-    elif guide:
+    elif found.scenario is not None:
+        say(f"{found.runs} runs, kinds of failure: {len(found.kinds)}")
+        for failure in kept:
+            since = f"first with seed {failure.from_seed}; " if failure.from_seed is not None else ""
+            say(f"{failure.check}: {since}{failure.found}")
+            click.echo(failure.paste)  # whole, however narrow the terminal is
+        click.echo(path)
+    elif not found.sample:
         which = f"the check {check}" if check else "a check"
         say(f"none of {found.runs} runs fails {which}; they are no sample, so that says nothing of how many would")
+    elif found.runs and found.most_failures is None:
+        missed = "; ".join(one.words for one in found.reached if not one.hits)
+        say(f"no failure found, and that says little: {missed}")
     elif found.most_failures is not None:
         which = f"the check {check}" if check else "a check"
         say(f"none of {found.runs} runs fails {which}: at most {100 * found.most_failures:.2g} % of such runs do, "
             "with 95 % confidence")  # fmt: skip
+    if not as_json:
+        for one in found.reached:
+            if one.hits:
+                say(one.words)
 
 
 COMMANDS = (search,)

@@ -8,8 +8,11 @@ from contextlib import contextmanager
 from rich.console import Console as Terminal
 
 from fleet.study.record import AxisRecord
+from fleet.study.store import Store
+from fleet.study.summary import reached
 from fleet.study.sweep import Progress
 from fleet.terminal.fitting import Piece
+from fleet.terminal.folding import say
 from fleet.terminal.status_line import BAR, StatusLine, bar
 from fleet.terminal.table import TerminalColumn
 
@@ -58,3 +61,9 @@ def progress_pieces(line: StatusLine, share: float, progress: Progress) -> list[
         Piece(3, [rate, ""]),
         Piece(1, [failed, ""]),
     ]
+
+
+def show_reached(store: Store) -> None:
+    """Say what some run had to reach, and whether one did."""
+    for one in reached(store):
+        say(one.words if one.hits else f"{one.words}: that no check fails says little")

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from fleet.cli import junit as cli_junit
 from fleet.cli.completion import studies
 from fleet.cli.documents.output import json_option, print_document
+from fleet.cli.junit import JUNIT
 from fleet.cli.study_options import OUT, SCHEDULER, WORKERS, given, spec_options, study_directory, warning
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.study.spec import KeepLogs, StudySpec
@@ -38,6 +40,7 @@ _MOST_TOLD = 10  # logs that are not kept
 @WORKERS
 @SCHEDULER
 @trust_option
+@JUNIT
 @click.option("--show-config", is_flag=True, help="Print the study as a file, with the options in it, and stop.")
 @json_option
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but the study's directory, and failures on stderr.")
@@ -47,6 +50,7 @@ def sweep(
     workers: int | None,
     scheduler: str | None,
     trust: Trust,
+    junit: Path | None,
     show_config: bool,
     as_json: bool,
     quiet: bool,
@@ -88,6 +92,8 @@ def sweep(
         store, spec, modules = *_opened(directory, asked), None
     shown = _columns(store, spec)
     _run(store, spec, modules, trust, (workers, scheduler), quiet=quiet)
+    if junit is not None:
+        cli_junit.write(junit, store.record.scenario, cli_junit.of_study(store))
     if as_json:
         from fleet.cli.documents.study import swept
 
@@ -255,7 +261,7 @@ def _pieces(line: StatusLine, progress: Progress) -> list[Piece]:
 
 def _show(store: Store, measures: list[MeasureColumn]) -> None:
     """The table of a study, and where it is."""
-    from fleet.cli.study_output import axis_columns
+    from fleet.cli.study_output import axis_columns, show_reached
     from fleet.study.statistics import LEAST, levels
     from fleet.study.summary import summarise
     from fleet.terminal.table import TerminalColumn, show
@@ -276,6 +282,7 @@ def _show(store: Store, measures: list[MeasureColumn]) -> None:
     show(columns, title, stdout(), "fleet.open_study has all")
     if any(0 < found.runs < LEAST for row in rows for found in row.medians.values()):
         say(f"A median of fewer than {LEAST} runs has no interval: none would hold the true median with 95 %.")
+    show_reached(store)
     say(str(store.directory))
 
 

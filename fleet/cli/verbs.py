@@ -55,6 +55,7 @@ GROUPS: dict[str, dict[str, Verb]] = {
         "sweep": Verb("sweep", "Run a scenario at many values and seeds."),
         "boundary": Verb("boundary", "Find where a scenario begins to fail."),
         "search": Verb("search", "Try random faults until a check fails."),
+        "regress": Verb("regress", "Run the failures that a search has kept again."),
         "rare": Verb("rare", "Estimate how often a check fails, if that is seldom."),
         "shrink": Verb("shrink", "Make a failing run as small as it can be."),
     },

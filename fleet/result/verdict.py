@@ -87,6 +87,10 @@ class Verdict(Struct, frozen=True):
         Margin | None, Meta(description="By how much it passed or failed; null: that is not known, or not finite.")
     ] = None
 
+    reached: Annotated[
+        bool | None, Meta(description="Of a check with `sometimes`: whether it was reached; null: of any other.")
+    ] = None
+
     @property
     def words(self) -> str:
         """What was found, and the margin; one of 0 tells nothing."""
@@ -98,6 +102,11 @@ class Verdict(Struct, frozen=True):
             return self
         value = max(value, 0.0) if self.passed else min(value, 0.0)
         return replace(self, margin=Margin(value, unit, at_s))
+
+    def of_sometimes(self, reached: bool) -> Verdict:
+        """The verdict of what some run of many must reach: no run fails for it."""
+        found = f"reached: {self.found}" if reached else "not reached in this run"
+        return Verdict(self.check, True, self.asked, found, signals=self.signals, reached=reached)
 
 
 def who(vehicles: list[int]) -> str:

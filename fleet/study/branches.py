@@ -126,10 +126,10 @@ def _checks(scenario: Scenario) -> Iterator[str]:
     for name in _OF_THE_TIME:
         if getattr(checks, name) is not None:
             yield name
-    for key, place, name, _ in checks.own():
+    for key, place, name, *_ in checks.own():
         if key != "signal":
             continue
         one = (checks.signal or [])[place]
-        timed = (one.eventually_within, one.for_at_least, one.agree_within, one.at_most_one)
+        timed = (one.eventually_within, one.for_at_least, one.agree_within, one.at_most_one, one.sometimes)
         if all(value is None for value in timed):
             yield name

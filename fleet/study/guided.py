@@ -25,8 +25,9 @@ from fleet.study.modules import NO_MODULES, Modules
 from fleet.study.moves import Draws, Fault, Mutator, end_of
 from fleet.study.one_run import Task, scenario_of
 from fleet.study.plan import run_key
-from fleet.study.search import Searched, failed_of
+from fleet.study.search import Searched, failures_of
 from fleet.study.shrink import Tree, tree_of
+from fleet.study.sometimes import Reached, names_of
 from fleet.study.spec import LARGEST_SEED
 
 GENERATION = 8  # runs
@@ -119,6 +120,7 @@ class GuidedSearch:
             StudyError: the scenario does not have this check.
         """
         found = Searched(self._scenario.name, self._scenario.seed, sample=False)
+        found.reached = [Reached(name) for name in names_of([self._scenario])]
         until, made, number = time.monotonic() + budget_s, 0, 0
         while made < most_runs and time.monotonic() < until:
             tasks = self._generation(number, int(min(GENERATION, most_runs - made)))
@@ -131,8 +133,11 @@ class GuidedSearch:
             engine.make(iter([task for task, _ in tasks]), take, lambda: tell(found.runs + found.without))
             for task, tree in tasks:
                 row = rows[task.key]
-                if failed := failed_of(found, row, self._check):
-                    found.seed, found.check, found.scenario = task.seed, failed, scenario_of(task)
+                for one in found.reached:
+                    one.count(row)
+                if failed := failures_of(found, row, self._check):
+                    found.seed, found.check, found.scenario = task.seed, failed[0], scenario_of(task)
+                    found.kinds = {failed[0]: task.seed}
                     return found
                 self._corpus.take(self._tried(tree, row), row.get("seen", []))
             made, number = made + len(tasks), number + 1

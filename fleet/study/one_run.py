@@ -31,6 +31,7 @@ from fleet.study.measures import MEASURES
 from fleet.study.modules import NO_MODULES, Modules, folder_of
 from fleet.study.seen import Seen
 from fleet.study.signal_measures import Samples
+from fleet.study.sometimes import column_of
 from world.plugins.trust import Trust
 
 A_STUDY = "a study names it"  # why a law that is not installed needs trust
@@ -114,7 +115,7 @@ def _made(task: Task) -> dict[str, Any]:
         if task.seen:
             return _seen(scenario, check if isfinite(task.timeout_s) else None, Seen(scenario, samples))
         if task.log:
-            result = _recorded(scenario, Path(task.log), check, samples)
+            result = recorded(scenario, Path(task.log), check, samples)
         else:
             result = judged(scenario, check if isfinite(task.timeout_s) else None, samples)
         return _measured(result) | samples.numbers()
@@ -138,7 +139,12 @@ def _failed(error: Exception) -> dict[str, Any]:
     return {"status": FAILED, "reason": reason[:2000]}
 
 
-def _recorded(scenario: Scenario, directory: Path, check: Callable[[float], None], samples: Samples) -> Result:
+def recorded(
+    scenario: Scenario,
+    directory: Path,
+    check: Callable[[float], None] | None = None,
+    samples: Samples | None = None,
+) -> Result:
     """Make a run, and the directory that `fleet run` would have made; it is there as a whole or not at all."""
     part = directory.with_name(f".{directory.name}-{token_hex(4)}")
     part.mkdir(parents=True)
@@ -170,6 +176,9 @@ def _measured(result: Result) -> dict[str, Any]:
     row["passed"] = result.passed
     for verdict in result.verdicts:  # of several of one check the worst, which are those that failed
         name = verdict.check
+        if verdict.reached is not None:
+            row[column_of(name)] = float(verdict.reached)
+            continue
         row[f"check.{name}"] = row.get(f"check.{name}", True) and verdict.passed
         if verdict.value is not None:
             row[f"value.{name}"] = max(row.get(f"value.{name}", verdict.value), verdict.value)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import count
 from math import inf
 from typing import Literal
@@ -18,11 +18,15 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.overrides import SET, Override
 from fleet.study.engine import Engine, Row
 from fleet.study.errors import StudyError
+from fleet.study.failures import Failure, FailureFolder, Tried, file_of
 from fleet.study.modules import NO_MODULES, Modules
 from fleet.study.one_run import JUDGED, Task, failed_checks, scenario_of
 from fleet.study.plan import run_key
+from fleet.study.sometimes import Reached, names_of
 from fleet.study.spec import LARGEST_SEED
 from fleet.study.statistics import most_failures
+
+_SAVE_S = 2.0  # how often a search writes how far it is
 
 
 @dataclass(slots=True)
@@ -37,6 +41,8 @@ class Searched:
         runs: that were judged, later ones that were under way with the first one that fails included.
         without: runs without a result.
         reason: of the first of these.
+        kinds: by check, the first seed that fails it; without a folder of failures one only.
+        reached: what some run must reach.
         sample: whether the runs were drawn one like the other, so that they tell what others would do.
     """
 
@@ -48,12 +54,19 @@ class Searched:
     runs: int = 0
     without: int = 0
     reason: str = ""
+    kinds: dict[str, int] = field(default_factory=dict)
+    reached: list[Reached] = field(default_factory=list)
     sample: bool = True
 
     @property
     def most_failures(self) -> float | None:
-        """The share of such runs that fails at most, 95 % sure, since none of these did; None: that is not so."""
-        return most_failures(self.runs) if self.runs and self.seed is None and self.sample else None
+        """The share of such runs that fails at most, 95 % sure, since none of these did; None: that is not so.
+
+        Runs of which none reached what some must reach say nothing of those that would.
+        """
+        missed = any(not one.hits for one in self.reached)
+        known = self.runs and self.seed is None and self.sample and not missed
+        return most_failures(self.runs) if known else None
 
 
 def nemesis_of(scenario: Scenario, mode: Literal["swarm", "liveness"] = "swarm") -> Override:
@@ -76,6 +89,7 @@ def search(
     most_runs: float = inf,
     budget_s: float = inf,
     modules: Modules = NO_MODULES,
+    keep: FailureFolder | None = None,
 ) -> Searched:
     """Run a scenario with its own seed, the next one and so on, until a check fails.
 
@@ -85,43 +99,133 @@ def search(
         most_runs: how many seeds are tried.
         budget_s: of wall time, after which no run is begun.
         modules: that its laws need.
+        keep: go on after a failure, and keep the first scenario of each kind of failure here. What the folder says was
+            tried before is not tried again, and counts.
 
     Raises:
-        StudyError: it has no nemesis, or not this check.
+        StudyError: it has no nemesis, or not this check; the folder cannot be used.
     """
     refuse(scenario, "a run of a study")
     if scenario.undrawn.nemesis is None:
         raise StudyError(f"{scenario.name} has no nemesis that another seed would change: --nemesis adds one")
-    found = Searched(scenario.name, scenario.seed)
-    failing: dict[int, str] = {}  # check by seed
     text, until = scenario.to_undrawn_yaml(), time.monotonic() + budget_s
-
-    def task(seed: int) -> Task:
-        return Task(run_key(f"{text}\nseed {seed}"), 0, seed, scenario.name, text, inf, modules)
+    work = _Search(scenario, text, check, modules, keep)
 
     def tasks() -> Iterator[Task]:
-        for seed in count(found.first_seed):
-            over = seed > LARGEST_SEED or seed - found.first_seed >= most_runs or time.monotonic() > until
-            if failing or over:
+        for seed in count(work.next_seed):
+            over = seed > LARGEST_SEED or seed - scenario.seed >= most_runs or time.monotonic() > until
+            if over or (keep is None and work.failing):
                 return
-            yield task(seed)
+            yield work.task(seed)
 
     def take(rows: list[Row]) -> None:
         for row in rows:
-            if failed := failed_of(found, row, check):
-                failing[row["seed"]] = failed
-        tell(found.runs + found.without)
+            work.take(row)
+        tell(work.made)
 
-    engine.make(tasks(), take, lambda: tell(found.runs + found.without))
-    if failing:
-        found.seed = min(failing)
-        found.check = failing[found.seed]
-        found.scenario = scenario_of(task(found.seed))
-    return found
+    try:
+        engine.make(tasks(), take, lambda: tell(work.made))
+    finally:
+        work.save()
+    return work.end()
 
 
-def failed_of(found: Searched, row: Row, check: str | None) -> str:
-    """Count a run; returns the check that it fails, or an empty text.
+class _Search:
+    """A search that goes on. Rows are counted in the order of their seeds, so nothing depends on who made them."""
+
+    def __init__(
+        self, scenario: Scenario, text: str, check: str | None, modules: Modules, keep: FailureFolder | None
+    ) -> None:
+        self._scenario, self._text, self._check, self._modules, self._keep = scenario, text, check, modules, keep
+        self.found = Searched(scenario.name, scenario.seed)
+        self.found.reached = [Reached(name) for name in names_of([scenario])]
+        self.next_seed = scenario.seed
+        self._waiting: dict[int, Row] = {}  # rows behind a seed that has none yet
+        self.failing = False  # whether a run has failed, perhaps behind such a seed
+        if keep is not None:
+            self._goes_on(keep)
+        self._saved = time.monotonic()
+
+    @property
+    def made(self) -> int:
+        return self.found.runs + self.found.without + len(self._waiting)
+
+    def task(self, seed: int) -> Task:
+        return Task(run_key(f"{self._text}\nseed {seed}"), 0, seed, self._scenario.name, self._text, inf, self._modules)
+
+    def take(self, row: Row) -> None:
+        """Take a row, and count those that are next."""
+        self._waiting[row["seed"]] = row
+        failed = failed_checks(row) if row["status"] in JUDGED else []
+        self.failing = self.failing or bool(failed if self._check is None else self._check in failed)
+        while (row := self._waiting.pop(self.next_seed, {})) != {}:
+            self._count(row)
+            self.next_seed += 1
+        if self._keep is not None and time.monotonic() - self._saved > _SAVE_S:
+            self.save()
+
+    def save(self) -> None:
+        """Write how far it is, if it has a folder."""
+        if self._keep is None:
+            return
+        found = self.found
+        reached = {one.name: (one.runs, one.hits, one.seed) for one in found.reached}
+        self._keep.save(
+            self._scenario,
+            Tried(key=self._key, first_seed=found.first_seed, next_seed=self.next_seed, runs=found.runs,
+                  without=found.without, reason=found.reason, kinds=found.kinds, reached=reached),
+        )  # fmt: skip
+        self._saved = time.monotonic()
+
+    def end(self) -> Searched:
+        """What it came to. Without a folder runs that were under way with the first failing one count as well."""
+        found = self.found
+        if self._keep is None:
+            for seed in sorted(self._waiting):
+                self._count(self._waiting[seed])
+        if found.kinds:
+            found.check = min(found.kinds, key=lambda check: found.kinds[check])
+            found.seed = found.kinds[found.check]
+            found.scenario = self.scenario(found.seed)
+        return found
+
+    def scenario(self, seed: int) -> Scenario:
+        return scenario_of(self.task(seed))
+
+    @property
+    def _key(self) -> str:
+        return run_key(f"{self._text}\ncheck {self._check or ''}")
+
+    def _goes_on(self, keep: FailureFolder) -> None:
+        tried, found = keep.tried(self._scenario, self._key), self.found
+        found.first_seed, self.next_seed = tried.first_seed, tried.next_seed
+        found.runs, found.without, found.reason, found.kinds = tried.runs, tried.without, tried.reason, tried.kinds
+        for one in found.reached:
+            one.runs, one.hits, one.seed = tried.reached.get(one.name, (0, 0, None))
+
+    def _count(self, row: Row) -> None:
+        seed = row["seed"]
+        failed = failures_of(self.found, row, self._check)
+        for one in self.found.reached:
+            one.count(row)
+        for check in failed if self._keep is not None else failed[:1]:
+            if check in self.found.kinds:
+                continue
+            self.found.kinds[check] = seed
+            if self._keep is not None:
+                scenario = self.scenario(seed)
+                file = file_of(scenario, check)
+                if all(one.file != file for one in self._keep.failures()):
+                    value = row.get(f"value.{check}")
+                    self._keep.add(
+                        Failure(file=file, check=check, seed=seed, digest=row["digest"], from_seed=seed,
+                                found="" if value is None else f"{value:.4g}", version=row["version"]),
+                        scenario,
+                    )  # fmt: skip
+
+
+def failures_of(found: Searched, row: Row, check: str | None) -> list[str]:
+    """Count a run; returns the checks that it fails.
 
     Args:
         check: which must fail; None: any.
@@ -132,11 +236,11 @@ def failed_of(found: Searched, row: Row, check: str | None) -> str:
     if row["status"] not in JUDGED:
         found.without += 1
         found.reason = found.reason or row["reason"]
-        return ""
+        return []
     found.runs += 1
     failed = failed_checks(row)
     if check is None:
-        return failed[0] if failed else ""
+        return failed
     if f"check.{check}" not in row:
         raise StudyError(f"{found.name} has no check {check}")
-    return check if check in failed else ""
+    return [check] if check in failed else []

@@ -49,6 +49,7 @@ class Shrunk(NamedTuple):
         found: what the verdict of that check says, of the first scenario and of the least one.
         runs: that were made.
         steps: the reductions, in words and in order.
+        digest: of the log of the run of the smallest one.
     """
 
     scenario: Scenario
@@ -56,6 +57,7 @@ class Shrunk(NamedTuple):
     found: tuple[str, str]
     runs: int
     steps: list[str]
+    digest: str
 
 
 class Shrinker:
@@ -99,7 +101,7 @@ class Shrinker:
                 break
         last = self._run([self._tree])[0]
         return Shrunk(self._scenario(self._tree), self._check, (_found(first, self._check), _found(last, self._check)),
-                      len(self._rows), steps)  # fmt: skip
+                      len(self._rows), steps, last.get("digest", ""))  # fmt: skip
 
     def _failed(self, row: Row, check: str | None) -> str:
         """The check that is to fail."""

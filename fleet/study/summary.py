@@ -9,6 +9,7 @@ from typing import Any
 from fleet.study.measures import MeasureColumn
 from fleet.study.one_run import FAILED
 from fleet.study.signal_measures import find_columns
+from fleet.study.sometimes import PREFIX, Reached, column_of
 from fleet.study.statistics import Estimate, median, pass_rate
 from fleet.study.store import Store
 
@@ -53,4 +54,14 @@ def summarise(store: Store, measures: Sequence[MeasureColumn] = ()) -> list[Poin
                 {column.name: median([column.number(row[column.name]) for row in judged]) for column in chosen},
             )
         )
+    return found
+
+
+def reached(store: Store) -> list[Reached]:
+    """How often the runs of a study reached what some run must reach. Raises StudyError."""
+    found = [Reached(c.name.removeprefix(PREFIX)) for c in store.record.columns if c.name.startswith(PREFIX)]
+    if found:
+        for row in store.table(["seed", *(column_of(one.name) for one in found)]).to_pylist():
+            for one in found:
+                one.count(row)
     return found

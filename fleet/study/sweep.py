@@ -27,6 +27,7 @@ from fleet.study.one_run import A_STUDY, FAILED, Task
 from fleet.study.plan import Plan, Point, run_key
 from fleet.study.record import VERSION, BorderRecord, StudyRecord, axis_record
 from fleet.study.signal_measures import find_columns, is_signal, measures_of_checks, signal_columns_of
+from fleet.study.sometimes import column_of, names_of
 from fleet.study.spec import KeepLogs, StudySpec
 from fleet.study.statistics import Estimate, pass_rate
 from fleet.study.stopping import parse_until, watched_by
@@ -142,6 +143,7 @@ def declared(spec: StudySpec, scenarios: Sequence[Scenario]) -> tuple[tuple[str,
         measures = (*DEFAULT, *checked)
     watched = watched_by(spec.until) if spec.until else []
     columns = [*STANDING, *signal_columns_of(filter(is_signal, (*measures, *watched)), scenarios)]
+    columns += [MeasureColumn(column_of(name), "") for name in names_of(scenarios)]
     if spec.until:
         parse_until(spec.until, columns)
     return tuple(column.name for column in find_columns(measures, columns)), columns
@@ -175,7 +177,7 @@ def check_names(scenarios: Sequence[Scenario]) -> list[str]:
         for name in type(scenario.spec.checks).model_fields
         if getattr(scenario.spec.checks, name) is not None and name not in ("signal", "python")
     ]
-    declared += [check.name for scenario in scenarios for check in scenario.spec.checks.own()]
+    declared += [check.name for scenario in scenarios for check in scenario.spec.checks.own() if not check.sometimes]
     expected = ["expect"] if any(scenario.spec.expect != "pass" for scenario in scenarios) else []
     return list(dict.fromkeys([*declared, *always, *expected]))
 

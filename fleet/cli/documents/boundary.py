@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from msgspec import Meta, Struct
 
+from fleet.cli.documents.study import SometimesReached, sometimes
+
 if TYPE_CHECKING:  # they need the extra `study`, and `fleet schema` does not
     from fleet.study.borders import Border, Borders
     from fleet.study.statistics import Estimate
@@ -49,6 +51,7 @@ class BoundaryFound(Struct):
     level: Annotated[float, Meta(description="The pass rate at the border.")]
     picture: Annotated[str | None, Meta(description="File of the picture; null: there is too much for one.")]
     borders: Annotated[list[BorderFound], Meta(description="One per combination of the other keys.")]
+    sometimes: Annotated[list[SometimesReached], Meta(description="What some run must reach, by check.")]
 
 
 def boundary_document(borders: Borders, found: Sequence[Border], picture: str | None) -> BoundaryFound:
@@ -62,6 +65,7 @@ def boundary_document(borders: Borders, found: Sequence[Border], picture: str | 
                         _rate(row.first), _rate(row.last), row.rising)
             for row in found
         ],
+        sometimes(store),
     )  # fmt: skip
 
 

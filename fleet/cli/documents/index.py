@@ -16,7 +16,7 @@ from fleet.cli.documents.boundary import BoundaryFound
 from fleet.cli.documents.check import Checked
 from fleet.cli.documents.listing import Runs, Scenarios
 from fleet.cli.documents.logs import Compared, LogContents, LogJudged, Verified
-from fleet.cli.documents.search import FirstFailing
+from fleet.cli.documents.search import FirstFailing, RegressedFolder
 from fleet.cli.documents.study import Less, Swept
 from fleet.cli.documents.what_if import OtherCommands
 from fleet.result.result import Result
@@ -40,6 +40,7 @@ DOCUMENTS: dict[str, type[Struct]] = {
     "ls": Runs,
     "ps": live.LiveRuns,
     "rare": RareFound,
+    "regress": RegressedFolder,
     "run": Result,
     "search": FirstFailing,
     "shrink": Less,

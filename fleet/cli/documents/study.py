@@ -43,6 +43,15 @@ class PointRow(Struct):
     medians: Annotated[dict[str, Interval], Meta(description="By measure: the median, and its exact interval.")]
 
 
+class SometimesReached(Struct):
+    """A check with `sometimes`, over all runs."""
+
+    check: Annotated[str, Meta(description="Its name.")]
+    runs: Annotated[int, Meta(description="Runs in which it was judged.")]
+    hits: Annotated[int, Meta(description="Of these, that reached it.")]
+    seed: Annotated[int | None, Meta(description="The least seed that reached it; null: none did.")]
+
+
 class Swept(Struct):
     """`fleet sweep --json`: a study, and what it came to."""
 
@@ -55,6 +64,7 @@ class Swept(Struct):
     ]
     missing: Annotated[int, Meta(description="Runs that were not made.")]
     points: Annotated[list[PointRow], Meta(description="Every point that has a run, in order.")]
+    sometimes: Annotated[list[SometimesReached], Meta(description="What some run must reach, by check.")]
 
 
 class Size(Struct):
@@ -91,7 +101,14 @@ def swept(store: Store, measures: Sequence[MeasureColumn]) -> Swept:
         )
         for row in rows
     ]  # fmt: skip
-    return Swept(str(store.directory), record.scenario, record.seeds, units, store.missing, points)
+    return Swept(str(store.directory), record.scenario, record.seeds, units, store.missing, points, sometimes(store))
+
+
+def sometimes(store: Store) -> list[SometimesReached]:
+    """What some run of a study must reach. Raises StudyError."""
+    from fleet.study.summary import reached
+
+    return [SometimesReached(one.name, one.runs, one.hits, one.seed) for one in reached(store)]
 
 
 def less(found: Shrunk, before: Scenario, file: Path) -> Less:

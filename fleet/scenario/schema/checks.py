@@ -142,6 +142,7 @@ class SignalCheck(Section):
     at_most_one: OnlyTrue = None  # vehicle whose value is true: not 0
     agree_within: Period | None = None  # all values are equal, but for stretches shorter than this
     never: OnlyTrue = None  # the condition must not hold
+    sometimes: OnlyTrue = None  # it must hold in some run of a study or search; no single run fails for it
     eventually_within: Period | None = None  # it must hold at some time, not always
     for_at_least: Period | None = None  # a time for which it holds without a break
     fault: str | None = None  # with `eventually_within`: counted from the end of this fault, or of EVERY
@@ -159,9 +160,12 @@ def _instances(value: Any) -> Any:
             raise mistake(f"expected the parameters of the check as a mapping, got {describe_value(one)}")
         if one and not isinstance(one.get("name", ""), str):
             raise mistake(f"expected its name as a text, got {describe_value(one['name'])}")
+        if one:
+            _true(one.get(SOMETIMES, True))
     return [one or {} for one in each]
 
 
+SOMETIMES = "sometimes"  # of a check in Python: what would fail it must be reached in some run
 PYTHON = "<module>:<Class>"  # stands for the keys that name a class
 Instances = Annotated[list[dict[str, Any]], BeforeValidator(_instances)]
 
@@ -190,6 +194,7 @@ class OwnCheck(NamedTuple):
     place: int  # among those of this key
     name: str
     given: bool  # the name is the user's
+    sometimes: bool = False  # whether it must be reached in some run of many
 
 
 class ChecksSection(Section):
@@ -226,19 +231,20 @@ class ChecksSection(Section):
 
     def own(self) -> Iterator[OwnCheck]:
         """The user's own checks; each name comes once, unless two were given the same."""
-        named: list[tuple[str, int, str | None, str]] = []
+        named: list[tuple[str, int, str | None, str, bool]] = []
         for k, check in enumerate(self.signal or ()):
-            named.append(("signal", k, check.name, check.topic.strip("| ")))
+            named.append(("signal", k, check.name, check.topic.strip("| "), bool(check.sometimes)))
         for key, each in (self.python or {}).items():
-            named += [(key, k, one.get("name"), key.rpartition(":")[2]) for k, one in enumerate(each)]
-        taken = {*OF_THE_SCHEMA, *(given for _, _, given, _ in named if given is not None)}
-        for key, k, given, otherwise in named:
+            name = key.rpartition(":")[2]
+            named += [(key, k, one.get("name"), name, SOMETIMES in one) for k, one in enumerate(each)]
+        taken = {*OF_THE_SCHEMA, *(each[2] for each in named if each[2] is not None)}
+        for key, k, given, otherwise, sometimes in named:
             name, number = given or otherwise, 1
             while given is None and name in taken:
                 number += 1
                 name = f"{otherwise}-{number}"
             taken.add(name)
-            yield OwnCheck(key, k, name, given is not None)
+            yield OwnCheck(key, k, name, given is not None, sometimes)
 
 
 OF_THE_SCHEMA = frozenset({*ChecksSection.model_fields, "expect", "on_time"})  # names that verdicts have already

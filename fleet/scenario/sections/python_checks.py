@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from fleet.scenario.schema.checks import SOMETIMES
 from world.plugins.checks import check_class
 from world.plugins.loading import load_class
 
-NAME = "name"  # of the verdict: the one key beside the parameters of the class
+NAME = "name"  # of the verdict; it and `sometimes` are the keys beside the parameters of the class
 
 
 def parameters_of(given: Mapping[str, Any]) -> dict[str, Any]:
     """The parameters of a check as the scenario writes them."""
-    return {key: value for key, value in given.items() if key != NAME}
+    return {key: value for key, value in given.items() if key not in (NAME, SOMETIMES)}
 
 
 def load_check(name: str, parameters: Mapping[str, Any]) -> type[Any]:

@@ -4,6 +4,7 @@
 |---|---|---|
 | safety | (none) | the condition, in every sample |
 | safety | `never` | it must not hold; with `for_at_least`: not for so long without a break |
+| reaching | `sometimes` | it must hold in some sample of some run; with `for_at_least`: for so long without a break |
 | liveness | `eventually_within` | it must begin to hold so soon, with `for_at_least`: and go on for so long |
 """
 
@@ -66,6 +67,7 @@ class AskedOfSignal:
     Attributes:
         unit: "1": none.
         negated: samples for which the condition holds count against the check, not those for which it does not.
+        sometimes: such samples are what some run of many must reach, and no run fails for them.
         within_ns: of a liveness property: how soon it must begin to hold; None: it is a safety property.
         least_ns: how long a stretch of such samples lasts that breaks a safety property, 0: one sample does; of a
             liveness property how long it must hold.
@@ -82,6 +84,7 @@ class AskedOfSignal:
     fault: str | None
     after_ns: int
     words: str
+    sometimes: bool = False
 
 
 def ask(check: SignalCheck, vehicles: Mapping[int, Mapping[str, SignalPlace]]) -> AskedOfSignal:
@@ -120,8 +123,9 @@ def ask(check: SignalCheck, vehicles: Mapping[int, Mapping[str, SignalPlace]]) -
     words = f"{signal} {_when(check, condition)}"
     within = check.eventually_within
     return AskedOfSignal(
-        signal, unit, some, condition, bool(check.never), within, least, check.fault, check.after, words
-    )
+        signal, unit, some, condition, bool(check.never or check.sometimes), within, least, check.fault, check.after,
+        words, bool(check.sometimes),
+    )  # fmt: skip
 
 
 def of_a_plugin(text: str) -> bool:
@@ -137,15 +141,20 @@ def _given(check: SignalCheck) -> list[str]:
     return [key for key in CONDITIONS if getattr(check, key) is not None]
 
 
+_NOT_SOMETIMES = ("never", "eventually_within", "agree_within")
+
+
 def _check_times(check: SignalCheck) -> None:
     timed = [key for key in ("never", "eventually_within", "for_at_least") if getattr(check, key) is not None]
     if check.agree_within is not None and timed:
         raise SignalCheckError(timed[0], 'has no meaning beside "agree_within"', "which says itself when it must hold")
+    if check.sometimes and (beside := next((key for key in _NOT_SOMETIMES if getattr(check, key) is not None), None)):
+        raise SignalCheckError("sometimes", f'stands beside "{beside}"', "write two checks")
     if check.never and check.eventually_within is not None:
         raise SignalCheckError("never", 'stands beside "eventually_within"', "write two checks")
-    if timed == ["for_at_least"]:
+    if timed == ["for_at_least"] and not check.sometimes:
         hint = "without one of them the condition has to hold all the time"
-        raise SignalCheckError("for_at_least", 'needs "never" or "eventually_within"', hint)
+        raise SignalCheckError("for_at_least", 'needs "never", "sometimes" or "eventually_within"', hint)
     if check.fault is not None and check.eventually_within is None:
         raise SignalCheckError("fault", 'needs "eventually_within"', "the time after the end of the fault")
 
@@ -226,8 +235,8 @@ def _shown(given: Any) -> str:
 
 def _when(check: SignalCheck, condition: SignalCondition) -> str:
     words = [condition.words]
-    if check.never:
-        words = ["never", *words]
+    if check.never or check.sometimes:
+        words = ["never" if check.never else "sometimes", *words]
     if check.eventually_within is not None:
         begin = "the start" if check.after == 0 else show_time(check.after)
         if check.fault is not None:

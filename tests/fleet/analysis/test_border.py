@@ -128,11 +128,11 @@ def test_a_gain_that_the_rule_of_thumb_accepts_is_warned_of() -> None:
     scenario = load_scenario("paper", ["controller=nbc", "guidance.K0=2.3 2.3 2.3 1/s"])
     found = analyse(scenario)
     (warning,) = found.warnings
-    assert warning.startswith("K = 2.3 1/s is not below the limit of the linear loop, 1.9")
+    assert warning.startswith("K = 2.3 1/s is above the limit of the linear loop, 1.9")
     assert "course loop grows at 1.6 Hz" in warning
     text = "\n".join(report(scenario, found))
-    assert "K is 2.3: NOT below" in text
-    assert "rule of thumb, necessary and not sufficient: K lambda_max(L+B) = 2.3 x 4.065" in text
+    assert "here K is 2.3 1/s, which is TOO LARGE" in text
+    assert "rule of thumb (necessary, not sufficient) kept: K lambda_max(L+B) = 2.3 x 4.065" in text
 
 
 def test_a_delay_that_the_rule_of_thumb_accepts_is_warned_of() -> None:
@@ -140,9 +140,9 @@ def test_a_delay_that_the_rule_of_thumb_accepts_is_warned_of() -> None:
     slow = ["controller=nbc", "guidance.K0=0.9 0.9 0.9 1/s", "network.links={'*': 'delay 430ms'}"]
     scenario = load_scenario("paper", slow)
     found = analyse(scenario)
-    assert "K tau rho(A) = 0.9 x 0.52 s x 1.447 = 0.6773, below 1" in "\n".join(report(scenario, found))
+    assert "kept: K tau rho(A) = 0.9 x 0.52 s x 1.447 = 0.6773 must be below 1" in "\n".join(report(scenario, found))
     (warning,) = found.warnings
-    assert "is not below the limit of the linear loop" in warning
+    assert "is above the limit of the linear loop" in warning
     assert analyse(load_scenario("paper", [*slow, "neighbours.extrapolate=reference"])).warnings == []
 
 
@@ -153,7 +153,7 @@ def test_what_a_gain_that_is_optimised_bears() -> None:
     assert found.settled == pytest.approx((0.3, 0.3, 1.171), abs=1e-3)
     assert found.at_settled is not None
     assert 0.25 <= 0.01 * (found.at_settled.delay_border(max(found.settled or ())) or 0) <= 0.30
-    assert "held there the loop would grow" in "\n".join(report(scenario, found))
+    assert "too large if it stayed there" in "\n".join(report(scenario, found))
 
 
 @pytest.mark.parametrize(

@@ -81,11 +81,11 @@ def test_a_dense_graph_needs_smaller_gains() -> None:
     without shunting has no such limit."""
     for most in ("2", "1.4"):
         (warning,) = analyse(fleet("{shape: complete}", 6, f"guidance.k_max={most} 1/s")).warnings
-        assert "is not below the limit of the linear loop, 1.16" in warning
+        assert "is above the limit of the linear loop, 1.16" in warning
     assert analyse(fleet("{shape: complete}", 6, "guidance.k_max=1.1 1/s")).warnings == []
     (warning,) = analyse(fleet("{shape: complete}", 20)).warnings  # too large a fleet for the linear loop
     assert "K lambda_max(L+B) = 42 1/s is not below a = 10 1/s" in warning
-    assert "guidance.k_max has to be below 0.4762 1/s at least" in warning
+    assert "set guidance.k_max below 0.4762 1/s, or lower" in warning
     assert analyse(fleet("{shape: complete}", 6, "controller=boc")).warnings == []
     assert analyse(fleet("{shape: complete}", 6, "per_vehicle.1-6.controller=bc")).warnings == []
 
@@ -96,8 +96,8 @@ def test_dead_reckoning_needs_fresh_news() -> None:
     slow = ["guidance.k_max=1 1/s", "network.period=500 ms"]
     late = load_scenario("paper", [*slow, "network.links={'*': 'delay 200ms'}"])
     (warning,) = analyse(late).warnings
-    assert "where K settles, at (0.3, 0.3, 1) 1/s, it is not below the limit of the linear loop" in warning
-    assert "K tau rho(A) = 1 x 0.69 s x 1.447 = 0.9986, below 1" in "\n".join(report(late, analyse(late)))
+    assert "the settled K = (0.3, 0.3, 1) 1/s is above the limit of the linear loop" in warning
+    assert "kept: K tau rho(A) = 1 x 0.69 s x 1.447 = 0.9986 must be below 1" in "\n".join(report(late, analyse(late)))
     later = [*slow, "network.links={'*': 'delay 210ms'}", "neighbours.drop_after=600 ms"]
     (warning,) = analyse(load_scenario("paper", later)).warnings
     assert "K tau rho(A) = 1.013 is not below 1 at an age of 0.7 s" in warning

@@ -319,6 +319,7 @@ def test_result_file(tmp_path: Path) -> None:
         "moment": None,
         "signals": [],
         "margin": {"value": 0, "at_s": None, "unit": "links"},
+        "reached": None,
     }
     assert list(values["vehicles"]) == ["1", "2", "3", "4"]
     assert set(values["ledger"]) == {"1->2", "2->3", "3->4"}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from contextlib import nullcontext
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 from click.testing import CliRunner, Result
@@ -79,6 +80,33 @@ def test_none_that_fails_is_said_with_a_bound() -> None:
     document = json.loads(call("small.yaml", "--budget", "3", "--set", CALM, "--json").stdout)
     assert (document["seed"], document["runs"], document["least"]) == (None, 3, None)
     assert document["most_failures"] == pytest.approx(0.6316, abs=1e-4)
+
+
+def test_with_a_folder_it_goes_on_and_regress_runs_what_is_kept() -> None:
+    sometimes = "checks.signal={name: far, topic: state.z, above: 99 m, sometimes: true}"
+    result = call("small.yaml", "--budget", "4", "--keep", "kept", "--junit", "j.xml")
+    assert result.exit_code == 1, result.output
+    assert "formation_error: first with seed 2; " in result.stdout
+    assert "\nfleet run kept/small-formation_error.yaml --seed 2  # fails formation_error, sha256 " in result.stdout
+    assert ElementTree.parse("j.xml").getroot().attrib["failures"] == "1"
+    again = CliRunner().invoke(cli, ["regress", "kept", "--junit", "r.xml", "--json"])
+    assert (again.exit_code, json.loads(again.stdout)["as_expected"]) == (0, True)
+    (case,) = ElementTree.parse("r.xml").getroot().iter("testcase")
+    assert case.attrib["name"] == "small-formation_error.yaml" and "fleet run" in (case.findtext("system-out") or "")
+    path = Path("kept/small-formation_error.yaml")
+    path.write_text(path.read_text("utf-8").replace("below: 4.6 m", "below: 99 m"), "utf-8")
+    differs = CliRunner().invoke(cli, ["regress", "kept"])
+    assert differs.exit_code == 1 and "DIFFERS small-formation_error.yaml: passes; expected: fails formation_error" in (
+        " ".join(differs.stdout.split())
+    )
+    assert CliRunner().invoke(cli, ["regress", "kept", "--accept"]).exit_code == 0
+    assert CliRunner().invoke(cli, ["regress", "kept"]).exit_code == 0
+    assert CliRunner().invoke(cli, ["regress", "nowhere"]).exit_code == 2
+    little = call("small.yaml", "--budget", "2", "--set", CALM, "--set", sometimes)
+    assert little.exit_code == 0
+    assert "no failure found, and that says little: far was reached in none of 2 runs" in " ".join(
+        little.stdout.split()
+    )
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ from fleet.ros2.node import RosNode
 from fleet.ros2.rmw import LATCHED
 from fleet.ros2.session import open_ros_session
 from fleet.ros2.translation import Translation
-from fleet.ros2.types import types_of
+from fleet.ros2.types import INTERFACES, types_of
 from netem.wire.ros_bus import SESSION_FILE, SETTINGS, RosBus
 
 pytest.importorskip("rosbags", reason="the extra [ros2] is not installed")
@@ -142,6 +142,33 @@ def test_a_node_of_ours_hears_what_another_one_says() -> None:
         ):
             assert words in text
         assert len(heard) == 1
+
+
+def test_a_second_library_publishes_and_calls() -> None:
+    """It computes keys and hashes from definitions that it is given, also of our own types."""
+    sdk = pytest.importorskip("zenoh_ros2_sdk")
+    text = (INTERFACES / "srv" / "Heal.srv").read_text("utf-8")
+    request, response = text.split("---\n")
+    kind = "uuv_fleet_msgs/srv/Heal"
+    with ros_router() as (bus, endpoint):
+        port = int(endpoint.rpartition(":")[2])
+        node, heard = RosNode(bus, types_of(), 0, "listener"), []
+        node.subscribe("/chatter", "std_msgs/msg/String", heard.append)
+        new = node.types.new
+        node.serve("/fleet/heal", kind, lambda asked: new(f"{kind}_Response", success=True, message=f"not {asked.id}"))
+        talker = sdk.ROS2Publisher(
+            "/chatter", "std_msgs/msg/String", msg_definition="string data\n", router_port=port, domain_id=0
+        )
+        wait_for(lambda: talker.publish(data="hello") or heard, LIMIT_S, "a message")
+        caller = sdk.ROS2ServiceClient(
+            "/fleet/heal", kind, request_definition=request, response_definition=response, router_port=port, domain_id=0
+        )
+        answer = wait_for(lambda: caller.call(id="live-1"), LIMIT_S, "an answer")
+        caller.close()
+        talker.close()
+    assert heard[0].data == "hello"
+    assert (answer.success, answer.message) == (True, "not live-1")
+    assert not node.problems
 
 
 def test_a_domain_has_one_fleet() -> None:

@@ -331,7 +331,7 @@ def test_check_says_how_often_each_talks() -> None:
     )
     s = small("network.acoustic={modem: fsk-80, mac: tdma, slot: 4 s}")
     lines = "\n".join(stability.report(s, stability.analyse(s)))
-    assert "with slots of 4 s each vehicle talks every 12 s; what is heard is up to 16.5 s old without loss" in lines
+    assert "with slots of 4 s each vehicle talks every 12 s; without loss a message is up to 16.5 s old" in lines
 
 
 def test_check_counts_the_wait_for_news() -> None:

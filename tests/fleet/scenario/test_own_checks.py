@@ -41,7 +41,7 @@ CUT = "faults=[{id: cut, at: 100 ms, for: 100 ms, down: 1->2}, {id: off, at: 300
         ("topic: state.z, equals: 3 m, within: [1 m, 2 m]", 'beside "equals" it is one value'),
         ("topic: state.z, below: 3 m, never: false", "checks.signal.never: expected true, got false"),
         ("topic: state.z, below: 3 m, never: true, eventually_within: 1 s", 'stands beside "eventually_within"'),
-        ("topic: state.z, below: 3 m, for_at_least: 1 s", 'needs "never" or "eventually_within"'),
+        ("topic: state.z, below: 3 m, for_at_least: 1 s", 'needs "never", "sometimes" or "eventually_within"'),
         ("topic: state.z, agree_within: 3 s, never: true", 'has no meaning beside "agree_within"'),
         ("topic: state.z, below: 3 m, fault: every", 'fault: needs "eventually_within"'),
         ("topic: state.z, below: 3 m, eventually_within: 1 s, fault: cat", 'there is no fault "cat"'),

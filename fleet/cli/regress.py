@@ -1,0 +1,98 @@
+"""The command `fleet regress`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from fleet.cli import junit as cli_junit
+from fleet.cli.documents.output import json_option, print_document
+from fleet.cli.study_options import SCHEDULER, WORKERS
+from fleet.cli.trust import TrustingCommand, trust_option
+from fleet.terminal.folding import say
+
+if TYPE_CHECKING:
+    from fleet.study.regress import Regressed
+    from fleet.terminal.fitting import Piece
+    from fleet.terminal.status_line import StatusLine
+    from world.plugins.trust import Trust
+
+
+@click.command(cls=TrustingCommand)
+@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path, file_okay=False))
+@click.option("--accept", is_flag=True, help="Expect from now on what came out.")
+@cli_junit.JUNIT
+@WORKERS
+@SCHEDULER
+@trust_option
+@json_option
+def regress(
+    folder: Path,
+    accept: bool,
+    junit: Path | None,
+    workers: int | None,
+    scheduler: str | None,
+    trust: Trust,
+    as_json: bool,
+) -> None:
+    """Run the failures that a search has kept again, and compare their verdicts with the expected ones.
+
+    The exit status is 0 if all are as expected, 1 if one is not, 3 if one has no result. A failure that is mended is no
+    longer as expected: --accept writes that every check of it has to pass from now on.
+
+    \b
+    Examples:
+      fleet search election --nemesis --keep failures
+      fleet regress failures
+      fleet regress failures --junit junit.xml
+    """
+    from fleet.cli.study_output import showing
+    from fleet.study.failures import FailureFolder
+    from fleet.study.local_engine import engine_of
+    from fleet.study.regress import Regression
+
+    regression = Regression(FailureFolder(folder), trust)
+    of = len(regression.failures)
+    with showing(_pieces) as tell, engine_of(workers, scheduler) as engine:
+        found = regression.run(engine, lambda made: tell(made, of), engine.carry(regression.modules))
+    changed = regression.accept(found) if accept else 0
+    cli_junit.write(junit, folder.name, cli_junit.of_regress(found))
+    if as_json:
+        from fleet.cli.documents.search import regressed
+
+        print_document(regressed(folder, found))
+    else:
+        _show(found)
+    if accept:
+        say(f"{changed} expected verdicts are changed", err=True)
+    if any(one.broken for one in found):
+        sys.exit(3)
+    if not accept and not all(one.same for one in found):
+        sys.exit(1)
+
+
+def _pieces(line: StatusLine, made: int, of: int) -> list[Piece]:
+    from fleet.terminal.fitting import Piece
+
+    return [Piece(0, [f"{made} / {of} runs"])]
+
+
+def _show(found: Sequence[Regressed]) -> None:
+    """A line for each scenario, and what helps where one is not as expected."""
+    for one in found:
+        failure = one.failure
+        wanted = f"fails {failure.check}" if failure.expected == "fail" else "passes"
+        say(f"{'as expected' if one.same else 'DIFFERS'}  {failure.file}: {one.got}"
+            + ("" if one.same else f"; expected: {wanted}"))  # fmt: skip
+        if not one.same:
+            click.echo(failure.paste)  # whole, however narrow the terminal is
+        elif one.differs:
+            say("  its log is another one than this version of fleet made before: was a law or a plant changed?")
+    say(f"{sum(one.same for one in found)} of {len(found)} are as expected")
+
+
+COMMANDS = (regress,)

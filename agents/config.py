@@ -103,6 +103,7 @@ class LocalizationParams:
 
     method: Method
     gate: float  # chi-square with 1 degree of freedom: a range that fits worse is refused
+    mirror: bool = False  # whether it keeps the mirror image of its place (agents/localization/mirror.py)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,13 +19,14 @@ since, of which the localiser has a history; the sender's is carried on by its v
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from agents.config import AgentConfig
 from agents.errors import PayloadError
 from agents.laws.kinematics import earth_velocity
-from agents.localization.fusion import Covariance, fused, grown
+from agents.localization.fusion import Covariance, Fused, fused, grown
+from agents.localization.mirror import Estimate, MirrorImage
 from agents.localization.payload import LocatedMessage, decode, is_located
 from agents.payload import StateMessage
 from netem.wire.messages import Delivery, Nav
@@ -47,6 +48,7 @@ class Localizer:
         Signal("located_covariance", "m^2", "of its north and east: nn, ne, ee", 3),
         Signal("ranges_used", "1", "ranges that have changed it since the start"),
         Signal("ranges_refused", "1", "ranges that were refused since the start, because they fit too badly"),
+        Signal("mirror", "1", "probability that it is the mirror image of this place; 0: there is none"),
     )
 
     def __init__(self, config: AgentConfig) -> None:
@@ -65,6 +67,10 @@ class Localizer:
         self._history: deque[tuple[int, float, float]] = deque()  # tick, and the way until then
         self._fixed: int | None = None  # tick of the last fix
         self._alone = True  # no range is in the estimate
+        self.mirror: MirrorImage | None = None  # without the key it is not looked for
+        if config.localization is not None and config.localization.mirror:
+            self.mirror = MirrorImage()
+        self._navigator: tuple[float, float] = (0.0, 0.0)  # what the navigator believes alone
         self.used = 0
         self.refused = 0
 
@@ -72,12 +78,22 @@ class Localizer:
         """The same nav with the position and covariance by all that is known; idempotent within a tick."""
         if nav.tick != self._tick:
             self._advance(nav)
-        nn, ne, ee = self._covariance
+        nn, ne, ee = self.covariance
         _, _, z, theta, psi = nav.eta
         own = nav.belief
         belief = (nn, ne, 0.0, 0.0, ee, 0.0, 0.0, own[7], own[8], own[9]) if own else ()
         eta = (*self._place, z, theta, psi)
         return Nav(nav.incarnation, nav.tick, eta, nav.nu, nav.roll, nav.clock_ns, belief)
+
+    @property
+    def covariance(self) -> Covariance:
+        """Of north and east [m^2], with that the place may be the mirror image of the true one."""
+        if self.mirror is None:
+            return self._covariance
+        return self.mirror.spread(self._without_way(self._place, self._covariance))
+
+    def _without_way(self, place: tuple[float, float], covariance: Covariance) -> Estimate:
+        return Estimate((place[0] - self._way[0], place[1] - self._way[1]), covariance)
 
     def _advance(self, nav: Nav) -> None:
         x, y, z, theta, psi = nav.eta
@@ -90,6 +106,8 @@ class Localizer:
             self._way = self._way[0] + dn, self._way[1] + de
             self._place = self._place[0] + dn, self._place[1] + de
             self._covariance = grown(self._covariance, self._own, own)
+            if self.mirror is not None:
+                self.mirror.grow(self._own, own)
             before = self._own[0] + self._own[2]
             if own[0] + own[2] < (1.0 - _FIX_GAIN) * before or not nav.belief:
                 self._fixed = nav.tick
@@ -97,6 +115,9 @@ class Localizer:
             self._fixed = nav.tick
         if self._alone or own[0] + own[2] <= self._covariance[0] + self._covariance[2]:
             self._place, self._covariance, self._alone = (x, y), own, True
+            if self.mirror is not None:
+                self.mirror = MirrorImage()
+        self._navigator = x, y
         self._tick, self._own, self._velocity, self._depth = nav.tick, own, velocity, z
         if nav.tick % self._round_ticks == 0 or not self._history:
             self._history.append((nav.tick, *self._way))
@@ -108,7 +129,7 @@ class Localizer:
         fresh = self._fixed is not None and self._tick is not None
         if fresh:
             fresh = self._alone and (self._tick - self._fixed) * self._tick_s <= _FRESH_S  # type: ignore[operator]
-        return LocatedMessage(state, self._covariance, fresh)
+        return LocatedMessage(state, self.covariance, fresh)
 
     def absorb(self, nav: Nav, deliveries: Iterable[Delivery]) -> Nav:
         """Use the ranges that have come, and return the nav by all that is known."""
@@ -139,16 +160,18 @@ class Localizer:
         other = state.position[0] + since * state.velocity[0], state.position[1] + since * state.velocity[1]
         back = self._way[0] - then[1], self._way[1] - then[2]
         variance = (delivery.range_sd_m or 0.0) ** 2 + (_DRIFT_MPS * since) ** 2
-        found = fused(
-            (self._place[0] - back[0], self._place[1] - back[1]),
-            self._covariance,
-            other,
-            message.covariance,
-            self._depth - state.position[2] - since * state.velocity[2],
-            delivery.range_m,
-            variance,
-            method != "consistent",
-        )
+        deeper = self._depth - state.position[2] - since * state.velocity[2]
+        ranged_m = delivery.range_m
+
+        def fuse(own: Estimate) -> Fused | None:
+            """With the range from where the vehicle then was, if it is here now."""
+            place = own.place[0] - back[0], own.place[1] - back[1]
+            independent = method != "consistent"
+            return fused(place, own.covariance, other, message.covariance, deeper, ranged_m, variance, independent)
+
+        if self.mirror is not None:
+            self._compare(fuse, back)
+        found = fuse(Estimate(self._place, self._covariance))
         if found is None:
             return
         if found.nis > self._params.gate:
@@ -157,20 +180,55 @@ class Localizer:
         self.used += 1
         self._alone = False
         self._place, self._covariance = (found.north + back[0], found.east + back[1]), found.covariance
+        if self.mirror is not None:
+            sender = other[0] - then[1], other[1] - then[2]
+            own = self._without_way(self._place, self._covariance)
+            self.mirror.seen(
+                sender,
+                message.covariance[0] + message.covariance[2],
+                own,
+                self._without_way(self._navigator, self._own),
+            )
+
+    def _compare(self, fuse: Callable[[Estimate], Fused | None], back: tuple[float, float]) -> None:
+        """Let a range judge between the place and its mirror image, and correct the latter."""
+        mirror = self.mirror
+        assert self._params is not None
+        if mirror is None or mirror.other is None:
+            return
+        (n, e), covariance = mirror.other
+        found = fuse(Estimate(self._place, self._covariance))
+        image = fuse(Estimate((n + self._way[0], e + self._way[1]), covariance))
+        if found is None or image is None:
+            return
+        if mirror.judge(found.nis, image.nis):
+            before = mirror.swap(self._without_way(self._place, self._covariance))
+            self._place = before.place[0] + self._way[0], before.place[1] + self._way[1]
+            self._covariance = before.covariance
+            image = found
+        if image.nis <= self._params.gate:
+            mirror.other = self._without_way((image.north + back[0], image.east + back[1]), image.covariance)
+        mirror.settle()
 
     def telemetry(self) -> tuple[float, ...]:
         """The values of `signals`."""
-        return (*self._place, self._depth, *self._covariance, float(self.used), float(self.refused))
+        mirror = 0.0 if self.mirror is None else self.mirror.probability
+        return (*self._place, self._depth, *self.covariance, float(self.used), float(self.refused), mirror)
 
     def state(self) -> list[Any]:
         """Everything that the next sample depends on, as plain values."""
         numbers = [*self._place, *self._covariance, self._depth, *self._own, *self._velocity, *self._way]
         history = [list(kept) for kept in self._history]
-        return [self._tick, numbers, history, self._fixed, self._alone, self.used, self.refused]
+        mirror = None if self.mirror is None else [*self._navigator, self.mirror.state()]
+        return [self._tick, numbers, history, self._fixed, self._alone, self.used, self.refused, mirror]
 
     def restore(self, values: list[Any]) -> None:
         """Continue from `state()`."""
-        self._tick, numbers, history, self._fixed, self._alone, self.used, self.refused = values
+        self._tick, numbers, history, self._fixed, self._alone, self.used, self.refused, mirror = values
+        if self.mirror is not None and mirror is not None:
+            north, east, known = mirror
+            self._navigator = north, east
+            self.mirror.restore(known)
         x, y, nn, ne, ee, self._depth, a, b, c, vx, vy, vz, north, east = numbers
         self._place, self._covariance, self._own = (x, y), (nn, ne, ee), (a, b, c)
         self._velocity, self._way = (vx, vy, vz), (north, east)

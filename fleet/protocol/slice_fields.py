@@ -112,6 +112,7 @@ FIELDS: dict[type, dict[str, Meaning]] = {
     LocalizationParams: {
         "method": ("str", "", "aid, naive or consistent"),
         "gate": ("real", "1", "chi-square with 1 degree of freedom: a range that fits worse is refused"),
+        "mirror": ("bool", "", "whether the mirror image of the place is kept, until ranges tell which it is"),
     },
     VehicleParams: {
         "m": ("real", "kg", "mass"),

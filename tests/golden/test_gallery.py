@@ -23,6 +23,7 @@ GALLERY = {
     "event-triggered": 8, "event-triggered-loss": 3, "auction": 12, "auction-partition": 8,
     "navigation-aid": 5, "navigation-aid-clock": 5, "locate-naive": 5, "locate-naive-loop": 5,
     "locate-consistent": 7, "locate-compass": 5,
+    "mirror-image": 5, "mirror-image-turn": 5, "formation-on-belief": 6, "formation-no-fixes": 6,
 }  # fmt: skip
 # Brought forward for it: what a fault does there does not depend on its second.
 EARLY = {
@@ -38,6 +39,7 @@ EARLY = {
     "auction": ["faults.1.at=6 s"],
     "locate-consistent": ["faults.1.at=2 s", "faults.1.for=3 s"],
     "locate-compass": ["faults.1.at=2 s"],
+    "formation-no-fixes": ["faults.1.at=2 s"],
 }
 PAGE = ROOT / "docs" / "guide" / "scenarios.md"
 LONG = 10  # [s]; a distributed run of more is one of the slow tests
@@ -51,6 +53,7 @@ LONGEST = (
     *("average", "election", "event-triggered", "auction-partition"),
     *("navigation-aid", "navigation-aid-clock", "locate-naive", "locate-naive-loop"),
     *("locate-consistent", "locate-compass"),
+    *("mirror-image", "mirror-image-turn", "formation-on-belief", "formation-no-fixes"),
 )
 
 

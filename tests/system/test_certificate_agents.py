@@ -45,11 +45,11 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_agent_in_c_in_a_real_run(made: Path, program: Path, tmp_path: Path) -> None:
-    """It does what the agent in Python does, byte for byte. Meanwhile nobody gets in without a certificate, and agent
-    1's opens nothing of agent 2's."""
+    """It gets what its vehicle believes, and does what the agent in Python does, byte for byte. Meanwhile nobody gets
+    in without a certificate, and agent 1's opens nothing of agent 2's."""
     endpoint = f"tls/127.0.0.1:{free_port()}"
     join = tmp_path / "join-2.json"
-    sets = ["per_vehicle={2: {external: true}}", "checks={deaths: {at_most: 0}}"]
+    sets = ["per_vehicle={2: {external: true, navigation: mems}}", "checks={deaths: {at_most: 0}}"]
     options = [part for value in sets for part in ("--set", value)]
     certified = ["--listen-certified", endpoint, "--certs", str(made)]
     with LiveRun(tmp_path / "runs", "paper", "--duration", "2 s", *options, *certified) as run:
@@ -85,6 +85,8 @@ def test_the_agent_in_c_in_a_real_run(made: Path, program: Path, tmp_path: Path)
     said = [one for one in agent.frames if one[0] in "ct" and not _probe(one)]
     assert len(said) > 200
     assert said == _said_in_python(agent.frames, join)
+    navs = [fields for letter, data in agent.frames if letter == "n" and (fields := msgpack.unpackb(data))[0] == "nav"]
+    assert {(len(nav), len(nav[-1])) for nav in navs} == {(8, 10)}
 
 
 def _folder_of(i: int, certs: Path, like: Path, path: Path) -> Path:

@@ -81,6 +81,8 @@ def localization(parts: Parts, report: Report) -> None:
         if network.payload != "located":
             hint = "network.payload: located"
             report.add(path, "has no effect: messages do not say how sure their sender is", hint, key=True)
+    if report.mistaken("navigation", "per_vehicle", "agent", "vehicle", "guidance", "tracking"):
+        return  # what each vehicle has is not known
     for i, control in enumerate(parts.controls, start=1):
         if control.localization is not None and isinstance(control.navigation, NavigationTrace):
             text = f"vehicle {i} has localisation, but its navigation replays a trace, which has no covariance"

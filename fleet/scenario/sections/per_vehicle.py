@@ -177,7 +177,7 @@ def control(
 
 
 def _localization(section: LocalizationSection | None) -> LocalizationParams | None:
-    return None if section is None else LocalizationParams(section.method, section.gate)
+    return None if section is None else LocalizationParams(section.method, section.gate, section.mirror)
 
 
 def _law(section: LawSection | AgentSection | None) -> Law | None:

@@ -19,7 +19,7 @@ from fleet.result.result import Status
 from fleet.scenario.loading import parse_scenario
 
 # Drawn by docs/examples/keep_apart_crossings.py. Without a limit of the vertical velocity vehicles tumble in the first.
-CROSSINGS = (0, 53, 107, 149)
+CROSSINGS = (0, 53, 99, 107, 149, 151)
 
 CYLINDER = """\
 title: A cylinder lies on the course

@@ -7,17 +7,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import ceil
+from typing import TypeVar
 
 from agents.controllers import BUILT_IN, laws
 from fleet.errors import FleetError
 from fleet.execution.options import Options
-from fleet.processes.children import Child
 from fleet.processes.limits import processors
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.per_vehicle import Control
 from netem.clock import Clock
 from netem.wire.access import agent_role, host_role
 
+Process = TypeVar("Process")
 AUTO_ABOVE = 50  # vehicles: fewer have room for a process each
 AUTO_MOST = 25  # agents in a process
 AUTO_PER_CPU = 2  # hosts at least, so that no processor idles
@@ -48,7 +49,7 @@ class Hosting:
         alone = scenario.vehicles - len(scenario.external) - sum(map(len, self.members))
         return len(self.members) + alone, max(map(len, self.members), default=min(1, alone))
 
-    def children(self, by_role: Mapping[str, Child]) -> Mapping[str, Child]:
+    def children(self, by_role: Mapping[str, Process]) -> Mapping[str, Process]:
         """Processes by role; an agent that has none of its own stands for its host."""
         hosts = {h: by_role[role] for h in range(1, len(self.members) + 1) if (role := host_role(h)) in by_role}
         shared = {agent_role(i): child for h, child in hosts.items() for i in self.members[h - 1]}

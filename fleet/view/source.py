@@ -68,15 +68,17 @@ def find_source(name: str | None, runs: Path) -> LiveSource | LogSource:
         return _live(path)
     if os.path.exists(path / OBSERVE) and in_use(path):
         return _live(path.resolve() / OBSERVE)
-    if os.path.exists(path):
-        if os.path.exists(path / SCENARIO) and in_use(path):
-            raise _not_published(path)
+    if os.path.exists(path / SCENARIO) and in_use(path):
+        raise _not_published(path)
+    if os.path.isfile(path) or os.path.exists(log_path(path)):
         return LogSource(log_path(path))
     try:
         return _live(choose(name, OBSERVE) / OBSERVE)
     except RemoteError as error:
         if error.status == 2:  # several
             raise
+        if os.path.exists(path):  # such as a folder that has a scenario's name, and no run in it
+            return LogSource(log_path(path))
         raise FleetError(f"{error}; nor is it a file or a directory") from None
 
 

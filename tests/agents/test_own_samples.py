@@ -7,7 +7,7 @@ from typing import Any
 from small_scenario import small
 
 from agents.agent import Agent
-from agents.brain import HEARD_SIZE
+from agents.controllers import HEARD
 from agents.payload import StateMessage, decode, encode
 from netem.wire.messages import Delivery, Nav
 
@@ -27,7 +27,7 @@ def test_stamps_ages_and_time_are_those_of_the_clock() -> None:
     (payload,) = agent.transmit(nav(100, 370.0))
     assert decode(payload).sent_tick == 137
     samples: list[Any] = []
-    telemetry = (0.0,) * (agent.layout.size - HEARD_SIZE)
+    telemetry = (0.0,) * (agent.layout.size - sum(signal.width for signal in HEARD))
 
     def step(sample: Any) -> Any:
         samples.append(sample)

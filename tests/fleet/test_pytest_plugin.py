@@ -22,7 +22,9 @@ NEVER = "{tumbled: waived, signal: {name: deep, topic: state.z, above: 99 m, som
 def run(pytester: pytest.Pytester, checks: str, *args: str) -> pytest.RunResult:
     pytester.makefile(".yaml", small=SMALL)
     pytester.makepyfile(TEST.format(seeds=2, checks=checks))
-    return pytester.runpytest_inprocess("-p", "fleet.pytest_plugin", "-p", "no:cacheprovider", *args)
+    # By its module, whether or not it is installed: pytest would have it twice otherwise.
+    plugins = ("-p", "no:uuv-fleet", "-p", "fleet.pytest_plugin", "-p", "no:cacheprovider")
+    return pytester.runpytest_inprocess(*plugins, *args)
 
 
 def test_all_seeds_pass(pytester: pytest.Pytester) -> None:

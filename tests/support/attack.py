@@ -36,8 +36,8 @@ class Attack:
         self.modes: dict[str, int] = {}
         self._sessions: list[Bus] = []
 
-    def generate(self, vehicles: tuple[int, ...]) -> dict[str, Credentials]:
-        self.credentials.update(generate(vehicles))
+    def generate(self, vehicles: tuple[int, ...], **more: Any) -> dict[str, Credentials]:
+        self.credentials.update(generate(vehicles, **more))
         return self.credentials
 
     def __call__(self, directory: Path, values: dict[str, Any]) -> None:

@@ -139,8 +139,8 @@ class Intruder:
         self.rounds = 0
         generate, write = fleet.execution.launch.generate, RunDirectory.write_connection
 
-        def generate_and_leak(vehicles: tuple[int, ...]) -> dict[str, Credentials]:
-            self._credentials = generate(vehicles)
+        def generate_and_leak(vehicles: tuple[int, ...], **more: Any) -> dict[str, Credentials]:
+            self._credentials = generate(vehicles, **more)
             return self._credentials
 
         def write_and_join(directory: RunDirectory, values: dict[str, Any]) -> None:

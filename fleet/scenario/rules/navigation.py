@@ -10,6 +10,7 @@ from fleet.scenario.rules.report import Report
 from fleet.scenario.schema.navigation import FixSection, NavigationSection
 from fleet.scenario.sections.data_files import DataFileError
 from fleet.scenario.sections.navigation import DEFAULTS, KINDS, NUMBERS, grade_of, grade_problems, navigation_of
+from fleet.scenario.sections.per_vehicle import Control
 from fleet.scenario.sections.timeline import action, vehicles_of
 from netem.fault_kinds import WorldFaultKind
 from world.navigation.config import DeadReckoning, Navigation, NavigationTrace
@@ -83,7 +84,7 @@ def localization(parts: Parts, report: Report) -> None:
             report.add(path, "has no effect: messages do not say how sure their sender is", hint, key=True)
     if report.mistaken("navigation", "per_vehicle", "agent", "vehicle", "guidance", "tracking"):
         return  # what each vehicle has is not known
-    for i, control in enumerate(parts.controls, start=1):
+    for i, control in enumerate(_controls(parts), start=1):
         if control.localization is not None and isinstance(control.navigation, NavigationTrace):
             text = f"vehicle {i} has localisation, but its navigation replays a trace, which has no covariance"
             report.add(("navigation",) if report.has(("navigation",)) else ("per_vehicle",), text, "give it a grade")
@@ -93,17 +94,25 @@ def faults(parts: Parts, report: Report) -> None:
     """A fault of an instrument concerns a vehicle that has it."""
     if report.mistaken("navigation", "per_vehicle", "faults"):
         return
-    vehicles = range(1, parts.spec.vehicles + 1)
+    vehicles, controls = range(1, parts.spec.vehicles + 1), _controls(parts)
     for index, fault in enumerate(parts.spec.faults):
         kind = action(fault)
-        if kind not in KINDS_OF_FAULT:
+        if kind not in KINDS_OF_FAULT or not controls:
             continue
         some = vehicles_of(fault) or vehicles
-        if not any(_has(kind, parts.controls[i - 1].navigation) for i in some):
+        if not any(_has(kind, controls[i - 1].navigation) for i in some):
             what = "fixes" if kind == WorldFaultKind.FIX else "dead reckoning"
             example = "{usbl: {at: 0 0 0 m}}" if what == "fixes" else "tactical"
             hint = f"give them one, as in navigation: {example}"
             report.add(("faults", index, kind), f"has no effect: none of these vehicles has {what}", hint, key=True)
+
+
+def _controls(parts: Parts) -> tuple[Control, ...]:
+    """What each vehicle runs; nothing if a file cannot be read, which is reported where it is named."""
+    try:
+        return parts.controls
+    except DataFileError:
+        return ()
 
 
 def _has(kind: str, navigation: Navigation | None) -> bool:

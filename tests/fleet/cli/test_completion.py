@@ -31,7 +31,7 @@ def live(tmp_path: Path) -> Iterator[str]:
 
 def test_words_that_need_no_run(monkeypatch: pytest.MonkeyPatch) -> None:
     assert offered(monkeypatch, "run", "partition-") == ["partition-heal"]
-    assert offered(monkeypatch, "sweep", "ro") == ["rough-sea"]
+    assert offered(monkeypatch, "sweep", "rou") == ["rough-sea"]
     assert offered(monkeypatch, "sweep", "loss") == ["loss-delay", "lossy"]
     assert offered(monkeypatch, "inject", "ef") == ["efficiency"]
     assert offered(monkeypatch, "inject", "slow", "b") == ["by="]

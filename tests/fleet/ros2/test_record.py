@@ -53,6 +53,9 @@ def test_what_a_fleet_publishes_is_recorded(log: Path, tmp_path: Path) -> None:
             wait_for(lambda: odometry.matched, LIMIT_S, "the subscription")
             bridge.at_ns = 0
             play()
+            # What comes behind all others, and is told: then all have come.
+            bus.plain("0/no_key_of_ros", drop=False).put(b"", None)
+            recorder.until("0/no_key_of_ros is no key of rmw_zenoh")
             recorder.send(signal.SIGINT)
             assert recorder.status() == 130, recorder.printed
     found = read(tmp_path / "bag")

@@ -325,8 +325,7 @@ SHAPES = (
     "election-slow", "event-triggered", "event-triggered-loss", "auction", "auction-partition", "crossing",
     "mission-2012", "mission-2012-model", "navigation-aid", "navigation-aid-clock", "locate-naive",
     "locate-naive-loop", "locate-consistent", "locate-compass",
-    "mirror-image",
-    "mirror-image-turn", "formation-on-belief", "formation-no-fixes",
+    "mirror-image", "mirror-image-turn", "formation-on-belief", "formation-no-fixes", "roll-call",
 )  # fmt: skip
 
 

@@ -155,7 +155,7 @@ def test_check_says_the_limits_that_it_prints_in_words() -> None:
     found = printed(Checked, invoke("check", "paper", "--json"))
     words = invoke("check", "paper").stdout
     assert f"K < {found.theory.gain_limit_per_s:.4g} 1/s" in words
-    assert f"K is optimised, up to {found.theory.gain_per_s:.4g}" in words
+    assert f"K is optimised, {found.theory.gain_per_s:.4g} 1/s at most" in words
     assert f"{found.theory.settled_delay_limit_s:.4g} s (beyond it" in words
     assert found.theory.delay_limit_s == 0.0
     assert "none at K = 2" in words

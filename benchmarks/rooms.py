@@ -98,7 +98,7 @@ def _text(x: float, y: float, words: str, anchor: str = "start") -> str:
 
 def named(picture: str) -> set[str]:
     """The rooms that a picture names."""
-    return set(re.findall(r">([a-z_.]+)</text>", picture))
+    return set(re.findall(r">([a-z][a-z0-9_.]*)</text>", picture))
 
 
 if __name__ == "__main__":

@@ -156,9 +156,9 @@ def test_check_says_the_limits_that_it_prints_in_words() -> None:
     words = invoke("check", "paper").stdout
     assert f"K < {found.theory.gain_limit_per_s:.4g} 1/s" in words
     assert f"K is optimised, {found.theory.gain_per_s:.4g} 1/s at most" in words
-    assert f"{found.theory.settled_delay_limit_s:.4g} s (beyond it" in words
+    assert f"{found.theory.settled_delay_limit_s:.4g} s (above, " in words
     assert found.theory.delay_limit_s == 0.0
-    assert "none at K = 2" in words
+    assert "unstable without delay at K = 2" in words
 
 
 def test_check_of_a_fleet_for_which_theory_has_no_limits() -> None:

@@ -162,6 +162,7 @@ def test_a_line_through_the_fleet_parts_it_and_ctrl_c_ends_run_and_page(opened: 
     with LiveRun(tmp_path, *LONG, "--view", "--wait-for-subscribers") as run:  # the page is one
         address = wait_for(lambda: address_in(run.printed), SOON_S, "the address")
         page = tab(opened, address)
+        page.page.locator(".fleet-checks").get_by_text("deaths").wait_for()  # the console answers: it can be asked
         page.page.get_by_role("button", name="Pause").click()
         page.page.get_by_role("button", name="Resume").wait_for()
         places = page.vehicles()

@@ -16,7 +16,7 @@ from netem.wire.access import NETEM, WORLD, host_role
 from netem.wire.bundles import bundles
 from netem.wire.bus import Bus
 from netem.wire.codec import encode, expect
-from netem.wire.host_messages import Bundle, Ended, Part
+from netem.wire.host_messages import Bundle, BundlePart, Ended
 from netem.wire.keys import Keys
 from netem.wire.messages import PROTOCOL_VERSION, End, Hello, Inbox, Nav, Receipt, Transmission
 
@@ -39,8 +39,8 @@ class HostProcess:
         self._key = keys.host(number)
         # Navs and inboxes come in one channel: of two, the one that is not looked at could hold back the other.
         self._in = bus.channel(self._key, capacity=max(64, 3 * len(self._agents)))
-        self._to_world: list[Part] = []
-        self._to_netem: list[Part] = []
+        self._to_world: list[BundlePart] = []
+        self._to_netem: list[BundlePart] = []
 
     def get_ready(self) -> None:
         """Probe until world and netem have both answered, then declare the agents ready.
@@ -51,7 +51,7 @@ class HostProcess:
         probe = encode(Hello("host", self._number, 0, PROTOCOL_VERSION, False))
         knock(probe, {WORLD: self._cmd, NETEM: self._tx}, self._heard)
         ready = [
-            Part(i, encode(Hello("agent", i, agent.loop.incarnation, PROTOCOL_VERSION, True)))
+            BundlePart(i, encode(Hello("agent", i, agent.loop.incarnation, PROTOCOL_VERSION, True)))
             for i, agent in self._agents.items()
         ]
         for data in bundles(ready):
@@ -87,7 +87,7 @@ class HostProcess:
                     put(data)
                 parts.clear()
 
-    def _pass(self, part: Part) -> None:
+    def _pass(self, part: BundlePart) -> None:
         """Pass a message on to its agent, if that lives, and keep the answers."""
         i = part.vehicle
         agent = self._agents.get(i)
@@ -113,7 +113,7 @@ class HostProcess:
         else:
             for answer in answers:
                 to = self._to_netem if isinstance(answer, (Transmission, Receipt)) else self._to_world
-                to.append(Part(i, encode(answer)))
+                to.append(BundlePart(i, encode(answer)))
 
     def _lose(self, i: int, status: int) -> None:
         """An agent has ended by itself; the others go on."""

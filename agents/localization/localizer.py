@@ -26,7 +26,7 @@ from agents.config import AgentConfig
 from agents.errors import PayloadError
 from agents.laws.kinematics import earth_velocity
 from agents.localization.fusion import Covariance, Fused, fused, grown
-from agents.localization.mirror import Estimate, MirrorImage
+from agents.localization.mirror import MirrorImage, PlaceEstimate
 from agents.localization.payload import LocatedMessage, decode, is_located
 from agents.payload import StateMessage
 from netem.wire.messages import Delivery, Nav
@@ -92,8 +92,8 @@ class Localizer:
             return self._covariance
         return self.mirror.spread(self._without_way(self._place, self._covariance))
 
-    def _without_way(self, place: tuple[float, float], covariance: Covariance) -> Estimate:
-        return Estimate((place[0] - self._way[0], place[1] - self._way[1]), covariance)
+    def _without_way(self, place: tuple[float, float], covariance: Covariance) -> PlaceEstimate:
+        return PlaceEstimate((place[0] - self._way[0], place[1] - self._way[1]), covariance)
 
     def _advance(self, nav: Nav) -> None:
         x, y, z, theta, psi = nav.eta
@@ -163,7 +163,7 @@ class Localizer:
         deeper = self._depth - state.position[2] - since * state.velocity[2]
         ranged_m = delivery.range_m
 
-        def fuse(own: Estimate) -> Fused | None:
+        def fuse(own: PlaceEstimate) -> Fused | None:
             """With the range from where the vehicle then was, if it is here now."""
             place = own.place[0] - back[0], own.place[1] - back[1]
             independent = method != "consistent"
@@ -171,7 +171,7 @@ class Localizer:
 
         if self.mirror is not None:
             self._compare(fuse, back)
-        found = fuse(Estimate(self._place, self._covariance))
+        found = fuse(PlaceEstimate(self._place, self._covariance))
         if found is None:
             return
         if found.nis > self._params.gate:
@@ -190,15 +190,15 @@ class Localizer:
                 self._without_way(self._navigator, self._own),
             )
 
-    def _compare(self, fuse: Callable[[Estimate], Fused | None], back: tuple[float, float]) -> None:
+    def _compare(self, fuse: Callable[[PlaceEstimate], Fused | None], back: tuple[float, float]) -> None:
         """Let a range judge between the place and its mirror image, and correct the latter."""
         mirror = self.mirror
         assert self._params is not None
         if mirror is None or mirror.other is None:
             return
         (n, e), covariance = mirror.other
-        found = fuse(Estimate(self._place, self._covariance))
-        image = fuse(Estimate((n + self._way[0], e + self._way[1]), covariance))
+        found = fuse(PlaceEstimate(self._place, self._covariance))
+        image = fuse(PlaceEstimate((n + self._way[0], e + self._way[1]), covariance))
         if found is None or image is None:
             return
         if mirror.judge(found.nis, image.nis):

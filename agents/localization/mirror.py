@@ -36,7 +36,7 @@ _SWAPPED = 3.0  # log odds, 20 to 1: then the likelier one is believed
 _SETTLED = 9.2  # log odds, 10 000 to 1
 
 
-class Estimate(NamedTuple):
+class PlaceEstimate(NamedTuple):
     """A place and how sure it is."""
 
     place: Place
@@ -47,7 +47,7 @@ class MirrorImage:
     """The mirror image of one estimate, as long as it is credible."""
 
     def __init__(self) -> None:
-        self.other: Estimate | None = None
+        self.other: PlaceEstimate | None = None
         self.odds = 0.0  # o, while there is another
         self._sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # of 1, n, e, nn, ne and ee of all s
         self._settled = False  # which of both it is
@@ -57,7 +57,7 @@ class MirrorImage:
         """That it is the mirror image; 0: there is none."""
         return 0.0 if self.other is None else 1.0 / (1.0 + exp(max(-700.0, min(700.0, self.odds))))
 
-    def seen(self, sender: Place, variance: float, own: Estimate, navigator: Estimate) -> None:
+    def seen(self, sender: Place, variance: float, own: PlaceEstimate, navigator: PlaceEstimate) -> None:
         """A range to a sender was used: the mirror image begins when the line is long enough, if it is credible.
 
         Args:
@@ -97,9 +97,9 @@ class MirrorImage:
     def grow(self, before: Covariance, after: Covariance) -> None:
         """It becomes as much less sure as the navigator did."""
         if self.other is not None:
-            self.other = Estimate(self.other.place, grown(self.other.covariance, before, after))
+            self.other = PlaceEstimate(self.other.place, grown(self.other.covariance, before, after))
 
-    def swap(self, own: Estimate) -> Estimate:
+    def swap(self, own: PlaceEstimate) -> PlaceEstimate:
         """Take `own` as the mirror image from now on; returns what was it until now."""
         assert self.other is not None
         before, self.other, self.odds = self.other, own, -self.odds
@@ -110,7 +110,7 @@ class MirrorImage:
         if self.other is not None and abs(self.odds) > _SETTLED:
             self.other, self._settled = None, True
 
-    def spread(self, own: Estimate) -> Covariance:
+    def spread(self, own: PlaceEstimate) -> Covariance:
         """The mean square error of `own`, with that it may be the wrong one of both."""
         nn, ne, ee = own.covariance
         if self.other is None:
@@ -130,10 +130,10 @@ class MirrorImage:
         other, self.odds, sums, self._settled = values
         count, n, e, nn, ne, ee = sums
         self._sums = count, n, e, nn, ne, ee
-        self.other = None if other is None else Estimate((other[0], other[1]), (other[2], other[3], other[4]))
+        self.other = None if other is None else PlaceEstimate((other[0], other[1]), (other[2], other[3], other[4]))
 
 
-def distance(place: Place, estimate: Estimate) -> float:
+def distance(place: Place, estimate: PlaceEstimate) -> float:
     """How far a place is from an estimate: the normalised square, chi-square with 2 degrees of freedom."""
     nn, ne, ee = estimate.covariance
     determinant = nn * ee - ne * ne
@@ -143,7 +143,7 @@ def distance(place: Place, estimate: Estimate) -> float:
     return (ee * dn * dn - 2.0 * ne * dn * de + nn * de * de) / determinant
 
 
-def _image(own: Estimate, on: Place, n: float, e: float, doubt: float) -> Estimate:
+def _image(own: PlaceEstimate, on: Place, n: float, e: float, doubt: float) -> PlaceEstimate:
     """The mirror image across the line through `on` along (n, e), on each axis less sure by so much [m^2]."""
     dn, de = own.place[0] - on[0], own.place[1] - on[1]
     along = 2.0 * (dn * n + de * e)
@@ -154,4 +154,4 @@ def _image(own: Estimate, on: Place, n: float, e: float, doubt: float) -> Estima
         a * b * nn + (a * d + b * b) * ne + b * d * ee,
         b * b * nn + 2.0 * b * d * ne + d * d * ee + doubt,
     )
-    return Estimate((on[0] + along * n - dn, on[1] + along * e - de), covariance)
+    return PlaceEstimate((on[0] + along * n - dn, on[1] + along * e - de), covariance)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from fleet.result.junit import Case
+    from fleet.result.junit import JUnitCase
     from fleet.result.result import Result
-    from fleet.study.failures import Failure
+    from fleet.study.failures import FoundFailure
     from fleet.study.regress import Regressed
     from fleet.study.search import Searched
     from fleet.study.store import Store
@@ -20,7 +20,7 @@ JUNIT = click.option("--junit", metavar="FILE", type=click.Path(path_type=Path, 
                      help="Write what came out as a JUnit file, too, for CI services.")  # fmt: skip
 
 
-def write(path: Path | None, suite: str, cases: Sequence[Case]) -> None:
+def write(path: Path | None, suite: str, cases: Sequence[JUnitCase]) -> None:
     """Write the file, if one was asked for. Raises FleetError: it cannot be written."""
     from fleet.result.junit import write_junit
 
@@ -28,24 +28,24 @@ def write(path: Path | None, suite: str, cases: Sequence[Case]) -> None:
         write_junit(path, suite, cases)
 
 
-def of_run(result: Result) -> list[Case]:
+def of_run(result: Result) -> list[JUnitCase]:
     """A case for each check, and one for a run that did not come to its end."""
-    from fleet.result.junit import Case
+    from fleet.result.junit import JUnitCase
 
     meant = result.passed  # a run that is meant to fail
     again = f"fleet run {result.scenario} --seed {result.seed}  # sha256 {result.digest[:16]}"
     cases = [
-        Case(one.check, "" if one.passed or meant else f"{one.asked}; found {one.found}", said=again)
+        JUnitCase(one.check, "" if one.passed or meant else f"{one.asked}; found {one.found}", said=again)
         for one in result.verdicts
     ]
     if result.reason:
-        cases.append(Case("run", error=result.reason, said=again))
+        cases.append(JUnitCase("run", error=result.reason, said=again))
     return cases
 
 
-def of_study(store: Store) -> list[Case]:
+def of_study(store: Store) -> list[JUnitCase]:
     """A case for each point; one of which a run failed has failed."""
-    from fleet.result.junit import Case
+    from fleet.result.junit import JUnitCase
     from fleet.study.summary import reached, summarise
 
     cases = []
@@ -54,30 +54,32 @@ def of_study(store: Store) -> list[Case]:
         failed = round(row.passed.runs * (1 - row.passed.value)) if row.passed.runs else 0
         failure = f"{failed} of {row.passed.runs} runs failed a check" if failed else ""
         error = "" if row.passed.runs else "no run has a result"
-        cases.append(Case(name, failure, error, f"fleet sweep {store.directory}"))
-    return [*cases, *(Case(one.name, "" if one.hits else one.words) for one in reached(store))]
+        cases.append(JUnitCase(name, failure, error, f"fleet sweep {store.directory}"))
+    return [*cases, *(JUnitCase(one.name, "" if one.hits else one.words) for one in reached(store))]
 
 
-def of_search(found: Searched, kept: Sequence[Failure], again: str) -> list[Case]:
+def of_search(found: Searched, kept: Sequence[FoundFailure], again: str) -> list[JUnitCase]:
     """A case for each kind of failure, or one that has passed; and one for each check that some run must reach."""
-    from fleet.result.junit import Case
+    from fleet.result.junit import JUnitCase
 
     lines = {failure.check: failure.paste for failure in kept}
-    cases = [Case(check, f"seed {seed} fails it", said=lines.get(check, again)) for check, seed in found.kinds.items()]
+    cases = [
+        JUnitCase(check, f"seed {seed} fails it", said=lines.get(check, again)) for check, seed in found.kinds.items()
+    ]
     if not found.runs:
-        cases.append(Case(found.name, error=found.reason or "no run came to its end"))
+        cases.append(JUnitCase(found.name, error=found.reason or "no run came to its end"))
     return [
-        *(cases or [Case(f"{found.name}: {found.runs} runs")]),
-        *(Case(one.name, "" if one.hits else one.words) for one in found.reached),
+        *(cases or [JUnitCase(f"{found.name}: {found.runs} runs")]),
+        *(JUnitCase(one.name, "" if one.hits else one.words) for one in found.reached),
     ]
 
 
-def of_regress(found: Sequence[Regressed]) -> list[Case]:
+def of_regress(found: Sequence[Regressed]) -> list[JUnitCase]:
     """A case for each scenario of a folder."""
-    from fleet.result.junit import Case
+    from fleet.result.junit import JUnitCase
 
     return [
-        Case(
+        JUnitCase(
             one.failure.file,
             "" if one.same or one.broken else f"expected {one.failure.expected} of {one.failure.check}, {one.got}",
             one.got if one.broken else "",

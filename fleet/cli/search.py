@@ -22,7 +22,7 @@ from fleet.terminal.folding import say
 if TYPE_CHECKING:
     from fleet.scenario.scenario import Scenario
     from fleet.scenario.text.overrides import Override
-    from fleet.study.failures import Failure
+    from fleet.study.failures import FoundFailure
     from fleet.study.modules import Modules
     from fleet.study.search import Searched
     from fleet.study.shrink import Shrunk
@@ -88,7 +88,7 @@ def search(
     """
     from fleet.cli.study_output import showing
     from fleet.study.errors import StudyError
-    from fleet.study.failures import Failure, FailureFolder
+    from fleet.study.failures import FailureFolder, FoundFailure
     from fleet.study.guided import GuidedSearch
     from fleet.study.local_engine import engine_of
     from fleet.study.regress import make_least
@@ -106,7 +106,7 @@ def search(
     folder = None if keep is None else FailureFolder(keep)
     path = keep or place_of(tried, out, force=force)
     most_runs, budget_s = budget
-    least, kept = None, list[Failure]()
+    least, kept = None, list[FoundFailure]()
     with showing(pieces) as tell, engine_of(workers, scheduler) as engine:
         modules = engine.carry(modules)
         told = partial(tell, "fault lists" if guide else "seeds")
@@ -150,7 +150,7 @@ def _tried(name: str, changes: list[str | Override], trust: Trust, mode: Nemesis
 
 
 def _print(
-    found: Searched, least: Shrunk | None, check: str | None, path: Path, kept: list[Failure], *, as_json: bool
+    found: Searched, least: Shrunk | None, check: str | None, path: Path, kept: list[FoundFailure], *, as_json: bool
 ) -> None:
     """What the search came to."""
     if as_json:

@@ -18,7 +18,7 @@ _NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class JUnitCase:
     """One test case.
 
     Attributes:
@@ -35,7 +35,7 @@ class Case:
     wall_s: float = 0.0
 
 
-def junit_text(suite: str, cases: Sequence[Case]) -> bytes:
+def junit_text(suite: str, cases: Sequence[JUnitCase]) -> bytes:
     """A JUnit document of one suite."""
     counts = {"tests": len(cases), "failures": sum(bool(case.failure) for case in cases),
               "errors": sum(bool(case.error) for case in cases), "skipped": 0}  # fmt: skip
@@ -55,7 +55,7 @@ def junit_text(suite: str, cases: Sequence[Case]) -> bytes:
     return b'<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root, encoding="unicode").encode() + b"\n"
 
 
-def write_junit(path: Path, suite: str, cases: Sequence[Case]) -> None:
+def write_junit(path: Path, suite: str, cases: Sequence[JUnitCase]) -> None:
     """Write a JUnit file; it is there as a whole or not at all. Raises FleetError."""
     try:
         write_whole(path, junit_text(suite, cases), 0o644)

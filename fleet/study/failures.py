@@ -32,7 +32,7 @@ _S = TypeVar("_S", bound=Struct)
 FileName = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,200}\.yaml$")]
 
 
-class Failure(Struct, kw_only=True):
+class FoundFailure(Struct, kw_only=True):
     """One scenario of the folder, and what is expected of it."""
 
     file: FileName
@@ -49,10 +49,10 @@ class Failure(Struct, kw_only=True):
 
 class _Index(Struct):
     format: int
-    failures: Annotated[list[Failure], Meta(max_length=_MOST_FAILURES)]
+    failures: Annotated[list[FoundFailure], Meta(max_length=_MOST_FAILURES)]
 
 
-class Tried(Struct, kw_only=True):
+class SearchProgress(Struct, kw_only=True):
     """How far a search is: all seeds from the first one on, up to but without the next one, were run."""
 
     format: int = FORMAT
@@ -72,16 +72,16 @@ class FailureFolder:
     def __init__(self, path: Path) -> None:
         self.path = path
 
-    def failures(self) -> list[Failure]:
+    def failures(self) -> list[FoundFailure]:
         """What the folder says of its scenarios. Raises StudyError: it is damaged."""
         index = self._read(self.path / INDEX, _Index)
         return [] if index is None else index.failures
 
-    def of(self, scenario: Scenario) -> list[Failure]:
+    def of(self, scenario: Scenario) -> list[FoundFailure]:
         """What the search of a scenario has put there. Raises StudyError: it is damaged."""
         return [one for one in self.failures() if one.file == file_of(scenario, one.check)]
 
-    def add(self, failure: Failure, scenario: Scenario) -> Failure:
+    def add(self, failure: FoundFailure, scenario: Scenario) -> FoundFailure:
         """Write a scenario and what is expected of it, in place of what was there of this name.
 
         Raises:
@@ -93,7 +93,7 @@ class FailureFolder:
         self.update([*(one for one in self.failures() if one.file != failure.file), failure])
         return failure
 
-    def load(self, failure: Failure, policy: Policy) -> Scenario:
+    def load(self, failure: FoundFailure, policy: Policy) -> Scenario:
         """One of its scenarios.
 
         Raises:
@@ -109,12 +109,12 @@ class FailureFolder:
             raise StudyError(f"{path} is not UTF-8 text") from None
         return parse_scenario(text, str(path), [f"seed={failure.seed}"], self.path, policy)
 
-    def update(self, failures: list[Failure]) -> None:
+    def update(self, failures: list[FoundFailure]) -> None:
         """Write what is expected. Raises StudyError."""
         index = _Index(FORMAT, sorted(failures, key=lambda one: one.file))
         self._write(self.path / INDEX, msgspec.json.format(msgspec.json.encode(index), indent=1) + b"\n")
 
-    def tried(self, scenario: Scenario, key: str) -> Tried:
+    def tried(self, scenario: Scenario, key: str) -> SearchProgress:
         """How far the search of a scenario is.
 
         Args:
@@ -124,14 +124,14 @@ class FailureFolder:
             StudyError: it is damaged, or was made of another scenario of this name.
         """
         path = self._progress(scenario)
-        tried = self._read(path, Tried)
+        tried = self._read(path, SearchProgress)
         if tried is None:
-            return Tried(key=key, first_seed=scenario.seed, next_seed=scenario.seed)
+            return SearchProgress(key=key, first_seed=scenario.seed, next_seed=scenario.seed)
         if tried.key != key:
             raise StudyError(f"{path} is of another {scenario.name}: choose another folder, or remove that file")
         return tried
 
-    def save(self, scenario: Scenario, tried: Tried) -> None:
+    def save(self, scenario: Scenario, tried: SearchProgress) -> None:
         """Write how far a search is. Raises StudyError."""
         self._write(self._progress(scenario), msgspec.json.encode(tried))
 

@@ -37,7 +37,7 @@ _KEPT = 10  # lists of a check, and of those that are new
 _TRIES = 8  # to make a list that is a valid scenario
 
 
-class Tried(NamedTuple):
+class ChangedRun(NamedTuple):
     """A run that was made."""
 
     tree: Tree
@@ -50,12 +50,12 @@ class Corpus:
     """What is worth changing."""
 
     check: str | None  # which must fail; None: any
-    nearest: dict[str, list[Tried]] = field(default_factory=dict)  # by check, the smallest margin first
-    novel: deque[Tried] = field(default_factory=lambda: deque(maxlen=_KEPT))
+    nearest: dict[str, list[ChangedRun]] = field(default_factory=dict)  # by check, the smallest margin first
+    novel: deque[ChangedRun] = field(default_factory=lambda: deque(maxlen=_KEPT))
     seen: set[int] = field(default_factory=set)
     spread: dict[str, set[float]] = field(default_factory=dict)  # margins of a check: one alone tells nothing
 
-    def take(self, tried: Tried, features: list[int]) -> None:
+    def take(self, tried: ChangedRun, features: list[int]) -> None:
         """Keep a run if it is near to failing, or new."""
         if not self.seen.issuperset(features):
             self.seen.update(features)
@@ -69,11 +69,11 @@ class Corpus:
             near.sort(key=lambda one: one.margins[check][0])  # stable: of equal ones the first
             del near[_KEPT:]
 
-    def choose(self, draws: Draws) -> tuple[Tried, float | None]:
+    def choose(self, draws: Draws) -> tuple[ChangedRun, float | None]:
         """A run to change, and when it was nearest to failing [s]; None: that is not known."""
         told = sorted(check for check, margins in self.spread.items() if len(margins) > 1)
         if self.novel and (not told or draws.share() < _NOVEL):
-            tried: Tried = draws.one(self.novel)
+            tried: ChangedRun = draws.one(self.novel)
             near = [tried.margins[check] for check in told if check in tried.margins]
             return tried, min(near)[1] if near else None
         check = draws.one(told)
@@ -195,10 +195,10 @@ class GuidedSearch:
     def _drawn(self, tree: Tree) -> list[Fault]:
         return list((tree.get("faults") or [])[self._own :])
 
-    def _tried(self, tree: Tree, row: Row) -> Tried:
+    def _tried(self, tree: Tree, row: Row) -> ChangedRun:
         margins: dict[str, tuple[float, float | None]] = {}
         for name, value in row.items():
             if name.startswith("margin.") and isfinite(value):
                 check = name.removeprefix("margin.")
                 margins[check] = value, row.get(f"at.{check}")
-        return Tried(tree, self._drawn(tree), margins)
+        return ChangedRun(tree, self._drawn(tree), margins)

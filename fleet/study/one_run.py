@@ -29,7 +29,7 @@ from fleet.study.branches import Branch, run_branch
 from fleet.study.errors import StudyError
 from fleet.study.measures import MEASURES
 from fleet.study.modules import NO_MODULES, Modules, folder_of
-from fleet.study.seen import Seen
+from fleet.study.seen import SeenStates
 from fleet.study.signal_measures import Samples
 from fleet.study.sometimes import column_of
 from world.plugins.trust import Trust
@@ -113,7 +113,7 @@ def _made(task: Task) -> dict[str, Any]:
             return run_branch(scenario, task.branch, check)
         samples = Samples(scenario, task.signals)
         if task.seen:
-            return _seen(scenario, check if isfinite(task.timeout_s) else None, Seen(scenario, samples))
+            return _seen(scenario, check if isfinite(task.timeout_s) else None, SeenStates(scenario, samples))
         if task.log:
             result = recorded(scenario, Path(task.log), check, samples)
         else:
@@ -123,7 +123,7 @@ def _made(task: Task) -> dict[str, Any]:
         return _failed(error)
 
 
-def _seen(scenario: Scenario, check: Callable[[float], None] | None, seen: Seen) -> dict[str, Any]:
+def _seen(scenario: Scenario, check: Callable[[float], None] | None, seen: SeenStates) -> dict[str, Any]:
     """The row of a run, with what it went through, and when each margin was least [s]."""
     result = judged(scenario, check, seen)
     row = _measured(result) | {"seen": seen.features()}

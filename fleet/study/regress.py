@@ -12,7 +12,7 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import READING, Policy
 from fleet.study.engine import Engine, Row
 from fleet.study.errors import StudyError
-from fleet.study.failures import Failure, FailureFolder
+from fleet.study.failures import FailureFolder, FoundFailure
 from fleet.study.modules import Modules, modules_of
 from fleet.study.one_run import A_STUDY, JUDGED, Task, failed_checks
 from fleet.study.plan import run_key
@@ -32,7 +32,7 @@ class Regressed:
         wall_s: of the run [s].
     """
 
-    failure: Failure
+    failure: FoundFailure
     got: str
     same: bool
     broken: bool
@@ -93,7 +93,7 @@ class Regression:
         return len(changed)
 
 
-def _compared(failure: Failure, row: Row) -> Regressed:
+def _compared(failure: FoundFailure, row: Row) -> Regressed:
     wall_s = float(row.get("wall_s") or 0.0)
     if row["status"] not in JUDGED:
         return Regressed(failure, f"no result: {row['reason']}", False, True, False, wall_s)
@@ -112,7 +112,7 @@ def make_least(
     tell: Callable[[str, int], None],
     modules: Modules,
     most_runs: int,
-) -> list[Failure]:
+) -> list[FoundFailure]:
     """Make the failures of a scenario that are not the least ones yet as small as they can be; returns these.
 
     Args:
@@ -129,7 +129,7 @@ def make_least(
             continue
         first = folder.load(failure, READING)  # workers import its laws, as they did when it was found
         found = Shrinker(first, engine, tell, modules).shrink(failure.check, most_runs)
-        least = Failure(file=failure.file, check=failure.check, seed=found.scenario.seed, digest=found.digest,
+        least = FoundFailure(file=failure.file, check=failure.check, seed=found.scenario.seed, digest=found.digest,
                         found=found.found[1], from_seed=failure.from_seed, least=True,
                         version=version("uuv-fleet"))  # fmt: skip
         done.append(folder.add(least, found.scenario))

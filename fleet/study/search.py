@@ -18,7 +18,7 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.overrides import SET, Override
 from fleet.study.engine import Engine, Row
 from fleet.study.errors import StudyError
-from fleet.study.failures import Failure, FailureFolder, Tried, file_of
+from fleet.study.failures import FailureFolder, FoundFailure, SearchProgress, file_of
 from fleet.study.modules import NO_MODULES, Modules
 from fleet.study.one_run import JUDGED, Task, failed_checks, scenario_of
 from fleet.study.plan import run_key
@@ -172,7 +172,7 @@ class _Search:
         reached = {one.name: (one.runs, one.hits, one.seed) for one in found.reached}
         self._keep.save(
             self._scenario,
-            Tried(key=self._key, first_seed=found.first_seed, next_seed=self.next_seed, runs=found.runs,
+            SearchProgress(key=self._key, first_seed=found.first_seed, next_seed=self.next_seed, runs=found.runs,
                   without=found.without, reason=found.reason, kinds=found.kinds, reached=reached),
         )  # fmt: skip
         self._saved = time.monotonic()
@@ -218,7 +218,7 @@ class _Search:
                 if all(one.file != file for one in self._keep.failures()):
                     value = row.get(f"value.{check}")
                     self._keep.add(
-                        Failure(file=file, check=check, seed=seed, digest=row["digest"], from_seed=seed,
+                        FoundFailure(file=file, check=check, seed=seed, digest=row["digest"], from_seed=seed,
                                 found="" if value is None else f"{value:.4g}", version=row["version"]),
                         scenario,
                     )  # fmt: skip

@@ -19,7 +19,7 @@ MOST = 4096  # of one run
 _LARGEST = 1e9
 
 
-class Seen:
+class SeenStates:
     """Watches a run for what it goes through."""
 
     def __init__(self, scenario: Scenario, watcher: Watcher) -> None:

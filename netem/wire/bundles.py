@@ -8,14 +8,14 @@ from netem.errors import MalformedMessage
 from netem.wire.access import Members, host_role
 from netem.wire.bus import Bus
 from netem.wire.codec import encode
-from netem.wire.host_messages import Bundle, Part
+from netem.wire.host_messages import Bundle, BundlePart
 from netem.wire.keys import Keys
 from netem.wire.parts import PART_BYTES, split
 
 _PART_BYTES = 12  # of a part, besides its message
 
 
-def bundles(parts: Sequence[Part]) -> Iterator[bytes]:
+def bundles(parts: Sequence[BundlePart]) -> Iterator[bytes]:
     """Encoded bundles of parts in their order, each of which the transport can carry."""
     for some, _ in split(parts, _size, PART_BYTES):
         yield encode(Bundle(tuple(some)))
@@ -59,9 +59,9 @@ class Hosts:
 
     def put(self, h: int, messages: Iterable[tuple[int, bytes]]) -> None:
         """Send messages to agents on host h."""
-        for data in bundles([Part(i, message) for i, message in messages]):
+        for data in bundles([BundlePart(i, message) for i, message in messages]):
             self._puts[h](data)
 
 
-def _size(part: Part) -> int:
+def _size(part: BundlePart) -> int:
     return _PART_BYTES + len(part.message)

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 from netem.wire.declaring import Route, Uint, WireRecord, about
 
 
-class Part(WireRecord, frozen=True):
+class BundlePart(WireRecord, frozen=True):
     """A message of, or for, one of several agents that share a process."""
 
     vehicle: Annotated[Uint, about("vehicle number")]
@@ -21,7 +21,7 @@ class Bundle(WireRecord, frozen=True, tag="bundle"):
         "host/{h}, cmd/host-{h}, tx/host-{h}", "world and netem, host h", "host h, world, netem"
     )
 
-    parts: Annotated[tuple[Part, ...], about("those of one agent in their order")]
+    parts: Annotated[tuple[BundlePart, ...], about("those of one agent in their order")]
 
 
 class Ended(WireRecord, frozen=True, tag="ended"):

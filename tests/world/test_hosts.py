@@ -12,7 +12,7 @@ from fleet.scenario.loading import load_scenario
 from netem.process import NetemProcess
 from netem.rounds import Rounds
 from netem.wire.codec import decode, encode
-from netem.wire.host_messages import Bundle, Part
+from netem.wire.host_messages import Bundle, BundlePart
 from netem.wire.keys import Keys
 from netem.wire.messages import Command, Grant, Inbox, Nav, Note, Round, Transmission
 from world.lockstep import Lockstep
@@ -39,7 +39,7 @@ def test_the_world_asks_a_host_in_one_message_and_takes_what_its_own_agents_say(
     bus = Nowhere()
     run = Lockstep(SCENARIO.world_config)
     process = WorldProcess(bus, KEYS, run, members=MEMBERS)  # type: ignore[arg-type]
-    parts = tuple(Part(i, encode(COMMAND)) for i in (1, 3, 2))
+    parts = tuple(BundlePart(i, encode(COMMAND)) for i in (1, 3, 2))
     bus.queue += [(KEYS.grant, encode(Grant(1))), (KEYS.cmd("host-1"), encode(Bundle(parts)))]
     serve(process)
     assert said(bus, Nav, KEYS.host(1)) == [1, 2]
@@ -63,10 +63,10 @@ def test_netem_answers_a_host_in_one_message(monkeypatch: pytest.MonkeyPatch) ->
     network = NetemProcess(bus, KEYS, config, Rounds(config), MEMBERS)  # type: ignore[arg-type]
     nothing = encode(Transmission(0, 0, ()))
     bus.queue += [
-        (KEYS.tx("host-1"), encode(Bundle((Part(4, nothing), Part(1, nothing), Part(2, nothing))))),
+        (KEYS.tx("host-1"), encode(Bundle((BundlePart(4, nothing), BundlePart(1, nothing), BundlePart(2, nothing))))),
         (KEYS.tx(4), nothing),
         *rounds,
-        (KEYS.tx("host-2"), encode(Bundle((Part(3, nothing),)))),
+        (KEYS.tx("host-2"), encode(Bundle((BundlePart(3, nothing),)))),
     ]
     serve(network)
     assert [said(bus, Inbox, KEYS.host(h)) for h in (1, 2)] == [[1, 2], [3]]

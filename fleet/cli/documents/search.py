@@ -12,7 +12,7 @@ from msgspec.structs import astuple
 from fleet.cli.documents.study import Less, SometimesReached, less
 
 if TYPE_CHECKING:
-    from fleet.study.failures import Failure
+    from fleet.study.failures import FoundFailure
     from fleet.study.regress import Regressed
     from fleet.study.search import Searched
     from fleet.study.shrink import Shrunk
@@ -51,7 +51,7 @@ class FirstFailing(Struct):
     kept: Annotated[list[KeptFailure], Meta(description="With --keep: what the folder has of this scenario.")]
 
 
-def first_failing(found: Searched, shrunk: Shrunk | None, file: Path, kept: Sequence[Failure]) -> FirstFailing:
+def first_failing(found: Searched, shrunk: Shrunk | None, file: Path, kept: Sequence[FoundFailure]) -> FirstFailing:
     """The document of a search, and of what was made of the run that it found."""
     least = None if shrunk is None or found.scenario is None else Least(*astuple(less(shrunk, found.scenario, file)))
     return FirstFailing(
@@ -84,5 +84,5 @@ def regressed(folder: Path, found: Sequence[Regressed]) -> RegressedFolder:
     return RegressedFolder(str(folder), all(one.same for one in found), rows)
 
 
-def _kept(one: Failure) -> KeptFailure:
+def _kept(one: FoundFailure) -> KeptFailure:
     return KeptFailure(one.file, one.check, one.expected, one.seed, one.digest, one.paste)

@@ -12,7 +12,7 @@ from study_engine import Here, Rows
 
 from fleet.execution.judged import judged, run
 from fleet.study.errors import StudyError
-from fleet.study.failures import INDEX, Failure, FailureFolder
+from fleet.study.failures import INDEX, FailureFolder, FoundFailure
 from fleet.study.modules import NO_MODULES
 from fleet.study.one_run import Task
 from fleet.study.regress import Regression, make_least
@@ -115,6 +115,6 @@ def test_a_search_of_another_scenario_is_not_gone_on_with(tmp_path: Path) -> Non
     with pytest.raises(StudyError, match="is of another small"):
         folder.tried(small(), "two")
     assert (
-        msgspec.json.decode(msgspec.json.encode(Failure(file="a.yaml", check="c", seed=1, digest="d")))["expected"]
+        msgspec.json.decode(msgspec.json.encode(FoundFailure(file="a.yaml", check="c", seed=1, digest="d")))["expected"]
         == "fail"
     )

@@ -13,7 +13,7 @@ from study_engine import Here
 from fleet.execution.judged import judged
 from fleet.scenario.loading import parse_scenario
 from fleet.study.errors import StudyError
-from fleet.study.guided import Corpus, GuidedSearch, Tried
+from fleet.study.guided import ChangedRun, Corpus, GuidedSearch
 from fleet.study.moves import MOST_FAULTS, Draws, Mutator, end_of
 from fleet.study.search import Searched
 from fleet.study.shrink import tree_of
@@ -67,7 +67,7 @@ def test_moves_make_scenarios(seed: int, of: int) -> None:
 def test_the_corpus_keeps_what_is_near_and_what_is_new() -> None:
     corpus = Corpus(None)
     for n in range(20):
-        corpus.take(Tried({"n": n}, [], {"near": (20.0 - n, 1.0), "same": (0.0, None)}), [n // 10])
+        corpus.take(ChangedRun({"n": n}, [], {"near": (20.0 - n, 1.0), "same": (0.0, None)}), [n // 10])
     assert [tried.tree["n"] for tried in corpus.nearest["near"]] == list(range(19, 9, -1))
     assert [tried.tree["n"] for tried in corpus.novel] == [0, 10]
     chosen = {corpus.choose(Draws(1, key))[0].tree["n"] for key in range(50)}

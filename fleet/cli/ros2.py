@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fleet.cli import completion
 from fleet.cli.group import exit_status
-from fleet.cli.log_argument import RUNS
 from fleet.cli.sessions import ending
+from fleet.cli.shown_argument import SHOWN, find_shown
 from fleet.cli.types import EndpointText, Whole
 from fleet.errors import FleetError
 
@@ -31,11 +30,7 @@ NODE = "uuv_fleet"
 
 
 @click.command(epilog=EPILOG)
-@click.argument(
-    "what", metavar="[RUN|LOG]", required=False, shell_complete=completion.published_runs,
-    help="A live run that was started with --publish (its name, its scenario or its directory), an MCAP file or the "
-    "directory of a run; by default the live run that began last, or else the newest run below runs.",
-)  # fmt: skip
+@SHOWN
 @click.option("--domain", metavar="N", type=Whole(0, 232), help="Domain of ROS; by default ROS_DOMAIN_ID, or 0.")
 @click.option("--distro", type=click.Choice(("humble", "jazzy", "kilted")), default="jazzy", show_default=True,
               help="Distribution of ROS whose types nodes have.")  # fmt: skip
@@ -79,18 +74,14 @@ def ros2(
     from rich.console import Console as Terminal
 
     from fleet.terminal.status_line import StatusLine
-    from fleet.view.source import LiveSource, LogSource, find_source
+    from fleet.view.source import LiveSource
 
     if interfaces is not None:
         _write_interfaces(interfaces)
         return
     if connect and listen:
         raise click.UsageError("either --connect or --listen")
-    source = find_source(what, RUNS)
-    if isinstance(source, LogSource) and control:
-        raise click.UsageError("--control is about a live run: a log cannot be disturbed any more")
-    if isinstance(source, LiveSource) and (rate is not None or loop):
-        raise click.UsageError("--rate and --loop are about logs; the pace of a live run: fleet clock speed")
+    source = find_shown(what, rate, control=control, loop=loop)
     with StatusLine(Terminal(stderr=True), quiet=quiet) as line:
 
         def open_bridge(translation: Translation, sessions: list[object]) -> RosBridge:

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fleet.cli import completion
-from fleet.cli.log_argument import RUNS
+from fleet.cli.shown_argument import SHOWN, find_shown
 from fleet.cli.types import Whole
 
 if TYPE_CHECKING:
@@ -21,11 +20,7 @@ EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or no port
 
 
 @click.command(epilog=EPILOG)
-@click.argument(
-    "what", metavar="[RUN|LOG]", required=False, shell_complete=completion.published_runs,
-    help="A live run that was started with --publish (its name, its scenario or its directory), an MCAP file or the "
-    "directory of a run; by default the live run that began last, or else the newest run below runs.",
-)  # fmt: skip
+@SHOWN
 @click.option("--foxglove", is_flag=True, help="Serve Foxglove and Lichtblick; needs uuv-fleet[foxglove].")
 @click.option("--host", metavar="ADDRESS", default="127.0.0.1", show_default=True, help="Listen there.")
 @click.option(
@@ -67,13 +62,9 @@ def view(
       fleet view --foxglove --control         the same, and a service call cuts a link
       fleet view --foxglove runs/latest       a log: play, pause, seek
     """
-    from fleet.view.source import LiveSource, LogSource, find_source
+    from fleet.view.source import LiveSource
 
-    source = find_source(what, RUNS)
-    if isinstance(source, LogSource) and control:
-        raise click.UsageError("--control is about a live run: a log cannot be disturbed any more")
-    if isinstance(source, LiveSource) and (rate is not None or loop):
-        raise click.UsageError("--rate and --loop are about logs; the pace of a live run: fleet clock speed")
+    source = find_shown(what, rate, control=control is True, loop=loop)
     if isinstance(source, LiveSource) and control:
         source.controlled()
     rate = 1.0 if rate is None else rate

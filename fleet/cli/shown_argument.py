@@ -1,0 +1,40 @@
+"""The argument RUN|LOG of commands that show either, and what their options have to do with which."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import click
+
+from fleet.cli import completion
+from fleet.cli.log_argument import RUNS
+
+if TYPE_CHECKING:
+    from fleet.view.source import LiveSource, LogSource
+
+SHOWN = click.argument(
+    "what", metavar="[RUN|LOG]", required=False, shell_complete=completion.published_runs,
+    help="A live run that was started with --publish (its name, its scenario or its directory), an MCAP file or the "
+    "directory of a run; by default the live run that began last, or else the newest run below runs.",
+)  # fmt: skip
+
+
+def find_shown(what: str | None, rate: float | None, *, control: bool, loop: bool) -> LiveSource | LogSource:
+    """What is to be shown.
+
+    Args:
+        what: as the argument `SHOWN` gives it.
+        rate, control, loop: the options of these names; a log cannot be disturbed, and a live run has its own pace.
+
+    Raises:
+        click.UsageError: an option is for the other kind.
+        FleetError: there is none, or the run is not published.
+    """
+    from fleet.view.source import LiveSource, LogSource, find_source
+
+    source = find_source(what, RUNS)
+    if isinstance(source, LogSource) and control:
+        raise click.UsageError("--control is about a live run: a log cannot be disturbed any more")
+    if isinstance(source, LiveSource) and (rate is not None or loop):
+        raise click.UsageError("--rate and --loop are about logs; the pace of a live run: fleet clock speed")
+    return source

@@ -62,8 +62,7 @@ class PrivateFolder:
 
 
 def runtime_place() -> Path | None:
-    """The folder that the system gives this user until logout; None if there is none, or if it belongs to another user.
-    """
+    """The folder that the system gives this user until logout; None if there is none, or if another user owns it."""
     given = os.environ.get("XDG_RUNTIME_DIR", "")
     usable = Path(given).is_absolute() and Path(given).is_dir() and os.access(given, os.W_OK | os.X_OK)
     return Path(given) if usable else None

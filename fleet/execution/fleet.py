@@ -12,7 +12,7 @@ from netem.wire.messages import Death, Restart, WorldFault
 
 
 class Fleet(Protocol):
-    """What can be asked of a running fleet, and done to it, on the console's main thread; `Console` is one."""
+    """A running fleet, as requests on the console's main thread see and change it; `Console` is one."""
 
     @property
     def begun(self) -> bool:
@@ -24,7 +24,7 @@ class Fleet(Protocol):
 
     @property
     def waiting(self) -> str:
-        """Who waits for whom while nothing moves, in words; empty: the run moves."""
+        """If nothing moves: who waits for whom, in words; empty: the run moves."""
 
     def ask(self, role: str, op: str, **fields: Any) -> dict[str, Any]:
         """The answer of world or netem to an operation; empty: no answer in time."""
@@ -42,7 +42,7 @@ class Fleet(Protocol):
         """Notify the world that an agent ended or begins again."""
 
     def computing(self, role: str) -> int:
-        """The vehicle whose agent a host computes, or did when it ended; 0: none, or it is no host."""
+        """The vehicle whose agent a host computes, or computed when it ended. 0: no vehicle, or not a host."""
 
     def start_agent(self, i: int, incarnation: int, begin: int) -> None:
         """Start the next life of vehicle i's agent, from tick `begin` on."""

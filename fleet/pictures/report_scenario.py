@@ -51,7 +51,7 @@ def conditions_table(scenario: Scenario) -> Table:
 
 
 def _condition(shown: Any) -> str:
-    """The condition of links in words: one condition, states, or a trace (without its values, which would be too long)."""
+    """The condition of links in words: one condition, states, or a trace (without its values, which are too many)."""
     if isinstance(shown, str):
         return shown
     states = [f"{name} (mean {state['mean']}): {state['condition']}" for name, state in shown.get("states", {}).items()]

@@ -97,7 +97,7 @@ class AllVisited:
         return self._late() or f"all {self._count} places, the last at {self._last:g} s"
 
     def margin(self) -> Margin:
-        """The time by which the last place could have been visited later.
+        """The time that was left when the last place was visited.
 
         If a place was not visited, all we know is that it is below 0.
         """

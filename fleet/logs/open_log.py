@@ -169,8 +169,7 @@ class Log:
     def digest(self) -> str:
         """SHA-256 over the ordered messages of the file, in hexadecimal, as `fleet run` prints it.
 
-        It covers all topics, including those that were not opened. For a damaged file it covers the part before the
-        damage.
+        It covers all topics, also unopened ones. For a damaged file it covers the part before the damage.
         """
         return digest(self.path)
 
@@ -185,10 +184,7 @@ class Log:
 
     @property
     def events(self) -> list[FaultInterval]:
-        """The intervals in which vehicles were tumbled or diverged, in the order of their beginnings.
-
-        Raises LogReadError as `faults`.
-        """
+        """When vehicles were tumbled or diverged, in the order of the beginnings. Raises LogReadError as `faults`."""
         return [interval for interval in self._intervals if not is_fault(interval.what)]
 
     @cached_property

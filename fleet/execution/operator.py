@@ -17,7 +17,7 @@ from msgspec.structs import asdict
 from fleet.analysis.verdicts import standing
 from fleet.execution.clock import LiveClock
 from fleet.execution.fault_request import BROKEN, RefusedError, checked_fault
-from fleet.execution.fleet import Fleet
+from fleet.execution.fleet import Disturbed
 from fleet.execution.live_status import event_rows, link_rows, vehicle_rows
 from fleet.recorder.journal import Journal
 from fleet.scenario.scenario import Scenario
@@ -39,7 +39,7 @@ class Operator:
     scenario: Scenario
     journal: Journal
     clock: LiveClock
-    fleet: Fleet
+    fleet: Disturbed
     stopping: bool = False  # the operator asked for the end of the run
     faults: list[Part] = field(default_factory=list)  # scripted and injected
     _words: dict[str, str] = field(default_factory=dict)

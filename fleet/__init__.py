@@ -11,6 +11,8 @@ from fleet.cores import hidden_cores
 
 if TYPE_CHECKING:
     from fleet.execution.judged import run as run
+    from fleet.execution.judged import stepping as stepping
+    from fleet.execution.stepped_run import SteppedRun as SteppedRun
     from fleet.logs.open_log import Log as Log
     from fleet.logs.open_log import open_log as open_log
     from fleet.result.result import Result as Result
@@ -23,6 +25,8 @@ if TYPE_CHECKING:
 _OFFERED = {
     "Result": "fleet.result.result",
     "run": "fleet.execution.judged",
+    "SteppedRun": "fleet.execution.stepped_run",
+    "stepping": "fleet.execution.judged",
     "Log": "fleet.logs.open_log",
     "open_log": "fleet.logs.open_log",
     "Boundary": "fleet.study.boundary",
@@ -31,7 +35,19 @@ _OFFERED = {
     "open_study": "fleet.study.study",
     "sweep": "fleet.study.study",
 }
-__all__ = ["Boundary", "Log", "Result", "Study", "boundary", "open_log", "open_study", "run", "sweep"]
+__all__ = [
+    "Boundary",
+    "Log",
+    "Result",
+    "SteppedRun",
+    "Study",
+    "boundary",
+    "open_log",
+    "open_study",
+    "run",
+    "stepping",
+    "sweep",
+]
 
 
 def __dir__() -> list[str]:

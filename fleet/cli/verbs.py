@@ -1,4 +1,4 @@
-"""The commands of `fleet`: in which group of the help each stands, and which module holds it.
+"""The commands of `fleet`: the group of each in the help, and the module that holds it.
 
 `fleet --help` is written from this table, so it imports no command, and a command imports no other one.
 """

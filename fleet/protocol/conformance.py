@@ -1,8 +1,9 @@
 """`fleet protocol check`: world, netem and console in one, against an agent of another make.
 
-It writes a join file, waits for the agent, and plays a canned exchange: the handshake, ticks and round ticks, an inbox
-that comes late and in parts, messages that are malformed or meant for an earlier life, a gap, the end. Every message of
-the agent is judged. The vehicle does not move; what the agent commands is not judged, only when and in what form.
+It writes a join file, waits for the agent, and plays a canned exchange. That has the handshake, ticks and round ticks,
+an inbox that comes late and in parts, messages that are malformed or meant for an earlier life, a gap, and the end.
+Every message of the agent is judged. The vehicle does not move; what the agent commands is not judged, only when and in
+what form.
 """
 
 from __future__ import annotations

@@ -267,7 +267,7 @@ def test_run_in_which_an_agent_dies(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         poll(self)
 
     monkeypatch.setattr(Supervisor, "poll", killing)
-    result = invoke("run", "paper", "--duration", "10 min", *NO_CHECKS, "--out", tmp_path, "--json", "-q")
+    result = invoke("run", "paper", "--duration", "10 s", *NO_CHECKS, "--out", tmp_path, "--json", "-q")
     found = printed(Result, result)
     assert (result.exit_code, found.exit) == (1, 1), (found.reason, result.stderr)
     assert found.deaths == {"3": ["was killed by SIGKILL"]}

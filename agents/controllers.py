@@ -105,7 +105,7 @@ def laws(config: LawChoice) -> dict[str, Law]:
 
 
 def layout(config: LawChoice) -> SignalLayout:
-    """What an agent with these laws reports.
+    """The values that an agent with these laws reports.
 
     Raises:
         PluginError: one of its laws cannot be used.

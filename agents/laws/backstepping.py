@@ -46,7 +46,7 @@ _COMMON = frozenset(
 
 
 class _Backstepping:
-    """What the flavours share; each has its own `_act`, and its own signals between errors and demand."""
+    """The common part of both flavours. Each has its own `_act`, and its own signals between errors and demand."""
 
     __slots__ = ("_exact", "_filters", "_m", "_params")
 

@@ -12,8 +12,9 @@ The map over one tick is not derived by hand: the laws' own `step` and the integ
 differences. So whatever runs (derivative filters, shunting model, hold, RK4) is in it. The gain is outside: one
 linearisation serves every gain. Path axes are NED turned about the vertical by the course of v_d.
 
-What has a corner at steady flight is not linear there: limits that are reached, slew, a boundary layer of 0. Limits and
-slew are inactive for small deviations; the boundary layer of sliding mode is above 0, and inside it the law is linear.
+A function with a corner at steady flight is not linear there: a limit that is reached, slew, a boundary layer of 0.
+Limits and slew are inactive for small deviations; the boundary layer of sliding mode is above 0, and inside it the law
+is linear.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class NotLinear(FleetError):
 
 
 class Flight(NamedTuple):
-    """What the linearisation of a vehicle depends on."""
+    """The inputs of the linearisation of a vehicle."""
 
     config: AgentConfig  # tracking law, its parameters, the model that it uses; not guidance
     truth: VehicleParams

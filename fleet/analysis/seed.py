@@ -1,7 +1,7 @@
 """Which parts of a scenario are drawn from its seed. If none are, every seed gives the same run.
 
 Each module that draws says so itself: its function `draws` names the purposes (`netem.draws`) whose outcome depends on
-the seed. What the users' own laws and plants draw is not known.
+the seed. Nobody knows the draws of the users' own laws and plants.
 """
 
 from __future__ import annotations

@@ -27,14 +27,14 @@ from netem.vehicle_clock import Clocks
 
 
 class Slack(NamedTuple):
-    """What slots leave for clocks that differ."""
+    """The time that slots leave for clocks that differ."""
 
     difference_s: float  # d
     drift: float  # of each clock, from the start to the end of the run [s/s]
 
 
 def slack(scenario: Scenario) -> Slack | None:
-    """What the slots of a scenario leave; None if it has none."""
+    """The time that the slots of a scenario leave; None if it has no slots."""
     acoustic = scenario.acoustic
     if acoustic is None or acoustic.mac != "tdma":
         return None

@@ -1,4 +1,4 @@
-"""What theory says of a scenario before it runs: connectivity, eigenvalues, and the limits of the gains.
+"""The predictions of theory about a scenario before it runs: connectivity, eigenvalues, and the limits of the gains.
 
 | symbol | meaning | unit | source |
 |---|---|---|---|
@@ -8,8 +8,8 @@
 | a | passive decay of the shunting model | 1/s | (43) |
 | tau | age of what is heard: one round, and the delay of the link | s | |
 
-Two rules of thumb follow from simplified loops (docs/background/paper.md, G11 and "What a network does to it"): with
-the shunting model in the surge loop K lambda_max(L + B) < a, by Routh on s^3 + a s^2 + k b s + k b K lambda; and dead
+Two rules of thumb follow from simplified loops (docs/background/paper.md, G11 and "What a network does to it"). With
+the shunting model in the surge loop K lambda_max(L + B) < a, by Routh on s^3 + a s^2 + k b s + k b K lambda. Dead
 reckoning with the neighbours' velocities is a neutral loop, which needs K tau rho(A) < 1. They are necessary, not
 sufficient: course and pitch loops, sampling and rounds take their share. The limits of the whole linear loop are those
 of `fleet.analysis.border`.
@@ -62,8 +62,8 @@ def analyse(scenario: Scenario, *, linear: bool = True, tell: Callable[[], None]
     """Connectivity, eigenvalues and violated limits of a scenario.
 
     Args:
-        linear: whether the whole linear loop is made, which takes longer than the rest.
-        tell: called now and then, also while the loop is asked for its limits afterwards.
+        linear: also make the whole linear loop, which takes longer than the rest.
+        tell: called now and then, also later, when a caller asks the loop for its limits.
     """
     A, M = matrices(scenario)
     values = sorted(eigenvalues(M).tolist(), key=lambda v: (v.real, v.imag))

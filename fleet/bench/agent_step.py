@@ -1,4 +1,4 @@
-"""What one sample of one agent costs, and where the time goes: on the samples of a real run, in CPU time."""
+"""The cost of one sample of one agent, and its parts: on the samples of a real run, in CPU time."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def _kind(config: AgentConfig, tick: int) -> str:
 
 
 def _tape(ticks: int) -> tuple[AgentConfig, list[tuple[Nav, list[Delivery]]]]:
-    """What vehicle 2 of the disturbed paper run measures and receives, from 20 s on, when it is in formation."""
+    """The samples and messages of vehicle 2 of the disturbed paper run from 20 s on, when it is in formation."""
     start = 2000
     scenario = load_scenario("paper-disturbed", [f"duration={(start + ticks) * 10} ms", "checks={}"])
     recording = record(scenario)

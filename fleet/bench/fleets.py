@@ -4,8 +4,8 @@
 (b) the same barrier over OS pipes, the physical floor;
 (c) the paper's scenario distributed, with recording;  (d) the same in one process.
 
-What one process does is compared with a loop of plain Python (`fleet.bench.python_loop`). Everything is measured
-several times, in turn, so that a slow minute of the machine meets a figure and its baseline alike.
+The figures of a single process are compared with a loop of plain Python (`fleet.bench.python_loop`). Everything is
+measured several times, in turn, so that a slow minute of the machine meets a figure and its baseline alike.
 """
 
 from __future__ import annotations

@@ -108,7 +108,7 @@ def _prepared(name: str, asked: dict[str, Any], out: Path, trust: Trust) -> tupl
 
 
 def _run(borders: Borders, modules: Modules, timeout_s: float, engine: tuple[int | None, str | None]) -> None:
-    """Make runs until every border is known; `engine`: the workers and the scheduler that were asked for."""
+    """Make runs until every border is known; `engine`: the workers and the scheduler that the user asked for."""
     from fleet.cli.study_output import showing
     from fleet.study.borders import find_borders
     from fleet.study.local_engine import engine_of
@@ -124,7 +124,7 @@ def _run(borders: Borders, modules: Modules, timeout_s: float, engine: tuple[int
 
 
 def _picture(borders: Borders, trust: Trust) -> Path | None:
-    """Draw the borders; None: it cannot be, which is said."""
+    """Draw the borders; None if that fails, with a message."""
     from fleet.study.border_theory import theory
     from fleet.study.errors import StudyError
     from fleet.study.pictures.border import write_borders

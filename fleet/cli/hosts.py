@@ -160,7 +160,7 @@ def acl(
     overrides: tuple[str, ...],
     force: bool,
 ) -> None:
-    """Print the configuration with which an existing zenoh router serves a run of SCENARIO.
+    """Print a configuration that lets an existing zenoh router serve a run of SCENARIO.
 
     Passwords are never printed: with -o they go into files that you alone can read, one for the router and one for
     fleet run --credentials.

@@ -118,7 +118,10 @@ def agent(path: Path, wait: int | None, ros2: str | None, trust: Trust, quiet: b
 
 @cache
 def _node(distribution: str, vehicle: int, line: StatusLine) -> MakeCore:
-    """What makes a node of ROS 2 the agent of a vehicle, once there is one. Raises FleetError: nodes cannot meet."""
+    """A function that makes a node of ROS 2, when there is one, the agent of a vehicle.
+
+    Raises FleetError: nodes cannot meet.
+    """
     from fleet.ros2.agent import RosAgent
     from fleet.ros2.node import RosNode
     from fleet.ros2.rmw import domain_of

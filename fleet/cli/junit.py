@@ -44,7 +44,7 @@ def of_run(result: Result) -> list[JUnitCase]:
 
 
 def of_study(store: Store) -> list[JUnitCase]:
-    """A case for each point; one of which a run failed has failed."""
+    """A case for each point; it has failed if one of the point's runs failed."""
     from fleet.result.junit import JUnitCase
     from fleet.study.summary import reached, summarise
 

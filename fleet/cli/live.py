@@ -16,7 +16,7 @@ from fleet.cli.run_argument import answer, clock_words, fault_words, heal_words,
 def ps(as_json: bool) -> None:
     """List the live runs of this user, wherever they were started.
 
-    All runs below a directory, also those that are over: fleet ls. What one can run: fleet list.
+    fleet ls lists all runs below a directory, also those that are over. fleet list shows the scenarios.
 
     \b
     Examples:

@@ -90,9 +90,9 @@ def plot(
 ) -> None:
     """Draw pictures of LOG (an MCAP file, or a run directory), as wide as a column of a journal.
 
-    Tracks, consensus and formation errors with what the checks ask, velocity errors, attitude, inputs, commands and
-    gains with their limits, shares of packets by fate, messages in space and time, ages of information, the signals
-    that the checks name, and any other; faults are shaded. Prints the files.
+    The pictures are: tracks, consensus and formation errors with the limits of the checks, velocity errors, attitude,
+    inputs, commands and gains with their limits, shares of packets by fate, messages in space and time, ages of
+    information, the signals that the checks name, and any other signal. Faults are shaded. Prints the files.
 
     Of the directory of a study: pass rate and measures with intervals as heat maps, curves or boxes, a sample as
     parallel coordinates, and differences in pairs of runs with the same seed. Hatched: runs without the number.
@@ -174,9 +174,9 @@ def export(
 ) -> None:
     """Write LOG (an MCAP file, or a run directory) as tables, one file per topic.
 
-    Times in s, units in CSV's header and in the metadata of the others; export.json says what each table holds.
-    Numbers read back exactly; bytes are hexadecimal in CSV, and left out in NetCDF. What only 3D viewers need
-    (transforms, scene) is no table and is left out. Prints the files.
+    Times in s, units in CSV's header and in the metadata of the others; export.json says what each table holds. Numbers
+    read back exactly; bytes are hexadecimal in CSV, and left out in NetCDF. Data that only 3D viewers need (transforms,
+    scene) are left out. Prints the files.
 
     \b
     Examples:
@@ -276,8 +276,8 @@ def report(
     Scenario, conditions of the links, faults; verdicts, vehicles, ledger and ages from result.json beside the log;
     pictures, and how to repeat the run. The page needs no network and no other file.
 
-    Of the directory of a study: what was run and at which cost, pictures, every point with intervals, comparisons in
-    pairs, the reasons of runs without a result, and how to make a run again.
+    The page about a study's directory has its settings and cost, pictures, every point with intervals, comparisons in
+    pairs, and the reasons of runs without a result. It also says how to make a run again.
 
     \b
     Examples:

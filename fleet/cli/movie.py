@@ -43,8 +43,8 @@ def movie(
 ) -> None:
     """Make a movie of LOG (an MCAP file, or a run directory): what fleet view shows, as a GIF or an MP4.
 
-    Hulls, their ways and desired places; links by what arrives, packets, faults with the time that they have left;
-    below, formation errors so far. The same log gives the same bytes of a GIF. Prints the file.
+    It shows hulls, their ways and desired places; links by their arrivals, packets, and faults with their remaining
+    time. Below are the formation errors so far. The same log gives the same bytes of a GIF. Prints the file.
 
     \b
     Examples:

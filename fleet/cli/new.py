@@ -215,7 +215,9 @@ def _class_name(name: str, kind: str) -> str:
 def _write_modules(
     name: str, folder: Path, templates: Mapping[str, str], kind: str, more: Mapping[str, str] = MappingProxyType({})
 ) -> list[Path]:
-    """Write modules and a scenario from templates, in which the_law and TheLaw stand for names; `more` replaces, too.
+    """Write modules and a scenario from templates.
+
+    In these, the_law and TheLaw stand for names; `more` gives further replacements.
 
     Args:
         templates: by what follows `name` in the name of the file.

@@ -272,7 +272,7 @@ def _load(
 
 
 def _warnings(scenario: Scenario, *, seed_given: bool) -> list[str]:
-    """What can be said against the scenario before it runs."""
+    """The warnings about the scenario before it runs."""
     from fleet.analysis.preflight import warnings
     from fleet.analysis.seed import HINT, NOTHING, seeded
     from fleet.analysis.stability import analyse
@@ -298,7 +298,7 @@ def _check_clock(speed: float | None, clock: str, one_process: str) -> None:
 
 
 def _print_failure(result: Result) -> None:
-    """Print a failure on stderr, where stdout has no tables; one that the scenario expects is none."""
+    """Print a failure on stderr, if stdout has no tables. A failure that the scenario expects is not printed."""
     failed = [f"FAIL  {v.check}: {v.asked}; found {v.found}" for v in result.verdicts if not v.passed]
     if result.reason or (failed and not result.passed):
         lines = [f"fleet: {result.reason}", *result.lines] if result.reason else failed

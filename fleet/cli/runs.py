@@ -34,7 +34,7 @@ def ls(out: Path, as_json: bool) -> None:
 
     With what they came to, the simulated time, and how large and how old they are. The verdict is pass, FAIL, stopped,
     live, or broke, also of a run that left no result. A directory that you gave a name of its own is not listed. Live
-    runs in any folder: fleet ps. What one can run: fleet list.
+    runs in any folder: fleet ps. fleet list shows the scenarios.
 
     \b
     Examples:
@@ -72,10 +72,10 @@ def ls(out: Path, as_json: bool) -> None:
 )
 @click.option("--yes", is_flag=True, help="Remove them. Without it they are only listed.")
 def prune(out: Path, keep: int | None, older_than: float | None, verdicts: tuple[str, ...] | None, yes: bool) -> None:
-    """Remove runs that are over, with all that is in their directories.
+    """Remove runs that are over, with their directories.
 
-    Those go for which every given option holds. Without --yes it only says which these are. A live run stays, and so
-    does every directory that has not the name that fleet run gave it: rename a run to keep it.
+    The command removes the runs that fit every given option. Without --yes it only says which these are. A live run
+    stays, and so does every directory that has not the name that fleet run gave it: rename a run to keep it.
 
     \b
     Examples:

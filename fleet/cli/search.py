@@ -72,11 +72,11 @@ def search(
 ) -> None:
     """Try seeds of a nemesis until a check fails, and make that run as small as it can be.
 
-    The first seed is that of the scenario; --set seed=201 goes on after 200. The first one that fails is found
-    whatever the number of workers. With --guide most runs have the faults of runs before, changed; what fails is then a
-    list of faults and a seed. The exit status is 1 if a check failed, as that of fleet run, and 0 if none did in all
-    of the budget. With --keep all of the budget is used, and the same command goes on with a greater one; fleet regress
-    DIR runs what is kept.
+    The first seed is that of the scenario; --set seed=201 goes on after 200. Any number of workers finds the same seed:
+    the first one that fails. With --guide most runs have the faults of earlier runs, changed; the result is then a list
+    of faults and a seed. The exit status is 1 if a check failed, as with fleet run, and 0 if none did in the whole
+    budget. With --keep the search uses the whole budget, and the same command goes on with a greater one; fleet regress
+    DIR repeats the failures that it kept.
 
     \b
     Examples:
@@ -136,7 +136,7 @@ def search(
 
 
 def _tried(name: str, changes: list[str | Override], trust: Trust, mode: NemesisMode) -> tuple[Scenario, Modules]:
-    """The scenario whose seeds are tried, and the modules that its runs need; `mode`: of the nemesis that it gets."""
+    """The scenario of the search, and the modules that its runs need; `mode`: of the nemesis that the scenario gets."""
     from fleet.scenario.loading import load_scenario
     from fleet.study.modules import modules_of
     from fleet.study.search import nemesis_of
@@ -152,7 +152,7 @@ def _tried(name: str, changes: list[str | Override], trust: Trust, mode: Nemesis
 def _print(
     found: Searched, least: Shrunk | None, check: str | None, path: Path, kept: list[FoundFailure], *, as_json: bool
 ) -> None:
-    """What the search came to."""
+    """Print the result of the search."""
     if as_json:
         from fleet.cli.documents.search import first_failing
 

@@ -1,4 +1,4 @@
-"""The argument RUN|LOG of commands that show either, and what their options have to do with which."""
+"""The argument RUN|LOG of commands that show either, and the rules about which options fit which."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SHOWN = click.argument(
 
 
 def find_shown(what: str | None, rate: float | None, *, control: bool, loop: bool) -> LiveSource | LogSource:
-    """What is to be shown.
+    """The run or the log to show.
 
     Args:
         what: as the argument `SHOWN` gives it.

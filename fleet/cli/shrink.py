@@ -111,7 +111,7 @@ def write_least(scenario: Scenario, path: Path) -> None:
 
 
 def pieces(line: StatusLine, doing: str, runs: int) -> list[Piece]:
-    """What is being tried, and how many runs were made."""
+    """The current trial, and the number of runs made."""
     from fleet.terminal.fitting import Piece
 
     return [Piece(0, [f"{runs} runs"]), Piece(1, [doing])]

@@ -1,4 +1,4 @@
-"""Options of the commands that make many runs: those that a spec declares, and those that these commands share."""
+"""Options of the commands that make many runs: the options that a spec declares, and those that the commands share."""
 
 from __future__ import annotations
 

@@ -226,7 +226,7 @@ def _nothing_varied(plan: Plan, trust: Trust, *, quiet: bool) -> None:
 
 
 def _announced(store: Store, missing: int) -> str:
-    """What is going to be run."""
+    """Announce the runs before they begin."""
     points, seeds, until = store.point_count, len(store.record.seeds), store.record.rules.until
     made = sum(store.needed().values()) - missing
     runs = f"at first, until {until}" if until else f"= {points * seeds} runs"

@@ -1,4 +1,4 @@
-"""The commands of `fleet`: in which group of the help each stands, and which module holds it.
+"""The commands of `fleet`: the group of each in the help, and the module that holds it.
 
 `fleet --help` is written from this table, so it imports no command, and a command imports no other one.
 """
@@ -46,6 +46,7 @@ GROUPS: dict[str, dict[str, Verb]] = {
         "diff": Verb("verify", "Compare two logs."),
         "check-log": Verb("verify", "Judge a log by other checks."),
         "script": Verb("verify", "Print the scenario that makes a log again."),
+        "why": Verb("why", "Explain why a check failed."),
         "whatif": Verb("what_if", "Ask what another agent would have commanded."),
         "replay": Verb("replay", "Publish a log on zenoh again."),
         "recover": Verb("verify", "Save what is left of a damaged log."),

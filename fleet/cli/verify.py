@@ -168,7 +168,7 @@ def script(log: Path) -> None:
 def recover(log: Path, out: Path | None) -> None:
     """Write what is left of a cut or damaged LOG as a clean file with an index.
 
-    What is missing is said in its metadata record `recovery`. A damaged place is passed over, and counted.
+    Its metadata record `recovery` describes the missing parts. A damaged place is passed over, and counted.
 
     \b
     Examples:

@@ -20,7 +20,7 @@ class Disturbed(Protocol):
 
     @property
     def waiting(self) -> str:
-        """Who waits for whom while nothing moves, in words; empty: the run moves."""
+        """If nothing moves: who waits for whom, in words; empty: the run moves."""
 
     def set_network_faults(self, faults: Sequence[NetFault]) -> bool:
         """Replace netem's faults; False: it did not answer, and nothing was changed."""
@@ -55,7 +55,7 @@ class Fleet(Disturbed, Protocol):
         """Notify the world that an agent ended or begins again."""
 
     def computing(self, role: str) -> int:
-        """The vehicle whose agent a host computes, or did when it ended; 0: none, or it is no host."""
+        """The vehicle whose agent a host computes, or computed when it ended. 0: no vehicle, or not a host."""
 
     def start_agent(self, i: int, incarnation: int, begin: int) -> None:
         """Start the next life of vehicle i's agent, from tick `begin` on."""

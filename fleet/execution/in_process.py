@@ -1,6 +1,6 @@
 """The whole fleet in one process: a plain loop over the same cores, without zenoh.
 
-What agents say and hear passes through the same codec; the journal and netem take what the world says as it is.
+The messages of agents pass through the same codec. The journal and netem take those of the world as they are.
 
 For debugging with pdb, for profiling and sweeps, and as the reference that proves the distributed run right.
 """

@@ -35,12 +35,12 @@ def run(
 
     Args:
         scenario: a shipped name, a file, or a scenario that is loaded.
-        set: what to change, as `--set`: a mapping such as `{"network.links": {"*": "loss 30 %"}, "duration": "20 s"}`,
+        set: changes, as `--set`: a mapping such as `{"network.links": {"*": "loss 30 %"}, "duration": "20 s"}`,
             or texts such as `"duration=20 s"`.
         seed: in place of the scenario's.
-        trust: which modules may run that are neither installed nor the user's own; by default, what a loaded scenario
-            was loaded with.
-        progress: called with the simulated time [s] all the time.
+        trust: modules that may run, in addition to installed ones and the user's own. The default for a loaded scenario
+            is the trust that it was loaded with.
+        progress: called with the simulated time [s] during the run.
 
     Returns:
         The verdicts and all numbers. A run that breaks is a result, too: its `status` and `reason` say why.

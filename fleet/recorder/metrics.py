@@ -51,7 +51,7 @@ class VehicleError(NamedTuple):
 
 @dataclass(slots=True)
 class Series:
-    """What is kept of one vehicle: one value per frame, and sums over them."""
+    """The record of one vehicle: one value per frame, and sums over them."""
 
     e: array[float] = field(default_factory=lambda: array("d"))
     formation: array[float] = field(default_factory=lambda: array("d"))
@@ -78,7 +78,7 @@ class _Places(NamedTuple):
 
 
 class _Vehicle(NamedTuple):
-    """What the errors of one vehicle are measured by."""
+    """The inputs that the errors of one vehicle are computed from."""
 
     plan: Offset  # p_i
     b: float

@@ -29,7 +29,7 @@ Loc = tuple[str | int, ...]
 def validate(root: Mapping, folder: Path | None = None, policy: Policy = READING) -> tuple[Parts | None, list[Problem]]:
     """The parts of the specification that the tree holds, or None, and every mistake in it.
 
-    The rules between keys are applied even if some keys are wrong: to those that are right.
+    If some keys are wrong, the rules between keys apply to the right ones.
 
     Args:
         folder: where the scenario's file lies.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from math import inf, nan
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -196,3 +197,15 @@ def test_ranges_without_a_navigator_are_not_drawn_and_old_ones_are_forgotten() -
     assert newest.at(2.5) == {2: PlaceBelief((1.0, 2.0, 3.0), (4.0, 4.0, 4.0))}
     newest.clear()
     assert newest.at(2.5) == {}
+
+
+def test_in_three_dimensions_no_label_is_cut(alone: Alone) -> None:
+    """The layout of a figure leaves no room for them: that of the depth was outside by some pixels."""
+    short = ("checks={}", "tick=100 ms", "log.every=100 ticks")
+    figure = space(load([log_of(alone("formation-on-belief", *short))]), View())
+    figure.draw_without_rendering()
+    ax: Any = figure.axes[0]
+    labels = [axis.label.get_window_extent() for axis in (ax.xaxis, ax.yaxis, ax.zaxis)]
+    assert all(0.0 < box.x0 and box.x1 < figure.bbox.width for box in labels)
+    depths = [text.get_window_extent() for text in ax.get_zticklabels() if text.get_text()]
+    assert depths and not any(box.overlaps(labels[2]) for box in depths)

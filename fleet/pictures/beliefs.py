@@ -30,7 +30,8 @@ class Beliefs(NamedTuple):
     @property
     def formation_norm(self) -> Array:
         """The formation error as the vehicle believes it (samples) [m]."""
-        return np.linalg.norm(self.formation, axis=1)
+        norm: Array = np.linalg.norm(self.formation, axis=1)
+        return norm
 
 
 def beliefs(log: Log, i: int) -> Beliefs | None:

@@ -206,6 +206,6 @@ def test_in_three_dimensions_no_label_is_cut(alone: Alone) -> None:
     figure.draw_without_rendering()
     ax: Any = figure.axes[0]
     labels = [axis.label.get_window_extent() for axis in (ax.xaxis, ax.yaxis, ax.zaxis)]
-    assert all(0.0 < box.x0 and box.x1 < figure.bbox.width for box in labels)
+    assert all(box.x0 > 0.0 and box.x1 < figure.bbox.width for box in labels)
     depths = [text.get_window_extent() for text in ax.get_zticklabels() if text.get_text()]
     assert depths and not any(box.overlaps(labels[2]) for box in depths)

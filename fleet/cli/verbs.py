@@ -46,6 +46,7 @@ GROUPS: dict[str, dict[str, Verb]] = {
         "diff": Verb("verify", "Compare two logs."),
         "check-log": Verb("verify", "Judge a log by its own or by other checks."),
         "script": Verb("verify", "Print the scenario that makes a log again."),
+        "why": Verb("why", "Explain why a check failed."),
         "whatif": Verb("what_if", "Compare another agent's commands with the log's."),
         "replay": Verb("replay", "Publish a log on zenoh again."),
         "recover": Verb("verify", "Save what is left of a damaged log."),

@@ -107,7 +107,7 @@ def refuse_branches(scenario: Scenario, check: str) -> None:
         StudyError: they cannot.
     """
     refuse(scenario, "a run of a study")
-    known = list(_checks(scenario))
+    known = list(checks_over_time(scenario))
     if check not in known:
         has = ", ".join(known) or "none"
         text = f"the margin of the check {check} is not the least over the time, or there is no such check"
@@ -120,7 +120,7 @@ def refuse_branches(scenario: Scenario, check: str) -> None:
         raise StudyError(f"{scenario.name} has no snapshots: log.snapshot is 0 s, or a law cannot save its state")
 
 
-def _checks(scenario: Scenario) -> Iterator[str]:
+def checks_over_time(scenario: Scenario) -> Iterator[str]:
     """The checks whose margin is the least over the time."""
     checks = scenario.spec.checks
     for name in _OF_THE_TIME:

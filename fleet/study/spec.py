@@ -84,7 +84,7 @@ class StudySpec(msgspec.Struct, frozen=True, omit_defaults=True):
     until: Annotated[str, Kind.UNTIL, Option(
         "Add seeds to each point until its interval is this narrow, e.g. 'e_rms_m ±10 %'.")] = ""  # fmt: skip
     most_seeds: Annotated[int, Meta(ge=1, le=MOST_ALLOWED), Option(
-        "With --until: the most seeds of a point.", "N")] = 1000  # fmt: skip
+        "The most seeds of a point, when `until` adds some.", "N")] = 1000  # fmt: skip
     keep_logs: Annotated[KeepLogs, Option(
         "Keep the logs of failed runs, or of all runs, below the study.", later=True)] = "none"  # fmt: skip
     timeout: Timeout = ""

@@ -23,6 +23,6 @@ def link_of(topic: str) -> Link | None:
 
 
 def believer_of(topic: str) -> tuple[int, str] | None:
-    """The vehicle whose beliefs a topic has, and `belief` or `located`; None: it is another topic."""
+    """The vehicle that holds the beliefs in a topic, and `belief` or `located`; None: it is another topic."""
     found = _BELIEVER.fullmatch(topic)
     return None if found is None else (int(found[1]), found[2])

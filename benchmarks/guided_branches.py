@@ -26,7 +26,8 @@ from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.timeline import Event
 from fleet.study.engine import Row
-from fleet.study.guided import ChangedRun, GuidedSearch
+from fleet.study.guided import GuidedSearch
+from fleet.study.guided_memory import KnownRun
 from fleet.study.modules import Modules
 from fleet.study.moves import Draws
 from fleet.study.one_run import Task, make_run
@@ -41,13 +42,13 @@ class Family(GuidedSearch):
 
     def __init__(self, scenario: Scenario) -> None:
         super().__init__(scenario)
-        self.parents: dict[str, tuple[ChangedRun, float | None]] = {}  # by key of the run: what it is made of, and when
+        self.parents: dict[str, tuple[KnownRun, float | None]] = {}  # by key of the run: what it is made of, and when
 
     def _moved(self, draws: Draws) -> tuple[Task | None, Tree]:
-        corpus, chosen = self._corpus, list[tuple[ChangedRun, float | None]]()
+        corpus, chosen = self._corpus, list[tuple[KnownRun, float | None]]()
         choose = type(corpus).choose
 
-        def watched(draws: Draws) -> tuple[ChangedRun, float | None]:
+        def watched(draws: Draws) -> tuple[KnownRun, float | None]:
             chosen.append(choose(corpus, draws))
             return chosen[-1]
 
@@ -62,7 +63,7 @@ class Family(GuidedSearch):
 class _Watched:
     """A corpus whose choice is watched."""
 
-    def __init__(self, corpus: Any, choose: Callable[[Draws], tuple[ChangedRun, float | None]]) -> None:
+    def __init__(self, corpus: Any, choose: Callable[[Draws], tuple[KnownRun, float | None]]) -> None:
         self._corpus, self.choose = corpus, choose
 
     def __getattr__(self, name: str) -> Any:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from fleet.logs.open_log import Log as Log
     from fleet.logs.open_log import open_log as open_log
     from fleet.result.result import Result as Result
+    from fleet.rl.offered import parallel_env as parallel_env
     from fleet.study.boundary import Boundary as Boundary
     from fleet.study.boundary import boundary as boundary
     from fleet.study.study import Study as Study
@@ -33,6 +34,7 @@ _OFFERED = {
     "boundary": "fleet.study.boundary",
     "Study": "fleet.study.study",
     "open_study": "fleet.study.study",
+    "parallel_env": "fleet.rl.offered",
     "sweep": "fleet.study.study",
 }
 __all__ = [
@@ -44,6 +46,7 @@ __all__ = [
     "boundary",
     "open_log",
     "open_study",
+    "parallel_env",
     "run",
     "stepping",
     "sweep",

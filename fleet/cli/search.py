@@ -37,17 +37,18 @@ NemesisMode = Literal["swarm", "liveness"] | None
 @click.command(cls=TrustingCommand)
 @click.argument("scenario", shell_complete=scenarios)
 @click.option("--budget", metavar="RUNS|TIME", type=Budget(), default="200", show_default=True,
-              help="How many seeds are tried, or for how long new ones are begun, e.g. '10 min'.")  # fmt: skip
-@click.option("--nemesis", is_flag=True, help="Give a scenario that has none a nemesis: a swarm of faults.")
+              help="The number of seeds to try, or the time in which new ones begin, e.g. '10 min'.")  # fmt: skip
+@click.option("--nemesis", is_flag=True, help="Add a nemesis to a scenario without one: a swarm of faults.")
 @click.option("--liveness", is_flag=True,
-              help="The same; from half of the run on a core is healed, and all others stay broken.")  # fmt: skip
-@click.option("--guide", is_flag=True, help="Change the faults of runs that came near to failing, or to something new.")
+              help="Like --nemesis, but in the middle of the run a core of vehicles is healed; the others stay "
+                   "broken.")  # fmt: skip
+@click.option("--guide", is_flag=True, help="Change the faults of runs that nearly failed or did something new.")
 @click.option("--check", metavar="NAME", help="The check that must fail; by default any.")
 @OVERRIDES
 @disturbances
 @least_options
 @click.option("--keep", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
-              help="Go on after a failure, and keep the least scenario of each kind of failure in DIR.")  # fmt: skip
+              help="Continue after a failure; keep the smallest scenario of each kind of failure in DIR.")  # fmt: skip
 @JUNIT
 @WORKERS
 @SCHEDULER
@@ -72,7 +73,7 @@ def search(
     trust: Trust,
     as_json: bool,
 ) -> None:
-    """Try seeds of a nemesis until a check fails, and make that run as small as it can be.
+    """Try seeds of a nemesis until a check fails, and make that run as small as possible.
 
     The first seed is that of the scenario; --set seed=201 goes on after 200. Any number of workers finds the same seed:
     the first one that fails. With --guide most runs have the faults of earlier runs, changed; the result is then a list

@@ -50,7 +50,7 @@ def run(
         FleetError: somebody else is to start an agent.
         TypeError: an argument is unknown; keys of the scenario go into `set`.
     """
-    return judged(_loaded("run", scenario, set, seed, trust, unknown), progress)
+    return judged(loaded("run", scenario, set, seed, trust, unknown), progress)
 
 
 def stepping(
@@ -64,12 +64,7 @@ def stepping(
 ) -> SteppedRun:
     """A run of a scenario in this process, tick by tick: grant one, look, inject.
 
-    ```python
-    with fleet.stepping("paper") as run:
-        run.step("20 s")
-        run.inject("down 1<->2 for 5s")
-        result = run.to_end()
-    ```
+    `docs/guide/stepping.md` is the guide.
 
     Args:
         scenario: a shipped name, a file, or a scenario that is loaded.
@@ -87,20 +82,25 @@ def stepping(
         FleetError: somebody else is to start an agent.
         TypeError: an argument is unknown; keys of the scenario go into `set`.
     """
-    found = _loaded("stepping", scenario, set, seed, trust, unknown)
+    found = loaded("stepping", scenario, set, seed, trust, unknown)
     refuse(found, "a run in one process")
     return SteppedRun(found, None if log is None else LogFile(Path(log)))
 
 
-def _loaded(
+def loaded(
     function: str,
     scenario: str | Path | Scenario,
     set: Changes,
     seed: int | None,
     trust: Trust,
-    unknown: Mapping[str, Any],
+    unknown: Mapping[str, Any] | None = None,
 ) -> Scenario:
-    """The scenario that a function was given, with the changes. Raises ScenarioError and TypeError."""
+    """The scenario that a function was given, with the changes.
+
+    Raises:
+        ScenarioError: with every mistake that was found.
+        TypeError: an argument is unknown.
+    """
     if unknown:
         keys = {key: unknown[key] for key in unknown if key in ScenarioSpec.model_fields}
         hint = f"; keys of the scenario go into set={keys}" if keys else ""

@@ -124,16 +124,16 @@ class SteppedRun:
     def state(self) -> State:
         """The fleet as it is now, truth included."""
         scenario, world = self.scenario, self._runner.world
-        reference, dead = scenario.reference.at(self.t).position, self._runner.without_agent()
-        vehicles = {}
-        for i in range(1, scenario.vehicles + 1):
+        tick_s, dead, vehicles = scenario.tick_ns / 1e9, self._runner.without_agent(), {}
+        for i in world.ids:
             eta, nu = world.state(i)
-            place = plus(reference, scenario.plans[i - 1].at(self.t).position)
-            told = self._runner.told.get(i)
-            vehicles[i] = VehicleState(i, i not in dead, eta, nu, told, dist(eta[:3], place))
-        now = min(self.tick, scenario.ticks - 1)
+            t = world.tick(i) * tick_s  # of an agent that answers later it is the tick before
+            place = plus(scenario.reference.at(t).position, scenario.plans[i - 1].at(t).position)
+            vehicles[i] = VehicleState(i, i not in dead, eta, nu, self._runner.told.get(i), dist(eta[:3], place))
+        tick = min(map(world.tick, world.ids))
+        now = min(tick, scenario.ticks - 1)
         active = dict.fromkeys(fault.id for fault in self._operator.faults if fault.active(now))
-        return State(self.tick, self.t, vehicles, tuple(active))
+        return State(tick, tick * tick_s, vehicles, tuple(active))
 
     @property
     def checks(self) -> list[dict[str, Any]]:
@@ -159,7 +159,11 @@ class SteppedRun:
         Raises:
             FleetError: the run is over, or the time is no whole number of ticks.
         """
-        ticks = _ticks(by, self.scenario.tick_ns)
+        self.go(_ticks(by, self.scenario.tick_ns))
+        return self.state
+
+    def go(self, ticks: int) -> None:
+        """The same without a look at the state."""
         if self._closed:
             raise FleetError(f"the run is over at t = {self.t:g} s: {self._result.reason or 'it came to its end'}")
         with self._going_on():
@@ -167,7 +171,6 @@ class SteppedRun:
             self._runner.advance(min(self.tick + ticks, self.scenario.ticks))
         if self._runner.finished:
             self._finish()
-        return self.state
 
     def answer(self, i: int, answers: list[Any]) -> None:
         """Take what agent i answers now; of agents that answer later than they are asked."""

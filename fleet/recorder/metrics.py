@@ -215,7 +215,7 @@ class Metrics:
             rows[str(i)] = VehicleResult(
                 settle_10pct_s=settling_time(self.times, series.e, SETTLE_FRACTION * initial, self._disturbance),
                 settle_5cm_s=settling_time(self.times, series.e, SETTLE_M, self._disturbance),
-                e_rms_m=sqrt(sum(series.e[k] ** 2 for k in late) / len(late)),
+                e_rms_m=sqrt(sum(series.e[k] * series.e[k] for k in late) / len(late)),
                 e_final_m=series.e[-1],
                 formation_final_m=series.formation[-1],
                 effort_Ns=series.effort_Ns,

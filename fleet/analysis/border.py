@@ -324,9 +324,9 @@ def linear_fleet(
         NotLinear: there is none; the message says why.
     """
     if scenario.vehicles > MOST_VEHICLES:
-        raise NotLinear(f"more than {MOST_VEHICLES} vehicles")
+        raise NotLinear(f"the fleet has more than {MOST_VEHICLES} vehicles")
     if scenario.acoustic is not None:
-        raise NotLinear("what is heard over an acoustic channel has no fixed age")
+        raise NotLinear("messages over an acoustic channel have no fixed age")
     longest_s = max((_delay_ticks(scenario, link) for link in scenario.graph.links), default=0) * scenario.tick_ns / 1e9
     if longest_s > (most_s := MOST_WORK_S / scenario.vehicles):
         raise NotLinear(
@@ -334,7 +334,7 @@ def linear_fleet(
             f"{most_s:.3g} s, since the time and the memory that this takes grow with the delay"
         )
     if None in gains:
-        raise NotLinear(f"vehicle {gains.index(None) + 1} runs a law that is not one of those that ship")
+        raise NotLinear(f"vehicle {gains.index(None) + 1} runs a law that does not ship with the package")
     for i, control in enumerate(scenario.controls, start=1):
         if control.plant is not None:
             raise NotLinear(f"vehicle {i} is the plant {control.plant.name}, which has equations of its own")

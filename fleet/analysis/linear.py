@@ -75,7 +75,7 @@ def linearise(flight: Flight) -> Linear:
         NotLinear: a tracking law that is not ours, or no steady flight at this velocity.
     """
     if flight.config.tracking_law.name not in TRACKING:
-        raise NotLinear(f"the tracking law {flight.config.tracking_law.name} is not one of those that ship")
+        raise NotLinear(f"the tracking law {flight.config.tracking_law.name} does not ship with the package")
     vx, vy, vz = flight.velocity
     course = atan2(vy, vx)
     v_d = (hypot(vx, vy), 0.0, vz)
@@ -94,7 +94,7 @@ def linearise(flight: Flight) -> Linear:
         s[3:] += change[:-3]
         e += change[-3:]
     else:
-        raise NotLinear(f"no steady flight at {hypot(*v_d):.4g} m/s")
+        raise NotLinear(f"there is no steady flight at {hypot(*v_d):.4g} m/s")
     F, G = _derivatives(step, s, e)
     C = np.zeros((6, len(s)))
     C[:3, :3] = np.eye(3)

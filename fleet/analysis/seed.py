@@ -21,7 +21,7 @@ from world.navigation import fixes, instrument_faults, instruments, navigator
 from world.navigation.config import DeadReckoning
 
 NOTHING = "nothing in this scenario depends on the seed: every seed gives the same run"
-HINT = "initial: {scatter: 1 m}, sensors.position_noise or a loss would make seeds differ"
+HINT = "to make seeds differ, add e.g. initial: {scatter: 1 m}, sensors.position_noise or a loss"
 PERHAPS = "perhaps "  # begins the name of a part that may draw
 
 

@@ -52,8 +52,8 @@ def describe_slack(scenario: Scenario) -> Iterator[str]:
     """One line on the clocks that the slots bear; none without slots."""
     if (found := slack(scenario)) is not None:
         yield (
-            f"clocks: slots stay apart while clocks differ by less than {found.difference_s:.4g} s; right ones at the "
-            f"start may drift by up to {found.drift * 1e6:.4g} ppm, fast or slow, for {scenario.duration_ns / 1e9:g} s"
+            f"clocks: slots stay apart if clocks differ by less than {found.difference_s:.4g} s. Clocks that begin "
+            f"right may drift by up to {found.drift * 1e6:.4g} ppm, fast or slow, for {scenario.duration_ns / 1e9:g} s"
         )
 
 
@@ -76,5 +76,6 @@ def slot_warnings(scenario: Scenario) -> Iterator[str]:
         at_s = -tick * scenario.tick_ns / 1e9
         yield (
             f"slots overlap: at {at_s:g} s the clock of vehicle {j} is {ahead_ns / 1e9:.4g} s ahead of that of vehicle "
-            f"{i}, which has the slot before, and the guard bears {found.difference_s:.4g} s"
+            f"{i}, which has the slot before. The guard allows {found.difference_s:.4g} s. Use a longer slot, or "
+            "better clocks"
         )

@@ -45,10 +45,9 @@ def boundary(
 ) -> None:
     """Find where the pass rate of SCENARIO falls through a level, with few runs.
 
-    Each run is made where its answer says most about the border, until the interval of 95 % is narrow. With the
-    directory of such a study instead, go on where it was; border.png in it shows borders and runs.
-    How often such intervals hold the border was measured, see docs/guide/studies.md: less than they say
-    where even the best pass rate is far below 1.
+    Each run is placed where it tells most about the border, until the 95 % interval is narrow. With the directory of
+    such a study, boundary continues it; border.png in it shows borders and runs. We measured how often such intervals
+    contain the border (docs/guide/studies.md): less often than 95 % if even the best pass rate is far below 1.
 
     \b
     VALUES of --per are those of fleet sweep --vary. A name that is no key of the scenario fills {name} in

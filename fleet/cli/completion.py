@@ -171,7 +171,7 @@ def _run(context: click.Context, *named: str) -> Any:
 @click.command(name="completion")
 @click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
 def completion(shell: str) -> None:
-    """Print what makes a shell complete commands, scenarios, live runs, links, vehicles and faults.
+    """Print a shell script for completion of commands, scenarios, live runs, links, vehicles and faults.
 
     \b
     Examples:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from fleet.study.store import Store
 
 JUNIT = click.option("--junit", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
-                     help="Write what came out as a JUnit file, too, for CI services.")  # fmt: skip
+                     help="Also write the result as a JUnit file, for CI services.")  # fmt: skip
 
 
 def write(path: Path | None, suite: str, cases: Sequence[JUnitCase]) -> None:

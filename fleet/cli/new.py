@@ -95,7 +95,7 @@ def check(name: str, folder: Path) -> None:
 @click.argument("name")
 @_folder
 def protocol(name: str, folder: Path) -> None:
-    """Write NAME.py, a protocol that runs as it is, NAME_check.py, what it promises, and NAME.yaml, a scenario.
+    """Write NAME.py, a protocol that runs as it is, NAME_check.py, a check of its promise, and NAME.yaml, a scenario.
 
     \b
     Examples:

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
 SHOWN = click.argument(
     "what", metavar="[RUN|LOG]", required=False, shell_complete=completion.published_runs,
-    help="A live run that was started with --publish (its name, its scenario or its directory), an MCAP file or the "
-    "directory of a run; by default the live run that began last, or else the newest run below runs.",
+    help="A live run that was started with --publish (its name, its scenario or its directory), an MCAP file, or "
+         "a run directory. By default the live run that began last; if none lives, the newest run below runs.",
 )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ import click
 
 from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
-from fleet.cli.study_options import WORKERS, least_options
+from fleet.cli.study_options import SCHEDULER, WORKERS, least_options
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import OVERRIDES, Whole, disturbances
 from fleet.terminal.folding import say
@@ -29,11 +29,12 @@ MOST_RUNS = 2000
 @click.argument("failing", metavar="LOG|SCENARIO", shell_complete=scenarios)
 @OVERRIDES
 @disturbances
-@click.option("--check", metavar="NAME", help="The check that must still fail; by default the first one that does.")
+@click.option("--check", metavar="NAME", help="The check that must still fail; by default the first that fails.")
 @least_options
 @click.option("--most-runs", metavar="N", type=Whole(1), default=MOST_RUNS, show_default=True,
-              help="Stop making it less after so many runs.")  # fmt: skip
+              help="Stop after this number of runs.")  # fmt: skip
 @WORKERS
+@SCHEDULER
 @trust_option
 @json_option
 def shrink(
@@ -46,13 +47,15 @@ def shrink(
     force: bool,
     most_runs: int,
     workers: int | None,
+    scheduler: str | None,
     trust: Trust,
     as_json: bool,
 ) -> None:
-    """Make a run that fails a check as small as it can be: what is the least that breaks it?
+    """Make a run that fails a check as small as possible.
 
-    Faults are left out, the run and its faults are shortened, made milder, and vehicles left out, as long as the check
-    still fails. A log gives what happened in it, injected faults included. The least scenario is written to a file.
+    The command removes faults and vehicles, shortens the run and its faults, and makes faults milder, as long as the
+    check still fails. From a log it takes all faults, including injected ones. It writes the smallest scenario to a
+    file.
 
     \b
     Examples:
@@ -68,8 +71,8 @@ def shrink(
     scenario, folder = _scenario(failing, [*overrides, *net, *fault], trust)
     path = place_of(scenario, out, force=force)
     modules = modules_of([scenario], folder)
-    with showing(pieces) as tell, engine_of(workers) as engine:
-        found = Shrinker(scenario, engine, tell, modules).shrink(check, most_runs)
+    with showing(pieces) as tell, engine_of(workers, scheduler) as engine:
+        found = Shrinker(scenario, engine, tell, engine.carry(modules)).shrink(check, most_runs)
     write_least(found.scenario, path)
     if as_json:
         from fleet.cli.documents.study import less

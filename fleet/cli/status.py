@@ -26,11 +26,11 @@ MOST_EVENTS = 3
 
 @click.command()
 @run_argument
-@click.option("-w", "--watch", is_flag=True, help="Again every second, until the run is over or Ctrl-C.")
+@click.option("-w", "--watch", is_flag=True, help="Repeat every second, until the run is over or Ctrl-C.")
 @click.option("--all", "every", is_flag=True, help="All vehicles, links and faults, not only the worst and active.")
 @json_option
 def status(run: str | None, watch: bool, every: bool, as_json: bool) -> None:
-    """Say how a live run is doing.
+    """Show the state of a live run.
 
     It prints the time, the processes that the run waits for, active faults with their ids, the fate of vehicles, and
     the worst vehicles and links. "oldest news" is the greatest age of a vehicle's last message from a neighbour. e is

@@ -70,7 +70,7 @@ def parse_scenario(
     root, problems = read(source)
     if not isinstance(root, Mapping):
         if root is not None:
-            problems.append(root.place.problem("expected a mapping of keys to values"))
+            problems.append(root.place.problem("expected keys with values, such as duration: 30 s"))
         raise ScenarioError(problems)
     if "name" not in root.entries:
         name = re.sub(r"[^a-z0-9_-]+", "-", Path(source_name).stem.lower()).strip("-_")[:64] or "scenario"

@@ -383,7 +383,9 @@ def timeline(scenario: Scenario) -> list[tuple[str, float, float, str]]:
 def timeline_lines(scenario: Scenario, most: int | None = None) -> list[str]:
     """The same in words, a line each; with `most`, only so many and a line that says how many more there are."""
     found = timeline(scenario)
-    lines = [f"fault {name}: {what}, {begin_s:g} to {end_s:g} s" for name, begin_s, end_s, what in found[:most]]
+    lines = [
+        f"fault from {begin_s:g} to {end_s:g} s: {what} (id {name})" for name, begin_s, end_s, what in found[:most]
+    ]
     return lines if len(lines) == len(found) else [*lines, f"... and {len(found) - len(lines)} more faults"]
 
 

@@ -120,7 +120,7 @@ def _explain(root: Mapping, error: ErrorDetails) -> Problem:
         case "less_than":
             message, hint = f"must be less than {context['lt']}, got {describe_value(value)}", ""
         case "model_type" | "dict_type" | "model_attributes_type":
-            message, hint = f"expected a mapping of keys to values, got {describe_value(value)}", ""
+            message, hint = f"expected keys with values, got {describe_value(value)}", "write {key: value}"
         case "list_type":
             message, hint = f"expected a list, got {describe_value(value)}", ""
         case "string_type":

@@ -206,6 +206,8 @@ class _Reader:
                 hint = 'a text that begins with * or & needs quotes: "*->2"'
             elif "cannot start any token" in (error.problem or ""):
                 hint = "tabs cannot indent; a text that begins with @, ` or % needs quotes"
+            elif "mapping values are not allowed" in (error.problem or ""):
+                hint = "a line is indented more than the one above it, or a text with ': ' needs quotes"
             words = [w for w in (error.problem, error.context) if w]
             self._fail(error.problem_mark or error.context_mark, f"not YAML: {', '.join(words)}", hint)
         except (yaml.YAMLError, UnicodeError) as error:

@@ -46,7 +46,7 @@ def test_what_a_fleet_publishes_is_recorded(log: Path, tmp_path: Path) -> None:
         bridge = RosBridge(RosNode(bus, types_of(), 0, "fleet"), Translation(types_of(), schemas))
 
         def play() -> None:
-            with going_on(lambda keys, line: play_log(bridge, tape, keys, line, rate=1000.0, loop=False)):
+            with going_on(lambda keys, line: play_log(bridge, tape, keys, line, rate=4.0, loop=False)):
                 wait_for(lambda: bridge.at_ns == tape.end_ns, LIMIT_S, "the end")
 
         play()

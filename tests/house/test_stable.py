@@ -1,7 +1,7 @@
 """What docs/reference/stability.md promises: nothing that is stable disappears, and logs of 0.1 open and verify.
 
-`tests/expected/stable.json` lists the names as they were when they became stable. A new version may have more names, but
-each of these must stay, with its type or unit. To add the new ones: WRITE_STABLE=1 pytest tests/house/test_stable.py
+`tests/expected/stable.json` lists the names as they were when they became stable. A new version may have more names,
+but each of these must stay, with its type or unit. To add new ones: WRITE_STABLE=1 pytest tests/house/test_stable.py
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ from agents.formation_agent import FormationAgent
 from agents.laws.filters import wrap
 from agents.laws.kinematics import earth_velocity
 from agents.message import pack, unpack
-from agents.sample import Command, NeighbourState, Sample
+from agents.sample import NeighbourState, Sample, VelocityCommand
 from agents.trajectory import Motion
 from netem.wire.messages import Delivery, Nav
 from world.signal import Signal
@@ -35,7 +35,6 @@ from world.vectors import Vec3, Vec5
 
 __all__ = [
     "AgentConfig",
-    "Command",
     "Controller",
     "Delivery",
     "FormationAgent",
@@ -50,6 +49,7 @@ __all__ = [
     "Tracking",
     "Vec3",
     "Vec5",
+    "VelocityCommand",
     "WholeAgent",
     "earth_velocity",
     "pack",
@@ -99,7 +99,7 @@ class Tracking(Protocol):
 
     signals: ClassVar[tuple[Signal, ...]]
 
-    def step(self, sample: Sample, command: Command) -> tuple[Vec3, Telemetry]:
+    def step(self, sample: Sample, command: VelocityCommand) -> tuple[Vec3, Telemetry]:
         """Answer one sample.
 
         Returns:

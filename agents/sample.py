@@ -22,7 +22,7 @@ class NeighbourState(NamedTuple):
     range_sd_m: float | None = None  # standard deviation of the range, as the modem knows it [m]
 
 
-class Command(NamedTuple):
+class VelocityCommand(NamedTuple):
     """The demand of guidance on tracking: speed [m/s], pitch and course of the velocity [rad, NED]."""
 
     speed: float

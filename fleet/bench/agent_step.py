@@ -19,7 +19,7 @@ from agents.laws.velocity_command import direction_command, floor_speed
 from agents.neighbours import NeighbourTable
 from agents.payload import StateMessage
 from agents.payload import encode as encode_payload
-from agents.sample import Command, Sample
+from agents.sample import Sample, VelocityCommand
 from fleet.execution.in_memory import record
 from fleet.scenario.loading import load_scenario
 from netem.wire.messages import Delivery, Nav
@@ -123,7 +123,7 @@ def _stages(config: AgentConfig, tape: list[tuple[Nav, list[Delivery]]], costs: 
         rho, _values = count.time("  of which guidance, gain held", guidance.step, sample)
         u_cmd, *angles = count.time("  of which speed and direction", direction_command, rho, *held, 0.05)
         held = (angles[0], angles[1])
-        command = Command(floor_speed(u_cmd, sample.nu[1], sample.nu[2], 0.3), *held)
+        command = VelocityCommand(floor_speed(u_cmd, sample.nu[1], sample.nu[2], 0.3), *held)
         count.time("  of which tracking", tracking.step, sample, command)
         if not plain and isinstance(guidance, OptimalGuidance):
             problem = costs.time(

@@ -97,13 +97,15 @@ def search(
     from fleet.study.shrink import Shrinker
 
     if guide and liveness:
-        raise StudyError("--guide changes when faults end, and with --liveness that is given: use one of the two")
+        raise StudyError("--guide changes the times of faults, and --liveness fixes them: give one of the two")
     mode: NemesisMode = "liveness" if liveness else "swarm" if nemesis else None
     tried, modules = _tried(scenario, [*overrides, *net, *fault], trust, mode)
     if keep is not None and guide:
-        raise click.UsageError("--guide ends at the first failure: not together with --keep")
+        raise click.UsageError("--guide ends at the first failure, so it cannot be used together with --keep")
     if keep is not None and (out is not None or force):
-        raise click.UsageError("--keep has a file for each kind of failure: not together with --out or --force")
+        raise click.UsageError(
+            "--keep writes a file for each kind of failure, so it cannot be used together with --out or --force"
+        )
     folder = None if keep is None else FailureFolder(keep)
     path = keep or place_of(tried, out, force=force)
     most_runs, budget_s = budget
@@ -169,10 +171,13 @@ def _print(
         click.echo(path)
     elif not found.sample:
         which = f"the check {check}" if check else "a check"
-        say(f"none of {found.runs} runs fails {which}; they are no sample, so that says nothing of how many would")
+        say(
+            f"none of {found.runs} runs fails {which}. This gives no bound, because a guided search draws no "
+            f"random sample"
+        )
     elif found.runs and found.most_failures is None:
         missed = "; ".join(one.words for one in found.reached if not one.hits)
-        say(f"no failure found, and that says little: {missed}")
+        say(f"no failure found, but the runs did not get everywhere: {missed}")
     elif found.most_failures is not None:
         which = f"the check {check}" if check else "a check"
         say(f"none of {found.runs} runs fails {which}: at most {100 * found.most_failures:.2g} % of such runs do, "

@@ -1,7 +1,7 @@
 """The core of an agent with our payload: from what a vehicle measured and received to its forces and its message.
 
-No clock of its own, no I/O, no randomness: an answer depends on the configuration and on the samples so far. What time
-it is by the clock of its vehicle, the nav says; samples come with simulated time, however that clock goes.
+No clock of its own, no I/O, no randomness: an answer depends on the configuration and on the samples so far. The nav
+carries the time by the clock of its vehicle. Samples come with simulated time, whatever that clock shows.
 
 | symbol | meaning | unit | frame | paper |
 |---|---|---|---|---|

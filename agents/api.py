@@ -1,4 +1,4 @@
-"""What a control law is given and what it returns: the interface of the laws that ship and of yours.
+"""The interface of control laws, those that ship and yours: the input that a law gets, and the output that it returns.
 
 A *controller* turns a sample into forces. It may be composed of a *guidance law*, which turns the sample into a
 commanded velocity, and a *tracking law*, which turns that command into forces; any guidance goes with any tracking.
@@ -8,10 +8,10 @@ A whole *agent* also decides what is sent to the neighbours. A law needs no othe
 A law is made once per run and vehicle, as `Law(config, **parameters)`: the agent's own slice of the scenario, and the
 parameters that the scenario gives it. It has
 
-* `signals`: what it reports, a tuple of `Signal` on the class;
-* `step`: one sample, see `Controller`, `Guidance`, `Tracking`; an agent has `transmit` and `decide` instead;
-* optionally `state()` and `restore(values)`: everything that the next sample depends on, as plain values (None, bool,
-  int, float, str, bytes, list, dict). A run whose laws all have them can be resumed from its log.
+* `signals`: its reported values, a tuple of `Signal` on the class;
+* `step`: one sample, see `Controller`, `Guidance`, `Tracking`. An agent has `transmit` and `decide` instead.
+* `state()` and `restore(values)`, which are optional: everything that the next sample depends on, as plain values
+  (None, bool, int, float, str, bytes, list, dict). A run whose laws all have them can be resumed from its log.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from agents.formation_agent import FormationAgent
 from agents.laws.filters import wrap
 from agents.laws.kinematics import earth_velocity
 from agents.message import pack, unpack
-from agents.sample import Command, NeighbourState, Sample
+from agents.sample import NeighbourState, Sample, VelocityCommand
 from agents.trajectory import Motion
 from netem.wire.messages import Delivery, Nav
 from world.signal import Signal
@@ -35,7 +35,6 @@ from world.vectors import Vec3, Vec5
 
 __all__ = [
     "AgentConfig",
-    "Command",
     "Controller",
     "Delivery",
     "FormationAgent",
@@ -50,6 +49,7 @@ __all__ = [
     "Tracking",
     "Vec3",
     "Vec5",
+    "VelocityCommand",
     "WholeAgent",
     "earth_velocity",
     "pack",
@@ -99,7 +99,7 @@ class Tracking(Protocol):
 
     signals: ClassVar[tuple[Signal, ...]]
 
-    def step(self, sample: Sample, command: Command) -> tuple[Vec3, Telemetry]:
+    def step(self, sample: Sample, command: VelocityCommand) -> tuple[Vec3, Telemetry]:
         """Answer one sample.
 
         Returns:
@@ -116,10 +116,10 @@ class WholeAgent(Protocol):
         """The payloads to send to every neighbour, at round ticks; at most 40 kB together.
 
         Args:
-            nav: the own measured state: `tick` (by the vehicle's own clock), `eta` (x, y, z [m, NED], theta, psi
-                [rad]), `nu` (u, v, w [m/s, body, over ground], q, r [rad/s]), `roll` (phi [rad], p [rad/s]; empty
-                without a plant), and `belief` (covariance of x, y, z, psi [m, rad]: the upper triangle, row by row;
-                empty where the vehicle does not know it).
+            nav: the own measured state. It has `tick` (by the vehicle's own clock), `eta` (x, y, z [m, NED], theta, psi
+                [rad]), `nu` (u, v, w [m/s, body, over ground], q, r [rad/s]), and `roll` (phi [rad], p [rad/s]; empty
+                without a plant). Its `belief` is the covariance of x, y, z, psi [m, rad]: the upper triangle, row by
+                row. It is empty if the vehicle has no estimate of it.
         """
 
     def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> tuple[Vec3, Telemetry]:
@@ -127,10 +127,11 @@ class WholeAgent(Protocol):
 
         Args:
             nav: the own measured state, as for `transmit`.
-            deliveries: what is due at this tick, ordered by (due_tick, sent_tick, src, seq, copy); each has `src`,
-                `sent_tick` (by the clock of the sender), `due_tick` (by the own one), `seq`, `copy` and `payload`;
-                and, where modems measure ranges, `range_m` to the sender with its standard deviation `range_sd_m` [m],
-                and `range_tick`, when the vehicles were so far apart (by the own clock); None without a range.
+            deliveries: the packets that are due at this tick, ordered by (due_tick, sent_tick, src, seq, copy). Each
+                has `src`, `sent_tick` (by the clock of the sender), `due_tick` (by the own one), `seq`, `copy` and
+                `payload`. If modems measure ranges, it also has `range_m` to the sender, its standard deviation
+                `range_sd_m` [m], and `range_tick`, the tick (by the own clock) at which the vehicles were this distance
+                apart. Without a range these three are None.
 
         Returns:
             Surge force [N], pitch moment and yaw moment [N m], before the actuators' limits; and the telemetry.

@@ -1,4 +1,4 @@
-"""What both kinds of agent share: limits, the order of ticks, and what follows when a law fails."""
+"""The common part of both kinds of agent: limits, the order of ticks, and the consequences if a law fails."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from world.vectors import Vec3, Vec5
 
 
 class Brain:
-    """What every agent does, whatever its laws are."""
+    """The work of every agent, with any laws."""
 
     def __init__(self, config: AgentConfig) -> None:
         self.config = config

@@ -11,10 +11,10 @@
 | 9, 9, 9 | velocity over ground, NED | within 2.55 m/s | 1 cm/s |
 | 16 | CRC-16/CCITT (polynomial 0x1021, first 0xffff) of the bytes before | | |
 
-Signed numbers are two's complement of the number of steps, rounded to the nearest: the error is at most half a step
-per axis, 2.5 cm and 5 mm/s, but for the smallest value of each range, which is not used. The receiver knows the round
-period and its own time, so 8192 rounds say which round is meant as long as a message is younger than that. The age of
-a state is therefore exact, as in the full message. A clock that is not right shows other times at a round than whole
+Signed numbers are two's complement of the number of steps, rounded to the nearest. So the error is at most half a step
+per axis, 2.5 cm and 5 mm/s. The smallest value of each range is not used. The receiver knows the round period and its
+own time, so 8192 rounds say which round is meant as long as a message is younger than that. The age of a state is
+therefore exact, as in the full message. A clock that is not right shows other times at a round than whole
 rounds: the message then has the nearest one, so an age is wrong by half a round at most.
 
 The CRC finds every error of one or two bits and every burst of up to 16, and misses one in 65536 of the others.

@@ -1,4 +1,4 @@
-"""What one agent gets before a run: its own slice of the scenario and nothing of the others'.
+"""The configuration that one agent gets before a run: its own slice of the scenario, without the slices of others.
 
 The slice travels to the agent as plain values (`to_values`, `from_values`), so that an agent in another
 process, on another host or in another language receives the same thing.
@@ -108,7 +108,7 @@ class LocalizationParams:
 
 @dataclass(frozen=True, slots=True)
 class Law:
-    """A law by name (one that ships, `module:Class`, or an entry point) and what it is made with."""
+    """A law by name (one that ships, `module:Class`, or an entry point), and the parameters to make it with."""
 
     name: str
     parameters: dict[str, Any] = field(default_factory=dict)

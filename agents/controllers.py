@@ -18,7 +18,7 @@ from agents.localization.localizer import Localizer
 from agents.neighbours import NeighbourTable
 from agents.plugins.fenced_law import FencedLaw
 from agents.plugins.laws import load
-from agents.sample import Command, Sample
+from agents.sample import Sample, VelocityCommand
 from agents.signals import COMMANDED, HEARD, SignalLayout
 from world.vectors import Vec3
 
@@ -105,7 +105,7 @@ def laws(config: LawChoice) -> dict[str, Law]:
 
 
 def layout(config: LawChoice) -> SignalLayout:
-    """What an agent with these laws reports.
+    """The values that an agent with these laws reports.
 
     Raises:
         PluginError: one of its laws cannot be used.
@@ -170,7 +170,7 @@ class Cascade:
         u_cmd, theta, psi = direction_command(rho, theta, psi, params.rho_eps)
         self._held = (theta, psi)
         u_cmd = floor_speed(u_cmd, nu[1], nu[2], params.u_floor)
-        demand, control = self.tracking.step(sample, Command(u_cmd, theta, psi))
+        demand, control = self.tracking.step(sample, VelocityCommand(u_cmd, theta, psi))
         return demand, (*rho, u_cmd, theta, psi, *guidance, *control)
 
     def counters(self) -> dict[str, int]:

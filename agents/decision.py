@@ -1,4 +1,4 @@
-"""What an agent answers to one sample."""
+"""An agent's answer to one sample."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from world.vectors import Vec3
 
 
 class Decision(NamedTuple):
-    """What the vehicle shall do, and what the log is to hold of it."""
+    """The command to the vehicle, and the values for the log."""
 
     tau: Vec3  # surge force [N], pitch and yaw moment [N m], within the actuators' limits
     telemetry: tuple[float, ...]  # the values of the declared signals, in order

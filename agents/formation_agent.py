@@ -39,7 +39,7 @@ from world.vectors import Vec3
 
 
 class FormationAgent:
-    """What the agent of a vehicle would be without a whole agent of the user's: it keeps the formation."""
+    """The agent that a vehicle has if the user gives it no whole agent: it keeps the formation."""
 
     def __init__(self, config: AgentConfig) -> None:
         """Make it.

@@ -1,6 +1,6 @@
 """A host: one process, and one session, for several agents in lockstep.
 
-Each agent has its own core, loop and life. What comes for them comes together, and so do their answers: a fleet of a
+Each agent has its own core, loop and life. Their messages come together, and so do their answers, because a fleet of a
 thousand processes spends its time on waking them.
 """
 
@@ -29,7 +29,7 @@ class HostProcess:
 
         Args:
             number: of the host, from 1.
-            running: is told which agent computes.
+            running: receives the number of the agent that computes.
         """
         role = host_role(number)
         self._bus, self._number, self._running = bus, number, running

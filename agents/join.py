@@ -1,7 +1,7 @@
 """An external agent, started in any terminal that can reach the run: it connects, asks for its slice, and serves.
 
 `fleet run` writes a join file for every vehicle whose agent it does not start, with the credentials of that agent
-alone. The agent that joins with it behaves as the one that `fleet run` would have started, to the last bit.
+alone. An agent that joins with it behaves like the one that `fleet run` would have started, to the last bit.
 """
 
 from __future__ import annotations
@@ -42,8 +42,9 @@ def serve(
     Args:
         joining: the content of the join file.
         notify: called with one line of text when the agent has joined.
-        trust: which modules of laws may run besides those that are installed: the run names them, not this user.
-        make: makes what answers samples of the agent's configuration and the clock of the run; None: our agent.
+        trust: modules of laws that may run in addition to installed ones. The run names the laws, so this user decides.
+        make: takes the agent's configuration and the clock of the run, and makes the core that answers samples.
+            None: our agent.
 
     Returns:
         The world's last message to this agent.

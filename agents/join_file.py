@@ -33,7 +33,7 @@ class NotYetError(JoinError):
 
 
 class _Version(msgspec.Struct):
-    """What a join file of every version says."""
+    """The fields that a join file of every version has."""
 
     version: Any = None
 
@@ -57,7 +57,7 @@ class JoinFile(msgspec.Struct, frozen=True):
 
     @property
     def credentials(self) -> Credentials:
-        """What the agent presents to the router."""
+        """The credentials that the agent presents to the router."""
         return Credentials(self.user, self.password, self.ca, self.certificate, self.key, self.lease_ms)
 
     def __repr__(self) -> str:

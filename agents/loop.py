@@ -19,7 +19,7 @@ Answer = Memory | Transmission | Command | Receipt  # a receipt only on a wall c
 
 
 class AgentCore(Protocol):
-    """What the lockstep needs of an agent."""
+    """The methods of an agent that the lockstep calls."""
 
     def transmit(self, nav: Nav, /) -> tuple[bytes, ...]:
         """The payloads of a round tick; asked before the decision of that tick."""
@@ -54,13 +54,13 @@ class AgentLoop:
         """Begin one life of an agent.
 
         Args:
-            core: what answers samples.
+            core: answers samples.
             round_ticks: ticks from one round to the next.
-            incarnation: which life of the agent it is, from 0.
+            incarnation: the number of this life of the agent, from 0.
             begin: tick of its first nav.
-            ideal: what is sent at a tick is received at the same tick, so the agent transmits before it decides.
-            memory_ticks: the agent sends what it remembers every so many ticks; 0: never.
-            memories: what it sends instead, by tick; of an agent that is only recorded.
+            ideal: packets arrive at the tick at which they are sent, so the agent transmits before it decides.
+            memory_ticks: the agent sends its memory every this many ticks; 0: never.
+            memories: for an agent that is only recorded, the memories that it sends instead, by tick.
         """
         self.core = core
         self.round_ticks = round_ticks
@@ -179,11 +179,10 @@ def restore(core: AgentCore | None, memory: bytes) -> list[Delivery]:
     """Give an agent core what another one remembered.
 
     Args:
-        core: None: nobody takes it.
-        memory: the `state` of a Memory message.
+        core: the receiver of the memory; None: there is none.
 
     Returns:
-        The deliveries in it: those that were not due yet.
+        The deliveries in the memory that were not due yet.
     """
     state, deliveries = msgpack.unpackb(memory)
     if core is not None:

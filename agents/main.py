@@ -88,10 +88,8 @@ def begin_life(
     """Make an agent that is ready: world and netem have both answered it.
 
     Args:
-        core: what answers samples, of a program that is not ours and tells no memory; None: what `config` asks for.
-        incarnation: which life of the agent it is, from 0.
-        begin: tick of its first nav.
-        clock: of the run.
+        core: answers samples, for a program that is not ours and gives no memory. None: the core that `config` names.
+        incarnation: the number of this life of the agent, from 0.
 
     Raises:
         BusError: world or netem does not answer.

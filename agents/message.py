@@ -31,8 +31,8 @@ def pack(kind: str, values: Any) -> bytes:
     """The payload of some plain values: None, bool, int, float, str, bytes, and lists and dicts of them.
 
     Args:
-        kind: which message of which protocol it is; 1 to 40 characters, ASCII.
-        values: what `unpack` returns; numbers must be finite.
+        kind: the protocol and the kind of message; 1 to 40 characters, ASCII.
+        values: returned by `unpack`; numbers must be finite.
 
     Raises:
         ValueError: the kind is too long, or no ASCII; a number is not finite, or a value is none of these.

@@ -1,4 +1,4 @@
-"""What the agent knows of its neighbours: the newest state heard from each, and where they should be now.
+"""The agent's knowledge of its neighbours: the newest state heard from each, and where they should be now.
 
 | symbol | meaning | unit | frame |
 |---|---|---|---|
@@ -10,12 +10,12 @@
 | position now, neighbour | pos_j + vel_j age | m | NED |
 | position now, reference | pos_j + eta_j^d(now) - eta_j^d(k_j) | m | NED |
 
-Past the age cap the position stays where extrapolation left it; a neighbour not heard for longer than `drop_after`
-is left out of every sum, as before it was heard first, and counts again with its next message.
+Past the age cap the position stays where extrapolation left it. A neighbour not heard for longer than `drop_after` is
+left out of every sum, as before its first message, and counts again with its next one.
 
-Newest means by the sending tick: a late older message never replaces a newer one. "neighbour" has no bias but
-closes a loop through the neighbour's velocity that is unstable for long delays; "reference" is stable for
-every delay; "hold" is stable and lags behind a moving formation.
+The newest state is the one with the latest sending tick, so a late older message never replaces a newer one.
+"neighbour" has no bias, but it closes a loop through the neighbour's velocity that is unstable for long delays.
+"reference" is stable for every delay. "hold" is stable and lags behind a moving formation.
 """
 
 from __future__ import annotations
@@ -60,13 +60,13 @@ class NeighbourTable:
 
         Args:
             neighbours: number, weight and offset of each.
-            extrapolation: how the age of a message is made up for.
+            extrapolation: the way to make up for the age of a message.
             reference: eta_1^d; None: not known to this agent.
             offset: the own one, p_i [m, NED].
             tick_s: control period Ts [s].
-            age_cap_s: age [s] beyond which nothing is extrapolated further; 0: any.
-            drop_after_s: age [s] beyond which a neighbour counts for nothing; 0: never.
-            codec: which payload the neighbours send.
+            age_cap_s: extrapolation stops at this age [s]; 0: never.
+            drop_after_s: an older neighbour [s] counts for nothing; 0: every one counts.
+            codec: the format of the neighbours' payloads.
             round_ticks: ticks from one round to the next.
         """
         # One order for the sums, whatever the order of the configuration or of arrival.
@@ -166,7 +166,7 @@ class NeighbourTable:
         return found
 
     def newest(self, ids: Iterable[int]) -> int | None:
-        """Tick at which the newest state heard from any of these neighbours was sampled; None: none was heard."""
+        """The tick at which the newest state from any of these neighbours was sampled; None: no message has come."""
         sent = [message.sent_tick for i in ids if (message := self._newest.get(i)) is not None]
         return max(sent, default=None)
 

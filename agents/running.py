@@ -26,7 +26,7 @@ class Running:
 
 
 def running(path: Path) -> int:
-    """The vehicle whose agent a host is computing, or was when it ended; 0: none, or it has not begun."""
+    """The vehicle whose agent a host is computing, or computed when it ended. 0: no vehicle yet."""
     try:
         data = path.read_bytes()
     except OSError:

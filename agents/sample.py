@@ -1,4 +1,4 @@
-"""What a control law is given at one control sample, and what guidance asks of tracking."""
+"""The input of a control law at one control sample, and the command of guidance to tracking."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from world.vectors import Vec3, Vec5
 
 
 class NeighbourState(NamedTuple):
-    """What an agent knows of one neighbour that it has heard."""
+    """An agent's knowledge of one neighbour that it has heard."""
 
     id: int
     weight: float  # a_ij [1]
@@ -22,8 +22,8 @@ class NeighbourState(NamedTuple):
     range_sd_m: float | None = None  # standard deviation of the range, as the modem knows it [m]
 
 
-class Command(NamedTuple):
-    """What guidance asks of tracking: speed [m/s], pitch and course of the velocity [rad, NED]."""
+class VelocityCommand(NamedTuple):
+    """The demand of guidance on tracking: speed [m/s], pitch and course of the velocity [rad, NED]."""
 
     speed: float
     theta: float

@@ -11,9 +11,12 @@ from fleet.cores import hidden_cores
 
 if TYPE_CHECKING:
     from fleet.execution.judged import run as run
+    from fleet.execution.judged import stepping as stepping
+    from fleet.execution.stepped_run import SteppedRun as SteppedRun
     from fleet.logs.open_log import Log as Log
     from fleet.logs.open_log import open_log as open_log
     from fleet.result.result import Result as Result
+    from fleet.rl.offered import parallel_env as parallel_env
     from fleet.study.boundary import Boundary as Boundary
     from fleet.study.boundary import boundary as boundary
     from fleet.study.study import Study as Study
@@ -23,15 +26,31 @@ if TYPE_CHECKING:
 _OFFERED = {
     "Result": "fleet.result.result",
     "run": "fleet.execution.judged",
+    "SteppedRun": "fleet.execution.stepped_run",
+    "stepping": "fleet.execution.judged",
     "Log": "fleet.logs.open_log",
     "open_log": "fleet.logs.open_log",
     "Boundary": "fleet.study.boundary",
     "boundary": "fleet.study.boundary",
     "Study": "fleet.study.study",
     "open_study": "fleet.study.study",
+    "parallel_env": "fleet.rl.offered",
     "sweep": "fleet.study.study",
 }
-__all__ = ["Boundary", "Log", "Result", "Study", "boundary", "open_log", "open_study", "run", "sweep"]
+__all__ = [
+    "Boundary",
+    "Log",
+    "Result",
+    "SteppedRun",
+    "Study",
+    "boundary",
+    "open_log",
+    "open_study",
+    "parallel_env",
+    "run",
+    "stepping",
+    "sweep",
+]
 
 
 def __dir__() -> list[str]:

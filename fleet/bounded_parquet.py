@@ -20,7 +20,7 @@ _MOST_ABOUT = 4_000_000  # bytes at the end of a file that say what is in it
 
 
 class Most(NamedTuple):
-    """What a file may hold, and why no more is expected."""
+    """The limits of a file's content, and the reason for them."""
 
     rows: int
     bytes: int  # packed, unpacked, and in memory, where a word that stands once counts in each row
@@ -78,7 +78,7 @@ def read_columns(path: Path, most: Most, choose: Callable[[pa.Schema], Sequence[
 
 
 def _text_bytes(column: pa.ChunkedArray) -> int:
-    """What its texts take when each stands where it belongs."""
+    """The bytes that the texts of a column take without a dictionary."""
     total = 0
     if pa.types.is_dictionary(column.type):
         for chunk in column.chunks:

@@ -68,10 +68,10 @@ MOST_SHOWN = 200  # problems of one scenario; more are only counted
 
 
 class FleetError(Exception):
-    """An error of this package, or the base of those that somebody catches by name.
+    """An error of this package, or the base of the errors that callers catch by name.
 
-    `status` is what `fleet` exits with: 2 when something else should have been asked for, 3 when the machine does
-    not do what was rightly asked (a full disk, a process that does not start).
+    `status` is the exit status of `fleet`: 2 if the user should ask for something else, 3 if the machine cannot do what
+    the user rightly asked (a full disk, a process that does not start).
     """
 
     status = 2

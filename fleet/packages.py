@@ -50,7 +50,7 @@ def _place(spec: ModuleSpec | None) -> str:
 
 
 def _whose(name: str) -> str:
-    """Who installed it, in words."""
+    """The installer of the package, in words."""
     from importlib.metadata import packages_distributions
 
     others = sorted(set(packages_distributions().get(name, [])) - {OURS})

@@ -1,4 +1,5 @@
-"""What a Parquet file says of its columns, and how many bytes their pages unpack to, as the headers of the pages say.
+"""A Parquet file's description of its columns, and the number of bytes that their pages unpack to by the pages'
+headers.
 
 The end of a file says the size as well, but a reader unpacks what the headers say: of a file by a stranger the two may
 differ. Columns are read here and not by pyarrow, because pyarrow 26 ends the process on some damaged ones

@@ -46,13 +46,13 @@ def fleet_runs(request: pytest.FixtureRequest) -> FleetRuns:
         """Run a scenario with each seed in turn.
 
         Args:
-            scenario: a shipped name, or a file; one beside the test need not have its folder.
-            seeds: how many, from 1 on, or which.
-            set: what to change, as for `fleet.run`.
-            trust: which modules may run that are neither installed nor in the current directory.
+            scenario: a shipped name, or a file. If the file is in the folder of the test, its name is enough.
+            seeds: how many, from 1 on, or a list of them.
+            set: changes to the scenario, as for `fleet.run`.
+            trust: modules that may run, in addition to installed ones and those in the current directory.
 
         Returns:
-            The results, all of which passed.
+            The results; all of them passed.
 
         Raises:
             ScenarioError: with every mistake of the scenario.

@@ -1,9 +1,9 @@
-"""Medium access: at which tick a modem that has something to send may start.
+"""Medium access: the tick at which a modem may start to send.
 
 `aloha` and `csma` draw a back-off. With `tdma` a vehicle starts when its own clock reaches the start of its next slot:
 vehicle after vehicle, in the order of their numbers. It starts at the first whole tick of simulated time at which its
-clock shows that, so at most a tick late. How its clock will go on is known as of the round tick at which the start is
-fixed: offset and drift then. A clock that is stepped later does not move a start that is fixed.
+clock has reached the slot, so at most a tick late. The round tick fixes the start, from the offset and the drift that
+the clock has at that tick. A clock that is stepped later does not move a start that is fixed.
 """
 
 from __future__ import annotations
@@ -54,14 +54,16 @@ class Access:
         return self._reaches(src, (first + turns * turn) * tick_ns, earliest)
 
     def _shown_ns(self, src: int, tick: int) -> int:
-        """What the clock of a vehicle will show at a tick, as far as is known at the round tick; negative before 0."""
+        """The time that a vehicle's clock will show at a tick, from its offset and drift at the round tick; negative
+        before 0.
+        """
         assert self._clocks is not None
         since = (tick - self._tick) * self._config.tick_ns
         ahead, drift = self._clocks.ahead_ns(src, self._tick), self._clocks.drift(src, self._tick)
         return self._tick * self._config.tick_ns + ahead + round(max(_LEAST_RATE, 1.0 + drift) * since)
 
     def _reaches(self, src: int, slot_ns: int, earliest: int) -> int:
-        """The first tick from `earliest` on at which a vehicle's clock shows `slot_ns` or more."""
+        """The first tick from `earliest` on at which a vehicle's clock has reached `slot_ns`."""
         low, high = earliest - 1, earliest
         while self._shown_ns(src, high) < slot_ns:
             low, high = high, high + 2 * (high - low)

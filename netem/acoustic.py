@@ -13,14 +13,14 @@ m ticks. In the round that begins at tick k, that is in the ticks k to k + m - 1
 3. All distances are between the positions at round tick k; a vehicle without an agent keeps its last known position.
    The active faults, and which vehicles have an agent, are also those at tick k. So a run with faults that a user
    injected while it was running can be repeated.
-4. Whether a reception succeeds is decided in the round in which it ends. Then all transmissions that started before
-   its end are known, so every transmission that overlaps it at the receiver is taken into account. Transmissions are
-   in the order (start, src).
+4. The round in which a reception ends decides whether it succeeds. Then all transmissions that started before its end
+   are known, so every transmission that overlaps it at the receiver is taken into account. Transmissions are in the
+   order (start, src).
 5. A modem with `tries` sends a payload to one neighbour after the other. The neighbour answers at the first whole tick
    after it has the payload, unless it transmits itself. Without an answer the sender tries again, and gives up after
    `tries`. A payload that arrives twice is delivered once. Conditions of links act on each try, not on answers.
 
-The causes of a loss, in the order in which they are checked (`final at`: when the packet's fate is final):
+The causes of a loss, in the order of the checks. `final at` is the tick at which the packet's fate is final.
 
 | cause | final at | when |
 |---|---|---|
@@ -34,8 +34,9 @@ The causes of a loss, in the order in which they are checked (`final at`: when t
 | `snr` | likewise | lost in noise: a seeded random number in [0, 1) is below the packet error rate |
 | `dead receiver`, `deaf` | likewise | as with independent links |
 
-A payload whose reception ends at time t is usable from the first tick at or after t plus the modem's `processing`, but
-never before the tick after its start tick. A payload that is not acknowledged has the cause of its last try.
+A payload becomes usable after its reception ends at time t: at the first tick at or after t plus the modem's
+`processing`, but never before the tick after its start tick. A payload that is not acknowledged has the cause of its
+last try.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ from netem.wire.messages import Fate
 
 
 class _State(Struct, omit_defaults=True):
-    """What the channel adds to the state of the network."""
+    """The acoustic channel's part of the state of the network."""
 
     stations: list[Station]
     places: list[tuple[int, Place]]
@@ -156,7 +157,7 @@ class AcousticChannel:
             station.late = sorted([*station.late, sent])
 
     def _next_event(self, alive: list[Station], until: int) -> int | None:
-        """The next tick before `until` at which a modem has something to do; None: no modem has."""
+        """The next tick before `until` at which a modem has something to do; None if there is none."""
         ticks = [answer.start_tick for answer in self._answers]
         ticks += [query.start_tick for query in self._ranges.queries]
         for station in alive:
@@ -197,7 +198,10 @@ class AcousticChannel:
             station.start_tick = self._access.next_start(station, max(earliest, station.free_tick))
 
     def _start(self, station: Station, start: int, faults: ActiveFaults) -> None:
-        """Transmit the first payload of the buffer, or once more the one that nobody has acknowledged."""
+        """Transmit the first payload of the buffer.
+
+        If an earlier one lacks its acknowledgement, transmit that one again.
+        """
         src, modem, station.start_tick = station.vehicle, self._acoustic.modem_of(station.vehicle), None
         transfer = self._transfers.get(src)
         if transfer is None:
@@ -347,7 +351,7 @@ class AcousticChannel:
         self._transit.hand_over(self._ranges.received(packet, r))
 
     def _answered(self, r: Reception, cause: Cause | None) -> None:
-        """What an acknowledgement does that has ended at the sender of the payload."""
+        """Take in an acknowledgement that has ended at the sender of the payload."""
         transfer = self._transfers.get(r.dst)
         if cause is None and transfer is not None and (r.seq, r.src) == (transfer.sent.seq, transfer.to[0]):
             station = self._stations[r.dst]

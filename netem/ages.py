@@ -7,10 +7,10 @@
 | Delta(t) | t - U(t), the age | tick |
 
 Delta is the age of S. Kaul, R. Yates, M. Gruteser, "Real-time status: How often should one update?", INFOCOM 2012: a
-sawtooth that grows by one per tick and drops when something newer arrives. What arrives late behind something newer, a
-copy, and a payload that the link corrupted (the agent refuses it by its CRC) do not lower it. At the start no
-vehicle has heard of another, so the age counts from tick 0: a link that never delivers is as old as the run. It belongs
-to the link, not to an agent's memory: it also grows at a receiver, or of a sender, that is dead.
+sawtooth that grows by one per tick and drops when something newer arrives. Three kinds of packet do not lower it: a
+late one behind something newer, a copy, and a payload that the link corrupted (the agent refuses it by its CRC). At the
+start no vehicle has heard of another, so the age counts from tick 0: a link that never delivers is as old as the run.
+It belongs to the link, not to an agent's memory: it also grows at a receiver, or of a sender, that is dead.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from netem.wire.messages import Fate
 class InformationAge:
     """The age on one link, counted tick by tick, each tooth in closed form.
 
-    Kept are the edges of a histogram (between two edges every age occurred equally often) and the peaks that no later
-    one reaches, so what it takes grows with the number of different ages, not with the run.
+    The class keeps the edges of a histogram (between two edges every age occurred equally often), and the peaks that no
+    later peak reaches. Its memory therefore grows with the number of different ages, not with the length of the run.
     """
 
     heard: int = 0  # U
@@ -64,7 +64,7 @@ class InformationAge:
 
 
 class Ages:
-    """The ages on all links, from final fates in the order in which the journal has them."""
+    """The ages on all links, from final fates in the order of the journal."""
 
     def __init__(self, links: Iterable[Link]) -> None:
         self.links: dict[Link, InformationAge] = {link: InformationAge() for link in sorted(links)}
@@ -83,7 +83,7 @@ class Ages:
         return [[*link, age.heard] for link, age in self.links.items()]
 
     def resume(self, tick: int, heard: list[list[int]]) -> None:
-        """Count from a tick on, at which so much had been heard."""
+        """Count from a tick on, with the messages that had been heard by then."""
         for src, dst, sent in heard:
             self.links[src, dst] = InformationAge(sent, tick, tick)
 

@@ -1,4 +1,4 @@
-"""What is in the air, as engineers say of sound in water: who hears whom, and which receptions succeed."""
+"""The transmissions in the water ("in the air", as engineers say): who hears whom, and which receptions succeed."""
 
 from __future__ import annotations
 
@@ -62,7 +62,9 @@ class Air:
         self.bursts.append(Burst(start, src, airtime_ns, heard))
 
     def idle_tick(self, src: int, now: int) -> int:
-        """The first tick at which a vehicle hears none of those that it hears now; `now` if it hears nobody."""
+        """The first tick at which a vehicle no longer hears any of the transmissions that it hears now; `now` if it
+        hears none.
+        """
         tick_ns, ends = self._tick_ns, now * self._tick_ns
         for burst in self.bursts:
             for i, _, delay in burst.heard:
@@ -98,7 +100,7 @@ class Air:
         return None
 
     def _gain(self, src: int, dst: int, start_tick: int) -> float:
-        """What fading adds to the level [dB] of a transmission."""
+        """The gain [dB] that fading adds to the level of a transmission."""
         acoustic = self._acoustic
         if not acoustic.shadowing and acoustic.rician is None:
             return 0.0

@@ -1,4 +1,4 @@
-"""What may become of a packet: the causes of a loss, and the other two fates."""
+"""The fates of a packet: the causes of a loss, delivery, and "in flight" at the end of the run."""
 
 from __future__ import annotations
 

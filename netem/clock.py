@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class Clock(StrEnum):
-    """What decides when a tick begins."""
+    """Decides when a tick begins."""
 
     LOCKSTEP = "lockstep"  # everybody waits for everybody, so the log does not depend on the machine
     REAL = "real"  # the wall clock: nobody waits, so processes can be late

@@ -1,9 +1,9 @@
 """How often something happens whose probability is correlated.
 
-A correlated number x_n = (1 - rho) u_n + rho x_(n-1) lies near 1/2 more often than a uniform one, so x_n < p happens
-less often than p says when p is below 1/2, and more often above. In the long run x is (1 - rho) sum_j rho^j u_j, a sum
-of independent uniform numbers of the widths a_j = (1 - rho) rho^j. It lies in [0, 1], so its density is its Fourier
-series there, and the integral of that series is exact:
+A correlated number x_n = (1 - rho) u_n + rho x_(n-1) lies near 1/2 more often than a uniform one. So x_n < p happens
+less often than p says if p is below 1/2, and more often if p is above. In the long run x is (1 - rho) sum_j rho^j u_j,
+a sum of independent uniform numbers of the widths a_j = (1 - rho) rho^j. It lies in [0, 1], so its density is its
+Fourier series there, and the integral of that series is exact:
 
     P(x < p) = p + sum_(k >= 1) (-1)^k psi(k) sin(2 pi k p) / (pi k),   psi(k) = prod_j sin(pi k a_j) / (pi k a_j)
 
@@ -25,7 +25,7 @@ _SERIES = ((2, 6.0), (4, 180.0), (6, 2835.0), (8, 37800.0))
 
 
 class Effective(NamedTuple):
-    """What a condition asks for, and the share of packets that it gets in the long run."""
+    """The share of packets that a condition asks for, and the share that it gets in the long run."""
 
     word: str
     probability: float
@@ -78,7 +78,10 @@ def effective(condition: Condition) -> list[Effective]:
 
 
 def lost_share(condition: Condition) -> float:
-    """The share of packets that a condition loses in the long run, without those that do not fit into its queue."""
+    """The share of packets that a condition loses in the long run.
+
+    Packets that do not fit into its queue are not counted.
+    """
     c = condition
     if not c.up:
         return 1.0

@@ -30,7 +30,10 @@ def packed(*numbers: int) -> bytes:
 
 
 def unit(key: bytes, purpose: str) -> float:
-    """What `uniform` gives for a key that is packed already, the seed first: for who draws often."""
+    """The draw of `uniform` for a key that is packed already, the seed first.
+
+    It saves time for callers that draw often.
+    """
     return (_hash(key + purpose.encode()) >> 11) * _UNIT
 
 

@@ -1,4 +1,4 @@
-"""What can go wrong on the network side; data in fields, so that callers can print their own words."""
+"""The errors of the network side. Their data are in fields, so that callers can print words of their own."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Fading of acoustic links: a slow gain (log-normal shadowing) and a fast one (Rician or Rayleigh), in decibels.
 
-Both belong to a directed link and are pure functions of (seed, link, time): nothing is remembered, so the order in
-which packets are judged does not matter.
+Both belong to a directed link and are pure functions of (seed, link, time). Nothing is remembered, so packets can be
+judged in any order.
 
 | symbol | meaning | unit |
 |---|---|---|
@@ -32,7 +32,10 @@ def draws(sigma: float, k: float | None) -> list[str]:
 
 
 def gain_db(seed: int, src: int, dst: int, at_ns: int, sigma: float, tau_ns: int, k: float | None) -> float:
-    """What fading adds to the level [dB] of a transmission that begins at `at_ns`; `k` None: no fast fading."""
+    """The gain [dB] that fading adds to the level of a transmission that begins at `at_ns`.
+
+    If `k` is None, there is no fast fading.
+    """
     gain = sigma * _shadowing(seed, src, dst, at_ns, tau_ns) if sigma else 0.0
     return gain if k is None else gain + decibels(max(_LEAST, _scatter(seed, src, dst, at_ns, k)))
 

@@ -73,7 +73,7 @@ def read_faults(values: Any) -> tuple[NetFault, ...]:
 
 
 class ActiveFaults(NamedTuple):
-    """What the faults that hold at a tick do."""
+    """The combined effect of the faults that are active at a tick."""
 
     conditions: dict[Link, Condition]  # in place of the link's own
     cut: dict[Link, Cause]  # links that lose everything, with the cause
@@ -87,7 +87,7 @@ NO_FAULTS = ActiveFaults({}, {}, frozenset(), frozenset(), frozenset(), {})
 
 
 def active_faults(faults: tuple[NetFault, ...], tick: int) -> ActiveFaults:
-    """What holds at a tick; `faults` in the order in which they begin."""
+    """The effect of the faults that are active at a tick; `faults` in the order in which they begin."""
     active = [fault for fault in faults if fault.active(tick)]
     if not active:
         return NO_FAULTS

@@ -14,9 +14,9 @@ Conditions are written in the grammar of Linux tc-netem (tc-netem(8)):
     TIME         := number followed by us, ms or s        PERCENT, CORRELATION := number followed by %
     RATE         := number followed by bit, kbit, mbit, gbit (bits per second), or bps, kbps, mbps, gbps (bytes!)
 
-tc reads a TIME without a unit as microseconds and a PERCENT without a sign as percent; here units are required, because
-200 instead of "200 ms" would be a mistake without a message. `down` is not part of tc-netem; `slot` and `ecn` of
-tc-netem are refused by name.
+tc reads a TIME without a unit as microseconds and a PERCENT without a sign as percent. Here units are required: with
+tc, 200 instead of "200 ms" is a mistake without a message. `down` is not part of tc-netem; `slot` and `ecn` of tc-netem
+are refused by name.
 
 Selectors name directed links; an arrow points in the direction of the payload (`netem.selectors` reads them):
 
@@ -106,7 +106,7 @@ def parse_condition(text: str) -> Condition:
 
 
 def with_word(text: str, word: str, value: str) -> str:
-    """A condition in which one word has other values: `with_word("delay 2s loss 1%", "loss", "30%")`.
+    """A condition with new values for one word: `with_word("delay 2s loss 1%", "loss", "30%")`.
 
     Args:
         text: the condition as it is; empty: a perfect link.

@@ -33,7 +33,7 @@ class Histogram:
         self._buckets[0 if ns <= LEAST_NS else 1 + floor(PER_DECADE * log10(ns / LEAST_NS))] += 1
 
     def percentile_ns(self, percent: float) -> int:
-        """What at least so many percent did not exceed, rounded up to the end of its bucket; 0 if there are none."""
+        """The smallest end of a bucket that at least this percentage did not exceed; 0 if the histogram is empty."""
         rank = self.count * percent / 100
         seen = self.negative
         if seen >= rank:

@@ -1,11 +1,11 @@
-"""What one directed link does to one packet, in the order in which Linux' sch_netem does it.
+"""The effect of one directed link on one packet, in the order of Linux' sch_netem.
 
 duplicate, lose, corrupt, drop at the queue's limit, and then either reorder (send at once) or delay and rate-limit.
 `docs/guide/netem.md` lists where we differ from the kernel.
 
 A rule returns an outcome and moves no time: the caller (`netem.medium`) owns ticks and queues. Every draw is keyed by
 (seed, purpose, link, sequence number, copy), so that changing one link, or one value of a link, never shifts another
-draw. What a link remembers between packets (correlations, loss states, its queue) is plain values.
+draw. A link remembers correlations, loss states and its queue between packets, as plain values.
 
 | symbol | meaning | source |
 |---|---|---|
@@ -74,7 +74,7 @@ def draws(c: Condition) -> list[str]:
 
 
 class LinkOutcome(NamedTuple):
-    """What a link makes of a packet that enters it: when it leaves and with which payload, or the cause of its loss."""
+    """The result for a packet that enters a link: when it leaves and with which payload, or the cause of its loss."""
 
     delay_ns: int
     cause: Cause | None  # None: it is not lost
@@ -84,7 +84,7 @@ class LinkOutcome(NamedTuple):
 
 @dataclass(slots=True)
 class LinkMemory:
-    """What a link remembers from packet to packet."""
+    """The values that a link remembers from packet to packet."""
 
     last: dict[str, float] = field(default_factory=dict)  # the last correlated number of each purpose
     loss_model: str = ""  # whose `loss_state` is
@@ -123,7 +123,7 @@ class LinkModel:
         return self._state
 
     def enter(self, now_ns: int, seq: int, payload: bytes, over: Condition | None = None) -> list[LinkOutcome]:
-        """What becomes of packet `seq`, sent at `now_ns`; a second outcome when the link duplicates it.
+        """The outcome of packet `seq`, sent at `now_ns`; a second outcome if the link duplicates it.
 
         `over` is the condition of a fault that lies over the link's own.
 
@@ -250,7 +250,7 @@ class LinkModel:
         return x
 
     def _use(self, condition: Condition) -> None:
-        """Let a condition decide from now on: the link's own, or one that is put over it."""
+        """Use a condition from now on: the link's own, or one that is put over it."""
         self._used = condition
         # A condition that is put over the link's own must not seed it anew.
         own = self._seed if self.condition.seed is None else self.condition.seed

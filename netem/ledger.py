@@ -40,7 +40,7 @@ class Account(msgspec.Struct):
 
     @property
     def ordered(self) -> Account:
-        """The same, with the causes of losses in the order in which they are declared."""
+        """The same counts, with the causes of losses in the order of their declaration."""
         lost = {str(cause): self.lost[cause] for cause in LOSSES if cause in self.lost}
         return msgspec.structs.replace(self, lost=lost)
 

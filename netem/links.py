@@ -1,4 +1,4 @@
-"""The directed links of a run: who receives from whom, what each link does to a packet, and each link's account."""
+"""The directed links of a run: who receives from whom, the effect of each link on a packet, and each link's account."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PERFECT = Condition()
 
 
 class Links:
-    """What a medium asks about links; a fault's condition lies over the link's own."""
+    """The links, as a medium uses them; a fault's condition lies over the link's own."""
 
     def __init__(self, config: NetemConfig) -> None:
         self.models = {
@@ -35,7 +35,7 @@ class Links:
         return seq
 
     def enter(self, at_ns: int, link: Link, seq: int, payload: bytes, faults: ActiveFaults) -> list[LinkOutcome]:
-        """What a link makes of a packet that enters it at a time: one outcome, and one more if it is duplicated."""
+        """The outcome of a packet that enters a link at a time, and a second outcome if the link duplicates it."""
         model, over = self.models[link], faults.conditions.get(link)
         if link in faults.up:
             condition = model.condition if over is None else over
@@ -44,7 +44,7 @@ class Links:
 
 
 class ChangingLinks(Links):
-    """Links of which some have conditions that change by themselves. A fault's condition lies over them as well."""
+    """Links, some of them with conditions that change by themselves. A fault's condition lies over them as well."""
 
     def __init__(self, config: NetemConfig) -> None:
         super().__init__(config)
@@ -61,7 +61,7 @@ class ChangingLinks(Links):
                 self._processes[link] = shared[changing]
 
     def enter(self, at_ns: int, link: Link, seq: int, payload: bytes, faults: ActiveFaults) -> list[LinkOutcome]:
-        """What a link makes of a packet, in the condition that it has when the packet enters it."""
+        """The outcome of a packet, in the condition that the link has when the packet enters it."""
         process = self._processes.get(link)
         if process is None or link in faults.conditions:
             return super().enter(at_ns, link, seq, payload, faults)
@@ -72,5 +72,5 @@ class ChangingLinks(Links):
 
 
 def make_links(config: NetemConfig) -> Links:
-    """The links of a run; those that never change are not asked for their state."""
+    """The links of a run. Links that never change skip the question for their state."""
     return ChangingLinks(config) if config.changing else Links(config)

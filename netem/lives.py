@@ -1,4 +1,4 @@
-"""Who has an agent at which tick, and which life of it that is.
+"""The vehicles that have an agent at a tick, and the number of that agent's life.
 
 An agent that ended leaves its vehicle without one from a tick on, until another is started in its place: a new
 incarnation, with an empty memory. Both are ticks, so every process computes the same answer for the same tick.

@@ -1,4 +1,4 @@
-"""What carries the payloads of a run: a link of its own for each pair, or water that all share."""
+"""The medium of the payloads of a run: a link of its own for each pair, or water that all share."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Place = tuple[float, ...]  # x, y, z [m, NED]
 
 
 class MediumRound(NamedTuple):
-    """What a medium is given of one round."""
+    """The input of a medium for one round."""
 
     tick: int  # the round tick k
     until: int  # the next round tick

@@ -18,7 +18,7 @@ SOUND_SPEED = 1500.0  # m/s
 
 @dataclass(frozen=True, slots=True)
 class Modem:
-    """The numbers of a modem; `netem/modems/*.toml` has those that ship, with their sources.
+    """The numbers of a modem. `netem/modems/*.toml` has the modems that ship, with their sources.
 
     A modem with `airtime` needs no `bit_rate` and no `preamble`; one with `delivery` needs no `lost_below` and no
     `clear_above`. One with `tries` sends each payload to one neighbour after the other, until it is acknowledged.

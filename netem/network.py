@@ -37,7 +37,7 @@ class Exchange(NamedTuple):
 
 
 class _State(Struct, omit_defaults=True):
-    """What `Netem.state` writes, but for what belongs to the medium."""
+    """The fields that `Netem.state` writes, without the medium's part."""
 
     round: int
     faults: list[list[Any]]
@@ -65,7 +65,7 @@ class Netem:
 
     @property
     def faults(self) -> tuple[NetFault, ...]:
-        """All faults, in the order in which they begin; replaced as a whole by who injects."""
+        """All faults, in the order in which they begin. A caller that injects replaces the whole list."""
         return self._faults
 
     @faults.setter
@@ -75,7 +75,7 @@ class Netem:
 
     @property
     def entered(self) -> dict[Link, tuple[int, int]]:
-        """Packets sent into each link so far, and those that it added as duplicates."""
+        """The number of packets sent into each link, and the number of duplicates that the link added."""
         return {link: (account.sent, account.duplicated) for link, account in self._links.ledger.accounts.items()}
 
     def exchange(

@@ -1,4 +1,4 @@
-"""What every reader of text needs: exact numbers, the nearest known word."""
+"""Helpers for every reader of text: exact numbers, the nearest known word."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ class DamagedFile(NetemError):
 
 
 def read_private(path: Path, most: int) -> bytes:
-    """What is in a regular file of at most so many bytes that nobody but its owner can read.
+    """The content of a regular file that only its owner can read, up to a number of bytes.
 
     Raises:
         OSError: it is no regular file, it is larger, or it cannot be read.

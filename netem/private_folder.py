@@ -27,8 +27,8 @@ class PrivateFolder:
         """Remove what killed processes left, and make the folder.
 
         Args:
-            kind: what it is for, as part of its name, which is then `uuv-fleet-<kind>-...`.
-            place: where; None: in TMPDIR.
+            kind: its purpose, as part of its name, which is then `uuv-fleet-<kind>-...`.
+            place: the folder to make it in; None: TMPDIR.
 
         Raises:
             OSError: it cannot be made there.
@@ -46,7 +46,7 @@ class PrivateFolder:
             new.unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Remove it with all that is in it."""
+        """Remove the folder with its content."""
         shutil.rmtree(self.path, ignore_errors=True)
         if self.lock >= 0:
             os.close(self.lock)
@@ -62,7 +62,7 @@ class PrivateFolder:
 
 
 def runtime_place() -> Path | None:
-    """The folder that the system gives this user until he logs out; None: it gives none, or one that is not ours."""
+    """The folder that the system gives this user until logout; None if there is none, or if another user owns it."""
     given = os.environ.get("XDG_RUNTIME_DIR", "")
     usable = Path(given).is_absolute() and Path(given).is_dir() and os.access(given, os.W_OK | os.X_OK)
     return Path(given) if usable else None

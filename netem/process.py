@@ -153,7 +153,7 @@ class NetworkProcess(ABC, Generic[R]):
         self._from_world(message)
 
     def _whole(self, part: Round) -> Round | None:
-        """A round of which the last part has come, or None."""
+        """A round after its last part has come, or None."""
         self._round_parts.append(part)
         if part.more:
             return None

@@ -60,7 +60,7 @@ Ranged = list[tuple[PendingPacket, MeasuredRange | None]]  # packets for their r
 
 
 def draws(config: RangingConfig | None) -> list[str]:
-    """The purposes of the draws on which measured ranges depend."""
+    """The purposes of the draws that determine measured ranges."""
     if config is None:
         return []
     found = [NOISE] if config.noise else []
@@ -98,11 +98,11 @@ class NoRanges:
         """Take the time of a round, and forget what vehicles without an agent had to send."""
 
     def received(self, packet: PendingPacket, r: Reception) -> Ranged:
-        """What can be handed over when a packet has come."""
+        """The results that can be handed over when a packet has come."""
         return [(packet, None)]
 
     def heard(self, r: Reception, end_tick: int) -> Ranged:
-        """What can be handed over when a query has been received."""
+        """The results that can be handed over when a query has been received."""
         return []
 
     def take_due(self, now: int) -> list[Query]:
@@ -112,7 +112,7 @@ class NoRanges:
         return due
 
     def give_up(self, until: int | None) -> Ranged:
-        """The packets that have waited for their range up to a tick in vain; None: all that wait."""
+        """The packets that have waited for their range in vain up to a tick; None: all that wait."""
         late = [kept for kept in self.kept if until is None or kept.deadline_tick <= until]
         self.kept = [] if until is None else [kept for kept in self.kept if kept.deadline_tick > until]
         return [(kept.packet, None) for kept in late]
@@ -229,7 +229,7 @@ class TwoWay(OneWay):
 
 
 def make_ranges(config: NetemConfig, air: Air, receivers: Mapping[int, Sequence[int]]) -> NoRanges:
-    """What the modems of a run measure."""
+    """The ranges that the modems of a run measure."""
     acoustic = config.acoustic
     if acoustic is None or acoustic.ranging is None:
         return NoRanges()

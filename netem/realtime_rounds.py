@@ -1,8 +1,8 @@
 """The network without rounds: a packet enters at the tick in which it comes, and is handed out a tick before it is due.
 
-A pure state machine like `Rounds`; the process decides when a tick is exchanged. A transmission of round tick k that
-comes in the first half of tick k enters at k, as in lockstep; a later one at the tick in which it comes, so that what
-the network adds to it counts from there. The impairment models are the same, and so is the least latency of one tick.
+A pure state machine like `Rounds`; the process decides when a tick is exchanged. A transmission of round tick k enters
+at k, as in lockstep, if it comes in the first half of tick k. A later one enters at the tick in which it comes, and the
+delay of the network counts from there. The impairment models are the same, and so is the least latency of one tick.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class RealtimeRounds:
         """Take vehicle i's transmission, whenever it comes.
 
         Raises:
-            OutOfPlace: not a round tick, one that was taken, one to come, or of another incarnation.
+            OutOfPlace: not a round tick, a tick that was taken already or lies in the future, or another incarnation.
         """
         self.lives.check(i, message.tick, message.incarnation)
         m = self.config.round_ticks
@@ -99,7 +99,9 @@ class RealtimeRounds:
                 self._owed[i].add(message.tick)
 
     def exchange(self, now_ns: int) -> tuple[list[tuple[int, Inbox]], LinkReport | None]:
-        """The outcome of a tick: (vehicle, inbox) pairs of those who get something, and at a round tick the report."""
+        """The outcome of a tick: (vehicle, inbox) pairs of the vehicles that get something, and at a round tick the
+        report.
+        """
         tick = self._tick
         inboxes = []
         for i, deliveries in self._advance().items():
@@ -129,7 +131,7 @@ class RealtimeRounds:
         return inboxes
 
     def receipt(self, i: int, receipt: Receipt, due_ns: Callable[[int], int]) -> None:
-        """Take the report of vehicle i on which deliveries it used at a tick.
+        """Take the report of vehicle i about the deliveries that it used at a tick.
 
         Args:
             due_ns: when a tick begins [ns, CLOCK_MONOTONIC].
@@ -157,7 +159,7 @@ class RealtimeRounds:
         return LinkReport(end_tick, True, False, (*self._fates, *self.netem.close(end_tick)), b"")
 
     def timing(self) -> dict[str, Any]:
-        """What the network measured of the agents and of itself, as plain values."""
+        """The measured times of the agents and of the network itself, as plain values."""
         alive = () if self._round is None else self._round.alive
         links = {
             f"{src}->{dst}": {"injected": self.injected[src, dst].to_values(), "measured": spread.to_values()}

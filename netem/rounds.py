@@ -45,7 +45,7 @@ class Rounds:
         """Take vehicle i's transmission.
 
         Raises:
-            OutOfPlace: not a round tick, one that was already exchanged or taken, or of another incarnation.
+            OutOfPlace: not a round tick, a tick that was already exchanged or taken, or another incarnation.
         """
         incarnation = self.lives.check(i, message.tick, message.incarnation)
         m = self.config.round_ticks

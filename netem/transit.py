@@ -47,7 +47,7 @@ class PendingPacket(NamedTuple):
 
     @property
     def name(self) -> tuple[int, int, int, int]:
-        """What tells it from every other packet of a run."""
+        """The identity of the packet within a run."""
         return self.dst, self.src, self.seq, self.copy
 
 

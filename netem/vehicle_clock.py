@@ -58,7 +58,7 @@ class Clocks:
 
     @classmethod
     def that_differ(cls, own: Mapping[int, VehicleClock], faults: Iterable[ClockChange], tick_ns: int) -> Clocks | None:
-        """The clocks of a fleet; None if none is set and no fault changes any: then nobody needs to look at them."""
+        """The clocks of a fleet; None if no clock is set and no fault changes one. Callers can then ignore clocks."""
         clocks = cls(own, faults, tick_ns)
         return clocks if own or clocks._faults else None
 
@@ -74,7 +74,7 @@ class Clocks:
         return ahead
 
     def reading_ns(self, i: int, tick: int) -> int:
-        """What the clock of vehicle i shows at a tick."""
+        """The time that the clock of vehicle i shows at a tick."""
         return max(0, tick * self._tick_ns + self.ahead_ns(i, tick))
 
     def reading_ticks(self, i: int, tick: int) -> int:

@@ -43,7 +43,7 @@ def open_file(path: Path) -> IO[bytes]:
 
 
 def read_file(path: Path, most: int) -> bytes:
-    """What is in a regular file of at most so many bytes.
+    """The content of a regular file, up to a number of bytes.
 
     Raises:
         OSError: it is none, it is larger, or it cannot be read.
@@ -53,7 +53,7 @@ def read_file(path: Path, most: int) -> bytes:
 
 
 def read_bounded(file: IO[bytes], most: int) -> bytes:
-    """What is left in an open file. Raises OSError: more than so many bytes."""
+    """The rest of an open file. Raises OSError: more than so many bytes."""
     data = file.read(most + 1)
     if len(data) > most:
         raise OSError(errno.EFBIG, f"it is larger than {most / 1e6:g} MB")

@@ -1,5 +1,4 @@
-"""What a plant is given and what it returns: the interface of the vehicles that ship with equations of their own, and
-of yours.
+"""The interface of plants, those that ship and yours: the input that a plant gets, and the output that it returns.
 
 A *plant* is the vehicle itself: the equations that turn a command and the water into motion. It takes the place of the
 built-in 5-DOF model of `world/dynamics.py`, and may have six degrees of freedom, actuators with lags, or anything else
@@ -7,8 +6,8 @@ inside. A plant needs no other module of this package: what is in `__all__` stay
 guide; `fleet new plant NAME` writes a template.
 
 A plant is made once per run and vehicle, as `MyPlant(config, **parameters)`, with the parameters that the scenario
-gives it. Between its steps it should remember nothing: all that the next step depends on is its state, which the world
-keeps, logs and gives back. So a run can be resumed from its log, and is the same on every machine.
+gives it. Between its steps it should remember nothing. The next step depends on its state alone, which the world keeps,
+logs and gives back. So a run can be resumed from its log, and is the same on every machine.
 
 | quantity | unit | frame |
 |---|---|---|
@@ -37,7 +36,7 @@ Report = Mapping[str, float | Sequence[float]]
 
 @dataclass(frozen=True, slots=True)
 class PlantConfig:
-    """What a plant may know of the run."""
+    """The part of the run that a plant may know."""
 
     vehicle: int  # number of the vehicle, from 1
     tick_s: float  # control period [s]: tau is constant for so long
@@ -46,7 +45,7 @@ class PlantConfig:
 
 
 class Water(NamedTuple):
-    """What the sea does to a vehicle during one step."""
+    """The effect of the sea on a vehicle during one step."""
 
     current: Vec3  # velocity of the water [m/s, NED]; it does not depend on the place, and is constant over a tick
     wrench: Vec6  # disturbance on the hull in body axes: X, Y, Z [N], K, M, N [N m]

@@ -1,4 +1,4 @@
-"""What the world gets before a run: plain, frozen data in SI units."""
+"""The configuration that the world gets before a run: plain, frozen data in SI units."""
 
 from __future__ import annotations
 

@@ -6,8 +6,8 @@
 | X_0 = sigma n | so that it is stationary from the start | |
 | V (1 - cos(2 pi t / D)) / 2, 0 <= t < D | a discrete gust | MIL-F-8785C |
 
-Within a tick a current is constant. What its change would do to the added mass is left out: at a time constant of
-10 s and 0.1 m/s it is some 0.01 m/s^2 of the water's, 1 % of what the paper's disturbance does.
+Within a tick a current is constant. The model leaves out the effect of its change on the added mass. At a time constant
+of 10 s and 0.1 m/s the water accelerates by some 0.01 m/s^2, and the effect is 1 % of that of the paper's disturbance.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def draws(name: str, sigma: Iterable[float]) -> list[str]:
 
 
 def purpose(name: str) -> str:
-    """Names a drift among all that is drawn."""
+    """Names a drift among all draws."""
     return f"current {name}"
 
 

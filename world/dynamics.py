@@ -83,11 +83,10 @@ def derivative(k: Coefficients, state: State, tau: Vec3, d: Vec5, current: Vec3 
 
     Where |cos(theta)| < NEAR_VERTICAL, psi' = r turn_per_yaw(cos(theta)): finite, and 0 at the vertical itself.
 
-    In a current the right-hand sides of the last five see the velocity through the water nu_r, and
-    u', v', w' gain the rate of nu_c = R' v_c in the turning body axes, -omega x nu_c with
-    omega = (-psi' sin(theta), q, psi' cos(theta)), whose last element is r away from the vertical. Without that
-    term turning in a current would need a force, and the law "a current only carries the whole motion along" would
-    fail.
+    In a current the right-hand sides of the last five equations use the velocity through the water nu_r. Then u', v',
+    w' gain the rate of nu_c = R' v_c in the turning body axes, -omega x nu_c with omega = (-psi' sin(theta), q, psi'
+    cos(theta)). Its last element is r away from the vertical. Without that term turning in a current would need a
+    force, and the law "a current only carries the whole motion along" would fail.
 
     Args:
         k: the vehicle's constants.

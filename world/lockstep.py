@@ -1,8 +1,8 @@
 """The world's place in the lockstep: navs out, commands in, ticks integrated, frames for the log.
 
-A pure state machine: messages in, addressed messages out. Vehicles touch each other only through netem, so
-each runs ahead on its own (nav, command, integrate, nav ...) as far as the clock's grant allows; netem holds an
-agent back at the round's end until everyone has transmitted. A frame leaves once every vehicle is past it.
+A pure state machine: messages in, addressed messages out. Vehicles touch each other only through netem. So each runs
+ahead on its own (nav, command, integrate, nav ...) as far as the clock's grant allows. Netem holds an agent back at the
+round's end until everyone has transmitted. A frame leaves once every vehicle is past it.
 """
 
 from __future__ import annotations
@@ -163,8 +163,10 @@ class Lockstep:
         self.state.integrate(i, k, tau)
 
     def _start(self, i: int, out: list[Out]) -> None:
-        """What vehicle i may do now: measure; or, when it has no agent or that is suspended, go on without it as far
-        as the grant allows."""
+        """The next step of vehicle i: measure.
+
+        If it has no agent, or a suspended one, go on without it as far as the grant allows.
+        """
         state, world = self.state, self.state.world
         k = world.tick(i)
         while k < state.granted and i not in self._awaiting:
@@ -182,6 +184,6 @@ class Lockstep:
             k += 1
 
     def _with_frames(self, out: list[Out]) -> list[Out]:
-        """What follows, and behind it the frames that are complete now."""
+        """The next messages, followed by the frames that are complete now."""
         out += self.state.frames.complete(self._take_memory)
         return out

@@ -38,18 +38,18 @@ def run(
     """Host the router and serve the sea of a run until the process is ended.
 
     Args:
-        endpoint: where the router listens, as zenoh writes it.
+        endpoint: address of the router, as zenoh writes it.
         run_id: the run's number, with which all keys begin.
         credentials: of everyone who may connect, by role.
         private: a folder that only this user can read, for the router's files.
         config: the world's part of the scenario.
-        frame_every: a frame is due every so many ticks.
-        clock: what decides when a tick begins.
+        frame_every: ticks from one frame to the next.
+        clock: decides when a tick begins.
         speed: how fast ticks begin on a wall clock, times real time.
-        most_asked: processes that are asked at a time, in lockstep.
-        listener: where the router listens besides; None: only at `endpoint`.
-        certified: where a second router listens for agents without a password; None: nowhere.
-        audit: report also which messages the router refuses, not only which logins.
+        most_asked: the number of processes that have a turn at the same time, in lockstep.
+        listener: further addresses of the router; None: only `endpoint`.
+        certified: address of a second router, for agents without a password; None: there is none.
+        audit: report refused messages as well as refused logins.
         members: the vehicles of each process that hosts several agents.
     """
     keys = Keys(run_id)
@@ -126,11 +126,11 @@ def _process(
 
 
 def share_processor() -> None:
-    """Keep all threads of this process, those that are there and those to come, on one of two processors.
+    """Keep all threads of this process, present and future, on one of two processors.
 
-    With many agents both are busy, and zenoh's threads here and ours do one thing after the other: on two processors
-    they interrupt each other for each message (measured, N = 100: 15 to 20 % of the whole run's CPU time). With more
-    processors there is room for them side by side.
+    With many agents both processors are busy, and zenoh's threads here and ours do one thing after the other. On two
+    processors they interrupt each other for each message (measured, N = 100: 15 to 20 % of the whole run's CPU time).
+    With more processors there is room for them side by side.
     """
     processors = sorted(os.sched_getaffinity(0))
     if len(processors) == 2:

@@ -201,7 +201,7 @@ class WorldProcess:
         """Take a message of agent i.
 
         Returns:
-            What follows, to be published.
+            The messages to be published next.
         """
         message = expect(data, Command, Memory, Hello)
         if i not in self._nav:

@@ -1,8 +1,8 @@
 """The world without a barrier: a tick lasts as long as the wall clock says, and who has not answered then is late.
 
 A pure state machine like `Lockstep`, on the same `RunState`; the process decides when a tick begins and when it is
-over. Over tick k acts the command that answers Nav(k) if it came before the tick was over, so a run in which no agent
-is late moves as in lockstep, to the last bit. Otherwise the newest command that is there acts:
+over. The command that answers Nav(k) acts over tick k, if it came before the tick was over. So a run without late
+agents moves as in lockstep, to the last bit. Otherwise the newest command that is there acts:
 
 | counted per vehicle | when |
 |---|---|
@@ -10,11 +10,11 @@ is late moves as in lockstep, to the last bit. Otherwise the newest command that
 | `late` | an answer came after its tick, the newest by then: it acts if no newer one comes before the tick is over |
 | `stale` | an answer came after its tick and after a newer one, and was dropped |
 
-So every answer is in time, late or stale, and `missed` is `late` + `stale` + those that never came.
+So every answer is in time, late or stale. `missed` is the sum of `late`, `stale` and the answers that never came.
 
 An agent that has answered nothing for a while is *silent*: the network takes it for a dead receiver, and it gets a nav
-only after once, twice, four times ... that while. What is sent to a suspended process is kept in buffers, and who
-sends waits once these are full; so little is sent that they do not fill. With its next answer all is as before.
+only after once, twice, four times ... that while. Messages to a suspended process stay in buffers, and their sender
+waits when these are full. The world sends few enough that they do not fill. With its next answer all is as before.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class RealtimeRun:
         """Begin before tick 0.
 
         Args:
-            frame_every: a frame is due every so many ticks.
+            frame_every: ticks from one frame to the next.
             patience: ticks without an answer after which an agent is silent.
         """
         self.config = config
@@ -132,7 +132,7 @@ class RealtimeRun:
         """Take vehicle i's command: it acts over the tick that is under way, if no newer one comes before its end.
 
         Raises:
-            OutOfPlace: it answers a nav that was not sent, or one that was answered.
+            OutOfPlace: it answers a nav that was not sent, or one that already has an answer.
         """
         self.state.check(i, command)
         if command.tick > self._tick or command.tick == self._answered[i]:
@@ -161,7 +161,7 @@ class RealtimeRun:
         """Vehicle i's agent has ended: from the first tick without a command it drifts.
 
         Args:
-            until: the tick at which another one takes over, if it is to be another than what was planned.
+            until: the tick at which another agent takes over, if it differs from the plan.
         """
         state = self.state
         if incarnation != state.incarnation(i) or state.without_agent(i):
@@ -205,7 +205,7 @@ class RealtimeRun:
         return [*state.frames.complete(lambda tick: b"")]
 
     def _count(self, i: int, *, in_time: bool) -> None:
-        """Count a tick at whose end the answer of vehicle i's agent was, or was not, there."""
+        """Count a tick: the answer of vehicle i's agent was, or was not, there at its end."""
         count = self.punctuality[i]
         if in_time:
             count.row = 0

@@ -38,9 +38,9 @@ class RealtimeWorldProcess(WorldProcess):
         """Make the world of a run.
 
         Args:
-            frame_every: a frame is due every so many ticks.
+            frame_every: ticks from one frame to the next.
             speed: how fast ticks begin, times real time.
-            refusals: what the router refuses, if it lives here.
+            refusals: counts the router's refusals, if the router lives here.
         """
         self._schedule = TickSchedule(round(config.tick_ns / speed))
         patience = max(LEAST_PATIENCE, PATIENCE_NS // self._schedule.period_ns)

@@ -1,4 +1,4 @@
-"""What the world remembers of a run before a tick, so that another run can go on there.
+"""The world's memory of a run before a tick, from which another run can go on.
 
 As MessagePack a memory is a map with one key, `vehicles`: an array of `VehicleMemory`, ascending by number.
 """

@@ -121,7 +121,9 @@ class RunState:
         return taken
 
     def integrate(self, i: int, k: int, tau: Vec3) -> None:
-        """Move vehicle i from tick k to the next with `tau` [N, N m]; one that diverges stays where it is from then on.
+        """Move vehicle i from tick k to the next with `tau` [N, N m].
+
+        A vehicle that diverges stays in its place from then on.
 
         Raises:
             IntegrationError: its motion left the finite numbers, or its plant failed, and the run is not to go on
@@ -147,7 +149,7 @@ class RunState:
             self.frames.row(k + 1, self.row(i, NOT_SENSED, (), b""))
 
     def nav(self, i: int, life: int, k: int) -> Nav:
-        """What the agent of vehicle i gets at tick k."""
+        """The nav of vehicle i's agent at tick k."""
         world = self.world
         shown_ns = None if world.clocks is None else world.clocks.reading_ns(i, k)
         navigation = world.navigation(i)

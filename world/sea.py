@@ -1,8 +1,8 @@
 """The world's core: the true state of every vehicle, what its sensors measure, and its motion over one tick.
 
-Vehicles touch each other only through the network, never through the water. So each has its own tick and may
-run ahead of the others within a network round; the order in which they are advanced cannot change a bit.
-No clock, no I/O: a run is a function of the configuration and the commands.
+Vehicles touch each other only through the network, never through the water. So each has its own tick and may run ahead
+of the others within a network round. Their order cannot change a bit. No clock, no I/O: a run is a function of the
+configuration and the commands.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ class World:
         self._stage_forces = lru_cache(maxsize=4 * max(config.round_ticks, 8))(self._stage_forces_at)
 
     def tick(self, i: int) -> int:
-        """The tick up to which vehicle i has been integrated."""
+        """Vehicle i is integrated up to this tick."""
         return self._vehicles[i].tick
 
     def state(self, i: int) -> tuple[Vec5, Vec5]:
@@ -166,7 +166,7 @@ class World:
         return measured
 
     def navigation(self, i: int) -> Navigator | ReplayedError | None:
-        """What vehicle i believes of itself, how sure it is, and its fixes; None: it knows where it is."""
+        """Vehicle i's belief about itself, its covariance and its fixes; None: it knows where it is."""
         return self._vehicles[i].navigation
 
     def actuate(self, i: int, tau: tuple[float, ...]) -> Vec3:
@@ -213,7 +213,7 @@ class World:
 
     @property
     def faults(self) -> tuple[WorldFault, ...]:
-        """All faults of sensors, actuators and sea, in the order in which they begin; they are set as a whole."""
+        """All faults of sensors, actuators and sea, in the order in which they begin. A caller sets the whole list."""
         return self._faults
 
     @faults.setter
@@ -234,7 +234,7 @@ class World:
 
         Raises:
             IntegrationError: the motion left the range of finite numbers; the state stays that of the tick before.
-            PlantError: the vehicle's plant failed; likewise.
+            PlantError: the vehicle's plant failed; the state stays that of the tick before, too.
         """
         vehicle = self._vehicles[i]
         k, tick, state = vehicle.k, vehicle.tick, vehicle.state

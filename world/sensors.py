@@ -28,7 +28,7 @@ def draws(noise: NavNoise, purpose: str = PURPOSE) -> list[str]:
 
 
 def measure(true: Measured, noise: NavNoise, seed: int, vehicle: int, tick: int, purpose: str = PURPOSE) -> Measured:
-    """What the sensor of a vehicle reports at a tick: the truth itself when the noise is off.
+    """The report of a vehicle's sensor at a tick. If the noise is off, it is the truth.
 
     Args:
         true: x, y, z [m, NED], theta, psi [rad]; u, v, w [m/s, body, over ground], q, r [rad/s]; and phi [rad], p
@@ -36,8 +36,8 @@ def measure(true: Measured, noise: NavNoise, seed: int, vehicle: int, tick: int,
         noise: standard deviations.
         seed: the run's seed.
         vehicle: its number.
-        tick: the tick.
-        purpose: names the noise among all that is drawn.
+        tick: of the measurement.
+        purpose: names the noise among all draws.
 
     Returns:
         The same as measured.

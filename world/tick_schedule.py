@@ -13,7 +13,7 @@ class TickSchedule:
         self.slipped_ns = 0  # moved because the world itself was late
 
     def start(self, tick: int, now_ns: int) -> None:
-        """Let a tick begin at `now_ns` [ns], and those that follow at one period each."""
+        """Let a tick begin at `now_ns` [ns], and the next ones at one period each."""
         self._tick, self._at_ns = tick, now_ns
 
     def at_ns(self, tick: int) -> int:

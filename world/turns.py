@@ -18,9 +18,9 @@ Turn = list[tuple[int, Nav]]  # vehicles, whose agents are asked in one message,
 class Turns:
     """Which navs may leave.
 
-    An agent's turn is over with the command of a round tick. What it needs for the ticks after that, it gets when all
-    have passed it, so until then it gets no turn: who has one never waits for who has none. Agents of one process have
-    their turns together.
+    An agent's turn is over with the command of a round tick. It gets the navs after that tick when all agents have
+    passed it. Until then it gets no turn, so an agent with a turn never waits for one without. Agents of one process
+    have their turns together.
     """
 
     def __init__(self, round_ticks: int, most: int, process: Callable[[int, Nav], Hashable] = lambda i, _: i) -> None:
@@ -29,7 +29,7 @@ class Turns:
         Args:
             round_ticks: ticks from one round to the next.
             most: processes that have a turn at a time.
-            process: where the agent is that a nav is for; by default each is in one of its own.
+            process: the process of the agent that gets a nav; by default each agent has its own.
         """
         self._round_ticks, self._most, self._process = round_ticks, most, process
         self._asked: dict[int, Hashable] = {}  # agents that have a turn, and where they are
@@ -50,7 +50,7 @@ class Turns:
         return i in self._asked
 
     def ask(self, i: int, nav: Nav) -> None:
-        """Queue a nav of agent i; one that goes on between two rounds is the next to leave."""
+        """Queue a nav of agent i. If the agent continues between two rounds, its nav is the next to leave."""
         before = (nav.tick - 1) // self._round_ticks * self._round_ticks  # the round whose deliveries it needs
         if before > self._passed:
             self._early.append((i, nav))

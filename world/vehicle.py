@@ -1,4 +1,4 @@
-"""What a vehicle is: the numbers of the 5-DOF model and of its actuators.
+"""The data of a vehicle: the numbers of the 5-DOF model and of its actuators.
 
 | symbol | meaning | unit | paper |
 |---|---|---|---|

@@ -27,7 +27,7 @@ from agents.config import AgentConfig
 from agents.laws.filters import RateFilter, wrap
 from agents.laws.kinematics import flow_angles
 from agents.laws.shunting import shunting_step
-from agents.sample import Command, Sample
+from agents.sample import Sample, VelocityCommand
 from world.signal import Signal
 from world.vectors import Vec3
 
@@ -46,7 +46,7 @@ _COMMON = frozenset(
 
 
 class _Backstepping:
-    """What the flavours share; each has its own `_act`, and its own signals between errors and demand."""
+    """The common part of both flavours. Each has its own `_act`, and its own signals between errors and demand."""
 
     __slots__ = ("_exact", "_filters", "_m", "_params")
 
@@ -58,7 +58,7 @@ class _Backstepping:
         # Rates of theta_cmd, psi_cmd, theta', psi', in this order.
         self._filters = tuple(RateFilter(config.tracking.tau_f, angle=True) for _ in range(4))
 
-    def step(self, sample: Sample, command: Command) -> tuple[Vec3, tuple[float, ...]]:
+    def step(self, sample: Sample, command: VelocityCommand) -> tuple[Vec3, tuple[float, ...]]:
         """Answer one sample, eqs. (24)-(47).
 
         Args:

@@ -18,8 +18,8 @@ the weights are. "printed" is the cost above. In the "consistent" cost the neigh
 with rho_d during the prediction, and R1 weighs rho - rho_d: e1 = e + s (rho - rho_d). The printed one pulls
 rho to rest, so on an axis where the formation moves towards the error it prefers the least gain.
 
-The bounds on rho win over k_min, never over the sign of the gain (eq. 22). k_max is not in the paper; without
-it a periodic disturbance ratchets the gain up to where the inner loop cannot follow.
+The bounds on rho win over k_min, never over the sign of the gain (eq. 22). The paper has no k_max. Without it a
+periodic disturbance increases the gain step by step, until the inner loop cannot follow.
 """
 
 from __future__ import annotations

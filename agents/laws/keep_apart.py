@@ -79,9 +79,9 @@ class Filtered(NamedTuple):
 def margin(age: float, speed: float, params: KeepApartParams) -> float:
     """The distance [m] that makes up for the age of what is known of a neighbour.
 
-    A vehicle whose acceleration is at most alpha and whose speed is at most V differs by no more than
-    eta = min(alpha A, |v| + V) from the velocity v that it had, and by no more than delta, the integral of eta, from
-    where that velocity would have taken it. The constraint needs delta + (1/a + T) eta.
+    Take a vehicle with an acceleration of at most alpha and a speed of at most V. Its velocity differs from its earlier
+    velocity v by at most eta = min(alpha A, |v| + V). Its place differs by at most delta, the integral of eta, from the
+    place to which v would have taken it. The constraint needs delta + (1/a + T) eta.
 
     Args:
         age: A [s]; what is beyond `age_cap_s` counts no more.
@@ -99,7 +99,7 @@ def margin(age: float, speed: float, params: KeepApartParams) -> float:
 def bounds(position: Vec3, velocity: Vec3, neighbours: Iterable[Seen], params: KeepApartParams) -> list[Bound]:
     """The constraint of each neighbour, then of each cylinder.
 
-    What is exactly in the same place is taken to be south of the vehicle, so that it has a direction.
+    A neighbour or cylinder in exactly the same place counts as south of the vehicle, so that it has a direction.
 
     Args:
         position: own, p_i [m, NED].
@@ -126,9 +126,9 @@ def bounds(position: Vec3, velocity: Vec3, neighbours: Iterable[Seen], params: K
 def apart(rho: Vec3, found: Sequence[Bound], ahead: Bound, params: KeepApartParams) -> Filtered:
     """The commanded velocity that keeps every constraint, or misses the worst of them by as little as possible.
 
-    It is the one nearest to a target. Where rho keeps all constraints, that is rho. Otherwise the target is rho and,
-    across the direction of the constraint that rho misses most, half as much velocity as it must lose along it: so a
-    vehicle turns aside rather than stops, and two that meet head-on pass each other.
+    It is the one nearest to a target. Where rho keeps all constraints, that is rho. Otherwise take the direction of the
+    constraint that rho misses most. The vehicle must lose some velocity along it. The target is rho plus half as much
+    velocity across it. So a vehicle turns aside rather than stops, and two that meet head-on pass each other.
 
     Args:
         rho: the commanded velocity of the guidance [m/s, NED].
@@ -182,7 +182,7 @@ def _nearest(target: Vec3, found: Sequence[Bound], ahead: tuple[Vec3, float], wi
 
 
 def _aside(bound: Bound, rho: Vec3) -> Vec3:
-    """The horizontal direction in which to pass: where the relative course passes already, else to starboard."""
+    """The horizontal direction to pass in: the side where the relative course passes already, otherwise starboard."""
     x, y, _ = bound.n
     level = hypot(x, y)
     if level == 0.0:

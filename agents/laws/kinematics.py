@@ -1,4 +1,4 @@
-"""What velocity means in earth axes, and the direction of the flow along the body.
+"""Velocity in earth axes, and the direction of the flow along the body.
 
 | symbol | meaning | unit | frame | paper |
 |---|---|---|---|---|

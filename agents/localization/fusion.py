@@ -1,4 +1,4 @@
-"""What a measured range to another vehicle says about the own position.
+"""The own position, corrected by a measured range to another vehicle.
 
 | symbol | meaning | unit |
 |---|---|---|
@@ -14,12 +14,12 @@ The terms with C are those of the second-order extended Kalman filter (Bar-Shalo
 
 *As independent* (naive): a Kalman update with S = H P H^T + H Q H^T + R.
 
-*By covariance intersection*, with any correlation between p and q (Julier and Uhlmann 1997; the noise of the range is
-independent of both, which makes it split covariance intersection, Li and Nashashibi 2013):
+*By covariance intersection*, with any correlation between p and q (Julier and Uhlmann 1997). The noise of the range is
+independent of both, so this is split covariance intersection (Li and Nashashibi 2013):
 
     P1 = P / w,  S = H P1 H^T + H Q H^T / (1 - w) + R,  K = P1 H^T / S,  P+ = P1 - K S K^T
 
-with the w that makes the trace of P+ least. What is not better than P is not used.
+with the w that makes the trace of P+ least. A result that is not better than P is not used.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def fused(
 
 
 def grown(covariance: Covariance, before: Covariance, after: Covariance) -> Covariance:
-    """A covariance that grows by as much as another one did, in the directions in which that grew."""
+    """A covariance that grows by as much as another one did, in the same directions."""
     a, b, c = after[0] - before[0], after[1] - before[1], after[2] - before[2]
     middle, radius = 0.5 * (a + c), sqrt(0.25 * (a - c) * (a - c) + b * b)
     if middle + radius <= 0.0:

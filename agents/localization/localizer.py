@@ -12,8 +12,8 @@ as a whole, which is consistent whatever was fused before. So a vehicle that hea
 | `naive` | all messages | independent, which they are not: who has used my position tells me mine as news |
 | `consistent` | all messages | of unknown correlation: covariance intersection |
 
-A range is of a past tick, and the sender's position of another one. The own position then is today's minus the way
-since, of which the localiser has a history; the sender's is carried on by its velocity.
+A range is of a past tick, and the sender's position of another one. The own position then is the present one minus the
+way since, from the localiser's history. The sender's position is carried on by its velocity.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Localizer:
         self.refused = 0
 
     def located(self, nav: Nav) -> Nav:
-        """The same nav with the position and covariance by all that is known; idempotent within a tick."""
+        """The same nav with the position and covariance from all information so far; idempotent within a tick."""
         if nav.tick != self._tick:
             self._advance(nav)
         nn, ne, ee = self.covariance
@@ -132,7 +132,7 @@ class Localizer:
         return LocatedMessage(state, self.covariance, fresh)
 
     def absorb(self, nav: Nav, deliveries: Iterable[Delivery]) -> Nav:
-        """Use the ranges that have come, and return the nav by all that is known."""
+        """Use the ranges that have come, and return the nav with the position from all information so far."""
         self.located(nav)
         now = nav.tick if nav.clock_ns is None else round(nav.clock_ns / (self._tick_s * 1e9))
         for delivery in deliveries if self._params is not None else ():

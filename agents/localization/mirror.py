@@ -15,9 +15,9 @@ turns, ranges fit only one of them.
 | o = ln(Pr(p) / Pr(m)) | log odds of both | 1 |
 
 At first o is what the navigator alone says: the difference of its normalised squares at m and at p, halved. Each range
-adds half the difference of its normalised innovations squared (Bar-Shalom, Li and Kirubarajan 2001, ch. 11.6: the
-likelihoods of a static multiple-model estimator; the determinants of both innovations are nearly the same, and are left
-out).
+adds half the difference of its normalised innovations squared. These are the likelihoods of a static multiple-model
+estimator (Bar-Shalom, Li and Kirubarajan 2001, ch. 11.6). The determinants of both innovations are nearly the same, so
+they are left out.
 """
 
 from __future__ import annotations

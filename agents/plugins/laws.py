@@ -1,4 +1,4 @@
-"""What a class must be able to do to be used as a law."""
+"""The methods and values that a class needs to be used as a law."""
 
 from __future__ import annotations
 

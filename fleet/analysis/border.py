@@ -1,4 +1,5 @@
-"""Where the linearised fleet becomes unstable: gain and delay at which deviations from the formation stop decaying.
+"""The border of stability of the linearised fleet: the gain and the delay at which deviations from the formation stop
+decaying.
 
 | symbol | meaning | unit |
 |---|---|---|
@@ -106,8 +107,8 @@ class LinearFleet:
     def mode(self, gain: float, delay: int | None = None) -> Mode:
         """The oscillation that is nearest to growing, or to decaying.
 
-        Modes that creep (below SLOW) are left out: det(I - T(1)) is not 0 where L + B is regular, so none of them can
-        be the one that begins to grow.
+        Modes that creep (below SLOW) are left out. If L + B is regular, det(I - T(1)) is not 0, so none of them can be
+        the first to grow.
         """
         _, angles, parts = self._survey(gain, delay)
         first = int(np.searchsorted(angles, min(SLOW * self.m * self.tick_s, 1.0)))
@@ -124,7 +125,7 @@ class LinearFleet:
         return Mode(angle / (2.0 * pi * self.m * self.tick_s), loop)
 
     def gain_border(self, start: float, delay: int | None = None) -> float:
-        """The gain [1/s] from which on a mode grows, sought from `start`; 0: at every gain, inf: at none."""
+        """The least gain [1/s] at which a mode grows, sought from `start`; 0: at every gain, inf: at none."""
         low = high = start
         if self.unstable(start, delay):
             while self.unstable(low := low / 1.3, delay):
@@ -142,7 +143,7 @@ class LinearFleet:
         return 0.5 * (low + high)
 
     def delay_border(self, gain: float) -> int | None:
-        """The shortest delay of all links [ticks] at which a mode grows; None: none within MOST_DELAY_S.
+        """The shortest delay of all links [ticks] at which a mode grows; None if there is none within MOST_DELAY_S.
 
         Under rounds a little more delay can make an unstable fleet stable again, because the ages within a round
         begin anew. So the delays are gone through, in steps that such an island does not fit into.
@@ -199,7 +200,7 @@ class LinearFleet:
         return alone - round(turns), angles, list(zip(groups, parts, strict=True))
 
     def _rows(self, gain: float, delay: int | None) -> tuple[list[_Row], int]:
-        """What each vehicle makes of the messages; and how many of the P_i's eigenvalues are unstable."""
+        """The answer of each vehicle to the messages, and the number of unstable eigenvalues of the P_i."""
         outputs = 6 if any(member.reckons or not member.told for member in self.members) else 3
         kinds: dict[Any, _Kind] = {}
         rows, alone = [], 0
@@ -242,7 +243,7 @@ class LinearFleet:
 
 
 class _Kind:
-    """A vehicle over one round, with its own feedback; the same for all that differ in their neighbours alone."""
+    """A vehicle over one round, with its own feedback. Vehicles that differ only in their neighbours share one."""
 
     def __init__(self, member: Member, gain: float, m: int, tick_s: float, outputs: int) -> None:
         F, G, C = member.linear
@@ -323,9 +324,9 @@ def linear_fleet(
         NotLinear: there is none; the message says why.
     """
     if scenario.vehicles > MOST_VEHICLES:
-        raise NotLinear(f"more than {MOST_VEHICLES} vehicles")
+        raise NotLinear(f"the fleet has more than {MOST_VEHICLES} vehicles")
     if scenario.acoustic is not None:
-        raise NotLinear("what is heard over an acoustic channel has no fixed age")
+        raise NotLinear("messages over an acoustic channel have no fixed age")
     longest_s = max((_delay_ticks(scenario, link) for link in scenario.graph.links), default=0) * scenario.tick_ns / 1e9
     if longest_s > (most_s := MOST_WORK_S / scenario.vehicles):
         raise NotLinear(
@@ -333,7 +334,7 @@ def linear_fleet(
             f"{most_s:.3g} s, since the time and the memory that this takes grow with the delay"
         )
     if None in gains:
-        raise NotLinear(f"vehicle {gains.index(None) + 1} runs a law that is not one of those that ship")
+        raise NotLinear(f"vehicle {gains.index(None) + 1} runs a law that does not ship with the package")
     for i, control in enumerate(scenario.controls, start=1):
         if control.plant is not None:
             raise NotLinear(f"vehicle {i} is the plant {control.plant.name}, which has equations of its own")

@@ -1,4 +1,4 @@
-"""What the user brings, tried before a run: each law answers one sample, and each plant makes one step."""
+"""A trial of the user's own code before a run: each law answers one sample, and each plant makes one step."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from world.vectors import ZERO
 def try_laws(scenario: Scenario) -> None:
     """Make each law that is not built in for the first vehicle that runs it, and give it the first sample of a run.
 
-    The sample is the initial state as it is, without noise, and nothing that was heard. On an ideal network, where an
-    agent hears at once, the law is only made. Laws that may not run, and those of external agents, are left out.
+    The sample is the initial state as it is, without noise and without messages. On an ideal network, where an agent
+    hears at once, the law is only made. Laws that may not run, and those of external agents, are left out.
 
     Raises:
         ScenarioError: laws raised, or returned what cannot be used; every one of them is in it.

@@ -82,7 +82,7 @@ class HiddenMarkov:
 
 
 def fit_losses(lost: Array, states: int) -> HiddenMarkov:
-    """The model with the largest likelihood of all that the search finds from a few fixed places.
+    """The model with the largest likelihood among those that the search finds from a few fixed places.
 
     Args:
         lost: whether each packet was lost, shape (N,), N >= 1; some were and some were not.

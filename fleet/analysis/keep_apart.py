@@ -1,4 +1,4 @@
-"""What the section `keep_apart` cannot do in a scenario, as warnings before a run."""
+"""Limits of the section `keep_apart` in a scenario, as warnings before a run."""
 
 from __future__ import annotations
 

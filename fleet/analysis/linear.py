@@ -12,8 +12,9 @@ The map over one tick is not derived by hand: the laws' own `step` and the integ
 differences. So whatever runs (derivative filters, shunting model, hold, RK4) is in it. The gain is outside: one
 linearisation serves every gain. Path axes are NED turned about the vertical by the course of v_d.
 
-What has a corner at steady flight is not linear there: limits that are reached, slew, a boundary layer of 0. Limits and
-slew are inactive for small deviations; the boundary layer of sliding mode is above 0, and inside it the law is linear.
+A function with a corner at steady flight is not linear there: a limit that is reached, slew, a boundary layer of 0.
+Limits and slew are inactive for small deviations; the boundary layer of sliding mode is above 0, and inside it the law
+is linear.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class NotLinear(FleetError):
 
 
 class Flight(NamedTuple):
-    """What the linearisation of a vehicle depends on."""
+    """The inputs of the linearisation of a vehicle."""
 
     config: AgentConfig  # tracking law, its parameters, the model that it uses; not guidance
     truth: VehicleParams
@@ -74,7 +75,7 @@ def linearise(flight: Flight) -> Linear:
         NotLinear: a tracking law that is not ours, or no steady flight at this velocity.
     """
     if flight.config.tracking_law.name not in TRACKING:
-        raise NotLinear(f"the tracking law {flight.config.tracking_law.name} is not one of those that ship")
+        raise NotLinear(f"the tracking law {flight.config.tracking_law.name} does not ship with the package")
     vx, vy, vz = flight.velocity
     course = atan2(vy, vx)
     v_d = (hypot(vx, vy), 0.0, vz)
@@ -93,7 +94,7 @@ def linearise(flight: Flight) -> Linear:
         s[3:] += change[:-3]
         e += change[-3:]
     else:
-        raise NotLinear(f"no steady flight at {hypot(*v_d):.4g} m/s")
+        raise NotLinear(f"there is no steady flight at {hypot(*v_d):.4g} m/s")
     F, G = _derivatives(step, s, e)
     C = np.zeros((6, len(s)))
     C[:3, :3] = np.eye(3)

@@ -1,4 +1,4 @@
-"""What links lose in the long run whose condition changes by itself, and how much of the time each state takes."""
+"""Links with a condition that changes by itself: their loss in the long run, and the share of time of each state."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def link_lines(scenario: Scenario) -> list[str]:
 
 
 def written(scenario: Scenario) -> Iterator[tuple[str, LinkStates | LinkTrace, list[Link]]]:
-    """Each selector whose links change by themselves, what they do, and these links, in the order of the links."""
+    """Each selector of links that change by themselves, a description of the change, and these links in order."""
     by_selector: dict[str, list[Link]] = {}
     for link in scenario.changing:
         by_selector.setdefault(scenario.selectors[link], []).append(link)

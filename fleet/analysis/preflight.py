@@ -119,7 +119,7 @@ def _too_old(scenario: Scenario) -> Iterator[str]:
     if check.below / 1e9 <= oldest:
         yield (
             f"checks.max_age can hardly pass: even without loss a message is up to {oldest:.4g} s old, "
-            f"and less than {check.below / 1e9:g} s is asked for"
+            f"and the limit is {check.below / 1e9:g} s"
         )
 
 
@@ -138,7 +138,7 @@ def _idle_faults(scenario: Scenario) -> Iterator[str]:
 
 
 def _correlated(scenario: Scenario) -> Iterator[str]:
-    """What a correlation makes of the numbers beside it, for every condition that differs."""
+    """The effect of a correlation on the numbers beside it, for every condition that differs."""
     given = [c for its in scenario.possible.values() for c in its]
     given += [f.condition for f in scenario.faults.network if f.condition is not None]
     found: dict[str, None] = {}
@@ -147,13 +147,13 @@ def _correlated(scenario: Scenario) -> Iterator[str]:
             rate = "less than one packet in a million" if share < 1e-6 else f"{100 * share:.3g}% of the packets"
             gap = f" gap {condition.gap}" if word == "reorder" and condition.gap > 1 else ""
             found[
-                f'"{word} {100 * p:g}% {100 * rho:g}%{gap}" happens to {rate} in the long run: a correlation keeps the '
+                f'"{word} {100 * p:g}% {100 * rho:g}%{gap}" affects {rate} in the long run: a correlation keeps the '
                 "random numbers near 50%, as in the kernel"
             ] = None
         if condition.jitter_ns and condition.delay_correlation:
             found[
                 f"the correlation {100 * condition.delay_correlation:g}% of a delay has no effect, as in the kernel: "
-                "delays keep their distribution and depend on none before"
+                "delays keep their distribution, and each is independent of the one before"
             ] = None
     yield from found
 

@@ -15,7 +15,7 @@ MOST_MISSED = 0.01  # share of its ticks that an agent may miss by default
 
 
 def measured(values: Mapping[str, Any], speed: float) -> Timing | None:
-    """What world and netem measured, with its label.
+    """The measurements of world and netem, with a label.
 
     Args:
         values: what both answered when the run ended.

@@ -1,7 +1,7 @@
 """Which parts of a scenario are drawn from its seed. If none are, every seed gives the same run.
 
 Each module that draws says so itself: its function `draws` names the purposes (`netem.draws`) whose outcome depends on
-the seed. What the users' own laws and plants draw is not known.
+the seed. Nobody knows the draws of the users' own laws and plants.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from world.navigation import fixes, instrument_faults, instruments, navigator
 from world.navigation.config import DeadReckoning
 
 NOTHING = "nothing in this scenario depends on the seed: every seed gives the same run"
-HINT = "initial: {scatter: 1 m}, sensors.position_noise or a loss would make seeds differ"
+HINT = "to make seeds differ, add e.g. initial: {scatter: 1 m}, sensors.position_noise or a loss"
 PERHAPS = "perhaps "  # begins the name of a part that may draw
 
 

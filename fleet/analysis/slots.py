@@ -27,14 +27,14 @@ from netem.vehicle_clock import Clocks
 
 
 class Slack(NamedTuple):
-    """What slots leave for clocks that differ."""
+    """The time that slots leave for clocks that differ."""
 
     difference_s: float  # d
     drift: float  # of each clock, from the start to the end of the run [s/s]
 
 
 def slack(scenario: Scenario) -> Slack | None:
-    """What the slots of a scenario leave; None if it has none."""
+    """The time that the slots of a scenario leave; None if it has no slots."""
     acoustic = scenario.acoustic
     if acoustic is None or acoustic.mac != "tdma":
         return None
@@ -52,8 +52,8 @@ def describe_slack(scenario: Scenario) -> Iterator[str]:
     """One line on the clocks that the slots bear; none without slots."""
     if (found := slack(scenario)) is not None:
         yield (
-            f"clocks: slots stay apart while clocks differ by less than {found.difference_s:.4g} s; right ones at the "
-            f"start may drift by up to {found.drift * 1e6:.4g} ppm, fast or slow, for {scenario.duration_ns / 1e9:g} s"
+            f"clocks: slots stay apart if clocks differ by less than {found.difference_s:.4g} s. Clocks that begin "
+            f"right may drift by up to {found.drift * 1e6:.4g} ppm, fast or slow, for {scenario.duration_ns / 1e9:g} s"
         )
 
 
@@ -76,5 +76,6 @@ def slot_warnings(scenario: Scenario) -> Iterator[str]:
         at_s = -tick * scenario.tick_ns / 1e9
         yield (
             f"slots overlap: at {at_s:g} s the clock of vehicle {j} is {ahead_ns / 1e9:.4g} s ahead of that of vehicle "
-            f"{i}, which has the slot before, and the guard bears {found.difference_s:.4g} s"
+            f"{i}, which has the slot before. The guard allows {found.difference_s:.4g} s. Use a longer slot, or "
+            "better clocks"
         )

@@ -12,8 +12,8 @@ _SAME = 1e-9  # of a ratio's logarithm
 def eigenvalues(M: Any) -> Any:
     """The eigenvalues of a real matrix (n, n) as an array (n,), real if `M` is a symmetric matrix in other units.
 
-    So it is for every graph whose links go both ways and that has no cycle whose weights differ by direction. The
-    general method is slow (1,000 vehicles: 4 s instead of 0.2 s), and gives a long chain small imaginary parts that
+    A graph has such a matrix if its links go both ways and the weights around each cycle are equal in both directions.
+    The general method is slow (1,000 vehicles: 4 s instead of 0.2 s), and gives a long chain small imaginary parts that
     are not there.
     """
     symmetric = _symmetric(M)

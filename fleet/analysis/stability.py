@@ -1,4 +1,4 @@
-"""What theory says of a scenario before it runs: connectivity, eigenvalues, and the limits of the gains.
+"""The predictions of theory about a scenario before it runs: connectivity, eigenvalues, and the limits of the gains.
 
 | symbol | meaning | unit | source |
 |---|---|---|---|
@@ -8,8 +8,8 @@
 | a | passive decay of the shunting model | 1/s | (43) |
 | tau | age of what is heard: one round, and the delay of the link | s | |
 
-Two rules of thumb follow from simplified loops (docs/background/paper.md, G11 and "What a network does to it"): with
-the shunting model in the surge loop K lambda_max(L + B) < a, by Routh on s^3 + a s^2 + k b s + k b K lambda; and dead
+Two rules of thumb follow from simplified loops (docs/background/paper.md, G11 and "What a network does to it"). With
+the shunting model in the surge loop K lambda_max(L + B) < a, by Routh on s^3 + a s^2 + k b s + k b K lambda. Dead
 reckoning with the neighbours' velocities is a neutral loop, which needs K tau rho(A) < 1. They are necessary, not
 sufficient: course and pitch loops, sampling and rounds take their share. The limits of the whole linear loop are those
 of `fleet.analysis.border`.
@@ -62,8 +62,8 @@ def analyse(scenario: Scenario, *, linear: bool = True, tell: Callable[[], None]
     """Connectivity, eigenvalues and violated limits of a scenario.
 
     Args:
-        linear: whether the whole linear loop is made, which takes longer than the rest.
-        tell: called now and then, also while the loop is asked for its limits afterwards.
+        linear: also make the whole linear loop, which takes longer than the rest.
+        tell: called now and then, also later, when a caller asks the loop for its limits.
     """
     A, M = matrices(scenario)
     values = sorted(eigenvalues(M).tolist(), key=lambda v: (v.real, v.imag))
@@ -121,11 +121,11 @@ def report(scenario: Scenario, found: Analysis) -> list[str]:
     parts = len(found.components)
     components = "; ".join(map(vehicle_names, found.components))
     connected = "connected" if parts == 1 else f"in {parts} parts: {components}"
-    reach = "" if found.unreached else "; a vehicle that follows it reaches all" if len(followers) < n else ""
+    reach = "" if found.unreached else "; links lead from there to all other vehicles" if len(followers) < n else ""
     low, high = found.eigenvalues[0], found.eigenvalues[-1]
     lines = [
         f"graph {connected}; {who} the reference{reach}",
-        f"eigenvalues of L+B: {_number(low)} to {_number(high)}; spectral radius of A {found.spectral_radius_A:.4g}",
+        f"eigenvalues of L+B: {_number(low)} to {_number(high)}; spectral radius of A: {found.spectral_radius_A:.4g}",
     ]
     network, acoustic = scenario.spec.network, scenario.acoustic
     if acoustic is not None:
@@ -135,21 +135,21 @@ def report(scenario: Scenario, found: Analysis) -> list[str]:
         lines += describe_slack(scenario)
     if found.gain_max is not None:
         lines += _limits(scenario, found)
-        thumb = "rule of thumb (necessary, not sufficient)"
         decay = shunting_decay(scenario)
         if decay is not None:
             product = found.gain_max * found.lambda_max
             lines.append(
-                f"{thumb} {_kept(product < decay)}: K lambda_max(L+B) = {found.gain_max:.4g} x {found.lambda_max:.4g} "
-                f"= {product:.4g} 1/s must be below a = {decay:g} 1/s"
+                f"rule of thumb {_kept(product < decay)}: K lambda_max(L+B) must be below a. Here it is "
+                f"{found.gain_max:.4g} x {found.lambda_max:.4g} = {product:.4g} 1/s, and a is {decay:g} 1/s"
             )
         age = oldest_s(scenario)
         reckoning = dead_reckoning(scenario, found, age)
         if age > 0.0 and reckoning is not None:
             lines.append(
-                f"{thumb} {_kept(reckoning < 1.0)}: K tau rho(A) = {found.gain_max:.4g} x {age:.4g} s x "
-                f"{found.spectral_radius_A:.4g} = {reckoning:.4g} must be below 1"
+                f"rule of thumb {_kept(reckoning < 1.0)}: K tau rho(A) must be below 1. Here it is "
+                f"{found.gain_max:.4g} x {age:.4g} s x {found.spectral_radius_A:.4g} = {reckoning:.4g}"
             )
+        lines.append("docs/background/stability.md explains these limits; a rule of thumb is necessary, not sufficient")
     return lines
 
 
@@ -157,33 +157,42 @@ def _limits(scenario: Scenario, found: Analysis) -> list[str]:
     """The limits of the whole linear loop."""
     fleet, most, settled = found.at_most, found.gain_max, found.settled
     if fleet is None or found.at_settled is None:
-        return [f"limits of the linear loop: not computed ({found.not_linear})"]
+        return [f"limits of the linear loop: not computed, because {found.not_linear}"]
     assert most is not None
     assert settled is not None
     border = fleet.gain_border(most)
     if border == 0.0:
-        return ["limits of the linear loop: it is unstable at every gain"]
-    then = "" if border == inf else f" (above, {_mode(fleet.mode(border))})"
+        return ["the linear loop is unstable at every gain"]
     optimised = _optimised(scenario)
-    own = f"here K is optimised, {most:.4g} 1/s at most" if optimised else f"here K is {most:.4g} 1/s"
-    below = "" if most < border else ", too large if it stayed there" if optimised else ", which is TOO LARGE"
-    lines = [f"gain limit of the linear loop, without loss: K < {border:.4g} 1/s{then}; {own}{below}"]
+    own = f"here K is optimised and at most {most:.4g} 1/s" if optimised else f"here K is {most:.4g} 1/s"
+    if border == inf:
+        lines = [f"the linear loop is stable at every gain, without loss; {own}"]
+    else:
+        verdict = (
+            ", below the limit" if most < border else ", too large if it stayed there" if optimised else ": TOO LARGE"
+        )
+        lines = [
+            f"gain limit of the linear loop, without loss: {border:.4g} 1/s "
+            f"(above it {_mode(fleet.mode(border))}); {own}{verdict}"
+        ]
     if not scenario.ideal and scenario.graph.links:
-        delays = [_delay_limit(fleet, most) + f" at K = {most:.4g}"]
-        if optimised:
-            delays.insert(0, _delay_limit(found.at_settled, max(settled)) + f" at the settled K = {_vector(settled)}")
         period = scenario.round_ticks * fleet.tick_s
-        lines.append(f"delay limit of all links, with rounds of {period:g} s: " + "; ".join(delays))
+        begin = f"delay limit of all links, with rounds of {period:g} s"
+        if optimised:
+            lines.append(
+                f"{begin}, when K has settled at {_vector(settled)}: {_delay_limit(found.at_settled, max(settled))}"
+            )
+        lines.append(f"{begin}, at K = {most:.4g} 1/s: {_delay_limit(fleet, most)}")
     return lines
 
 
 def _delay_limit(fleet: LinearFleet, gain: float) -> str:
     border = fleet.delay_border(gain)
     if border is None:
-        return f"over {MOST_DELAY_S:g} s"
+        return f"more than {MOST_DELAY_S:g} s"
     if border == 1:
-        return "unstable without delay"
-    return f"{(border - 1) * fleet.tick_s:.4g} s (above, {_mode(fleet.mode(gain, border))})"
+        return "none; it is unstable even without delay"
+    return f"{(border - 1) * fleet.tick_s:.4g} s (above it {_mode(fleet.mode(gain, border))})"
 
 
 def _kept(holds: bool) -> str:
@@ -271,9 +280,9 @@ def _graph_warnings(found: Analysis) -> list[str]:
     if not found.unreached:
         return []
     return [
-        "no chain of links leads from a vehicle that follows the reference (b_i > 0) to "
-        f"{vehicle_names(found.unreached)}: "
-        "L+B is singular, and these have no defined place in the formation"
+        f"no chain of links leads from a vehicle that follows the reference (b_i > 0) to "
+        f"{vehicle_names(found.unreached)}. L+B is singular, so these have no defined place in the formation. Add "
+        "links, or vehicles to graph.reference"
     ]
 
 
@@ -286,8 +295,9 @@ def _loop_warning(scenario: Scenario, found: Analysis) -> list[str]:
         return ["the linear loop is unstable at every gain: the formation is not kept"]
     what = f"the settled K = {_vector(found.settled)}" if _optimised(scenario) else f"K = {gain:.4g} 1/s"
     return [
-        f"{what} is above the limit of the linear loop, {border:.4g} 1/s with these rounds and delays: "
-        f"{_mode(fleet.mode(border))}, and the formation is not kept"
+        f"{what} is above the limit of the linear loop, {border:.4g} 1/s with these rounds and delays. "
+        f"There {_mode(fleet.mode(border))}, and the formation is not kept. Lower the gain, or shorten rounds "
+        "or delays"
     ]
 
 
@@ -296,9 +306,9 @@ def _shunting_warning(scenario: Scenario, found: Analysis) -> list[str]:
     if decay is None or found.gain_max is None or found.gain_max * found.lambda_max < decay:
         return []
     return [
-        f"K lambda_max(L+B) = {found.gain_max * found.lambda_max:.4g} 1/s is not below a = {decay:g} 1/s: the surge "
-        f"loop of the neurodynamic law can burst; set guidance.k_max below {decay / found.lambda_max:.4g} 1/s, or "
-        "lower"
+        f"K lambda_max(L+B) = {found.gain_max * found.lambda_max:.4g} 1/s is not below a = {decay:g} 1/s, so the surge "
+        f"loop of the neurodynamic law can burst. Set guidance.k_max below {decay / found.lambda_max:.4g} 1/s; the "
+        "true limit may be lower"
     ]
 
 
@@ -308,9 +318,9 @@ def _dead_reckoning_warning(scenario: Scenario, found: Analysis) -> list[str]:
     if product is None or product < 1.0:
         return []
     return [
-        f"K tau rho(A) = {product:.4g} is not below 1 at an age of {age:.4g} s: dead reckoning with the neighbours' "
-        f"velocities is unstable; use neighbours.extrapolate: reference, or a gain below "
-        f"{1.0 / (age * found.spectral_radius_A):.4g} 1/s or lower (guidance.k_max)"
+        f"K tau rho(A) = {product:.4g} is not below 1 at an age of {age:.4g} s, so dead reckoning with the "
+        f"neighbours' velocities is unstable. Use neighbours.extrapolate: reference, or set guidance.k_max below "
+        f"{1.0 / (age * found.spectral_radius_A):.4g} 1/s; the true limit may be lower"
     ]
 
 

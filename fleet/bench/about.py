@@ -44,7 +44,7 @@ def _program() -> Iterator[tuple[str, str]]:
 
 
 def _packages() -> Iterator[tuple[str, str]]:
-    """What the package requires, optional packages too, by name."""
+    """The packages that the package requires, including optional ones, by name."""
     names = sorted({re.split(r"[^\w.-]", text)[0] for text in requires("uuv-fleet") or () if "test" not in text})
     found, missing = [], []
     for name in names:

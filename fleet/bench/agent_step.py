@@ -1,4 +1,4 @@
-"""What one sample of one agent costs, and where the time goes: on the samples of a real run, in CPU time."""
+"""The cost of one sample of one agent, and its parts: on the samples of a real run, in CPU time."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from agents.laws.velocity_command import direction_command, floor_speed
 from agents.neighbours import NeighbourTable
 from agents.payload import StateMessage
 from agents.payload import encode as encode_payload
-from agents.sample import Command, Sample
+from agents.sample import Sample, VelocityCommand
 from fleet.execution.in_memory import record
 from fleet.scenario.loading import load_scenario
 from netem.wire.messages import Delivery, Nav
@@ -71,7 +71,7 @@ def _kind(config: AgentConfig, tick: int) -> str:
 
 
 def _tape(ticks: int) -> tuple[AgentConfig, list[tuple[Nav, list[Delivery]]]]:
-    """What vehicle 2 of the disturbed paper run measures and receives, from 20 s on, when it is in formation."""
+    """The samples and messages of vehicle 2 of the disturbed paper run from 20 s on, when it is in formation."""
     start = 2000
     scenario = load_scenario("paper-disturbed", [f"duration={(start + ticks) * 10} ms", "checks={}"])
     recording = record(scenario)
@@ -123,7 +123,7 @@ def _stages(config: AgentConfig, tape: list[tuple[Nav, list[Delivery]]], costs: 
         rho, _values = count.time("  of which guidance, gain held", guidance.step, sample)
         u_cmd, *angles = count.time("  of which speed and direction", direction_command, rho, *held, 0.05)
         held = (angles[0], angles[1])
-        command = Command(floor_speed(u_cmd, sample.nu[1], sample.nu[2], 0.3), *held)
+        command = VelocityCommand(floor_speed(u_cmd, sample.nu[1], sample.nu[2], 0.3), *held)
         count.time("  of which tracking", tracking.step, sample, command)
         if not plain and isinstance(guidance, OptimalGuidance):
             problem = costs.time(

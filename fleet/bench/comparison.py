@@ -1,10 +1,10 @@
-"""What got slower or faster between two measurements, by more than their noise.
+"""The changes between two measurements that are larger than their noise: slower or faster.
 
 A figure is compared as its ratio to the baseline of the same minute, where it has one, since the machine itself may
-have become slower. It changed if the repeats of the two measurements do not overlap (the worst of one is better than
-the best of the other), and if the medians are further apart than the repeats of either measurement, and than `LEAST`.
-With five repeats each, chance alone separates two equal figures once in 126 times; the two other conditions keep small
-and large drifts of the machine out.
+have become slower. It changed if two conditions hold. The repeats of the two measurements do not overlap: the worst of
+one is better than the best of the other. And the medians are further apart than the repeats of either measurement, and
+than `LEAST`. With five repeats each, chance alone separates two equal figures once in 126 times; the two other
+conditions keep small and large drifts of the machine out.
 """
 
 from __future__ import annotations

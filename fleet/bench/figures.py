@@ -1,4 +1,4 @@
-"""What `fleet bench` measured, as one document: every figure with its repeated measurements and its baseline."""
+"""The measurements of `fleet bench` as one document: every figure with its repeated measurements and its baseline."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ class Measured(Struct, forbid_unknown_fields=True):
 
 
 class Collector:
-    """Takes measurements one by one and makes figures of them, in the order in which they first come."""
+    """Takes measurements one by one and makes figures of them. Their order is that of the first measurement of each."""
 
     def __init__(self) -> None:
         self._figures: dict[str, Figure] = {}

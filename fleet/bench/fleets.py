@@ -4,8 +4,8 @@
 (b) the same barrier over OS pipes, the physical floor;
 (c) the paper's scenario distributed, with recording;  (d) the same in one process.
 
-What one process does is compared with a loop of plain Python (`fleet.bench.python_loop`). Everything is measured
-several times, in turn, so that a slow minute of the machine meets a figure and its baseline alike.
+The figures of a single process are compared with a loop of plain Python (`fleet.bench.python_loop`). Everything is
+measured several times, in turn, so that a slow minute of the machine meets a figure and its baseline alike.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from fleet.bench.measured_run import measured_run
 from fleet.bench.memory import sampled_pss
 from fleet.bench.navigation_step import GOAL_US, name_of
 from fleet.bench.network_core import SHARE, SHARE_GOAL, netem_figures
+from fleet.bench.policies import policy_steps
 from fleet.bench.start_up import COMMANDS, PYTHON, cpu_times
 from fleet.bench.steps import steps
 from fleet.execution.options import Options
@@ -80,10 +81,11 @@ def measure_fleets(sizes: list[int], *, quick: bool, say: Callable[[str], None])
         for number in range(1, repeats + 1):
             _journal(n, quick, found, lambda what, k=number: say(f"{what}, {k} of {repeats}"))  # type: ignore[misc]
     for number in range(1, repeats + 1):
-        say(f"the network core, start-up and single steps, {number} of {repeats}")
+        say(f"the network core, start-up, single steps and policies, {number} of {repeats}")
         _network_core(quick, found)
         _start_up(quick, found)
         _single_steps(quick, found)
+        _policies(quick, found)
     return found.measured(quick=quick, machine=machine, began=began)
 
 
@@ -152,6 +154,12 @@ def _single_steps(quick: bool, found: Collector) -> None:
     loops = python_loop.loops_per_s()
     for name, us in steps(50 if quick else 600).items():
         found.add(f"{_STEPS}{name.strip()}", "us", us, python_loop.NAME, 1e6 / loops, higher=False)
+
+
+def _policies(quick: bool, found: Collector) -> None:
+    loops = python_loop.loops_per_s()
+    for name, steps_per_s in policy_steps(quick=quick).items():
+        found.add(f"policies: {name}", "steps/s", steps_per_s, python_loop.NAME, loops)
 
 
 def _scenario(n: int, quick: bool) -> Scenario:

@@ -30,8 +30,9 @@ PATIENCE_S = 60.0
 def measure_recorder(scenario: Scenario, say: Callable[[str], None]) -> dict[str, float]:
     """Figures of the journal of one scenario; messages per second, sizes per simulated minute.
 
-    What is written counts by CPU time, the rest by wall time. `record` is what reaches a file over zenoh, player and
-    recorder sharing this process; the others are one core's.
+    Figures of writing count CPU time, the rest wall time. `record` counts the messages that reach a file over zenoh,
+    with player and recorder in this process. The others are for one core. `record` is what reaches a file over zenoh,
+    player and recorder sharing this process; the others are one core's.
 
     Raises:
         FleetError: the recorder did not get everything.

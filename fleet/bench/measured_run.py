@@ -1,4 +1,4 @@
-"""One run of which something is measured."""
+"""One run that something measures."""
 
 from __future__ import annotations
 

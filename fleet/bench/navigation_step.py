@@ -1,4 +1,4 @@
-"""What the navigation of one vehicle costs in a tick: its instruments and its filter, without a fix."""
+"""The cost of one vehicle's navigation in a tick: its instruments and its filter, without a fix."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ def packets_per_second(condition: str, rounds: int) -> float:
 
 
 def _exchanges_s(config: NetemConfig, rounds: int) -> float:
-    """CPU time of so many rounds in which every agent sends [s]."""
+    """CPU time [s] of this number of rounds in which every agent sends."""
     netem = Netem(config)
     payloads = dict.fromkeys(config.vehicles, (_PAYLOAD,))
     began = time.process_time()

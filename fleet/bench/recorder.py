@@ -1,4 +1,4 @@
-"""What writing a log costs: the calls of a real run once more, into our recorder and into the library's writer."""
+"""The cost of writing a log: the calls of a real run once more, into our recorder and into the library's writer."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _REPEATS = 3
 
 
 class Calls:
-    """A sink of the journal that keeps what it is told, to tell it again."""
+    """A sink of the journal that keeps its calls, to repeat them."""
 
     def __init__(self) -> None:
         self.all: list[tuple[str, tuple[Any, ...]]] = []  # name of the method, and its arguments

@@ -151,7 +151,7 @@ def measure_scale(
 
 
 def _measured(scenario: Scenario, *, in_process: bool) -> tuple[_Meter, float]:
-    """What was measured, and how long it took until all were ready [s]."""
+    """The measurement, and the time until all were ready [s]."""
     with PrivateFolder("bench") as out:
         options = Options(out, in_process=in_process, quiet=True)
         with closing(RunDirectory(options.out, scenario.name, scenario.seed)) as directory:

@@ -1,4 +1,4 @@
-"""`fleet bench real`: at which number of vehicles and which rate a wall clock is too fast for this machine.
+"""`fleet bench real`: the number of vehicles and the rate from which a wall clock is too fast for this machine.
 
 Every fleet is run on a wall clock, and the same scenario once in lockstep, which never depends on the machine: the
 same bytes, only later.

@@ -1,14 +1,14 @@
-"""What a check in Python is given and what it returns: the interface of your own checks.
+"""The interface of your own checks in Python: the input of a check, and the values that it returns.
 
 A check is a class, made once per run as `Check(facts, **parameters)`: what it may know of the scenario, and the
 parameters that the scenario gives it. It has
 
-* `step(tick)`: called at every tick of which the log has samples; returns None, or a `Failure` if the property is
-  broken at that tick. The first failure decides; after it the check is not called any more;
-* optionally `verdict()`: asked at the end, and while a run goes on as if it ended now, so it must change nothing. It
-  returns None, a text about what was found, or a `Failure` for what can only be judged at the end;
-* optionally `margin()`: how far the property was from being broken at its nearest so far, as a `Margin` with value,
-  unit and time [s], negative once it is broken; None: that is not known.
+* `step(tick)`: called at every tick with samples in the log. It returns None, or a `Failure` if the property is
+  broken at that tick. The first failure decides; after it the check is not called any more.
+* `verdict()`, which is optional: called at the end. During a run it is called as if the run ended now, so it must
+  change nothing. It returns None, a text about its findings, or a `Failure` if only the end can show it.
+* `margin()`, which is optional: the least distance so far from breaking the property, as a `Margin` with value, unit
+  and time [s]. It is negative once the property is broken, and None if the check does not know it.
 
 `docs/guide/your-checks.md` is the guide; `fleet new check NAME` writes a template.
 """
@@ -34,7 +34,7 @@ class Fault(NamedTuple):
 
 
 class Facts(NamedTuple):
-    """What a check may know of the scenario."""
+    """The facts about the scenario that a check gets."""
 
     scenario: str  # its name
     seed: int

@@ -1,4 +1,4 @@
-"""What a vehicle believes of its position against the truth: the values of its topic `belief` at a tick.
+"""A vehicle's belief about its position against the truth: the values of its topic `belief` at a tick.
 
 | symbol | meaning | unit |
 |---|---|---|
@@ -29,7 +29,7 @@ class OffPlace(Protocol):
 
 
 def belief_values(row: VehicleFrame, error: OffPlace) -> tuple[float, ...]:
-    """The values of `BELIEF`, flat; empty: at this tick nobody asked the vehicle where it is.
+    """The values of `BELIEF`, flat; empty: no agent asked for the vehicle's belief at this tick.
 
     Args:
         row: the vehicle's.

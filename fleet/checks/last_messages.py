@@ -33,8 +33,8 @@ class LastMessages:
     def of(self, vehicles: Collection[int], signals: Iterable[str]) -> LastMessage | None:
         """The message that made the difference to some vehicles.
 
-        Where the last packet of a link was lost: of those links the one on which nothing has arrived for longest, and
-        that packet. Else the packet that arrived last.
+        Take the links whose last packet was lost. Among them it is the last packet of the link with the longest time
+        since an arrival. If no last packet was lost, it is the packet that arrived last.
 
         Args:
             vehicles: that failed the check.

@@ -1,7 +1,7 @@
 """The checks of one run that are the user's own: fed in the order of the log, judged at any time.
 
-A tick is judged when everything of it is known: when something later comes, or a verdict is asked for. So a message
-that arrives at the tick at which a check fails can be told as the one that made the difference.
+A tick is judged when everything of it is known: when something later comes, or a verdict is asked for. So the report
+can name a message that arrives at the very tick of the failure.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class OwnChecks:
         """The checks that a scenario asks for; None: it has none.
 
         Args:
-            begin: tick at which the run begins. What was before counts in nothing.
+            begin: tick at which the run begins. Earlier samples do not count.
 
         Raises:
             SignalCheckError: a signal is none of these vehicles.
@@ -78,7 +78,7 @@ class OwnChecks:
             self.take(FrameValues(frame, commands, errors, due))
 
     def due(self, tick: int) -> frozenset[str]:
-        """The topic groups of which the log has samples at a tick."""
+        """The topic groups with samples in the log at a tick."""
         return frozenset(group for group, every in self._every.items() if tick % every == 0 or tick == self._last)
 
     def take(self, values: TickValues) -> None:
@@ -161,7 +161,10 @@ class OwnChecks:
 
 
 def reported(scenario: Scenario, i: int) -> VehicleSignals:
-    """What a log has of vehicle i. Laws and plants of a log that may not run report nothing that is known here."""
+    """The signals of vehicle i in a log.
+
+    If the laws and plants of a log may not run, their signals are unknown here.
+    """
     try:
         laws = scenario.layout(i)
     except PluginError:

@@ -117,7 +117,7 @@ class RunningPythonCheck:
         """The verdict so far.
 
         Args:
-            moment: at which it failed.
+            moment: the tick of the failure.
             now: the newest tick.
             over: the run has come to its end.
         """
@@ -176,7 +176,7 @@ class RunningPythonCheck:
             raise self._fence.wrong(tick, method, f"returned {shown(answer)}: expected {expected}") from None
 
     def _checked(self, tick: int, method: Any, answer: Any) -> Failure | None:
-        """What it returned, if that can be used."""
+        """The return value of the check, if it can be used."""
         if answer is None:
             return None
         if not isinstance(answer, Failure):
@@ -216,7 +216,7 @@ def _error(class_name: str, tick: int, problem: str, where: str) -> CheckError:
 
 
 def facts_of(scenario: Scenario, begin: int, places: Mapping[int, Mapping[str, SignalPlace]]) -> Facts:
-    """What checks may know of a scenario whose run begins at a tick."""
+    """The facts that checks get about a scenario whose run begins at a tick."""
     return Facts(
         scenario=scenario.name,
         seed=scenario.seed,

@@ -55,7 +55,7 @@ class AlwaysMargin:
         self._least: tuple[float, int] | None = None  # margin, tick
 
     def step(self, tick: int, numbers: Sequence[tuple[Unit, float | None]]) -> None:
-        """Take the samples of a tick, by whose they are; None: there is none."""
+        """Take the samples of a tick, by their vehicle or link; None: it has no sample."""
         asked = self._asked
         for key, value in numbers:
             if value is None:
@@ -73,7 +73,7 @@ class AlwaysMargin:
                 self._least = good, tick
 
     def _stretch(self, tick: int, key: Unit, good: float) -> float | None:
-        """The best sample of the shortest stretch up to now that would break it; None: there is none so long."""
+        """The best sample of the shortest stretch up to now that would break it; None: no stretch is long enough."""
         first = (tick - self._width) // self._every * self._every
         best = self._best.setdefault(key, deque())
         while best and best[-1][1] <= good:
@@ -88,7 +88,7 @@ class AlwaysMargin:
 
         Args:
             longest: stretch of bad samples [ticks].
-            at: the tick at which that began.
+            at: the tick at which the stretch began.
         """
         asked = self._asked
         if in_time(asked):
@@ -122,7 +122,7 @@ class EventuallyMargin:
         self._least, self._begin = self._so_far(counts), None
 
     def step(self, tick: int, numbers: Sequence[tuple[Unit, float | None]]) -> None:
-        """Take the samples of a tick, by whose they are; None: there is none."""
+        """Take the samples of a tick, by their vehicle or link; None: it has no sample."""
         if self._begin is None:
             return
         for key, value in numbers:
@@ -149,7 +149,7 @@ class EventuallyMargin:
         return min(waits, default=None)
 
     def found(self, *, counts: bool) -> Margin | None:
-        """The least margin of all waits that were judged; `counts`: that which goes on was."""
+        """The least margin of all waits with a verdict; `counts`: the wait that goes on has one, too."""
         least = self._so_far(counts)
         return None if least is None else Margin(least[0], _unit(self._asked), least[1] * self._tick_s)
 

@@ -16,8 +16,8 @@ class Sides:
     """The sides of a fleet, tick by tick.
 
     Two vehicles are on one side if links that no `partition`, `down`, `mute` or `deaf` cuts lead from each to the
-    other, also through others. A vehicle that is paused or has no agent is on none. What a link loses by its own
-    condition does not count.
+    other, also through others. A vehicle that is paused or has no agent is on none. Losses by the condition of a link
+    itself do not count.
 
     Attributes:
         groups: the sides, each with its vehicles by number, in the order of their first vehicles.

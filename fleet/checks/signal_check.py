@@ -33,7 +33,7 @@ class RunningSignalCheck:
 
         Args:
             vehicles: the signals of each.
-            begin: tick at which the run begins. What was before counts in nothing.
+            begin: tick at which the run begins. Earlier samples do not count.
         """
         self.name, self.words, self.group = name, asked.words, asked.signal.group
         self.signals = (str(asked.signal),)

@@ -1,4 +1,4 @@
-"""What checks and measures see of a tick: the values of every vehicle's signals, as the log has them."""
+"""The input of checks and measures at a tick: the values of every vehicle's signals, as the log has them."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class TickValues(Protocol):
     def tick(self) -> int: ...
 
     def values(self, i: int, group: str) -> Values:
-        """What a topic group has of vehicle i, flat; empty: nothing, or the log has no sample of it at this tick."""
+        """The values of a topic group of vehicle i, flat; empty if the log has no sample of it at this tick."""
 
 
 def values_of(group: str, row: VehicleFrame, command: Command | None, error: Error) -> Values:
-    """What a topic group has of a vehicle, flat; empty: nothing."""
+    """The values of a topic group of a vehicle, flat; empty if there are none."""
     match group:
         case "state":
             return (*row.eta, *row.nu, *row.plant[:ROLL_SIZE])
@@ -62,7 +62,7 @@ def values_of(group: str, row: VehicleFrame, command: Command | None, error: Err
 
 
 class FrameValues:
-    """The values of a frame, of the groups of which the log has a sample at its tick."""
+    """The values of a frame, of the groups with a sample in the log at its tick."""
 
     def __init__(
         self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, Error], due: frozenset[str]
@@ -71,7 +71,7 @@ class FrameValues:
         self._rows, self._commands, self._errors, self._due = frame.vehicles, commands, errors, due
 
     def values(self, i: int, group: str) -> Values:
-        """What a topic group has of vehicle i."""
+        """The values of a topic group of vehicle i."""
         if group not in self._due:
             return ()
         return values_of(group, self._rows[i - 1], self._commands.get(i), self._errors[i])
@@ -86,5 +86,5 @@ class LoggedValues:
         self._found = found
 
     def values(self, i: int, group: str) -> Values:
-        """What a topic group has of vehicle i."""
+        """The values of a topic group of vehicle i."""
         return self._found.get((i, group), ())

@@ -15,10 +15,10 @@ from fleet.cli.log_argument import RUNS
     help="A run directory; by default the newest run below runs, if there is one.",
 )  # fmt: skip
 def about(run: Path | None) -> None:
-    """Print everything that a bug report needs: versions, the machine, its limits, and what came of RUN.
+    """Print everything that a bug report needs: versions, the machine, its limits, and the result of RUN.
 
     It prints names of environment variables without their values, and `~` for your home directory. Read it before you
-    send it: names of folders and scenarios are in it.
+    send it: it contains names of folders and scenarios.
 
     \b
     Examples:

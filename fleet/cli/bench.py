@@ -37,7 +37,7 @@ _output = click.option(
     "-o", "--output", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), callback=_writable,
     help="Also write what --json prints into a file.",
 )  # fmt: skip
-_quick = click.option("--quick", is_flag=True, help="A few ticks each: shows that it works, measures little.")
+_quick = click.option("--quick", is_flag=True, help="Only a few ticks each: a trial, no measurement.")
 _file = click.Path(path_type=Path)
 
 
@@ -49,7 +49,9 @@ def _agents(default: str) -> Callable[[_F], _F]:
 
 @click.group(cls=ListingGroup, invoke_without_command=True)
 @_agents("4,20,100")
-@click.option("--compare", "old", metavar="OLD.json", type=_file, help="Say what got slower or faster since then.")
+@click.option(
+    "--compare", "old", metavar="OLD.json", type=_file, help="Print the figures that got slower or faster since then."
+)
 @_output
 @json_option
 @_quick
@@ -59,8 +61,8 @@ def bench(
 ) -> None:
     """Measure this machine: the fleet against a bare zenoh barrier and OS pipes.
 
-    Takes some minutes, and wants a machine with nothing else to do. With --compare the exit status is 1 if something
-    got slower by more than the noise.
+    It takes some minutes, and needs an idle machine. With --compare the exit status is 1 if a figure got slower by
+    more than the noise.
 
     \b
     Examples:
@@ -125,7 +127,7 @@ def compare_(old: Path, new: Path, as_json: bool) -> None:
 @json_option
 @_quick
 def real(agents: list[int], speeds: list[float], output: Path | None, as_json: bool, quick: bool) -> None:
-    """Find where --clock real falls behind on this machine, and what lockstep makes of the same.
+    """Find the load at which --clock real falls behind on this machine, and compare lockstep.
 
     \b
     Examples:
@@ -161,7 +163,7 @@ def scale(
     as_json: bool,
     quick: bool,
 ) -> None:
-    """Measure what a tick of an agent costs by the size of the fleet, each row as soon as it is there.
+    """Measure the cost of an agent's tick for several fleet sizes; each row is printed when it is ready.
 
     \b
     Examples:
@@ -194,7 +196,7 @@ def scale(
 @_output
 @json_option
 def study(runs: int, duration: float, workers: int, memory: int | None, output: Path | None, as_json: bool) -> None:
-    """Measure what a run of a study costs beside the bare run, and how much faster more workers are.
+    """Measure the cost of a study's run compared with a bare run, and the gain by more workers.
 
     The runs of fleet sweep, and of fleet search and shrink, are compared with concurrent.futures. Needs
     pip install 'uuv-fleet[study]'.

@@ -45,10 +45,9 @@ def boundary(
 ) -> None:
     """Find where the pass rate of SCENARIO falls through a level, with few runs.
 
-    Each run is made where its answer says most about the border, until the interval of 95 % is narrow. With the
-    directory of such a study instead, go on where it was; border.png in it shows borders and runs.
-    How often such intervals hold the border was measured, see docs/guide/studies.md: less than they say
-    where even the best pass rate is far below 1.
+    Each run is placed where it tells most about the border, until the 95 % interval is narrow. With the directory of
+    such a study, boundary continues it; border.png in it shows borders and runs. We measured how often such intervals
+    contain the border (docs/guide/studies.md): less often than 95 % if even the best pass rate is far below 1.
 
     \b
     VALUES of --per are those of fleet sweep --vary. A name that is no key of the scenario fills {name} in
@@ -108,7 +107,7 @@ def _prepared(name: str, asked: dict[str, Any], out: Path, trust: Trust) -> tupl
 
 
 def _run(borders: Borders, modules: Modules, timeout_s: float, engine: tuple[int | None, str | None]) -> None:
-    """Make runs until every border is known; `engine`: the workers and the scheduler that were asked for."""
+    """Make runs until every border is known; `engine`: the workers and the scheduler that the user asked for."""
     from fleet.cli.study_output import showing
     from fleet.study.borders import find_borders
     from fleet.study.local_engine import engine_of
@@ -124,7 +123,7 @@ def _run(borders: Borders, modules: Modules, timeout_s: float, engine: tuple[int
 
 
 def _picture(borders: Borders, trust: Trust) -> Path | None:
-    """Draw the borders; None: it cannot be, which is said."""
+    """Draw the borders; None if that fails, with a message."""
     from fleet.study.border_theory import theory
     from fleet.study.errors import StudyError
     from fleet.study.pictures.border import write_borders

@@ -33,11 +33,11 @@ def check(
     trust: Trust,
     as_json: bool,
 ) -> None:
-    """Check SCENARIO without running it; every mistake is reported in one pass.
+    """Check SCENARIO without running it, and report all mistakes at once.
 
-    Says what theory expects of it: whether the graph is connected and everyone reached, the eigenvalues of L+B, and
-    whether the gains stay within the limits of the control loops. A law of your own is made once and given a first
-    sample, as in a run; a plant makes a first step.
+    It then prints what theory predicts: whether the graph is connected and the reference reaches every vehicle, the
+    eigenvalues of L+B, and whether the gains stay within the limits of the control loops. It also gives your own
+    laws a first sample, and your plants a first step, as in a run.
 
     \b
     Examples:
@@ -87,9 +87,9 @@ def _say_what_is_expected(loaded: Scenario, lines: list[str], refused: list[Prob
     for line in [*link_lines(loaded), *timeline_lines(loaded)]:
         say(line)
     drawn = seeded(loaded)
-    say(f"seed {loaded.seed} draws: {', '.join(drawn)}" if drawn else f"{NOTHING}; {HINT}")
+    say(f"drawn from seed {loaded.seed}: {', '.join(drawn)}" if drawn else f"{NOTHING}; {HINT}")
     if loaded.spec.expect == "fail":
-        say("the run is meant to fail a check, and exits with 0 when it does (expect: fail)")
+        say("this run should fail a check (expect: fail); if it does, fleet run exits with 0")
 
 
 COMMANDS = (check,)

@@ -1,7 +1,7 @@
 """Shell completion, and the command that prints its shell part: scenarios, live runs, faults, and targets of faults.
 
 click writes the shell's part (https://click.palletsprojects.com/en/stable/shell-completion/) and asks here for words.
-What goes wrong means no words: nobody wants an error in the middle of typing.
+An error gives no words: no user wants an error in the middle of typing.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def published_runs(context: click.Context) -> Iterable[str]:
 
 @_words
 def healing(context: click.Context) -> Iterable[str]:
-    """What may come next in `fleet heal`: a run where several live, ids of the faults that are active."""
+    """The next words in `fleet heal`: a run if several live, and ids of the active faults."""
     from fleet.execution.connection import ask, live_runs
 
     given = context.params.get("words") or ()
@@ -95,7 +95,7 @@ def healing(context: click.Context) -> Iterable[str]:
 
 @_words
 def clock(context: click.Context) -> Iterable[str]:
-    """What may come next in `fleet clock`."""
+    """The next words in `fleet clock`."""
     given = context.params.get("words") or ()
     return () if given and given[-1] in CLOCK_WORDS else CLOCK_WORDS
 
@@ -124,7 +124,7 @@ def _newest_log() -> Any:
 
 @_words
 def injection(context: click.Context) -> Iterable[str]:
-    """What may come next in `fleet inject`."""
+    """The next words in `fleet inject`."""
     from fleet.scenario.schema.faults import ACTIONS, FaultSection
     from fleet.scenario.schema.section import section_of
 
@@ -162,7 +162,7 @@ def _targets(run: Any) -> tuple[int, tuple[tuple[int, int], ...]]:
 
 
 def _run(context: click.Context, *named: str) -> Any:
-    """The run of --run, or the one that is named by position."""
+    """The run of --run, or the run named by position."""
     from fleet.execution.connection import find
 
     return find(context.params.get("run") or next(iter(named), None))
@@ -171,7 +171,7 @@ def _run(context: click.Context, *named: str) -> Any:
 @click.command(name="completion")
 @click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
 def completion(shell: str) -> None:
-    """Print what makes a shell complete commands, scenarios, live runs, links, vehicles and faults.
+    """Print a shell script for completion of commands, scenarios, live runs, links, vehicles and faults.
 
     \b
     Examples:

@@ -89,7 +89,7 @@ def _say_where(server: FoxgloveServer, line: StatusLine) -> None:
 
 
 def _who(host: str) -> str:
-    """Who reaches a port at an address, in words. The protocol knows no passwords."""
+    """The people who can reach a port at an address, in words. The protocol knows no passwords."""
     try:
         local = ipaddress.ip_address(host).is_loopback
     except ValueError:

@@ -31,7 +31,10 @@ class ListingGroup(click.Group):
     """A group whose help has the whole first sentence of each command; click would cut it."""
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
-        """The command that was typed; for one that is not there the error lists those that are. Raises UsageError."""
+        """The command that the user typed.
+
+        If there is none of that name, the error lists all commands. Raises UsageError.
+        """
         if args and not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
             from netem.parsing import quoted  # here, for commands start without it
 
@@ -49,7 +52,7 @@ class ListingGroup(click.Group):
 
 
 class FleetGroup(click.Group):
-    """The group of all commands: it imports the one that is asked for, and prints what commands raise."""
+    """The group of all commands: it imports only the one in use, and prints the errors that commands raise."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """The names of all commands, in the order of the help."""

@@ -22,7 +22,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 _LEASES_S = (2, 1800)
 
 _LEASE = click.option("--lease", metavar="TIME", type=Duration(*_LEASES_S), default="20 s", show_default=True,
-                      help="How long a silent link between hosts is kept.")  # fmt: skip
+                      help="Close a link between hosts after this time without a sign of life.")  # fmt: skip
 
 
 def hosts_options(command: F) -> F:
@@ -30,14 +30,14 @@ def hosts_options(command: F) -> F:
     folder, file = (click.Path(path_type=Path, file_okay=dir_, dir_okay=not dir_) for dir_ in (False, True))
     for option in (
         _LEASE,
-        click.option("--credentials", metavar="FILE", type=file, help="With --router: what fleet acl -o wrote."),
+        click.option("--credentials", metavar="FILE", type=file, help="With --router: the output of fleet acl -o."),
         click.option("--router", metavar="ENDPOINT", help="Join this zenoh router instead of hosting one."),
         click.option("--mutual-tls", is_flag=True, help="External agents show client certificates, too."),
         click.option("--advertise", metavar="HOST", multiple=True,
-                     help="With --listen: how agents reach this host; repeatable."),
+                     help="With --listen: this host's name or address for agents; repeatable."),
         click.option("--certs", metavar="DIR", type=folder, help="Certificates for tls, made by fleet certs."),
         click.option("--listen-certified", metavar="ENDPOINT",
-                     help="Also listen for agents that have a certificate and no password (zenoh-pico)."),
+                     help="Also listen here for agents with a certificate and no password (zenoh-pico)."),
         click.option("--listen", metavar="ENDPOINT",
                      help="Also listen for agents on other hosts, e.g. tls/0.0.0.0:7447."),
     ):  # fmt: skip
@@ -109,16 +109,16 @@ def rendezvous(scenario: Scenario, options: dict[str, Any], *, in_process: bool)
 @click.command()
 @click.argument("directory", metavar="DIR", type=click.Path(path_type=Path, file_okay=False))
 @click.option("--host", "hosts", metavar="NAME_OR_IP", multiple=True,
-              help="Under which agents reach the router; repeatable. Loopback is always added.")  # fmt: skip
+              help="Name or address that agents use for the router; repeatable. Loopback is always added.")  # fmt: skip
 @click.option("--agents", metavar="N", type=Whole(0, 1000), default=0,
               help="For mutual TLS: client certificates for agents 1 to N, and for the run itself.")  # fmt: skip
 @click.option("--days", metavar="N", type=Whole(1, 3650), default=365, show_default=True,
-              help="How long all of them are valid.")  # fmt: skip
+              help="How long the certificates are valid.")  # fmt: skip
 @FORCE
 def certs(directory: Path, hosts: tuple[str, ...], agents: int, days: int, force: bool) -> None:
     """Make a certificate authority and a router's certificate in DIR, for runs over several hosts.
 
-    The authority's own key is not kept: nothing else can ever be signed with it. Keys are readable by you alone.
+    The authority's own key is not kept, so it can never sign anything else. Only you can read the keys.
 
     \b
     Examples:
@@ -136,7 +136,7 @@ def certs(directory: Path, hosts: tuple[str, ...], agents: int, days: int, force
 @click.command()
 @click.argument("scenario", shell_complete=scenarios)
 @click.option("-o", "--out", "out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
-              help="Write router.json5, users and credentials.json there; without it, print the first.")  # fmt: skip
+              help="Write router.json5, users and credentials.json to DIR; by default print router.json5.")  # fmt: skip
 @click.option("--run", "run", metavar="ID", help="The run's id; by default a random one.")
 @click.option("--listen", metavar="ENDPOINT", default="tls/0.0.0.0:7447", show_default=True,
               help="Where the router listens.")  # fmt: skip
@@ -160,9 +160,9 @@ def acl(
     overrides: tuple[str, ...],
     force: bool,
 ) -> None:
-    """Print the configuration with which an existing zenoh router serves a run of SCENARIO.
+    """Print a configuration that lets an existing zenoh router serve a run of SCENARIO.
 
-    Passwords are never printed: with -o they go into files that you alone can read, one for the router and one for
+    Passwords are never printed. With -o they go into files that only you can read: one for the router, and one for
     fleet run --credentials.
 
     \b

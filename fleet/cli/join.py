@@ -47,7 +47,7 @@ _AGENT = (
     type=Duration(1, 86_400),
     is_flag=False,
     flag_value="300 s",
-    help="Wait for the file, and for a run that takes this agent, at most so long; 300 s if no time is given.",
+    help="Wait for the file, and for a run that takes this agent, up to this time; 300 s without a time.",
 )
 @click.option(
     "--ros2",
@@ -55,14 +55,14 @@ _AGENT = (
     type=click.Choice(("humble", "jazzy", "kilted")),
     is_flag=False,
     flag_value="jazzy",
-    help="A node of ROS 2 is the agent: it gets what the vehicle measures and receives, and answers with a wrench.",
+    help="A node of ROS 2 is the agent: it gets the vehicle's measurements and messages, and answers with a wrench.",
 )
 @trust_option
-@click.option("-q", "--quiet", is_flag=True, help="Say nothing but errors.")
+@click.option("-q", "--quiet", is_flag=True, help="Print only errors.")
 def agent(path: Path, wait: int | None, ros2: str | None, trust: Trust, quiet: bool) -> None:
     """Run the agent of an external vehicle here, in this terminal, until the run is over.
 
-    It is the agent that fleet run would have started: the scenario says which laws it runs, and the log is the same.
+    It behaves like the agent that fleet run would start: the scenario determines its laws, and the log is the same.
 
     \b
     Examples:
@@ -118,7 +118,10 @@ def agent(path: Path, wait: int | None, ros2: str | None, trust: Trust, quiet: b
 
 @cache
 def _node(distribution: str, vehicle: int, line: StatusLine) -> MakeCore:
-    """What makes a node of ROS 2 the agent of a vehicle, once there is one. Raises FleetError: nodes cannot meet."""
+    """A function that makes a node of ROS 2, when there is one, the agent of a vehicle.
+
+    Raises FleetError: nodes cannot meet.
+    """
     from fleet.ros2.agent import RosAgent
     from fleet.ros2.node import RosNode
     from fleet.ros2.rmw import domain_of

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from fleet.study.store import Store
 
 JUNIT = click.option("--junit", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
-                     help="Write what came out as a JUnit file, too, for CI services.")  # fmt: skip
+                     help="Also write the result as a JUnit file, for CI services.")  # fmt: skip
 
 
 def write(path: Path | None, suite: str, cases: Sequence[JUnitCase]) -> None:
@@ -44,7 +44,7 @@ def of_run(result: Result) -> list[JUnitCase]:
 
 
 def of_study(store: Store) -> list[JUnitCase]:
-    """A case for each point; one of which a run failed has failed."""
+    """A case for each point; it has failed if one of the point's runs failed."""
     from fleet.result.junit import JUnitCase
     from fleet.study.summary import reached, summarise
 

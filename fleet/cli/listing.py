@@ -13,8 +13,8 @@ from fleet.terminal.folding import stdout
 def list_(as_json: bool) -> None:
     """List the scenarios that ship with the package, by group, and the studies.
 
-    The runs that were made of them: fleet ls, and those that go on: fleet ps. The cost of a study is the time that all
-    its runs take one core, roughly, on compiled cores.
+    fleet ls lists the runs made of them, and fleet ps the live ones. The cost of a study is the approximate time of all
+    its runs on one processor core, with compiled code.
     """
     from fleet.scenario.catalogue import list_scenarios
     from fleet.study.catalogue import list_studies

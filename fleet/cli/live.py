@@ -16,7 +16,7 @@ from fleet.cli.run_argument import answer, clock_words, fault_words, heal_words,
 def ps(as_json: bool) -> None:
     """List the live runs of this user, wherever they were started.
 
-    All runs below a directory, also those that are over: fleet ls. What one can run: fleet list.
+    fleet ls lists all runs below a directory, also those that are over. fleet list shows the scenarios.
 
     \b
     Examples:
@@ -47,18 +47,22 @@ def ps(as_json: bool) -> None:
 @click.command()
 @click.argument("what", metavar="[RUN] FAULT", nargs=-1, required=True, shell_complete=completion.injection)
 @run_option
-@click.option("--for", "lasts", metavar="TIME", help="How long; by default to the end of the run, or until healed.")
-@click.option("--id", "name", metavar="ID", help="What to call it; by default live-1, live-2, ...")
+@click.option(
+    "--for", "lasts", metavar="TIME", help="How long it lasts; by default to the end of the run, or until healed."
+)
+@click.option("--id", "name", metavar="ID", help="Its name; by default live-1, live-2, ...")
 @json_option
 def inject(what: tuple[str, ...], run: str | None, lasts: str | None, name: str | None, as_json: bool) -> None:
-    """Inject a fault into a live run; it acts within half a second of simulated time, which is told.
+    """Inject a fault into a live run.
+
+    It acts within half a second of simulated time. The command prints the time at which it began.
 
     \b
     Examples:
       fleet inject link '1<->2' 'delay 500ms loss 20%' --for 10s
       fleet inject partition '1,2 / 3,4'
       fleet inject partition halves for 5s      the words of run --fault
-      fleet inject paper down '1->2'            of the run paper, where several live
+      fleet inject paper down '1->2'            of the run paper, if several live
       fleet inject down '2->3'
       fleet inject mute 3
       fleet inject kill 3                       for good, or until healed
@@ -125,14 +129,14 @@ def heal(words: tuple[str, ...], run: str | None, as_json: bool) -> None:
 @run_option
 @json_option
 def clock(words: tuple[str, ...], run: str | None, as_json: bool) -> None:
-    """Hold, step or pace a live run.
+    """Pause, step or pace a live run.
 
     \b
     Examples:
       fleet clock pause
       fleet clock step 10       ten ticks, then pause
-      fleet clock speed 2       twice real time; max: as fast as it goes
-      fleet clock paper 2x      the same of the run paper, where several live
+      fleet clock speed 2       twice real time; max: as fast as possible
+      fleet clock paper 2x      the same of the run paper, if several live
       fleet clock resume
     """
     from fleet.cli.documents.live import ClockSet

@@ -31,14 +31,15 @@ _vehicles = click.option("--vehicles", metavar="LIST", type=Vehicles(), help="On
 _log_scale = click.option(
     "--log-scale/--linear",
     default=None,
-    help="Errors, velocity errors and ages on a logarithmic axis, or all on a linear one; without it only errors are, "
-    "and of a study what spans much.",
+    help="Errors, velocity errors and ages on a logarithmic axis, or all on a linear one. By default errors are "
+    "logarithmic, and a study's measures that span much.",
 )
 _window = click.option(
     "--window",
     metavar="A..B",
     type=Window(),
-    help="Only this time, e.g. 20s..40s; without it `messages` shows some rounds, the others the whole run.",
+    help="Only this time, e.g. 20s..40s. By default `messages` shows some rounds, and the other pictures the "
+    "whole run.",
 )
 
 
@@ -57,7 +58,7 @@ def _folder(_: click.Context, __: click.Parameter, value: Path | None) -> Path |
 @log_argument
 @click.option(
     "-o", "--out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False), callback=_folder,
-    help="Where the pictures go; by default `plots` beside the log.",
+    help="The folder for pictures; by default `plots` next to the log.",
 )  # fmt: skip
 @click.option(
     "--what", metavar="LIST", type=PictureWords(KINDS, "all", PARTS), default="all", show_default=True,
@@ -90,12 +91,13 @@ def plot(
 ) -> None:
     """Draw pictures of LOG (an MCAP file, or a run directory), as wide as a column of a journal.
 
-    Tracks, consensus and formation errors with what the checks ask, velocity errors, attitude, inputs, commands and
-    gains with their limits, shares of packets by fate, messages in space and time, ages of information, the signals
-    that the checks name, and any other; faults are shaded. Prints the files.
+    The pictures are: tracks, consensus and formation errors with the limits of the checks, velocity errors, attitude,
+    inputs, commands and gains with their limits, shares of packets by fate, messages in space and time, ages of
+    information, the signals that the checks name, and any other signal. Faults are shaded. Prints the files.
 
-    Of the directory of a study: pass rate and measures with intervals as heat maps, curves or boxes, a sample as
-    parallel coordinates, and differences in pairs of runs with the same seed. Hatched: runs without the number.
+    For the directory of a study it draws the pass rate and measures with intervals, as heat maps, curves or boxes, a
+    sample as parallel coordinates, and differences in pairs of runs with the same seed. Hatched areas have runs
+    without the number.
 
     \b
     Examples:
@@ -154,7 +156,7 @@ def _notes(runs: Sequence[Any]) -> Iterator[str]:
 )  # fmt: skip
 @click.option(
     "--traces", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
-    help="Write here what became of each packet, a CSV file per directed link that network.links can read.",
+    help="Write the fate of each packet here: a CSV file per directed link, which network.links can read.",
 )  # fmt: skip
 @click.option(
     "--ros2", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
@@ -174,9 +176,9 @@ def export(
 ) -> None:
     """Write LOG (an MCAP file, or a run directory) as tables, one file per topic.
 
-    Times in s, units in CSV's header and in the metadata of the others; export.json says what each table holds.
-    Numbers read back exactly; bytes are hexadecimal in CSV, and left out in NetCDF. What only 3D viewers need
-    (transforms, scene) is no table and is left out. Prints the files.
+    Times are in s. Units are in CSV's header, and in the metadata of the other formats; export.json describes each
+    table. Numbers read back exactly; bytes are hexadecimal in CSV, and left out in NetCDF. Data that only 3D viewers
+    need (transforms, scene) are left out. Prints the files.
 
     \b
     Examples:
@@ -271,13 +273,13 @@ def report(
     log_scale: bool | None,
     window: tuple[float, float] | None,
 ) -> None:
-    """Write one self-contained HTML page about each LOG and, of several, what they have in common.
+    """Write one self-contained HTML page about one LOG, or about several and what they have in common.
 
-    Scenario, conditions of the links, faults; verdicts, vehicles, ledger and ages from result.json beside the log;
-    pictures, and how to repeat the run. The page needs no network and no other file.
+    The page has the scenario, conditions of the links, and faults. From result.json next to the log it takes verdicts,
+    vehicles, ledger and ages. It ends with pictures, and how to repeat the run. It needs no network and no other file.
 
-    Of the directory of a study: what was run and at which cost, pictures, every point with intervals, comparisons in
-    pairs, the reasons of runs without a result, and how to make a run again.
+    The page about a study's directory has its settings and cost, pictures, every point with intervals, comparisons in
+    pairs, and the reasons of runs without a result. It also says how to make a run again.
 
     \b
     Examples:
@@ -316,7 +318,7 @@ def report(
 @log_argument
 @json_option
 def info(log: Path, as_json: bool) -> None:
-    """Say what LOG (an MCAP file, or a run directory) holds, also when it was cut short.
+    """Summarise LOG (an MCAP file, or a run directory), also if it was cut short.
 
     \b
     Examples:

@@ -23,5 +23,5 @@ def cli() -> None:
       fleet list                           the scenarios that ship with the package
       fleet run paper                      run one: processes over zenoh, an MCAP log, a verdict
       fleet run my.yaml --seed 7 --speed 1 your own file, another seed, in real time
-      fleet info                           what the log of the newest run holds
+      fleet info                           summarise the log of the newest run
     """

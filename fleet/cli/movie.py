@@ -14,12 +14,14 @@ from fleet.cli.types import Duration, Whole
 @log_argument
 @click.option(
     "-o", "--out", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), default=Path("movie.gif"),
-    show_default=True, help="The movie: a .gif, or an .mp4 where ffmpeg is.",
+    show_default=True, help="The movie: a .gif, or an .mp4 if ffmpeg is installed.",
 )  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace what is there.")
 @click.option("--view", type=click.Choice(["above", "3d"]), default="above", show_default=True, help="From where.")
-@click.option("--from", "begin", metavar="TIME", type=Duration(), default="0s", help="Begin there, e.g. 20s.")
-@click.option("--to", "end", metavar="TIME", type=Duration(), help="End there; by default at the end of the log.")
+@click.option("--from", "begin", metavar="TIME", type=Duration(), default="0s", help="Begin at this time, e.g. 20s.")
+@click.option(
+    "--to", "end", metavar="TIME", type=Duration(), help="End at this time; by default at the end of the log."
+)
 @click.option(
     "-r", "--rate", metavar="X", type=click.FloatRange(0.001, 1000.0),
     help="Times real time; by default so that the movie lasts 12 s, but never slower than real time.",
@@ -41,10 +43,10 @@ def movie(
     fps: int,
     width: int,
 ) -> None:
-    """Make a movie of LOG (an MCAP file, or a run directory): what fleet view shows, as a GIF or an MP4.
+    """Make a movie of LOG (an MCAP file, or a run directory) as fleet view shows it, as a GIF or an MP4.
 
-    Hulls, their ways and desired places; links by what arrives, packets, faults with the time that they have left;
-    below, formation errors so far. The same log gives the same bytes of a GIF. Prints the file.
+    It shows hulls, their ways and desired places; links by their arrivals, packets, and faults with their remaining
+    time. Below are the formation errors so far. The same log gives the same bytes of a GIF. Prints the file.
 
     \b
     Examples:

@@ -95,7 +95,7 @@ def check(name: str, folder: Path) -> None:
 @click.argument("name")
 @_folder
 def protocol(name: str, folder: Path) -> None:
-    """Write NAME.py, a protocol that runs as it is, NAME_check.py, what it promises, and NAME.yaml, a scenario.
+    """Write NAME.py, a protocol that runs as it is, NAME_check.py, a check of its promise, and NAME.yaml, a scenario.
 
     \b
     Examples:
@@ -215,7 +215,9 @@ def _class_name(name: str, kind: str) -> str:
 def _write_modules(
     name: str, folder: Path, templates: Mapping[str, str], kind: str, more: Mapping[str, str] = MappingProxyType({})
 ) -> list[Path]:
-    """Write modules and a scenario from templates, in which the_law and TheLaw stand for names; `more` replaces, too.
+    """Write modules and a scenario from templates.
+
+    In these, the_law and TheLaw stand for names; `more` gives further replacements.
 
     Args:
         templates: by what follows `name` in the name of the file.

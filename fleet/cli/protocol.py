@@ -19,7 +19,7 @@ _CHECK = "Exit status: 0 every check passed, 1 one did not, 2 usage, or nobody c
 @click.group(cls=ListingGroup, invoke_without_command=True)
 @click.pass_context
 def protocol(context: click.Context) -> None:
-    """Print the wire protocol page (Markdown), for whoever writes an agent in another language; or check one.
+    """Print the wire protocol page (Markdown) for authors of agents in other languages, or check an agent.
 
     \b
     Examples:
@@ -35,14 +35,14 @@ def protocol(context: click.Context) -> None:
 @protocol.command(cls=TrustingCommand, epilog=_CHECK)
 @click.option("--id", "vehicle", metavar="I", type=Whole(min=1), required=True, help="The agent's number.")
 @click.option("--scenario", default="paper", show_default=True, shell_complete=scenarios,
-              help="Whose slice the agent is given.")  # fmt: skip
+              help="The scenario of the agent's slice.")  # fmt: skip
 @trust_option
 @click.option("--join-file", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
               help="Where to write the join file; by default join-<i>.json here.")  # fmt: skip
 @click.option("--timeout", type=Duration(), default="300 s", show_default=True, help="How long to wait for the agent.")
 @click.option("--port", type=Whole(1, 65535), help="Loopback port of the router; by default a free one.")
 @click.option("--listen-certified", metavar="ENDPOINT",
-              help="Also listen for an agent that has a certificate and no password (zenoh-pico).")  # fmt: skip
+              help="Also listen here for an agent with a certificate and no password (zenoh-pico).")  # fmt: skip
 @click.option("--certs", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
               help="With --listen-certified: certificates, made by fleet certs.")  # fmt: skip
 def check(
@@ -55,10 +55,10 @@ def check(
     listen_certified: str | None,
     certs: Path | None,
 ) -> None:
-    """Play world and netem against an agent of another make, and judge everything that it sends.
+    """Play world and netem against your agent, and judge all its messages.
 
-    Writes a join file, waits for the agent, and runs a canned exchange: the handshake, ticks and round ticks, inboxes
-    that come late, in parts and damaged, malformed messages, an earlier life, a gap, the end.
+    The command writes a join file, waits for the agent, and plays a fixed exchange. That has the handshake, ticks and
+    round ticks, inboxes that come late, in parts and damaged, malformed messages, an earlier life, a gap, and the end.
 
     \b
     Examples:

@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 @click.option("--repeats", metavar="N", type=Whole(1, 10_000), default=20, show_default=True,
               help="Independent estimates; their spread gives the interval.")  # fmt: skip
 @click.option("--effort", metavar="N", type=Whole(4, 100_000), default=100, show_default=True,
-              help="Parts of runs of each stage.")  # fmt: skip
+              help="The number of partial runs in each stage.")  # fmt: skip
 @OVERRIDES
 @disturbances
 @click.option("-o", "--out", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
-              help="Where estimates are kept, to go on with later; by default NAME-rare.json.")  # fmt: skip
+              help="The file for estimates; a later call continues it. By default NAME-rare.json.")  # fmt: skip
 @WORKERS
 @SCHEDULER
 @trust_option
@@ -50,10 +50,10 @@ def rare(
     trust: Trust,
     as_json: bool,
 ) -> None:
-    """Estimate how often a check fails, where that is too seldom to be counted.
+    """Estimate how often a check fails, if failures are too rare to count.
 
-    Runs that came near to failing go on from there several times, with other draws of network and sea (multilevel
-    splitting on the margin of the check). Estimates that the file has are not made again.
+    Runs that nearly failed continue from there several times, with other draws of network and sea (multilevel
+    splitting on the margin of the check). Estimates in the file are not repeated.
 
     \b
     Examples:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @click.command(cls=TrustingCommand)
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path, file_okay=False))
-@click.option("--accept", is_flag=True, help="Expect from now on what came out.")
+@click.option("--accept", is_flag=True, help="Expect the present verdicts from now on.")
 @cli_junit.JUNIT
 @WORKERS
 @SCHEDULER
@@ -39,10 +39,10 @@ def regress(
     trust: Trust,
     as_json: bool,
 ) -> None:
-    """Run the failures that a search has kept again, and compare their verdicts with the expected ones.
+    """Repeat the failures that a search has kept, and compare their verdicts with the expected ones.
 
-    The exit status is 0 if all are as expected, 1 if one is not, 3 if one has no result. A failure that is mended is no
-    longer as expected: --accept writes that every check of it has to pass from now on.
+    The exit status is 0 if all are as expected, 1 if one is not, 3 if one has no result. After you mend a failure, it
+    is no longer as expected: --accept then writes that all its checks must pass from now on.
 
     \b
     Examples:

@@ -35,13 +35,16 @@ def _rate(ctx: click.Context, param: click.Parameter, value: float) -> float:
 
 
 _connect = click.option(
-    "--connect", metavar="ENDPOINT", type=EndpointText(), help="Join the router or peer there, e.g. tcp/10.0.0.5:7447."
+    "--connect",
+    metavar="ENDPOINT",
+    type=EndpointText(),
+    help="Join the router or peer at this address, e.g. tcp/10.0.0.5:7447.",
 )
 _listen = click.option(
     "--listen",
     metavar="ENDPOINT",
     type=EndpointText(),
-    help="Be a router there; by default a free loopback port, printed.",
+    help="Be a router at this address; by default a free loopback port, which is printed.",
 )
 
 
@@ -51,15 +54,21 @@ _listen = click.option(
               help="Times the log's own pace; 0: as fast as possible.")  # fmt: skip
 @click.option("-l", "--loop", is_flag=True, help="Begin again at the end, until Ctrl-C.")
 @click.option(
-    "-s", "--start-offset", "start_ns", metavar="TIME", type=Duration(), default=0, help="Skip so much, e.g. '20 s'."
+    "-s",
+    "--start-offset",
+    "start_ns",
+    metavar="TIME",
+    type=Duration(),
+    default=0,
+    help="Skip this much of the log, e.g. '20 s'.",
 )
-@click.option("--duration", "duration_ns", metavar="TIME", type=Duration(), help="Play so much of the log.")
+@click.option("--duration", "duration_ns", metavar="TIME", type=Duration(), help="Play this much of the log.")
 @click.option(
     "--until", "until_ns", metavar="TIME", type=Duration(), help="Play up to this time of the log, from its beginning."
 )
 @click.option("-p", "--start-paused", is_flag=True, help="Begin with a pause; space goes on, right arrow steps.")
 @click.option(
-    "-d", "--delay", "delay_ns", metavar="TIME", type=Duration(), default=0, help="Wait so long before the beginning."
+    "-d", "--delay", "delay_ns", metavar="TIME", type=Duration(), default=0, help="Wait this long before the beginning."
 )
 @click.option("--topics", metavar="TOPIC", multiple=True,
               help="Only this topic, or those that fit: uuv/*/state, link/**; repeatable.")  # fmt: skip
@@ -69,7 +78,7 @@ _listen = click.option(
 @click.option("-m", "--remap", metavar="OLD:=NEW", multiple=True,
               help="Rename a topic, or the first parts of many: uuv/1:=twin; repeatable.")  # fmt: skip
 @click.option("--clock", "clock_hz", metavar="HZ", type=click.FloatRange(0.001, 1000.0),
-              help="Publish the time of the log so often, on fleet/{run}/clock.")  # fmt: skip
+              help="Publish the time of the log at this rate, on fleet/{run}/clock.")  # fmt: skip
 @click.option(
     "--wait-for-subscribers", "wait", is_flag=True, help="Begin when every key that is played has a subscriber."
 )
@@ -78,8 +87,8 @@ _listen = click.option(
 @_connect
 @_listen
 @click.option("--observe", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
-              help="Let in only who offers what is written to this file, as a run with --publish does with its "
-              "observe.json; without it only who offers no password.")  # fmt: skip
+              help="Write credentials to this file, as a run with --publish writes observe.json, and let in only "
+                   "clients with them. Without it only clients without a password get in.")  # fmt: skip
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no summary.")
 def replay(
     log: Path,
@@ -101,7 +110,7 @@ def replay(
       fleet replay --listen tcp/127.0.0.1:7447
       fleet replay -r 0 --wait-for-subscribers --topics 'uuv/*/pose'
       fleet replay robot.mcap --loop --remap robot:=twin --connect tcp/127.0.0.1:7447
-      fleet replay --observe observe.json        for a script that else reads a live run's
+      fleet replay --observe observe.json        for a script that otherwise reads a live run
     """
     from rich.console import Console as Terminal
 
@@ -146,9 +155,9 @@ def replay(
 @click.option("-k", "--key", "keys", metavar="KEY", multiple=True,
               help="Key expression to record, e.g. 'robot/**'; repeatable.")  # fmt: skip
 @click.option("-o", "--output", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
-              help="Where to; by default record-<UTC time>.mcap.")  # fmt: skip
-@click.option("--duration", metavar="TIME", type=Duration(), help="Stop after so long, e.g. '1 min'.")
-@click.option("--max-size", metavar="SIZE", type=FileSize(), help="Stop when the file is so large, e.g. '100 MB'.")
+              help="The file to write; by default record-<UTC time>.mcap.")  # fmt: skip
+@click.option("--duration", metavar="TIME", type=Duration(), help="Stop after this time, e.g. '1 min'.")
+@click.option("--max-size", metavar="SIZE", type=FileSize(), help="Stop at this size of the file, e.g. '100 MB'.")
 @_connect
 @_listen
 @click.option("--run", metavar="NAME", shell_complete=completion.published_runs,
@@ -156,8 +165,8 @@ def replay(
               "beginning of it, its scenario, or its directory.")  # fmt: skip
 @click.option(
     "--ros2", is_flag=True,
-    help="Write a bag of what nodes of ROS 2 publish, by rmw_zenoh and ROS_DOMAIN_ID; --output is its directory, and "
-    "--key a topic such as '/uuv_1/*'.",
+    help="Write the messages of ROS 2 nodes as a bag, over rmw_zenoh with ROS_DOMAIN_ID; --output is its "
+         "directory, and --key a topic such as '/uuv_1/*'.",
 )  # fmt: skip
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no summary.")
 def record(
@@ -226,7 +235,7 @@ def record(
 def _ros2(
     connect: str | None, listen: str | None, topics: tuple[str, ...], path: Path, line: StatusLine
 ) -> tuple[Any, Any, tuple[str, ...], Callable[[], Any]]:
-    """A session among nodes of ROS 2, what to subscribe with, to which keys, and what opens the bag."""
+    """A session among nodes of ROS 2, a function that subscribes, the keys, and a function that opens the bag."""
     from fleet.ros2.record import BagWriter, WithHistory
     from fleet.ros2.rmw import domain_of
     from fleet.ros2.session import open_ros_session

@@ -19,7 +19,7 @@ from fleet.terminal.folding import stdout
     type=click.Path(path_type=Path, file_okay=False),
     default=Path("reproduction"),
     show_default=True,
-    help="Where report.md, metrics.json and the pictures go.",
+    help="The folder for report.md, metrics.json and the pictures.",
 )
 @click.option("--jobs", metavar="N", type=Whole(1, 256), help="Runs at a time; by default one per core.")
 @click.option(
@@ -34,9 +34,9 @@ from fleet.terminal.folding import stdout
 def reproduce(out: Path, jobs: int | None, cases: tuple[str, ...], formats: tuple[str, ...]) -> None:
     """Run the paper's simulation section again and judge each of its claims.
 
-    Five controllers, undisturbed and disturbed, under the printed and the corrected cost, over no network and over
-    one, in parallel; pictures for every figure of the paper, and a report with a verdict on every claim. That takes
-    130 s of CPU time: a good minute on two idle cores, more where other work runs.
+    The runs cover five controllers, undisturbed and disturbed, with the printed and the corrected cost, with and
+    without a network. The command draws every figure of the paper, and writes a report with a verdict on every claim.
+    That takes 130 s of CPU time: a good minute on two idle cores.
 
     \b
     Examples:

@@ -200,7 +200,7 @@ def _farthest(rows: Mapping[str, VehicleResult]) -> list[str]:
 
 
 def _alike(rows: Mapping[str, Account], ages: Mapping[str, LinkAge]) -> dict[str, list[str]]:
-    """Links by the first one that has the same numbers, as they are shown."""
+    """Links with the same displayed numbers, by the first of them."""
     first: dict[str, str] = {}
     found: dict[str, list[str]] = {}
     for name, row in rows.items():

@@ -38,14 +38,14 @@ MOST_FAULTS = 20  # of the scenario, said before it runs
 
 @click.command(cls=TrustingCommand, epilog=EPILOG)
 @click.argument("scenario", required=False, shell_complete=scenarios)
-@click.option("--from", "begin", metavar="LOG[@TIME]", help="Go on from a snapshot in a log, in one process.")
+@click.option("--from", "begin", metavar="LOG[@TIME]", help="Continue from a snapshot in a log, in one process.")
 @click.option(
     "--out",
     metavar="DIR",
     type=click.Path(path_type=Path),
     default=Path("runs"),
     show_default=True,
-    help="Where run directories go.",
+    help="The folder for run directories.",
 )
 @click.option("--seed", type=Whole(0, 2**63 - 1), help="Override the scenario's seed.")
 @click.option("--duration", metavar="TIME", help="Override the scenario's duration, e.g. '20 s'.")
@@ -54,14 +54,14 @@ MOST_FAULTS = 20  # of the scenario, said before it runs
     type=Speed(),
     default="max",
     show_default=True,
-    help="Times real time, or as fast as it goes; with --clock real, 1.",
+    help="Speed in multiples of real time, or as fast as possible; with --clock real, 1.",
 )
 @click.option(
     "--clock",
     type=click.Choice([each.value for each in Clock]),
     default=Clock.LOCKSTEP.value,
     show_default=True,
-    help="real: ticks begin by the wall clock and wait for nobody; the result says who was late.",
+    help="real: ticks begin by the wall clock and wait for no agent; the result lists late agents.",
 )
 @click.option(
     "--max-missed",
@@ -69,7 +69,7 @@ MOST_FAULTS = 20  # of the scenario, said before it runs
     type=Share(),
     default="1%",
     show_default=True,
-    help="Of its ticks that an agent may miss with --clock real before the run fails.",
+    help="With --clock real: the run fails if an agent misses a larger share of its ticks.",
 )
 @click.option("--in-process", is_flag=True, help="One process, no zenoh; the same log, byte for byte.")
 @OVERRIDES
@@ -82,23 +82,27 @@ MOST_FAULTS = 20  # of the scenario, said before it runs
     help="Listen on this port of 127.0.0.1, too, for agents that cannot use the run's Unix socket.",
 )
 @click.option(
-    "--publish", is_flag=True, help="Publish the journal on zenoh meanwhile; nobody who listens slows the run."
+    "--publish", is_flag=True, help="Publish the journal on zenoh during the run; slow listeners do not slow the run."
 )
-@click.option("--view", is_flag=True, help="Open a page of the browser that shows the run, and lets one disturb it.")
-@click.option("--ros2", is_flag=True, help="Publish it, and show it to ROS 2 as fleet ros2 does.")
-@click.option("--audit", is_flag=True, help="Say also which messages the router refuses, a tenth slower.")
+@click.option(
+    "--view", is_flag=True, help="Open a page in the browser that shows the run; there you can also disturb it."
+)
+@click.option("--ros2", is_flag=True, help="Publish the run, and show it to ROS 2 as fleet ros2 does.")
+@click.option(
+    "--audit", is_flag=True, help="Also report each message that the router refuses; the run is a tenth slower."
+)
 @click.option(
     "--wait-for-subscribers",
     is_flag=True,
-    help="With --publish, --view or --ros2: begin when somebody listens, such as the page.",
+    help="With --publish, --view or --ros2: begin when there is a listener, such as the page.",
 )
 @cli_hosts.hosts_options
 @click.option("--join-timeout", type=Duration(), default="300 s", show_default=True,
-              help="How long to wait for each agent that somebody else starts.")  # fmt: skip
+              help="How long to wait for each external agent.")  # fmt: skip
 @click.option("--start-order", metavar="SEED", type=int, hidden=True)
 @json_option
 @JUNIT
-@click.option("-q", "--quiet", is_flag=True, help="Print nothing but the run's directory, and failures on stderr.")
+@click.option("-q", "--quiet", is_flag=True, help="Print only the run's directory; failures go to stderr.")
 def run(
     scenario: str | None,
     begin: str | None,
@@ -272,7 +276,7 @@ def _load(
 
 
 def _warnings(scenario: Scenario, *, seed_given: bool) -> list[str]:
-    """What can be said against the scenario before it runs."""
+    """The warnings about the scenario before it runs."""
     from fleet.analysis.preflight import warnings
     from fleet.analysis.seed import HINT, NOTHING, seeded
     from fleet.analysis.stability import analyse
@@ -298,7 +302,7 @@ def _check_clock(speed: float | None, clock: str, one_process: str) -> None:
 
 
 def _print_failure(result: Result) -> None:
-    """Print a failure on stderr, where stdout has no tables; one that the scenario expects is none."""
+    """Print a failure on stderr, if stdout has no tables. A failure that the scenario expects is not printed."""
     failed = [f"FAIL  {v.check}: {v.asked}; found {v.found}" for v in result.verdicts if not v.passed]
     if result.reason or (failed and not result.passed):
         lines = [f"fleet: {result.reason}", *result.lines] if result.reason else failed

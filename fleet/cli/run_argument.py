@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 D = TypeVar("D")
-_HELP = "The run: its name or the beginning of it, its scenario, or its directory; needed when several live."
+_HELP = "The run: its name or the beginning of it, its scenario, or its directory. Needed if several live."
 _TIMES = ("at", "for", "id")  # which may stand before the kind of a fault
 _PACE = re.compile(r"max|[\d.]+x", re.ASCII)
 

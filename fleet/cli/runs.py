@@ -22,7 +22,7 @@ WIDE = 100  # columns from which on there is room for what the name says already
 VERDICTS = ("pass", "fail", "broke", "stopped")
 _out = click.option(
     "--out", metavar="DIR", type=click.Path(path_type=Path), default=Path("runs"), show_default=True,
-    help="Where run directories are.",
+    help="The folder with run directories.",
 )  # fmt: skip
 
 
@@ -32,9 +32,9 @@ _out = click.option(
 def ls(out: Path, as_json: bool) -> None:
     """List the runs below a directory, the newest first.
 
-    With what they came to, the simulated time, and how large and how old they are. The verdict is pass, FAIL, stopped,
-    live, or broke, also of a run that left no result. A directory that you gave a name of its own is not listed. Live
-    runs in any folder: fleet ps. What one can run: fleet list.
+    Each row has the verdict, the simulated time, the size and the age of a run. The verdict is pass, FAIL, stopped,
+    live, or broke; a run that is over without a result counts as broke. A directory that you renamed is not
+    listed. fleet ps lists live runs in any folder. fleet list shows the scenarios.
 
     \b
     Examples:
@@ -65,17 +65,23 @@ def ls(out: Path, as_json: bool) -> None:
 
 @click.command()
 @_out
-@click.option("--keep", metavar="N", type=Whole(min=0), help="The newest N of those that are over stay.")
-@click.option("--older-than", metavar="AGE", type=AgeText(), help="Only those that began so long ago, e.g. '7 days'.")
+@click.option("--keep", metavar="N", type=Whole(min=0), help="Keep the newest N of the runs that are over.")
 @click.option(
-    "--verdict", "verdicts", metavar="LIST", type=Words(VERDICTS), help=f"Only some of {', '.join(VERDICTS)}."
+    "--older-than", metavar="AGE", type=AgeText(), help="Only runs that began at least this long ago, e.g. '7 days'."
+)
+@click.option(
+    "--verdict",
+    "verdicts",
+    metavar="LIST",
+    type=Words(VERDICTS),
+    help=f"Only runs with these verdicts: {', '.join(VERDICTS)}.",
 )
 @click.option("--yes", is_flag=True, help="Remove them. Without it they are only listed.")
 def prune(out: Path, keep: int | None, older_than: float | None, verdicts: tuple[str, ...] | None, yes: bool) -> None:
-    """Remove runs that are over, with all that is in their directories.
+    """Remove runs that are over, with their directories.
 
-    Those go for which every given option holds. Without --yes it only says which these are. A live run stays, and so
-    does every directory that has not the name that fleet run gave it: rename a run to keep it.
+    The command removes the runs that fit every given option. Without --yes it only lists them. Live runs and renamed
+    directories stay: rename a run to keep it.
 
     \b
     Examples:

@@ -8,7 +8,7 @@ import click
 @click.command()
 @click.argument("command", nargs=-1, metavar="[COMMAND]")
 def schema(command: tuple[str, ...]) -> None:
-    """Print the JSON Schema of what COMMAND prints with --json; without COMMAND, a page about all of them (Markdown).
+    """Print the JSON Schema of COMMAND's --json output; without COMMAND, a page about all of them (Markdown).
 
     \b
     Examples:

@@ -35,17 +35,18 @@ NemesisMode = Literal["swarm", "liveness"] | None
 @click.command(cls=TrustingCommand)
 @click.argument("scenario", shell_complete=scenarios)
 @click.option("--budget", metavar="RUNS|TIME", type=Budget(), default="200", show_default=True,
-              help="How many seeds are tried, or for how long new ones are begun, e.g. '10 min'.")  # fmt: skip
-@click.option("--nemesis", is_flag=True, help="Give a scenario that has none a nemesis: a swarm of faults.")
+              help="The number of seeds to try, or the time in which new ones begin, e.g. '10 min'.")  # fmt: skip
+@click.option("--nemesis", is_flag=True, help="Add a nemesis to a scenario without one: a swarm of faults.")
 @click.option("--liveness", is_flag=True,
-              help="The same; from half of the run on a core is healed, and all others stay broken.")  # fmt: skip
-@click.option("--guide", is_flag=True, help="Change the faults of runs that came near to failing, or to something new.")
+              help="Like --nemesis, but in the middle of the run a core of vehicles is healed; the others stay "
+                   "broken.")  # fmt: skip
+@click.option("--guide", is_flag=True, help="Change the faults of runs that nearly failed or did something new.")
 @click.option("--check", metavar="NAME", help="The check that must fail; by default any.")
 @OVERRIDES
 @disturbances
 @least_options
 @click.option("--keep", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
-              help="Go on after a failure, and keep the least scenario of each kind of failure in DIR.")  # fmt: skip
+              help="Continue after a failure; keep the smallest scenario of each kind of failure in DIR.")  # fmt: skip
 @JUNIT
 @WORKERS
 @SCHEDULER
@@ -70,13 +71,13 @@ def search(
     trust: Trust,
     as_json: bool,
 ) -> None:
-    """Try seeds of a nemesis until a check fails, and make that run as small as it can be.
+    """Try seeds of a nemesis until a check fails, and make that run as small as possible.
 
-    The first seed is that of the scenario; --set seed=201 goes on after 200. The first one that fails is found
-    whatever the number of workers. With --guide most runs have the faults of runs before, changed; what fails is then a
-    list of faults and a seed. The exit status is 1 if a check failed, as that of fleet run, and 0 if none did in all
-    of the budget. With --keep all of the budget is used, and the same command goes on with a greater one; fleet regress
-    DIR runs what is kept.
+    The first seed is that of the scenario; --set seed=201 goes on after 200. Any number of workers finds the same seed:
+    the first one that fails. With --guide most runs have the faults of earlier runs, changed; the result is then a list
+    of faults and a seed. The exit status is 1 if a check failed, as with fleet run, and 0 if none did in the whole
+    budget. With --keep the search uses the whole budget, and the same command goes on with a greater one; fleet regress
+    DIR repeats the failures that it kept.
 
     \b
     Examples:
@@ -136,7 +137,7 @@ def search(
 
 
 def _tried(name: str, changes: list[str | Override], trust: Trust, mode: NemesisMode) -> tuple[Scenario, Modules]:
-    """The scenario whose seeds are tried, and the modules that its runs need; `mode`: of the nemesis that it gets."""
+    """The scenario of the search, and the modules that its runs need; `mode`: of the nemesis that the scenario gets."""
     from fleet.scenario.loading import load_scenario
     from fleet.study.modules import modules_of
     from fleet.study.search import nemesis_of
@@ -152,7 +153,7 @@ def _tried(name: str, changes: list[str | Override], trust: Trust, mode: Nemesis
 def _print(
     found: Searched, least: Shrunk | None, check: str | None, path: Path, kept: list[FoundFailure], *, as_json: bool
 ) -> None:
-    """What the search came to."""
+    """Print the result of the search."""
     if as_json:
         from fleet.cli.documents.search import first_failing
 

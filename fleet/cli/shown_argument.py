@@ -1,4 +1,4 @@
-"""The argument RUN|LOG of commands that show either, and what their options have to do with which."""
+"""The argument RUN|LOG of commands that show either, and the rules about which options fit which."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
 
 SHOWN = click.argument(
     "what", metavar="[RUN|LOG]", required=False, shell_complete=completion.published_runs,
-    help="A live run that was started with --publish (its name, its scenario or its directory), an MCAP file or the "
-    "directory of a run; by default the live run that began last, or else the newest run below runs.",
+    help="A live run that was started with --publish (its name, its scenario or its directory), an MCAP file, or "
+         "a run directory. By default the live run that began last; if none lives, the newest run below runs.",
 )  # fmt: skip
 
 
 def find_shown(what: str | None, rate: float | None, *, control: bool, loop: bool) -> LiveSource | LogSource:
-    """What is to be shown.
+    """The run or the log to show.
 
     Args:
         what: as the argument `SHOWN` gives it.

@@ -29,10 +29,10 @@ MOST_RUNS = 2000
 @click.argument("failing", metavar="LOG|SCENARIO", shell_complete=scenarios)
 @OVERRIDES
 @disturbances
-@click.option("--check", metavar="NAME", help="The check that must still fail; by default the first one that does.")
+@click.option("--check", metavar="NAME", help="The check that must still fail; by default the first that fails.")
 @least_options
 @click.option("--most-runs", metavar="N", type=Whole(1), default=MOST_RUNS, show_default=True,
-              help="Stop making it less after so many runs.")  # fmt: skip
+              help="Stop after this number of runs.")  # fmt: skip
 @WORKERS
 @trust_option
 @json_option
@@ -49,10 +49,11 @@ def shrink(
     trust: Trust,
     as_json: bool,
 ) -> None:
-    """Make a run that fails a check as small as it can be: what is the least that breaks it?
+    """Make a run that fails a check as small as possible.
 
-    Faults are left out, the run and its faults are shortened, made milder, and vehicles left out, as long as the check
-    still fails. A log gives what happened in it, injected faults included. The least scenario is written to a file.
+    The command removes faults and vehicles, shortens the run and its faults, and makes faults milder, as long as the
+    check still fails. From a log it takes all faults, including injected ones. It writes the smallest scenario to a
+    file.
 
     \b
     Examples:
@@ -111,7 +112,7 @@ def write_least(scenario: Scenario, path: Path) -> None:
 
 
 def pieces(line: StatusLine, doing: str, runs: int) -> list[Piece]:
-    """What is being tried, and how many runs were made."""
+    """The current trial, and the number of runs made."""
     from fleet.terminal.fitting import Piece
 
     return [Piece(0, [f"{runs} runs"]), Piece(1, [doing])]

@@ -26,15 +26,15 @@ MOST_EVENTS = 3
 
 @click.command()
 @run_argument
-@click.option("-w", "--watch", is_flag=True, help="Again every second, until the run is over or Ctrl-C.")
+@click.option("-w", "--watch", is_flag=True, help="Repeat every second, until the run is over or Ctrl-C.")
 @click.option("--all", "every", is_flag=True, help="All vehicles, links and faults, not only the worst and active.")
 @json_option
 def status(run: str | None, watch: bool, every: bool, as_json: bool) -> None:
-    """Say how a live run is doing.
+    """Show the state of a live run.
 
-    Time, who is waited for, active faults with their ids, what happened to vehicles, and the worst vehicles and links.
-    "oldest news" is the greatest age of what a vehicle heard last of a neighbour; e is the consensus error. What the
-    log of a run holds: fleet info.
+    It prints the time, the processes that the run waits for, active faults with their ids, the fate of vehicles, and
+    the worst vehicles and links. "oldest news" is the greatest age of a vehicle's last message from a neighbour. e is
+    the consensus error. fleet info shows the log of a run.
 
     \b
     Examples:
@@ -95,8 +95,8 @@ def screen(status: RunStatus, every: bool, height: int | None = None) -> Group:
     """A status as a terminal shows it, in 80 columns.
 
     Args:
-        every: whether all vehicles and links were asked for.
-        height: of a screen on which it must fit [lines]; None: it may be as long as it is.
+        every: the user asked for all vehicles and links.
+        height: of the screen that the text must fit [lines]; None: any length.
     """
     from rich.console import Group
     from rich.text import Text

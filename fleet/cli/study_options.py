@@ -1,4 +1,4 @@
-"""Options of the commands that make many runs: those that a spec declares, and those that these commands share."""
+"""Options of the commands that make many runs: the options that a spec declares, and those that the commands share."""
 
 from __future__ import annotations
 
@@ -14,13 +14,11 @@ from fleet.terminal.folding import say
 
 F = TypeVar("F", bound=Callable[..., Any])
 OUT = click.option("--out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False), default=Path("studies"),
-                   show_default=True, help="Where studies go, each in a directory of its own.")  # fmt: skip
+                   show_default=True, help="The folder for studies; each gets a directory of its own.")  # fmt: skip
 WORKERS = click.option("--workers", metavar="N", type=Whole(1, 1024), help="Runs at a time; by default one per core.")
-SCHEDULER = click.option(
-    "--scheduler", metavar="ADDRESS", help="Use a Dask cluster that is there, e.g. tls://host:8786."
-)
+SCHEDULER = click.option("--scheduler", metavar="ADDRESS", help="Use an existing Dask cluster, e.g. tls://host:8786.")
 _LEAST = click.option("-o", "--out", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
-                      help="Where the least scenario goes; by default NAME-least.yaml.")  # fmt: skip
+                      help="The file for the smallest scenario; by default NAME-least.yaml.")  # fmt: skip
 
 
 def least_options(command: F) -> F:

@@ -1,4 +1,4 @@
-"""What the commands of studies print alike: columns of what is varied, and the status line."""
+"""The common output of the commands of studies: columns of the varied values, and the status line."""
 
 from __future__ import annotations
 

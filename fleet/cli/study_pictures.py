@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 measure_option = click.option(
     "--measure", "measures", metavar="NAME", multiple=True,
-    help="Of a study: what is shown besides the pass rate; repeatable. An unknown name lists them.",
+    help="For a study: another measure to show; repeatable. An unknown name lists them.",
 )  # fmt: skip
 
 

@@ -43,7 +43,7 @@ _MOST_TOLD = 10  # logs that are not kept
 @JUNIT
 @click.option("--show-config", is_flag=True, help="Print the study as a file, with the options in it, and stop.")
 @json_option
-@click.option("-q", "--quiet", is_flag=True, help="Print nothing but the study's directory, and failures on stderr.")
+@click.option("-q", "--quiet", is_flag=True, help="Print only the study's directory; failures go to stderr.")
 def sweep(
     scenario: str,
     out: Path,
@@ -56,10 +56,11 @@ def sweep(
     quiet: bool,
     **options: Any,
 ) -> None:
-    """Run SCENARIO at every combination of some values, several times each, and say how sure the answer is.
+    """Run SCENARIO at every combination of some values, with several seeds each, and print results with intervals.
 
-    A study that ships (fleet list) or a file with the key `study` says all this itself; options add to it, and overrule
-    it. With the directory of a study, go on with what is missing: a study may be interrupted at any time.
+    A study that ships (fleet list), or a file with the key `study`, contains all settings; options add to them or
+    replace them. With the directory of a study, sweep makes the runs that are missing. So you can interrupt a study at
+    any time.
 
     \b
     VALUES are a list (nboc,bc), a range with a step (0 %..90 %/10 %), with a count
@@ -226,7 +227,7 @@ def _nothing_varied(plan: Plan, trust: Trust, *, quiet: bool) -> None:
 
 
 def _announced(store: Store, missing: int) -> str:
-    """What is going to be run."""
+    """Announce the runs before they begin."""
     points, seeds, until = store.point_count, len(store.record.seeds), store.record.rules.until
     made = sum(store.needed().values()) - missing
     runs = f"at first, until {until}" if until else f"= {points * seeds} runs"

@@ -44,5 +44,6 @@ def trust_option(command: F) -> F:
         metavar="[sha256:HEX]",
         multiple=True,
         callback=_trust,
-        help="Also run laws that are not installed and not your own; sha256:HEX: only such a file, repeatable.",
+        help="Also run laws that are not installed and not your own; with sha256:HEX only the file with this "
+        "hash; repeatable.",
     )(command)

@@ -48,7 +48,7 @@ def disturbances(command: F) -> F:
         metavar="'LINKS CONDITION'",
         multiple=True,
         callback=_override,
-        help="Impair links from the start, e.g. '1->2 loss 30%'; repeatable, the last one that names a link wins.",
+        help="Impair links from the start, e.g. '1->2 loss 30%'; repeatable; the last one for a link wins.",
     )(command)
     return click.option(
         "--fault",

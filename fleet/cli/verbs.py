@@ -1,4 +1,4 @@
-"""The commands of `fleet`: in which group of the help each stands, and which module holds it.
+"""The commands of `fleet`: the group of each in the help, and the module that holds it.
 
 `fleet --help` is written from this table, so it imports no command, and a command imports no other one.
 """
@@ -29,12 +29,12 @@ GROUPS: dict[str, dict[str, Verb]] = {
         "view": Verb("view", "Show a live run or a log in the browser."),
         "inject": Verb("live", "Inject a fault."),
         "heal": Verb("live", "End a fault, or all of them."),
-        "clock": Verb("live", "Hold, step or pace a run."),
+        "clock": Verb("live", "Pause, step or pace a run."),
         "stop": Verb("live", "Stop a run; its log stays."),
     },
     "After a run": {
         "ls": Verb("runs", "List the runs below a directory (live ones: ps)."),
-        "info": Verb("logs", "Say what a log holds."),
+        "info": Verb("logs", "Summarise a log."),
         "plot": Verb("logs", "Draw pictures of logs or of a study."),
         "report": Verb("logs", "Write one HTML page about logs or a study."),
         "movie": Verb("movie", "Make a GIF or an MP4 of a log."),
@@ -44,9 +44,10 @@ GROUPS: dict[str, dict[str, Verb]] = {
     "Prove and change": {
         "verify": Verb("verify", "Run a log's scenario again and compare every byte."),
         "diff": Verb("verify", "Compare two logs."),
-        "check-log": Verb("verify", "Judge a log by other checks."),
+        "check-log": Verb("verify", "Judge a log by its own or by other checks."),
         "script": Verb("verify", "Print the scenario that makes a log again."),
-        "whatif": Verb("what_if", "Ask what another agent would have commanded."),
+        "why": Verb("why", "Explain why a check failed."),
+        "whatif": Verb("what_if", "Compare another agent's commands with the log's."),
         "replay": Verb("replay", "Publish a log on zenoh again."),
         "recover": Verb("verify", "Save what is left of a damaged log."),
         "prune": Verb("runs", "Remove runs that are over."),
@@ -55,9 +56,9 @@ GROUPS: dict[str, dict[str, Verb]] = {
         "sweep": Verb("sweep", "Run a scenario at many values and seeds."),
         "boundary": Verb("boundary", "Find where a scenario begins to fail."),
         "search": Verb("search", "Try random faults until a check fails."),
-        "regress": Verb("regress", "Run the failures that a search has kept again."),
-        "rare": Verb("rare", "Estimate how often a check fails, if that is seldom."),
-        "shrink": Verb("shrink", "Make a failing run as small as it can be."),
+        "regress": Verb("regress", "Repeat the failures that a search has kept."),
+        "rare": Verb("rare", "Estimate how often a check fails, if it is rare."),
+        "shrink": Verb("shrink", "Make a failing run as small as possible."),
     },
     "Other hosts and programs": {
         "agent": Verb("join", "Run an external vehicle's agent in this terminal."),
@@ -70,8 +71,8 @@ GROUPS: dict[str, dict[str, Verb]] = {
     "This tool": {
         "about": Verb("about", "Print everything that a bug report needs."),
         "bench": Verb("bench", "Measure this machine."),
-        "completion": Verb("completion", "Print what completes commands in your shell."),
-        "schema": Verb("schema", "Print the JSON Schema of what --json prints."),
+        "completion": Verb("completion", "Print the script for completion in your shell."),
+        "schema": Verb("schema", "Print the JSON Schemas of the --json outputs."),
     },
 }
 VERBS: dict[str, Verb] = {name: verb for group in GROUPS.values() for name, verb in group.items()}

@@ -29,8 +29,8 @@ _log = click.Path(path_type=Path)
 def verify(log: Path, trust: Trust, as_json: bool, quiet: bool) -> None:
     """Run LOG again and compare: every message, bit for bit.
 
-    Its scenario and seed, and what was injected and who died while it was recorded, in this process, up to where
-    the recording ends; a log that was cut is verified as far as it goes.
+    It repeats the log's scenario and seed with all injected faults and deaths, in this process, up to the end of the
+    log. A log that was cut is verified up to the cut.
 
     \b
     Examples:
@@ -93,14 +93,14 @@ def check_log(log: Path, overrides: tuple[str, ...], trust: Trust, as_json: bool
 @click.argument("a", type=_log, help="An MCAP file or a run directory.")
 @click.argument("b", type=_log, required=False, help="By default the newest run below runs.")
 @click.option("--tolerance", metavar="X", type=click.FloatRange(min=0.0), default=0.0, show_default=True,
-              help="The most that two numbers may be apart, each in its own unit.")  # fmt: skip
+              help="The largest allowed difference of two numbers, each in its own unit.")  # fmt: skip
 @click.option("--all", "everything", is_flag=True, help="Every signal that differs, not only the first twenty.")
 @json_option
 @NO_PROGRESS
 def diff(a: Path, b: Path | None, tolerance: float, everything: bool, as_json: bool, quiet: bool) -> None:
-    """Say whether logs A and B hold the same messages, where they part, and how far apart each signal gets.
+    """Compare the messages of logs A and B: whether they are the same, where they part, and how far signals differ.
 
-    If one of the runs goes on from another (fleet run --from), they are compared from where it begins.
+    If one run continues another (fleet run --from), the comparison begins where the later one begins.
 
     \b
     Examples:
@@ -164,11 +164,13 @@ def script(log: Path) -> None:
 
 @click.command(epilog=_RECOVER)
 @log_argument
-@click.option("-o", "--out", metavar="OUT", type=_log, help="Where to write; by default LOG.recovered.mcap beside it.")
+@click.option(
+    "-o", "--out", metavar="OUT", type=_log, help="The file to write; by default LOG.recovered.mcap next to it."
+)
 def recover(log: Path, out: Path | None) -> None:
-    """Write what is left of a cut or damaged LOG as a clean file with an index.
+    """Write the undamaged part of a cut or damaged LOG as a clean file with an index.
 
-    What is missing is said in its metadata record `recovery`. A damaged place is passed over, and counted.
+    Its metadata record `recovery` describes the missing parts. Damaged places are skipped and counted.
 
     \b
     Examples:

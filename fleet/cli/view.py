@@ -27,17 +27,17 @@ EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or no port
     "--port",
     metavar="PORT",
     type=Whole(0, 65535),
-    help="By default a free one; with --foxglove 8765, which viewers propose, if that is free.",
+    help="By default a free one. With --foxglove it is 8765, if that is free: viewers propose it.",
 )
 @click.option(
     "--control/--read-only", default=None,
-    help="Whether viewers may inject, heal and hold the clock. Foxglove's protocol knows no passwords: there it is "
-    "--read-only by default.",
+    help="Whether viewers may inject, heal and pause. Foxglove's protocol knows no passwords, so it is "
+         "--read-only by default with --foxglove.",
 )  # fmt: skip
 @click.option("--no-open", is_flag=True, help="Do not open a browser.")
 @click.option("-r", "--rate", metavar="X", type=click.FloatRange(0.001, 1000.0),
-              help="Of a log: times its own pace, at first.")  # fmt: skip
-@click.option("-l", "--loop", is_flag=True, help="Of a log: begin again at the end.")
+              help="For a log: speed at first, in multiples of its own pace.")  # fmt: skip
+@click.option("-l", "--loop", is_flag=True, help="For a log: begin again at the end.")
 def view(
     what: str | None,
     foxglove: bool,
@@ -50,8 +50,9 @@ def view(
 ) -> None:
     """Show a live run or a log in a viewer.
 
-    A page of the browser shows the fleet, its links and its faults; a click on a link or a vehicle disturbs it, and a
-    log is played, paused and searched. The address has a token, without which nobody gets in.
+    A page in the browser shows the fleet, its links and its faults. A click on a link or a vehicle
+    disturbs it. You can play, pause and search a log. The address of the page contains a token; without it nobody
+    gets in.
 
     \b
     Examples:

@@ -35,9 +35,9 @@ def command(
     plot: Path | None,
     as_json: bool,
 ) -> None:
-    """Give another agent the navigation and the messages that one had in LOG, and compare what they command.
+    """Give another agent the navigation and messages of one in LOG, and compare their commands.
 
-    Open loop: the vehicle went where the recorded commands sent it. With nothing changed the commands are identical.
+    This is open loop: the vehicle still moves by the recorded commands. Without a change the commands are identical.
 
     \b
     Examples:

@@ -10,7 +10,7 @@ from netem.clock import Clock
 
 
 def closing(world: dict[str, Any], network: dict[str, Any], rejected: dict[str, int]) -> Closing:
-    """What the processes of a completed run report.
+    """The final reports of a completed run's processes.
 
     Args:
         world, network: what they answered to `close`.

@@ -65,17 +65,17 @@ class LiveClock:
 
     @property
     def speed_limit(self) -> float | None:
-        """At most so many times real time; None: no limit."""
+        """The greatest speed, in multiples of real time; None: no limit."""
         return self._speed_limit
 
     @property
     def clock(self) -> Clock:
-        """What decides when a tick begins; the speed of a wall clock is not changed."""
+        """The clock that decides when a tick begins; the speed of a wall clock cannot change."""
         return Clock.REAL if self._policy.lead_ns else Clock.LOCKSTEP
 
     @property
     def held(self) -> int:
-        """The grant at which it is paused."""
+        """The grant of the pause."""
         assert self._held is not None
         return self._held
 
@@ -110,7 +110,7 @@ class LiveClock:
         self._held = min(granted + ticks, self._policy.ticks)
 
     def set_speed_limit(self, granted: int, speed_limit: float | None) -> None:
-        """Go at most so many times real time from now on; None: as fast as it goes."""
+        """From now on go at most at this speed, in multiples of real time; None: as fast as possible."""
         self._speed_limit = speed_limit
         self._origin = self._now, granted
 

@@ -50,7 +50,7 @@ class ConnectionFile(msgspec.Struct):
 
     @classmethod
     def read(cls, path: Path) -> ConnectionFile | None:
-        """What the file says; None: there is none of ours."""
+        """The content of the file; None: it does not exist, or another user owns it."""
         try:
             return parse_json(read_file(path, MOST_BYTES), cls)
         except (OSError, DamagedFile):
@@ -70,7 +70,7 @@ class LiveRun:
 
     @property
     def name(self) -> str:
-        """What answers call it, and users: the name of its directory."""
+        """The run's name in answers and for users: the name of its directory."""
         return self.directory.name
 
     def __repr__(self) -> str:
@@ -102,7 +102,7 @@ def published(file: str) -> list[Path]:
 
 
 def choose(run: str | None, file: str) -> Path:
-    """The directory of the one live run that is meant, of those that have such a file.
+    """The directory of the one live run that the user means, among those with such a file.
 
     Args:
         run: its directory; or of the registered ones a name, a scenario or the beginning of a name that only one has;
@@ -130,7 +130,7 @@ def choose(run: str | None, file: str) -> Path:
 
 
 def _named(run: str, known: list[Path]) -> list[Path]:
-    """Those of the runs whose name, or else whose scenario, or else the beginning of whose name this is."""
+    """The runs with this name, or else with this scenario, or else with a name that begins like this."""
     return (
         [directory for directory in known if directory.name == run]
         or [directory for directory in known if _scenario(directory) == run]

@@ -119,7 +119,7 @@ class Console:
         Raises:
             RunBroken: the run could not be completed.
             StoppedError: the operator stopped it.
-            FleetError: the file with which an external agent joins cannot be written.
+            FleetError: the join file of an external agent cannot be written.
         """
         began = time.monotonic()
         try:
@@ -308,7 +308,7 @@ class Console:
     # Events.
 
     def _take(self, timeout_s: float) -> None:
-        """Handle the next event, for which it waits at most so long, and all that are there already."""
+        """Handle the next event and all further events that are there already; wait at most this long for the first."""
         for event in self._events.take(timeout_s):
             self._handle(*event)
 

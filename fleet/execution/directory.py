@@ -1,4 +1,4 @@
-"""The directory of a run: its log, its result and the logs of its processes; and a `latest` link beside it.
+"""The directory of a run: its log, its result and the logs of its processes. A `latest` link stands next to it.
 
 While the run goes on, its console holds a lock on the file with the scenario. The system takes the lock away when the
 process ends, however it ends, so it says which runs live.
@@ -74,11 +74,11 @@ class RunDirectory:
         return self.path / OBSERVE
 
     def join(self, i: int) -> Path:
-        """What the external agent i needs to join; mode 0600; it exists only while the run lives."""
+        """The join file of external agent i; mode 0600; it exists only while the run lives."""
         return self.path / f"join-{i}.json"
 
     def join_folder(self, i: int) -> Path:
-        """What the external agent i needs to join with a certificate alone; as `join`, mode 0700."""
+        """The join folder of external agent i, for joining with a certificate alone; as `join`, mode 0700."""
         return self.path / f"join-{i}"
 
     def process_log(self, role: str) -> Path:

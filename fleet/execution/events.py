@@ -1,4 +1,4 @@
-"""What reaches the console: one queue of events, which the threads of zenoh and the watcher of processes fill."""
+"""The console's input: one queue of events, filled by the threads of zenoh and the watcher of processes."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class EventQueue:
         self._queue.put((kind, data))
 
     def take(self, timeout_s: float) -> Iterator[tuple[EventKind, Any]]:
-        """The next event, for which it waits at most so long, and all that are there already."""
+        """The next event and all further events that are there already; wait at most this long for the first."""
         try:
             yield self._queue.get(timeout=max(0.0, timeout_s))
             while True:

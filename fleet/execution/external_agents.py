@@ -1,7 +1,7 @@
 """External agents, which are started outside of the run: a join file for each, which of them joined, which are awaited.
 
-There is no child process to watch, so an external agent is present as long as its liveliness token is. Its join file
-and the answer to its question for a configuration say which life it is, from which tick on.
+There is no child process to watch, so an external agent is present as long as its liveliness token is. Its join file,
+and the answer when it asks for a configuration, give the number of its life and the first tick of it.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ class ExternalAgents:
         return i in self._present
 
     def note_ready(self, ready: Iterable[int]) -> None:
-        """Record that the world heard these agents: those that hold their token have joined."""
+        """Record that the world heard these agents. The agents among them that hold their token have joined."""
         for i in sorted(set(ready) & self._awaited.keys() & self._present):
             self.joined(i)
 
@@ -131,7 +131,9 @@ class ExternalAgents:
             self._print_line(f"agent {i} (external) has joined")
 
     def answer(self, i: int) -> dict[str, Any]:
-        """What the answer to agent i says besides its configuration: which life it is, or why it cannot join."""
+        """The part of the answer to agent i behind its configuration: the number of its life, or the reason why it
+        cannot join.
+        """
         awaited = self._awaited.get(i)
         if awaited is None:
             return {"error": f"the run does not wait for an agent {i}: one has joined already, or it has none now"}

@@ -1,4 +1,4 @@
-"""The running fleet as its operator and its supervisor see it."""
+"""A running fleet as its operator and its supervisor see it."""
 
 from __future__ import annotations
 
@@ -11,12 +11,8 @@ from netem.lives import Absence
 from netem.wire.messages import Death, Restart, WorldFault
 
 
-class Fleet(Protocol):
-    """What can be asked of a running fleet, and done to it, on the console's main thread; `Console` is one."""
-
-    @property
-    def begun(self) -> bool:
-        """Whether everyone was ready and the clock runs. Before that no agent may end."""
+class Disturbed(Protocol):
+    """What an operator asks of a running fleet, and does to it; `Console` and `InProcess` are such fleets."""
 
     @property
     def granted(self) -> int:
@@ -24,28 +20,13 @@ class Fleet(Protocol):
 
     @property
     def waiting(self) -> str:
-        """Who waits for whom while nothing moves, in words; empty: the run moves."""
-
-    def ask(self, role: str, op: str, **fields: Any) -> dict[str, Any]:
-        """The answer of world or netem to an operation; empty: no answer in time."""
+        """If nothing moves: who waits for whom, in words; empty: the run moves."""
 
     def set_network_faults(self, faults: Sequence[NetFault]) -> bool:
         """Replace netem's faults; False: it did not answer, and nothing was changed."""
 
     def set_world_faults(self, faults: Sequence[WorldFault]) -> None:
         """Replace the world's faults before the first tick that is not granted yet."""
-
-    def set_absences(self, absences: Sequence[Absence]) -> None:
-        """Replace what netem knows of who has an agent when. Raises RunBroken: it did not answer."""
-
-    def announce(self, message: Death | Restart) -> None:
-        """Notify the world that an agent ended or begins again."""
-
-    def computing(self, role: str) -> int:
-        """The vehicle whose agent a host computes, or did when it ended; 0: none, or it is no host."""
-
-    def start_agent(self, i: int, incarnation: int, begin: int) -> None:
-        """Start the next life of vehicle i's agent, from tick `begin` on."""
 
     def without_agent(self) -> list[int]:
         """The vehicles that have no agent now."""
@@ -55,3 +36,26 @@ class Fleet(Protocol):
 
     def restart_agent(self, i: int, begin: int | None, tick: int) -> None:
         """Start vehicle i's agent again at a tick; it has been missing since tick `begin` (None: whenever)."""
+
+
+class Fleet(Disturbed, Protocol):
+    """The same as its supervisor sees it, on the console's main thread; `Console` is one."""
+
+    @property
+    def begun(self) -> bool:
+        """Whether everyone was ready and the clock runs. Before that no agent may end."""
+
+    def ask(self, role: str, op: str, **fields: Any) -> dict[str, Any]:
+        """The answer of world or netem to an operation; empty: no answer in time."""
+
+    def set_absences(self, absences: Sequence[Absence]) -> None:
+        """Replace what netem knows of who has an agent when. Raises RunBroken: it did not answer."""
+
+    def announce(self, message: Death | Restart) -> None:
+        """Notify the world that an agent ended or begins again."""
+
+    def computing(self, role: str) -> int:
+        """The vehicle whose agent a host computes, or computed when it ended. 0: no vehicle, or not a host."""
+
+    def start_agent(self, i: int, incarnation: int, begin: int) -> None:
+        """Start the next life of vehicle i's agent, from tick `begin` on."""

@@ -78,7 +78,7 @@ class _Capture:
         """Snapshots are not kept."""
 
     def recording(self, scenario: Scenario, broken: str) -> Recording:
-        """What was kept, as arrays."""
+        """The recorded samples, as arrays."""
         n, samples = len(self._ids), len(self.ticks)
         fixed = np.frombuffer(self.fixed).reshape(samples, n, 16)
         made = Recording(scenario, np.frombuffer(self.ticks) * (scenario.tick_ns / 1e9), broken=broken)

@@ -1,6 +1,6 @@
 """The whole fleet in one process: a plain loop over the same cores, without zenoh.
 
-What agents say and hear passes through the same codec; the journal and netem take what the world says as it is.
+The messages of agents pass through the same codec. The journal and netem take those of the world as they are.
 
 For debugging with pdb, for profiling and sweeps, and as the reference that proves the distributed run right.
 """
@@ -9,14 +9,15 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import Protocol
 
 import msgpack
 
 from agents.config import AgentConfig
 from agents.errors import ControllerError
-from agents.loop import AgentLoop
+from agents.loop import AgentCore, AgentLoop, Answer
 from agents.make_agent import make_agent
 from fleet.errors import RunBroken
 from fleet.execution.clock import GrantPolicy
@@ -25,22 +26,37 @@ from fleet.execution.runner import Closing
 from fleet.recorder.journal import Journal
 from fleet.recorder.snapshot import Start
 from fleet.scenario.scenario import Scenario, frame_every
-from fleet.scenario.sections.timeline import MOST_RESTARTS
+from fleet.scenario.sections.timeline import MOST_RESTARTS, Kill
 from netem.draws import salted
 from netem.errors import MalformedMessage, OutOfPlace
+from netem.faults import NetFault
 from netem.lives import Absence
 from netem.rounds import Rounds
 from netem.wire.codec import decode, encode
-from netem.wire.messages import Command, Frame, Inbox, Memory, Nav, Round, Transmission
+from netem.wire.messages import Command, Frame, Inbox, Memory, Nav, Round, Transmission, WorldFault
 from world.lockstep import Lockstep, NavTo
+from world.sea import World
 
 WORLD, NETEM = 0, -1  # who speaks; agents have their positive numbers
 
-MakeLoop = Callable[[int, int], AgentLoop]  # (incarnation, begin) -> one life of an agent
+
+class Life(Protocol):
+    """One life of an agent: `AgentLoop`, or what stands in its place."""
+
+    @property
+    def core(self) -> AgentCore: ...
+    @property
+    def incarnation(self) -> int: ...
+    def nav(self, nav: Nav, /) -> list[Answer]: ...
+    def inbox(self, inbox: Inbox, /) -> list[Answer]: ...
+    def remember(self, memory: bytes, /, *, anew: bool = False) -> None: ...
+
+
+MakeLife = Callable[[int, int], Life]  # (incarnation, begin) -> one life of an agent
 
 
 class InProcess:
-    """One run: a `Runner`."""
+    """One run: a `Runner`. Who wants to look in between calls `begin`, `advance` and `end` in place of `serve`."""
 
     waiting = ""  # nobody waits for anybody here
     started_s = 0.0
@@ -51,7 +67,7 @@ class InProcess:
         scenario: Scenario,
         journal: Journal,
         start: Start | None = None,
-        agents: Mapping[int, MakeLoop] | None = None,
+        agents: Mapping[int, MakeLife] | None = None,
         salt: int = 0,
     ) -> None:
         """Prepare a run.
@@ -66,7 +82,8 @@ class InProcess:
         seed = salted(scenario.seed, salt)
         self._world = Lockstep(replace(scenario.world_config, seed=seed), frame_every=frame_every(scenario))
         self.rounds = Rounds(replace(scenario.netem_config, seed=seed))
-        self._loops: dict[int, AgentLoop] = {}
+        self._loops: dict[int, Life] = {}
+        self.told: dict[int, Nav] = {}  # by vehicle, the nav that its agent got last
         self.notes: list[str] = []
         self.deaths: dict[int, list[str]] = {}
         self.closing = Closing()
@@ -85,31 +102,107 @@ class InProcess:
             WorldError: the world failed.
         """
         began = time.monotonic()
+        self.begin()
+        try:
+            while not self._world.finished:
+                if not self.advance(policy.until(self._journal.written, time.monotonic() - began)):
+                    time.sleep(0.002)  # --speed: nothing to do until the wall clock moves on
+                progress()
+        finally:
+            self.release()
+        self.end()
+
+    def begin(self) -> None:
+        """Make the agents, unless they are there already; nothing moves yet."""
+        if self._loops:
+            return
         for i in range(1, self._scenario.vehicles + 1):
             self._loops[i] = self._born(i, 0, 0)
         if self._begin is not None:
+            self._granted = self._begin.snapshot.tick
             self._resume(self._begin)
+
+    def advance(self, until: int) -> bool:
+        """Grant ticks below `until`, and let the fleet go so far. Raises as `serve` does.
+
+        Returns:
+            Whether an agent had something to do.
+        """
+        self._granted = max(self._granted, until)
         try:
-            while not self._world.finished:
-                until = policy.until(self._journal.written, time.monotonic() - began)
-                self._granted = max(self._granted, until)
-                self._from_world(self._world.grant(until))
-                if not self._post:
-                    time.sleep(0.002)  # --speed: nothing to do until the wall clock moves on
-                while self._post:
-                    self._deliver(*self._post.popleft())
-                if (
-                    self._failures
-                ):  # an agent goes on to the next round before the others do: the first in simulated time
-                    raise self._failures[min(self._failures)]
-                progress()
+            self._from_world(self._world.grant(until))
+            moves = bool(self._post)
+            self._settle()
         except (MalformedMessage, OutOfPlace) as error:
-            who = {WORLD: "the world", NETEM: "netem"}.get(self._speaker, f"agent {self._speaker}")
-            raise RunBroken(f"{who} sent what cannot be used: {error}") from error
-        finally:
-            self._world.state.world.close()
+            raise self._unusable(error) from error
+        return moves
+
+    def answer(self, i: int, answers: Sequence[Answer]) -> None:
+        """Take what agent i answers now, after it had none when it was asked. Raises as `serve` does."""
+        try:
+            for answer in answers:
+                self._from_agent(i, encode(answer))
+            self._settle()
+        except (MalformedMessage, OutOfPlace) as error:
+            raise self._unusable(error) from error
+
+    def end(self) -> None:
+        """Account for what is on the way when the last tick is over."""
         self._journal.links(self.rounds.close(self._scenario.ticks))
         self.closing = Closing(entered=self.rounds.netem.entered)
+
+    def release(self) -> None:
+        """End what plants hold; the fleet goes no further."""
+        self._world.state.world.close()
+
+    @property
+    def world(self) -> World:
+        """The sea, to look at."""
+        return self._world.state.world
+
+    @property
+    def finished(self) -> bool:
+        """Whether the last tick is over."""
+        return self._world.finished
+
+    # What is done to the fleet between two ticks: `Disturbed`.
+
+    @property
+    def granted(self) -> int:
+        return self._granted
+
+    def set_network_faults(self, faults: Sequence[NetFault]) -> bool:
+        self.rounds.netem.faults = tuple(faults)
+        return True
+
+    def set_world_faults(self, faults: Sequence[WorldFault]) -> None:
+        self._world.state.world.faults = tuple(faults)
+
+    def without_agent(self) -> list[int]:
+        state = self._world.state
+        return [i for i in state.ids if state.without_agent(i)]
+
+    def end_agents(self, kill: Kill) -> None:
+        for absence in kill.absences:
+            self._world.state.lives.add(absence)
+            self.rounds.lives.add(absence)
+
+    def restart_agent(self, i: int, begin: int | None, tick: int) -> None:
+        self._world.state.lives.restart(i, begin, tick)
+        self.rounds.lives.restart(i, begin, tick)
+
+    # What the cores say to each other.
+
+    def _settle(self) -> None:
+        """Carry what is in the post, until everyone waits for a grant or for an agent that answers later."""
+        while self._post:
+            self._deliver(*self._post.popleft())
+        if self._failures:  # an agent goes on to the next round before the others do: the first in simulated time
+            raise self._failures[min(self._failures)]
+
+    def _unusable(self, error: MalformedMessage | OutOfPlace) -> RunBroken:
+        who = {WORLD: "the world", NETEM: "netem"}.get(self._speaker, f"agent {self._speaker}")
+        return RunBroken(f"{who} sent what cannot be used: {error}")
 
     def _resume(self, start: Start) -> None:
         snapshot = start.snapshot
@@ -121,7 +214,7 @@ class InProcess:
             loop = self._loops[i] = self._born(i, self._world.state.lives.incarnation(i, tick), tick)
             loop.remember(memory, anew=i in start.anew)
 
-    def _born(self, i: int, incarnation: int, begin: int) -> AgentLoop:
+    def _born(self, i: int, incarnation: int, begin: int) -> Life:
         if i in self._other_agents:
             return self._other_agents[i](incarnation, begin)
         scenario = self._scenario
@@ -135,7 +228,7 @@ class InProcess:
             memory_ticks=scenario.memory_ticks,
         )
 
-    def _loop(self, i: int, incarnation: int) -> AgentLoop:
+    def _loop(self, i: int, incarnation: int) -> Life:
         """The life `incarnation` of agent i, which is made when it is asked for."""
         if incarnation > self._loops[i].incarnation:
             begin = self._world.state.lives.gaps(i)[incarnation - 1][1]
@@ -164,7 +257,11 @@ class InProcess:
             return
         try:
             loop = self._loop(i, message.incarnation)
-            answers = loop.nav(message) if isinstance(message, Nav) else loop.inbox(message)
+            if isinstance(message, Nav):
+                self.told[i] = message
+                answers = loop.nav(message)
+            else:
+                answers = loop.inbox(message)
         except ControllerError as error:
             spec = self._scenario.spec
             if spec.on_controller_error != "die" or spec.on_death == "abort":

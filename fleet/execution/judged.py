@@ -1,30 +1,20 @@
-"""A run that is judged: one function for scripts and studies, in one process; a log is written only if it is wanted."""
+"""A run that is judged, at once or step by step: for scripts and studies, in one process, with a log if asked for."""
 
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Never
 
-from agents.errors import AgentError
-from fleet.checks.own_checks import OwnChecks
-from fleet.errors import RunBroken
-from fleet.execution.clock import GrantPolicy
 from fleet.execution.external_agents import refuse
-from fleet.execution.in_process import InProcess
-from fleet.execution.outcome import account_for, judge_run, settle
-from fleet.recorder.journal import Journal
+from fleet.execution.stepped_run import SteppedRun
 from fleet.recorder.log_file import LogFile
-from fleet.recorder.no_log import NoLog
-from fleet.recorder.watched import WatchedLog, Watcher
-from fleet.recorder.writer import LogWriter
-from fleet.result.result import Result, Status, Wall
+from fleet.recorder.watched import Watcher
+from fleet.result.result import Result
 from fleet.scenario.loading import changed, load_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.spec import ScenarioSpec
-from world.errors import WorldError
 from world.plugins.trust import NOTHING, Trust
 
 Changes = Mapping[str, Any] | Iterable[str]
@@ -45,12 +35,12 @@ def run(
 
     Args:
         scenario: a shipped name, a file, or a scenario that is loaded.
-        set: what to change, as `--set`: a mapping such as `{"network.links": {"*": "loss 30 %"}, "duration": "20 s"}`,
+        set: changes, as `--set`: a mapping such as `{"network.links": {"*": "loss 30 %"}, "duration": "20 s"}`,
             or texts such as `"duration=20 s"`.
         seed: in place of the scenario's.
-        trust: which modules may run that are neither installed nor the user's own; by default, what a loaded scenario
-            was loaded with.
-        progress: called with the simulated time [s] all the time.
+        trust: modules that may run, in addition to installed ones and the user's own. The default for a loaded scenario
+            is the trust that it was loaded with.
+        progress: called with the simulated time [s] during the run.
 
     Returns:
         The verdicts and all numbers. A run that breaks is a result, too: its `status` and `reason` say why.
@@ -60,19 +50,67 @@ def run(
         FleetError: somebody else is to start an agent.
         TypeError: an argument is unknown; keys of the scenario go into `set`.
     """
+    return judged(loaded("run", scenario, set, seed, trust, unknown), progress)
+
+
+def stepping(
+    scenario: str | Path | Scenario,
+    *,
+    set: Changes = (),
+    seed: int | None = None,
+    trust: Trust = NOTHING,
+    log: str | Path | None = None,
+    **unknown: Never,
+) -> SteppedRun:
+    """A run of a scenario in this process, tick by tick: grant one, look, inject.
+
+    `docs/guide/stepping.md` is the guide.
+
+    Args:
+        scenario: a shipped name, a file, or a scenario that is loaded.
+        set: what to change, as for `run`.
+        seed: in place of the scenario's.
+        trust: as for `run`.
+        log: a new file, in which the run is recorded; None: nowhere.
+
+    Returns:
+        The run before its first tick. Its result is that of `run`, to the digest.
+
+    Raises:
+        ScenarioError: with every mistake that was found.
+        LogError: the log cannot be created.
+        FleetError: somebody else is to start an agent.
+        TypeError: an argument is unknown; keys of the scenario go into `set`.
+    """
+    found = loaded("stepping", scenario, set, seed, trust, unknown)
+    refuse(found, "a run in one process")
+    return SteppedRun(found, None if log is None else LogFile(Path(log)))
+
+
+def loaded(
+    function: str,
+    scenario: str | Path | Scenario,
+    set: Changes,
+    seed: int | None,
+    trust: Trust,
+    unknown: Mapping[str, Any] | None = None,
+) -> Scenario:
+    """The scenario that a function was given, with the changes.
+
+    Raises:
+        ScenarioError: with every mistake that was found.
+        TypeError: an argument is unknown.
+    """
     if unknown:
-        given: dict[str, Any] = dict(unknown)
-        keys = {key: given[key] for key in given if key in ScenarioSpec.model_fields}
+        keys = {key: unknown[key] for key in unknown if key in ScenarioSpec.model_fields}
         hint = f"; keys of the scenario go into set={keys}" if keys else ""
-        raise TypeError(f"run() has no argument {next(iter(unknown))!r}{hint}")
+        raise TypeError(f"{function}() has no argument {next(iter(unknown))!r}{hint}")
     changes = override_texts(set)
     if seed is not None:
         changes.append(f"seed={seed}")
     if not isinstance(scenario, Scenario):
-        scenario = load_scenario(scenario, changes, trust)
-    elif changes:
-        scenario = changed(scenario, changes, trust)
-    return judged(scenario, progress)
+        return load_scenario(scenario, changes, trust)
+    return changed(scenario, changes, trust) if changes else scenario
 
 
 def judged(
@@ -91,32 +129,8 @@ def judged(
         LogError: the log cannot be written.
         CheckError: a check in Python cannot be made.
     """
-    refuse(scenario, "a run in one process")
-    file = log or NoLog()
-    writer = LogWriter(file, scenario)
-    recorded = writer if watcher is None else WatchedLog(writer, watcher)
-    journal = Journal(scenario, recorded, checks=OwnChecks.asked(scenario))
-    runner = InProcess(scenario, journal)
-    result = Result(scenario=scenario.name, seed=scenario.seed, status=Status.PASS)
-    tick_s = scenario.tick_ns / 1e9
-
-    def tell() -> None:
-        if progress is not None:
-            progress(max(0, journal.written) * tick_s)
-
-    began = time.monotonic()
-    try:
-        runner.serve(GrantPolicy.of(scenario), tell)
-        tell()
-    except RunBroken as error:
-        result.status, result.reason, result.lines = Status.BROKEN, error.reason, error.lines
-    except (AgentError, WorldError) as error:
-        result.status, result.reason = Status.BROKEN, str(error)
-    wall_s = time.monotonic() - began
-    settle(journal, file, runner, result)
-    judge_run(scenario, journal, result, lost=0)
-    account_for(result, scenario, journal, file, runner, Wall(in_process=True, run_s=wall_s))
-    return result
+    with SteppedRun(scenario, log, watcher) as run:
+        return run.to_end(progress)
 
 
 def override_texts(changes: Changes) -> list[str]:

@@ -1,4 +1,4 @@
-"""Who is started with what: the world, netem and the agents, each with its credentials and its part of the scenario."""
+"""The processes of a run: the world, netem and the agents, each with its credentials and its part of the scenario."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class Launch:
 
     @property
     def connection(self) -> dict[str, Any]:
-        """What `fleet status`, `fleet inject` and the like need to reach this run."""
+        """The connection data that `fleet status`, `fleet inject` and the like need to reach this run."""
         return {
             "endpoint": self.endpoint,
             "run": self._keys.run,
@@ -91,7 +91,7 @@ class Launch:
         }
 
     def targets(self) -> dict[str, Target]:
-        """What each process runs, by role, in the order in which they are started."""
+        """The function that each process runs, by role, in the order in which they start."""
         targets = {WORLD: self._world(), NETEM: self._netem()}
         for h in range(1, len(self._hosting.members) + 1):
             targets[host_role(h)] = self._host(h, host_role(h))
@@ -103,12 +103,12 @@ class Launch:
         return targets if order is None else {role: targets[role] for role in order(list(targets))}
 
     def agent(self, i: int, incarnation: int = 0, begin: int = 0) -> Target:
-        """What an agent's process runs, in the life `incarnation` that begins at tick `begin`."""
+        """The function that an agent's process runs, in the life `incarnation` that begins at tick `begin`."""
         credentials = self.credentials[self._hosting.role(i)]
         return agents.main.run, (self.endpoint, self._keys.run, i, credentials, incarnation, begin)
 
     def computing(self, role: str) -> int:
-        """The vehicle whose agent a host computes, or did when it ended; 0: none, or it is no host."""
+        """The vehicle whose agent a host computes, or computed when it ended. 0: no vehicle, or not a host."""
         return running(self._private.path / role)
 
     def start(self, role: str, target: Target) -> None:

@@ -61,7 +61,7 @@ def link_rows(scenario: Scenario, journal: Journal, *, every: bool = False) -> l
 
 
 def event_rows(scenario: Scenario, journal: Journal) -> list[dict[str, Any]]:
-    """What happened to vehicles: a row for each vehicle and kind, in the order in which they first happened."""
+    """The events of vehicles: a row for each vehicle and kind, in the order of their first occurrence."""
     events = [event for event in journal.happened if not event.is_fault]
     begun = [event for event in events if event.action == "begins"]
     ended = {event.fault for event in events if event.action == "ends"}
@@ -99,7 +99,7 @@ def _settled(scenario: Scenario, journal: Journal, series: Series) -> bool:
 
 
 def _oldest(scenario: Scenario, journal: Journal) -> Mapping[int, tuple[int, int]]:
-    """By vehicle: the greatest age [ticks] of what it has heard last of a neighbour, and of which neighbour."""
+    """By vehicle: the greatest age [ticks] of its last message from a neighbour, and the number of that neighbour."""
     now = max(0, journal.written)
     found: dict[int, tuple[int, int]] = {}
     for (src, dst), age in journal.ages.links.items():

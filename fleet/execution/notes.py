@@ -1,4 +1,4 @@
-"""Notes: what a run reports in words, each with the time to which it belongs."""
+"""Notes: a run's reports in words, each with its time."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def folded(notes: Iterable[str]) -> list[str]:
 
 
 class Notes:
-    """The notes of one distributed run: those of the console, and those that processes publish.
+    """The notes of one distributed run, from the console and from its processes.
 
     A flood of notes costs bounded memory: at most `MOST_NOTES` per role wait, and at most as many are kept.
     """
@@ -76,11 +76,11 @@ class Notes:
         """Take a note that `admit` let in.
 
         Args:
-            role: to whose key it was put; the router lets nobody else put there.
+            role: the owner of the note's key; the router lets nobody else put there.
             tick: now, for a note that is rejected.
 
         Returns:
-            What a host says instead of a note: that an agent has ended.
+            A host's report that an agent has ended, which is no note.
         """
         self._queued.release(role)
         try:

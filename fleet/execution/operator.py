@@ -17,7 +17,7 @@ from msgspec.structs import asdict
 from fleet.analysis.verdicts import standing
 from fleet.execution.clock import LiveClock
 from fleet.execution.fault_request import BROKEN, RefusedError, checked_fault
-from fleet.execution.fleet import Fleet
+from fleet.execution.fleet import Disturbed
 from fleet.execution.live_status import event_rows, link_rows, vehicle_rows
 from fleet.recorder.journal import Journal
 from fleet.scenario.scenario import Scenario
@@ -39,7 +39,7 @@ class Operator:
     scenario: Scenario
     journal: Journal
     clock: LiveClock
-    fleet: Fleet
+    fleet: Disturbed
     stopping: bool = False  # the operator asked for the end of the run
     faults: list[Part] = field(default_factory=list)  # scripted and injected
     _words: dict[str, str] = field(default_factory=dict)
@@ -116,7 +116,7 @@ class Operator:
         return {"id": name, "what": words(section), **times}
 
     def _add(self, section: FaultSection, name: str) -> int:
-        """Add a fault; returns the tick at which it ends unless it is healed."""
+        """Add a fault. Returns the tick at which it ends if nobody heals it."""
         scenario = self.scenario
         found = parts(section, name, scenario.spec, scenario.graph.links)
         if not any(not isinstance(part, NetFault) or part.links or part.vehicles for part in found):
@@ -133,7 +133,7 @@ class Operator:
         return end.tick
 
     def _heal(self, name: Any) -> dict[str, Any]:
-        """End a fault, or all that are active: at once, but agents begin again with a round."""
+        """End one fault, or all active ones, at once. Agents begin again with a round."""
         tick, last = self.fleet.granted, self.scenario.ticks
         lasting = [part for part in self.faults if part.active(tick)]
         dead = {event.fault: i for i, event in self.journal.deaths.items()}  # agents that no fault has killed
@@ -163,7 +163,7 @@ class Operator:
         return {"healed": sorted(healed), "at_s": self._seconds(acts)}
 
     def _chosen(self, name: Any, active: set[str]) -> set[str]:
-        """The ids of the faults that a request wants to end: the one that it names, or all."""
+        """The ids of the faults that a request ends: the named one, or all."""
         if name is None:
             return active
         if not isinstance(name, str):
@@ -177,7 +177,7 @@ class Operator:
         return {name}
 
     def _round_of_restart(self, tick: int, kills: Sequence[Kill]) -> int:
-        """The first round tick, from `tick` on, at which agents that were killed can begin again."""
+        """The first round tick, from `tick` on, at which killed agents can begin again."""
         m = self.scenario.round_ticks
         first = -(-tick // m) * m
         # Of a kill that begins right there, a process may have been ended already.
@@ -219,7 +219,7 @@ class Operator:
         return list(found.values())
 
     def _states(self) -> list[Event]:
-        """Lasting states of vehicles: those that tumbled, and those whose motion left the finite numbers."""
+        """Lasting states of vehicles: tumbled, or diverged to a motion beyond the finite numbers."""
         return [*self.journal.tumbled.values(), *self.journal.diverged.values()]
 
     def _row(self, name: str, what: str, begin: int, end: int | None, state: str) -> dict[str, Any]:

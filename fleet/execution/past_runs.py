@@ -44,7 +44,7 @@ class PastRun:
 
 
 def past_runs(out: Path) -> list[PastRun]:
-    """The runs below a directory, the newest first. What is no run directory of ours, or a link, is none.
+    """The runs below a directory, the newest first. Links, and directories that are not ours, are left out.
 
     Raises:
         FleetError: the directory cannot be read.
@@ -54,7 +54,7 @@ def past_runs(out: Path) -> list[PastRun]:
 
 
 def newest_run(out: Path) -> Path | None:
-    """The directory of the newest run: that to which `latest` leads, or else the one that began last.
+    """The directory of the newest run: the target of `latest`, or else the run that began last.
 
     Raises:
         FleetError: the directory cannot be read.
@@ -69,20 +69,20 @@ def newest_run(out: Path) -> Path | None:
 def to_prune(
     runs: Sequence[PastRun], *, keep: int, older_than_s: float, verdicts: Collection[str], now: datetime
 ) -> list[PastRun]:
-    """The runs that go, of those that are over.
+    """The runs to remove, among those that are over.
 
     Args:
         runs: the newest first.
-        keep: how many of the newest stay in any case.
-        older_than_s: those stay that began less than so long ago.
-        verdicts: those with another one stay.
+        keep: the number of newest runs that stay in any case.
+        older_than_s: younger runs stay [s].
+        verdicts: runs with another verdict stay.
     """
     over = [run for run in runs if run.verdict != LIVE]
     return [run for run in over[keep:] if run.verdict in verdicts and (now - run.began).total_seconds() >= older_than_s]
 
 
 def remove(out: Path, runs: Sequence[PastRun]) -> Iterator[PastRun]:
-    """Remove run directories with all that is in them, but nothing that a link leads to; `latest` is mended.
+    """Remove run directories with their content. Targets of links stay; `latest` is mended.
 
     Yields:
         Each run that was removed. One that goes on meanwhile stays.
@@ -122,8 +122,8 @@ def _began_last(out: Path) -> Path | None:
 def _ours(out: Path) -> Iterator[tuple[Path, datetime]]:
     """The run directories below a directory, and when they began.
 
-    A directory is ours if it has a name that `fleet run` gives, a scenario and a folder of logs. So one that somebody
-    gave a name of its own is never removed.
+    A directory is ours if it has a name that `fleet run` gives, a scenario and a folder of logs. So a directory that a
+    user renamed is never removed.
     """
     try:
         entries = list(os.scandir(out))
@@ -154,7 +154,7 @@ def _read(path: Path, began: datetime) -> PastRun:
 
 
 def _size(path: Path) -> int:
-    """The sizes of all files below a directory [bytes]; nothing that a link leads to counts."""
+    """The sizes of all files below a directory [bytes], without the targets of links."""
     total = 0
     for folder, _, files in os.walk(path):
         for file in files:

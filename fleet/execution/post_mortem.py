@@ -1,4 +1,4 @@
-"""Why a run cannot go on: whose process ended, how, and what it printed last; or who waits for whom."""
+"""The reason why a run cannot go on: which process ended, how, and its last lines; or which process waits for which."""
 
 from __future__ import annotations
 
@@ -33,9 +33,10 @@ def explain(
     """The error for processes that ended: which one ended first, how, and its last lines.
 
     Args:
-        exits: at least one, all of those that ended at about the same time.
+        exits: all processes that ended at about the same time, at least one.
         children: by role; an agent without a process of its own stands for its host.
-        notes: of the run; those about the agent that ended are repeated, with the other agents that report the same.
+        notes: of the run. The error repeats those about the agent that ended, and names other agents that report the
+            same.
         at: the time in the run, in words.
         computing: the agent that a host computed when it ended; 0: none, or no host.
     """
@@ -77,13 +78,13 @@ def who_waits(
     log_is_behind: bool,
     computing: Callable[[str], int] = lambda _: 0,
 ) -> str:
-    """Who has not answered, in words.
+    """The agents or processes that have not answered, in words.
 
     Args:
-        world, network: what the world and netem answered to `waiting`; empty: no answer.
+        world, network: the answers of the world and netem to `waiting`; empty: no answer.
         children: by role; an agent without a process of its own stands for its host.
-        external: vehicles whose agent is no child.
-        log_is_behind: whether the log has less than the journal received.
+        external: vehicles with an external agent, which is no child.
+        log_is_behind: the journal has received more than the log holds.
         computing: the agent that a host computes; 0: none, or no host.
     """
     if not world:

@@ -1,4 +1,4 @@
-"""What a run shows while it goes on: where it is, how fast, the formation error, packets and faults."""
+"""The display of a run while it goes on: its time and speed, the formation error, packets and faults."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class ProgressLine:
         self._line.show(self._pieces(now - self._began_s, waiting))
 
     def _pieces(self, passed_s: float, waiting: str) -> list[Piece]:
-        """What there is to show, `passed_s` of wall time after the start."""
+        """The parts of the display, `passed_s` of wall time after the start."""
         tick, begin = max(0, self._journal.written), self._journal.begin
         at_s = tick * self._tick_s
         speed = f"{(tick - begin) * self._tick_s / passed_s:.1f} x" if passed_s else ""

@@ -24,7 +24,7 @@ class NoPublication:
         """End."""
 
     def summary(self) -> Published | None:
-        """What the result says about it."""
+        """The result's entry about it."""
         return None
 
 
@@ -63,5 +63,5 @@ class Publication:
         self.publisher.close()
 
     def summary(self) -> Published | None:
-        """What the result says about it."""
+        """The result's entry about it."""
         return Published(self.publisher.published, self.publisher.dropped)

@@ -9,7 +9,7 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Readiness:
-    """Who is ready, at one moment."""
+    """The processes that are ready, at one moment."""
 
     missing: str  # who is not, in words; empty: everyone is ready
     only_external: bool = False  # nobody is missing but agents that somebody else starts
@@ -22,11 +22,14 @@ def readiness(
     awaited: Sequence[int],
     silent: Collection[str],
 ) -> Readiness:
-    """Who is ready, by the answers of world and netem to `ready`. Liveliness alone would not show that messages pass.
+    """Find out from the answers of world and netem to `ready` which processes are ready.
+
+    Liveliness alone would not show that messages pass.
 
     Args:
         world: with `ready`, pairs (vehicle, incarnation) of agents that greeted it, and `grant`: it hears grants.
-        network: with `round`: it hears the world. Both are empty without an answer.
+        network: with `round`: it hears the world. Both are empty without an
+            answer.
         vehicles: all of the fleet, ascending.
         awaited: vehicles whose external agent has not joined, ascending.
         silent: keys on which the console has heard no greeting.

@@ -83,7 +83,7 @@ def registered() -> list[Path]:
 
 
 def _check(place: Path) -> None:
-    """Raise RegistryError unless the folder is one that only this user can enter."""
+    """Raise RegistryError if other users can enter the folder."""
     found = place.lstat()
     if not stat.S_ISDIR(found.st_mode):
         raise RegistryError(f"{place} is no folder; remove it")

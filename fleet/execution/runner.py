@@ -1,4 +1,4 @@
-"""What a run in one process and a run as a fleet of processes have in common."""
+"""The common part of a run in one process and a run as a fleet of processes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from netem.condition import Link
 
 @dataclass(slots=True)
 class Closing:
-    """What the processes of a run report when it ends; empty as far as it ended early."""
+    """The final reports of a run's processes; parts are empty if the run ended early."""
 
     entered: dict[Link, tuple[int, int]] = field(default_factory=dict)  # packets sent on each link, and duplicates
     rejected: dict[str, int] = field(default_factory=dict)  # by key, messages that were refused
@@ -24,7 +24,7 @@ class Runner(Protocol):
 
     @property
     def waiting(self) -> str:
-        """Who waits for whom while nothing moves, in words; empty: the run moves."""
+        """If nothing moves: who waits for whom, in words; empty: the run moves."""
 
     @property
     def started_s(self) -> float:

@@ -80,14 +80,14 @@ class Supervisor:
         self._fleet.set_absences(self._lives.absences)
 
     def next_restart(self) -> int:
-        """The first tick at which an agent begins that is not ready yet: the clock stops before it."""
+        """The first tick at which an agent begins that is not ready yet. The clock stops before it."""
         planned = [gap[1] for i in self._vehicles if (gap := self._gap(i)) is not None and gap[1] is not None]
         return min([*planned, *self.starting.values()], default=self._scenario.ticks)
 
     def ended(self, exit_: Exit) -> bool:
         """Record that a process ended. False: the run cannot go on without it.
 
-        When an agent died, the world decides at which tick that was.
+        When an agent died, the world decides at which tick.
         """
         own = [*self._hosting.agents(exit_.role)]
         if not own:
@@ -145,7 +145,7 @@ class Supervisor:
             self._fleet.ask(WORLD, "dismiss", agents=joined, reason=reason)
 
     def poll(self) -> None:
-        """End the agents whose time has come, and start those that follow them; cheap when nothing is due."""
+        """End the agents whose time has come, and start their successors; cheap when nothing is due."""
         if not self._lives.absences or time.monotonic() < self._polled_s + POLL_S:
             return
         self._polled_s = time.monotonic()

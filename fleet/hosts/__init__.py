@@ -1,1 +1,1 @@
-"""A run over several hosts: where its processes meet, with which certificates and rights."""
+"""A run over several hosts: the address where its processes meet, their certificates and their rights."""

@@ -38,7 +38,7 @@ class KeyPair:
 
 @dataclass(frozen=True, slots=True)
 class ServerCertificate:
-    """The certificate of a router that listens with TLS, and the names and addresses for which it is valid."""
+    """The certificate of a router that listens with TLS, and the names and addresses that it is valid for."""
 
     ca: str  # PEM
     pair: KeyPair
@@ -51,7 +51,7 @@ def make(directory: Path, hosts: Sequence[str] = (), *, agents: int = 0, days: i
     Args:
         hosts: names and addresses of the router's host; loopback is always added.
         agents: if positive, agent-1 ... agent-N and the run's own processes get client certificates.
-        force: replace what is there.
+        force: replace existing files.
 
     Raises:
         FleetError: a host that is none, files in the way, no place to write, or `cryptography` is missing.

@@ -1,4 +1,7 @@
-"""What an agent needs to join with a certificate alone, as plain files: a program in C reads them without a parser."""
+"""The data that an agent needs to join with a certificate alone, as plain files.
+
+A program in C reads them without a parser.
+"""
 
 from __future__ import annotations
 

@@ -85,7 +85,7 @@ class Rendezvous:
     warnings: tuple[str, ...] = ()
 
     def external_credentials(self, role: str, known: Credentials) -> Credentials:
-        """The credentials with which an external agent joins, given those for this host."""
+        """The credentials of an external agent, made from those for this host."""
         own = self.certificates.get(role, KeyPair("", ""))
         lease_ms = known.lease_ms if self.lease_ms is None else self.lease_ms
         return Credentials(known.user, known.password, self.ca, own.certificate, own.key, lease_ms)
@@ -236,7 +236,7 @@ def through_router(
     mutual: bool = False,
     lease_ms: int = LEASE_MS,
 ) -> Rendezvous:
-    """The rendezvous of a run whose processes join a router that is there already.
+    """The rendezvous of a run whose processes join an existing router.
 
     Args:
         router: its endpoint.
@@ -274,7 +274,7 @@ def through_router(
 
 
 class _CredentialsFile(msgspec.Struct):
-    """What `fleet acl` writes for `fleet run`."""
+    """The file that `fleet acl` writes for `fleet run`."""
 
     run: Annotated[str, msgspec.Meta(pattern=RUN_ID)]
     vehicles: Annotated[int, msgspec.Meta(ge=1)]
@@ -282,7 +282,7 @@ class _CredentialsFile(msgspec.Struct):
 
 
 def new_credentials(run: str, vehicles: int) -> dict[str, Any]:
-    """What a credentials file holds: the run's id, and user and password of every role."""
+    """The content of a credentials file: the run's id, and user and password of every role."""
     fresh = generate(tuple(range(1, vehicles + 1)), prefix=f"{run}-", world=True)
     return {"run": run, "vehicles": vehicles, "users": {role: [c.user, c.password] for role, c in fresh.items()}}
 
@@ -350,7 +350,7 @@ def _reached(endpoint: RouterEndpoint, hosts: list[str], server: ServerCertifica
 
 
 def _own_address() -> str:
-    """The address from which this host would reach others; nothing is sent."""
+    """The address of this host as others would see it; nothing is sent."""
     with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.connect(("192.0.2.1", 9))
         return str(probe.getsockname()[0])

@@ -65,7 +65,7 @@ class ChunkEntries:
             entries.clear()
 
     def indexes(self) -> MessageIndexes:
-        """The indexes of all that were added, at least one."""
+        """The indexes of all added messages, at least one."""
         single = np.array(self.single, dtype=np.uint64).reshape(-1, 3)
         lengths = [len(part) for part in self._channels]
         channels = np.concatenate([single[:, 0], *self._channels]).astype(np.int64)

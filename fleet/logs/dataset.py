@@ -2,8 +2,8 @@
 
 The attributes of a Dataset follow the CF conventions: `units` that udunits accepts, `long_name`, and `standard_name`
 where CF's table has one for exactly that. Simulated time has no date, so `t` is a number of seconds and none of CF's
-time coordinates, which count from a date. It is the coordinate where it rises from row to row; where it does not,
-as with packets of which several arrive at once, rows are numbered by `sample`.
+time coordinates, which count from a date. It is the coordinate if it rises from row to row. If not, as for packets that
+arrive at the same time, `sample` numbers the rows.
 """
 
 from __future__ import annotations

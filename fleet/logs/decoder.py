@@ -37,7 +37,7 @@ def decoded(cls: Any, data: bytes) -> Any:
 
 
 class Decoder:
-    """Decodes what a reader yields. What is not protobuf, or not readable as such, is one field of bytes."""
+    """Decodes what a reader yields. Other data than readable protobuf is one field of bytes."""
 
     def __init__(self, reader: LogReader) -> None:
         self._reader = reader
@@ -116,7 +116,7 @@ def known_class(schema: Schema | None) -> Any:
 
 
 def _unlike(cls: Any, columns: Iterable[MessageField], *, lacking: bool) -> str:
-    """What hinders the use of these columns of a class of messages; "": nothing."""
+    """The reason why these columns of a class of messages cannot be used; "": they can."""
     if cls is None:
         return "it is damaged, or not one of protobuf"
     fields = cls.DESCRIPTOR.fields_by_name
@@ -130,7 +130,7 @@ def _unlike(cls: Any, columns: Iterable[MessageField], *, lacking: bool) -> str:
 
 
 def units_of(channel: Channel) -> dict[str, str]:
-    """The unit of each field that has one, as the channel's metadata say; none if they say nothing that can be read."""
+    """The unit of each field that has one, by the channel's metadata. Empty if the metadata cannot be read."""
     try:
         return {name: str(unit) for name, (unit, _) in json.loads(channel.metadata.get(UNITS, "{}")).items()}
     except (ValueError, TypeError, AttributeError):

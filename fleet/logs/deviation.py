@@ -1,8 +1,8 @@
 """How far two logs are apart, signal by signal: messages are paired, numbers subtracted, the rest counted.
 
 Messages of a topic are paired by sequence number (a tick, or a packet's number) and, for packets, by copy: a packet
-that one run delivers later than the other is the same packet. Both logs are read side by side, in order of time;
-what still waits for its other half is all that is held.
+that one run delivers later than the other is the same packet. Both logs are read side by side, in order of time, so
+only messages that wait for their partner are held.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Deviation:
 
 @dataclass(slots=True)
 class LogComparison:
-    """What two logs have in common and what not."""
+    """The agreements and differences of two logs."""
 
     begin_ns: int = 0  # what was before is not compared: one of the runs goes on from another and begins here
     first: Difference | None = None
@@ -270,7 +270,7 @@ def _apart(a: float, b: float) -> float:
 
 
 def rows(found: LogComparison, most: int | None = None) -> Iterator[tuple[str, str, str, str, str]]:
-    """(signal, greatest |a - b|, unit, at, messages that differ), those that are furthest apart first."""
+    """(signal, greatest |a - b|, unit, at, messages that differ), the greatest differences first."""
     ordered = sorted(found.signals.items(), key=lambda item: (-item[1].value, item[0]))
     for name, deviation in ordered[:most]:
         yield name, f"{deviation.value:.3g}", deviation.unit, f"{deviation.at_ns / 1e9:g} s", str(deviation.differing)
@@ -285,7 +285,7 @@ def _alike(counts: Counter[str]) -> list[tuple[str, int]]:
 
 
 def deviation_lines(found: LogComparison, most: int | None) -> Iterator[str]:
-    """What is not the same, in words and as a table of signals."""
+    """The differences, in words and as a table of signals."""
     yield f"{found.same} messages are the same, {found.paired} differ"
     for name, only in (("a", found.only_a), ("b", found.only_b)):
         for topic, count in _alike(only):

@@ -1,7 +1,7 @@
 """`fleet export`: a log as tables, one file per topic, for what reads CSV, Parquet or NetCDF.
 
-In CSV the units stand in the header, so that a table explains itself wherever it is copied to; in Parquet the names are
-bare, and unit and meaning are metadata of the column, and of the table as pandas reads them; in NetCDF they are CF's
+In CSV the units stand in the header, so a table explains itself wherever a user copies it to. In Parquet the names are
+bare; unit and meaning are metadata of the column, and of the table as pandas reads them. In NetCDF they are CF's
 attributes. `export.json` states for each table what it holds, where it came from and what was missing. A topic that is
 no table is left out, which `export.json` states as well.
 """
@@ -168,7 +168,7 @@ class Sheet:
         return False
 
     def about(self) -> dict[str, Any]:
-        """What the table holds."""
+        """The content of the table."""
         return {
             "topic": self.topic.name, "schema": self.topic.schema, "rows": self._rows, "columns": self._headings,
         }  # fmt: skip

@@ -24,7 +24,7 @@ class FaultInterval(NamedTuple):
 
 
 def fault_intervals(topic: Topic, end: float) -> list[FaultInterval]:
-    """Faults and events of vehicles, in the order in which they began.
+    """Faults and events of vehicles, in the order of their beginnings.
 
     Args:
         topic: `faults`, the beginnings and ends.

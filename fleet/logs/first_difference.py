@@ -18,7 +18,7 @@ _MOST_BYTES = 24  # of a payload, shown
 
 @dataclass(frozen=True, slots=True)
 class Side:
-    """What one of two logs has at the first difference."""
+    """One log's side of the first difference."""
 
     name: str
     record: Record | None  # None: the log has ended
@@ -92,7 +92,7 @@ def side(name: str, reader: LogReader, record: Record | None) -> Side:
 
 
 def besides_messages(a: LogReader, b: LogReader) -> list[str]:
-    """What else two logs do not have in common: attachments, metadata and how topics are declared.
+    """Further differences of two logs: attachments, metadata and the declarations of topics.
 
     Where only one of the runs goes on from another, that it does so is no difference.
     """
@@ -129,7 +129,10 @@ def tick_length(reader: LogReader) -> int:
 
 
 def begin_ns(reader: LogReader) -> int:
-    """The time at which the run of a log begins, as far as it was read: later than 0 if it goes on from another."""
+    """The time at which the run of a log begins, from the part that was read.
+
+    It is above 0 if the run continues another.
+    """
     return min(_stated(reader, FROM_TICK) * tick_length(reader), 2**63 - 1)
 
 

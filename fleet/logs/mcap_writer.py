@@ -1,6 +1,6 @@
 """Writing an MCAP file: chunks and their indexes packed here, every other record by `mcap.records`.
 
-The bytes are those that `mcap.writer.Writer` writes (a test compares them). That writer takes some thirty calls for
+The bytes are the same as those of `mcap.writer.Writer` (a test compares them). That writer takes some thirty calls for
 a message; here it is one `struct` call and two appends, or less: a batch comes framed.
 """
 

@@ -132,7 +132,7 @@ class Log:
 
         Raises:
             FleetError: xarray is not installed (extra `tables`).
-            LogReadError: the topics are more than is held at once; `open_log` can choose some.
+            LogReadError: the topics need more memory than allowed; `open_log` can choose some.
         """
         from fleet.logs.dataset import tree
 
@@ -169,13 +169,13 @@ class Log:
     def digest(self) -> str:
         """SHA-256 over the ordered messages of the file, in hexadecimal, as `fleet run` prints it.
 
-        It is over all topics, also those that were not opened; of a damaged file, over what stands before the damage.
+        It covers all topics, also unopened ones. For a damaged file it covers the part before the damage.
         """
         return digest(self.path)
 
     @property
     def faults(self) -> list[FaultInterval]:
-        """The faults in the order in which they began; empty for a log without the topic `faults`.
+        """The faults in the order of their beginnings; empty for a log without the topic `faults`.
 
         Raises:
             LogReadError: the log holds more events of faults than are read.
@@ -184,7 +184,7 @@ class Log:
 
     @property
     def events(self) -> list[FaultInterval]:
-        """When vehicles were tumbled or diverged, in the order in which that began. Raises LogReadError as `faults`."""
+        """When vehicles were tumbled or diverged, in the order of the beginnings. Raises LogReadError as `faults`."""
         return [interval for interval in self._intervals if not is_fault(interval.what)]
 
     @cached_property
@@ -218,10 +218,10 @@ def open_log(
     Args:
         path: an MCAP file, or a run directory.
         topics: keep only topics that match one of these patterns of `fnmatch`, such as `uuv/*/state`; None: all.
-        progress: called now and then with the simulated time that was reached [s].
+        progress: called now and then with the simulated time reached [s].
         start: keep only messages from this simulated time on [s].
         end: keep only messages up to this simulated time [s], inclusive.
-        every: keep the first of every so many messages of each topic.
+        every: keep one in this number of messages of each topic, beginning with the first.
         share: called now and then with the share of the file that was read, 0 to 1.
 
     Returns:
@@ -241,8 +241,8 @@ def open_log(
 def open_drawn(path: Path, topics: Iterable[str], share: Tell, fields: Mapping[str, frozenset[str]]) -> Log:
     """Read a log for pictures.
 
-    Of a log that is too large to be held, as much of each signal is kept as can be seen: of short spans of time the
-    first and the last sample and the extremes.
+    A log may be too large for memory. Then each signal keeps its visible part: the first and last sample and the
+    extremes of short spans of time.
 
     Args:
         path: an MCAP file, or a run directory.
@@ -282,7 +282,7 @@ class Part(NamedTuple):
         return block.take((t >= self.start) & (t <= self.end))
 
     def thinned(self, block: Block, seen: int) -> Block:
-        """Of one topic's messages within the time those that are kept; `seen` came before."""
+        """The messages to keep of one topic's messages within the time; `seen` messages came before."""
         return block if self.every == 1 else block.take(np.arange(-seen % self.every, len(block), self.every))
 
 

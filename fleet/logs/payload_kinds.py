@@ -33,7 +33,7 @@ class KindCount(NamedTuple):
 
 
 def kind_of(data: bytes) -> str:
-    """The kind of a payload; one that is damaged may seem to be of a kind that does not exist."""
+    """The kind of a payload. A damaged payload may seem to be of a kind that does not exist."""
     if data[:1] == bytes((message.VERSION,)) and len(data) > 1:
         name = data[2 : 2 + data[1]]
         if 1 <= len(name) == data[1] and len(data) > 2 + len(name) + _CHECKSUM:

@@ -134,7 +134,7 @@ class LogReader:
         return {number: self.channels[number].topic.encode() for number in np.unique(block.channel).tolist()}
 
     def channel(self, topic: str) -> Channel | None:
-        """The first channel of a topic that was declared so far; None: there is none."""
+        """The first channel of a topic that was declared by now; None if there is none."""
         return self._by_topic.get(topic)
 
     def _keep(self, item: Item) -> None:

@@ -117,11 +117,11 @@ def together(blocks: Sequence[Block]) -> Block:
 
 
 class NonsenseError(FleetError):
-    """What stands in a chunk are no records."""
+    """The content of a chunk is not a sequence of records."""
 
 
 def inside(offset: int, data: bytes) -> Iterator[Block | Schema | Channel]:
-    """What a chunk at an offset holds, in order.
+    """The records of a chunk at an offset, in order.
 
     Raises:
         NonsenseError: from some place on these are no records; what stands before was yielded.
@@ -184,7 +184,7 @@ def span_of(body: bytes) -> tuple[int, int] | None:
 
 
 def content(body: bytes) -> bytes:
-    """What a chunk unpacks to.
+    """The unpacked content of a chunk.
 
     Raises:
         ValueError: it is damaged, or unpacks to something else than it states, or to more than is read; its words

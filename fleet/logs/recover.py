@@ -1,7 +1,7 @@
 """`fleet recover`: what is left of a cut or damaged log, as a clean file with an index.
 
-Chunk by chunk, so that a whole log comes out as the same bytes. What was missing stands in the metadata record
-`recovery`; its `gaps` are the numbers of the messages, from 0, before which something is gone.
+Chunk by chunk, so that a whole log comes out as the same bytes. The metadata record `recovery` lists the missing parts.
+Its `gaps` are the numbers of the messages, from 0, that follow a gap.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from fleet.logs.salvage import ChunkEnd, Item, Salvage, declarations
 
 @dataclass(slots=True)
 class Recovered:
-    """What came of it."""
+    """The result of a recovery."""
 
     path: Path
     out: Path
@@ -171,7 +171,7 @@ class Copy:
 
 
 def recovery_text(found: Recovered) -> str:
-    """What came of it, in words."""
+    """The result of a recovery, in words."""
     if found.nothing:
         return f"{found.path}: nothing can be recovered{f': {found.lost}' if found.lost else ', it holds no message'}"
     text = f"{found.out}: {found.messages} messages up to t = {found.until_s:g} s"

@@ -12,7 +12,7 @@ RUN_NAME = re.compile(r"(?P<scenario>.+)-(?P<seed>\d+)-(?P<began>\d{8}-\d{6})(-\
 
 
 def run_name(log: Path) -> str:
-    """What a run is called.
+    """The name of a run.
 
     Args:
         log: its log; a link such as `latest` in its path is resolved.

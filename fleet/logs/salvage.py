@@ -1,8 +1,8 @@
 """MCAP records of a file that may be cut or damaged: what can be trusted is yielded, the rest is counted.
 
-Nothing that stands in the file is believed unchecked: a length must lie within the file and below `MOST_BYTES`, a
-chunk must unpack to the size and the CRC it states, an attachment must have its CRC, the summary its own. So a
-corrupt length allocates nothing, and a flipped bit is found, not decoded.
+Every value in the file is checked first. A length must lie within the file and below `MOST_BYTES`, a chunk must unpack
+to the size and the CRC that it states, an attachment must have its CRC, and the summary its own. So a corrupt length
+allocates nothing, and a flipped bit is found, not decoded.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class _DamagedError(Exception):
 
 @dataclass(slots=True)
 class Salvage:
-    """Iterates a file's records once. What is wrong with it is there when the iteration is over.
+    """Iterates a file's records once. The faults of the file are known when the iteration is over.
 
     With `beyond`, goes on behind a damaged place: at the next record if the framing holds, else at the next chunk
     that can be found.

@@ -1,4 +1,4 @@
-"""What the log's messages look like: protobuf descriptors built from the declarations, without protoc.
+"""The form of the log's messages: protobuf descriptors built from the declarations, without protoc.
 
 Poses use Foxglove's own schema, so that every viewer draws them; the rest is ours, one flat message per topic
 group. Units and meanings travel as channel metadata, because a protobuf field has no place for them.
@@ -181,7 +181,7 @@ class Doubles:
 
 
 def pose_parts(frame_id: str, position: int, orientation: int) -> list[bytes | int]:
-    """What follows the timestamp in Foxglove's PoseInFrame, as in `Doubles.parts`.
+    """The bytes behind the timestamp in Foxglove's PoseInFrame, as in `Doubles.parts`.
 
     Args:
         position: the number of the first of its three doubles; `orientation`: of its four.
@@ -195,7 +195,7 @@ def pose_parts(frame_id: str, position: int, orientation: int) -> list[bytes | i
 
 
 def head(number: int, width: int | None) -> bytes:
-    """What stands before the doubles of a field: its tag, and of a packed array of `width` the length in bytes."""
+    """The bytes before the doubles of a field: its tag, and for a packed array of `width` the length in bytes."""
     # Wire type 1 is a single double, 2 whatever has a length.
     return varint(number << 3 | 1) if width is None else varint(number << 3 | 2) + varint(8 * width)
 

@@ -1,7 +1,7 @@
 """A topic as a table: a column for the time and one for each number, so that every column has one unit.
 
-The first column is `t [s]`, the time at which the message was logged; every other one is a field of the log, a
-vector's components each with their index: `tau_0 [N]`. A topic whose messages hold lists of messages (`transforms`,
+The first column is `t [s]`, the time at which the message was logged. Every other column is a field of the log; the
+components of a vector each have their index: `tau_0 [N]`. A topic whose messages hold lists of messages (`transforms`,
 `scene`) is no table.
 """
 

@@ -1,7 +1,7 @@
 """Random access to the messages of an MCAP file by their number, without holding the file in memory.
 
-One pass over the file checks it, and notes where each stretch of it (a chunk, or many small ones) lies, how many
-messages it holds of which channels, and when they are due. A stretch is unpacked again when one of its messages is
+One pass over the file checks it and divides it into stretches (a chunk, or many small ones). It notes the place of each
+stretch, its number of messages by channel, and their due times. A stretch is unpacked again when one of its messages is
 wanted. The tape ends before the first place that cannot be read, and `missing` says what is missing.
 """
 
@@ -144,7 +144,7 @@ class Tape:
         return self._firsts[k]
 
     def stretch_before(self, ns: int) -> int:
-        """The last part of the file whose first message is due before a time; -1: none."""
+        """The last part of the file with a first message due before a time; -1 if there is none."""
         return bisect_left(self._dues, ns) - 1
 
     def stretch(self, k: int) -> _Stretch:
@@ -210,7 +210,7 @@ class Track:
         return k, index - self._firsts[k]
 
     def _of(self, k: int) -> tuple[Array, Array]:
-        """Numbers within a stretch, and due times, of those that are chosen."""
+        """Numbers within a stretch, and due times, of the chosen messages."""
         if k not in self._chosen:
             stretch = self._tape.stretch(k)
             numbers = np.flatnonzero(np.isin(stretch.block.channel, self._channels))

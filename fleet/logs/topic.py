@@ -221,7 +221,7 @@ class Topic:
 
     @property
     def publish_ns(self) -> Array:
-        """The time at which each message was sent, (samples,), in ns of simulated time."""
+        """The sending time of each message, (samples,), in ns of simulated time."""
         return self._stored("_publish_ns")
 
     @property
@@ -256,7 +256,7 @@ class Topic:
 
     @property
     def meanings(self) -> dict[str, str]:
-        """What each field means, as the log states it."""
+        """The meaning of each field, as the log states it."""
         return {name: self.declaration(name)[1] for name in self.fields}
 
     @property

@@ -23,6 +23,6 @@ def link_of(topic: str) -> Link | None:
 
 
 def believer_of(topic: str) -> int | None:
-    """The vehicle whose beliefs a topic has; None: it is another topic."""
+    """The vehicle that holds the beliefs in a topic; None: it is another topic."""
     found = _BELIEVER.fullmatch(topic)
     return None if found is None else int(found[1])

@@ -66,8 +66,8 @@ def write_traces(
 def link_trace(topic: Topic, tick_ns: int, say: Callable[[str], None] = lambda _: None) -> TraceTable:
     """A row per packet of a link: the first undamaged copy that arrived, or that none did.
 
-    A damaged packet counts as lost, since its receiver refuses it. So does one that was on the way when the run ended,
-    unless its delay takes it beyond the end.
+    A damaged packet counts as lost, since its receiver refuses it. A packet under way at the end of the run also counts
+    as lost, unless its delay takes it beyond the end.
     """
     rows: dict[int, tuple[tuple[float, int], TraceRow]] = {}  # by number: when its copy was usable, and its delay
     fields = (topic[name].tolist() for name in ("seq", "sent", "due", "delay", "fate", "corrupted"))

@@ -94,7 +94,7 @@ def file_name(name: SignalName) -> str:
 
 
 def title(runs: Sequence[Run], name: SignalName) -> str:
-    """What its picture shows."""
+    """The content of its picture."""
     found = next((one for run in runs if (one := _find(run, name)) is not None), None)
     return f"{name}: {found.meaning}" if found is not None and found.meaning else str(name)
 
@@ -248,7 +248,7 @@ def _unit(found: _Found, k: int | None) -> str:
 
 
 def _asked(ax: Axes, runs: Sequence[Run], name: SignalName) -> None:
-    """What the checks ask of it, as lines where they ask it."""
+    """The limits that the checks set for it, as lines over the time at which they hold."""
     lines = []
     for run in runs:
         for check in (run.scenario.spec.checks.signal or ()) if run.scenario is not None else ():
@@ -285,7 +285,7 @@ def _find_of(run: Run, i: int, name: SignalName) -> str | None:
 
 
 def _failed(ax: Axes, runs: Sequence[Run], name: SignalName, shift: dict[int, float] | None) -> None:
-    """A cross on the value of each vehicle that failed a check of the signal, at the moment at which it did."""
+    """A cross on the value of each vehicle that failed a check of the signal, at the time of the failure."""
     for run in runs:
         for moment in (verdict.moment for verdict in run.verdicts if verdict.moment is not None):
             for key, value in moment.values.items():

@@ -1,4 +1,4 @@
-"""What the pictures over time have in common: lines by vehicle or by run, shaded faults, one legend, words below."""
+"""The common part of pictures over time: lines by vehicle or by run, shaded faults, one legend, words below."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ def _series(run: Run, view: View, get: Get) -> dict[int, Series]:
 
 
 def within(t: Array, values: Array, window: tuple[float, float] | None) -> Series:
-    """What lies in a window, and the sample before and behind it, so that a line reaches the edges."""
+    """The samples in a window, and one before and one behind it, so that a line reaches the edges."""
     if window is None:
         return t, values
     before, behind = np.flatnonzero(t <= window[0]), np.flatnonzero(t >= window[1])

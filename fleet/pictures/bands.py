@@ -26,7 +26,7 @@ Series = tuple[Array, Array]  # times [s], values
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """What many vehicles do in each of some intervals of time; arrays of one length."""
+    """The spread of many vehicles in each of some intervals of time; arrays of one length."""
 
     t: Array  # s
     low: Array  # the least of all samples

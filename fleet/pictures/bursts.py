@@ -27,7 +27,7 @@ def draw_bursts(
     """Write the picture, as wide as a column: one panel for each kind of run.
 
     Args:
-        what: was measured, in the legend.
+        what: the measured thing, for the legend.
         measured: lengths of runs in packets, by their kind.
         models: by name, for each kind the probability of n or more packets, n = 1, 2 ...
 

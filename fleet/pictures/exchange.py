@@ -1,4 +1,4 @@
-"""What went over the links: messages in space and time, ages of information."""
+"""The traffic on the links: messages in space and time, ages of information."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The moments at which checks failed, marked on the axes over time."""
+"""The times at which checks failed, marked on the axes over time."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ def write_page(path: Path, make: Callable[[], str]) -> None:
 
 
 def render(room: str, template: str, **values: Any) -> str:
-    """A page as HTML, in which every value is escaped.
+    """A page as HTML; every value is escaped.
 
     Args:
         room: the package that holds the template.

@@ -53,7 +53,7 @@ class RunResult:
 
 @dataclass(frozen=True, slots=True)
 class ReportSection:
-    """What the page shows of one run."""
+    """The part of the page about one run."""
 
     anchor: str
     name: str

@@ -1,4 +1,4 @@
-"""What a report says of a run's scenario: the fleet, its laws and its graph, and the conditions of its links."""
+"""A report's text about a run's scenario: the fleet, its laws and its graph, and the conditions of its links."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def conditions_table(scenario: Scenario) -> Table:
 
 
 def _condition(shown: Any) -> str:
-    """What links do, in words: a condition, states, or a trace, which itself would be too long."""
+    """The condition of links in words: one condition, states, or a trace (without its values, which are too many)."""
     if isinstance(shown, str):
         return shown
     states = [f"{name} (mean {state['mean']}): {state['condition']}" for name, state in shown.get("states", {}).items()]
@@ -106,7 +106,7 @@ def _profiles(scenario: Scenario) -> list[str]:
 
 
 def _by_vehicle(words: Sequence[str]) -> str:
-    """What holds for all vehicles, or for which of them: `nboc`, `vehicles 1-3: nboc; vehicle 4: bc`."""
+    """A value for all vehicles, or with the vehicles that have it: `nboc`, `vehicles 1-3: nboc; vehicle 4: bc`."""
     which: dict[str, list[int]] = {}
     for i, text in enumerate(words, start=1):
         which.setdefault(text, []).append(i)

@@ -76,7 +76,7 @@ def _joined(numbers: Sequence[float | None], join: Callable[[list[float]], float
 
 
 def links_table(ledger: Mapping[str, Account], ages: Mapping[str, LinkAge]) -> Table:
-    """Packets and ages of all links, or of those that grew oldest; `ledger` and `ages` as a result has them."""
+    """Packets and ages of all links, or of the links with the oldest news; `ledger` and `ages` as in a result."""
     # What a modem never sent, because there were news, was not lost on the way.
     causes = sorted(
         {cause for account in ledger.values() for cause in account.lost}, key=lambda c: (c != Cause.REPLACED, c)

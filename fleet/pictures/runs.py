@@ -1,4 +1,4 @@
-"""What a picture is drawn from: one or more logs with names, signals by vehicle, what was asked for."""
+"""The source of a picture: one or more logs with names, signals by vehicle, and the request."""
 
 from __future__ import annotations
 
@@ -169,7 +169,7 @@ def with_gaps(t: Array, values: Array, step: float = 0.0) -> tuple[Array, Array]
 
 
 def origin(runs: Sequence[Run], title: str) -> Provenance:
-    """What the file of a picture says: scenario, seed and digest of each run."""
+    """The origin written into a picture's file: scenario, seed and digest of each run."""
     names = ("scenario", "seed", "digest")
     each = [(run.log.run.get("scenario") or run.label, run.log.run.get("seed", "unknown"), run.digest) for run in runs]
     return Provenance(

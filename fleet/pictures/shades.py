@@ -1,6 +1,6 @@
 """Faults on a time axis: where one lasts is shaded once, and what it was stands above, each over its own time.
 
-What happened to vehicles is shaded, too, and told below in one line per vehicle: it is a consequence of the faults.
+Events of vehicles are shaded, too. Each vehicle's have one line below, because they follow from the faults.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def union(spans: Sequence[Span]) -> list[Span]:
 
 
 def words(fault: FaultInterval, most: int = MOST_CHARACTERS) -> str:
-    """What a fault is, behind its id if somebody chose that."""
+    """A fault in words, behind its id if somebody chose that."""
     text = fault.what if _GIVEN.match(fault.id) or not fault.what else f"{fault.id}: {fault.what}"
     return text if len(text) <= most else f"{text[: most - 1]}…"
 

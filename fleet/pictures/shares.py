@@ -1,4 +1,4 @@
-"""What became of the packets of each link over time: a strip per link with the share of every fate."""
+"""The fate of the packets of each link over time: a strip per link with the share of every fate."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ def _period(sent: Sequence[Array]) -> float:
 
 
 def _order(fate: str) -> tuple[int, str]:
-    """What arrived first, so that it is at the bottom of a strip."""
+    """Fates in their order, delivered first, so that it is at the bottom of a strip."""
     number, name = rank(Cause.DELIVERED if fate == LATE else fate)
     return number, f"{name}, {fate}" if fate == LATE else name
 

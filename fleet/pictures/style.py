@@ -107,7 +107,7 @@ NOWHERE = Provenance("")
 
 
 def metadata(form: str, origin: Provenance = NOWHERE) -> dict[str, Any]:
-    """What a file of a format says of itself: PNG's text, PDF's information, SVG's Dublin Core. Never a date."""
+    """The self-description of a file of a format: PNG's text, PDF's information, SVG's Dublin Core. Never a date."""
     said = ", ".join(f"{name} {value}" for name, value in origin.facts)
     about = [f"{name}={value}" for name, value in origin.facts]
     if form == "png":

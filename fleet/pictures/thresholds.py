@@ -1,4 +1,4 @@
-"""What the checks of a scenario ask of an error, drawn where they ask it."""
+"""The limits that a scenario's checks set for an error, drawn over the time at which they hold."""
 
 from __future__ import annotations
 

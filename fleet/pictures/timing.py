@@ -65,7 +65,7 @@ def on_wall_clock(run: Run) -> bool:
 
 
 def _timing(run: Run) -> Timing:
-    """What the run measured of itself, from the result beside its log."""
+    """The run's measurements of itself, from the result next to its log."""
     if not on_wall_clock(run):
         raise NothingToDraw("the run was in lockstep, where nothing can be late; see fleet run --clock real")
     try:

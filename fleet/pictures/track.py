@@ -274,9 +274,9 @@ def _worst(run: Run, shown: Sequence[int]) -> list[int]:
 
 
 def _apart(tracks: list[VehicleTrack]) -> tuple[list[VehicleTrack], list[VehicleTrack]]:
-    """Those that are drawn together because they are many, and those that are drawn one by one.
+    """The tracks that are drawn together because they are many, and the tracks that are drawn one by one.
 
-    Together are all that the legend does not name, and of several runs all.
+    The first group has all tracks that the legend does not name. With several runs it can hold all tracks.
     """
     if len({track.vehicle for track in tracks}) <= CROWD:
         return [], tracks
@@ -307,7 +307,7 @@ def _extent(positions: Sequence[Array]) -> tuple[Array, Array]:
 
 
 def _happened(runs: Sequence[Run], view: View, tracks: Sequence[VehicleTrack]) -> list[tuple[Happening, str]]:
-    """What happened to the vehicles, with the colour of each one's track."""
+    """The events of the vehicles, with the colour of each one's track."""
     found = []
     for run in runs:
         own = {track.vehicle: track for track in tracks if track.run is run}
@@ -373,7 +373,7 @@ def _shapes(run: Run, view: View) -> list[tuple[Array, Array]]:
 
 
 def _standing(runs: Sequence[Run], view: View) -> list[Primitive]:
-    """What stands still: the courses of the references within the picture, and each obstacle once."""
+    """The things that stand still: the courses of the references within the picture, and each obstacle once."""
     scenes = [(SceneModel(run.scenario), view.window or (0.0, run.log.end)) for run in runs if run.scenario is not None]
     obstacles = dict.fromkeys(one for scene, _ in scenes for one in scene.obstacles)
     return [*obstacles, *(scene.course(*window) for scene, window in scenes)]

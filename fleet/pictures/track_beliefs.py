@@ -28,7 +28,7 @@ BELIEF_ENTRIES: list[Artist] = [  # of a legend
 
 
 class BelievedWay(NamedTuple):
-    """What one vehicle believed."""
+    """The beliefs of one vehicle."""
 
     vehicle: int
     colour: str
@@ -37,7 +37,7 @@ class BelievedWay(NamedTuple):
 
 
 def believed_way(run: Run, i: int, colour: str, view: View) -> BelievedWay | None:
-    """What vehicle i believed in the window of a picture; None: it knew where it was, or the log does not say."""
+    """The beliefs of vehicle i in the window of a picture; None: it knew where it was, or the log has no beliefs."""
     belief, state = f"uuv/{i}/belief", f"uuv/{i}/state"
     if any(topic not in run.log or not len(run.log[topic]) for topic in (belief, state)):
         return None

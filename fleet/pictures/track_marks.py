@@ -1,4 +1,4 @@
-"""What the pictures of the tracks mark: what happened to a vehicle and where, directions, desired places."""
+"""The marks on the pictures of the tracks: events of vehicles and their places, directions, desired places."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _ARROWS = 3  # per track
 
 
 class Happening(NamedTuple):
-    """What happened to a vehicle."""
+    """An event of a vehicle."""
 
     vehicle: int
     what: str  # agent dead, tumbled, diverged
@@ -29,7 +29,7 @@ class Happening(NamedTuple):
 
 
 def happenings(run: Run, view: View, tracks: Mapping[int, tuple[Array, Array]]) -> list[Happening]:
-    """What happened to the vehicles in a picture, in the order of time.
+    """The events of the vehicles in a picture, in the order of time.
 
     Args:
         tracks: times [s] and positions (samples, 3) [m, NED] of each vehicle.

@@ -116,7 +116,7 @@ class Children:
         self._watcher = watcher  # `stop` waits for it, and can only wait for one that was started
 
     def stop(self) -> None:
-        """End every process with SIGTERM, then with SIGKILL, which also ends one that is suspended.
+        """End every process with SIGTERM, then with SIGKILL, which ends suspended processes, too.
 
         The fork server reports the ends. If it does not, it is suspended, and is ended as well.
         """
@@ -171,14 +171,14 @@ def _set_preload() -> None:
 
 @contextlib.contextmanager
 def _forkserver_starting() -> Iterator[None]:
-    """What has to hold where the fork server may be started."""
+    """The conditions of starting the fork server."""
     own_folder_for_multiprocessing()
     with without_main(), out_of_reach(), _named_console():
         yield
 
 
 def _left(processes: list[BaseProcess]) -> list[BaseProcess]:
-    """Wait for processes to end, until none has for a while; those that have not."""
+    """Wait until no further process has ended for a while. Returns the processes that are left."""
     remaining: dict[Any, BaseProcess] = {process.sentinel: process for process in processes}
     while remaining and (ended := wait(list(remaining), timeout=GRACE_S)):
         for sentinel in ended:

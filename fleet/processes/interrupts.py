@@ -58,8 +58,8 @@ def deferring_interrupts() -> Iterator[None]:
 def out_of_reach() -> Iterator[None]:
     """Start processes that signals to the whole group do not reach, because they inherit the mask of this thread.
 
-    Ctrl-C, and the end of a terminal, reach the whole group; the one that started the others alone decides what they
-    mean, also while those are still importing.
+    Ctrl-C, and the end of a terminal, reach the whole group. Only the process that started the others decides how to
+    react, also while they are still importing.
     """
     from multiprocessing import resource_tracker  # --help needs it not
 

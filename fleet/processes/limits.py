@@ -1,4 +1,4 @@
-"""What this machine gives a run: open files, of which many processes need more than usual, threads, and processors."""
+"""This machine's limits for a run: open files (many processes need more than usual), threads, and processors."""
 
 from __future__ import annotations
 

@@ -11,8 +11,8 @@ from netem.wire.listening import probe_address
 def free_port(wanted: int | None) -> int:
     """A loopback port that is free now: the wanted one, or any.
 
-    Another process may take it before the world does; then the world's end says so. To make that rare, ports are
-    tried below the range from which the system gives outgoing connections theirs.
+    Another process may take it before the world does; then the world's end says so. To make that rare, the search
+    begins below the range from which the system takes the ports of outgoing connections.
 
     Raises:
         RunBroken: the wanted port is taken.

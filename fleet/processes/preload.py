@@ -1,4 +1,7 @@
-"""What the fork server imports once, so that a hundred processes share it; it opens no session and starts no thread."""
+"""The modules that the fork server imports once, so that a hundred processes share them.
+
+It opens no session and starts no thread.
+"""
 
 from __future__ import annotations
 

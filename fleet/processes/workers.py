@@ -52,8 +52,8 @@ class Workers:
 
         Args:
             count: how many.
-            begin: called first in each process. What only a process that is starting can take, such as an array in
-                shared memory, belongs into it.
+            begin: called first in each process. It takes things that only a starting
+                process can take, such as an array in shared memory.
 
         Raises:
             RunBroken: too few files may be open for so many.
@@ -77,7 +77,7 @@ class Workers:
 
     @property
     def pids(self) -> list[int]:
-        """The process ids of those that were started."""
+        """The process ids of the started workers."""
         return [worker.process.pid for worker in self._running if worker is not None and worker.process.pid is not None]
 
     def each(
@@ -94,8 +94,8 @@ class Workers:
             limit_s: wall time that an item may take; a worker that takes longer is killed.
 
         Yields:
-            Each item with the future of its result, as they end. The exception of an item under which a worker died
-            `TIMES` times is a WorkerDied, and that of one that took too long a WorkerLate.
+            Each item with the future of its result, as they end. If a worker died `TIMES` times under an item, its
+            exception is a WorkerDied. If the item took too long, it is a WorkerLate.
 
         Raises:
             RunBroken: no process can be started, or each ends before it begins with its item, or one hangs there.
@@ -158,7 +158,7 @@ class Workers:
         worker.give(job, limit_s)
 
     def _heard(self, under_way: Iterable[int]) -> list[tuple[int, _Worker]]:
-        """The workers, by place, of which there is something to hear, after a while at most."""
+        """The workers, by place, that have sent something; waits for a while at most."""
         workers = {place: worker for place in under_way if (worker := self._running[place]) is not None}
         left = min(worker.deadline for worker in workers.values()) - time.monotonic()
         sources = [source for worker in workers.values() for source in (worker.connection, worker.process.sentinel)]
@@ -285,7 +285,7 @@ def _work(connection: Connection, parent: int, begin: Callable[[], None] | None)
 
 
 def _unpacked(data: bytes) -> Any:
-    """What a worker says; an answer whose class only the worker knows is an exception that says so."""
+    """A worker's answer. If only the worker knows its class, the result is an exception that says so."""
     try:
         return pickle.loads(data)
     except Exception as error:  # as the import of somebody's module raises it
@@ -293,7 +293,7 @@ def _unpacked(data: bytes) -> Any:
 
 
 def _packed(error: BaseException) -> bytes:
-    """An exception for the parent; one that cannot travel as its text."""
+    """An exception for the parent. If it cannot travel, its text does."""
     try:
         data = pickle.dumps((_FAILED, error))
         pickle.loads(data)

@@ -1,4 +1,4 @@
-"""What `fleet protocol check` sends that is not well: payloads that a network has damaged, and what is no message."""
+"""The bad input of `fleet protocol check`: payloads that a network has damaged, and bytes that are no message."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from netem.wire.messages import Delivery
 
 
 def damaged(src: int, sent: int, eta: tuple[float, ...]) -> tuple[Delivery, ...]:
-    """What a neighbour sent at a tick, and the same after a network has been at it.
+    """A neighbour's payloads of a tick, and the same payloads after a damaging network.
 
     Args:
         eta: the pose of who receives it [m, rad]; the neighbour is 5 m to its north.
@@ -21,7 +21,7 @@ def damaged(src: int, sent: int, eta: tuple[float, ...]) -> tuple[Delivery, ...]
 
 
 def junk_of(life: int) -> tuple[bytes, ...]:
-    """None of them is a message: no MessagePack, no array, no kind, too short, of wrong types, of an unknown kind."""
+    """Bytes that are no message: no MessagePack, no array, no kind, too short, of wrong types, of an unknown kind."""
     return (
         b"",
         b"\xc1",

@@ -1,4 +1,4 @@
-"""What `fleet protocol check` judges, and the form of a verdict."""
+"""The rules of `fleet protocol check`, and the form of a verdict."""
 
 from __future__ import annotations
 

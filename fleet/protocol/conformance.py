@@ -1,8 +1,9 @@
 """`fleet protocol check`: world, netem and console in one, against an agent of another make.
 
-It writes a join file, waits for the agent, and plays a canned exchange: the handshake, ticks and round ticks, an inbox
-that comes late and in parts, messages that are malformed or meant for an earlier life, a gap, the end. Every message of
-the agent is judged. The vehicle does not move; what the agent commands is not judged, only when and in what form.
+It writes a join file, waits for the agent, and plays a canned exchange. That has the handshake, ticks and round ticks,
+an inbox that comes late and in parts, messages that are malformed or meant for an earlier life, a gap, and the end.
+Every message of the agent is judged. The vehicle does not move; what the agent commands is not judged, only when and in
+what form.
 """
 
 from __future__ import annotations
@@ -66,7 +67,8 @@ from netem.wire.messages import (
 )
 
 ANSWER_S = 5.0  # until an answer counts as missing
-SILENCE_S = 0.3  # how long nothing must come where nothing may
+SILENCE_S = 0.3  # how long nothing must come where nothing may, at least
+_SLOWER = 5.0  # and so many times as long as the slowest answer took: on a busy machine a wrong answer is late, too
 LIFE, BEGIN_ROUNDS = 1, 3  # the life that is asked for, and the round in which it begins: not what one might assume
 
 
@@ -323,7 +325,7 @@ class Examination:
     def _silence(self, check: str, tick: int, expected: str) -> None:
         """Judge that nothing comes before the nav of a tick may be answered."""
         self._reached.add(check)
-        deadline = time.monotonic() + SILENCE_S
+        deadline = time.monotonic() + max(SILENCE_S, min(_SLOWER * self.slowest_s, ANSWER_S))
         while (taken := self._take(deadline)) is not None:
             message = taken[1]
             if isinstance(message, Command) and message.incarnation == LIFE and message.tick < tick:

@@ -97,7 +97,10 @@ class AllVisited:
         return self._late() or f"all {self._count} places, the last at {self._last:g} s"
 
     def margin(self) -> Margin:
-        """How much later the last place could have been visited; of one that was not, all that is known is below 0."""
+        """The time that was left when the last place was visited.
+
+        If a place was not visited, all we know is that it is below 0.
+        """
         return Margin(-self._tick_s * len(self._open) if self._open else self._by - self._last, "s", self._last)
 
     def _late(self) -> Failure | None:

@@ -6,10 +6,10 @@ both ways.
 `NaiveAverage` adds w_ij (x_j - x_i) for each x_j that arrived. A lost or late message changes the sum of all x, so the
 vehicles agree on a wrong number.
 
-`ExactAverage` passes on value and weight (y, w), and its estimate is y / w. What it sends to a neighbour is not the
-last share but the sum of all shares since the link was opened, so what a lost message carried arrives with a later one
-(C. N. Hadjicostis, N. H. Vaidya, A. D. Dominguez-Garcia, "Robust distributed average consensus via exchange of running
-sums", IEEE TAC 61(6), 2016). Beyond that paper, each end of a link knows both sums: when the neighbour is silent for
+`ExactAverage` passes on value and weight (y, w), and its estimate is y / w. It sends to a neighbour the sum of all
+shares since the link was opened, not just the last share. So a later message brings the content of a lost one (C. N.
+Hadjicostis, N. H. Vaidya, A. D. Dominguez-Garcia, "Robust distributed average consensus via exchange of running sums",
+IEEE TAC 61(6), 2016). Beyond that paper, each end of a link knows both sums: when the neighbour is silent for
 `forget_after_s` it forgets them and takes back what it gave in net. So the average is that of the vehicles that are
 there.
 """
@@ -89,7 +89,7 @@ class NaiveAverage:
 
 @dataclass(slots=True)
 class _Link:
-    """What one end of a link knows. If `opened` differs, the end with the earlier one takes the later one."""
+    """The knowledge of one end of a link. If `opened` differs, the end with the earlier one takes the later one."""
 
     opened: int  # tick; the sums begin there at 0
     heard: int = -1  # tick at which the newest message was sent; -1: none, or silent for too long
@@ -229,5 +229,5 @@ class ExactAverage:
 
 
 def _measurement(config: AgentConfig, value: float | None) -> float:
-    """What a vehicle measures [degC]."""
+    """The measurement of a vehicle [degC]."""
     return Random(f"{config.seed}/average/{config.id}").uniform(10.0, 20.0) if value is None else float(value)

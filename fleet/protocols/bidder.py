@@ -1,8 +1,9 @@
 """The consensus-based bundle algorithm (CBBA; Choi, Brunet, How 2009): which vehicle does which task.
 
-Every vehicle puts tasks into a bundle, one by one, always the one that adds most to the score of its path and for which
-it bids more than anyone it knows of. Then neighbours tell each other what they believe, and Table I of the paper says
-whom to believe; who is outbid for a task gives up that task and all that it chose after it, and chooses anew.
+Every vehicle puts tasks into a bundle, one by one. It chooses among the tasks for which it bids more than anyone that
+it knows of, and takes the one that adds most to the score of its path. Then neighbours exchange their beliefs, and
+Table I of the paper says which belief wins. A vehicle that is outbid for a task gives up that task and all later ones
+in its bundle, and chooses anew.
 
 | symbol | meaning | unit |
 |---|---|---|
@@ -26,7 +27,7 @@ Score = Callable[[Sequence[int]], float]  # of a path, which may hold any tasks
 
 
 class News(NamedTuple):
-    """What a vehicle believes: the message of the algorithm."""
+    """The beliefs of a vehicle: the message of the algorithm."""
 
     bids: Sequence[float]  # y
     winners: Sequence[int]  # z
@@ -57,7 +58,7 @@ class Bidder:
 
         Args:
             score: of a path.
-            closed: tasks that nobody is to bid for any more.
+            closed: finished tasks, which get no more bids.
         """
         limit = min((self.bids[j] for j in self.bundle), default=float("inf"))
         while len(self.bundle) < self.size:
@@ -83,8 +84,8 @@ class Bidder:
         """Believe what a neighbour says where it knows better (the second phase, Table I).
 
         Args:
-            sender: who says it.
-            news: with `heard[sender]`, the tick at which it was said. What is older than known is passed over.
+            sender: the neighbour.
+            news: its message; `heard[sender]` is the tick of it. Older news is ignored.
         """
         said = news.heard[sender]
         if said <= self.heard.get(sender, -1):
@@ -178,7 +179,7 @@ def outbids(bid: float, bidder: int, other: float, winner: int) -> bool:
 
 
 def rounds_needed(tasks: int, vehicles: int, size: int, diameter: int) -> int:
-    """The published bound: after so many rounds without loss no two vehicles claim one task, and all know whose it is.
+    """The published bound: after this many rounds without loss no two vehicles claim one task, and all know its winner.
 
     Args:
         diameter: hops from any vehicle to any other, at most.

@@ -9,8 +9,8 @@ A message of kind `bundle-auction` goes to every neighbour in every round:
 | done | numbers of the places that have been visited, from 0 |
 
 The score of a path is the sum of discount^(time of arrival) over its places. A place counts as visited when its vehicle
-has been within `reach_m` of it; nobody bids for it any more. A vehicle of which there is no news for `silence_s`,
-from itself or from others, is taken for gone: its places are free again.
+has been within `reach_m` of it; nobody bids for it any more. If there is no news of a vehicle for `silence_s`, from
+itself or from others, it counts as gone. Its places are then free again.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _AHEAD_M = 0.5  # how far ahead of the vehicle the point is that it steers for
 
 
 class BundleAuction:
-    """Shares out places by auction and visits those that it wins; with none left it goes to its formation place."""
+    """Shares out places by auction and visits the places that it wins. Then it goes to its formation place."""
 
     signals = (
         Signal("winner", "1", "who is to visit each place, as far as it knows; 0: nobody, or visited", MOST_PLACES),
@@ -67,11 +67,11 @@ class BundleAuction:
         Args:
             config: the agent's own slice of the scenario.
             places: x, y, z of each [m, NED], the same for all vehicles.
-            bundle: places that it may have claimed at a time.
-            speed_mps: at which it travels, and plans to [m/s].
-            discount: what a place is worth is multiplied by this for each second until it is visited.
+            bundle: the number of places that it may claim at the same time.
+            speed_mps: its speed, also for plans [m/s].
+            discount: the value of a place is multiplied by this for each second until its visit.
             reach_m: a place is visited from this distance [m] on.
-            silence_s: time [s] without news after which a vehicle is taken for gone.
+            silence_s: after this time [s] without news a vehicle counts as gone.
 
         Raises:
             ValueError: one of them is out of range.
@@ -140,7 +140,8 @@ class BundleAuction:
     def _valid(self, values: Any, delivery: Delivery) -> bool:
         """Whether a message is about as many places, bids no more than one is worth, and has no news of the future.
 
-        News is stamped by the clock of whom it is about, which may be ahead by the time after which one is forgotten.
+        News has a time stamp by the clock of its own vehicle. That clock may be ahead by up to the time after which a
+        vehicle is forgotten.
         """
         count = len(self._places)
         match values:
@@ -155,7 +156,7 @@ class BundleAuction:
         return False
 
     def _release(self, tick: int) -> None:
-        """Free the tasks of vehicles of which there has been no news for long."""
+        """Free the tasks of vehicles without news for a long time."""
         bidder = self._bidder
         for m in set(bidder.winners) - {NOBODY, bidder.number}:
             if tick - bidder.heard.get(m, 0) > self._silence_ticks and bidder.forget(m):
@@ -176,7 +177,7 @@ class BundleAuction:
                 self._plan = None
 
     def _score(self, path: Sequence[int]) -> float:
-        """What a path is worth: each place discounted by the time at which it is reached."""
+        """The value of a path: each place discounted by the time of its visit."""
         assert self._plan is not None
         t, place = self._plan
         total = 0.0
@@ -224,7 +225,7 @@ class BundleAuction:
 
 
 def _is_news(pair: Any, latest: int) -> bool:
-    """Whether it is a vehicle and a tick at which there was news of it."""
+    """Whether it is a vehicle, and a tick at which there could be news of it."""
     return isinstance(pair, list) and len(pair) == 2 and is_count(pair[0], _LARGEST) and is_count(pair[1], latest)
 
 

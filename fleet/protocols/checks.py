@@ -16,9 +16,9 @@ class TrueMean:
         """Make it.
 
         Args:
-            facts: what is known of the scenario.
-            below: how far off an average may be [degC].
-            within: after the start, and after every change of the sides, so much time is allowed.
+            facts: about the scenario.
+            below: the greatest error of an average [degC].
+            within: the time allowed after the start, and after every change of the sides.
         """
         self._below, self._within = below, seconds(within)
         self._sides = Sides(facts)
@@ -61,7 +61,7 @@ class TrueMean:
 class AtMostOneLeader:
     """No two vehicles lead at the same time.
 
-    Who leads is what the agents report. An agent that is suspended reports nothing, and does not know how late it is.
+    The agents report whether they lead. An agent that is suspended reports nothing, and does not know how late it is.
     In the whole fleet it counts until its clock shows the `leads_until` of its last report [s], or until it goes on if
     it has no such signal. It is on no side, so on sides it does not count.
     """
@@ -70,9 +70,9 @@ class AtMostOneLeader:
         """Make it.
 
         Args:
-            facts: what is known of the scenario.
+            facts: about the scenario.
             per: one leader in the whole fleet, or one on each side of a partition.
-            grace: after the start, and after every change of the sides, so long there may be more.
+            grace: the time after the start, and after every change of the sides, in which there may be more.
         """
         if per not in ("fleet", "side"):
             raise ValueError(f"per: expected fleet or side, got {per!r:.40}")
@@ -85,7 +85,7 @@ class AtMostOneLeader:
         self._gap = facts.duration - facts.begin, facts.begin  # the shortest between two leaders [s], and when
 
     def step(self, tick: Tick) -> Failure | None:
-        """Count those that lead."""
+        """Count the leaders."""
         self._sides.update(tick)
         leaders = [vehicle.id for vehicle in tick.vehicles if self._leads(vehicle, tick.t)]
         groups = self._sides.groups if self._per_side else (tuple(vehicle.id for vehicle in tick.vehicles),)
@@ -110,7 +110,7 @@ class AtMostOneLeader:
         return f"{self._most} at once at most" + (" on a side, with the grace" if self._grace else "")
 
     def margin(self) -> Margin:
-        """The shortest time for which nobody led between two leaders."""
+        """The shortest time without a leader between two leaders."""
         return Margin(self._gap[0], "s", self._gap[1])
 
     def _leads(self, vehicle: Vehicle, t: float) -> bool:
@@ -135,9 +135,9 @@ class AgreeAfterHeal:
         """Make it.
 
         Args:
-            facts: what is known of the scenario.
-            within: so long after the start, and after every change of the sides, such as a heal or the death of a
-                vehicle, they must agree, and must go on to until the next change.
+            facts: about the scenario.
+            within: the time after the start, and after every change of the sides, such as a heal or the death of a
+                vehicle. After it they must agree, until the next change.
             quorum: as that of the agents; with `fleet`, sides of half the fleet or less must agree that there is no
                 leader.
         """

@@ -1,9 +1,9 @@
 """Leader election with leases, flooded through neighbours.
 
-Every vehicle sends a record of itself, and the newest record of every other that it has heard of: [vehicle, tick at
-which it was made, candidate, tick up to which it grants that candidate a lease]. A record is fresh for one lease.
+Every vehicle sends a record of itself, and the newest record of every other that it has heard of: [vehicle, tick of the
+record, candidate, tick up to which it grants that candidate a lease]. A record is fresh for one lease.
 
-* A vehicle grants to one candidate at a time: it turns to another one only when all that it granted before has expired.
+* A vehicle grants to one candidate at a time: it turns to another one only when all its earlier grants have expired.
   After its start it first listens for one lease, because a life before may have granted.
 * It grants to the leader that it knows of; if there is none, to the lowest number that is fresh.
 * What it grants lasts one lease from the candidate's newest record, so who is not heard leads for one lease at most.
@@ -12,9 +12,8 @@ which it was made, candidate, tick up to which it grants that candidate a lease]
 * The leader knows until when it leads if it hears nothing more: `leads_until`. A process that was suspended compares it
   with its clock before it acts as the leader.
 
-What this promises, and on which assumptions, is in docs/guide/protocols/election.md. Leases are those of C. Gray and
-D. Cheriton ("Leases", SOSP 1989). Times are those of each vehicle's own clock, and the promises hold as long as the
-clocks agree.
+docs/guide/protocols/election.md has the promises and their assumptions. Leases are those of C. Gray and D. Cheriton
+("Leases", SOSP 1989). Times are those of each vehicle's own clock, and the promises hold as long as the clocks agree.
 """
 
 from __future__ import annotations
@@ -63,10 +62,10 @@ class Election:
 
         Args:
             config: the agent's own slice of the scenario.
-            vehicles: how many there are in the fleet; their numbers are 1 to this one.
-            lease_s: how long a grant and a record last [s].
-            quorum: more than half of whom make a leader: of the fleet, or of those that a vehicle has heard of within a
-                lease, so that each side of a partition elects its own.
+            vehicles: the number of vehicles in the fleet; they are numbered from 1.
+            lease_s: the length of a grant and of a record [s].
+            quorum: a leader needs more than half of these: of the fleet, or of the vehicles heard of within a lease.
+                With the latter each side of a partition elects its own leader.
         """
         if quorum not in ("fleet", "side"):
             raise ValueError(f"quorum: expected fleet or side, got {quorum!r:.40}")
@@ -132,7 +131,7 @@ class Election:
         return next((i for i, count in votes.items() if i != NOBODY and 2 * count > voters), NOBODY)
 
     def _leads_until(self, fresh: dict[int, _Record]) -> int:
-        """The tick from which it leads no longer if it hears nothing more; it leads now."""
+        """The tick from which it leads no longer if it hears nothing more. It leads now."""
         grants = sorted(record.until for record in fresh.values() if record.candidate == self._id)
         others = sorted(record.made + self._lease for i, record in fresh.items() if i != self._id)
 
@@ -145,8 +144,8 @@ class Election:
     def _is_valid(self, values: Any, delivery: Delivery) -> bool:
         """Whether these are records of vehicles of this fleet, made by now, that grant for a lease at most.
 
-        Who passes a record on, who made it and who is its candidate have clocks of their own: each may be ahead of the
-        one before, but not by more than a lease.
+        Three clocks matter: of the vehicle that passes a record on, of its maker, and of the maker's candidate. Each
+        may be ahead of the one before, by a lease at most.
         """
         return (
             isinstance(values, list)

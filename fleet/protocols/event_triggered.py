@@ -47,8 +47,8 @@ class EventTriggered:
 
         Args:
             config: the agent's own slice of the scenario.
-            threshold_m: deviation [m] up to which it is silent; 0: it always sends.
-            silence_s: time [s] after which it sends in any case.
+            threshold_m: up to this deviation [m] it is silent; 0: it always sends.
+            silence_s: after this time [s] it sends in any case.
             ahead_s: weight [s] of an error of the velocity; 0: only the position counts.
 
         Raises:

@@ -1,8 +1,8 @@
 """A roll call: all vehicles go on to the next phase together, when enough of them have reached this one.
 
 Every vehicle sends the phase of each that it has heard of, and keeps the largest, so that lost, late and repeated
-messages change nothing. It goes on when as many as its `quorum` have reached its phase; who was left behind, or has
-started anew, takes the phase of those that are ahead.
+messages change nothing. It goes on when as many as its `quorum` have reached its phase. A vehicle that was left behind,
+or has started anew, takes the phase of the vehicles that are ahead.
 
 * `all`: no phase begins before every vehicle is there. If one never answers again, the others wait for ever.
 * `majority`: more than half of the fleet is enough. A phase may leave the others behind.

@@ -1,11 +1,11 @@
 """Whether what was delivered within a window connects every vehicle with the reference, window after window.
 
-The graph of a window of W ticks that ends with tick t has a link (j, i) if it delivered a whole payload at a tick in
-(t - W, t]. The window is connected if every vehicle can be reached over its links from those that follow the reference
-(b_i > 0): with the reference as the root, the union of the graphs within the window contains a spanning tree. That it
-does so in every window of some length is what consensus needs in a changing topology (A. Jadbabaie, J. Lin,
-A. S. Morse, IEEE TAC 48(6), 2003, "jointly connected", with a leader; W. Ren, R. W. Beard, IEEE TAC 50(5), 2005, "the
-union has a spanning tree frequently enough"); their proofs are for links without delay.
+The graph of a window of W ticks that ends with tick t has a link (j, i) if it delivered a whole payload at a tick in (t
+- W, t]. The window is connected if a path over its links leads to every vehicle from one that follows the reference
+(b_i > 0). In other words, with the reference as the root, the union of the graphs within the window contains a spanning
+tree. That it does so in every window of some length is what consensus needs in a changing topology (A. Jadbabaie, J.
+Lin, A. S. Morse, IEEE TAC 48(6), 2003, "jointly connected", with a leader; W. Ren, R. W. Beard, IEEE TAC 50(5), 2005,
+"the union has a spanning tree frequently enough"); their proofs are for links without delay.
 
 Windows slide by single ticks, exactly: a link goes when its last delivery leaves the window, and only then can anything
 become unreached.
@@ -34,7 +34,7 @@ class Outage(NamedTuple):
 
 
 class Connectivity:
-    """Follows the windows of one length through the fates of a run, in the order in which the journal has them."""
+    """Follows the windows of one length through the fates of a run, in the order of the journal."""
 
     def __init__(
         self, links: Iterable[Link], roots: Iterable[int], wanted: Iterable[int], window: int, after: int = 0
@@ -73,7 +73,7 @@ class Connectivity:
 
     @classmethod
     def asked(cls, scenario: Scenario) -> Connectivity | None:
-        """What the scenario's check needs; None if it has none."""
+        """The input that the scenario's check needs; None if it has no such check."""
         check = scenario.spec.checks.connected
         if check is None:
             return None
@@ -106,14 +106,14 @@ class Connectivity:
         self.windows = max(0, end - self._first)
 
     def so_far(self, end: int) -> Connectivity:
-        """What `close` would leave; this one goes on."""
+        """The result that `close` would return now; this object goes on."""
         found = copy(self)
         found._last, found._order = dict(self._last), deque(self._order)
         found.close(end)
         return found
 
     def _go_to(self, tick: int) -> None:
-        """Judge the windows that end before `tick`, and let go of what is not in the one that ends with it."""
+        """Judge the windows that end before `tick`, and drop everything older than the window that ends with it."""
         if self._now < self._first < tick:
             self._go_to(self._first)
         self._look()

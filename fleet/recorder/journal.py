@@ -196,7 +196,7 @@ class Journal:
         self._events.insert(place, event)
 
     def end_event(self, fault: str, tick: int) -> None:
-        """End a fault earlier than planned; one that has not begun is removed."""
+        """End a fault earlier than planned. If it has not begun, remove it."""
         if any(e.fault == fault and e.action == "begins" and e.tick >= tick for e in self._events):
             self._events = deque(e for e in self._events if e.fault != fault)
             return
@@ -209,7 +209,7 @@ class Journal:
         self._planned_deaths.update((absence.vehicle, absence.begin) for absence in absences)
 
     def _write_events(self, frame: Frame) -> None:
-        """What was to happen up to this tick, and what happened to agents without that."""
+        """Write the planned events up to this tick, and the unplanned ends of agents."""
         for life in frame.lives:
             i = life.vehicle
             if life.begins and i in self.deaths:

@@ -25,7 +25,7 @@ class LogError(FleetError):
 
 
 class LogFile:
-    """A new MCAP file, to which `LogWriter` writes its encoded messages.
+    """A new MCAP file; `LogWriter` writes its encoded messages into it.
 
     `close` writes the end of the file; without it the file is truncated but readable. Every method that writes raises
     LogError when the operating system reports an error.
@@ -66,7 +66,7 @@ class LogFile:
             self._writer.attachment(Attachment(0, 0, name, media_type, data))
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write metadata, and pass all that was written so far to the operating system.
+        """Write metadata, and pass everything written until now to the operating system.
 
         So the file of a run that is killed within its first second holds at least the scenario.
         """

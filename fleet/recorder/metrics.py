@@ -51,7 +51,7 @@ class VehicleError(NamedTuple):
 
 @dataclass(slots=True)
 class Series:
-    """What is kept of one vehicle: one value per frame, and sums over them."""
+    """The record of one vehicle: one value per frame, and sums over them."""
 
     e: array[float] = field(default_factory=lambda: array("d"))
     formation: array[float] = field(default_factory=lambda: array("d"))
@@ -78,7 +78,7 @@ class _Places(NamedTuple):
 
 
 class _Vehicle(NamedTuple):
-    """What the errors of one vehicle are measured by."""
+    """The inputs that the errors of one vehicle are computed from."""
 
     plan: Offset  # p_i
     b: float
@@ -215,7 +215,7 @@ class Metrics:
             rows[str(i)] = VehicleResult(
                 settle_10pct_s=settling_time(self.times, series.e, SETTLE_FRACTION * initial, self._disturbance),
                 settle_5cm_s=settling_time(self.times, series.e, SETTLE_M, self._disturbance),
-                e_rms_m=sqrt(sum(series.e[k] ** 2 for k in late) / len(late)),
+                e_rms_m=sqrt(sum(series.e[k] * series.e[k] for k in late) / len(late)),
                 e_final_m=series.e[-1],
                 formation_final_m=series.formation[-1],
                 effort_Ns=series.effort_Ns,

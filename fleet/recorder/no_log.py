@@ -1,4 +1,4 @@
-"""What stands in for the log of a run with `log: none`: the digest, and nothing is written."""
+"""The stand-in for a log in a run with `log: none`: it computes the digest, and writes nothing."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ class AgentProtocol(NamedTuple):
         return cls(agent.name, tuple(signal for _, signal in sorted(known, key=lambda one: one[0] not in judged)))
 
     def values(self, telemetry: tuple[float, ...]) -> dict[str, SignalValue]:
-        """What it reported last, by name; nothing: it reports no more."""
+        """The last report of the vehicle, by name; empty: it reports no more."""
         return {
             name: SignalValue(telemetry[place] if isfinite(telemetry[place]) else None, unit)
             for name, unit, place in (self.signals if telemetry else ())

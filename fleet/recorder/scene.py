@@ -1,4 +1,4 @@
-"""What 3D viewers draw, as Foxglove's SceneUpdate: hulls, links and the places where the vehicles should be.
+"""The drawing for 3D viewers, as Foxglove's SceneUpdate: hulls, links and the places where the vehicles should be.
 
 Every message is complete: a viewer that jumps to a time looks no further back than to the last message of a topic, and
 a log that goes on from a snapshot has none before it. All that is remembered from one to the next is what became of the
@@ -80,7 +80,7 @@ class Scene:
     """The scene of one run; receives packets and frames as the log is written."""
 
     def __init__(self, scenario: Scenario, start: Snapshot | None = None) -> None:
-        """`start`: the snapshot from which the run goes on."""
+        """`start`: the snapshot that the run continues."""
         self._scenario = scenario
         self._model = SceneModel(scenario)
         self.links = LinkHistories(scenario.graph.links)
@@ -102,9 +102,9 @@ class Scene:
         self._formation = b""  # and how that is drawn
 
     def see(self, frame: Frame, commands: Iterable[int]) -> None:
-        """Take note of a tick, and of which vehicles have commands; at the end tick nobody is asked.
+        """Note a tick, and the vehicles that have commands. The end tick has no commands.
 
-        On a wall clock one that was asked may miss ticks, and is silent when it has missed them for a while.
+        On a wall clock an agent may miss ticks. It is silent when it has missed them for a while.
         """
         if frame.tick == self._scenario.ticks:
             return
@@ -132,7 +132,10 @@ class Scene:
         return (row for row in frame.vehicles if row.id in self._navigating)
 
     def _belief(self, row: VehicleFrame, place: Vec3) -> bytes:
-        """What a vehicle believes of its place; an empty entity, which replaces the one before, if nobody asked it."""
+        """The vehicle's belief about its place.
+
+        At a tick without one the entity is empty and replaces the one before.
+        """
         drawn: list[Primitive] = []
         if row.nav:
             x, y, z = (believed - true for believed, true in zip(row.nav[:3], row.eta[:3], strict=True))
@@ -164,7 +167,7 @@ class Scene:
 
 
 def _link(link: Link) -> SceneEntity:
-    """What comes first in the entity of a link."""
+    """The first part of the entity of a link."""
     return SceneEntity(frame_id=REFERENCE, id=f"link {link[0]}-{link[1]}", frame_locked=True)
 
 

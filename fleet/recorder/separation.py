@@ -46,7 +46,7 @@ class Separation:
 
     @classmethod
     def asked(cls, scenario: Scenario) -> Separation | None:
-        """What the scenario's check needs; None if it has none."""
+        """The input that the scenario's check needs; None if it has no such check."""
         check = scenario.spec.checks.min_separation
         if check is None:
             return None

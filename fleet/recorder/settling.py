@@ -1,8 +1,8 @@
 """When an error counts as settled: one rule for the result table, the checks and the report on the paper.
 
-An error settles at the first time from which on it stays below its limit to the end, if that is long enough before
-the end. Under a periodic disturbance an error that crosses its limit in every period is below it for a moment
-before the end of any run: without a least length, the answer would be a matter of when the run ends.
+An error settles at the first time after which it stays below its limit to the end. That time must be long enough before
+the end. The reason is a periodic disturbance: an error that crosses its limit in every period is below it for a moment
+before the end of any run. Without a least length, the answer would depend on the end of the run.
 """
 
 from __future__ import annotations
@@ -18,14 +18,16 @@ MOST_S = 10.0  # ... but no more than this
 
 
 def least_s(disturbance: Iterable[Harmonic], judged_s: float) -> float:
-    """How long [s] an error must have stayed below its limit, of `judged_s` in which it could."""
+    """The least time [s] for which an error must have stayed below its limit, of `judged_s` in which it could."""
     slowest = min((abs(h.omega) for h in disturbance if h.amplitude and h.omega), default=0.0)
     periodic = PERIODS * tau / slowest if slowest else 0.0
     return max(periodic, min(SHARE * judged_s, MOST_S))
 
 
 def below_from(values: Sequence[float], limit: float, begin: int, end: int) -> int:
-    """The first place in `begin .. end` from which on all values before `end` are below the limit; `end` if none is."""
+    """The first place in `begin .. end` after which all values before `end` are below the limit; `end` if there is
+    none.
+    """
     place = end
     while place > begin and values[place - 1] < limit:  # what is no number is not below
         place -= 1

@@ -1,8 +1,10 @@
-"""Snapshots: all that determines the rest of a run, in its log at a stated interval, to go on from there.
+"""Snapshots: everything that determines the rest of a run, in its log at a stated interval.
 
-A snapshot is of a round tick S, before anybody measures: the vehicles as they are at S, every agent's memory after its
-sample S - 1 with what it was handed and is not due yet, and the network before the round of S. Faults are not in it:
-they are in the scenario, or in the log. It is plain values as MessagePack, never pickled objects.
+Another run can go on from there.
+
+A snapshot belongs to a round tick S, before the vehicles measure. It has the vehicles at S, and the network before the
+round of S. It also has every agent's memory after its sample S - 1, with deliveries that are not due yet. Faults are
+not in it: they are in the scenario, or in the log. It is plain values as MessagePack, never pickled objects.
 """
 
 from __future__ import annotations
@@ -55,7 +57,7 @@ class Snapshot:
 
     @property
     def memories(self) -> dict[int, bytes]:
-        """What each agent remembers; nothing of those that are not there."""
+        """Each agent's memory; without the agents that are not there."""
         return {known.vehicle: known.agent for known in vehicle_memories(self.world) if known.agent}
 
 

@@ -1,4 +1,4 @@
-"""A protobuf message of which only some doubles change: encoded once, then they are put in their places."""
+"""A protobuf message with changing doubles: encoded once, then new doubles are put in their places."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """All messages of a tick that hold doubles only, encoded, framed and laid out for the digest at once.
 
 A tick of four vehicles has 28 of them, of a hundred vehicles 700. They differ from those of the tick before by numbers
-alone. So the numbers of all vehicles go into one pool of bytes, in which everything else stands already: tags, lengths,
-channels, topics. A layout says where in the pool each byte comes from, and numpy gathers them. Which layout it is
-depends on which messages the tick has, and on the length of its timestamp.
+alone. So the numbers of all vehicles go into one pool of bytes. The pool already contains everything else: tags,
+lengths, channels, topics. A layout says where in the pool each byte comes from, and numpy gathers them. The messages of
+the tick, and the length of its timestamp, determine the layout.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ class _Kind(NamedTuple):
 
 
 class TickMessages:
-    """Makes the messages of one tick after the other. What it keeps does not grow with the run."""
+    """Makes the messages of one tick after the other. Its memory does not grow with the run."""
 
     def __init__(
         self,
@@ -122,8 +122,8 @@ class TickMessages:
 
         Args:
             topics: of every topic group and vehicle.
-            agents: what the agent of each vehicle reports.
-            plants: likewise the plant of each vehicle that has one.
+            agents: the signals of each vehicle's agent.
+            plants: the signals of each vehicle's plant, if it has one.
             navigating: the vehicles that do not know where they are.
         """
         self._topics = topics
@@ -172,7 +172,7 @@ class TickMessages:
             errors: of every vehicle of the frame.
             groups: the topic groups that are due.
             at_ns: the time of the tick.
-            stamp: the same, as `fleet.logs.schemas.stamp_field` writes it.
+            stamp: the time as `fleet.logs.schemas.stamp_field` writes it.
         """
         pool, there = self._pool, []
         reported = "guidance" in groups or "control" in groups or "located" in groups

@@ -1,8 +1,8 @@
 """The log of a run: what the journal records, encoded as messages on channels in a fixed order.
 
-Only what determines results is written (no wall clock, host, pid or port), so that the same scenario and seed give
-the same bytes. `log_time` is the tick at which something happened, `publish_time` the tick at which it was sent; both
-in ns = tick * Ts.
+Only what determines results is written (no wall clock, host, pid or port), so that the same scenario and seed give the
+same bytes. `log_time` is the tick of the event, and `publish_time` the tick at which it was sent. Both are in ns = tick
+* Ts.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ from world.signal import Signal
 
 
 class MessageSink(Protocol):
-    """What takes the messages of a log: a file, or a comparison with another log. Times in ns of simulated time."""
+    """The receiver of a log's messages: a file, or a comparison with another log. Times in ns of simulated time."""
 
     def attachment(self, name: str, media_type: str, data: bytes) -> None: ...
     def metadata(self, name: str, values: Mapping[str, str]) -> None: ...
@@ -261,7 +261,7 @@ class LogWriter:
         self._sink.flush(at_ns)
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        """Write all that determines the rest of the run."""
+        """Write everything that determines the rest of the run."""
         at_ns = snapshot.tick * self._tick_ns
         snapshot = replace(snapshot, drawn=self._scene.links.values())
         message = self._snapshot(state=snapshot.to_bytes())
@@ -277,7 +277,7 @@ def _both(sink: MessageSink, tap: Tap) -> Callable[[int, int, int, int, bytes], 
 
 
 def run_metadata(scenario: Scenario, start: Start | None = None) -> dict[str, str]:
-    """What determines a run's result besides the scenario attachment."""
+    """The metadata that determine a run's result, in addition to the scenario attachment."""
     return {
         "scenario": scenario.name,
         "seed": str(scenario.seed),
@@ -313,14 +313,14 @@ def _resumable(scenario: Scenario) -> str:
 
 
 def schema_name(config: AgentConfig, group: str) -> str:
-    """What the message of a topic group is called, after the law that fills it."""
+    """The name of the message of a topic group, after the law that fills it."""
     running = laws(config)
     law = running.get({"guidance": "guidance", "control": "tracking"}[group]) or next(iter(running.values()))
     return message_name(law.name, group)
 
 
 def message_name(name: str, group: str) -> str:
-    """What the message of a topic group is called, after the law or plant that fills it."""
+    """The name of the message of a topic group, after the law or plant that fills it."""
     if ":" in name:
         return f"{name.replace(':', '.')}{group.capitalize()}"
     words = re.findall(r"[A-Za-z0-9]+", name)

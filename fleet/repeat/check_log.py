@@ -54,7 +54,7 @@ def check_log(
 
     Args:
         overrides: `checks...=...` as for `fleet run --set`.
-        trust: which modules of checks may run that are neither installed nor the user's own.
+        trust: modules of checks that may run, in addition to installed ones and the user's own.
         reading: called with the share of the file that was read, twice from its beginning.
 
     Raises:
@@ -132,7 +132,7 @@ class _Feed:
     """Shows checks what a log holds, in its order: the faults of a tick, its values, and its fates."""
 
     def __init__(self, scenario: Scenario, checks: OwnChecks, first: int) -> None:
-        """`first`: tick at which the log begins."""
+        """`first`: the first tick of the log."""
         self._checks, self._tick_ns, self._end = checks, scenario.tick_ns, scenario.ticks + 1
         self._links = {link_topic(link): link for link in scenario.graph.links}
         self._samples = {
@@ -155,8 +155,9 @@ class _Feed:
         """Show all of a log.
 
         Args:
-            last: its last tick, and it is whole: where it has no sample nobody reported. None: it is not whole. What it
-                has no sample of may be what is missing, also at its last tick, which is left out.
+            the last tick of a whole log. A tick without a sample then means that the vehicle reported nothing. None: it
+                is not whole. A missing sample may then be lost, also at the
+                last tick, which is left out.
         """
         self._whole = last is not None
         decode = Decoder(reader).ours
@@ -203,7 +204,10 @@ class _Feed:
         self._found = {}
 
     def _show_silence(self, until: int) -> None:
-        """The ticks before one at which a sample is due and the log has none: a run shows them to its checks, too."""
+        """Show the ticks before this one at which a sample is due and the log has none.
+
+        A run shows them to its checks, too.
+        """
         for tick in range(self._next, min(until, self._end)) if self._whole else ():
             if self._checks.due(tick):
                 self._take(tick, {})

@@ -1,7 +1,7 @@
 """An agent that sends again what an external agent sent in a log, whose law is not available here.
 
-Its commands, telemetry and memory are recorded; what it transmitted follows from the packets of its links, one of which
-at least has each payload as it was sent, or with a flipped bit that can be turned back.
+Its commands, telemetry and memory are recorded. Its transmissions follow from the packets of its links: at least one
+link has each payload as it was sent, or with a flipped bit that can be turned back.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from world.vectors import ZERO, Vec3
 
 
 class NotRecordedError(FleetError):
-    """The log does not hold all that an external agent sent."""
+    """The log lacks some of the messages that an external agent sent."""
 
 
 @dataclass(slots=True)
 class RecordedAgent:
-    """What one agent sent, by tick."""
+    """The messages of one agent, by tick."""
 
     vehicle: int
     layout: SignalLayout
@@ -61,7 +61,7 @@ class _RecordedCore:
         return tuple(self._agent.payloads.get(nav.tick, ()))
 
     def decide(self, nav: Nav, deliveries: list[Delivery], /) -> Decision:
-        """Raises NotRecordedError for a tick within the log of which it holds no command."""
+        """Raises NotRecordedError if the log includes this tick and has no command for it."""
         agent, tick = self._agent, nav.tick
         tau = agent.commands.get(tick)
         if tau is None:
@@ -81,7 +81,7 @@ class _RecordedCore:
 
 
 def recorded_agents(reader: LogReader, scenario: Scenario, last_ns: int, *, whole: bool) -> dict[int, RecordedAgent]:
-    """What the external agents of a scenario sent in a log, by vehicle.
+    """The messages of a scenario's external agents in a log, by vehicle.
 
     Args:
         reader: of the log, not read yet.

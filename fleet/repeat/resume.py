@@ -51,8 +51,8 @@ def continuation(
 
     Args:
         name: of another scenario than the log's own.
-        trust: which modules of laws may run that are neither installed nor the user's own.
-        tell: hears how much of the log was read, three times from its beginning.
+        trust: modules of laws that may run, in addition to installed ones and the user's own.
+        tell: called with the share of the log that was read, three times from its beginning.
 
     Raises:
         FleetError: there is no log of ours, or the scenario is wrong; the log has no such moment, or the changes are

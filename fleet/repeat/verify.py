@@ -1,8 +1,7 @@
 """`fleet verify`: run a log again, in this process, and compare message by message while it runs.
 
-A log is written in one order, so a run that was stopped, broke or was killed has left the beginning of what it would
-have become: everything recorded must come again, in this order, up to the last recorded message. Nothing is held but
-the message at hand.
+A log is written in one order. So the log of a run that was stopped, broke or was killed is the beginning of the
+complete log. All its messages must come again, in this order. Nothing is held but the message at hand.
 """
 
 from __future__ import annotations
@@ -71,13 +70,13 @@ def verify(
     """Run a log again and compare.
 
     Args:
-        trust: which modules of its laws may run besides those that are installed.
+        trust: modules of its laws that may run in addition to installed ones.
 
     Raises:
         LogReadError: there is no log to read.
         FleetError: it holds no scenario of ours; no message of it is left.
-        ScenarioError: its scenario does not run here: another version wrote it, or a law is not installed
-            and not trusted.
+        ScenarioError: its scenario does not run here, because another version wrote it, or because a law is not
+            installed and not trusted.
         NotRecordedError: it has an external agent, but not all of its commands.
     """
     source = recorded(path, reading)
@@ -97,7 +96,7 @@ def verify(
 
 
 def _scenario(source: Recorded, policy: Policy) -> Scenario:
-    """What to run: the log's scenario if the faults happened as planned, else one with those that happened."""
+    """The scenario to run: the log's if the faults happened as planned, else one with the actual faults."""
     scenario = parse_scenario(source.text, str(source.path), policy=policy)
     happened = [(at_ns, e.fault, e.action, e.what) for at_ns, e in source.events]
     planned = [(e.tick * scenario.tick_ns, e.fault, e.action, e.what) for e in scenario.faults.events]

@@ -81,9 +81,9 @@ def what_if(
     """Give a fresh agent what a recorded one was given.
 
     Args:
-        overrides: `key=value`, as for `fleet run --set`; they concern this agent alone.
-        progress: called with the share that is done: of the two readings of the log, and then of the agent.
-        trust: which modules of this agent's laws may run besides those that are installed and those in `overrides`.
+        overrides: `key=value`, as for `fleet run --set`; they apply to this agent alone.
+        progress: called with the share of the work that is done: two readings of the log, then the agent.
+        trust: modules of this agent's laws that may run, in addition to installed ones and those in `overrides`.
 
     Raises:
         FleetError: there is no log of ours, the agent is not there, its navigation was thinned, or its law may not run
@@ -127,7 +127,7 @@ def _check(path: Path, agent: int, scenario: Scenario, recorded: Scenario, trust
 
 @dataclass(slots=True)
 class _Given:
-    """What the recorded agent was given, and what it commanded."""
+    """The input and the commands of the recorded agent."""
 
     navs: list[tuple[int, tuple[float, ...]]] = field(default_factory=list)  # tick; eta, nu and roll as measured
     beliefs: dict[int, tuple[float, ...]] = field(default_factory=dict)  # by tick: the covariance of its estimate
@@ -206,7 +206,7 @@ class _OtherAgent:
         return core
 
     def _due(self, tick: int) -> list[Delivery]:
-        """What is due up to a tick; it is handed out once."""
+        """The deliveries that are due up to a tick; each is handed out once."""
         due = []
         while self._waiting and self._waiting[0].due_tick <= tick:
             delivery = self._waiting.popleft()
@@ -228,7 +228,7 @@ class _OtherAgent:
 
 
 def _law(scenario: Scenario, agent: int) -> object:
-    """What must be the same for an agent to take the memory of another."""
+    """The properties that two agents must share so that one can take the other's memory."""
     return laws(scenario.controls[agent - 1]), scenario.graph.links
 
 

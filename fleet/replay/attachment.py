@@ -1,4 +1,4 @@
-"""What goes along with every published sample of a journal: its times and its place, as an attachment.
+"""The attachment of every published sample of a journal: its times and its place.
 
 A MessagePack array of four unsigned integers:
 

@@ -35,7 +35,7 @@ class Limits:
 
 
 class SampleWriter(Protocol):
-    """What samples are written with."""
+    """Writes samples."""
 
     samples: int
 
@@ -47,7 +47,7 @@ class SampleWriter(Protocol):
 
 
 class SampleSource(Protocol):
-    """What samples come from: a session of zenoh."""
+    """The source of samples: a session of zenoh."""
 
     def subscribe(self, key: str, handler: Callable[[Any], None], /) -> object: ...
 
@@ -183,7 +183,7 @@ class Recorder:
 
         Raises:
             FleetError: the file cannot be written any more.
-            KeyboardInterrupt: the one that `interrupted` returned; between two messages.
+            KeyboardInterrupt: the instance that `interrupted` returned; between two messages.
         """
         began = seen_ns = time.monotonic_ns()
         seen, rate = 0, 0.0

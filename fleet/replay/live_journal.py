@@ -1,7 +1,7 @@
-"""A live run's journal for one who looks at it now and then: what comes waits until it is taken.
+"""A live run's journal for a reader that looks at it now and then. Messages wait until the reader takes them.
 
-The publisher is a process of its own, so nothing here can hold the run up. What the queue has no room for is left out
-and counted.
+The publisher is a process of its own, so nothing here can hold the run up. Messages for which the queue has no room are
+left out and counted.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class LiveJournal:
         self._came.wait(limit_s)
 
     def take(self) -> list[JournalMessage]:
-        """What has come, in its order."""
+        """The messages that have come, in their order."""
         self._came.clear()
         waiting, found = self._waiting, []
         for _ in range(len(waiting)):
@@ -84,7 +84,7 @@ class LiveJournal:
         return found
 
     def take_newest(self) -> list[JournalMessage]:
-        """The newest of each topic of which that is followed, where one has come."""
+        """The newest message of each topic that is followed in this way, if one has come."""
         some = [self._newest.pop(key) for key in list(self._newest)]
         return [message for message in map(self._message, some) if message is not None]
 

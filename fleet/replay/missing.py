@@ -1,4 +1,6 @@
-"""What a subscriber to a live run's journal did not get: dropped on its way, because somebody was too slow for it.
+"""The messages that a subscriber to a live run's journal did not get.
+
+They were dropped on their way, because the subscriber or a router was too slow.
 
 Each sample says which place its message has in its topic (zenoh's source information), and at the end the publisher
 says on a key of its own how many messages each topic had: a MessagePack map.
@@ -18,7 +20,7 @@ class Missing:
         self._totals: dict[str, int] = {}  # told at the end
 
     def came(self, topic: str, place: int | None) -> None:
-        """A message came; a publisher that does not number them is one of whose messages none is missing."""
+        """Note a message. If the publisher does not number them, none counts as missing."""
         if place is None:
             return
         self._gaps[topic] = self._gaps.get(topic, 0) + place - self._next.get(topic, place)
@@ -56,7 +58,7 @@ class Missing:
 
 
 def left_out(count: int) -> str:
-    """What is said of messages that did not come."""
+    """A sentence about messages that did not come."""
     messages = "1 message was" if count == 1 else f"{count} messages were"
     return f"{messages} left out on the way here: more was published than this machine could take"
 

@@ -40,7 +40,7 @@ def read_observed(path: Path) -> Observed:
 
 
 def new_observed(endpoint: str, run: str) -> Observed:
-    """What an observer of a run will need, with a password that nobody has yet."""
+    """The data that an observer of a run will need, with a new password."""
     return Observed(endpoint, OBSERVER, secrets.token_urlsafe(24), run)
 
 

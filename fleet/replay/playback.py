@@ -189,7 +189,7 @@ class Replay:
             self.published += 1
 
     def _attachment(self, number: int, sequence: int) -> bytes | None:
-        """What was attached to a sample of captured traffic: the message before it."""
+        """The attachment of a sample of captured traffic: the message before it."""
         if not number or not self._attached:
             return None
         entry = self._tape[number - 1]
@@ -215,7 +215,7 @@ class Replay:
         ]
 
     def summary(self, wall_s: float) -> str:
-        """What was played, in words."""
+        """A summary of the played messages, in words."""
         return (
             f"played {self.published} messages in {wall_s:.2f} s "
             f"({self.published / max(wall_s, 1e-9):.0f} messages/s), {self.player.missed} late"
@@ -241,7 +241,7 @@ def obey(player: Player, key: Key, now: int) -> range:
 
 
 def _merged(key_of: dict[str, str]) -> str:
-    """A sentence about keys on which a renaming puts more than one topic; empty if there is none."""
+    """A sentence about keys that get more than one topic by a renaming; empty if there is none."""
     topics: dict[str, list[str]] = {}
     for topic, key in key_of.items():
         topics.setdefault(key, []).append(topic)

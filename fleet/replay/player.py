@@ -93,7 +93,7 @@ class Player:
         return min(reached, int(self._times[self._next])) if self._next < self._stop else reached
 
     def due(self, now: int, most: int) -> range:
-        """The next messages that are due, at most so many; they count as played."""
+        """The next messages that are due, up to a number of them; they count as played."""
         if self._paused:
             return range(0)
         if self._next >= self._stop:
@@ -138,7 +138,7 @@ class Player:
             self.pause(now)
 
     def step(self, now: int) -> range:
-        """Pause, and hand out the next message with all that have its time: a tick of a run."""
+        """Pause, and hand out the next message with all others of the same time: a tick of a run."""
         self.pause(now)
         if self._next >= self._stop:
             if self.over:
@@ -151,7 +151,7 @@ class Player:
         return found
 
     def seek(self, now: int, log_ns: int) -> None:
-        """Go to a log time, or to the nearer end; a pause remains one. What is skipped is not handed out."""
+        """Go to a log time, or to the nearer end; a pause remains one. Skipped messages are not handed out."""
         at = min(max(log_ns, self.begin_ns), self.end_ns)
         self._next = min(max(self._before(at), self._first), self._stop)
         self._origin = now, at
@@ -162,7 +162,7 @@ class Player:
         self._rate = min(max(rate, SLOWEST), FASTEST) if rate else 0.0
 
     def stood_still(self, ns: int) -> None:
-        """Nobody was there for so long: what was due meanwhile is due so much later, and not late."""
+        """Shift the schedule by the time without a reader. Messages that were due meanwhile are then not late."""
         wall, log = self._origin
         self._origin = wall + ns, log
 

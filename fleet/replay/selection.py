@@ -1,4 +1,4 @@
-"""Which topics are played, and on which keys."""
+"""The topics that are played, and their keys."""
 
 from __future__ import annotations
 

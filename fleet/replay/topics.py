@@ -1,4 +1,7 @@
-"""Which topics a run or a replay publishes, with which schemas, and of which scenario: handed out, and asked for."""
+"""The catalogue of a run or a replay: its topics, their schemas, and its scenario.
+
+One side hands it out, the other asks for it.
+"""
 
 from __future__ import annotations
 

@@ -97,7 +97,7 @@ CASES: dict[str, Case] = {case.name: case for case in _cases()}
 
 @dataclass(slots=True)
 class Outcome:
-    """What is kept of one case: numbers per vehicle, and signals for the pictures."""
+    """The record of one case: numbers per vehicle, and signals for the pictures."""
 
     name: str
     metrics: list[dict[str, Any]]
@@ -114,7 +114,7 @@ class Outcome:
 
     @property
     def failure(self) -> str:
-        """What a run without fault does not have: a vehicle that tumbled, an early end; empty: neither."""
+        """The fault of a run: a vehicle that tumbled, or an early end; empty: none."""
         ended = f"ended early: {self.broken}" if self.broken else ""
         return "; ".join(text for text in (self.tumbled, ended) if text)
 

@@ -183,7 +183,7 @@ def gains(o: Outcomes, sea: str) -> Figure:
 
 
 def bursts(o: Outcomes, sea: str) -> Figure:
-    """What a gain without an upper bound leads to in two minutes: UUV 2."""
+    """The result of two minutes with a gain that has no upper bound: UUV 2."""
     figure, axes = panels(3, 1)
     shown = [
         Line(f"NBOC-no-k_max-{sea}", "NBOC, no bound on K", COLOURS[0], PLAIN),

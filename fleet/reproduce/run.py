@@ -93,7 +93,7 @@ def _possible(figure: str, outcomes: dict[str, Outcome]) -> bool:
 
 
 def _pictured(figure: str, outcomes: dict[str, Outcome]) -> dict[str, Outcome]:
-    """What a picture may need, which travels to a worker."""
+    """The data that a picture may need, in a form that travels to a worker."""
     sea = FIGURES[figure][1]
     hidden = ("sensitivity", "exact", "unlimited")
     return {

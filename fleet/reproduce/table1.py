@@ -28,7 +28,7 @@ def table_1() -> list[list[str]]:
 
 
 def chosen() -> list[list[str]]:
-    """What the paper does not print and a run cannot do without."""
+    """Values that the paper does not print and a run needs."""
     return _rows(
         ("k_theta, k_psi [1/s]", lambda c: f"{c.tracking.k_theta:g}, {c.tracking.k_psi:g}"),
         ("rho from [m/s]", _optimal(lambda c: _list(c.guidance.rho_lo))),

@@ -1,6 +1,6 @@
 """Results as a JUnit file, which CI services show: one test case per run, check or point.
 
-The form is that of Jenkins' schema (junit-10.xsd), of which all services read at least what is written here.
+The form is that of Jenkins' schema (junit-10.xsd). All services read at least the parts that are written here.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A verdict: one check with what was asked and found, and the moment at which it failed."""
+"""A verdict: one check with its limit, its finding, and the time at which it failed."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Moment(Struct, frozen=True):
 
     @property
     def words(self) -> str:
-        """What was so, in words; empty: nothing to tell."""
+        """The circumstances of the failure, in words; empty if there is nothing to say."""
         faults = ", ".join(self.faults[:4]) + (f" and {len(self.faults) - 4} more" if len(self.faults) > 4 else "")
         active = f"fault{'s' if len(self.faults) > 1 else ''} {faults} active" if self.faults else "no fault active"
         return "; ".join([active, *([] if self.message is None else [self.message.words])])
@@ -93,7 +93,7 @@ class Verdict(Struct, frozen=True):
 
     @property
     def words(self) -> str:
-        """What was found, and the margin; one of 0 tells nothing."""
+        """The finding and the margin. A margin of 0 is left out."""
         return self.found + (f"; margin {self.margin.words}" if self.margin is not None and self.margin.value else "")
 
     def with_margin(self, value: float | None, unit: str, at_s: float | None = None) -> Verdict:

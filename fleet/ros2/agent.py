@@ -99,7 +99,7 @@ class RosAgent:
         return self
 
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:
-        """What the node sent since the round before, as much of it as fits into a round."""
+        """The node's messages since the round before, as many as fit into a round."""
         payloads, size = [], 0
         while not self._sent.empty():
             payload = self._sent.get()
@@ -111,7 +111,7 @@ class RosAgent:
         return tuple(payloads)
 
     def decide(self, nav: Nav, deliveries: list[Delivery]) -> Decision:
-        """What the node answers, within the limits of the actuators."""
+        """The node's answer, within the limits of the actuators."""
         ns = nav.tick * self._settings.tick_ns
         for delivery in deliveries:
             self._rx.publish(self._received(nav, delivery))
@@ -132,7 +132,7 @@ class RosAgent:
         )
 
     def _take(self, tick: int, stamp: _Stamp) -> None:
-        """Take answers: until the one to this stamp has come, or, on a wall clock, those that are there."""
+        """Take answers: in lockstep until the one to this stamp has come, on a wall clock those that are there."""
         tell_s = time.monotonic() + TELL_S
         while True:
             try:

@@ -12,7 +12,7 @@ MOST = 10_000  # faults that are kept: a log may come from a stranger
 
 
 class Diagnostics:
-    """What is known of the faults and checks of one run."""
+    """The present knowledge of the faults and checks of one run."""
 
     def __init__(self, maker: MessageMaker) -> None:
         self._maker = maker

@@ -1,4 +1,4 @@
-"""What of a run becomes which topic of ROS 2: the one table that the bridge, bags and the page of the guide use.
+"""The mapping from a run to the topics of ROS 2: the one table that the bridge, bags and the page of the guide use.
 
 Positions are in `map` (east, north, up), what a vehicle has of its own in its `base_link` (forward, port, up). The
 frames of the log stay in the tree, as `ned` and `uuv-<i>` (forward, starboard, down), so /tf needs no change of axes.

@@ -45,7 +45,7 @@ class RosPublisher:
 
     @property
     def matched(self) -> bool:
-        """Whether anybody subscribes; what is kept for those who come later counts as asked for."""
+        """Whether there is a subscriber. Messages that are kept for later subscribers count as wanted."""
         return self._plain is None or self._plain.matched
 
     def publish(self, message: Any) -> None:
@@ -124,7 +124,7 @@ class RosNode:
         self._bus.serve(entity.key, answer)
 
     def call(self, service: str, type_name: str, request: Any) -> Any:
-        """The answer of a service to a request; None: nobody answers.
+        """The answer of a service to a request; None: no answer came.
 
         Raises:
             ValueError: the answer is none of the type.

@@ -17,7 +17,7 @@ MOST_SAID = 100
 
 
 class WithHistory:
-    """Subscribes to what comes, and to what publishers keep for those who come late, such as /tf_static."""
+    """Subscribes to new messages, and to those that publishers keep for late subscribers, such as /tf_static."""
 
     def __init__(self, bus: RosBus) -> None:
         self._bus = bus
@@ -80,7 +80,7 @@ class BagWriter:
             self._bag.close()
 
     def _topic(self, sample: ZenohSample) -> Entity | None:
-        """The topic of a key, declared in the bag; None: it cannot be recorded, which is told."""
+        """The topic of a key, declared in the bag; None: it cannot be recorded, and the user gets a message."""
         entity = read_key(sample.key)
         if problem := f"{sample.key} is no key of rmw_zenoh" if entity is None else self._problem(entity):
             self._say(f"left out: {problem[:200]}; fleet record --key records any bytes")

@@ -1,7 +1,7 @@
 """Names on the wire as rmw_zenoh has them: keys of topics and services, liveliness tokens, attachments.
 
-Written from the design page of rmw_zenoh (`docs/design.md` in github.com/ros2/rmw_zenoh). A token tells others which
-entities there are; an attachment goes with every message, and a subscriber drops one that has none.
+Written from the design page of rmw_zenoh (`docs/design.md` in github.com/ros2/rmw_zenoh). A token announces an entity
+to others. An attachment goes with every message, and a subscriber drops a message without one.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ LATCHED = Qos(depth=1, transient_local=True)
 
 
 class Attachment(NamedTuple):
-    """What goes with a message, a request or an answer."""
+    """The attachment of a message, a request or an answer."""
 
     sequence: int  # from 1
     sent_ns: int  # since 1970
@@ -57,7 +57,7 @@ class Entity(NamedTuple):
 
     @property
     def key(self) -> str:
-        """The key on which its messages travel."""
+        """The key of its messages."""
         return f"{self.domain}/{self.name.strip('/')}/{dds_name(self.type)}/{self.hash}"
 
     def token(self, session: str, node: str, number: int, kind: EntityKind, qos: Qos = DEFAULT) -> str:
@@ -129,7 +129,7 @@ def gid_of(token: str) -> bytes:
 
 
 def domain_of(asked: int | None) -> int:
-    """The domain: the one that is asked for, else ROS_DOMAIN_ID, else 0.
+    """The domain: the given one, else ROS_DOMAIN_ID, else 0.
 
     Raises:
         FleetError: it is none.

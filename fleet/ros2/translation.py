@@ -120,7 +120,7 @@ class Translation:
         })  # fmt: skip
 
     def _made(self, i: int, at_ns: int, some: Mapping[str, Callable[[], Any]]) -> list[RosMessage]:
-        """The messages that are wanted of those that could be made."""
+        """The wanted messages among the possible ones."""
         return [
             RosMessage(f"/uuv_{i}/{name}", _BY_NAME[f"/uuv_{{i}}/{name}"], at_ns, make())
             for name, make in some.items()
@@ -152,7 +152,7 @@ class Translation:
         return found
 
     def diagnosed(self, at_ns: int) -> RosMessage:
-        """What is known of faults and checks."""
+        """The present knowledge of faults and checks."""
         return self._message(DIAGNOSTICS, at_ns, self.diagnostics.message(at_ns))
 
     @staticmethod

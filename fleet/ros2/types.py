@@ -101,7 +101,7 @@ class RosTypes:
             raise ValueError(f"{len(data)} bytes that are no {name} in CDR ({type(error).__name__})") from None
 
     def definition(self, name: str) -> str:
-        """The text of a message type, with those that it is made of, as a bag holds it."""
+        """The text of a message type and of the types that it consists of, as a bag holds it."""
         return str(self.store.generate_msgdef(name, ros_version=2)[0])
 
 

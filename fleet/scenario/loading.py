@@ -33,10 +33,10 @@ def load_scenario(
     """The scenario of a shipped name or of a file, with overrides applied.
 
     Args:
-        trust: which modules may run that are neither installed nor the user's own; see `fleet.scenario.trust`.
-        imports: whether the laws that the file names are imported, to check that they can be used.
-        refused: a list to which the laws that may not run are appended; None: such a law is an error.
-        origin: where the overrides come from.
+        trust: modules that may run, in addition to installed ones and the user's own; see `fleet.scenario.trust`.
+        imports: import the laws that the file names, to check that they can be used.
+        refused: a list that receives the laws that may not run; None: such a law is an error.
+        origin: the place that the overrides come from.
 
     Raises:
         ScenarioError: with every mistake that was found, in the order of the file.
@@ -58,10 +58,10 @@ def parse_scenario(
 
     Args:
         source_name: the name of the text in problems.
-        overrides: what options change; a text alone is `key.path=value`, as for `--set`.
-        folder: where files of vehicles, and modules of laws that are not installed, are looked for besides the
-            current directory.
-        policy: which of these modules may run; by default none.
+        overrides: changes by options; a text alone is `key.path=value`, as for `--set`.
+        folder: the search for files of vehicles, and for modules of laws that are not installed, begins here. The
+            current directory follows.
+        policy: these modules may run; by default none.
 
     Raises:
         ScenarioError: with every mistake that was found, in the order of the text.
@@ -70,7 +70,7 @@ def parse_scenario(
     root, problems = read(source)
     if not isinstance(root, Mapping):
         if root is not None:
-            problems.append(root.place.problem("expected a mapping of keys to values"))
+            problems.append(root.place.problem("expected keys with values, such as duration: 30 s"))
         raise ScenarioError(problems)
     if "name" not in root.entries:
         name = re.sub(r"[^a-z0-9_-]+", "-", Path(source_name).stem.lower()).strip("-_")[:64] or "scenario"
@@ -89,7 +89,7 @@ def changed(scenario: Scenario, overrides: Sequence[str | Override], trust: Trus
     So what is drawn from the seed is drawn anew, and problems name the lines of the file.
 
     Args:
-        trust: in place of that with which it was loaded; by default the same.
+        trust: in place of the one that the scenario was loaded with; by default the same.
 
     Raises:
         ScenarioError: with every mistake that was found.
@@ -131,7 +131,7 @@ def _text(name_or_path: str) -> tuple[str, str, Path | None]:
 
 
 def _python_file(path: Path) -> tuple[str, str]:
-    """What is wrong with a Python file in place of a scenario, and what helps."""
+    """The mistake in giving a Python file in place of a scenario, and a remedy."""
     wrong = "expected a scenario (YAML), got a Python file"
     beside = path.with_suffix(".yaml")
     if beside.exists():

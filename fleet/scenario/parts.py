@@ -1,4 +1,4 @@
-"""What a specification determines: graph, reference, offsets, laws, faults; each is computed once.
+"""The consequences of a specification: graph, reference, offsets, laws, faults; each is computed once.
 
 The rules look at these parts while the specification may still hold mistakes, and a valid scenario is made of them.
 A part that depends on a wrong value raises `UnknownValueError`: the mistake itself is reported elsewhere.
@@ -39,7 +39,7 @@ from world.vehicle import VehicleParams
 
 
 class UnknownValueError(FleetError):
-    """A value that cannot be known, because one that it depends on is wrong."""
+    """A value that cannot be known, because it depends on a wrong value."""
 
 
 class Parts:
@@ -119,7 +119,7 @@ class Parts:
 
     @cached_property
     def changing(self) -> dict[Link, LinkStates | LinkTrace]:
-        """What each link does whose condition changes by itself. Raises DataFileError: a trace cannot be read."""
+        """The condition of each link that changes by itself. Raises DataFileError: a trace cannot be read."""
         made = {
             selector: link_conditions.changing(selector, self.spec.network.links[selector], self.traces)
             for selector in dict.fromkeys(self.written.values())
@@ -180,7 +180,7 @@ class Parts:
             yield entries, self.choice(entries)
 
     def guidance(self) -> Iterator[tuple[Entries, str, GuidanceSection, str]]:
-        """(entries, law, section, profile) of the choices with which a guidance law is sure to run."""
+        """(entries, law, section, profile) of the choices that certainly give a guidance law a vehicle."""
         for entries, choice in self.choices():
             names = per_vehicle.law_names(choice)
             if names is not None and choice.whole_agent is None:
@@ -201,7 +201,7 @@ class Parts:
 
     @cached_property
     def controls(self) -> tuple[Control, ...]:
-        """What each vehicle is and runs. Raises DataFileError: a model cannot be read."""
+        """The vehicle, laws and parameters of each vehicle. Raises DataFileError: a model cannot be read."""
         tick, apart = self.spec.tick, keep_apart_params(self.spec.keep_apart)
         made = {
             e: per_vehicle.control(choice, tick, self.vehicle(e), apart, navigation_of(choice.navigation, self.folder))
@@ -211,7 +211,7 @@ class Parts:
 
     @cached_property
     def clocks(self) -> dict[int, VehicleClock]:
-        """The clocks of the vehicles for which one is set."""
+        """The clocks of the vehicles that have one in the scenario."""
         given = ((i, self.choice(self.entries(i)).clock) for i in range(1, self.spec.vehicles + 1))
         return {i: vehicle_clock(clock, self.spec.seed, i) for i, clock in given if clock is not None}
 
@@ -226,7 +226,7 @@ class Parts:
 
     @cached_property
     def ground(self) -> Ground:
-        """What a nemesis acts on."""
+        """The parts of the scenario that a nemesis acts on."""
         nemesis = self.spec.nemesis
         if nemesis is not None and nemesis.mode is None and (nemesis.every is None or nemesis.for_ is None):
             raise UnknownValueError

@@ -47,7 +47,7 @@ from world.vectors import Vec3, Vec5, minus
 
 
 class Reading(NamedTuple):
-    """What a scenario was read from; `loading.changed` reads it once more."""
+    """The sources of a scenario; `loading.changed` reads them once more."""
 
     text: str
     overrides: tuple[str | Override, ...]
@@ -222,15 +222,15 @@ class Scenario:
         return VehicleSetup(i, eta0, nu0, control.vehicle, control.tau_max, limit, size, plant, control.navigation)
 
     def belief(self, i: int) -> BeliefKind:
-        """What vehicle i believes of its place."""
+        """The kind of belief that vehicle i has about its place."""
         return BeliefKind.of(self.controls[i - 1].navigation)
 
     def plant_signals(self, i: int) -> tuple[Signal, ...] | None:
-        """What the plant of vehicle i reports; None: it has none. Raises PluginError: it cannot be used."""
+        """The signals of vehicle i's plant; None: it has none. Raises PluginError: it cannot be used."""
         return self.controls[i - 1].plant_signals()
 
     def layout(self, i: int) -> SignalLayout:
-        """What agent i reports. Raises PluginError: one of its laws cannot be used."""
+        """The signals of agent i. Raises PluginError: one of its laws cannot be used."""
         if i not in self._layouts:  # one by one: another agent's laws may be such as must not be imported
             self._layouts[i] = layout(self.agent_config(i))
         return self._layouts[i]
@@ -313,7 +313,7 @@ class Scenario:
         return yaml_writer.scenario_yaml(self.spec)
 
     def to_undrawn_yaml(self) -> str:
-        """What other processes make runs of with other seeds: the same before its nemesis drew faults."""
+        """The text for other processes that make runs with other seeds: the scenario before its nemesis drew faults."""
         return yaml_writer.scenario_yaml(self.undrawn)
 
 
@@ -374,7 +374,7 @@ def _difference(a: Offset, b: Offset) -> Offset:
 
 
 def timeline(scenario: Scenario) -> list[tuple[str, float, float, str]]:
-    """(id, begin [s], end [s], text) of each fault, in the order in which they begin."""
+    """(id, begin [s], end [s], text) of each fault, in the order of their beginnings."""
     tick_s, events = scenario.tick_ns / 1e9, scenario.faults.events
     ends = {event.fault: event.tick for event in events if event.action == "ends"}
     return [(e.fault, e.tick * tick_s, ends[e.fault] * tick_s, e.what) for e in events if e.action == "begins"]
@@ -383,7 +383,9 @@ def timeline(scenario: Scenario) -> list[tuple[str, float, float, str]]:
 def timeline_lines(scenario: Scenario, most: int | None = None) -> list[str]:
     """The same in words, a line each; with `most`, only so many and a line that says how many more there are."""
     found = timeline(scenario)
-    lines = [f"fault {name}: {what}, {begin_s:g} to {end_s:g} s" for name, begin_s, end_s, what in found[:most]]
+    lines = [
+        f"fault from {begin_s:g} to {end_s:g} s: {what} (id {name})" for name, begin_s, end_s, what in found[:most]
+    ]
     return lines if len(lines) == len(found) else [*lines, f"... and {len(found) - len(lines)} more faults"]
 
 

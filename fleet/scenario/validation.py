@@ -29,7 +29,7 @@ Loc = tuple[str | int, ...]
 def validate(root: Mapping, folder: Path | None = None, policy: Policy = READING) -> tuple[Parts | None, list[Problem]]:
     """The parts of the specification that the tree holds, or None, and every mistake in it.
 
-    The rules between keys are applied even if some keys are wrong: to those that are right.
+    If some keys are wrong, the rules between keys apply to the right ones.
 
     Args:
         folder: where the scenario's file lies.
@@ -120,7 +120,7 @@ def _explain(root: Mapping, error: ErrorDetails) -> Problem:
         case "less_than":
             message, hint = f"must be less than {context['lt']}, got {describe_value(value)}", ""
         case "model_type" | "dict_type" | "model_attributes_type":
-            message, hint = f"expected a mapping of keys to values, got {describe_value(value)}", ""
+            message, hint = f"expected keys with values, got {describe_value(value)}", "write {key: value}"
         case "list_type":
             message, hint = f"expected a list, got {describe_value(value)}", ""
         case "string_type":

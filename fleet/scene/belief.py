@@ -1,4 +1,5 @@
-"""What a vehicle believes of its place, to be drawn beside the truth: a cross, and the ellipse that holds it with 95 %.
+"""The drawing of a vehicle's belief about its place, next to the truth: a cross, and the ellipse that holds it with 95
+%.
 
 | symbol | meaning | unit |
 |---|---|---|
@@ -24,14 +25,14 @@ _MOST_M = 1e6  # a larger ellipse would be no picture
 
 
 class PlaceBelief(NamedTuple):
-    """What a vehicle believes of its place, as the topic `belief` has it."""
+    """A vehicle's belief about its place, as the topic `belief` has it."""
 
     off: Vec3  # believed minus true position, NED [m]
     covariance: Sequence[float]  # of x, y, z and psi: upper triangle, row by row; empty or NaN: it does not know
 
 
 def drawn_belief(i: int, belief: PlaceBelief) -> list[Primitive]:
-    """What there is to draw of the belief of vehicle i, beside the vehicle; nothing if it is not finite."""
+    """The drawing of the belief of vehicle i, next to the vehicle; empty if the belief is not finite."""
     if not all(abs(value) < _MOST_M for value in belief.off):
         return []
     cross = CrossShape(f"{VEHICLE} {i}", FramePoint(vehicle_frame(i), *belief.off), "")

@@ -53,7 +53,7 @@ def state_of(marks: str) -> LinkState:
 
 
 def fate_of(cause: str, delay_s: float, corrupted: bool, round_s: float) -> str:
-    """What became of a packet: ARRIVED, BEHIND (after the next one was sent), DAMAGED, GONE or CUT (the link was).
+    """The fate of a packet: ARRIVED, BEHIND (after the next one was sent), DAMAGED, GONE or CUT (the link was).
 
     Args:
         cause: the field `fate` of its message.
@@ -71,7 +71,7 @@ def fate_of(cause: str, delay_s: float, corrupted: bool, round_s: float) -> str:
 
 @dataclass(slots=True)
 class LinkHistory:
-    """What is known of one link."""
+    """The present knowledge of one link."""
 
     fates: deque[str] = field(default_factory=lambda: deque(maxlen=HISTORY))
     sent_s: float = 0.0  # when the newest that arrived was sent; nobody has heard of another at the start

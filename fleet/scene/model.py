@@ -45,7 +45,7 @@ STOPS = {CUT: 0.3, GONE: 0.55}  # shares of the way at which a packet stops; oth
 
 
 class LegendRow(NamedTuple):
-    """What a sign means."""
+    """The meaning of a sign."""
 
     sign: str  # `link`, `packet`, or the kind of a primitive
     word: str  # the state of the link, or a colour word
@@ -54,7 +54,7 @@ class LegendRow(NamedTuple):
 
 
 class SceneModel:
-    """What a run has to draw, as far as its scenario says it."""
+    """The drawing of a run, from its scenario alone."""
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
@@ -80,17 +80,17 @@ class SceneModel:
 
     @cached_property
     def obstacles(self) -> list[CylinderShape]:
-        """What vehicles are to keep out of."""
+        """The obstacles, which vehicles have to avoid."""
         apart = self.scenario.spec.keep_apart
         return [CylinderShape(OBSTACLE, *one.at[:2], one.radius) for one in apart.obstacles] if apart else []
 
     @cached_property
     def standing(self) -> list[Primitive]:
-        """What there is to paint all the time and stands still."""
+        """The primitives that are painted all the time and stand still."""
         return [*self.obstacles, self.course(0.0, self.scenario.duration_ns / 1e9)]
 
     def moving(self, t: float, beliefs: Mapping[int, PlaceBelief] = NO_BELIEFS) -> list[Primitive]:
-        """What there is to paint at a time [s] and moves with the fleet, beside vehicles, links and packets.
+        """The primitives at a time [s] that move with the fleet, without vehicles, links and packets.
 
         Args:
             beliefs: what vehicles believe of their places.
@@ -104,7 +104,7 @@ class SceneModel:
         ]
 
     def legend(self) -> list[LegendRow]:
-        """What the signs mean, as far as they occur."""
+        """The meaning of the signs that occur."""
         rows = [
             LegendRow("link", state.value, state.value, meaning)
             for state, meaning in LINK_MEANINGS.items()

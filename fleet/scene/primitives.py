@@ -1,4 +1,4 @@
-"""What a renderer can paint: a few kinds of shape, at points that stand in frames.
+"""The primitives that a renderer can paint: a few kinds of shape, at points that stand in frames.
 
 A frame moves, and a point moves with it: `ned` stands still, `reference` moves with the reference trajectory, and
 `uuv-<i>` with vehicle i. The axes of all of them are north, east, down. Colours are words, which each theme of

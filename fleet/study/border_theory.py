@@ -1,4 +1,4 @@
-"""What theory says at each border of a study, to be drawn beside what was found by simulation.
+"""The theory of each border of a study, to be drawn next to the result of the simulations.
 
 `fleet check` leaves loss out. Here it enters the rule of dead reckoning as age: of a link that loses the share p, what
 is heard last is p / (1 - p) rounds older on average.
@@ -21,13 +21,14 @@ from world.plugins.trust import Trust
 
 @dataclass(frozen=True, slots=True)
 class Theory:
-    """What theory says at the low end of a border's range, and along it.
+    """Theory at the low end of a border's range, and along it.
 
     Attributes:
-        shunting: K lambda_max(L+B) and a [1/s], of which the first has to be smaller; None: there is no such rule.
-        stable: whether the linear loop is stable where K settles, at the low end of the range; None: not known.
-        reckoning: the number of the first value at which K tau rho(A) is not below 1, with the mean age under loss,
-            or that of all values; None: there is no such rule.
+        shunting: K lambda_max(L+B) and a [1/s]; the first must be smaller. None: there is no such rule.
+        stable: whether the linear loop is stable at the value that K settles at, at the low end of the range; None:
+            not known.
+        reckoning: the number of the first value at which K tau rho(A) is not below 1, with the mean age under loss. If
+            there is none, the number of all values. None: there is no such rule.
     """
 
     shunting: tuple[float, float] | None

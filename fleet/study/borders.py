@@ -2,8 +2,8 @@
 
 A study of a border is a study like any other, but not every point is run with every seed. Its last axis is the one
 along which the border is looked for; every combination of the other axes has a border of its own. The n-th run of each
-border has the n-th seed, wherever it is. All borders get runs in rounds, of a batch each: what is run next depends on
-the rows of the rounds before and on nothing else, so neither the number of workers nor an interruption changes it.
+border has the n-th seed, wherever it is. All borders get runs in rounds, of a batch each. The next runs depend only on
+the rows of earlier rounds. So the number of workers or an interruption changes nothing.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def parse_along(text: str, width: float) -> Axis:
 
 
 def border_plan(scenario: str, spec: BoundarySpec) -> Plan:
-    """What a study of a border may run.
+    """The runs that a study of a border may need.
 
     Args:
         scenario: a shipped name or a file.
@@ -124,10 +124,10 @@ def prepare_borders(
     """Check every point that may be run, and make the directory of the study.
 
     Args:
-        plan: its last axis is that along which the border is looked for, see `parse_along`.
-        spec: what is looked for; the directory keeps it.
+        plan: its last axis is the one along which the border is sought, see `parse_along`.
+        spec: the settings of the study; the directory keeps it.
         directory: of the new study.
-        trust: which modules may run that are neither installed nor the user's own.
+        trust: modules that may run, in addition to installed ones and the user's own.
         warn: called with each check that cannot pass, in words.
 
     Raises:
@@ -171,7 +171,7 @@ class Borders:
 
     @property
     def title(self) -> str:
-        """What is looked for."""
+        """The object of the search."""
         return f"{self.store.record.scenario}: where the pass rate falls through {100 * self.record.level:g} %"
 
     def _check(self) -> None:
@@ -200,7 +200,7 @@ class Borders:
         return any(_Walk(self, number).missing(of) for number, of in enumerate(rows))
 
     def found(self) -> list[Border]:
-        """What is known of each. Raises StudyError."""
+        """The present estimate of each border. Raises StudyError."""
         return [self._border(number, list(rows.values())) for number, rows in enumerate(self.rows())]
 
     def verdicts(self, rows: Iterable[Mapping[str, Any]]) -> list[Run]:
@@ -247,7 +247,7 @@ def find_borders(
         timeout_s: of wall time, for one run.
 
     Raises:
-        StudyError: rows cannot be written. What was written before stays.
+        StudyError: rows cannot be written. Earlier rows stay.
         KeyboardInterrupt: at any time; rows that were made are written.
     """
     store = borders.store
@@ -278,7 +278,7 @@ class _Walk:
         self.ended = False
 
     def missing(self, rows: Rows) -> list[tuple[int, int]]:
-        """Go through what was run, up to the first batch of which runs are missing; (point, seed) of each of them."""
+        """Go through the runs up to the first batch with missing runs; (point, seed) of each of those."""
         while not self.ended:
             missing = [run for run in self._batch if run not in rows]
             if missing:

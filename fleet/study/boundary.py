@@ -76,12 +76,12 @@ def boundary(
 
     Args:
         scenario: a shipped name or a file.
-        along: what is varied to find the border, such as `network.links.*.loss=0 %..95 %`.
-        per: of what else each combination has a border of its own: values by key, as `fleet.sweep` has them.
+        along: the key and range along which the border is sought, such as `network.links.*.loss=0 %..95 %`.
+        per: values by key, as `fleet.sweep` has them; each combination has a border of its own.
         out: the directory of the new study; None: one below `studies`.
         workers: processes of this machine; None: one per core.
-        scheduler: of a Dask cluster that is there: an address or a cluster object; None: workers of this machine.
-        trust: which modules may run that are neither installed nor the user's own.
+        scheduler: of an existing Dask cluster: an address or a cluster object; None: workers of this machine.
+        trust: modules that may run, in addition to installed ones and the user's own.
         progress: called several times a second.
         options: these.
 

@@ -1,7 +1,7 @@
 """Parts of a run: from its start, or from a snapshot of another part, with draws of their own, until a check is near.
 
-What is drawn before the run begins (initial states, clocks, faults of a nemesis) and what agents draw belongs to the
-seed. What world and network draw while it goes on belongs to the salt.
+Draws before the run begins (initial states, clocks, faults of a nemesis) and draws of agents belong to the seed. Draws
+of world and network during the run belong to the salt.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class _ReachedError(Exception):
 
 
 class _Path:
-    """What the journal writes to: keeps each snapshot at which the margin was smaller than ever."""
+    """A sink of the journal: keeps each snapshot at which the margin was smaller than ever."""
 
     def __init__(self, branch: Branch, margin: Callable[[], float]) -> None:
         self.best = branch.best
@@ -107,7 +107,7 @@ def refuse_branches(scenario: Scenario, check: str) -> None:
         StudyError: they cannot.
     """
     refuse(scenario, "a run of a study")
-    known = list(_checks(scenario))
+    known = list(checks_over_time(scenario))
     if check not in known:
         has = ", ".join(known) or "none"
         text = f"the margin of the check {check} is not the least over the time, or there is no such check"
@@ -120,7 +120,7 @@ def refuse_branches(scenario: Scenario, check: str) -> None:
         raise StudyError(f"{scenario.name} has no snapshots: log.snapshot is 0 s, or a law cannot save its state")
 
 
-def _checks(scenario: Scenario) -> Iterator[str]:
+def checks_over_time(scenario: Scenario) -> Iterator[str]:
     """The checks whose margin is the least over the time."""
     checks = scenario.spec.checks
     for name in _OF_THE_TIME:

@@ -75,8 +75,8 @@ def dask_engine(scheduler: str | Any, security: Any = None) -> Iterator[DaskEngi
         security: a `distributed.security.Security`; None: as Dask's configuration says.
 
     Raises:
-        StudyError: Dask is not installed; or the cluster cannot be reached, has no worker, or a worker has another
-            version of something; or it speaks TLS, and there are no certificates.
+        StudyError: Dask is not installed; the cluster cannot be reached or has no worker; a worker has another version
+            of something; or the cluster speaks TLS, and there are no certificates.
     """
     need(NEEDED, "a cluster needs", "cluster")
     from distributed import Client
@@ -104,7 +104,7 @@ def dask_engine(scheduler: str | Any, security: Any = None) -> Iterator[DaskEngi
 
 
 def versions() -> dict[str, str]:
-    """What must be the same on both sides for the same bytes and a working connection."""
+    """The versions that must be the same on both sides for the same bytes and a working connection."""
     packages = ("uuv-fleet", "distributed", "numpy", "piqp", "msgspec")
     return {"python": ".".join(map(str, sys.version_info[:2]))} | {name: version(name) for name in packages}
 

@@ -2,8 +2,8 @@
 
 The algorithm ddmin of Zeller and Hildebrandt, "Simplifying and isolating failure-inducing input", IEEE Trans. Software
 Eng. 28 (2002), section 3.2. It is exact where a test gives the same answer each time, as a run of a scenario does. All
-parts of one size are tested at once, so that they can run side by side; of those that fail the first one is taken, so
-the result does not depend on who is quickest.
+parts of one size are tested side by side. Among those that fail it takes the first one, so the speed of workers changes
+nothing.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 
 def ddmin(items: Sequence[T], fails: Callable[[list[list[T]]], Sequence[bool]]) -> list[T]:
-    """A part of `items`, in their order, that fails, and of which no single item can be left out.
+    """A part of `items`, in their order, that fails and needs each of its items to fail.
 
     Args:
         items: a list that fails.

@@ -1,4 +1,4 @@
-"""What makes the runs of a study: workers of this machine, or a Dask cluster that is there."""
+"""The engine of a study's runs: workers of this machine, or an existing Dask cluster."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ class Engine(Protocol):
         """Make every run, whoever dies meanwhile.
 
         Args:
-            tasks: are asked for in their order as workers become free, so that memory does not grow with their number.
-            take: gets rows, in the order in which runs end.
-            wait: is called several times a second.
+            tasks: taken in their order as workers become free, so memory does not grow with their number.
+        take: gets rows, in the order in which runs end.
+        wait: called several times a second.
 
         Raises:
             RunBroken: no worker starts.

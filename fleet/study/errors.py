@@ -1,4 +1,4 @@
-"""What can be wrong with a study."""
+"""The errors of studies."""
 
 from __future__ import annotations
 

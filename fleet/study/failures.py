@@ -73,12 +73,12 @@ class FailureFolder:
         self.path = path
 
     def failures(self) -> list[FoundFailure]:
-        """What the folder says of its scenarios. Raises StudyError: it is damaged."""
+        """The folder's entries about its scenarios. Raises StudyError: it is damaged."""
         index = self._read(self.path / INDEX, _Index)
         return [] if index is None else index.failures
 
     def of(self, scenario: Scenario) -> list[FoundFailure]:
-        """What the search of a scenario has put there. Raises StudyError: it is damaged."""
+        """The folder's entry by the search of a scenario. Raises StudyError: it is damaged."""
         return [one for one in self.failures() if one.file == file_of(scenario, one.check)]
 
     def add(self, failure: FoundFailure, scenario: Scenario) -> FoundFailure:

@@ -2,8 +2,8 @@
 
 Runs come in generations of a fixed size. A generation is made from what all generations before it found, by keyed
 draws, so what is found does not depend on how many workers there are. A quarter of a generation are seeds as in a plain
-search; the rest are moves (`moves`) on lists of a corpus: for each check those with the smallest margins, and those
-that went through something that no run before went through (`seen`).
+search. The rest are moves (`moves`) on lists of a corpus. That has, for each check, the lists with the smallest
+margins, and those that went through something new (`seen`).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class ChangedRun(NamedTuple):
 
 @dataclass(slots=True)
 class Corpus:
-    """What is worth changing."""
+    """The fault lists that are worth changing."""
 
     check: str | None  # which must fail; None: any
     nearest: dict[str, list[ChangedRun]] = field(default_factory=dict)  # by check, the smallest margin first
@@ -83,7 +83,7 @@ class Corpus:
 
 
 class GuidedSearch:
-    """Looks for a fault list with which a check fails."""
+    """Searches for a fault list that makes a check fail."""
 
     def __init__(self, scenario: Scenario, check: str | None = None, modules: Modules = NO_MODULES) -> None:
         """Prepare it.
@@ -109,7 +109,7 @@ class GuidedSearch:
     def run(
         self, engine: Engine, tell: Callable[[int], None], most_runs: float = inf, budget_s: float = inf
     ) -> Searched:
-        """Make generations until a check fails; of one in which several runs fail, the first one counts.
+        """Make generations until a check fails. If several runs of a generation fail, the first one counts.
 
         Args:
             tell: called now and then with the number of runs that were made.

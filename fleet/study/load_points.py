@@ -27,7 +27,7 @@ def load_points(plan: Plan, trust: Trust = NOTHING, *, refused: list[Problem] | 
     """The scenario of each point.
 
     Args:
-        refused: a list to which the laws that may not run are appended; None: such a law is an error.
+        refused: a list that receives the laws that may not run; None: such a law is an error.
 
     Raises:
         ScenarioError: with the mistakes of all points, each once.

@@ -45,7 +45,7 @@ def engine_of(workers: int | None = None, scheduler: Any = None) -> AbstractCont
 
     Args:
         workers: of this machine; None: one per core.
-        scheduler: of a Dask cluster that is there, to be used instead: its address, or a cluster object.
+        scheduler: of an existing Dask cluster, to be used instead: its address, or a cluster object.
 
     Raises:
         RunBroken: there cannot be so many workers here.

@@ -1,8 +1,9 @@
-"""What a study measures of each run: numbers by name, from its result.
+"""The measures of a study: numbers by name, from the result of each run.
 
 A number that a run does not have is NaN, so it is no number in a table. In a median some of them count as larger than
 every number: the time after which vehicles settled that did not, the age of what was never heard, the error of what
-diverged. A point whose runs hardly ever settle must not look as fast as those that did. Any other one is left out.
+diverged. This way, a point whose runs hardly ever settle does not look as fast as the runs that did. Any other one is
+left out.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ class MeasureColumn(msgspec.Struct, frozen=True):
     """A number that every row of a study has.
 
     Attributes:
-        name: with the unit behind it, as in `e_rms_m`; of a signal's measure as it is asked for: `p95 |error.e|`.
+        name: with the unit behind it, as in `e_rms_m`. The measure of a signal has the user's words for it: `p95
+            |error.e|`.
         unit: as people write it.
         missing_is_largest: where there is no number, it counts as larger than every number.
     """

@@ -33,13 +33,12 @@ class Modules(NamedTuple):
     """Modules that were let in when the scenarios were read.
 
     Attributes:
-        folder: of the scenario's file on this machine, in which they may lie; else they lie in the current one.
-        files: of the modules.
-        fingerprints: SHA-256 of the files, by which workers let them in, too.
+        folder: of the scenario's file on this machine, if they lie in it; else they lie in the current directory.
+        files: of the modules. SHA-256 of the files; workers let them in by it, too.
         names: of the modules of laws, plants and checks.
         units: the files of plants that are FMUs, as the scenarios name them.
-        carried: path below the folder where the search for modules begins, and content, of each file; empty: they
-            are imported where they lie.
+        carried: path and content of each file, below the folder that the search for modules begins in. Empty: they are
+            imported from their own place.
     """
 
     folder: str | None = None
@@ -57,7 +56,7 @@ def modules_of(scenarios: Iterable[Scenario], folder: Path | None) -> Modules:
     """The modules of all laws, plants and checks of these scenarios.
 
     Args:
-        folder: of the scenario's file, in which they may lie.
+        folder: of the scenario's file; modules may lie in it.
     """
     scenarios = list(scenarios)
     names = {

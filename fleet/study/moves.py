@@ -1,4 +1,4 @@
-"""Other fault lists made of those that were tried: the moves of a guided search.
+"""The moves of a guided search: they make new fault lists from tried ones.
 
 | move | what it changes |
 |---|---|
@@ -72,8 +72,8 @@ class Mutator:
         """One to four moves on a fault list.
 
         Args:
-            others: lists from which faults are taken.
-            near_ns: where the margin was smallest; None: that is not known.
+            others: lists that faults can be taken from.
+        near_ns: the time of the smallest margin; None: not known.
         """
         made = [dict(fault) for fault in faults]
         for _ in range(1 + min(3, int(-log2(1.0 - draws.share())))):
@@ -107,7 +107,7 @@ class Mutator:
         return [*faults, self._fitting(new)]
 
     def _place(self, faults: list[Fault], near_ns: int | None, draws: Draws) -> int:
-        """A fault; in half of all cases that which begins last before the margin was smallest."""
+        """A fault; in half of all cases the last one to begin before the margin was smallest."""
         before = [n for n, fault in enumerate(faults) if near_ns is not None and _ns(fault, "at") <= near_ns]
         if before and draws.share() < 0.5:
             return max(before, key=lambda n: _ns(faults[n], "at"))
@@ -165,7 +165,7 @@ class Mutator:
 
 
 def kind_of(fault: Fault) -> str:
-    """What a fault does."""
+    """The kind of a fault."""
     return next(key for key in fault if key not in TIMES)
 
 

@@ -134,7 +134,7 @@ def _seen(scenario: Scenario, check: Callable[[float], None] | None, seen: SeenS
 
 
 def _failed(error: Exception) -> dict[str, Any]:
-    """What the row of a run without a result says."""
+    """The row of a run without a result, in words."""
     reason = str(error) if isinstance(error, FleetError) else f"{type(error).__name__}: {error}"
     return {"status": FAILED, "reason": reason[:2000]}
 

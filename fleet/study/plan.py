@@ -42,7 +42,7 @@ class Point:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What a study runs.
+    """The runs of a study, planned.
 
     Attributes:
         scenario: a shipped name or a file.
@@ -147,7 +147,7 @@ class Plan:
 
 
 def plan_of(spec: StudySpec, origin: OverrideOrigin = TYPED) -> Plan:
-    """What a study runs.
+    """The plan of a study's runs.
 
     Args:
         origin: where it comes from.
@@ -161,13 +161,13 @@ def plan_of(spec: StudySpec, origin: OverrideOrigin = TYPED) -> Plan:
 
 
 def changes_of(spec: StudySpec | BoundarySpec) -> tuple[Override, ...]:
-    """What is changed for every run."""
+    """The changes that every run has."""
     keys = (Override(SET, f"{key}={text}") for key, text in spec.set.items())
     return (*keys, *(Override(NET, text) for text in spec.net), *(Override(FAULT, text) for text in spec.fault))
 
 
 def run_key(text: str) -> str:
-    """What names a run: the first 32 digits of the SHA-256 of its whole scenario."""
+    """The name of a run: the first 32 digits of the SHA-256 of its whole scenario."""
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
@@ -205,7 +205,10 @@ def _check_lengths(axes: Sequence[Axis]) -> None:
 
 
 def _drawn(axes: Sequence[Axis], seed: int) -> list[dict[str, AxisValue]]:
-    """Samples of all sampled axes together: each is one value of each axis. What is the same after rounding is one."""
+    """Samples of all sampled axes together: each is one value of each axis.
+
+    Samples that are equal after rounding count as one.
+    """
     from scipy.stats import qmc
 
     counts = {axis.key: axis.count for axis in axes}

@@ -4,16 +4,16 @@ Each run is a yes or no at a position x from 0 to 1, and the pass rate is taken 
 
     p(x) = guess + (1 - guess - lapse) / (1 + exp(-(logit(c) + (b - x) / s))), c so that p(b) = level,
 
-whose border b, scale s and ends are not known: it falls from 1 - lapse to guess. Their posterior is computed on a grid,
-and the next runs are those of which the answers are expected to say most about b: QUEST+ (A. B. Watson, "QUEST+: a
-general multidimensional Bayesian adaptive psychometric method", Journal of Vision 17(3), 2017), with the information
-about b alone, as the others are of no interest, and for a batch of runs at once (A. Kirsch, J. van Amersfoort, Y. Gal,
-"BatchBALD", NeurIPS 2019).
+whose border b, scale s and ends are not known: it falls from 1 - lapse to guess. A grid holds their posterior. The next
+runs are those with the most expected information about b: QUEST+ (A. B. Watson, "QUEST+: a general multidimensional
+Bayesian adaptive psychometric method", Journal of Vision 17(3), 2017), with the information about b alone, as the
+others are of no interest, and for a batch of runs at once (A. Kirsch, J. van Amersfoort, Y. Gal, "BatchBALD", NeurIPS
+2019).
 
 Half of the prior's borders lie beyond the range, at most half a range away: that a border is not within is an answer.
-Most of its curves begin at 1 and end at 0. Without the others an interval held the truth in 65 to 84 % of cases where
-the best pass rate is 0.7, and the border was 7 to 8 % of the range off; `docs/examples/boundary_methods.py --coverage`
-measures what they hold now.
+Most of its curves begin at 1 and end at 0. Without the others an interval held the truth in 65 to 84 % of cases with a
+best pass rate of 0.7, and the border was 7 to 8 % of the range off. `docs/examples/boundary_methods.py --coverage`
+measures the present values.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ DOUBTFUL, RISING = 0.05, 0.005  # chances of a rise at which it is looked at aga
 
 
 class Belief(NamedTuple):
-    """What is known of the border.
+    """The present knowledge of the border.
 
     Attributes:
         border: the median of its posterior.
@@ -98,7 +98,10 @@ class PsychometricCurve:
         return Belief(float(middle), float(low), float(high), float(below), float(above))
 
     def most_informative(self, posterior: Array, count: int) -> list[int]:
-        """The numbers of the positions of the next runs: each in turn the one that says most, given those before it."""
+        """The numbers of the positions of the next runs.
+
+        Each in turn is the one with the most information, given those before it.
+        """
         known = posterior[None]  # (answers so far, border, curve), together with those answers
         chosen: list[int] = []
         by_border = self.passes.transpose(1, 0, 2)
@@ -147,7 +150,7 @@ class Walk:
 
 
 class Rise(NamedTuple):
-    """Two neighbouring groups of runs, of which the farther one passes more often.
+    """Two neighbouring groups of runs; the farther one passes more often.
 
     Attributes:
         near, far: numbers of positions: of the last run of the nearer group, and of the first of the farther one.

@@ -39,7 +39,7 @@ class RareRepeat(Struct, frozen=True):
 
 
 class RareFile(Struct):
-    """What is known so far: the file of `fleet rare`, which goes on with what is missing."""
+    """The results so far: the file of `fleet rare`, which goes on with the missing ones."""
 
     key: Annotated[str, Meta(description="Of scenario, check and options.")]
     scenario: Annotated[str, Meta(description="Name of the scenario.")]
@@ -80,7 +80,7 @@ class RareEvent:
     def run(
         self, engine: Engine, tell: Callable[[str, int], None], repeats: int, file: Path, budget_s: float = inf
     ) -> RareFound:
-        """Make repeats until there are as many; those that the file has are not made again.
+        """Make repeats up to a number. Repeats that the file has are not made again.
 
         Args:
             tell: called now and then with what is done and how many parts of runs were made.
@@ -110,7 +110,7 @@ class RareEvent:
         return self._found(known)
 
     def _make(self, engine: Engine, tell: Callable[[str, int], None], doing: str, seed: int) -> Make:
-        """What makes parts of runs of a seed."""
+        """A function that makes parts of runs of a seed."""
         count = 0
 
         def make(asks: Sequence[Ask]) -> list[SplitPath]:

@@ -31,13 +31,13 @@ class AxisRecord(msgspec.Struct):
 
 
 class BorderRecord(BoundarySpec, frozen=True, kw_only=True):
-    """What a study of a border looks for, as people write it, along its last axis."""
+    """The settings of a border's study, in the user's words, along its last axis."""
 
     log: bool  # whether equal ratios are equally far apart
 
 
 class OldSettings(msgspec.Struct, frozen=True):
-    """What version 2 had beside the spec."""
+    """The settings that version 2 had in addition to the spec."""
 
     measures: tuple[str, ...] = ()
     until: str | None = None
@@ -82,7 +82,7 @@ def write_record(directory: Path, record: StudyRecord) -> None:
 
 
 def read_record(directory: Path) -> StudyRecord:
-    """What a study is, which may come from anybody.
+    """The record of a study; anybody may have written it.
 
     Raises:
         StudyError: there is none, it is damaged, or larger than a study writes.

@@ -31,19 +31,19 @@ _SAVE_S = 2.0  # how often a search writes how far it is
 
 @dataclass(slots=True)
 class Searched:
-    """What a search came to.
+    """The result of a search.
 
     Attributes:
-        first_seed: the first one that was tried.
+        first_seed: the first seed of the search.
         seed: the first one that fails; None: none did.
         check: that fails with it; empty: none.
         scenario: that fails.
-        runs: that were judged, later ones that were under way with the first one that fails included.
+        runs: judged, including later ones that were under way when the first failure came.
         without: runs without a result.
-        reason: of the first of these.
-        kinds: by check, the first seed that fails it; without a folder of failures one only.
-        reached: what some run must reach.
-        sample: whether the runs were drawn one like the other, so that they tell what others would do.
+        reason: of the first run without a result.
+        kinds: by check, the first seed that fails it. Without a folder of failures there is only one.
+        reached: the checks that some run must reach.
+        sample: all runs were drawn in the same way, so they allow a statement about other runs.
     """
 
     name: str  # of the scenario
@@ -62,7 +62,7 @@ class Searched:
     def most_failures(self) -> float | None:
         """The share of such runs that fails at most, 95 % sure, since none of these did; None: that is not so.
 
-        Runs of which none reached what some must reach say nothing of those that would.
+        If some run must reach a place and none did, they say nothing about runs that would.
         """
         missed = any(not one.hits for one in self.reached)
         known = self.runs and self.seed is None and self.sample and not missed
@@ -99,8 +99,8 @@ def search(
         most_runs: how many seeds are tried.
         budget_s: of wall time, after which no run is begun.
         modules: that its laws need.
-        keep: go on after a failure, and keep the first scenario of each kind of failure here. What the folder says was
-            tried before is not tried again, and counts.
+        keep: go on after a failure, and keep the first scenario of each kind of failure here. Runs that the folder
+            already has are not repeated, and count.
 
     Raises:
         StudyError: it has no nemesis, or not this check; the folder cannot be used.
@@ -154,7 +154,7 @@ class _Search:
         return Task(run_key(f"{self._text}\nseed {seed}"), 0, seed, self._scenario.name, self._text, inf, self._modules)
 
     def take(self, row: Row) -> None:
-        """Take a row, and count those that are next."""
+        """Take a row, and count the rows that are next."""
         self._waiting[row["seed"]] = row
         failed = failed_checks(row) if row["status"] in JUDGED else []
         self.failing = self.failing or bool(failed if self._check is None else self._check in failed)
@@ -178,7 +178,10 @@ class _Search:
         self._saved = time.monotonic()
 
     def end(self) -> Searched:
-        """What it came to. Without a folder runs that were under way with the first failing one count as well."""
+        """The result of the search.
+
+        Without a folder runs that were under way with the first failing one count as well.
+        """
         found = self.found
         if self._keep is None:
             for seed in sorted(self._waiting):

@@ -1,4 +1,4 @@
-"""What a run went through, as a set of small numbers: a search takes runs for new if they went through something new.
+"""The events of a run as a set of small numbers. A run is new for a search if it has a new number.
 
 A feature is what a vehicle's agent was in while some kinds of faults were active: its whole-number signals, such as who
 it takes for the leader. Counts that grow are taken by their powers of two, or every tick would be new.
@@ -61,7 +61,7 @@ class SeenStates:
         self._found.add((faults, tuple(sorted(first))))
 
     def features(self) -> list[int]:
-        """What it went through, as numbers."""
+        """The events of the run, as numbers."""
         digests = (blake2b(repr(each).encode(), digest_size=2).digest() for each in self._found)
         return sorted({int.from_bytes(digest, "little") for digest in digests})
 

@@ -2,8 +2,8 @@
 
 Runs are deterministic, so whatever still fails, fails each time. In turn, until nothing gets less: faults are left out
 (`ddmin`), the run is shortened, the last vehicles are left out, each fault is shortened and made milder. Candidates of
-one step are run side by side, and of those that fail the least one is taken, so the result does not depend on how many
-workers there are.
+one step are run side by side. Among those that fail it takes the smallest one, so the number of workers changes
+nothing.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ class Shrinker:
             yield f"{len(left)} of {len(faults)} faults are needed"
 
     def _shorter(self) -> Iterator[str]:
-        """A run that ends earlier; one that ends before its check begins would fail for that reason alone."""
+        """A run that ends earlier, but not before its check begins: it would fail for that reason alone."""
         if self._check == "recovery_time":  # which an earlier end always fails
             return
         self._doing = "a shorter run"
@@ -205,7 +205,7 @@ class Shrinker:
         ]
 
     def _run(self, trees: Sequence[Tree]) -> list[Row]:
-        """The row of each; of one that is no valid scenario the row of a run that failed."""
+        """The row of each; a candidate that is no valid scenario has the row of a run that failed."""
         texts = [json.dumps(tree) for tree in trees]
         keys = [run_key(text) for text in texts]
         new = {key: text for key, text in zip(keys, texts, strict=True) if key not in self._rows}

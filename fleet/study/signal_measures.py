@@ -152,7 +152,7 @@ def find_columns(names: Iterable[str], columns: Iterable[MeasureColumn] = STANDI
 
     Args:
         names: also of measures of signals.
-        columns: those that there are.
+        columns: the existing ones.
 
     Raises:
         StudyError: there is none of a name.
@@ -208,7 +208,7 @@ class _Kept(NamedTuple):
 class Samples:
     """Watches one run for measures of signals, and for the least distance of its vehicles.
 
-    A signal is sampled at the ticks at which the log would have it; all samples are kept until the end, 8 bytes each.
+    It samples a signal at the same ticks as the log. All samples are kept until the end, 8 bytes each.
     """
 
     def __init__(self, scenario: Scenario, names: Iterable[str] = ()) -> None:
@@ -246,7 +246,7 @@ class Samples:
         return found | {SEPARATION.name: nan if least is None else least.distance_m}
 
     def _number(self, measure: SignalMeasure) -> float:
-        """What the agents did not report, because they were dead or had nothing to say, is NaN, and left out."""
+        """A value that the agents did not report, because they were dead or had none, is NaN, and left out."""
         every = [np.array(kept.samples) for rows in self._kept.values() for kept in rows if kept.measure == measure]
         there = [values[~np.isnan(values)] for values in every]
         join = min if measure.how == "min" else max

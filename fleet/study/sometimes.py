@@ -1,7 +1,7 @@
-"""What some run of many must reach: checks with `sometimes`, counted over the runs of a study or a search.
+"""Checks with `sometimes`: some run of many must reach them. They are counted over the runs of a study or a search.
 
 A search that finds no failure says little if its runs never came where a failure could be. So a check with `sometimes`
-names such a place. No single run fails for it; many runs of which none reaches it give no bound.
+names such a place. No single run fails for it. If none of many runs reaches it, the search gives no bound.
 """
 
 from __future__ import annotations

@@ -60,7 +60,7 @@ Values = Annotated[dict[str, str], Kind.VALUES]
 Set = Annotated[dict[str, str], Kind.VALUE, Option("What is changed in every run; {key} stands for what varies.")]
 Net = Annotated[list[str], Option("Conditions of links in every run; {key} stands for what varies.")]
 Fault = Annotated[list[str], Option("Faults of every run; {key} stands for what varies.")]
-Timeout = Annotated[Time, Option("Wall time that one run may take, e.g. '5 min'.", later=True)]
+Timeout = Annotated[Time, Option("The longest wall time of one run, e.g. '5 min'.", later=True)]
 
 
 class StudySpec(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -69,25 +69,27 @@ class StudySpec(msgspec.Struct, frozen=True, omit_defaults=True):
     scenario: Annotated[str, Kind.SCENARIO, Option("A shipped name or a file.", flag=None)]
     title: Annotated[str, Option("What the study asks.", flag=None)] = ""
     run_takes: Annotated[Time, Option("Time that one run takes a core, roughly.", flag=None)] = ""
-    vary: Annotated[Values, Option("What varies over which values; repeatable.")] = {}
-    zip: Annotated[bool, Option("Values go together, first with first; else each with each.", keyword="zipped")] = False
-    seeds: Annotated[Seeds, Option("How many runs each point has, or their seeds: 20, 5..24 or 3,7,9.")] = "10"
-    draw: Annotated[int, Meta(ge=0), Option("Seed of values that are drawn.")] = 1
+    vary: Annotated[Values, Option("A key and the values that it takes; repeatable.")] = {}
+    zip: Annotated[
+        bool, Option("Combine the values first with first; by default each with each.", keyword="zipped")
+    ] = False
+    seeds: Annotated[Seeds, Option("The number of runs of each point, or their seeds: 20, 5..24 or 3,7,9.")] = "10"
+    draw: Annotated[int, Meta(ge=0), Option("The seed for drawn values.")] = 1
     set: Set = {}
     net: Net = []
     fault: Fault = []
     measures: Annotated[list[str], Kind.MEASURE, Option(
-        "What the table shows; repeatable. An unknown name lists all that are measured; 'p95 |error.e|' and the like "
+        "A column of the table; repeatable. An unknown name lists all measures. Texts such as 'p95 |error.e|' "
         "measure a signal.", flag="--measure", later=True)] = []  # fmt: skip
     until: Annotated[str, Kind.UNTIL, Option(
-        "Add seeds to each point until half its interval is no wider, e.g. 'e_rms_m ±10 %'.")] = ""  # fmt: skip
+        "Add seeds to each point until its interval is this narrow, e.g. 'e_rms_m ±10 %'.")] = ""  # fmt: skip
     most_seeds: Annotated[int, Meta(ge=1, le=MOST_ALLOWED), Option(
-        "How many a point may have with --until.", "N")] = 1000  # fmt: skip
+        "The most seeds of a point, when `until` adds some.", "N")] = 1000  # fmt: skip
     keep_logs: Annotated[KeepLogs, Option(
-        "Keep the logs of runs that failed, or of all, below the study.", later=True)] = "none"  # fmt: skip
+        "Keep the logs of failed runs, or of all runs, below the study.", later=True)] = "none"  # fmt: skip
     timeout: Timeout = ""
     budget: Annotated[Time, Option(
-        "Wall time after which no run is made any more, e.g. '10 min'.", later=True)] = ""  # fmt: skip
+        "Make no more runs after this wall time, e.g. '10 min'.", later=True)] = ""  # fmt: skip
 
     def changed(self, **given: Any) -> StudySpec:
         """The study with options added.
@@ -119,13 +121,13 @@ class StudySpec(msgspec.Struct, frozen=True, omit_defaults=True):
 class BoundarySpec(msgspec.Struct, frozen=True, kw_only=True):
     """A study of `fleet boundary`: where the pass rate falls through a level."""
 
-    along: Annotated[str, Kind.ALONG, Option("Along what the border is looked for.")] = ""
+    along: Annotated[str, Kind.ALONG, Option("The key and the range along which to look for the border.")] = ""
     per: Annotated[Values, Option("One border for each of these values; repeatable.")] = {}
     level: Annotated[float, Option("The pass rate at the border.", "RATE")] = 0.5
     width: Annotated[float, Option(
-        "How wide the interval of a border may stay, as a share of the range.", "SHARE")] = 0.1  # fmt: skip
+        "Stop when the interval of a border is this narrow, as a share of the range.", "SHARE")] = 0.1  # fmt: skip
     seeds: Annotated[Seeds, Option(
-        "How many runs a border gets at most, each with its own seed, or those seeds.")] = "60"  # fmt: skip
+        "The most runs of a border, each with its own seed; or the seeds.")] = "60"  # fmt: skip
     set: Set = {}
     net: Net = []
     fault: Fault = []

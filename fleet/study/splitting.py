@@ -34,7 +34,7 @@ class Entrance(NamedTuple):
 
     Attributes:
         best: its score there.
-        state: from which it goes on; None: the path was over by then.
+        state: to continue from; None: the path was over by then.
     """
 
     best: float
@@ -74,9 +74,9 @@ class Repeat(NamedTuple):
 
     Attributes:
         probability: the estimate.
-        shares: R_k / N of each stage that was made.
+        shares: R_k / N of each stage.
         cost: of all paths.
-        spread: whether the paths of the first stage differed: if not, nothing that is drawn on the way matters.
+        spread: the paths of the first stage differed. If not, the draws on the way do not matter.
     """
 
     probability: float
@@ -151,7 +151,7 @@ def reached(score: float, level: float) -> bool:
 
 
 def _entrance(path: SplitPath, level: float) -> Entrance:
-    """The first place at which a path that reached a level was there."""
+    """The first place at which a path reached a level."""
     first = next(((best, state) for best, state in path.places if reached(best, level)), None)
     return Entrance(path.best, None) if first is None else Entrance(*first)
 

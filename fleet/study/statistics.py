@@ -110,8 +110,8 @@ def levels(estimates: Iterable[Estimate]) -> str:
 def compare(first: Sequence[float], second: Sequence[float], confidence: float = CONFIDENCE) -> PairedComparison:
     """Compare two series of the same length, each pair with the same seed; pairs with NaN are left out.
 
-    What is infinite in both is a tie; in one, the largest of differences. With fewer than six pairs that differ no
-    test can find a difference with 95 % certainty: there is no p then, and a note.
+    If both are infinite, the pair is a tie. If one is, its difference is the largest. With fewer than six pairs that
+    differ no test can find a difference with 95 % certainty: there is no p then, and a note.
     """
     pairs = [(a, b) for a, b in zip(first, second, strict=True) if not (isnan(a) or isnan(b))]
     differences = np.array([0.0 if a == b else b - a for a, b in pairs])

@@ -1,9 +1,9 @@
 """When a point of a study has enough seeds: as soon as the interval of what is asked for is narrow enough.
 
-Seeds are added in rounds, to each point half as many as it has, and are looked at when all of a round are there. What
-is decided depends on the rows of one point and on nothing else: not on workers, nor on when they were made. So a study
-that was interrupted goes on as it would have, and the seeds of all points are a prefix of one sequence, which can be
-compared in pairs.
+Seeds are added in rounds, to each point half as many as it has, and are looked at when all of a round are there. The
+decision depends only on the rows of one point: not on workers, nor on the time of a run. So a study that was
+interrupted goes on as it would have, and the seeds of all points are a prefix of one sequence, which can be compared in
+pairs.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Rule(NamedTuple):
 
     @property
     def columns(self) -> list[str]:
-        """What it looks at besides whether runs passed."""
+        """The columns that it looks at in addition to the verdicts."""
         return [] if self.column is None else [self.column.name]
 
     def estimate(self, rows: Iterable[Row]) -> Estimate:

@@ -168,7 +168,7 @@ class Store:
 
     @property
     def seeds(self) -> list[int]:
-        """All seeds that a point may have, in the order in which it gets them."""
+        """All seeds that a point may have, in their order."""
         first, rules = self.record.seeds, self.record.rules
         return seed_sequence(first, rules.most_seeds) if rules.until else list(first)
 
@@ -198,7 +198,7 @@ class Store:
         return sum(not rule.met(rule.estimate(rows)) for rows in full)
 
     def _rows_of(self, rule: Rule) -> dict[int, dict[int, dict[str, Any]]]:
-        """What a rule looks at, by point and seed."""
+        """The input of a rule, by point and seed."""
         by_point: dict[int, dict[int, dict[str, Any]]] = {}
         for row in self.table(["point", "seed", "status", "passed", *rule.columns]).to_pylist():
             by_point.setdefault(row["point"], {})[row["seed"]] = row
@@ -206,7 +206,7 @@ class Store:
 
     @property
     def missing(self) -> int:
-        """How many runs have no row yet, of those that are known to be needed. Raises StudyError."""
+        """The number of runs without a row, among those that are known to be needed. Raises StudyError."""
         return 0 if self.record.border else sum(self.needed().values()) - len(self.done())
 
     def points(self) -> list[dict[str, Any]]:

@@ -38,7 +38,7 @@ STAMP = "%Y%m%d-%H%M%S"
 
 
 class Study:
-    """A study and its rows, each of which is one run. Every call reads the files anew: it may still be running."""
+    """A study and its rows, one for each run. Every call reads the files anew: it may still be running."""
 
     def __init__(self, store: Store) -> None:
         self._store = store
@@ -150,8 +150,8 @@ class Study:
         """Draw pictures of the pass rate and of some measures, as `fleet plot` does.
 
         Args:
-            measures: none: those that `fleet sweep` shows.
-            folder: where the pictures go; None: `plots` in the directory of the study.
+            measures: none: those of `fleet sweep`.
+            folder: of the pictures; None: `plots` in the directory of the study.
             formats: some of `png`, `svg` and `pdf`.
 
         Returns:
@@ -225,8 +225,8 @@ def sweep(
         vary: by key the values, as text of the grammar of `fleet sweep --vary` or as a list.
         out: the directory of the new study; None: one below `studies`.
         workers: processes of this machine; None: one per core.
-        scheduler: of a Dask cluster that is there: an address or a cluster object; None: workers of this machine.
-        trust: which modules may run that are neither installed nor the user's own.
+        scheduler: of an existing Dask cluster: an address or a cluster object; None: workers of this machine.
+        trust: modules that may run, in addition to installed ones and the user's own.
         progress: called several times a second.
         options: these.
 

@@ -116,7 +116,7 @@ class _Reader:
         self.tell(node.place, f"{key}: expected {what}, got {describe_value(plain(node))}")
 
     def study(self, node: Node) -> dict[str, Any]:
-        """The values by key, without those that are wrong."""
+        """The values by key, without the wrong ones."""
         if not isinstance(node, Mapping):
             self.expected("a mapping with at least a scenario", node, _KEY)
             return {}
@@ -172,7 +172,7 @@ def placed(spec: StudySpec) -> StudySpec:
 
 
 def is_file(scenario: str, folder: Path = Path()) -> bool:
-    """Whether the name of a scenario means a file in this folder rather than one that ships."""
+    """Whether the name of a scenario means a file in this folder rather than a shipped one."""
     if scenario in shipped_scenarios():
         return False
     return bool(Path(scenario).suffix) or "/" in scenario or (folder / scenario).exists()

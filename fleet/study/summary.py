@@ -18,7 +18,7 @@ DEFAULT = ("formation_final_m", "age_p95_s", "loss_share")
 
 @dataclass(frozen=True, slots=True)
 class PointSummary:
-    """What the runs of one point came to."""
+    """The results of one point's runs."""
 
     values: dict[str, float | str]  # by key of the axis
     runs: int  # that were made
@@ -31,7 +31,7 @@ def summarise(store: Store, measures: Sequence[MeasureColumn] = ()) -> list[Poin
     """The summary of each point that has a run, in the order of the points.
 
     Args:
-        measures: whose medians; none: those that were named when the study was made, or else `DEFAULT`.
+        measures: names for the medians; none: those that the study was made with, or else `DEFAULT`.
 
     Raises:
         StudyError: the study is damaged.

@@ -85,11 +85,11 @@ def prepare(
     """Check every point, and make the directory of the study.
 
     Args:
-        plan: what is run.
+        plan: the runs.
         directory: of the new study.
-        trust: which modules may run that are neither installed nor the user's own.
-        spec: of which the plan was made; the directory keeps it.
-        border: what is looked for, if the study is that of a border.
+        trust: modules that may run, in addition to installed ones and the user's own.
+        spec: the source of the plan; the directory keeps it.
+        border: the object of the search, if the study is that of a border.
         warn: called with each check that cannot pass, in words.
 
     Returns:
@@ -169,7 +169,7 @@ def _modules(scenarios: Sequence[Scenario], folder: Path | None) -> Modules:
 
 
 def check_names(scenarios: Sequence[Scenario]) -> list[str]:
-    """The names of the checks that any of the scenarios has, those that are always judged included."""
+    """The names of the checks that any of the scenarios has, including those that are always judged."""
     always = ["tumbled", "deaths", "qp_infeasible"]
     declared = [
         name
@@ -202,7 +202,7 @@ def run_study(
         logs: which are kept; None: as the study says.
 
     Raises:
-        StudyError: rows cannot be written. What was written before stays.
+        StudyError: rows cannot be written. Earlier rows stay.
         KeyboardInterrupt: at any time; rows that were made are written.
     """
     refuse_border(store)

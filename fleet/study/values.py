@@ -1,4 +1,4 @@
-"""What a study varies: a key, or a name of a template, and its values as text.
+"""The values that a study varies: a key, or a name of a template, and its values as text.
 
     VALUES := VALUE , VALUE ...          a list: `nboc, bc`, `0 %, 10 %, 30 %`, `{a: 1}, {a: 2}`
             | LOW..HIGH / STEP           `0 %..90 %/10 %`; the high end counts if a step meets it
@@ -119,7 +119,7 @@ def parse_axis(text: str, *, fine: int = 0) -> Axis:
     """The axis that `KEY=VALUES` describes.
 
     Args:
-        fine: if above 0, a range needs no step: it gets a round one, so that there are so many steps at least.
+        fine: if above 0, a range needs no step. It gets a round step, with at least this number of steps.
 
     Raises:
         StudyError: it has no key, or its values are none.
@@ -218,7 +218,7 @@ def _step(match: re.Match[str], unit: str, low: Fraction, high: Fraction) -> Fra
 
 
 def _in_steps(drawn: Axis, step: Fraction) -> Axis:
-    """The axis, of which each value is rounded to whole steps."""
+    """The axis, with each value rounded to whole steps."""
     if not drawn.sampled:
         raise StudyError("what is drawn can be rounded to a step: random or latin; lin and log say where each value is")
     return replace(drawn, step=_float(step))

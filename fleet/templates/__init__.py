@@ -1,1 +1,1 @@
-"""Templates of `fleet new`: files that run at once, in which TheLaw, the_law and the_scenario stand for names."""
+"""Templates of `fleet new`: files that run at once; TheLaw, the_law and the_scenario in them stand for names."""

@@ -33,7 +33,7 @@ class TheLaw:
         return None
 
     def verdict(self) -> str | Failure | None:
-        """What was found, for the verdict: in words, or a failure that only the end of the run can show.
+        """The finding, for the verdict: in words, or a failure that only the end of the run can show.
 
         You may leave this out. It is also asked while the run goes on, so it must change nothing.
         """

@@ -27,7 +27,7 @@ class TheLaw:
         self._model = config.model
 
     def start(self, pose: Vec6, velocity: Vec6) -> tuple[float, ...]:
-        """The state at the beginning: all that the next step depends on. Here: pose, velocity, thrust."""
+        """The state at the beginning; the next step depends on it alone. Here: pose, velocity, thrust."""
         return (*pose, *velocity, 0.0)
 
     def step(self, state: tuple[float, ...], tau: Vec3, water: Water, dt: float) -> tuple[float, ...]:

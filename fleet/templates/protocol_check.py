@@ -38,5 +38,5 @@ class TheLawCheck:
         return None
 
     def verdict(self) -> str | Failure | None:
-        """What was found, for the verdict. It is also asked while the run goes on, so it must change nothing."""
+        """The finding, for the verdict. It is also asked while the run goes on, so it must change nothing."""
         return f"right after {self._slowest:.4g} s at the latest"

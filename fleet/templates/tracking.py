@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import atan2, hypot
 from typing import Any
 
-from agents.api import AgentConfig, Command, Sample, Signal, wrap
+from agents.api import AgentConfig, Sample, Signal, VelocityCommand, wrap
 
 
 class TheLaw:
@@ -23,7 +23,7 @@ class TheLaw:
         self._gains = surge, pitch, yaw
         self._inertia = config.vehicle.inertia
 
-    def step(self, sample: Sample, command: Command) -> tuple[tuple[float, float, float], dict[str, Any]]:
+    def step(self, sample: Sample, command: VelocityCommand) -> tuple[tuple[float, float, float], dict[str, Any]]:
         """One control sample: surge force [N], pitch and yaw moment [N m]; and the telemetry."""
         # `command` is speed [m/s], theta and psi [rad] of the velocity that guidance asks for. Directions of motion
         # are compared, not of the hull, because these vehicles drift sideways when they turn.

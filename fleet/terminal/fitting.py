@@ -25,9 +25,9 @@ class Piece:
 def fit(pieces: Sequence[Piece], width: int | None = None) -> str:
     """The pieces in their order, with GAP between them, in at most so many characters.
 
-    From the least important one on, those that may be left out are shortened and left out until the line fits; then the
-    others are shortened, all of them step by step, and only if that is not enough are they left out, too. What room
-    remains goes to those that must not be left out, then to as many of the others as possible, by rank.
+    First it shortens and then drops optional pieces, beginning with the least important one, until the line fits. Then
+    it shortens all other pieces step by step. Only if that is not enough, it drops these, too. Remaining room goes to
+    the required pieces, then to as many optional ones as possible, by rank.
 
     Args:
         width: in characters; None: no limit.

@@ -15,7 +15,7 @@ from typing import Any
 
 
 class Key(Enum):
-    """What a press means to a player."""
+    """The meaning of a key for a player."""
 
     PAUSE = "space"
     STEP = "right arrow"

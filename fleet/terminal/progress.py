@@ -29,7 +29,7 @@ def showing(doing: str, *, quiet: bool = False) -> Iterator[Callable[[float], No
 
 @contextmanager
 def showing_steps(doing: str) -> Iterator[Callable[[], None]]:
-    """A function to call at each step of work whose length nobody knows; it is shown on a terminal only."""
+    """A function to call at each step of work of unknown length; only a terminal shows it."""
     steps = 0
     terminal = Terminal(stderr=True)
     with StatusLine(terminal, quiet=not terminal.is_terminal, first_s=FIRST_S) as line:
@@ -45,7 +45,7 @@ def showing_steps(doing: str) -> Iterator[Callable[[], None]]:
 
 @contextmanager
 def showing_time(doing: str, *, quiet: bool = False) -> Iterator[Callable[[float, float], None]]:
-    """A function to call with the simulated time that is reached and the one at which the work ends [s]."""
+    """A function to call with the simulated time reached and the time at which the work ends [s]."""
     terminal = Terminal(stderr=True)
     with StatusLine(terminal, quiet=quiet, first_s=REFRESH_S if terminal.is_terminal else PLAIN_S) as line:
 

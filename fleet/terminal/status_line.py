@@ -72,6 +72,6 @@ class StatusLine:
 
 
 def bar(share: float, length: int = BAR) -> str:
-    """A bar of so many characters, of which a share in 0..1 is drawn heavily."""
+    """A bar of this number of characters; a share in 0..1 of them is drawn heavily."""
     done = round(length * min(1.0, max(0.0, share)))
     return "\u2501" * done + "\u2500" * (length - done)

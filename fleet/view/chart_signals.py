@@ -35,7 +35,7 @@ class ChartSignal(NamedTuple):
     absolute: bool = False
 
     def value(self, message: Any) -> float | None:
-        """What a message says; None: nothing."""
+        """A signal's value in a message; None: it has none."""
         value = getattr(message, self.field)
         if self.component is None:
             return hypot(*(value if isinstance(value, Collection) else [value])) if self.absolute else float(value)
@@ -102,7 +102,7 @@ class Signals:
             self.of_vehicles.setdefault(str(SignalName(name, True)), {})[i] = made
 
     def offered(self) -> dict[str, Any]:
-        """What can be shown: the unit of each signal, and of each that vehicles have its unit and its names.
+        """The signals that can be shown, each with its unit. A signal of several vehicles also has its names.
 
         In the names of the latter a * stands for the number of the vehicle.
         """
@@ -134,7 +134,7 @@ class Signals:
             self.followed.setdefault(signal.topic, []).append(signal)
 
     def values(self, topic: str, data: bytes) -> Iterator[tuple[str, float]]:
-        """What a message says of the signals that are followed; nothing if it is damaged."""
+        """The values of the followed signals in a message; empty if the message is damaged."""
         if not (some := self.followed.get(topic)):
             return
         try:

@@ -1,4 +1,4 @@
-"""What a live run and a log have in common: how their messages become part of a picture, and their checks."""
+"""The common part of a live run and a log: how their messages become part of a picture, and their checks."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _BELIEF = flat_schema("Belief", BELIEF).message
 
 
 def take(picture: ViewState, topic: str, at_s: float, data: bytes, *, moving: bool = True) -> None:
-    """Bring one message into a picture; one that is damaged, or too large to be one of ours, is left out."""
+    """Bring one message into a picture. A message that is damaged, or too large to be one of ours, is left out."""
     with suppress(DecodeError):
         if topic == TRANSFORMS:
             picture.transforms(at_s, decoded(FrameTransforms, data))
@@ -73,7 +73,7 @@ def checks_asked(scenario: Scenario) -> Row:
 def checks_judged(log: Path) -> Row | None:
     """The verdicts beside a log, of the whole run; None: there is no result.
 
-    A check that failed has the time at which it did, `at_s`, where that is known; `signals`: what it looked at.
+    A failed check has the time of the failure, `at_s`, if that is known. `signals` are those that it looked at.
     """
     try:
         result = read_result(log.parent)

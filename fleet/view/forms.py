@@ -1,4 +1,4 @@
-"""The form in which a fault is put into words, checked as it is typed."""
+"""The form for a fault. It makes the fault's words, and checks them as the user types."""
 
 from __future__ import annotations
 

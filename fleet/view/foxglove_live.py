@@ -113,7 +113,7 @@ class LiveBridge:
         self._ends[number] = self._bus.subscribe(self._keys.log(topic), self._receiver(number, topic))
 
     def _receiver(self, number: int, topic: str) -> Callable[[Any], None]:
-        """What takes the samples of a channel, on a thread of zenoh's."""
+        """A function that takes the samples of a channel, on a thread of zenoh's."""
 
         def receive(sample: Any) -> None:
             stamp = unpack(sample.attachment.to_bytes())

@@ -56,7 +56,7 @@ class FoxgloveChannel(NamedTuple):
 
 
 class ServiceOffer(NamedTuple):
-    """What clients may ask for: JSON objects in and out, with their JSON schemas."""
+    """A service for clients: JSON objects in and out, with their JSON schemas."""
 
     name: str
     request: dict[str, Any]
@@ -143,7 +143,7 @@ class FoxgloveServer:
         return {channel for channel, _ in self._wanted}
 
     def events(self, timeout_s: float) -> list[Subscription | PlaybackRequest]:
-        """What clients asked for since the last call; waits for the first one at most so long."""
+        """The requests of clients since the last call; waits for the first one up to a time."""
         self._unanswered.close_some()
         found: list[Subscription | PlaybackRequest] = []
         try:
@@ -159,7 +159,7 @@ class FoxgloveServer:
         return found
 
     def put(self, channel: int, data: bytes, log_ns: int) -> None:
-        """A message, for those who want it. From any thread."""
+        """Send a message to the clients that want it. From any thread."""
         to = self._channels[channel]
         if to.has_sinks():
             to.log(data, log_time=log_ns)

@@ -1,4 +1,6 @@
-"""What a viewer may ask a live run for: `fleet inject`, `heal`, `faults` and `clock` as services with JSON."""
+"""The services that a viewer may call in a live run: `fleet inject`, `heal`, `faults` and `clock` as services with
+JSON.
+"""
 
 from __future__ import annotations
 

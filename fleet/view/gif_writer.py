@@ -22,7 +22,7 @@ class GifWriter(AbstractMovieWriter):
 
         Args:
             fps: pictures per second, at most 50; a GIF counts in 10 ms.
-            colours: what is drawn, on white; of each there are tints, and besides greys. At most 34.
+            colours: of the drawing, on white. The palette has tints of each, and greys. At most 34.
         """
         super().__init__(fps=fps)
         self._pictures: list[Image.Image] = []

@@ -1,9 +1,9 @@
-"""Who may see the page: whoever knows the token of its address, from a browser that asks this host for it.
+"""Access to the page: a user needs the token of its address, and a browser that asks this host for it.
 
 Others on the machine reach the port as well, and a page of anybody's in the same browser can send requests to it. So
-the token is exchanged once for a cookie that no script and no other site can use, and every request and websocket needs
-it; names of hosts that are not ours are refused (DNS rebinding), and so are websockets that another page opens.
-Plain ASGI: Starlette's own middleware does not see websockets.
+the guard exchanges the token once for a cookie that no script and no other site can use. Every request and websocket
+needs the cookie. The guard refuses names of hosts that are not ours (DNS rebinding), and websockets that another page
+opens. Plain ASGI: Starlette's own middleware does not see websockets.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ _POLICY = (
 
 
 class Guard:
-    """Lets an application be reached by those who know the token."""
+    """Lets users that know the token reach an application."""
 
     def __init__(self, app: App, token: str, port: int, hosts: Collection[str]) -> None:
         """Guard an application.
 
         Args:
-            token: that of the address.
-            port: at which it is reached; cookies of one host know no ports, so it is in the name of ours.
-            hosts: names by which it may be reached; none: any, but then a page of another host still gets nothing.
+            token: of the address.
+            port: of the server; cookies of one host know no ports, so our cookie has it in its name.
+            hosts: names of this host for its users; empty: any, but then a page of another host still gets nothing.
         """
         self._app, self._token = app, token
         self._cookie = f"fleet-view-{port}"

@@ -1,7 +1,10 @@
-"""Connections that have not sent a request: so many at a time, each for so long; else nobody could connect any more.
+"""Limits for connections that have not sent a request: their number, and the time of each.
 
-Whoever reaches the port can open connections and stay silent, and a process has only so many files. So the oldest
-silent connection is closed when there are too many, and each after a while. A browser sends its request at once.
+Without these, nobody could connect any more.
+
+Every program that reaches the port can open connections and stay silent, and a process can open only a limited number
+of files. So the oldest silent connection is closed when there are too many, and each after a while. A browser sends its
+request at once.
 """
 
 from __future__ import annotations
@@ -45,7 +48,7 @@ class HalfOpen:
             found[1].cancel()
 
     def protocol(self) -> Callable[..., asyncio.Protocol]:
-        """The class with which uvicorn is to speak on each connection."""
+        """The class that uvicorn uses on each connection."""
         half_open = self
 
         class Protocol(AutoHTTPProtocol):  # type: ignore[misc, valid-type]

@@ -1,6 +1,6 @@
 """A live run as a page shows it: its journal from the publisher, its clock and faults from its console.
 
-What comes waits in the journal until the next picture.
+Messages wait in the journal until the next picture.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class LiveFeed:
 
     @property
     def missing(self) -> Missing:
-        """What did not come."""
+        """The messages that did not come."""
         return self._journal.missing
 
     @property

@@ -37,8 +37,8 @@ class LogFeed:
         """Read it through.
 
         Args:
-            rate: at which it will play, times its own pace.
-            loop: whether it begins again at the end.
+            rate: of the playback, times its own pace.
+            loop: begin again at the end.
 
         Raises:
             LogReadError: it cannot be read.
@@ -196,7 +196,7 @@ class LogFeed:
         return None
 
     def whole(self, names: Collection[str] = ()) -> Row:
-        """What charts show of the whole log: samples, and the values of signals.
+        """The data of charts over the whole log: samples, and the values of signals.
 
         Raises:
             LogReadError: the log cannot be read.

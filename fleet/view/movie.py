@@ -36,8 +36,8 @@ def write(
 
     Args:
         log: to read.
-        out: the file, which is replaced if it is there; `.gif`, or `.mp4` if ffmpeg is there.
-        tell: is told the share that is done.
+        out: the file, `.gif`, or `.mp4` if ffmpeg is there. An existing file is replaced.
+        tell: called with the share of the work that is done.
         view: `above` or `3d`.
         window: from when to when [s of simulated time]; None: the end of the log.
         rate: simulated seconds per second of the movie; None: so that it lasts LASTS_S, or 1 for what is shorter.

@@ -52,7 +52,7 @@ class Canvas:
         self._drawn.append(artist)
 
     def lines(self, parts: Sequence[Any], order: float, colours: Any, widths: Any, **style: Any) -> None:
-        """Polylines (n, 2 or 3), of which the first two columns count."""
+        """Polylines (n, 2 or 3); the first two columns count."""
         segments = [np.asarray(part)[:, :2] for part in parts]
         self._add(LineCollection(segments, colors=colours, linewidths=widths, zorder=order, **style))
 
@@ -114,7 +114,7 @@ class Canvas:
 
 
 def sample(row: LegendRow) -> Line2D:
-    """What a row of the legend shows."""
+    """The sample picture in a row of the legend."""
     if row.sign == "link":
         colour, width, dash = PRINT.links[LinkState(row.word)]
         return Line2D([], [], color=colour, linewidth=width, linestyle=(0, dash) if dash else "-", label=row.name)

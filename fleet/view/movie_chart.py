@@ -33,9 +33,9 @@ class MovieChart:
         Args:
             figure: to draw in.
             window: of the movie [s of simulated time].
-            vehicles: how many there are.
+            vehicles: their number.
             faults: rows with from_s and to_s.
-            signals: by what they are called for all vehicles: the unit, and the names by vehicle.
+            signals: by their name for all vehicles: the unit, and the names by vehicle.
         """
         shown = dict(list(signals.items())[:MOST_SIGNALS])
         self._names = {

@@ -92,7 +92,7 @@ class MovieScene:
         self._canvas = Canvas(axes, self._camera, size)
 
     def _make_texts(self, verdict: Row | None) -> None:
-        """What is written above the scene: name, verdict, time, faults and events."""
+        """The text above the scene: name, verdict, time, faults and events."""
         name, fault = _short(self._setup["scenario"], 50), PRINT.colour(FAULT)
         self.figure.text(0.02, 0.95, name, size=TEXT_PT + 2, weight="bold", parse_math=False)
         if verdict is not None:

@@ -213,7 +213,7 @@ class Viewer:
         self.element.give({"frame": frame | {"n": self._sent, "slow": now < self._slow_until}})
 
     async def _said(self, said: Row) -> None:
-        """What somebody did in the browser."""
+        """Take an action of a user in the browser."""
         try:
             await self._do(said)
         except FleetError as error:
@@ -273,7 +273,7 @@ class Viewer:
         self.give({"history": self._page.feed.picture.history()})
 
     def _play(self, feed: LogFeed, said: Row) -> None:
-        """What the time line of a log does."""
+        """Take an action on the time line of a log."""
         at_s: float | None = None
         match said.get("do"):
             case "toggle":

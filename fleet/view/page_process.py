@@ -1,7 +1,8 @@
 """The page of a run that `fleet run --view` opens: a process of its own, which ends with the run's command.
 
-Its stdin, in lines of JSON: where to serve the page; the directory of the run when its journal can be read, which is
-before it begins; and the directory once more when it is over. When stdin ends, the page does.
+Its stdin has lines of JSON. The first says where to serve the page. The second has the directory of the run; it comes
+when the journal can be read, before the run begins. The third comes with the same directory when the run is over. When
+stdin ends, the page does.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ class PageListener:
 
     @property
     def names(self) -> set[str]:
-        """The names of hosts by which it may be reached; empty: any."""
+        """The names of this host for its users; empty: any."""
         if _is_any(self.host):
             return set()
         name = f"[{self.host}]" if ":" in self.host else self.host

@@ -1,4 +1,4 @@
-"""What a viewer is to show: a live run that is published, or a log."""
+"""The source for a viewer: a live run that is published, or a log."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class LiveSource:
     """A live run: who may read its journal, and who may ask its console.
 
     Attributes:
-        directory: of the run, or that in which its observe.json was found.
-        observed: where its journal is published, and as whom to subscribe.
-        run: for requests to its console; None: only the observer's credentials are at hand, so it can only be watched.
+        directory: of the run, or of its observe.json.
+        observed: the address of its journal, and the login to subscribe with.
+        run: for requests to its console. None: there are only the observer's credentials, so it can only be watched.
         awaited: the run is about to begin, and its console will answer.
     """
 
@@ -53,8 +53,8 @@ def find_source(name: str | None, runs: Path) -> LiveSource | LogSource:
 
     Args:
         name: a live run (its name or the beginning of it, its scenario, its directory), an observe.json, a log, or
-            the directory of a run that is over; None: the live run that began last, or if none lives the newest run
-            below `runs`.
+            the directory of a run that is over. None: the live run that began last. If no run lives, it is the newest
+            run below `runs`.
 
     Raises:
         FleetError: there is none, or the run is not published.

@@ -1,7 +1,7 @@
 """Closes connections to a port of this process that have not sent a request, where no code of ours accepts them.
 
-The server of Foxglove's SDK accepts them itself, keeps them for ever, and has no hook for them. So the kernel is asked:
-a connection on which nothing was sent back has not made its request.
+The server of Foxglove's SDK accepts them itself, keeps them for ever, and has no hook for them. So we ask the kernel:
+if nothing was sent back on a connection, it has not made its request.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Unanswered:
         self._looked_s = 0.0
 
     def close_some(self, now_s: float | None = None) -> None:
-        """Close those that have waited too long, and the oldest of too many; looks every EVERY_S only."""
+        """Close connections that waited too long, and the oldest if there are too many; looks only every EVERY_S."""
         now = time.monotonic() if now_s is None else now_s
         if now < self._looked_s + EVERY_S or not hasattr(socket, "TCP_INFO"):  # which only Linux has
             return

@@ -48,7 +48,7 @@ Row = dict[str, Any]
 
 
 class ViewState:
-    """What is known of a run at one time."""
+    """The present knowledge of a run at one time."""
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
@@ -75,7 +75,7 @@ class ViewState:
         self.clear()
 
     def clear(self, at_s: float = 0.0) -> None:
-        """Forget what messages told, because those that come next are of another time; faults stay known."""
+        """Forget the content of messages, because the next ones are of another time; faults stay known."""
         self.at_s = at_s
         self.links = {link: LinkHistory(sent_s=at_s, arrived_s=at_s) for link in self._numbers}
         self._places: dict[int, Vec3] = {}
@@ -166,7 +166,10 @@ class ViewState:
             self.changes += 1
 
     def event(self, at_s: float, message: Any) -> None:
-        """Take a message of the topic `faults`: something begins or ends. What lasts is known better from `faults`."""
+        """Take a message of the topic `faults`: something begins or ends.
+
+        `faults` has better data about lasting things.
+        """
         row = {"id": message.fault, "what": message.what, "from_s": at_s, "to_s": self.end_s}
         if is_fault(message.what):
             known = next((row for row in self._faults if row["id"] == message.fault), None)
@@ -202,7 +205,7 @@ class ViewState:
     # What goes out
 
     def setup(self) -> Row:
-        """What stays as it is: names, links, sizes, and the scene as `fleet.scene.model` has it."""
+        """The constant part: names, links, sizes, and the scene as `fleet.scene.model` has it."""
         scenario, scene = self.scenario, self.scene
         return {
             "scenario": scenario.name,
@@ -271,7 +274,7 @@ class ViewState:
         return row
 
     def moving(self) -> list[Primitive]:
-        """What there is to paint now, as the scene has it, and moves with the fleet."""
+        """The primitives that move with the fleet, for the present time, as the scene has them."""
         known = {i: belief for i, (t, belief) in self._beliefs.items() if self.at_s - t <= self._belief_lasts_s}
         return self.scene.moving(self.at_s, known)
 
@@ -281,7 +284,7 @@ class ViewState:
         return {"samples": list(self._samples), "signals": signals}
 
     def errors(self) -> list[float | None]:
-        """The formation error of each vehicle [m], by the places that were told last; None: not known yet."""
+        """The formation error of each vehicle [m], from the newest known places; None: not known yet."""
         t = max(self._placed_s, 0.0)
         x, y, z = self.scene.reference(t)
         found: list[float | None] = []
@@ -290,7 +293,7 @@ class ViewState:
         return found
 
     def active_faults(self) -> list[Row]:
-        """Those that last now, and those that begin within the next minute, in order of their beginning."""
+        """The faults that are active now, and those that begin within the next minute, in order of their beginning."""
         t = self.at_s
         shown = [row for row in self._faults if row["from_s"] <= t + HISTORY_S and t < row["to_s"]]
         return [row | {"active": row["from_s"] <= t} for row in sorted(shown, key=lambda row: row["from_s"])]
@@ -302,14 +305,14 @@ class ViewState:
 
     @property
     def vehicle_events(self) -> list[VehicleEvents]:
-        """What happened to vehicles, one row for each vehicle and kind of event."""
+        """The events of vehicles, one row for each vehicle and kind of event."""
         if self._told is not None:
             return self._told
         return vehicle_events(self.happenings)
 
     @property
     def happenings(self) -> list[tuple[str, float]]:
-        """What happened to vehicles, each time: its text and its beginning [s]."""
+        """The single events of vehicles: text and beginning [s]."""
         return [(row["what"], row["from_s"]) for row in self._events.values()]
 
     def known(self) -> Row:

@@ -1,8 +1,8 @@
-"""Who may do what on the router: one generated user per process, and the access-control list.
+"""Rights on the router: one generated user per process, and the access-control list.
 
-The router *enforces* the graph's isolation: agent i can put tx/i, cmd/i and its own notes, hold its token,
-ask for cfg/i, and receive rx/i and nav/i; nothing else. The world process is the router itself, so its own
-session is not subject to the list.
+The router *enforces* the graph's isolation. Agent i can put tx/i, cmd/i and its own notes, hold its token, ask for
+cfg/i, and receive rx/i and nav/i. The router refuses everything else. The world process is the router itself, so its
+own session is not subject to the list.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Grant = tuple[str, list[str], list[str]]  # flow, messages, key expressions
 
 @dataclass(frozen=True, slots=True)
 class Credentials:
-    """What one process joins with; secrets never reach argv, a log or a repr."""
+    """The login of one process; its secrets never reach argv, a log or a repr."""
 
     user: str
     password: str
@@ -51,7 +51,7 @@ class Credentials:
         return f"Credentials(user={self.user!r}, ***)"
 
     def to_values(self) -> dict[str, Any]:
-        """What a file for this process holds: user, password, and every other field that is not at its default."""
+        """The content of this process's file: user, password, and every other field that differs from its default."""
         return {each.name: value for each in fields(self) if (value := getattr(self, each.name)) != each.default}
 
     @classmethod
@@ -93,10 +93,10 @@ def access_control(
     """Zenoh's `access_control` block for one run: deny by default, then what each role needs.
 
     Args:
-        hosts: the agents that share processes, and in later lives their host's login: each login has a list of its
-            own, and the router looks through all lists whenever somebody logs in (1,000 lists: 3 ms).
+        hosts: the agents that share processes. Their host's login speaks for them in later lives. Each login has a list
+            of its own, and the router looks through all lists at each login (1,000 lists: 3 ms).
         certified: roles that count only together with a client certificate, and the names that it may have.
-        prefix: of the user names and of the rules' names, where several runs share a router.
+        prefix: of the user names and of the rules' names, if several runs share a router.
         world: the world is a client, too.
     """
     listed = _List(prefix)
@@ -222,7 +222,9 @@ def _agent_grants(keys: Keys, i: int) -> list[Grant]:
 
 
 def _host_grants(keys: Keys, h: int, members: Sequence[int]) -> list[Grant]:
-    """What its agents may, for their later lives; and for the first, the keys on which it carries messages of all."""
+    """The rights of a host: those of its agents, for their later lives, and the keys that carry messages of all, for
+    the first.
+    """
     role = host_role(h)
     grants: list[Grant] = [
         ("ingress", ["put"], [keys.tx(role), keys.cmd(role), keys.note(role)]),

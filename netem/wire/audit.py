@@ -1,13 +1,13 @@
-"""What the router refused, in a line each: taken from zenoh's own log, all else of which is left out.
+"""The router's refusals, one line each, taken from zenoh's own log. The rest of that log is left out.
 
 Zenoh refuses silently but for its log: a login at level debug, once per connection, and what access control decides
 at level trace, a line per message, allowed or not. Refused logins are therefore always reported, and refused
 messages when a run is audited, which costs about a tenth of its speed. Zenoh writes to stdout; here that is a socket,
 which a thread reads.
 
-A thread that writes a line of the log waits while the buffer is full, and that is any thread of the router, perhaps one
-that holds Python's lock. So the reader only reads and counts. Another thread reports what it found, since a report is
-a put, which writes lines of its own. No thread waits longer than WRITE_S: a line that finds no room until then is lost.
+If the buffer is full, a thread that writes a line of the log waits. It may be any thread of the router, perhaps one
+that holds Python's lock. So the reader only reads and counts. Another thread reports what it found, since a report is a
+put, which writes lines of its own. No thread waits longer than WRITE_S: a line that finds no room until then is lost.
 """
 
 from __future__ import annotations

@@ -16,20 +16,20 @@ _PART_BYTES = 12  # of a part, besides its message
 
 
 def bundles(parts: Sequence[BundlePart]) -> Iterator[bytes]:
-    """Encoded bundles of parts in their order, each of which the transport can carry."""
+    """Encoded bundles of parts in their order; each bundle fits into the transport."""
     for some, _ in split(parts, _size, PART_BYTES):
         yield encode(Bundle(tuple(some)))
 
 
 class Hosts:
-    """The hosts of a run, as world and netem see them: who is on which, and the key that leads there."""
+    """The hosts of a run, as world and netem see them: the agents on each host, and the key that leads there."""
 
     def __init__(self, bus: Bus, keys: Keys, members: Members, up: Callable[[str], str]) -> None:
         """Connect.
 
         Args:
             members: the vehicles of each host.
-            up: the key on which a host of that role is heard.
+            up: the key that carries the messages of a host with that role.
         """
         numbers = range(1, len(members) + 1)
         self._of = {i: h for h, group in zip(numbers, members, strict=True) for i in group}

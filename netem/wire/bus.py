@@ -177,8 +177,8 @@ class Bus:
         it would take a fifth of the CPU time. When the channel is full, the senders block, and nothing else is received
         on this session. So a thread that waits on one channel must not leave another one full.
 
-        `capacity` is the number of puts. It should be small where foreign programs can put: each put in the queue may
-        hold 0.5 MB (measured: zenoh keeps the whole buffer in which it was received).
+        `capacity` is the number of puts. It should be small if foreign programs can put. Each put in the queue may hold
+        0.5 MB (measured: zenoh keeps the whole buffer in which it received the put).
         """
         return PutQueue(self._session.declare_subscriber(key, zenoh.handlers.FifoChannel(capacity)))
 

@@ -1,8 +1,8 @@
 """A second router, for agents that have a certificate and nothing else: no password, no low-latency transport.
 
-Zenoh asks for a password on every listener of a session or on none, and so a router that takes certificates alone is
-a session of its own. Its access-control list knows each agent by the common name of its certificate. What an agent may
-say and hear is passed on between its router and the run's, key by key; nothing else goes from one to the other.
+Zenoh asks for a password on every listener of a session or on none, and so a router that takes certificates alone is a
+session of its own. Its access-control list knows each agent by the common name of its certificate. This router
+exchanges the messages of each agent with the run's router, key by key, and forwards nothing more.
 """
 
 from __future__ import annotations
@@ -71,8 +71,11 @@ class CertificateRouter:
         self._bus.close()
 
     def _connect(self, i: int) -> None:
-        """Pass on what agent i says and hears. Each subscriber has a thread of its own, so one that waits for room
-        keeps back its own messages only; and only what one subscriber gets stays in order, as tx and cmd must."""
+        """Pass on what agent i says and hears.
+
+        Each subscriber has a thread of its own, so one that waits for room delays only its own messages. Order holds
+        only within one subscriber, as tx and cmd need it.
+        """
         keys, role = self._keys, agent_role(i)
         _pass_on(self._bus, self._run, keys.every(i), (keys.tx(i), keys.cmd(i)), of_others=True)
         _pass_on(self._bus, self._run, keys.note(role), (keys.note(role),), of_others=True)

@@ -1,4 +1,4 @@
-"""What the declarations of messages are made of: types of fields with their bounds, meanings and units, and routes."""
+"""The parts of message declarations: types of fields with their bounds, meanings and units, and routes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Reals10 = Annotated[Reals, Meta(min_length=10, max_length=10)]
 
 
 def about(meaning: str, unit: str = "") -> Meta:
-    """What a field means, in one line, and its unit ("" when it has none)."""
+    """The meaning of a field in one line, and its unit ("" if it has none)."""
     return Meta(description=meaning, extra={"unit": unit})
 
 

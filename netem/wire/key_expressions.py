@@ -10,8 +10,8 @@ import zenoh
 def matching(text: str) -> Callable[[str], bool]:
     """Whether a name is included in a key expression such as `uuv/*/state` or `link/**`.
 
-    What zenoh takes for no key expression, as text or as a name, equals itself and nothing else. `*` and `**` do not
-    include parts that begin with `@`, which zenoh asks to be named.
+    A text or name that zenoh does not accept as a key expression matches only itself. `*` and `**` do not include parts
+    that begin with `@`, which zenoh asks to be named.
 
     https://github.com/eclipse-zenoh/roadmap/blob/main/rfcs/ALL/Key%20Expressions.md
     """

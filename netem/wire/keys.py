@@ -9,8 +9,8 @@ from dataclasses import dataclass
 class Keys:
     """The keys below `fleet/{run}`.
 
-    `i` is a vehicle number, or the role of a process that hosts several agents, such as `host-2`; `role` the name of a
-    process, such as `world` or `agent-3`; "*" stands for all of them.
+    `i` is a vehicle number, or the role of a process that hosts several agents, such as `host-2`. `role` is the name of
+    a process, such as `world` or `agent-3`. "*" stands for all of them.
     """
 
     run: str
@@ -61,7 +61,7 @@ class Keys:
 
     @property
     def grant(self) -> str:
-        """Console to world: up to which tick it may run, changes of agents and faults.
+        """Console to world: the tick up to which it may run, and changes of agents and faults.
 
         It is below `cmd`, so that the world receives grants and the agents' commands in one channel.
         """

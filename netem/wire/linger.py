@@ -1,9 +1,9 @@
 """Connections of this process are closed without waiting.
 
-Zenoh 1.10 opens them with SO_LINGER, 10 s: closing one that has unsent bytes waits for these, on the one thread that
-does all of zenoh's work here. Behind a cable that was pulled they are never taken. While zenoh waits, it gives no signs
-of life on its other links either, and these end, too, when that takes longer than their lease. Without SO_LINGER the
-kernel goes on sending in the background, as for every other program.
+Zenoh 1.10 opens them with SO_LINGER, 10 s. Closing a connection with unsent bytes then waits for them, on the one
+thread that does all of zenoh's work here. Behind a cable that was pulled they are never taken. While zenoh waits, it
+gives no signs of life on its other links either, and these end, too, when that takes longer than their lease. Without
+SO_LINGER the kernel goes on sending in the background, as for every other program.
 """
 
 from __future__ import annotations

@@ -148,7 +148,7 @@ class Frame(WireRecord, frozen=True):
 
 
 class TimedFault(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
-    """What all faults have: a name, a beginning and an end."""
+    """The fields of all faults: a name, a beginning and an end."""
 
     id: Annotated[Text, about("name of the fault, unique in a run")]
     begin: Annotated[Uint, about("first tick at which it acts", "tick")]

@@ -39,7 +39,7 @@ class OpenPublication:
         return bool(getattr(status, "matching", status))
 
     def put(self, payload: bytes, attachment: bytes | None, place: int | None = None) -> None:
-        """Put a sample; `place` is how many were put on the key before it, with those that were left out."""
+        """Put a sample. `place` counts the earlier puts on the key, including those that were left out."""
         source = None if place is None else zenoh.SourceInfo(self._publisher.id, place)
         self._publisher.put(payload, attachment=attachment, source_info=source)
 
@@ -50,8 +50,8 @@ class OpenPublication:
 class OpenBus:
     """A session for the traffic of others: journals that are published or played, and traffic that is recorded.
 
-    Unlike `Bus` it speaks zenoh's universal transport, which fragments long messages, sends from a task of its own
-    and can drop messages for a reader that is too slow; with `lowlatency` such a reader holds the sender up.
+    Unlike `Bus` it speaks zenoh's universal transport. That fragments long messages, sends from a task of its own, and
+    can drop messages for a reader that is too slow. With `lowlatency` such a reader would delay the sender.
     """
 
     def __init__(self, session: zenoh.Session, endpoint: str) -> None:
@@ -133,7 +133,7 @@ class OpenBus:
         """Call `handler` with zenoh's own sample, on a thread of zenoh; `sample_of` reads it later.
 
         Returns:
-            What ends the subscription.
+            A function that ends the subscription.
 
         Raises:
             BusError: the key expression is none.

@@ -52,7 +52,7 @@ class Quota:
 
 
 class Stamped:
-    """What came in on a key expression, in order, each with the time at which it did [ns, CLOCK_MONOTONIC]."""
+    """The messages of a key expression in their order, each with its time of arrival [ns, CLOCK_MONOTONIC]."""
 
     def __init__(self) -> None:
         self._queue: SimpleQueue[tuple[str, bytes, int]] = SimpleQueue()

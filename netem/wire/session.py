@@ -1,4 +1,4 @@
-"""What every zenoh session of ours begins with: its configuration, the file of its users, zenoh's own log."""
+"""The common beginning of our zenoh sessions: their configuration, the file of their users, zenoh's own log."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def open_session(mode: Literal["client", "router"], settings: dict[str, Any]) ->
 
 
 def users_file(private: Path, credentials: Iterable[Credentials]) -> Path:
-    """Write the file from which a router reads, once, who may log in.
+    """Write the file that lists who may log in. The router reads it once.
 
     Args:
         private: a directory of mode 0700.

@@ -18,7 +18,7 @@ from loops import PARAMS, REFERENCE, WEIGHTS, Delivery, Link, Nav, agent_config,
 from repository import GOLDEN
 
 from agents.agent import Agent
-from agents.api import Command, NeighbourState, Sample
+from agents.api import NeighbourState, Sample, VelocityCommand
 from agents.config import AgentConfig, Neighbour
 from agents.controllers import CONTROLLERS
 from agents.errors import AgentError, ControllerError, PayloadError
@@ -499,7 +499,7 @@ def test_guards(theta: float, nu: Any) -> None:
     config = agent_config(1)
     tracking = NeurodynamicTracking(config)
     for command in ((0.7, 0.0, 0.0), (1.5, 0.5, -2.0)):
-        demand, values = tracking.step(sample_of((0.0, 0.0, 0.0, theta, 0.0), nu), Command(*command))
+        demand, values = tracking.step(sample_of((0.0, 0.0, 0.0, theta, 0.0), nu), VelocityCommand(*command))
         assert all(map(math.isfinite, values))
         assert max(map(abs, demand)) < 500.0
 
@@ -510,7 +510,7 @@ def test_at_rest_the_thrust_still_has_a_direction() -> None:
     for u, cosine in ((0.01, 0.5), (0.019, 0.95), (0.5, 1.0)):
         tracking = NeurodynamicTracking(config)
         sample = sample_of((0.0,) * 5, (u, 0.0, 0.0, 0.0, 0.0))
-        demand, values = tracking.step(sample, Command(0.7, 0.0, 0.0))
+        demand, values = tracking.step(sample, VelocityCommand(0.7, 0.0, 0.0))
         x1 = values[5]
         assert demand[0] == pytest.approx(1.0 * u - 4.0 / cosine * 10.0 * x1)
 
@@ -533,7 +533,7 @@ def test_the_law_cancels_the_vehicles_own_dynamics() -> None:
     config = agent_config(1)
     tracking = NeurodynamicTracking(config)
     eta, nu = (0.0, 0.0, 0.0, 0.0, 0.4), (0.8, 0.0, 0.0, 0.0, 0.0)
-    tau, _ = tracking.step(sample_of(eta, nu), Command(0.8, 0.0, 0.4))
+    tau, _ = tracking.step(sample_of(eta, nu), VelocityCommand(0.8, 0.0, 0.4))
     rate = derivative(coefficients(config.vehicle), (*eta, *nu), tau, NO_FORCE)
     assert rate[5:] == pytest.approx((0.0,) * 5, abs=1e-12)
 

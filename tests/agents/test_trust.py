@@ -203,6 +203,15 @@ def test_nothing_is_unpickled() -> None:
 RUNNING = (["verify", "LOG"], ["whatif", "LOG", "--agent", "1"], ["run", "--from", "LOG", "-q", "--out", "again"])
 
 
+def test_why_runs_no_module_of_mine_unasked(victim: tuple[str, Path, str]) -> None:
+    log, mark, name = victim
+    refused = invoke("why", log)
+    assert refused.exit_code == 2
+    assert f"would run {name}.py, which is not installed, and a log names it" in refused.stderr
+    assert not mark.exists()
+    assert "every check passed" in " ".join(invoke("why", log, "--trust").stderr.split())
+
+
 @pytest.mark.parametrize("arguments", RUNNING, ids=lambda arguments: arguments[0])
 def test_a_log_runs_no_module_of_mine_unasked(arguments: list[str], victim: tuple[str, Path, str]) -> None:
     log, mark, name = victim

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import io
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,11 +10,11 @@ from typing import Any
 import matplotlib.image
 import numpy as np
 import pytest
+from notebook_pages import run_page
 from repository import ROOT
 from study_engine import Here
 
 PAGE = ROOT / "docs" / "guide" / "study-example.md"
-BLOCK = re.compile(r"```python\n(?P<code>.*?)```\n(?:\n```text\n(?P<printed>.*?)```\n)?", re.DOTALL)
 
 
 @pytest.mark.timeout(400)  # 10 s of one core, on a machine that is busy
@@ -31,14 +29,7 @@ def test_the_notebook_page_shows_what_its_code_prints_and_draws(
 
     monkeypatch.setattr("fleet.study.study.engine_of", here)
     monkeypatch.chdir(tmp_path)
-    names: dict[str, Any] = {}
-    blocks = list(BLOCK.finditer(PAGE.read_text("utf-8")))
-    assert len(blocks) >= 7
-    for block in blocks:
-        printed = io.StringIO()
-        with contextlib.redirect_stdout(printed):
-            exec(block["code"], names)
-        assert printed.getvalue() == (block["printed"] or "")
+    assert run_page(PAGE) >= 7
     for picture, drawn in (("study-passed.png", "passed"), ("study-pairs.png", "compare-controller-formation_final_m")):
         shown, made = (
             matplotlib.image.imread(path) for path in (PAGE.parent / picture, tmp_path / f"loss/plots/{drawn}.png")

@@ -1,4 +1,4 @@
-"""What the instruments of a vehicle measure: heading sensor, gyros, DVL and pressure sensor, each with its rate.
+"""The measurements of a vehicle's instruments: heading sensor, gyros, DVL and pressure sensor, each with its rate.
 
 | symbol | meaning | unit |
 |---|---|---|
@@ -9,7 +9,7 @@
 
 Between two samples of the DVL and of the pressure sensor the accelerometers carry what was measured on: the error stays
 that of the sample. A bias is drawn once per run and vehicle. Each draw is a pure function of (seed, vehicle, tick,
-purpose), so nothing depends on the order in which vehicles move.
+purpose), so the vehicles may move in any order.
 """
 
 from __future__ import annotations

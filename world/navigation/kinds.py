@@ -10,7 +10,7 @@ from world.navigation.replay import ReplayedError
 def navigation_of(
     config: Navigation | None, seed: int, i: int, tick_ns: int, state: State
 ) -> Navigator | ReplayedError | None:
-    """The navigation of vehicle i, whose true state at the start this is; None: it knows where it is."""
+    """The navigation of vehicle i, from its true state at the start; None: the vehicle knows where it is."""
     if config is None:
         return None
     if isinstance(config, NavigationTrace):

@@ -1,4 +1,4 @@
-"""What a vehicle believes of itself: the estimate that its agent gets in place of the truth."""
+"""A vehicle's belief about itself: the estimate that its agent gets in place of the truth."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class Navigator:
             raise OverflowError("the estimate is not finite")
 
     def _velocity(self, state: State, phi: float) -> list[float]:
-        """What the DVL measures of the velocity [m/s, body]: over ground, or through the water."""
+        """The velocity [m/s, body] that the DVL measures: over ground, or through the water."""
         measure = self._instruments
         own = [state[5], state[6], state[7]]
         if measure.mode == WATER:

@@ -6,15 +6,15 @@
 | f5..f8 | thrust of the vertical thrusters, in the same order; upwards > 0 | N |
 | X, M, N | commanded surge force, pitch moment, yaw moment | N, N m |
 
-Hull, damping, geometry and thrusters are those that M. von Benzon, F. F. Sorensen, E. Uth, J. Jouffroy, J. Liniger and
-S. Pedersen identified in a pool: "An Open-Source Benchmark Simulator: Control of a BlueROV2 Underwater Robot", Journal
-of Marine Science and Engineering 10(12), 1898 (2022). The equations are Fossen's, with the Coriolis forces and Munk
-moments of the added mass. There is no tether.
+Hull, damping, geometry and thrusters come from a pool test. Its authors are M. von Benzon, F. F. Sorensen, E. Uth, J.
+Jouffroy, J. Liniger and S. Pedersen identified in a pool: "An Open-Source Benchmark Simulator: Control of a BlueROV2
+Underwater Robot", Journal of Marine Science and Engineering 10(12), 1898 (2022). The equations are Fossen's, with the
+Coriolis forces and Munk moments of the added mass. There is no tether.
 
 A real BlueROV2 can push to the side and upwards; the command of a plant cannot say so. The allocation asks for no force
-there: sway and heave are left to drag, roll to buoyancy, depth is reached by pitching and going ahead, and nothing is
-held by a loop of its own. So the vehicle is as underactuated as the protocols that drive it suppose, and drifts, sinks
-or rises when the water or its weight make it. docs/background/plants.md has the numbers and what was compared.
+there. Drag limits sway and heave, and buoyancy limits roll. The vehicle reaches a depth by pitching and going ahead. No
+loop of its own holds anything. So the vehicle is as underactuated as the protocols that drive it suppose, and drifts,
+sinks or rises when the water or its weight make it. docs/background/plants.md has the numbers and what was compared.
 """
 
 from __future__ import annotations

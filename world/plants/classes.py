@@ -1,4 +1,4 @@
-"""What the name of a plant stands for: one that ships, or a class of the user's."""
+"""The plant behind a name: one that ships, or a class of the user's."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def plant_class(name: str, parameters: Mapping[str, Any]) -> type[Any]:
 
     Args:
         name: of a plant that ships, `package.module:Class`, an entry point of group `uuv_fleet.plants`, or `fmu:FILE`.
-        parameters: what it is to be made with, besides its configuration.
+        parameters: its parameters, in addition to its configuration.
 
     Raises:
         UntrustedError: its module or file is not installed, and was not let in with `admit`.
@@ -57,7 +57,10 @@ def module_of(name: str) -> str | None:
 
 
 def file_of(name: str) -> Path | None:
-    """Where the file of a plant lies that is one and may run; None: it is a class, or nobody has let it run."""
+    """The path of a plant that is a file and may run.
+
+    None: the plant is a class, or the user has not allowed the file.
+    """
     try:
         return permitted_file(KIND, name) if unit_file(KIND, name) else None
     except UntrustedError:
@@ -74,7 +77,7 @@ def model_of(name: str, parameters: Mapping[str, Any]) -> str | None:
 
 
 def signals_of(name: str, parameters: Mapping[str, Any]) -> tuple[Signal, ...]:
-    """What a plant reports besides its motion. Raises PluginError: it cannot be used."""
+    """The values that a plant reports in addition to its motion. Raises PluginError: it cannot be used."""
     signals: tuple[Signal, ...] = getattr(plant_class(name, parameters), "signals", ())
     return signals
 

@@ -65,7 +65,7 @@ class FencedPlant:
         """Put the vehicle into the water.
 
         Args:
-            tick: at which this is.
+            tick: of the start.
             pose: x, y, z [m, NED], phi, theta, psi [rad].
             velocity: u, v, w [m/s, body, over ground], p, q, r [rad/s].
 
@@ -111,8 +111,8 @@ class FencedPlant:
         """All that its next steps depend on, for `restore`: [name, roll, state, what else it remembers].
 
         Args:
-            tick: at which it is.
-            moves: whether it has next steps; a plant that failed is not asked what else it remembers.
+            tick: of the present state.
+            moves: the vehicle has further steps. The world does not ask a plant that failed for its memory.
 
         Raises:
             PlantError: it cannot say what else it remembers.
@@ -142,7 +142,7 @@ class FencedPlant:
         self._take(tick, self._plant.pose, self._fence.call(tick, self._observed, self.state))
 
     def _moved(self, tau: Vec3, current: Vec3, wrenches: Iterable[Vec6], dt: float) -> tuple[Any, Any, Any, Any]:
-        """What the plant says of the next tick; only its state where that cannot be used."""
+        """The plant's result for the next tick; only its state if the result cannot be used."""
         state, step, size = self.state, self._plant.step, len(self.state)
         for wrench in wrenches:
             answer = step(state, tau, Water(current, wrench), dt)

@@ -1,7 +1,8 @@
 """A vehicle that is given as an FMU: a unit of co-simulation of FMI 2 or 3, behind the interface of plants.
 
-The unit runs in a process of its own, so that neither a crash nor an endless loop of its native code takes the run with
-it: the run ends with an error that names vehicle and tick, and all that was recorded is kept. See docs/guide/fmu.md.
+The unit runs in a process of its own, so a crash or an endless loop of its native code does not end the console or the
+world. The run then ends with an error that names vehicle and tick, and the log keeps everything up to there. See
+docs/guide/fmu.md.
 """
 
 from __future__ import annotations
@@ -160,7 +161,7 @@ class FmuPlant:
         return {signal.name: state[first + k] for k, signal in enumerate(self.signals)}
 
     def state(self) -> bytes:
-        """What is inside the unit; nothing where it cannot say."""
+        """The inner state of the unit; nothing if the unit cannot give it."""
         saved: bytes = self._ask("save") if self.facts.saves else b""
         return saved
 
@@ -186,7 +187,7 @@ class FmuPlant:
         return [value * variable.factor for value, variable in zip(outputs, self._outputs, strict=True)]
 
     def _ask(self, verb: str, *values: Any) -> Any:
-        """What the unit's process answers.
+        """The answer of the unit's process.
 
         Raises:
             FmuError: the unit failed, ended its process, or did not answer. After the last two it is not used again.

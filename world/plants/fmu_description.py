@@ -29,7 +29,7 @@ _TRUE = ("true", "1")
 
 @dataclass(frozen=True, slots=True)
 class BaseUnit:
-    """What a unit of the FMU is in SI: exponents, factor and offset."""
+    """A unit of the FMU in SI: exponents, factor and offset."""
 
     exponents: tuple[int, int, int]  # of kg, m and s
     others: bool  # whether it has A, K, mol or cd
@@ -53,7 +53,7 @@ class UnitVariable:
 
 @dataclass(slots=True)
 class Description:
-    """What of a model description is used."""
+    """The parts of a model description that we use."""
 
     version: int = 0  # 2 or 3
     guid: str = ""

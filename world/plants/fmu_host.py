@@ -1,4 +1,4 @@
-"""The process in which an FMU runs: it is native code, which may crash, print, or never return.
+"""The process that runs an FMU. An FMU is native code, so it may crash, print, or never return.
 
 It is started as a file, imports nothing of this package, and answers requests on a connection until the other side
 closes it. When its standard input ends, the process that started it has gone: then it removes the unpacked unit and

@@ -1,7 +1,8 @@
-"""Which variables of an FMU are the command, the water, the pose and the velocity, and in which units.
+"""The variables of an FMU that are the command, the water, the pose and the velocity, and their units.
 
-The names on our side are those of `world.api`; the scenario gives the unit's own, and those that it does not give are
-the same. A variable's unit is compared with ours: by the unit definitions of the FMU, or by its name where it has none.
+The names on our side are those of `world.api`. The scenario gives the unit's names; a name that it leaves out is the
+same on both sides. A variable's unit is compared with ours: by the unit definitions of the FMU, or by its name where it
+has none.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ class Variable:
 
 @dataclass(frozen=True, slots=True)
 class Variables:
-    """The variables that a scenario uses of a unit; those that it has not are missing in the mappings."""
+    """The variables that a scenario uses of a unit. Variables that the unit lacks are missing in the mappings."""
 
     inputs: dict[str, Variable]
     outputs: dict[str, Variable]
@@ -81,7 +82,7 @@ class Variables:
 
 @dataclass(frozen=True, slots=True)
 class UnitFacts:
-    """What starting a unit needs to know."""
+    """The facts that are needed to start a unit."""
 
     version: int  # 2 or 3
     name: str  # of the model, and of its library
@@ -213,7 +214,7 @@ class _Reader:
         raise FmuError(f"{place}: the unit has no variable {name!r}", hint)
 
     def _factor(self, place: str, variable: UnitVariable, ours: str) -> float:
-        """What a value of a variable is multiplied by to be in our unit."""
+        """The factor that converts a value of a variable to our unit."""
         unit = variable.unit
         if not unit:
             return 1.0

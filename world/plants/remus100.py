@@ -10,8 +10,9 @@
 The model is Fossen's: T. I. Fossen, *Handbook of Marine Craft Hydrodynamics and Motion Control*, 2nd ed., Wiley 2021,
 section 8.4 (torpedo-shaped AUVs), with the propeller and the drag of B. Allen, W. S. Vorus, T. Prestero, "Propulsion
 system performance enhancements on REMUS AUVs", OCEANS 2000. docs/background/plants.md compares it with an independent
-implementation and says where it deviates and why. The parameter `hull` replaces mass, hull and fins by those that
-T. Prestero fitted to manoeuvres at sea (remus100_prestero.py): that hull turns in half the circle, and is unstable.
+implementation and says where it deviates and why. With the parameter `hull` the mass, hull and fins come from a fit to
+manoeuvres at sea by T. Prestero fitted to manoeuvres at sea (remus100_prestero.py): that hull turns in half the circle,
+and is unstable.
 
 The hull is symmetric about its axis: lift and cross-flow drag are the same up and down as to the sides. The Munk
 moments and the Coriolis forces that belong to them are left out, as Fossen does: the hull is taken to be neutral in

@@ -15,8 +15,9 @@ One number each holds what hull and fins do alike: Y_uv = -28.6 is -19.0 of the 
 is the Munk moment less that of both lifts. Together they are unstable in yaw and pitch: a hull that is left to itself
 turns, until the quadratic terms limit that.
 
-Left out is the added mass that couples sway with yaw (1.93 kg m: 0.7 % of the determinant), the 3.3 N of buoyancy
-that he trims with the stern plane, and his propeller and drag at one speed, for which remus100.py has those of all.
+Three things are left out: the added mass that couples sway with yaw (1.93 kg m: 0.7 % of the determinant), the 3.3 N of
+buoyancy that he trims with the stern plane, and his propeller and drag at one speed. For the last, remus100.py has
+values for all speeds.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What plants in six degrees of freedom have in common: attitude, rigid body, added mass, restoring, one RK4 step.
+"""The common part of plants in six degrees of freedom: attitude, rigid body, added mass, restoring, one RK4 step.
 
 | symbol | meaning | unit | frame |
 |---|---|---|---|

@@ -1,4 +1,4 @@
-"""What a class must be able to do to be used as a plug-in, and what it may report."""
+"""The methods that a class needs to be a plug-in, and the values that it may report."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ def check_class(
     Args:
         kind: controller, plant, check, ...
         name: of the plug-in, for the message.
-        plugin_class: what the name stands for.
-        methods: what it must be able to do, and with which arguments each method is called.
-        parameters: what it is to be made with, besides its configuration.
-        config: what its configuration is, for the message.
+        plugin_class: the class that the name stands for.
+        methods: the methods that it needs, and the arguments of each.
+        parameters: its parameters, in addition to its configuration.
+        config: describes its configuration, for the message.
 
     Raises:
         PluginError: it cannot.
@@ -88,9 +88,9 @@ def check_signals(kind: str, name: str, signals: Any, taken: frozenset[str] = fr
 
     Args:
         kind: of the plug-in, for the message.
-        name: likewise.
-        signals: what the class declares.
-        taken: names of others on the same topic.
+        name: of the plug-in, for the message.
+        signals: declared by the class.
+        taken: names that others use on the same topic.
 
     Raises:
         PluginError: they cannot.

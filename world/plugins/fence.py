@@ -40,9 +40,9 @@ class Fence:
 
     Args:
         name: of the plug-in, as the scenario names it.
-        budget_s: the longest that a call may take [s]; 0: any time.
-        notes: takes (tick, what a person should know).
-        failure: makes the errors.
+            budget_s: the longest that a call may take [s]; 0: any time.
+            notes: takes (tick, note for the user).
+            failure: makes the errors.
     """
 
     def __init__(self, name: str, budget_s: float, notes: list[tuple[int, str]], failure: Failure) -> None:
@@ -58,7 +58,7 @@ class Fence:
         return self._call(0, False, plugin_class, config, **parameters)
 
     def call(self, tick: int, function: Callable[..., Any], *args: Any) -> Any:
-        """What a function of the plug-in returns.
+        """The result of a function of the plug-in.
 
         Raises:
             Exception: the `failure` of this fence: it raised, or took longer than its budget.
@@ -89,7 +89,7 @@ class Fence:
 
         Args:
             method: its `state`.
-            tick: at which it is asked; None: that of the call before.
+            tick: of the question; None: that of the call before.
 
         Raises:
             Exception: the `failure` of this fence: it raised, took too long, or returned what a log cannot hold.

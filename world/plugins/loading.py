@@ -131,7 +131,7 @@ class _LoadError(Exception):
 
 
 def _loaded(load_it: Callable[[], Any]) -> Any:
-    """What an import returns. What the module prints goes to standard error, because standard output is data."""
+    """The result of an import. Standard output is data, so prints of the module go to standard error."""
     try:
         with redirect_stdout(sys.stderr):
             return load_it()

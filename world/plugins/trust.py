@@ -1,8 +1,8 @@
 """Where the module of a law or another plug-in lies, and whether it may run here.
 
-To import a module is to run it. Scenarios, logs and runs of strangers name plug-ins, so a name alone runs nothing: a
-module runs if it is installed, if it lies in a folder that is the user's own, or if the user allowed it. Nothing is
-imported to find that out. A plug-in that is a file of native code obeys the same rules, and is never installed.
+To import a module is to run it. Scenarios, logs and runs of strangers name plug-ins, so a name alone runs nothing. A
+module runs in three cases: it is installed, it lies in a folder that is the user's own, or the user allowed it. Nothing
+is imported to find that out. A plug-in that is a file of native code obeys the same rules, and is never installed.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def _print_nothing(text: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Trust:
-    """What the user allows beyond what is installed and what is plainly the user's own."""
+    """The modules that the user allows in addition to installed ones and those in the user's own folders."""
 
     everything: bool = False
     fingerprints: frozenset[str] = frozenset()  # SHA-256 of files, hexadecimal
@@ -43,7 +43,7 @@ NOTHING = Trust()
 
 @dataclass(frozen=True, slots=True)
 class Permission:
-    """Which modules the plug-ins of one scenario, log or run may import, besides those that are installed."""
+    """The modules that the plug-ins of one scenario, log or run may import in addition to installed ones."""
 
     trust: Trust = NOTHING
     own: tuple[Path, ...] = ()  # folders of the user, whose modules run without a word
@@ -64,13 +64,15 @@ class ModulePlace:
 
 
 def permit(kind: str, name: str, module: str, permission: Permission) -> None:
-    """Let the module of a plug-in be imported, and found, if it may run; one that is nowhere is left to the import.
+    """Let the module of a plug-in be found and imported, if it may run.
+
+    A module that does not exist is left to the import.
 
     Args:
         kind: of the plug-in, for the message.
-        name: likewise.
+        name: of the plug-in, for the message.
         module: the plug-in's module.
-        permission: what may run besides what is installed.
+        permission: allows modules in addition to installed ones.
 
     Raises:
         UntrustedError: it may not run.
@@ -102,9 +104,9 @@ def permit_file(kind: str, name: str, file: str, permission: Permission) -> None
 
     Args:
         kind: of the plug-in, for the message.
-        name: by which it is asked for afterwards, see `permitted_file`.
+        name: by which callers ask for it afterwards, see `permitted_file`.
         file: its path, absolute or within one of the folders of the permission.
-        permission: what may run.
+        permission: allows files of native code.
 
     Raises:
         UntrustedError: it may not run.
@@ -168,7 +170,7 @@ def find(module: str, folders: Iterable[Path]) -> ModulePlace | None:
 
 
 def _first(name: str) -> ModuleSpec | None:
-    """What `import name` would take."""
+    """The module that `import name` would find."""
     try:
         return importlib.util.find_spec(name)
     except (ValueError, ImportError):  # of unknown origin, as `__main__` is
@@ -176,7 +178,7 @@ def _first(name: str) -> ModuleSpec | None:
 
 
 def _installed(name: str) -> ModuleSpec | None:
-    """What `import name` would take if neither the current directory nor a folder added here were searched."""
+    """The module that `import name` would find without the current directory and without the folders added here."""
     for finder in list(sys.meta_path):
         spec = finder.find_spec(name, list(_environment()) if finder is PathFinder else None)
         if spec is not None:

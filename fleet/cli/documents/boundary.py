@@ -1,4 +1,4 @@
-"""What `fleet boundary` prints with `--json`."""
+"""The output of `fleet boundary --json`."""
 
 from __future__ import annotations
 

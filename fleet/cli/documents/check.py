@@ -1,4 +1,4 @@
-"""What `fleet check` prints with `--json`."""
+"""The output of `fleet check --json`."""
 
 from __future__ import annotations
 

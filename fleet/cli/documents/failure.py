@@ -1,4 +1,4 @@
-"""What every command prints with `--json` when it fails before it has anything to say."""
+"""The output with `--json` of every command that fails before it has a result."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class ProblemRow(Struct):
 
 
 class FailedCommand(Struct):
-    """What a command with `--json` prints in place of its document when it fails; stderr says the same in words."""
+    """The output with `--json` in place of a document when a command fails. Stderr says the same in words."""
 
     error: Annotated[str, Meta(description="What went wrong, as on stderr.")]
     exit: Annotated[int, Meta(description="Exit status of the command.")]

@@ -19,6 +19,7 @@ from fleet.cli.documents.logs import Compared, LogContents, LogJudged, Verified
 from fleet.cli.documents.search import FirstFailing, RegressedFolder
 from fleet.cli.documents.study import Less, Swept
 from fleet.cli.documents.what_if import OtherCommands
+from fleet.explanation.why import Why
 from fleet.result.result import Result
 from fleet.study.rare import RareFound
 
@@ -49,4 +50,5 @@ DOCUMENTS: dict[str, type[Struct]] = {
     "sweep": Swept,
     "verify": Verified,
     "whatif": OtherCommands,
+    "why": Why,
 }

@@ -1,4 +1,4 @@
-"""What `fleet list` and `fleet ls` print with `--json`."""
+"""The output of `fleet list` and `fleet ls` with `--json`."""
 
 from __future__ import annotations
 

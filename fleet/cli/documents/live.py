@@ -1,4 +1,4 @@
-"""What the commands for a live run print with `--json`."""
+"""The output of the commands for a live run with `--json`."""
 
 from __future__ import annotations
 

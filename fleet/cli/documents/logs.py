@@ -1,4 +1,4 @@
-"""What the commands that read logs print with `--json`: verify, diff and info."""
+"""The output with `--json` of the commands that read logs: verify, diff and info."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `fleet search` and `fleet regress` print with `--json`."""
+"""The output of `fleet search` and `fleet regress` with `--json`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `fleet sweep` and `fleet shrink` print with `--json`."""
+"""The output of `fleet sweep` and `fleet shrink` with `--json`."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def swept(store: Store, measures: Sequence[MeasureColumn]) -> Swept:
 
 
 def sometimes(store: Store) -> list[SometimesReached]:
-    """What some run of a study must reach. Raises StudyError."""
+    """The requirements that some run of a study must meet. Raises StudyError."""
     from fleet.study.summary import reached
 
     return [SometimesReached(one.name, one.runs, one.hits, one.seed) for one in reached(store)]

@@ -1,4 +1,4 @@
-"""What `fleet whatif` prints with `--json`."""
+"""The output of `fleet whatif --json`."""
 
 from __future__ import annotations
 

@@ -179,7 +179,7 @@ def fault_problems(fault: FaultAction, spec: ScenarioSpec, links: tuple[Link, ..
 def _target_problems(
     kind: str, fault: FaultAction, spec: ScenarioSpec, links: tuple[Link, ...]
 ) -> Iterator[FaultProblem]:
-    """What is wrong with the links or vehicles of a fault, and with what it does to them."""
+    """Mistakes in the links or vehicles of a fault, and in its effect on them."""
     if spec.network.ideal and kind not in OF_THE_WORLD:
         yield FaultProblem("", f"{kind} needs a network, and this one is ideal", "give the network a period")
     elif does_nothing(fault):

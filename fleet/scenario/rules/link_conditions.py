@@ -66,7 +66,7 @@ def _states(report: Report, path: Path, states: dict[str, LinkStateSection], tic
 
 
 def _following(states: dict[str, LinkStateSection], name: str) -> Iterator[tuple[str, str]]:
-    """What is wrong with the states that follow on one: a sentence and a hint each."""
+    """Mistakes in the next states of a state: a sentence and a hint each."""
     following = states[name].next
     if following is None:
         return

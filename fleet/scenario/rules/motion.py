@@ -39,7 +39,7 @@ def reference(parts: Parts, report: Report) -> None:
 
 
 def shape_keys(report: Report, path: tuple[str | int, ...], section: Any, shape: str, known: Table) -> bool:
-    """Whether the section has what its shape needs, and nothing that belongs to another shape."""
+    """Check that the section has the keys that its shape needs, and no key of another shape."""
     keys = known[shape]
     fine = True
     for key in keys.needed:
@@ -156,7 +156,10 @@ def followers(parts: Parts, report: Report) -> None:
 
 
 def knowledge(parts: Parts, report: Report) -> None:
-    """A vehicle on standby hears a vehicle that follows the reference; one that does not know it does not use it."""
+    """A vehicle on standby hears a vehicle that follows the reference.
+
+    If it does not know the reference, it does not use it.
+    """
     spec = parts.spec
     followers = set(range(1, spec.vehicles + 1) if spec.graph.reference == "all" else spec.graph.reference)
     standby = vehicle_numbers(spec.graph.standby.vehicles) if spec.graph.standby else []

@@ -108,7 +108,7 @@ def faults(parts: Parts, report: Report) -> None:
 
 
 def _controls(parts: Parts) -> tuple[Control, ...]:
-    """What each vehicle runs; nothing if a file cannot be read, which is reported where it is named."""
+    """The laws of each vehicle; empty if a file cannot be read, which another rule reports."""
     try:
         return parts.controls
     except DataFileError:

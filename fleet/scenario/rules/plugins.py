@@ -1,4 +1,4 @@
-"""The rule that every plug-in which a scenario names exists, may run, and can be used."""
+"""The rule that every plug-in in a scenario exists, may run, and can be used."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ def plugin(
     shipped: Sequence[str],
     load: Callable[[], Any],
 ) -> bool:
-    """Report what is wrong with a plug-in; one that may not be imported now is not looked at.
+    """Report the mistakes of a plug-in. A plug-in that may not be imported now is left out.
 
     Args:
-        at: where the scenario names it.
+        at: its place in the scenario.
         kind: controller, plant, check, ...
-        shipped: the names of those that come with the package.
+        shipped: the names of the plug-ins that come with the package.
         load: loads and checks its class, and raises PluginError.
 
     Returns:

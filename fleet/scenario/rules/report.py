@@ -106,7 +106,7 @@ def whole_multiple(report: Report, path: tuple[str | int, ...], ns: int, tick: i
 
 
 def no_whole_ticks(ns: int, tick: int) -> tuple[str, str] | None:
-    """Message and hint for a time [ns] that is not a whole number of ticks; None for one that is."""
+    """Message and hint for a time [ns] that is not a whole number of ticks; None if it is one."""
     if ns % tick == 0:
         return None
     below = ns // tick * tick

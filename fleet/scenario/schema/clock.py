@@ -26,7 +26,7 @@ class OffsetSection(Section):
 
 
 def _mean(value: Any) -> Any:
-    """What is the same for all is its mean alone."""
+    """A plain value stands for its mean alone."""
     return {"mean": value} if isinstance(value, str | int | float) and not isinstance(value, bool) else value
 
 

@@ -156,7 +156,10 @@ def _conditions(value: Any) -> Any:
 
 
 class FaultAction(Section):
-    """What a fault does: exactly one of these keys is given. This list of kinds is the one that all others follow."""
+    """The effect of a fault: the entry gives exactly one of these keys.
+
+    All other lists of kinds follow this one.
+    """
 
     # In place of the links' own conditions.
     link: Annotated[dict[LinkSelector, LinkCondition] | None, BeforeValidator(_conditions)] = None

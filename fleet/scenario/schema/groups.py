@@ -1,4 +1,4 @@
-"""The groups in which `fleet list` shows the scenarios that ship."""
+"""The groups of the shipped scenarios in `fleet list`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What keeps vehicles apart and out of cylinders: agents.laws.keep_apart."""
+"""The section for keeping vehicles apart and out of cylinders: agents.laws.keep_apart."""
 
 from __future__ import annotations
 

@@ -160,7 +160,7 @@ def read_initial(value: Any) -> Any:
 
 
 class InitialSection(Section):
-    """Either the state of each vehicle or a scatter; the file holds just the one that applies."""
+    """Either the state of each vehicle or a scatter; the file has only one of them."""
 
     vehicles: list[InitialState] | None = None
     scatter: Scatter | None = None

@@ -41,14 +41,14 @@ class FixSection(Section):
 
 
 class ExpectedCurrent(Section):
-    """What the filter expects of a current that it does not know: a first-order Gauss-Markov process."""
+    """The filter's model of a current that it does not know: a first-order Gauss-Markov process."""
 
     sigma: Speed = 0.2
     time_constant: Period = 3_600_000_000_000
 
 
 class NavigationSection(Section):
-    """What a vehicle believes of its position; `navigation: ideal` in the file is `ideal` here."""
+    """A vehicle's belief about its position; `navigation: ideal` in the file is `ideal` here."""
 
     ideal: bool = False
     grade: str | None = None  # of the instruments, shipped or a TOML file; tactical

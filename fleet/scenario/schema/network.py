@@ -45,7 +45,7 @@ from netem.ranging import Method
 
 
 class WaterSection(Section):
-    """The properties of water from which the speed of sound follows, or a site where others have measured."""
+    """The properties of water that determine the speed of sound, or a site with measured properties."""
 
     temperature: Temperature | None = None
     salinity: Salinity | None = None  # 35 ppt
@@ -94,7 +94,7 @@ class OutlierSection(Section):
 
 
 class RangingSection(Section):
-    """What modems measure of the distance to the sender of a packet."""
+    """The modems' measurement of the distance to the sender of a packet."""
 
     method: Method = "one-way"
     noise: PositiveLength = 0.5  # standard deviation
@@ -145,7 +145,7 @@ class LinkStateSection(Section):
 
 
 class LinkSection(Section):
-    """What some links do to packets: one condition, states that change by themselves, or rows that were measured."""
+    """The effect of some links on packets: one condition, states that change by themselves, or measured rows."""
 
     condition: LinkCondition | None = None
     states: dict[StateName, LinkStateSection] | None = None

@@ -1,4 +1,4 @@
-"""What every section has in common."""
+"""The common part of all sections."""
 
 from __future__ import annotations
 

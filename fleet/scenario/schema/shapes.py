@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class ShapeKeys(NamedTuple):
-    """The keys that a shape needs, and those that it may have."""
+    """The keys that a shape needs, and further keys that it may have."""
 
     needed: tuple[str, ...]
     optional: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""What a vehicle is, and how its controller's model of it is wrong."""
+"""The data of a vehicle, and the errors of its controller's model of it."""
 
 from __future__ import annotations
 

@@ -8,8 +8,8 @@
 | bridge | a pair of vehicles without whose links the fleet falls apart, while the faults that hold then do |
 | speaker | the vehicle that spoke last: whose silence ended last; if none was silent, with tdma the last slot's |
 
-In every round of a network without slots all vehicles speak at once. So the last one to speak is the one that has begun
-again last: after a fault that made it mute, killed or suspended it, or cut it off.
+In every round of a network without slots all vehicles speak at once. So the last vehicle to speak is the one with the
+latest new beginning: after a fault that made it mute, killed or suspended it, or cut it off.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def side(of: int, pairs: Iterable[Pair]) -> set[int]:
 
 
 def last_slot(ground: Ground) -> int | None:
-    """With tdma the vehicle whose slot is the last of a frame; None: there are no slots."""
+    """With tdma the vehicle that has the last slot of a frame; None: there are no slots."""
     acoustic = ground.spec.network.acoustic
     return ground.spec.vehicles if acoustic is not None and acoustic.mac == "tdma" else None
 

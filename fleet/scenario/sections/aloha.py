@@ -1,9 +1,9 @@
 """How often a vehicle talks with aloha, and how much of that meets nobody, for any number of vehicles.
 
-Everything in whole ticks, as the modems do it: m a round, a an airtime, b the largest back-off, n vehicles. What starts
-at phase p of its round (0 <= p < m) ends at p + a; the next news comes with the next round. So the next start is
-w(p) = max(a, m - p) after it, and a back-off more, uniform in 0 ... b. That is a Markov chain of phases; pi is its
-stationary distribution, and E w + b/2 the mean from one start to the next.
+Everything in whole ticks, as the modems do it: m a round, a an airtime, b the largest back-off, n vehicles. A
+transmission that starts at phase p of its round (0 <= p < m) ends at p + a. The next news comes with the next round. So
+the next start is w(p) = max(a, m - p) after it, and a back-off more, uniform in 0 ... b. That is a Markov chain of
+phases; pi is its stationary distribution, and E w + b/2 the mean from one start to the next.
 
 The others do the same, each on its own. A start meets nobody if no other is less than an airtime before or after it.
 Another vehicle was silent in ticks f ... l if its last start before f is followed by one after l:

@@ -75,7 +75,7 @@ def find_beside(kind: str, name: str, folder: Path | None, most: int) -> tuple[b
 def read_beside(
     kind: str, name: str, folder: Path | None, read: Callable[[Path], T], most_shown: int | None = None
 ) -> T:
-    """What `read` makes of a file of the user's, which is searched in `folder`, then in the current directory.
+    """The result of `read` for a file of the user's. The search goes through `folder`, then the current directory.
 
     Args:
         kind: what the file describes; for the texts of errors.

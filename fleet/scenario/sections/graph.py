@@ -35,7 +35,7 @@ class Graph:
         return tuple(self.weights)
 
     def neighbours(self, i: int) -> tuple[tuple[int, float], ...]:
-        """The vehicles from which i receives, in order, with a_ij."""
+        """The senders that i receives from, in order, with a_ij."""
         return tuple(self._by_receiver.get(i, ()))
 
     @cached_property

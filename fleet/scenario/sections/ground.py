@@ -1,4 +1,4 @@
-"""What a nemesis acts on: the parts of a scenario that decide which faults make sense, and at whom."""
+"""The input of a nemesis: the parts of a scenario that determine sensible faults and their targets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What links do that change by themselves: states with their shares of time, and rows of a trace on the run's clock."""
+"""Link conditions that change by themselves: states with shares of time, and rows of a trace on the run's clock."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from netem.selectors import parse_selector
 
 
 def changing(selector: str, section: LinkSection, traces: Traces) -> LinkStates | LinkTrace | None:
-    """What the links of a selector do if their condition changes by itself; the section must be valid.
+    """The conditions of a selector's links if they change by themselves; the section must be valid.
 
     Raises:
         DataFileError: the trace cannot be read.
@@ -39,7 +39,7 @@ def _states(selector: str, states: dict[str, LinkStateSection], *, together: boo
 
 
 def chances(states: dict[str, LinkStateSection], name: str) -> tuple[float, ...]:
-    """The probability with which each state follows on one; all others alike where nothing is said."""
+    """The probabilities of the states after a state. If the scenario gives none, all others are equally likely."""
     given = states[name].next
     if given is None:
         return (
@@ -57,7 +57,10 @@ def _key(selector: str) -> tuple[int, int, int]:
 
 
 def first_row(section: LinkSection, table: TraceTable) -> int:
-    """The number of the row with which a trace begins: by time the one in force, by packet the first not before."""
+    """The number of the first row of a trace.
+
+    By time it is the row in force, by packet the first that is not earlier.
+    """
     if section.start is None:
         return 0
     times = [row.time_ns or 0 for row in table.rows]

@@ -39,7 +39,7 @@ def healed_at(nemesis: NemesisSection, ground: Ground) -> int:
 def core(nemesis: NemesisSection, ground: Ground) -> list[int]:
     """The vehicles that are healed: those named, else a majority that links connect.
 
-    Where not all follow the reference, one that does is among them, for nobody could lead the others.
+    If not all follow the reference, the core has a vehicle that does, because the others need it as a leader.
     """
     if nemesis.core is not None:
         return vehicle_numbers(nemesis.core)
@@ -62,7 +62,7 @@ def core(nemesis: NemesisSection, ground: Ground) -> list[int]:
 
 
 def faults(nemesis: NemesisSection, ground: Ground) -> list[FaultSection]:
-    """The faults: those of a swarm up to the heal, and those that stay."""
+    """The faults: those of a swarm up to the heal, and the lasting ones."""
     spec, heal = ground.spec, healed_at(nemesis, ground)
     chaos = swarm.written(swarm.draw(nemesis, ground, heal), ground)
     healthy, taken = set(core(nemesis, ground)), {fault.id for fault in spec.faults}
@@ -85,8 +85,8 @@ def faults(nemesis: NemesisSection, ground: Ground) -> list[FaultSection]:
 def of_the_core(checks: ChecksSection, nemesis: NemesisSection, ground: Ground) -> ChecksSection:
     """The checks of a scenario as they judge a core.
 
-    What is to hold at last counts from the heal on, and for vehicles of the core: signals with `eventually_within` or
-    `agree_within`, errors, times of recovery, and connections. All others stay as they are.
+    Some checks count only from the heal on, and only for vehicles of the core. These are signals with
+    `eventually_within` or `agree_within`, errors, times of recovery, and connections. All others stay as they are.
     """
     heal, some = healed_at(nemesis, ground), core(nemesis, ground)
     changes: dict[str, Any] = {}
@@ -113,6 +113,6 @@ def _of_signal(check: SignalCheck, some: list[int], heal: int) -> SignalCheck:
 
 
 def _some(given: str | None, some: list[int]) -> str:
-    """The vehicles of the core among those that a check names; all of the core if it names none of them."""
+    """The vehicles of the core that a check names; all of the core if it names none of them."""
     both = [i for i in some if given is None or i in vehicle_numbers(given)]
     return ",".join(map(str, both or some))

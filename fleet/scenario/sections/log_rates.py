@@ -19,7 +19,7 @@ DRAWN_GROUPS = {"transforms": 100_000_000, "scene": 500_000_000}  # topics of th
 
 
 def snapshot_grid(spec: ScenarioSpec) -> int:
-    """Ticks between the moments at which a snapshot can be taken: rounds whose frame the log needs."""
+    """Ticks between the times at which a snapshot is possible: rounds with a frame in the log."""
     rounds = 1 if spec.network.ideal else spec.network.period // spec.tick
     return lcm(max(1, rounds), gcd(*log_every(spec).values()))
 
@@ -56,7 +56,7 @@ def memory_ticks(spec: ScenarioSpec, others: Iterable[tuple[str, Law]]) -> int:
     """Ticks between two snapshots; 0 for none, also where a law cannot save its state.
 
     Args:
-        others: kind and law of those that are not built in.
+        others: kind and law of the laws that are not built in.
     """
     wanted = SNAPSHOT_NS if spec.log.snapshot is None else spec.log.snapshot
     if wanted == 0 or without_snapshots(others):

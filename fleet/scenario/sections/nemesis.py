@@ -94,7 +94,7 @@ def draws(ground: Ground) -> list[str]:
 
 
 def _picks(nemesis: NemesisSection, links: Sequence[Link]) -> list[NemesisPick]:
-    """What may be drawn. A fleet of one keeps its scenario: faults that need a link are left out."""
+    """The kinds of fault that may be drawn. A fleet of one keeps its scenario: faults that need a link are left out."""
     return [pick for pick in nemesis.pick or () if links or pick.drawn not in ("partition", "down")]
 
 

@@ -26,7 +26,7 @@ def partition(text: str, vehicles: int, seed: int, name: str, among: Iterable[Li
 
 
 def is_drawn(text: str) -> bool:
-    """Whether a partition is one that is drawn."""
+    """Whether the seed draws this partition."""
     return text.strip() in DRAWN_PARTITIONS
 
 

@@ -1,4 +1,4 @@
-"""What each vehicle is and runs: vehicle, laws and parameters, from the profile, the scenario and `per_vehicle`."""
+"""Each vehicle's configuration: its data, laws and parameters, from the profile, the scenario and `per_vehicle`."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ Entries = tuple[str, ...]  # keys of per_vehicle
 
 @dataclass(frozen=True, slots=True)
 class Control:
-    """What one vehicle is and runs."""
+    """The data, laws and parameters of one vehicle."""
 
     agent: Law | None  # a user's; it may use the laws below
     controller: Law | None  # a user's
@@ -65,7 +65,7 @@ class Control:
     localization: LocalizationParams | None  # None: it uses no ranges
 
     def plant_signals(self) -> tuple[Signal, ...] | None:
-        """What its plant reports; None: it has none. Raises PluginError: it cannot be used."""
+        """The signals of its plant; None: it has none. Raises PluginError: it cannot be used."""
         return None if self.plant is None else signals_of(self.plant.name, self.plant.parameters or {})
 
     @property
@@ -140,7 +140,7 @@ def control(
     keep_apart: KeepApartParams | None,
     navigation: Navigation | None,
 ) -> Control:
-    """What a vehicle of a valid scenario is and runs.
+    """The data, laws and parameters of a vehicle of a valid scenario.
 
     Args:
         choice: every section as it holds for this vehicle.
@@ -197,7 +197,7 @@ def vehicle(section: VehicleSection, folder: Path | None) -> tuple[VehicleParams
 
 
 def model_name(section: VehicleSection) -> str:
-    """The model of a vehicle: the one that is named, else that of its plant, else the paper's."""
+    """The model of a vehicle: the named one, else that of its plant, else the paper's."""
     plant = section.plant
     brought = model_of(plant.name, plant.parameters or {}) if plant is not None and section.model is None else None
     return section.model or brought or "paper"
@@ -233,7 +233,7 @@ def tracking_params(name: str, law: str, section: TrackingSection) -> TrackingPa
 
 
 def given(section: Section) -> dict[str, Any]:
-    """What a section sets."""
+    """The values that a section sets."""
     return {key: value for key, value in section if value is not None}
 
 

@@ -1,4 +1,4 @@
-"""What a check on a signal asks, in SI units: which values must hold what, and when.
+"""The meaning of a check on a signal, in SI units: a condition, the values that it applies to, and its times.
 
 | kind | word | what must hold |
 |---|---|---|
@@ -46,7 +46,7 @@ class SignalCheckError(FleetError):
 
 @dataclass(frozen=True, slots=True)
 class SignalCondition:
-    """Values for which something holds: those from `low` to `high`, without these two if it is `strict`."""
+    """The values that meet a condition: those from `low` to `high`; `strict` excludes these two."""
 
     over: Over
     low: float
@@ -66,12 +66,12 @@ class AskedOfSignal:
 
     Attributes:
         unit: "1": none.
-        negated: samples for which the condition holds count against the check, not those for which it does not.
-        sometimes: such samples are what some run of many must reach, and no run fails for them.
-        within_ns: of a liveness property: how soon it must begin to hold; None: it is a safety property.
-        least_ns: how long a stretch of such samples lasts that breaks a safety property, 0: one sample does; of a
-            liveness property how long it must hold.
-        fault: from the end of which a liveness property counts; None: from `after_ns`.
+        negated: the check counts samples that meet the condition; otherwise those that do not meet it.
+        sometimes: some run of many must reach such a sample. No run fails for it.
+        within_ns: the time in which a liveness property must begin to hold; None: it is a safety property.
+        least_ns: a safety property breaks after a stretch of such samples of this length, 0: after one sample. A
+            liveness property must hold for this time.
+        fault: a liveness property counts from the end of this fault; None: from `after_ns`.
     """
 
     signal: SignalName
@@ -88,7 +88,7 @@ class AskedOfSignal:
 
 
 def ask(check: SignalCheck, vehicles: Mapping[int, Mapping[str, SignalPlace]]) -> AskedOfSignal:
-    """What a check asks.
+    """The meaning of a check in SI units.
 
     Args:
         vehicles: the signals of every vehicle of the scenario.

@@ -78,7 +78,7 @@ _GRAMMAR = re.compile(SIGNAL, re.ASCII)
 
 
 class BeliefKind(IntEnum):
-    """What a vehicle believes of its place, and so which signals of `BELIEF` it has."""
+    """The kind of a vehicle's belief about its place. It determines which signals of `BELIEF` the vehicle has."""
 
     NONE = 0  # nothing: it knows where it is
     PLACE = 1  # where it is, and not how sure that is
@@ -152,7 +152,7 @@ def component(vector: str, k: int) -> str:
 
 
 class VehicleSignals(NamedTuple):
-    """What a log has of one vehicle."""
+    """The signals of one vehicle in a log."""
 
     layout: SignalLayout | None = None  # what its agent reports; None: that is not known
     plant: tuple[Signal, ...] | None = None  # what its plant reports; None: it has none

@@ -62,7 +62,7 @@ def vehicle_fault(kind: str, who: int, strength: float, turn: float, ground: Gro
     """A fault of one vehicle.
 
     Args:
-        turn: from 0 to 1, what is drawn besides the strength: a sign, a direction, or which of two forms.
+        turn: from 0 to 1, a draw in addition to the strength: a sign, a direction, or one of two forms.
     """
     make = _KINDS.get(kind)
     return {kind: str(who)} if make is None else {kind: make(who, strength, turn, ground)}

@@ -1,4 +1,5 @@
-"""A swarm of faults: the seed draws which kinds are on, when each fault begins, for how long, how strongly, at whom.
+"""A swarm of faults: the seed draws the kinds that are on, and the beginning, length, strength and target of each
+fault.
 
 `draw` gives faults as a nemesis thinks of them, `written` gives them as a scenario writes them. Between the two they
 can be changed: shifted, stretched, aimed elsewhere, strengthened, left out. Each draw is a function of (seed, number of
@@ -7,8 +8,8 @@ the fault, what is drawn), so a change of one fault changes no other draw.
 * Kinds: each is on with probability 1/2; if none is, one of them. (A. Groce et al., "Swarm testing", ISSTA 2012: to
   leave features out finds more than to have all of them in every test.)
 * Beginnings: a Poisson process. Its mean is drawn, too, from a twentieth to a half of the time that there is.
-* Length: log-uniform, from one round to half of the run; at most 5 s if the vehicle goes on with its last command
-  meanwhile, because it may tumble then whatever the protocol does.
+* Length: log-uniform, from one round to half of the run. It is at most 5 s if the vehicle goes on with its last command
+meanwhile, because with any protocol the vehicle may tumble then.
 * Flapping is one more kind: if it is on, every third fault comes and goes two to eight times within its length.
 """
 
@@ -56,7 +57,10 @@ def draws(ground: Ground) -> list[str]:
 
 
 def picks_of(nemesis: NemesisSection, ground: Ground) -> list[NemesisPick]:
-    """What may be drawn: as given, or every kind that fits the scenario. A fleet without links keeps its own."""
+    """The kinds that may be drawn: the given ones, or every kind that fits the scenario.
+
+    A fleet without links keeps its own.
+    """
     if nemesis.pick is not None:
         kinds = nemesis.pick
     else:
@@ -151,7 +155,7 @@ def _times(one: DrawnFault, ground: Ground) -> Iterator[tuple[int, int]]:
 
 
 class _Past:
-    """What the faults that were written so far have cut and silenced."""
+    """The links and vehicles that the faults written by now have cut and silenced."""
 
     def __init__(self, ground: Ground) -> None:
         self._pairs = ground.pairs
@@ -169,7 +173,7 @@ class _Past:
         return aims.without(self._pairs, cut, {i for end, i in self._silent if end > at})
 
     def speaker(self, at: int) -> int | None:
-        """Who has begun to speak last, after it was silent; None: nobody has been silent."""
+        """The vehicle that began to speak last after a silence; None: no vehicle was silent."""
         back = [(end, i) for end, i in self._silent if end <= at]
         return max(back)[1] if back else None
 
@@ -179,7 +183,7 @@ class _Past:
 
 
 def _body(one: DrawnFault, ground: Ground, past: _Past) -> tuple[dict[str, Any], set[Pair], set[int]]:
-    """What a fault does, which pairs it cuts, and whom it silences."""
+    """The body of a fault, the pairs that it cuts, and the vehicles that it silences."""
     kind = one.pick.drawn
     if kind is None:
         return one.pick.model_dump(exclude_none=True, exclude_defaults=True, by_alias=True), set(), set()
@@ -227,7 +231,7 @@ def _bridge(one: DrawnFault, ground: Ground, past: _Past) -> Pair | None:
 
 
 def _vehicle(one: DrawnFault, ground: Ground, past: _Past) -> int:
-    """The vehicle of a fault; of those that have what it breaks."""
+    """The vehicle of a fault, among those with the part that the fault breaks."""
     has = {"clock": ground.clocks, "dvl": ground.navigators, "compass": ground.navigators, "fix": ground.fixed}
     some = has.get(one.pick.drawn or "") or tuple(range(1, ground.spec.vehicles + 1))
     who = _aimed(one, ground, past)

@@ -10,7 +10,7 @@
 | `bridge` | two halves from each other, but for one vehicle between them, drawn, that both see |
 | `isolate:3` | vehicle 3 from all |
 
-The named partitions are Jepsen's. What is drawn depends on (seed, id of the fault) alone.
+The named partitions are Jepsen's. The draws depend on (seed, id of the fault) alone.
 """
 
 from __future__ import annotations

@@ -6,8 +6,8 @@ time [s],delivered,delay [ms],rate [bit/s],snr [dB]
 4.0,0,,,
 ```
 
-A row in which nothing was delivered may leave its other cells empty. Anywhere else an empty cell is a hole, which is
-refused, as is a time before that of the row above. Numbers are read exactly: times and delays in whole ns.
+A row without a delivery may leave its other cells empty. Anywhere else an empty cell is a hole, which is refused, as is
+a time before that of the row above. Numbers are read exactly: times and delays in whole ns.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _BOUNDS = {"time": (Decimal(-(2**62)) / _NS, Decimal(2**62) / _NS), "delay": (De
 
 @dataclass(frozen=True, slots=True)
 class TraceRow:
-    """A row: the measurements of one packet, or those that hold from one time on. None: not measured."""
+    """A row: the measurements of one packet, or the values from one time on. None: not measured."""
 
     time_ns: int | None
     delivered: bool

@@ -1,4 +1,4 @@
-"""What happened to vehicles in a run, apart from its faults: how often each tumbled or diverged.
+"""The events of vehicles in a run, apart from its faults: how often each tumbled or diverged.
 
 A vehicle that tumbles ten times is one thing to know, not ten; and it is a consequence of the faults, not one of them.
 """
@@ -29,7 +29,7 @@ class VehicleEvents(NamedTuple):
 
 
 def vehicle_events(happened: Iterable[tuple[str, float]]) -> list[VehicleEvents]:
-    """One row for each vehicle and kind of event, in the order in which they first happened.
+    """One row for each vehicle and kind of event, in the order of their first occurrence.
 
     Args:
         happened: text and beginning [s] of faults and events, in any order; faults are left out.

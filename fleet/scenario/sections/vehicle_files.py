@@ -92,6 +92,6 @@ def parse_vehicle(data: bytes, name: str, *, shipped: bool = False) -> VehicleMo
 
 
 def mass_problems(params: VehicleParams) -> list[str]:
-    """A line for each inertia that is not positive, with which the equations of motion cannot be solved."""
+    """A line for each inertia that is not positive. The equations of motion cannot be solved with it."""
     names = ("m - beta_udot", "m - beta_vdot", "m - beta_wdot", "Iy - beta_qdot", "Iz - beta_rdot")
     return [f"{name} must be above 0, is {m:g}" for name, m in zip(names, params.inertia, strict=True) if m <= 0.0]

@@ -6,8 +6,8 @@
             | what a scenario has behind the kind                of the others, as in kill 3 or partition 1,2 / 3,4
 
 A unit may stand apart from its number. Quotation marks and braces are not needed, and mean nothing; `:` may stand for
-`=` and behind a selector. So the text by which a log names a fault, as in `noise {vehicles: 2, position_noise: 0.1 m}`,
-is read as the same fault.
+`=` and behind a selector. So a log's text for a fault, such as `noise {vehicles: 2, position_noise: 0.1 m}`, is read as
+the same fault.
 """
 
 from __future__ import annotations
@@ -59,14 +59,14 @@ def read_fault(text: str) -> dict[str, Any]:
     """A fault as an entry of a scenario's `faults`, its values as text; whether they are right is not checked.
 
     Raises:
-        FaultWordsError: the text has no kind of fault, or nothing that it acts on.
+        FaultWordsError: the text has no kind of fault, or no target.
     """
     found: dict[str, Any] = plain(fault_entry(Source("fault", text)))
     return found
 
 
 def fault_entry(source: Source) -> Mapping:
-    """The same as a tree, in which every key and value has its place in the source. Raises as `read_fault`."""
+    """The same as a tree; every key and value has its place in the source. Raises as `read_fault`."""
     return _Reader(source).fault()
 
 

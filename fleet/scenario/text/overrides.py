@@ -1,4 +1,4 @@
-"""What options change in a scenario, made on the tree before it is validated.
+"""The changes that options make to a scenario, on the tree before its validation.
 
 So an override obeys the rules of the file, and a mistake in one is reported with those of the file.
 
@@ -253,7 +253,7 @@ def _mapping(node: Node | None, place: TextPlace) -> Mapping | None:
 
 
 def _links_of(selector: str) -> str:
-    """What a selector means, however it is written; a text that is none means itself."""
+    """The links of a selector, in any spelling; a text that is no selector stands for itself."""
     try:
         return str(parse_selector(selector))
     except TextError:

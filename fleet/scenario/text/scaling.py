@@ -1,6 +1,7 @@
 """A scenario for another number of vehicles than it was written for: what `--set vehicles=N` does to the tree.
 
-What the file writes out vehicle by vehicle cannot fit another number of them, so it is replaced by what can:
+Values that the file gives vehicle by vehicle do not fit another number of vehicles. They are replaced by values that
+do:
 
 | in the file | scaled |
 |---|---|
@@ -170,7 +171,7 @@ def _made(root: Mapping, value: str) -> Scalar:
 
 
 def _replaced(root: Mapping, key: str, entries: dict[str, Node]) -> Mapping:
-    """The tree with these entries in a section; those that are new are shown where the number of vehicles is set."""
+    """The tree with these entries in a section. New entries have the place of the number of vehicles."""
     place, old = root.keys["vehicles"], root.entries.get(key)
     keys = dict.fromkeys(entries, place) | (old.keys if isinstance(old, Mapping) else {})
     return root.with_entry(key, root.keys[key], Mapping(entries, keys, place))

@@ -1,9 +1,9 @@
-"""A reader of YAML: a tree in which every key and value has its place in the text.
+"""A reader of YAML. In its tree every key and value has its place in the text.
 
-Built from libyaml's events rather than with PyYAML's loaders, for three reasons: the loaders keep no marks,
-they read YAML 1.1 (`1e-3` is text, `on` is true, `12:30` is 750, the last of two equal keys wins), and they
-recurse without a limit. Here scalars follow the core schema of YAML 1.2, duplicate keys are mistakes, and
-depth and size are bounded, so that no text hangs or crashes the reader.
+It uses libyaml's events rather than PyYAML's loaders, for three reasons. The loaders keep no marks. They read YAML 1.1:
+`1e-3` is text, `on` is true, `12:30` is 750, and the last of two equal keys wins. And they recurse without a limit.
+Here scalars follow the core schema of YAML 1.2, duplicate keys are mistakes, and depth and size are bounded, so that no
+text hangs or crashes the reader.
 """
 
 from __future__ import annotations
@@ -206,6 +206,8 @@ class _Reader:
                 hint = 'a text that begins with * or & needs quotes: "*->2"'
             elif "cannot start any token" in (error.problem or ""):
                 hint = "tabs cannot indent; a text that begins with @, ` or % needs quotes"
+            elif "mapping values are not allowed" in (error.problem or ""):
+                hint = "a line is indented more than the one above it, or a text with ': ' needs quotes"
             words = [w for w in (error.problem, error.context) if w]
             self._fail(error.problem_mark or error.context_mark, f"not YAML: {', '.join(words)}", hint)
         except (yaml.YAMLError, UnicodeError) as error:

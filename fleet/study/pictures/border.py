@@ -123,7 +123,7 @@ def _line(ax: Axes, borders: Borders, line: Sequence[_One], at: Sequence[int], k
 
 
 def _below_each_other(borders: Borders, every: Sequence[_One], varied: Sequence[AxisRecord]) -> Figure:
-    """A row per border: its interval, and the runs that passed above it, those that failed below."""
+    """A row per border: its interval, passed runs above it, failed runs below."""
     if len(every) > MOST_ROWS:
         raise StudyError(f"these are {len(every)} borders, and a picture has {MOST_ROWS} below each other at most")
     figure, (ax,) = panels(1, 1, PAGE_IN, 0.45 * len(every) + 1.3)
@@ -152,7 +152,7 @@ def _below_each_other(borders: Borders, every: Sequence[_One], varied: Sequence[
 
 
 def _runs(ax: Axes, borders: Borders, runs: Sequence[Run], at: int) -> None:
-    """Where runs were made: those that passed to the left, those that failed to the right."""
+    """The runs by their place: passed ones to the left, failed ones to the right."""
     seen: dict[Run, int] = {}
     for place, passed in runs:
         seen[place, passed] = number = seen.get((place, passed), 0) + 1

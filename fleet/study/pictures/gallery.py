@@ -40,8 +40,8 @@ def draw(points: Points, log_scale: bool | None = None, share: Tell = lambda _: 
     """The pictures of a study, the share that passed first, then the measures, then pairs of runs.
 
     Args:
-        log_scale: whether numbers have a logarithmic axis; None: those that span much have.
-        share: called before each with the share that is done.
+        log_scale: numbers have a logarithmic axis; None: numbers of a wide range have one.
+        share: called before each picture with the share that is done.
     """
     measures = [name for name in points.numbers if name != PASSED]
     todo: list[tuple[str, str, Callable[[], Iterator[Figure]]]] = []
@@ -101,7 +101,7 @@ def write(
     """Draw into a folder, which is made if need be; returns the files.
 
     Args:
-        measures: to show besides the share of runs that passed; none: those of the table of `fleet sweep`.
+        measures: in addition to the share of runs that passed; none: those of the table of `fleet sweep`.
         tell: called with a sentence about each picture that could not be drawn.
 
     Raises:

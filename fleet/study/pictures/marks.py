@@ -1,4 +1,4 @@
-"""What the pictures of a study share: safe texts, colours, and hatching where runs lack a number."""
+"""The common part of a study's pictures: safe texts, colours, and hatching for runs that lack a number."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def text(words: str, most: int = LONGEST_NAME) -> str:
 
 
 def axis_label(dimension: VariedKey) -> str:
-    """What varies in words, and its unit."""
+    """The varied quantity in words, and its unit."""
     return text(dimension.name) + (f" [{text(dimension.unit)}]" if dimension.unit else "")
 
 
@@ -54,7 +54,7 @@ def wrapped(words: str, width: int = WRAPPED) -> str:
 
 
 def quantity_label(quantity: Quantity, width: int = WRAPPED) -> str:
-    """What a picture shows, in lines."""
+    """The subject of a picture, in lines."""
     label = wrapped(quantity.what, width)
     if quantity.kind == "difference":
         label += f"\n{text(value_words(quantity.pair), width) if quantity.pair else 'difference of pairs'}"
@@ -62,7 +62,7 @@ def quantity_label(quantity: Quantity, width: int = WRAPPED) -> str:
 
 
 def interval_label(quantity: Quantity) -> str:
-    """What the intervals of a picture are, with their level."""
+    """The meaning of a picture's intervals, with their level."""
     if quantity.kind == "share":
         return f"{100 * CONFIDENCE:g} % interval"
     level = levels(cell.estimate for cell in quantity.cells.values())
@@ -75,7 +75,7 @@ def columns_of(panels: int) -> int:
 
 
 def scale(quantity: Quantity) -> float:
-    """What numbers are multiplied with before they are shown."""
+    """The factor of numbers before they are shown."""
     return 100.0 if quantity.kind == "share" else 1.0
 
 
@@ -134,7 +134,7 @@ class Lacks:
         """Draw what was gathered, above all else.
 
         Args:
-            transform: in which the rectangles of an axis are given.
+            transform: of the rectangles of an axis.
         """
         for (ax, kind, colour), rectangles in self._gathered.items():
             x, y, w, h = np.array(rectangles).T

@@ -1,4 +1,4 @@
-"""What the pictures of a study are drawn from: at each point an estimate of a number, and how many runs lack it."""
+"""The source of a study's pictures: at each point an estimate of a number, and the number of runs that lack it."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Lack(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class VariedKey:
-    """What is varied: its values, numbers in ascending order; `unit` is None where they are words."""
+    """A varied key: its values, numbers in ascending order. If they are words, `unit` is None."""
 
     key: str
     unit: str | None
@@ -160,7 +160,7 @@ def factors(points: Points) -> list[int]:
 
 
 def load(store: Store, measures: Sequence[str] = ()) -> Points:
-    """The points of a study with some measures; none: those that the table of `fleet sweep` shows.
+    """The points of a study with some measures; none: those of the table of `fleet sweep`.
 
     Raises:
         StudyError: there is no such measure, or the study is damaged.

@@ -1,4 +1,4 @@
-"""`fleet report` of a study: one self-contained HTML page, in which everything that the study says is escaped."""
+"""`fleet report` of a study: one self-contained HTML page. Every text of the study is escaped."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ def write(
     """Write the page.
 
     Args:
-        measures: to show besides the share of runs that passed; none: those of the table of `fleet sweep`.
-        log_scale: whether numbers have a logarithmic axis; None: those that span much have.
+        measures: in addition to the share of runs that passed; none: those of the table of `fleet sweep`.
+        log_scale: numbers have a logarithmic axis; None: numbers of a wide range have one.
         share: called now and then with the share that is done.
 
     Raises:
@@ -121,7 +121,7 @@ def _verdict(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def _failed(rows: Sequence[dict[str, Any]], checks: Sequence[str]) -> Table:
-    """The checks that failed, the one that most runs failed on top."""
+    """The checks that failed, with the most frequent one on top."""
     judged = [row for row in rows if row["status"] in _RESULT]
     counts = Counter({name: sum(row[f"check.{name}"] is False for row in judged) for name in checks})
     found = [

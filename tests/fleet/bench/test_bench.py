@@ -37,17 +37,20 @@ def test_quick_bench_reports_every_figure() -> None:
     assert {f"N = 2: {name}" for name in (ZENOH, PIPES, DISTRIBUTED, IN_PROCESS, CPU, READY)} <= names
     assert {"N = 2: journal written", "network core: perfect", f"network core: {SHARE}"} <= names
     assert {f"start: {name}" for name in COMMANDS if name != PYTHON} <= names
+    assert sum(name.startswith("policies: ") for name in names) == 2
     assert {"step: agent step", "step: QP: solve (PIQP, fresh solver)", "step: controller alone, bsmc"} <= names
     assert sum(name.startswith("four vehicles: tick 100 ms") for name in names) == 2
     assert all(min(figure.samples) > 0 for figure in found.figures)
     assert all(len(figure.ratios) == len(figure.samples) for figure in found.figures if figure.baseline)
     assert (found.quick, found.machine.cpus > 0, found.versions["uuv-fleet"] != "") == (True, True, True)
-    assert heard[-1] == "the network core, start-up and single steps, 1 of 1"
+    assert heard[-1] == "the network core, start-up, single steps and policies, 1 of 1"
     shown = Terminal(width=120, record=True, file=StringIO())
     show(found, shown)
     text = shown.export_text()
     assert all(
-        name.partition(": ")[2] in text for name in names if name.startswith(("step", "network", "start", "four"))
+        name.partition(": ")[2] in text
+        for name in names
+        if name.startswith(("step", "network", "start", "four", "policies"))
     )
 
 

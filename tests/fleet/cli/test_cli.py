@@ -572,7 +572,7 @@ def test_run_prints_the_faults_of_its_scenario(tmp_path: Path) -> None:
     """As fleet check does, also those that a nemesis draws; of very many, the first."""
     changes = [*NO_CHECKS, "--set", "nemesis={every: 20 ms, for: 10 ms, pick: [mute]}"]
     checked = invoke("check", "paper", *changes, "--set", "duration=500 ms").stdout.splitlines()
-    faults = [line for line in checked if line.startswith("fault nemesis-")]
+    faults = [line for line in checked if line.startswith("fault from ")]
     shown = invoke("run", "paper", *QUICK, *changes, "--out", tmp_path).stderr.splitlines()
     assert len(faults) == 24
     assert [line for line in shown if line.startswith(("fault ", "... "))] == [*faults[:20], "... and 4 more faults"]

@@ -40,7 +40,7 @@ def test_a_mistake_names_the_option_that_was_typed() -> None:
 def test_check_takes_the_same_words() -> None:
     result = invoke("check", "paper", *WORDS)
     assert result.exit_code == 0
-    assert "fault f1: partition halves, 0.1 to 0.3 s" in result.stdout
+    assert "fault from 0.1 to 0.3 s: partition halves (id f1)" in result.stdout
     wrong = invoke("check", "paper", "--fault", "at 5s kil 3", "--net", "1->9 down")
     assert wrong.exit_code == 2
     assert '\n--fault at 5s kil 3: no fault is called "kil"' in wrong.stderr

@@ -128,6 +128,18 @@ def test_a_broken_agent_fails_the_right_check(how: str, tmp_path: Path, monkeypa
     assert all(check.expected and check.got for check in failed)
 
 
+def test_a_slow_agent_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that answers too early, but later than the least silence: as on a busy machine."""
+    monkeypatch.setattr(conformance, "SILENCE_S", 0.05)
+    before, after, blamed = BROKEN["takes a part for the whole"]
+    slow = SOURCE.replace(before, after).replace(
+        "tau, velocity = law", "_ = __import__('time').sleep(0.2)\n            tau, velocity = law"
+    )
+    program = tmp_path / "slow.py"
+    program.write_text(slow, "utf-8")
+    assert examine(tmp_path / "join-3.json", str(program))[blamed].passed is False
+
+
 def test_what_the_check_needs(tmp_path: Path) -> None:
     """Nobody comes; no such vehicle; a file that is in the way."""
     file = tmp_path / "join-3.json"

@@ -480,7 +480,7 @@ def test_ten_mistakes_in_one_pass(monkeypatch: pytest.MonkeyPatch) -> None:
         ("checks.ledger=on", "expected balanced"),
         ("checks.qp_infeasible={at_most: -1}", "must be 0 or more"),
         ("physics.substeps=1.5", "expected a whole number"),
-        ("sea=3", "expected a mapping of keys to values, got 3"),
+        ("sea=3", "expected keys with values, got 3"),
         ("formation.offsets=3", "expected a list, got 3"),
     ],
 )
@@ -570,7 +570,7 @@ def test_anchors_work() -> None:
     [
         ("", "the text is empty"),
         ("# only a comment\n", "the text is empty"),
-        ("- 1\n", "expected a mapping of keys to values"),
+        ("- 1\n", "expected keys with values"),
         ("a: 1\n---\nb: 2\n", "a second document"),
         ("a: !!python/object x\n", "tags"),
         ("? [1]\n: 2\n", "a key must be a text"),

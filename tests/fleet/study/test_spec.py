@@ -210,4 +210,4 @@ def test_scripts_are_told_what_is_wrong_by_keyword() -> None:
         assert str(caught.value).startswith(message)
     with pytest.raises(TypeError, match="there is no argument 'seds'; did you mean \"seeds\""):
         fleet.sweep("paper", seds=3)
-    assert "most_seeds: How many a point may have" in (fleet.sweep.__doc__ or "")
+    assert "most_seeds: The most seeds of a point" in (fleet.sweep.__doc__ or "")

@@ -74,7 +74,7 @@ def test_roll_at_the_start() -> None:
         ("{name: remus100, parameters: {wings: 2}}", "remus100: cannot be made with these parameters"),
         ("{name: 'own_plants:Rolling', budget: -1 s}", "vehicle.plant.budget"),
         ("{parameters: {mass: 3}}", '"name" is missing in "vehicle.plant"'),
-        ("3", "vehicle.plant: expected a mapping of keys to values"),
+        ("3", "vehicle.plant: expected keys with values"),
     ],
 )
 def test_what_is_wrong_stands_at_its_place(plant: str, said: str) -> None:

@@ -1,0 +1,91 @@
+"""The command `fleet why`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from fleet.cli.documents.output import json_option, print_document
+from fleet.cli.log_argument import log_argument
+from fleet.cli.study_options import SCHEDULER, WORKERS
+from fleet.cli.trust import TrustingCommand, trust_option
+from fleet.cli.types import Whole
+from fleet.terminal.folding import say
+from world.plugins.trust import Trust
+
+if TYPE_CHECKING:
+    from fleet.terminal.fitting import Piece
+    from fleet.terminal.status_line import StatusLine
+
+MOST_RUNS = 24
+
+
+@click.command(cls=TrustingCommand)
+@log_argument
+@click.option("--check", metavar="NAME", help="The check that failed; by default the first one that did.")
+@click.option("--picture", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
+              help="Draw it into this file (png, svg, pdf).")  # fmt: skip
+@click.option("--most-runs", metavar="N", type=Whole(0, 10_000), default=MOST_RUNS, show_default=True,
+              help="Healed runs that are tried; 0: only what the log says.")  # fmt: skip
+@WORKERS
+@SCHEDULER
+@trust_option
+@json_option
+def why(
+    log: Path,
+    check: str | None,
+    picture: Path | None,
+    most_runs: int,
+    workers: int | None,
+    scheduler: str | None,
+    trust: Trust,
+    as_json: bool,
+) -> None:
+    """Explain why a check failed in LOG: faults, messages that did not arrive, and what each vehicle knew.
+
+    It also finds the point of no return: the last moment from which the run still passes if all faults are healed. For
+    that it makes the run again, and then runs that are healed at some moment.
+
+    \b
+    Examples:
+      fleet why
+      fleet why runs/latest --check formation_error --picture why.png
+      fleet why runs/latest --most-runs 0
+      fleet why runs/latest --json
+    """
+    from fleet.cli.study_output import showing
+    from fleet.explanation.why import Asked, Explanation
+    from fleet.study.local_engine import engine_of
+
+    if picture is not None:
+        from fleet.explanation.picture import draw, format_of
+
+        format_of(picture)
+    with showing(_pieces) as tell:
+        explanation = Explanation(Asked(log, check, most_runs, trust), tell)
+        if explanation.searches:
+            with engine_of(workers, scheduler) as engine:
+                found = explanation.find(engine, engine.carry(explanation.modules))
+        else:
+            found = explanation.without_runs()
+    if picture is not None:
+        draw(found, explanation.path, explanation.scenario, picture)
+    if as_json:
+        print_document(found)
+        return
+    from fleet.explanation.words import lines
+
+    say("\n".join([*lines(found), *([str(picture)] if picture is not None else [])]))
+
+
+def _pieces(line: StatusLine, doing: str, runs: int) -> list[Piece]:
+    """What is being done, and how many healed runs were made."""
+    from fleet.explanation.no_return import RUNS
+    from fleet.terminal.fitting import Piece
+
+    return [Piece(0, [doing]), Piece(1, [f"{runs} runs" if doing == RUNS else ""])]
+
+
+COMMANDS = (why,)

@@ -1,0 +1,293 @@
+"""A run that its caller grants tick by tick, looks at and disturbs in between; in one process.
+
+However it is stepped, it is the same run: without disturbance its log has the same bytes.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from math import dist
+from typing import Any, NamedTuple, Self
+
+from agents.errors import AgentError
+from fleet.analysis.verdicts import judge, standing
+from fleet.checks.own_checks import OwnChecks
+from fleet.errors import FleetError, RunBroken
+from fleet.execution.clock import GrantPolicy, LiveClock
+from fleet.execution.external_agents import refuse
+from fleet.execution.fault_request import RefusedError
+from fleet.execution.in_process import InProcess, MakeLife
+from fleet.execution.operator import Operator
+from fleet.execution.outcome import account_for, judge_run, settle
+from fleet.notebook import html_table
+from fleet.quantities import QuantityError, show_time, time_ns
+from fleet.recorder.journal import Journal
+from fleet.recorder.log_file import LogFile
+from fleet.recorder.no_log import NoLog
+from fleet.recorder.watched import WatchedLog, Watcher
+from fleet.recorder.writer import LogWriter
+from fleet.result.result import Result, Status, Wall
+from fleet.result.verdict import Margin
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.text.fault_words import read_fault
+from netem.wire.messages import Nav
+from world.errors import WorldError
+from world.vectors import Vec5, plus
+
+
+class VehicleState(NamedTuple):
+    """One vehicle between two ticks."""
+
+    id: int
+    alive: bool  # whether it has an agent
+    eta: Vec5  # true x, y, z [m, NED], theta, psi [rad]
+    nu: Vec5  # true u, v, w [m/s, body], q, r [rad/s]
+    told: Nav | None  # what its agent was told last: measured or believed, at the tick before; None: nothing yet
+    formation_m: float  # how far it is from its place in the formation [m]
+
+
+class State(NamedTuple):
+    """A fleet between two ticks."""
+
+    tick: int  # the next one
+    t: float  # when that begins [s]
+    vehicles: dict[int, VehicleState]
+    faults: tuple[str, ...]  # ids of those that are active
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (one.id, *(f"{value:.2f}" for value in one.eta[:3]), f"{one.formation_m:.3f}", "" if one.alive else "no")
+            for one in self.vehicles.values()
+        ]
+        title = f"t = {self.t:g} s" + (f", active: {', '.join(self.faults)}" if self.faults else "")
+        return html_table(title, ("vehicle", "north [m]", "east [m]", "down [m]", "off its place [m]", "agent"), rows)
+
+
+class SteppedRun:
+    """One run, which goes on when it is asked to."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        log: LogFile | None = None,
+        watcher: Watcher | None = None,
+        agents: Mapping[int, MakeLife] | None = None,
+    ) -> None:
+        """Prepare it.
+
+        Args:
+            log: where it is recorded; None: nowhere.
+            watcher: sees every frame.
+            agents: by vehicle, what makes an agent in place of the scenario's.
+
+        Raises:
+            CheckError: a check in Python cannot be made.
+            FleetError: somebody else is to start an agent.
+        """
+        refuse(scenario, "a run in one process")
+        self.scenario = scenario
+        self._file = log or NoLog()
+        writer = LogWriter(self._file, scenario)
+        recorded = writer if watcher is None else WatchedLog(writer, watcher)
+        self._journal = Journal(scenario, recorded, checks=OwnChecks.asked(scenario))
+        self._runner = InProcess(scenario, self._journal, agents=agents)
+        self._policy = GrantPolicy.of(scenario)
+        self._operator = Operator(scenario, self._journal, LiveClock(self._policy, 0.0), self._runner)
+        self._result = Result(scenario=scenario.name, seed=scenario.seed, status=Status.PASS)
+        self._wall_s = 0.0
+        self._closed = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def over(self) -> bool:
+        """Whether it goes no further: it came to its end, broke, or was closed."""
+        return self._closed
+
+    @property
+    def tick(self) -> int:
+        """The next tick; those before it are over."""
+        return self._runner.granted
+
+    @property
+    def t(self) -> float:
+        """When the next tick begins [s]."""
+        return self.tick * self.scenario.tick_ns / 1e9
+
+    @property
+    def state(self) -> State:
+        """The fleet as it is now, truth included."""
+        scenario, world = self.scenario, self._runner.world
+        tick_s, dead, vehicles = scenario.tick_ns / 1e9, self._runner.without_agent(), {}
+        for i in world.ids:
+            eta, nu = world.state(i)
+            t = world.tick(i) * tick_s  # of an agent that answers later it is the tick before
+            place = plus(scenario.reference.at(t).position, scenario.plans[i - 1].at(t).position)
+            vehicles[i] = VehicleState(i, i not in dead, eta, nu, self._runner.told.get(i), dist(eta[:3], place))
+        tick = min(map(world.tick, world.ids))
+        now = min(tick, scenario.ticks - 1)
+        active = dict.fromkeys(fault.id for fault in self._operator.faults if fault.active(now))
+        return State(tick, tick * tick_s, vehicles, tuple(active))
+
+    @property
+    def checks(self) -> list[dict[str, Any]]:
+        """The checks as they stand: rows with check, asked, found, and passed (so far); None: not judged yet."""
+        return standing(self.scenario, self._journal)
+
+    def margin(self, check: str) -> Margin | None:
+        """By how much a check holds so far; None: that is not known, or not yet.
+
+        Raises:
+            FleetError: the scenario has no such check.
+        """
+        verdicts = {one.check: one for one in judge(self.scenario, self._journal, middleware_lost=0)}
+        if check not in verdicts:
+            raise FleetError(f"{self.scenario.name} has no check {check}; it has {', '.join(verdicts) or 'none'}")
+        return verdicts[check].margin
+
+    def step(self, by: int | str = 1) -> State:
+        """Go on by some ticks, or by a time such as "1 s", at most to the end of the run.
+
+        If the run breaks, `over` is True from then on, and `result` says why.
+
+        Raises:
+            FleetError: the run is over, or the time is no whole number of ticks.
+        """
+        self.go(_ticks(by, self.scenario.tick_ns))
+        return self.state
+
+    def go(self, ticks: int) -> None:
+        """The same without a look at the state."""
+        if self._closed:
+            raise FleetError(f"the run is over at t = {self.t:g} s: {self._result.reason or 'it came to its end'}")
+        with self._going_on():
+            self._runner.begin()
+            self._runner.advance(min(self.tick + ticks, self.scenario.ticks))
+        if self._runner.finished:
+            self._finish()
+
+    def answer(self, i: int, answers: list[Any]) -> None:
+        """Take what agent i answers now; of agents that answer later than they are asked."""
+        with self._going_on():
+            self._runner.answer(i, answers)
+        if self._runner.finished:
+            self._finish()
+
+    def inject(self, fault: str) -> str:
+        """Begin a fault at the next tick.
+
+        Args:
+            fault: in the words of `fleet inject`, such as "down 1<->2 for 5s".
+
+        Returns:
+            Its id, for `heal`.
+
+        Raises:
+            RefusedError: it is none for this scenario, or the run is over.
+            FaultWordsError: it is no fault.
+        """
+        found: str = self._ask(op="inject", fault=read_fault(fault))["id"]
+        return found
+
+    def heal(self, fault: str | None = None) -> list[str]:
+        """End a fault at the next tick, or all that are active; an agent begins again with the next round.
+
+        Returns:
+            The ids of what was healed.
+
+        Raises:
+            RefusedError: there is no such fault, or the run is over.
+        """
+        found: list[str] = self._ask(op="heal", id=fault)["healed"]
+        return found
+
+    def to_end(self, progress: Callable[[float], None] | None = None) -> Result:
+        """Go on to the end of the run; returns the result.
+
+        Args:
+            progress: called with the simulated time [s] all the time.
+        """
+        tick_s = self.scenario.tick_ns / 1e9
+
+        def tell() -> None:
+            if progress is not None:
+                progress(max(0, self._journal.written) * tick_s)
+
+        if not self._closed:
+            with self._going_on():
+                self._runner.serve(self._policy, tell)
+                tell()
+            self._finish(ended=True)
+        return self.result
+
+    def close(self) -> None:
+        """End the run where it is."""
+        if not self._closed:
+            self._result.status = Status.INTERRUPTED
+            self._result.reason = f"it was closed at t = {self.t:g} of {show_time(self.scenario.duration_ns)}"
+            self._finish(ended=True)
+
+    @property
+    def result(self) -> Result:
+        """The verdicts and all numbers, as of `fleet.run`.
+
+        Raises:
+            FleetError: the run still goes on.
+        """
+        if not self._closed:
+            raise FleetError(f"the run goes on at t = {self.t:g} s: step on, or call to_end() or close()")
+        return self._result
+
+    @contextmanager
+    def _going_on(self) -> Iterator[None]:
+        """Account for wall time, and for a run that breaks."""
+        began, result = time.monotonic(), self._result
+        try:
+            yield
+        except RunBroken as error:
+            result.status, result.reason, result.lines = Status.BROKEN, error.reason, error.lines
+        except (AgentError, WorldError) as error:
+            result.status, result.reason = Status.BROKEN, str(error)
+        self._wall_s += time.monotonic() - began
+        if result.status is Status.BROKEN:
+            self._finish(ended=True)
+
+    def _finish(self, *, ended: bool = False) -> None:
+        """Judge the run; `ended`: what was on the way is accounted for, or is not to be."""
+        if self._closed:
+            return
+        self._closed = True
+        if not ended:
+            self._runner.end()
+        self._runner.release()
+        journal, result = self._journal, self._result
+        settle(journal, self._file, self._runner, result)
+        judge_run(self.scenario, journal, result, lost=0)
+        wall = Wall(in_process=True, run_s=self._wall_s)
+        account_for(result, self.scenario, journal, self._file, self._runner, wall)
+
+    def _ask(self, **request: Any) -> dict[str, Any]:
+        if self._closed:
+            raise RefusedError(f"the run is over at t = {self.t:g} s")
+        answer = self._operator.handle(request)
+        if "error" in answer:
+            raise RefusedError(answer["error"], answer["status"])
+        return answer
+
+
+def _ticks(by: int | str, tick_ns: int) -> int:
+    """So many ticks, 1 at least. Raises FleetError."""
+    text = f"step({by!r})"
+    try:
+        ns = time_ns(by) if isinstance(by, str) else by * tick_ns
+    except QuantityError as error:
+        raise FleetError(f'{text}: {error}; expected a number of ticks, or a time such as "1 s"') from None
+    if not isinstance(ns, int) or ns < tick_ns or ns % tick_ns:
+        raise FleetError(f"{text}: expected a whole number of ticks of {show_time(tick_ns)}, 1 or more")
+    return ns // tick_ns

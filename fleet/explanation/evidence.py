@@ -1,0 +1,265 @@
+"""The time at which a check failed, as its log tells it: faults, missing messages, and what vehicles knew."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from math import hypot, isfinite
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from msgspec import Meta, Struct
+
+from agents import payload
+from agents.errors import PayloadError
+from agents.localization.payload import decode as decode_located
+from agents.localization.payload import is_located
+from fleet.logs.open_log import Log
+from fleet.logs.reader import LogReadError
+from fleet.logs.topic import Topic
+from fleet.logs.topic_names import link_topic
+from fleet.scenario.sections.signals import parse_name
+from netem.causes import Cause
+from netem.condition import Link
+
+TOPICS = ("uuv/*/state", "uuv/*/belief", "uuv/*/located", "uuv/*/control", "uuv/*/guidance", "uuv/*/error",
+          "uuv/*/command", "uuv/*/clock", "uuv/*/plant", "uuv/*/nav", "faults", "link/*")  # fmt: skip
+MOST_GAPS = 400  # that are kept, the longest
+_MOST_SIGNALS = 8  # of one vehicle
+ON_THE_WAY = "on the way"
+CORRUPTED = "corrupted"
+# Why a message did not arrive, in words.
+CAUSES: dict[str, str] = {
+    Cause.LOSS: "the link lost it",
+    Cause.DOWN: "the link was down",
+    Cause.PARTITION: "the two sides were parted",
+    Cause.MUTE: "the sender was mute",
+    Cause.QUEUE: "the queue was full",
+    Cause.REPLACED: "the modem sent a newer one in its place",
+    Cause.MTU: "too long for the modem",
+    Cause.RANGE: "out of the modem's range",
+    Cause.HALF_DUPLEX: "the receiver's modem was sending",
+    Cause.COLLISION: "two transmissions met",
+    Cause.SNR: "too weak against the noise",
+    Cause.DEAD_SENDER: "the sender's agent was gone",
+    Cause.DEAF: "the receiver was deaf",
+    Cause.DEAD_RECEIVER: "the receiver's agent was gone",
+    CORRUPTED: "it arrived damaged",
+    ON_THE_WAY: "it was still on the way",
+}
+
+
+class FaultThen(Struct, frozen=True):
+    """A fault that had begun when the check failed."""
+
+    id: Annotated[str, Meta(description="Its id.")]
+    what: Annotated[str, Meta(description="In the words of a scenario.")]
+    from_s: Annotated[float, Meta(description="When it began [s].")]
+    to_s: Annotated[float, Meta(description="When it ended, or the log does [s].")]
+    on: Annotated[bool, Meta(description="Whether it was on when the check failed.")]
+
+
+class Gap(Struct, frozen=True):
+    """Messages in a row on one link, or on several at the same time, none of which arrived."""
+
+    links: Annotated[list[str], Meta(description="Sender and receiver of each, such as 1->2.")]
+    cause: Annotated[str, Meta(description="Of most of them: a fate of the log, `corrupted`, or `on the way`.")]
+    words: Annotated[str, Meta(description="The same in words.")]
+    from_s: Annotated[float, Meta(description="When the first one was sent [s].")]
+    to_s: Annotated[float, Meta(description="When the last one was sent [s].")]
+    messages: Annotated[int, Meta(description="How many, of all links.")]
+    goes_on: Annotated[bool, Meta(description="Whether nothing newer had arrived when the check failed.")]
+
+
+class Heard(Struct, frozen=True):
+    """What a vehicle had of a neighbour."""
+
+    vehicle: Annotated[int, Meta(description="The neighbour.")]
+    sent_s: Annotated[float | None, Meta(description="When its newest message was sent that arrived [s]; null: none.")]
+    age_s: Annotated[float | None, Meta(description="How old that was [s].")]
+    moved_m: Annotated[
+        float | None, Meta(description="How far it was from the place in its state message [m]; null: unknown.")
+    ]
+
+
+class VehicleThen(Struct, frozen=True):
+    """What a vehicle knew when the check failed."""
+
+    vehicle: Annotated[int, Meta(description="Its number.")]
+    silent_s: Annotated[float | None, Meta(description="How long it had reported nothing [s]; null: it did report.")]
+    heard: Annotated[list[Heard], Meta(description="Of each neighbour that it hears.")]
+    off_m: Annotated[float | None, Meta(description="Believed minus true position [m]; null: it knew its place.")]
+    sd_m: Annotated[float | None, Meta(description="What it took for the error of that, north and east [m].")]
+    signals: Annotated[dict[str, float | None], Meta(description="Signals of the check and of its protocol.")]
+
+
+class Evidence(NamedTuple):
+    """All that."""
+
+    faults: list[FaultThen]
+    gaps: list[Gap]
+    lost: dict[str, int]  # messages by cause
+    sent: int  # messages in all
+    vehicles: list[VehicleThen]
+
+
+def evidence(log: Log, at_s: float, signals: Sequence[str], *, protocol: bool) -> Evidence:
+    """What a log says of a time.
+
+    Args:
+        signals: that the check looks at.
+        protocol: whether the signals of the agents' own protocol are told, too.
+    """
+    faults = [FaultThen(f.id, f.what, f.begin, f.end, f.end > at_s) for f in log.faults if f.begin <= at_s]
+    each = {link: _Packets.of(log[link_topic(link)], at_s) for link in log.links}
+    lost: Counter[str] = Counter()
+    for packets in each.values():
+        lost.update(cause for cause in packets.causes if cause)
+    vehicles = [_vehicle(log, i, at_s, each, signals, protocol=protocol) for i in log.vehicles]
+    return Evidence(faults, _gaps(each), dict(lost.most_common()), sum(len(p.sent) for p in each.values()), vehicles)
+
+
+class _Packets(NamedTuple):
+    """The packets of one link that were sent up to a time, in order."""
+
+    sent: list[float]
+    causes: list[str]  # why each did not arrive; empty: it did
+    newest: bytes | None  # payload of the newest that arrived whole
+
+    @classmethod
+    def of(cls, topic: Topic, at_s: float) -> _Packets:
+        if not len(topic):
+            return cls([], [], None)
+        causes: dict[int, tuple[float, str, int]] = {}  # by number: sent, why not, row
+        names = ("seq", "sent", "due", "fate", "corrupted")
+        rows = zip(*(topic[name].tolist() for name in names), strict=True)
+        for row, (seq, sent, due, fate, corrupted) in enumerate(rows):
+            if sent > at_s:
+                continue
+            arrives = fate in (Cause.DELIVERED, Cause.IN_FLIGHT)
+            cause = fate if not arrives else ON_THE_WAY if due > at_s else CORRUPTED if corrupted else ""
+            if seq not in causes or not cause:  # of copies one that arrives counts
+                causes[seq] = sent, cause, row
+        ordered = [causes[seq] for seq in sorted(causes)]
+        arrived = [one for one in ordered if not one[1]]
+        newest = topic["payload"][arrived[-1][2]] if arrived and "payload" in topic else None
+        return cls([sent for sent, *_ in ordered], [cause for _, cause, _ in ordered], newest)
+
+    def last_arrived(self) -> float | None:
+        """When the newest that arrived was sent [s]."""
+        return next((s for s, cause in zip(reversed(self.sent), reversed(self.causes), strict=True) if not cause), None)
+
+    def gaps(self) -> Iterator[tuple[float, float, str, int, bool]]:
+        """First and last sending [s], cause, number of messages, and whether it goes on, of each gap."""
+        begin, found = 0, Counter[str]()
+        for k, cause in enumerate([*self.causes, ""]):
+            if cause:
+                begin = begin if found else k
+                found[cause] += 1
+            elif found:
+                yield self.sent[begin], self.sent[k - 1], found.most_common(1)[0][0], k - begin, k == len(self.causes)
+                found = Counter()
+
+
+def _gaps(each: dict[Link, _Packets]) -> list[Gap]:
+    """The gaps of all links, equal ones together: those that go on first, then the longest."""
+    together: dict[tuple[float, float, str, bool], list[tuple[str, int]]] = {}
+    for (src, dst), packets in each.items():
+        for first, last, cause, messages, goes_on in packets.gaps():
+            together.setdefault((first, last, cause, goes_on), []).append((f"{src}->{dst}", messages))
+    gaps = [
+        Gap([link for link, _ in links], cause, CAUSES.get(cause, cause), first, last, sum(n for _, n in links), on)
+        for (first, last, cause, on), links in together.items()
+    ]
+    gaps.sort(key=lambda gap: (not gap.goes_on, gap.from_s - gap.to_s, gap.from_s, gap.links))
+    return gaps[:MOST_GAPS]
+
+
+def _vehicle(
+    log: Log, i: int, at_s: float, each: dict[Link, _Packets], signals: Sequence[str], *, protocol: bool
+) -> VehicleThen:
+    heard = [_heard(log, src, packets, at_s) for (src, dst), packets in each.items() if dst == i]
+    shown: dict[str, float | None] = {}
+    names = [name for name in map(parse_name, signals) if name is not None]
+    for name in names:
+        group, _, field = name.name.partition(".")
+        value = _value(log, f"uuv/{i}/{group}", field, at_s, absolute=name.absolute)
+        if value is not None:
+            shown[str(name)] = value
+    if protocol and (topic := _there(log, f"uuv/{i}/control")) is not None:
+        for field, unit in topic.units.items():
+            if unit in ("1", "s") and f"control.{field}" not in shown and topic[field].ndim == 1:
+                shown[f"control.{field}"] = _value(log, topic.name, field, at_s)
+    where = _value(log, f"uuv/{i}/error", "formation_norm", at_s)
+    if where is not None:
+        shown.setdefault("error.formation_norm", where)
+    state = _there(log, f"uuv/{i}/command") or _there(log, f"uuv/{i}/state")
+    k = -1 if state is None else _sample(state, at_s)
+    silent = None
+    if state is not None and k >= 0 and (late := at_s - float(state.t[k])) > 2.5 * _step(state):
+        silent = late
+    group = "located" if _there(log, f"uuv/{i}/located") is not None else "belief"
+    sd = _value(log, f"uuv/{i}/{group}", "sd", at_s, absolute=True, width=2)
+    off = _value(log, f"uuv/{i}/{group}", "off_norm", at_s)
+    return VehicleThen(i, silent, heard, off, sd, dict(list(shown.items())[:_MOST_SIGNALS]))
+
+
+def _heard(log: Log, src: int, packets: _Packets, at_s: float) -> Heard:
+    sent = packets.last_arrived()
+    if sent is None:
+        return Heard(src, None, None, None)
+    told, moved = _told(packets.newest), None
+    if told is not None and (state := _there(log, f"uuv/{src}/state")) is not None and (k := _sample(state, at_s)) >= 0:
+        moved = hypot(*(float(state[name][k]) - p for name, p in zip("xyz", told, strict=True)))
+    return Heard(src, sent, at_s - sent, moved)
+
+
+def _told(data: bytes | None) -> tuple[float, float, float] | None:
+    """The place in a state message; None: it is none, or a compact one, whose place counts from others."""
+    if data is None:
+        return None
+    try:
+        message = decode_located(data).state if is_located(data) else payload.decode(data)
+    except PayloadError:
+        return None
+    x, y, z = message.position
+    return x, y, z
+
+
+def _there(log: Log, name: str) -> Topic | None:
+    return log[name] if name in log and len(log[name]) else None
+
+
+def _sample(topic: Topic, at_s: float) -> int:
+    """The last sample up to a time; -1: there is none."""
+    return int(np.searchsorted(topic.t, at_s + 1e-9, "right")) - 1
+
+
+def _step(topic: Topic) -> float:
+    return float(np.median(np.diff(topic.t))) if len(topic) > 1 else 0.0
+
+
+def _value(log: Log, name: str, field: str, at_s: float, *, absolute: bool = False, width: int = 0) -> float | None:
+    """A signal at a time; None: it has no finite value."""
+    if (topic := _there(log, name)) is None:
+        return None
+    if field not in topic:  # the component of a vector
+        field, _, part = field.rpartition("_")
+        if field not in topic or not part.isdecimal():
+            return None
+    else:
+        part = ""
+    try:
+        values: Any = topic[field]
+    except LogReadError:
+        return None
+    if (k := _sample(topic, at_s)) < 0:
+        return None
+    found = np.atleast_1d(values[k])
+    if part:
+        found = found[int(part) : int(part) + 1]
+    found = found[:width] if width else found
+    if not len(found) or (len(found) > 1 and not absolute):
+        return None  # a vector has no one value
+    value = hypot(*map(float, found)) if absolute else float(found[0])
+    return value if isfinite(value) else None

@@ -1,0 +1,324 @@
+"""The point of no return: the last snapshot of a failed run from which it passes if all faults are healed.
+
+The run is made once more in this process, with a snapshot about every second (or a hundredth of the run) and a note of
+whether the check has failed by then. Then runs are tried that are healed at one of these moments: what lasts ends, and
+what has not begun never begins. A check whose margin is the least over the time is judged from the snapshot on, since
+it had not failed before. Any other one remembers what was before, so its run is made from the start. It is the same run
+up to that moment, to the last bit.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import ceil, inf
+from typing import Annotated, Any, Literal, NamedTuple
+
+from msgspec import Meta, Struct
+
+from agents.errors import AgentError
+from fleet.analysis.verdicts import standing
+from fleet.checks.own_checks import OwnChecks
+from fleet.errors import RunBroken, ScenarioError
+from fleet.execution.clock import GrantPolicy
+from fleet.execution.in_process import InProcess
+from fleet.execution.outcome import judge_run, settle
+from fleet.quantities import show_time, time_ns
+from fleet.recorder.journal import Journal
+from fleet.recorder.metrics import VehicleError
+from fleet.recorder.no_log import NoLog
+from fleet.recorder.snapshot import Snapshot
+from fleet.result.result import Result, Status
+from fleet.result.verdict import Verdict
+from fleet.scenario.loading import changed
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.schema.checks import EVERY
+from fleet.scenario.sections.log_rates import snapshot_grid
+from fleet.scenario.sections.timeline import Event
+from fleet.study.branches import Branch, checks_over_time
+from fleet.study.engine import Engine, Row
+from fleet.study.errors import StudyError
+from fleet.study.modules import NO_MODULES, Modules
+from fleet.study.one_run import JUDGED, Task, scenario_of
+from fleet.study.plan import run_key
+from fleet.study.shrink import Tree, tree_of
+from netem.wire.messages import Command, Fate, Frame
+from world.errors import WorldError
+from world.plugins.trust import Trust
+
+RUNS = "runs that are healed"  # what is being made, for `tell`
+_FIRST, _THEN = 6, 3  # moments that are tried together
+_EVERY_NS = 1_000_000_000
+_LEAST_MOMENTS, _MOST_MOMENTS = 10, 100
+
+How = Literal["bisected", "scanned", "not needed", "not possible"]
+
+
+class HealedRun(Struct, frozen=True):
+    """A run that was healed at a moment."""
+
+    at_s: Annotated[float, Meta(description="From when on no fault was on [s].")]
+    passed: Annotated[bool | None, Meta(description="Whether it passed the check; null: it could not be judged.")]
+    from_snapshot: Annotated[bool, Meta(description="Whether only the rest of the run was made, from a snapshot.")]
+
+
+class NoReturn(Struct, frozen=True):
+    """The point of no return, or why there is none."""
+
+    how: Annotated[How, Meta(description="How it was looked for.")]
+    words: Annotated[str, Meta(description="What was found.")]
+    passes_s: Annotated[float | None, Meta(description="The last moment from which it passes [s]; null: none.")] = None
+    fails_s: Annotated[float | None, Meta(description="The next one that was tried, from which it fails [s].")] = None
+    tried: Annotated[list[HealedRun], Meta(description="The runs that were made, by moment.")] = []
+
+
+class Moment(NamedTuple):
+    """A moment of the run at which it may be healed."""
+
+    tick: int
+    state: bytes  # snapshot; empty: there is none
+    failed: bool  # whether the check had failed by then
+
+
+@dataclass(slots=True)
+class Remade:
+    """The run, made once more."""
+
+    scenario: Scenario  # with as many snapshots as there are moments
+    verdicts: list[Verdict] = field(default_factory=list)
+    moments: dict[str, list[Moment]] = field(default_factory=dict)  # by check
+    broken: str = ""  # why it ended early
+
+    def failed_between(self, check: str) -> tuple[float, float]:
+        """The time at which the check failed lies between these [s]; the end of the run, if only that shows it."""
+        tick_s, end = self.scenario.tick_ns / 1e9, self.scenario.duration_ns / 1e9
+        moments = self.moments.get(check, [])
+        k = len(moments)
+        while k and moments[k - 1].failed:
+            k -= 1
+        before = moments[k - 1].tick * tick_s if k else 0.0
+        return (before, moments[k].tick * tick_s) if k < len(moments) else (end, end)
+
+
+class _Watch:
+    """What the journal writes to: keeps every snapshot, and which checks have failed by then."""
+
+    def __init__(self, scenario: Scenario, every: int) -> None:
+        self.journal: Journal | None = None
+        self.moments: dict[str, list[Moment]] = {}
+        self._scenario, self._every = scenario, every
+
+    def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None:
+        if frame.tick % self._every or frame.tick >= self._scenario.ticks:
+            return
+        assert self.journal is not None
+        failed: dict[str, bool] = {}
+        for row in standing(self._scenario, self.journal):
+            failed[row["check"]] = failed.get(row["check"], False) or row["passed"] is False
+        for check, known in failed.items():
+            self.moments.setdefault(check, []).append(Moment(frame.tick, b"", known))
+
+    def packet(self, fate: Fate) -> None: ...
+    def event(self, event: Event) -> None: ...
+
+    def snapshot(self, snapshot: Snapshot) -> None:
+        state = snapshot.to_bytes()
+        for moments in self.moments.values():
+            if moments[-1].tick == snapshot.tick:
+                moments[-1] = moments[-1]._replace(state=state)
+
+
+def with_moments(scenario: Scenario, trust: Trust) -> Scenario:
+    """The scenario with a snapshot at each moment at which it may be healed."""
+    every_ns = _every(scenario) * scenario.tick_ns
+    return changed(scenario, [f"log.snapshot={show_time(every_ns)}"], trust)
+
+
+def _every(scenario: Scenario) -> int:
+    """Ticks between two moments."""
+    grid = snapshot_grid(scenario.spec)
+    a_second = min(_EVERY_NS // scenario.tick_ns, scenario.ticks // _LEAST_MOMENTS)
+    wanted = max(a_second, ceil(scenario.ticks / _MOST_MOMENTS))
+    return max(1, ceil(wanted / grid)) * grid
+
+
+def remake(scenario: Scenario, progress: Callable[[float], None]) -> Remade:
+    """Make the run once more, in this process.
+
+    Args:
+        scenario: as `with_moments` gives it.
+        progress: called with the share that is done.
+
+    Raises:
+        CheckError: a check in Python cannot be made.
+    """
+    watch = _Watch(scenario, _every(scenario))
+    watch.journal = journal = Journal(scenario, watch, checks=OwnChecks.asked(scenario))
+    runner, log = InProcess(scenario, journal), NoLog()
+    result = Result(scenario=scenario.name, seed=scenario.seed, status=Status.PASS)
+    try:
+        runner.serve(GrantPolicy.of(scenario), lambda: progress(max(0, journal.written) / scenario.ticks))
+    except (RunBroken, AgentError, WorldError) as error:
+        result.status = Status.BROKEN
+        return Remade(scenario, broken=str(error))
+    settle(journal, log, runner, result)
+    judge_run(scenario, journal, result, lost=0)
+    return Remade(scenario, result.verdicts, watch.moments)
+
+
+class HealingSearch:
+    """Looks for the point of no return of one check."""
+
+    def __init__(
+        self,
+        remade: Remade,
+        check: str,
+        engine: Engine,
+        tell: Callable[[str, int], None],
+        modules: Modules = NO_MODULES,
+    ) -> None:
+        """Prepare it; `tell` is called now and then with what is being done and how many runs were made."""
+        self._scenario, self._check, self._engine, self._tell = remade.scenario, check, engine, tell
+        self._modules, self._tree = modules, tree_of(remade.scenario)
+        self._over_time = check in checks_over_time(remade.scenario)
+        self._moments = self._candidates(remade)
+        self._known: dict[int, HealedRun] = {}  # by tick
+
+    def run(self, most_runs: int) -> NoReturn:
+        """Find it.
+
+        Raises:
+            StudyError: a run that is healed does not come to its end.
+        """
+        if not self._scenario.spec.faults:
+            return NoReturn("not needed", "the run had no fault, so there was nothing to heal")
+        moments = self._moments
+        self._try(_spread(0, len(moments) - 1, min(_FIRST, max(2, most_runs))))
+        low, high = self._bounds()
+        while self._ordered() and high is not None and low is not None and high - low > 1:
+            left = most_runs - len(self._known)
+            if left <= 0:
+                break
+            self._try(_spread(low, high, min(_THEN, left) + 2)[1:-1])
+            low, high = self._bounds()
+        if self._ordered():
+            return self._found("bisected", low, high)
+        self._try(_spread(0, len(moments) - 1, max(2, most_runs - len(self._known))))
+        return self._found("scanned", *self._bounds())
+
+    def _candidates(self, remade: Remade) -> list[Moment]:
+        """The moments before the check failed at which healing makes a difference, the first one without any fault."""
+        moments = list(remade.moments.get(self._check, []))
+        while moments and moments[-1].failed:
+            moments.pop()
+        tick_ns = self._scenario.tick_ns
+        faults = self._tree.get("faults") or []
+        begins = min((time_ns(fault["at"]) for fault in faults), default=0)
+        last = max((_end(fault) for fault in faults), default=inf)
+        without = [one for one in moments if one.tick * tick_ns <= begins]
+        others = [one for one in moments if begins < one.tick * tick_ns < last]
+        return [*(without[-1:] or [Moment(0, b"", False)]), *others]
+
+    def _try(self, places: Sequence[int]) -> None:
+        new = [self._moments[k] for k in dict.fromkeys(places) if self._moments[k].tick not in self._known]
+        tasks = {moment.tick: self._task(moment) for moment in new}
+        rows: dict[str, Row] = {}
+
+        def take(more: list[Row]) -> None:
+            rows.update((row["key"], row) for row in more)
+            self._tell(RUNS, len(self._known) + len(rows))
+
+        made = [task for task in tasks.values() if task is not None]
+        self._engine.make(iter(made), take, lambda: self._tell(RUNS, len(self._known) + len(rows)))
+        for tick, task in tasks.items():
+            at_s = tick * self._scenario.tick_ns / 1e9
+            passed = None if task is None else self._passed(rows[task.key], task)
+            self._known[tick] = HealedRun(at_s, passed, task is not None and task.branch is not None)
+
+    def _task(self, moment: Moment) -> Task | None:
+        """The run that is healed at a moment; None: it is no scenario."""
+        tree = healed(self._tree, moment.tick * self._scenario.tick_ns)
+        text, seed = json.dumps(tree), self._scenario.seed
+        branch = Branch(self._check, 0, moment.state) if self._over_time and moment.state else None
+        key = run_key(f"{text}\nhealed at {moment.tick} {self._check}")
+        task = Task(key, 0, seed, self._scenario.name, text, inf, self._modules, branch=branch)
+        try:
+            scenario_of(task)
+        except ScenarioError:
+            return None
+        return task
+
+    def _passed(self, row: Row, task: Task) -> bool | None:
+        if row["status"] not in JUDGED:
+            raise StudyError(f"a healed run does not come to its end: {row['reason']}")
+        if task.branch is not None:
+            return bool(row["best"] >= 0.0)
+        passed = row.get(f"check.{self._check}")
+        if passed is None:  # it was about a fault that never began
+            return True
+        if not passed and row.get(f"value.{self._check}") is None:  # there was nothing to judge, or no time for it
+            return None if json.loads(task.text).get("faults") else True
+        return bool(passed)
+
+    def _bounds(self) -> tuple[int | None, int | None]:
+        """Places of the last moment that passes, and of the next one that was tried and does not."""
+        tried = [k for k, moment in enumerate(self._moments) if moment.tick in self._known]
+        passing = [k for k in tried if self._known[self._moments[k].tick].passed]
+        low = passing[-1] if passing else None
+        return low, next((k for k in tried if low is None or k > low), None)
+
+    def _ordered(self) -> bool:
+        """Whether of what was tried all that passes comes before all that does not."""
+        found = [bool(self._known[tick].passed) for tick in sorted(self._known)]
+        return found == sorted(found, reverse=True)
+
+    def _found(self, how: How, low: int | None, high: int | None) -> NoReturn:
+        tried = [self._known[tick] for tick in sorted(self._known)]
+        runs = f"{len(tried)} healed {'run' if len(tried) == 1 else 'runs'}"
+        if how == "scanned":
+            runs += ", and some that were healed earlier do not pass"
+        if low is None:
+            words = f"healing does not help: no healed run passes, not even the one without any fault ({runs})"
+            return NoReturn(how, words, None, tried[0].at_s, tried)
+        passes = self._known[self._moments[low].tick]
+        if high is None:
+            words = f"healed at {passes.at_s:g} s, the last snapshot before it failed, it still passes ({runs})"
+            return NoReturn(how, words, passes.at_s, None, tried)
+        fails = self._known[self._moments[high].tick]
+        then = "it fails" if fails.passed is False else "there is no time left to judge it"
+        words = f"healed at {passes.at_s:g} s it passes, healed at {fails.at_s:g} s {then} ({runs})"
+        return NoReturn(how, words, passes.at_s, fails.at_s, tried)
+
+
+def healed(tree: Tree, at_ns: int) -> Tree:
+    """A scenario in which all faults are healed from a time on: what lasts ends, what has not begun never begins."""
+    faults: list[dict[str, Any]] = []
+    gone: set[str] = set()
+    for number, fault in enumerate(tree.get("faults") or [], start=1):
+        begin = time_ns(fault["at"])
+        if begin >= at_ns:
+            gone.add(str(fault.get("id", f"f{number}")))
+        else:
+            ends = {"for": show_time(at_ns - begin)} if _end(fault) > at_ns else {}
+            faults.append({"id": f"f{number}", **fault, **ends})
+    checks = dict(tree.get("checks") or {})
+    for key in ("recovery_time", "signal"):
+        some = checks.get(key)
+        each = [some] if isinstance(some, dict) else some or []
+        left = [check for check in each if check.get("fault", EVERY) not in gone]
+        if len(left) < len(each):
+            checks = {name: value for name, value in checks.items() if name != key} | ({key: left} if left else {})
+    return {**tree, "faults": faults, "checks": checks}
+
+
+def _end(fault: Mapping[str, Any]) -> float:
+    return time_ns(fault["at"]) + time_ns(fault["for"]) if "for" in fault else inf
+
+
+def _spread(first: int, last: int, count: int) -> list[int]:
+    """So many places between two, both included, evenly; fewer if there are no more."""
+    count = max(1, min(count, last - first + 1))
+    if count == 1:
+        return [first]
+    return list(dict.fromkeys(first + round(k * (last - first) / (count - 1)) for k in range(count)))

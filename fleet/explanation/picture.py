@@ -1,0 +1,110 @@
+"""The picture of an explanation: which links were silent and why, and the signal that the check looks at, over time."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Patch
+
+from fleet.errors import FleetError
+from fleet.explanation.evidence import ON_THE_WAY, TOPICS
+from fleet.explanation.why import Why
+from fleet.logs.open_log import Log, open_log
+from fleet.palette import COLOURS
+from fleet.pictures.runs import with_gaps
+from fleet.pictures.shades import shade
+from fleet.pictures.style import FORMATS, LABEL_PT, PAGE_IN, THIN, Provenance, legend, line, panels, save
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.signals import parse_name
+
+_MOST_LINKS, _MOST_VEHICLES = 20, 12
+_FAILED, _PASSES = "#c0392b", "#1e8449"
+
+
+def format_of(path: Path) -> str:
+    """The form of a picture. Raises FleetError: its suffix is none."""
+    form = path.suffix.removeprefix(".")
+    if form not in FORMATS:
+        raise FleetError(f"{path}: a picture ends in one of {', '.join('.' + f for f in FORMATS)}")
+    return form
+
+
+def draw(why: Why, log_path: Path, scenario: Scenario, path: Path) -> None:
+    """Write the picture, as wide as a page.
+
+    Raises:
+        FleetError: the file cannot be written, or its suffix is none of a picture.
+    """
+    form, log = format_of(path), open_log(log_path, TOPICS)
+    links = _silent(why)
+    height = 0.5 + 0.14 * max(4, len(links))
+    figure, (above, below) = panels(2, 1, PAGE_IN, height + 3.0, [height, 1.9])
+    _draw_gaps(above, why, links)
+    below.set_ylabel(_draw_signal(below, why, log))
+    below.set_xlim(0.0, scenario.duration_ns / 1e9)
+    for ax in (above, below):
+        ax.axvline(why.at_s, color=_FAILED, linewidth=1.2, label="the check had failed")
+        if why.no_return.passes_s is not None:
+            ax.axvline(why.no_return.passes_s, color=_PASSES, linewidth=1.2, linestyle=(0, (4, 2)),
+                       label="healed here, it passes")  # fmt: skip
+    numbered = shade([above, below], log.faults)
+    below.set_xlabel("\n".join(["time [s]", *numbered]))
+    legend(figure, below, 5)
+    causes = dict.fromkeys(gap.cause for gap in why.gaps)
+    if causes:
+        handles = [Patch(color=_colour(cause, causes), label=cause) for cause in list(causes)[:6]]
+        above.legend(handles=handles, loc="upper left", fontsize=LABEL_PT, ncols=len(handles), frameon=True)
+    facts = (("scenario", why.scenario), ("seed", str(why.seed)), ("digest", log.digest))
+    try:
+        save(figure, path.with_suffix(""), (form,), Provenance(f"Why {why.check} failed", facts))
+    except OSError as error:
+        raise FleetError(f"cannot write {path}: {error.strerror}") from None
+
+
+def _silent(why: Why) -> list[str]:
+    """The links that were silent longest, by name."""
+    silent: dict[str, float] = defaultdict(float)
+    for gap in why.gaps:
+        for link in gap.links:
+            silent[link] += gap.to_s - gap.from_s + 1e-3
+    worst = sorted(silent, key=lambda link: -silent[link])[:_MOST_LINKS]
+    return sorted(worst, key=lambda link: [int(i) for i in link.split("->")])
+
+
+def _draw_gaps(ax: Axes, why: Why, links: list[str]) -> None:
+    causes = dict.fromkeys(gap.cause for gap in why.gaps)
+    rows = {link: k for k, link in enumerate(reversed(links))}
+    for gap in why.gaps:
+        for link in gap.links:
+            if link in rows:
+                ax.plot([gap.from_s, gap.to_s], [rows[link]] * 2, color=_colour(gap.cause, causes), linewidth=4.0,
+                        solid_capstyle="projecting", zorder=2)  # fmt: skip
+    ax.set_yticks(list(rows.values()), list(rows), fontsize=LABEL_PT)
+    ax.set_ylim(-0.8, len(links) + 0.9)
+    ax.set_ylabel("messages that had not arrived" if links else "all messages arrived")
+
+
+def _colour(cause: str, causes: dict[str, None]) -> str:
+    return "0.7" if cause == ON_THE_WAY else COLOURS[list(causes).index(cause) % len(COLOURS)]
+
+
+def _draw_signal(ax: Axes, why: Why, log: Log) -> str:
+    """Draw the first signal that the words name, of each vehicle; returns what it is, with its unit."""
+    text = next((name for then in why.vehicles for name in then.signals), "")
+    name = parse_name(text)
+    if name is None:
+        return "no signal of the check in the log"
+    group, _, field = name.name.partition(".")
+    unit = ""
+    for number, then in enumerate(why.vehicles[:_MOST_VEHICLES]):
+        topic = f"uuv/{then.vehicle}/{group}"
+        if topic not in log or field not in log[topic] or not len(log[topic]):
+            continue
+        t, values = with_gaps(log[topic].t, log[topic][field].reshape(len(log[topic]), -1))
+        shown = np.linalg.norm(values, axis=1) if name.absolute else values[:, 0]
+        unit = log[topic].units[field]
+        line(ax, number, t, shown, f"vehicle {then.vehicle}", linewidth=THIN)
+    return text + (f" [{unit}]" if unit not in ("", "1") else "")

@@ -1,0 +1,181 @@
+"""Why a check failed: its verdict, what the log says of that time, and the point of no return."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+from fleet.errors import FleetError
+from fleet.explanation.evidence import TOPICS, FaultThen, Gap, VehicleThen, evidence
+from fleet.explanation.no_return import HealingSearch, NoReturn, Remade, remake, with_moments
+from fleet.logs.open_log import Log, open_log
+from fleet.logs.schemas import CLOCK, START
+from fleet.repeat.recorded_run import Recorded, recorded
+from fleet.result.file import ResultError, read_result
+from fleet.result.verdict import Verdict
+from fleet.scenario.trust import Policy
+from fleet.study.engine import Engine
+from fleet.study.modules import Modules, modules_of
+from netem.clock import Clock
+from world.plugins.trust import NOTHING, Trust
+
+
+class Why(Struct, frozen=True):
+    """`fleet why --json`: what made a check fail."""
+
+    scenario: Annotated[str, Meta(description="Name of the scenario.")]
+    seed: Annotated[int, Meta(description="Seed of the run.")]
+    check: Annotated[str, Meta(description="The check that failed.")]
+    asked: Annotated[str, Meta(description="What was asked, in words.")]
+    found: Annotated[str, Meta(description="What was found, in words.")]
+    others: Annotated[list[str], Meta(description="Other checks that failed.")]
+    held_until_s: Annotated[float, Meta(description="Up to when the check is known to have held [s].")]
+    at_s: Annotated[float, Meta(description="When it had failed [s]; everything below is of this time.")]
+    faults: Annotated[list[FaultThen], Meta(description="Faults that had begun by then.")]
+    sent: Annotated[int, Meta(description="Messages that were sent by then.")]
+    lost: Annotated[dict[str, int], Meta(description="By cause, how many of these had not arrived.")]
+    gaps: Annotated[list[Gap], Meta(description="Messages in a row that did not arrive, the most important first.")]
+    vehicles: Annotated[list[VehicleThen], Meta(description="What each vehicle knew.")]
+    no_return: Annotated[NoReturn, Meta(description="The last moment at which healing helps.")]
+    notes: Annotated[list[str], Meta(description="What limits all this.")]
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What is to be explained, and how."""
+
+    path: Path
+    check: str | None = None  # None: the first one that failed
+    most_runs: int = 0  # healed ones; 0: none is made
+    trust: Trust = NOTHING
+
+
+Tell = Callable[[str, int], None]
+
+
+class Explanation:
+    """The explanation of one log."""
+
+    def __init__(self, asked: Asked, tell: Tell) -> None:
+        """Read the log, and make its run once more if that is possible.
+
+        Raises:
+            LogReadError, FleetError, ScenarioError: the log cannot be explained; the text says why.
+        """
+        self._asked, self._tell = asked, tell
+        self._notes: list[str] = []
+        source = recorded(asked.path, lambda share: tell(f"reading the log, {100 * share:.0f} %", 0))
+        self.path = source.path
+        self._why_not = _why_not(source, asked)
+        self._whole = not source.reader.missing
+        self.scenario = source.script(policy=Policy(asked.trust))
+        self._remade = None if self._why_not else self._remake()
+        if self._remade is not None and self._remade.broken:
+            self._why_not, self._remade = f"the run does not come to its end: {self._remade.broken}", None
+        recorded_verdicts = self._recorded_verdicts(source)
+        verdicts = recorded_verdicts if self._remade is None else self._remade.verdicts
+        if not verdicts:
+            raise FleetError(f"{source.path}: what its checks came to is not known: {self._why_not}, and there is no "
+                             "result.json of it")  # fmt: skip
+        self.verdict, self._others = _chosen(source.path, verdicts, asked.check)
+        before = next((one for one in recorded_verdicts if one.check == self.verdict.check), None)
+        if before is not None and before.found != self.verdict.found:
+            self._notes.append(f"when it was recorded, this was found: {before.found}; fleet verify says what differs")
+        self.modules = modules_of([self.scenario], None)
+
+    def find(self, engine: Engine, modules: Modules) -> Why:
+        """Explain it.
+
+        Args:
+            engine: makes the healed runs.
+            modules: that they need, as the engine carries them.
+
+        Raises:
+            StudyError: a healed run does not come to its end.
+            LogReadError: the log cannot be read.
+        """
+        return self._explained(self._no_return(engine, modules))
+
+    def without_runs(self) -> Why:
+        """Explain it without any healed run."""
+        why = self._why_not or "it was not looked for: --most-runs is 0"
+        return self._explained(NoReturn("not possible", why))
+
+    @property
+    def searches(self) -> bool:
+        """Whether healed runs are to be made."""
+        return self._remade is not None and self._asked.most_runs > 0
+
+    def _remake(self) -> Remade:
+        scenario = with_moments(self.scenario, self._asked.trust)
+        return remake(scenario, lambda share: self._tell(f"the run once more, {100 * share:.0f} %", 0))
+
+    def _recorded_verdicts(self, source: Recorded) -> list[Verdict]:
+        """The verdicts in the result beside the log. Empty: there is none, or it is of another log."""
+        try:
+            result = read_result(source.path.parent)
+        except (FileNotFoundError, ResultError):
+            return []
+        log = open_log(source.path, [])
+        return result.verdicts if result.digest == log.digest else []
+
+    def _no_return(self, engine: Engine, modules: Modules) -> NoReturn:
+        assert self._remade is not None
+        search = HealingSearch(self._remade, self.verdict.check, engine, self._tell, modules)
+        return search.run(self._asked.most_runs)
+
+    def _explained(self, found: NoReturn) -> Why:
+        log = open_log(self.path, TOPICS, share=lambda share: self._tell(f"reading the log, {100 * share:.0f} %", 0))
+        begin, at_s = self._when(log)
+        own = any(control.agent is not None for control in self.scenario.controls)
+        then = evidence(log, at_s, self.verdict.signals, protocol=own)
+        verdict = self.verdict
+        return Why(
+            self.scenario.name, self.scenario.seed, verdict.check, verdict.asked, verdict.words, self._others, begin,
+            at_s, then.faults, then.sent, then.lost, then.gaps, then.vehicles, found, self._notes,
+        )  # fmt: skip
+
+    def _when(self, log: Log) -> tuple[float, float]:
+        """The time at which the check failed lies between these [s]."""
+        if self.verdict.moment is not None:
+            at_s = self.verdict.moment.at_s
+            begin = at_s
+        elif self._remade is not None:
+            begin, at_s = self._remade.failed_between(self.verdict.check)
+        else:
+            margin = self.verdict.margin
+            begin = at_s = log.end if margin is None or margin.at_s is None else margin.at_s
+        if at_s > log.end:
+            self._notes.append(f"the log ends at {log.end:g} s, before the check fails; what is told is of its end")
+        return min(begin, log.end), min(at_s, log.end)
+
+
+def _why_not(source: Recorded, asked: Asked) -> str:
+    """Why the run of a log cannot be made again; empty: it can."""
+    external = source.script().external
+    if external:
+        vehicles = ", ".join(map(str, external))
+        return f"the agent of vehicle {vehicles} is external, so no run can be made with it again"
+    if source.reader.metadata.get("run", {}).get(CLOCK) == Clock.REAL:
+        return "it was recorded with --clock real, so no run comes out the same again"
+    if START in source.reader.attachments:
+        return "it goes on from another log, so its beginning is not in it; explain that log"
+    return ""
+
+
+def _chosen(path: Path, verdicts: Sequence[Verdict], check: str | None) -> tuple[Verdict, list[str]]:
+    """The verdict to explain, and the other checks that failed. Raises FleetError."""
+    failed = [one for one in verdicts if not one.passed and one.check != "expect"]
+    names = list(dict.fromkeys(one.check for one in failed))
+    if not failed:
+        raise FleetError(f"{path}: every check passed, so there is nothing to explain")
+    if check is not None and check not in names:
+        known = {one.check for one in verdicts}
+        says = "passed" if check in known else "is none of this run"
+        raise FleetError(f"{path}: the check {check} {says}; these failed: {', '.join(names)}")
+    chosen = next(one for one in failed if check in (None, one.check))
+    return chosen, [name for name in names if name != chosen.check]

@@ -1,0 +1,198 @@
+"""A fleet as a `ParallelEnv`: one episode is one run, which goes on by a decision period when all have decided."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from pettingzoo import ParallelEnv
+
+from agents.loop import AgentLoop
+from fleet.errors import FleetError
+from fleet.execution.stepped_run import State, SteppedRun
+from fleet.result.result import Result, Status
+from fleet.rl.policy_agent import Asked, HeldLife, PolicyAgent, Seat, without_memory
+from fleet.rl.spaces import Values, action_of, decided, name_of, observation, observed, values_of
+from fleet.scenario.loading import changed
+from fleet.scenario.scenario import Scenario
+
+Reward = Callable[[State], Mapping[str, float] | float]
+
+
+class FleetEnv(ParallelEnv[str, Values, Values]):  # type: ignore[misc]
+    """See `fleet.parallel_env`."""
+
+    metadata = {"name": "uuv_fleet_v0", "render_modes": [], "is_parallelizable": True}  # noqa: RUF012  as PettingZoo
+    render_mode = None
+
+    def __init__(
+        self, scenario: Scenario, vehicles: tuple[int, ...], asked: Asked, every: int, reward: str | Reward
+    ) -> None:
+        """
+        Args:
+            vehicles: for which policies decide.
+            every: ticks from one decision to the next.
+            reward: the name of a check, or a function.
+        """
+        self.scenario = scenario
+        self.possible_agents = [name_of(i) for i in vehicles]
+        self.agents: list[str] = []
+        self._vehicles = dict(zip(self.possible_agents, vehicles, strict=True))
+        self._asked, self._every, self._reward = asked, every, reward
+        self._observed = {who: observed(scenario, i, asked) for who, i in self._vehicles.items()}
+        self._decided = {who: decided(scenario, i, asked) for who, i in self._vehicles.items()}
+        self._seeds: np.random.Generator | None = None  # of episodes that are asked for without a seed
+        self._seats: dict[str, Seat] = {}
+        self._margin = 0.0
+        self.run: SteppedRun | None = None  # of this episode: to look at, and to inject faults
+
+    def observation_space(self, agent: str) -> spaces.Dict:
+        """What an agent sees."""
+        return self._observed[agent]
+
+    def action_space(self, agent: str) -> spaces.Dict:
+        """What an agent decides."""
+        return self._decided[agent]
+
+    @property
+    def result(self) -> Result:
+        """The verdicts and all numbers of an episode that is over. Raises FleetError: it is not."""
+        if self.run is None:
+            raise FleetError("there is no episode yet: call reset()")
+        return self.run.result
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Values], dict[str, dict[str, Any]]]:
+        """Begin an episode.
+
+        Args:
+            seed: of the run. By default that of the scenario in the first episode, and then drawn from the seed
+                before.
+            options: none is known.
+
+        Raises:
+            ScenarioError: with this seed the scenario is none.
+            FleetError: with this seed agents would hear other neighbours.
+        """
+        self.close()
+        if seed is not None or self._seeds is None:
+            episode = self.scenario.seed if seed is None else int(seed)
+            self._seeds = np.random.default_rng(episode)
+        else:
+            episode = int(self._seeds.integers(2**31))
+        scenario = self.scenario if episode == self.scenario.seed else changed(self.scenario, [f"seed={episode}"])
+        if scenario.graph.links != self.scenario.graph.links:
+            raise FleetError(
+                f"seed {episode} draws another graph than seed {self.scenario.seed}, so agents would hear other "
+                "neighbours: give the scenario a graph that is not drawn"
+            )
+        self._seats = {who: self._seat(scenario, i) for who, i in self._vehicles.items()}
+        lives = {i: self._maker(scenario, who) for who, i in self._vehicles.items()}
+        self.run, self.agents, self._margin = SteppedRun(scenario, agents=lives), [*self.possible_agents], 0.0
+        self.run.go(1)
+        self._look()
+        self._rewards()
+        return self._observations(), self._infos()
+
+    def step(
+        self, actions: Mapping[str, Any]
+    ) -> tuple[dict[str, Values], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+        """Go on by a decision period.
+
+        Raises:
+            FleetError: there is no episode, an agent has no action, or an action is not of its space.
+        """
+        run = self.run
+        if run is None or not self.agents:
+            raise FleetError("the episode is over: call reset()" if run is not None else "call reset() first")
+        if set(actions) != set(self.agents):
+            raise FleetError(f"step: expected an action for each of {', '.join(self.agents)}, got {', '.join(actions)}")
+        for who in self.agents:
+            self._seats[who].action = action_of(who, self._decided[who], actions[who], self._asked)
+        for seat in self._seats.values():
+            seat.until = run.tick - 1 + self._every
+        for who, seat in self._seats.items():
+            if seat.life is not None and not run.over:
+                run.answer(self._vehicles[who], seat.life.go_on())
+        if not run.over:
+            run.go(self._every)
+        self._look()
+        over = run.over
+        broken = over and run.result.status is Status.BROKEN
+        rewards = self._rewards()
+        found = (
+            self._observations(),
+            rewards,
+            dict.fromkeys(self.agents, broken),
+            dict.fromkeys(self.agents, over and not broken),
+            self._infos(),
+        )
+        if over:
+            self.agents = []
+        return found
+
+    def render(self) -> None:
+        """Nothing: `run.state` has the fleet as it is."""
+
+    def close(self) -> None:
+        """End the episode."""
+        if self.run is not None:
+            self.run.close()
+
+    def _seat(self, scenario: Scenario, i: int) -> Seat:
+        config = scenario.agent_config(i)
+        return Seat(config if self._asked.resident else without_memory(config), self._asked)
+
+    def _maker(self, scenario: Scenario, who: str) -> Callable[[int, int], HeldLife]:
+        def make(incarnation: int, begin: int) -> HeldLife:
+            seat = self._seats[who]
+            core = PolicyAgent(seat)
+            loop = AgentLoop(
+                core,
+                scenario.round_ticks,
+                incarnation=incarnation,
+                begin=begin,
+                ideal=scenario.ideal,
+                memory_ticks=seat.config.memory_ticks,
+            )
+            return HeldLife(seat, loop, core)
+
+        return make
+
+    def _look(self) -> None:
+        for seat in self._seats.values():
+            if seat.life is not None and (holds := seat.life.holds) is not None:
+                seat.life.core.look(*holds)
+
+    def _observations(self) -> dict[str, Values]:
+        return {who: observation(self._observed[who], self._seats[who]) for who in self.agents}
+
+    def _infos(self) -> dict[str, dict[str, Any]]:
+        """Per agent: the seed, whether its decision counts, and what the scenario's own law would do."""
+        run = self.run
+        assert run is not None
+        infos: dict[str, dict[str, Any]] = {}
+        for who in self.agents:
+            life = self._seats[who].life
+            holds = None if life is None else life.holds
+            infos[who] = {"seed": run.scenario.seed, "asked": holds is not None}
+            if self._asked.resident and life is not None and holds is not None:
+                infos[who]["resident"] = values_of(life.core.foresee(*holds), self._asked)
+        return infos
+
+    def _rewards(self) -> dict[str, float]:
+        assert self.run is not None
+        if isinstance(self._reward, str):
+            margin = self.run.margin(self._reward)
+            now = self._margin if margin is None else margin.value
+            gained, self._margin = now - self._margin, now
+            return dict.fromkeys(self.agents, gained)
+        given = self._reward(self.run.state)
+        if not isinstance(given, Mapping):
+            return dict.fromkeys(self.agents, float(given))
+        if missing := set(self.agents) - set(given):
+            raise FleetError(f"the reward has no number for {', '.join(sorted(missing))}")
+        return {who: float(given[who]) for who in self.agents}

@@ -1,0 +1,250 @@
+"""An agent whose decisions somebody else makes, now and then: it waits for them, and repeats them in between.
+
+It hears and sends through the same network as any agent, and knows what its navigation believes, never the truth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, NamedTuple
+
+from agents import compact
+from agents.agent import Agent
+from agents.config import AgentConfig
+from agents.decision import Decision
+from agents.errors import PayloadError
+from agents.laws.kinematics import earth_velocity
+from agents.laws.velocity_command import clip
+from agents.loop import AgentLoop, Answer
+from agents.message import pack, unpack
+from agents.neighbours import AHEAD_S, NeighbourTable
+from agents.payload import StateMessage, encode
+from agents.trajectory import Motion
+from netem.wire.messages import Delivery, Inbox, Nav
+from world.vectors import Vec3
+
+KIND = "policy"  # of messages that hold numbers
+Numbers = tuple[float, ...]
+
+
+class Heard(NamedTuple):
+    """The last message of a neighbour."""
+
+    numbers: Numbers  # its content
+    age_s: float  # since it was sent, by the clocks of both
+    range_m: float | None  # as the modem measured it with that message
+
+
+@dataclass(frozen=True, slots=True)
+class Action:
+    """What a policy decided: until it decides again."""
+
+    move: Vec3  # surge force [N], pitch and yaw moment [N m]; or a velocity over ground [m/s, NED]
+    sends: bool
+    message: Numbers
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What a policy decides."""
+
+    move: Literal["velocity", "force"]
+    numbers: int  # of a message; 0: it is a state message of the scenario's payload
+    resident: bool  # whether the scenario's own law computes along
+
+
+@dataclass(slots=True)
+class Seat:
+    """What stays of a vehicle's policy when its agent is killed and begins again."""
+
+    config: AgentConfig
+    asked: Asked
+    action: Action = Action((0.0, 0.0, 0.0), False, ())
+    until: int = 0  # the tick at which the policy decides again
+    life: HeldLife | None = None  # that of the agent which runs now
+    heard: dict[int, Heard] = field(default_factory=dict)  # by neighbour; at the tick of `nav`
+    nav: Nav | None = None  # that the policy is asked about, or was last
+
+
+class PolicyAgent:
+    """One life of an agent that does what its policy decided."""
+
+    def __init__(self, seat: Seat) -> None:
+        self._seat, self.config = seat, seat.config
+        config, asked = seat.config, seat.asked
+        self._tick_s = config.tick_ns / 1e9
+        # The scenario's own law: it turns a velocity into forces, or computes along.
+        self.resident = Agent(config) if asked.resident or asked.move == "velocity" else None
+        self._states = NeighbourTable(
+            config.neighbours, "hold", None, config.offset, self._tick_s,
+            codec=config.codec, round_ticks=config.round_ticks,
+        )  # fmt: skip
+        self._numbers: dict[int, tuple[int, Heard]] = {}  # by sender: tick of sending, and the message
+        self._limits: tuple[Vec3, Vec3] = (_negative(config.tau_max), config.tau_max)
+        self._foreseen: tuple[int, dict[str, Any], tuple[bytes, ...], Decision] | None = None
+        self._notes: list[tuple[int, str]] = []
+
+    def look(self, nav: Nav, due: list[Delivery]) -> None:
+        """Learn what is known at a tick before the policy decides. It is taken in once more with the decision."""
+        seat, now = self._seat, self._now(nav)
+        seat.nav = nav
+        self._absorb(nav, due)
+        if seat.asked.numbers:
+            seat.heard = {
+                i: heard._replace(age_s=max(0, now - sent) * self._tick_s) for i, (sent, heard) in self._numbers.items()
+            }
+        else:
+            seat.heard = {
+                one.id: Heard((*one.position, *one.velocity), one.age, one.range_m) for one in self._states.heard(now)
+            }
+
+    def foresee(self, nav: Nav, due: list[Delivery]) -> Action:
+        """What the scenario's own law does at this tick, which is asked for once."""
+        assert self.resident is not None
+        before = self.resident.state() if self._remembers(nav.tick) else {}
+        sends = nav.tick % self.config.round_ticks == 0
+        payloads = self.resident.transmit(nav) if sends else ()
+        decision = self.resident.decide(nav, due)
+        self._foreseen = nav.tick, before, payloads, decision
+        state = self._own_state(nav)
+        return Action(decision.tau, bool(payloads), (*state.position, *state.velocity))
+
+    def transmit(self, nav: Nav) -> tuple[bytes, ...]:
+        """The payload that the policy wants to send, if it wants to send."""
+        if self._seat.asked.resident and self.resident is not None and not self._is_foreseen(nav.tick):
+            self.resident.transmit(nav)
+        action, numbers = self._seat.action, self._seat.asked.numbers
+        if not action.sends:
+            return ()
+        if numbers:
+            return (pack(KIND, list(action.message)),)
+        x, y, z, vx, vy, vz = action.message
+        message = self._own_state(nav)._replace(position=(x, y, z), velocity=(vx, vy, vz))
+        if self.config.codec == "full":
+            return (encode(message),)
+        try:
+            return (compact.encode(message, self.config.round_ticks),)
+        except compact.OutOfRange as error:
+            self._notes.append((nav.tick, f"a message that the compact payload cannot hold is not sent: {error}"))
+            return ()
+
+    def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> Decision:
+        """The forces that the policy wants, or those that keep the velocity that it wants."""
+        due = list(deliveries)
+        self._absorb(nav, due)
+        move = self._seat.action.move
+        if self._seat.asked.move == "velocity":
+            assert self.resident is not None
+            x, y, z = nav.eta[:3]
+            self.resident.course = Motion((x, y, z), move)
+            return self.resident.decide(nav, due)
+        tau = clip(move, *self._limits)
+        if self.resident is None:
+            return Decision(tau, ())
+        if (foreseen := self._foreseen) is not None and foreseen[0] == nav.tick:
+            return Decision(tau, foreseen[3].telemetry)
+        return Decision(tau, self.resident.decide(nav, due).telemetry)
+
+    def state(self) -> dict[str, Any]:
+        """What the resident law remembers: of a policy nothing is known."""
+        assert self.resident is not None  # otherwise the loop has no `memory_ticks`
+        foreseen = self._foreseen
+        return foreseen[1] if foreseen is not None and foreseen[1] else self.resident.state()
+
+    def restore(self, values: dict[str, Any]) -> None:
+        """A run with policies does not go on from another."""
+        raise NotImplementedError
+
+    def take_notes(self) -> list[tuple[int, str]]:
+        """(tick, text) of what a person should know since the last call."""
+        taken, self._notes = self._notes, []
+        return [*taken, *(self.resident.take_notes() if self.resident is not None else ())]
+
+    def _remembers(self, tick: int) -> bool:
+        every = self.config.memory_ticks
+        return bool(every) and tick % every == 0 and tick > 0
+
+    def _is_foreseen(self, tick: int) -> bool:
+        return self._foreseen is not None and self._foreseen[0] == tick
+
+    def _now(self, nav: Nav) -> int:
+        return nav.tick if nav.clock_ns is None else nav.clock_ns // self.config.tick_ns
+
+    def _own_state(self, nav: Nav) -> StateMessage:
+        x, y, z, theta, psi = nav.eta
+        u, v, w, q, r = nav.nu
+        velocity = earth_velocity((x, y, z, theta, psi), (u, v, w, q, r), nav.roll[0] if nav.roll else 0.0)
+        return StateMessage(self.config.id, self._now(nav), (x, y, z), velocity)
+
+    def _absorb(self, nav: Nav, due: list[Delivery]) -> None:
+        if not self._seat.asked.numbers:
+            ahead = 0 if nav.clock_ns is None else round(AHEAD_S / self._tick_s)
+            self._states.absorb(due, self._now(nav), ahead)
+            return
+        for one in due:
+            try:
+                content = unpack(KIND, one.payload)
+            except PayloadError:
+                continue  # damaged, or of another agent
+            newer = one.src not in self._numbers or one.sent_tick > self._numbers[one.src][0]
+            if newer and isinstance(content, list) and len(content) == self._seat.asked.numbers:
+                numbers = tuple(float(number) for number in content)
+                self._numbers[one.src] = one.sent_tick, Heard(numbers, 0.0, one.range_m)
+
+
+class HeldLife:
+    """One life of such an agent in the lockstep. A tick that its policy has not decided yet waits for `go_on`."""
+
+    def __init__(self, seat: Seat, loop: AgentLoop, core: PolicyAgent) -> None:
+        self._seat, self._loop = seat, loop
+        self.core = core
+        self._held: Nav | None = None
+        self._waiting: list[Delivery] = []  # what was delivered and may be due later
+        seat.life = self
+
+    @property
+    def incarnation(self) -> int:
+        return self._loop.incarnation
+
+    @property
+    def holds(self) -> tuple[Nav, list[Delivery]] | None:
+        """What is known at the tick that waits: the nav, and what is due; None: no tick waits."""
+        if self._held is None:
+            return None
+        tick = self._held.tick
+        return self._held, [delivery for delivery in self._waiting if delivery.due_tick <= tick]
+
+    def nav(self, nav: Nav) -> list[Answer]:
+        """Answer a tick, or let it wait for the policy."""
+        if nav.tick >= self._seat.until:
+            self._held = nav
+            return []
+        return self._answer(nav)
+
+    def inbox(self, inbox: Inbox) -> list[Answer]:
+        """Take the next round's deliveries."""
+        self._waiting.extend(inbox.deliveries)
+        return self._loop.inbox(inbox)
+
+    def go_on(self) -> list[Answer]:
+        """Answer the tick that waits, now that the policy has decided."""
+        nav, self._held = self._held, None
+        return [] if nav is None else self._answer(nav)
+
+    def remember(self, memory: bytes, *, anew: bool = False) -> None:
+        """A run with policies does not go on from another."""
+        raise NotImplementedError
+
+    def _answer(self, nav: Nav) -> list[Answer]:
+        self._waiting = [delivery for delivery in self._waiting if delivery.due_tick > nav.tick]
+        return self._loop.nav(nav)
+
+
+def _negative(vector: Vec3) -> Vec3:
+    return -vector[0], -vector[1], -vector[2]
+
+
+def without_memory(config: AgentConfig) -> AgentConfig:
+    """The same agent, which is asked for no snapshot."""
+    return replace(config, memory_ticks=0)

@@ -1,0 +1,220 @@
+"""Explanations of failures whose reason is known: a partition, a protocol that is too slow by design, and a drift."""
+
+from __future__ import annotations
+
+import json
+from contextlib import nullcontext
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+from small_scenario import SMALL
+from study_engine import Here
+
+from fleet.cli.main import cli
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
+from fleet.explanation.no_return import HealingSearch, healed, remake, with_moments
+from fleet.explanation.why import Asked, Explanation, Why
+from fleet.explanation.words import lines
+from fleet.scenario.loading import load_scenario, parse_scenario
+from fleet.study.modules import NO_MODULES
+from world.plugins.trust import NOTHING
+
+LONGER = SMALL.replace("duration: 1 s", "duration: 2 s")
+PUSH = "faults: [{at: 300 ms, for: 1500 ms, id: push, wrench: {vehicles: 1, force: -40 0 0 N}}]\n"
+TIGHT = "checks: {formation_error: {below: 5.5 m, vehicles: 1}, tumbled: waived}\n"
+
+
+def recorded(folder: Path, name: str, *overrides: str) -> Path:
+    result = execute(load_scenario(name, overrides), Options(folder, in_process=True, quiet=True))
+    assert result.directory is not None
+    return result.directory
+
+
+def explained(log: Path, check: str | None = None, most_runs: int = 24) -> Why:
+    explanation = Explanation(Asked(log, check, most_runs), lambda doing, runs: None)
+    return explanation.find(Here(), NO_MODULES) if explanation.searches else explanation.without_runs()
+
+
+def call(*args: object) -> Result:
+    return CliRunner().invoke(cli, ["why", *map(str, args)])
+
+
+@pytest.fixture
+def small_log(tmp_path: Path) -> Path:
+    """A push of 1.5 s that takes vehicle 1 out of its place."""
+    (tmp_path / "small.yaml").write_text(LONGER + PUSH + TIGHT, "utf-8")
+    return recorded(tmp_path, str(tmp_path / "small.yaml"))
+
+
+def test_a_partition(tmp_path: Path) -> None:
+    """From 3 to 15 s 1 and 2 do not hear 3 and 4. After 5 s of silence both halves claim place 4."""
+    why = explained(recorded(tmp_path, "auction-partition", "duration=12 s"), "NoConflict")
+    assert (pytest.approx(9.45), why.others) == (why.at_s, ["AllVisited"])
+    assert [(f.id, f.from_s, f.on) for f in why.faults] == [("split", 3.0, True)]
+    (gap,) = why.gaps
+    assert sorted(gap.links) == ["1->4", "2->3", "3->2", "4->1"]  # all links of the ring between the halves
+    assert (gap.cause, gap.from_s, gap.to_s, gap.goes_on) == ("partition", 3.0, 9.4, True)
+    assert why.lost == {"partition": gap.messages}
+    heard = {one.vehicle: one.sent_s for one in why.vehicles[2].heard}
+    assert heard == {2: 2.9, 4: 9.4}
+    assert why.no_return.passes_s == 9.0  # a claim of both must last for 1.5 s to be a conflict
+    assert why.no_return.fails_s is None
+
+
+def test_a_protocol_that_is_too_slow(tmp_path: Path) -> None:
+    """Each link takes 1.5 s and nothing is lost: two leaders, whatever is healed."""
+    why = explained(recorded(tmp_path, "election-slow", "duration=7 s"), "AtMostOneLeader")
+    assert why.at_s == 5.5
+    assert why.faults == []
+    assert set(why.lost) == {"on the way"}
+    leads = {then.vehicle: then.signals["control.leads"] for then in why.vehicles}
+    assert leads == {1: 1.0, 2: 1.0, 3: 0.0, 4: 0.0, 5: 0.0}
+    assert {one.age_s for then in why.vehicles for one in then.heard} == {1.5}
+    assert why.no_return.how == "not needed"
+
+
+def test_healing_does_not_help_a_protocol_that_is_too_slow(tmp_path: Path) -> None:
+    """A fault that has nothing to do with it."""
+    faults = "faults=[{at: 1 s, for: 3 s, noise: {vehicles: 4, position_noise: 1 cm}}]"
+    why = explained(recorded(tmp_path, "election-slow", "duration=7 s", faults), "AtMostOneLeader", 2)
+    assert why.no_return.passes_s is None
+    assert why.no_return.words.startswith("healing does not help: no healed run passes, not even the one without any")
+    assert [(fault.what.partition(" ")[0], fault.on) for fault in why.faults] == [("noise", False)]
+
+
+@pytest.mark.slow
+def test_a_drift(tmp_path: Path) -> None:
+    """No aid has a fix from 20 s on: the vehicles drift, and all believe that they are where they should be."""
+    why = explained(recorded(tmp_path, "formation-no-fixes"), "formation_error")
+    assert (why.held_until_s, why.at_s) == (108.0, 110.0)
+    assert [(fault.from_s, fault.on) for fault in why.faults] == [(20.0, True)]
+    fifth = why.vehicles[4]
+    assert fifth.off_m is not None
+    assert fifth.signals["error.formation_norm"] == pytest.approx(fifth.off_m, rel=0.1)  # it is off by what it is wrong
+    assert (why.no_return.passes_s, why.no_return.fails_s) == (104.0, 106.0)
+    assert all(one.from_snapshot for one in why.no_return.tried[1:])
+
+
+def test_a_push(small_log: Path) -> None:
+    why = explained(small_log)
+    assert (why.check, why.faults[0].id, why.faults[0].on) == ("formation_error", "push", True)
+    assert why.held_until_s < why.at_s
+    found = why.no_return
+    assert found.how == "bisected"
+    assert found.passes_s is not None
+    assert found.fails_s is not None
+    assert 0.3 <= found.passes_s < found.fails_s <= why.at_s
+
+
+def test_from_a_snapshot_or_from_the_start_is_the_same(small_log: Path) -> None:
+    """A run from a snapshot on is that from the start, so both find the same moment."""
+    scenario = with_moments(load_scenario(str(small_log / "scenario.yaml")), NOTHING)
+    remade = remake(scenario, lambda share: None)
+    found = []
+    for over_time in (True, False):
+        search = HealingSearch(remade, "formation_error", Here(), lambda doing, runs: None)
+        search._over_time = over_time
+        found.append(search.run(24))
+    assert [(one.at_s, one.passed) for one in found[0].tried] == [(one.at_s, one.passed) for one in found[1].tried]
+    assert {one.from_snapshot for one in found[1].tried} == {False}
+    assert any(one.from_snapshot for one in found[0].tried)
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+def test_whoever_makes_the_runs(small_log: Path, backwards: bool) -> None:
+    explanation = Explanation(Asked(small_log, None, 24), lambda doing, runs: None)
+    assert explanation.find(Here(backwards=backwards), NO_MODULES) == explained(small_log)
+
+
+def test_where_passing_has_no_order_that_is_said(small_log: Path) -> None:
+    """Some moments are tried over all of the time, and the last that passes counts."""
+
+    class Unordered(Here):
+        def rows(self, task):  # type: ignore[no-untyped-def]
+            row = super().rows(task)[0]
+            if row.get("best") is not None:
+                row["best"] = 1.0 if len(self.tasks) % 2 else -1.0
+            return [row]
+
+    explanation = Explanation(Asked(small_log, None, 24), lambda doing, runs: None)
+    found = explanation.find(Unordered(), NO_MODULES).no_return
+    assert found.how == "scanned"
+    assert "some that were healed earlier do not pass" in found.words
+
+
+def test_what_healing_leaves_of_a_scenario() -> None:
+    tree = {
+        "faults": [{"at": "1 s", "for": "2 s", "kill": "1"}, {"at": "2 s", "id": "on", "deaf": "2"},
+                   {"at": "5 s", "id": "later", "mute": "2"}],
+        "checks": {"recovery_time": [{"fault": "later", "below": "1 s"}, {"fault": "every", "below": "1 s"}],
+                   "signal": {"topic": "state.z", "fault": "later"}},
+    }  # fmt: skip
+    found = healed(tree, 2_500_000_000)
+    assert found["faults"] == [
+        {"id": "f1", "at": "1 s", "for": "1.5 s", "kill": "1"}, {"id": "on", "at": "2 s", "for": "500 ms", "deaf": "2"},
+    ]  # fmt: skip
+    assert found["checks"] == {"recovery_time": [{"fault": "every", "below": "1 s"}]}
+    assert healed(tree, 0)["faults"] == []
+    assert healed(tree, 3_500_000_000)["faults"][0] == tree["faults"][0] | {"id": "f1"}  # it is over by then
+
+
+def test_the_command(small_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fleet.study.local_engine.engine_of", lambda *_: nullcontext(Here()))
+    picture = tmp_path / "why.png"
+    result = call(small_log, "--picture", picture)
+    assert result.exit_code == 0, result.output
+    assert "small, seed 1: formation_error failed" in result.stdout
+    assert "the point of no return" in result.stdout
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    document = json.loads(call(small_log, "--json", "--most-runs", "0").stdout)
+    assert (document["check"], document["no_return"]["how"]) == ("formation_error", "not possible")
+
+
+def test_what_cannot_be_explained(small_log: Path, tmp_path: Path) -> None:
+    passed = recorded(tmp_path, "ideal", "duration=200 ms", "checks={tumbled: waived}")
+    for arguments, said in (
+        ([passed], "every check passed, so there is nothing to explain"),
+        ([small_log, "--check", "deaths"], "the check deaths passed; these failed: formation_error"),
+        ([small_log, "--check", "typo"], "the check typo is none of this run; these failed: formation_error"),
+        ([small_log, "--picture", tmp_path / "why.gif"], "a picture ends in one of .png, .svg, .pdf"),
+        ([tmp_path / "nothing.mcap"], "cannot read"),
+    ):
+        result = call(*arguments)
+        assert result.exit_code == 2, result.output
+        assert said in " ".join(result.stderr.split())
+
+
+def test_a_log_without_snapshots(small_log: Path, tmp_path: Path) -> None:
+    """The run that is made again has some."""
+    bare = recorded(tmp_path / "bare", str(small_log / "scenario.yaml"), "log.snapshot=0 s")
+    assert explained(bare).no_return == explained(small_log).no_return
+
+
+def test_a_run_that_cannot_be_made_again_is_explained_by_its_log(
+    small_log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fleet.explanation.why._why_not", lambda *_: "the agent of vehicle 3 is external")
+    why = explained(small_log)
+    assert (why.check, why.no_return.how) == ("formation_error", "not possible")
+    assert why.no_return.words == "the agent of vehicle 3 is external"
+    (small_log / "result.json").unlink()
+    result = call(small_log)
+    assert result.exit_code == 2
+    assert "what its checks came to is not known" in " ".join(result.stderr.split())
+
+
+def test_the_words_are_of_the_log(small_log: Path) -> None:
+    text = "\n".join(lines(explained(small_log, most_runs=0)))
+    assert "on     since 0.3 s: wrench" in text
+    assert "vehicle 1: error.formation_norm" in text
+
+
+def test_a_fault_that_is_over_changes_nothing_by_its_healing() -> None:
+    """Its moments need no run: each is the run itself, which fails."""
+    scenario = with_moments(
+        parse_scenario(LONGER + PUSH.replace("1500 ms", "100 ms").replace("-40", "-600") + TIGHT, "small.yaml"), NOTHING
+    )
+    search = HealingSearch(remake(scenario, lambda share: None), "formation_error", Here(), lambda doing, runs: None)
+    assert max(one.tick for one in search._moments) * scenario.tick_ns < 400_000_000

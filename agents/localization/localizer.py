@@ -35,7 +35,9 @@ from world.vectors import Vec3
 
 _HISTORY_S = 60.0  # a range that is older is of no use
 _FRESH_S = 60.0  # a vehicle whose last fix is older is no aid
-_FIX_GAIN = 0.005  # by this share a fix lessens the navigator's variance at least; its other sensors take longer
+_FIX_GAIN = 0.005  # by this share a fix lessens the navigator's variance; its other sensors take longer
+# But many small fixes keep it as it is, and the share of each goes to 0. Without any it grows: at t seconds by 2 s / t.
+_SPAN_S, _STEADY = 30.0, 1.01
 _DRIFT_MPS = 0.05  # by which a sender's velocity is off, until the range is measured: an assumption
 _NOTHING: Covariance = (0.0, 0.0, 0.0)
 
@@ -66,6 +68,7 @@ class Localizer:
         self._way = (0.0, 0.0)  # since the start
         self._history: deque[tuple[int, float, float]] = deque()  # tick, and the way until then
         self._fixed: int | None = None  # tick of the last fix
+        self._span: tuple[int, float] | None = None  # its first tick, and the least variance of the navigator in it
         self._alone = True  # no range is in the estimate
         self.mirror: MirrorImage | None = None  # without the key it is not looked for
         if config.localization is not None and config.localization.mirror:
@@ -108,10 +111,7 @@ class Localizer:
             self._covariance = grown(self._covariance, self._own, own)
             if self.mirror is not None:
                 self.mirror.grow(self._own, own)
-            before = self._own[0] + self._own[2]
-            if own[0] + own[2] < (1.0 - _FIX_GAIN) * before or not nav.belief:
-                self._fixed = nav.tick
-        elif not nav.belief:
+        if not nav.belief or self._has_fix(nav.tick, own[0] + own[2]):
             self._fixed = nav.tick
         if self._alone or own[0] + own[2] <= self._covariance[0] + self._covariance[2]:
             self._place, self._covariance, self._alone = (x, y), own, True
@@ -123,6 +123,19 @@ class Localizer:
             self._history.append((nav.tick, *self._way))
             while (nav.tick - self._history[0][0]) * self._tick_s > _HISTORY_S:
                 self._history.popleft()
+
+    def _has_fix(self, tick: int, variance: float) -> bool:
+        """Whether the navigator has had a fix, by its variance now [m^2]: it fell, or no longer grows."""
+        if self._span is None or self._tick is None:
+            self._span = tick, variance
+            return False
+        begin, least = self._span
+        fell = variance < (1.0 - _FIX_GAIN) * (self._own[0] + self._own[2])
+        if (tick - begin) * self._tick_s < _SPAN_S:
+            self._span = begin, min(least, variance)
+            return fell
+        self._span = tick, variance
+        return fell or variance <= _STEADY * least
 
     def message(self, state: StateMessage) -> LocatedMessage:
         """What to tell the others, with the position in `state`."""
@@ -220,11 +233,12 @@ class Localizer:
         numbers = [*self._place, *self._covariance, self._depth, *self._own, *self._velocity, *self._way]
         history = [list(kept) for kept in self._history]
         mirror = None if self.mirror is None else [*self._navigator, self.mirror.state()]
-        return [self._tick, numbers, history, self._fixed, self._alone, self.used, self.refused, mirror]
+        return [self._tick, numbers, history, self._fixed, self._alone, self.used, self.refused, mirror, self._span]
 
     def restore(self, values: list[Any]) -> None:
         """Continue from `state()`."""
-        self._tick, numbers, history, self._fixed, self._alone, self.used, self.refused, mirror = values
+        self._tick, numbers, history, self._fixed, self._alone, self.used, self.refused, mirror, *span = values
+        self._span = (span[0][0], span[0][1]) if span and span[0] else None  # older logs have none
         if self.mirror is not None and mirror is not None:
             north, east, known = mirror
             self._navigator = north, east

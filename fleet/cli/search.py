@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -22,6 +23,7 @@ from fleet.terminal.folding import say
 if TYPE_CHECKING:
     from fleet.scenario.scenario import Scenario
     from fleet.scenario.text.overrides import Override
+    from fleet.study.engine import Engine
     from fleet.study.failures import FoundFailure
     from fleet.study.modules import Modules
     from fleet.study.search import Searched
@@ -89,51 +91,75 @@ def search(
     """
     from fleet.cli.study_output import showing
     from fleet.study.errors import StudyError
-    from fleet.study.failures import FailureFolder, FoundFailure
-    from fleet.study.guided import GuidedSearch
     from fleet.study.local_engine import engine_of
-    from fleet.study.regress import make_least
-    from fleet.study.search import search as first_that_fails
-    from fleet.study.shrink import Shrinker
 
     if guide and liveness:
         raise StudyError("--guide changes when faults end, and with --liveness that is given: use one of the two")
-    mode: NemesisMode = "liveness" if liveness else "swarm" if nemesis else None
-    tried, modules = _tried(scenario, [*overrides, *net, *fault], trust, mode)
-    if keep is not None and guide:
-        raise click.UsageError("--guide ends at the first failure: not together with --keep")
     if keep is not None and (out is not None or force):
         raise click.UsageError("--keep has a file for each kind of failure: not together with --out or --force")
-    folder = None if keep is None else FailureFolder(keep)
-    path = keep or place_of(tried, out, force=force)
-    most_runs, budget_s = budget
-    least, kept = None, list[FoundFailure]()
+    mode: NemesisMode = "liveness" if liveness else "swarm" if nemesis else None
+    tried, modules = _tried(scenario, [*overrides, *net, *fault], trust, mode)
+    hunt = _Hunt(tried, check, guide, keep, keep or place_of(tried, out, force=force))
     with showing(pieces) as tell, engine_of(workers, scheduler) as engine:
-        modules = engine.carry(modules)
-        told = partial(tell, "fault lists" if guide else "seeds")
-        if guide:
-            found = GuidedSearch(tried, check, modules).run(engine, told, most_runs, budget_s)
-        else:
-            found = first_that_fails(tried, engine, told, check=check, most_runs=most_runs, budget_s=budget_s,
-                                     modules=modules, keep=folder)  # fmt: skip
-        if found.without:
-            say(f"{found.without} runs have no result, the first one because of: {found.reason}", err=True)
-        if folder is not None:
-            make_least(folder, tried, engine, tell, modules, MOST_RUNS)
-            kept = folder.of(tried)
-        elif found.scenario is not None:
-            what = f"run {found.runs + found.without}" if guide else f"seed {found.seed}"
-            since = "" if guide else f", the first one from {found.first_seed} on"
-            say(f"{what} fails {found.check}{since}", err=True)
-            least = Shrinker(found.scenario, engine, tell, modules).shrink(found.check, MOST_RUNS)
-            write_least(least.scenario, path)
-    again = f"fleet run {scenario} --seed {found.seed}"
-    cli_junit.write(junit, found.name, cli_junit.of_search(found, kept, again))
-    _print(found, least, check, path, kept, as_json=as_json)
+        hunt.run(engine, tell, engine.carry(modules), budget)
+    found = hunt.found
+    again = f"fleet run {hunt.path}" if guide else f"fleet run {scenario} --seed {found.seed}"
+    cli_junit.write(junit, found.name, cli_junit.of_search(found, hunt.kept, again))
+    _print(found, hunt.least, check, hunt.path, hunt.kept, as_json=as_json)
     if found.scenario is not None:
         sys.exit(1)
     if not found.runs:
         raise StudyError("no run came to its end, so nothing is known")
+
+
+class _Hunt:
+    """A search, and the least scenarios of what it found."""
+
+    def __init__(self, tried: Scenario, check: str | None, guide: bool, keep: Path | None, path: Path) -> None:
+        """Prepare it; `path`: of the least scenario, or of the folder that keeps several."""
+        from fleet.study.failures import FailureFolder, FoundFailure
+        from fleet.study.search import Searched
+
+        self._tried, self._check, self._guide, self.path = tried, check, guide, path
+        self._folder = None if keep is None else FailureFolder(keep)
+        self.found = Searched(tried.name, tried.seed)
+        self.least: Shrunk | None = None
+        self.kept = list[FoundFailure]()
+
+    def run(
+        self, engine: Engine, tell: Callable[[str, int], None], modules: Modules, budget: tuple[float, float]
+    ) -> None:
+        """Search, and make what was found as small as it can be."""
+        from fleet.study.guided import GuidedSearch
+        from fleet.study.regress import make_least
+        from fleet.study.search import search as in_order
+
+        most_runs, budget_s = budget
+        if self._guide:
+            guided = GuidedSearch(self._tried, self._check, modules)
+            found = guided.run(engine, partial(tell, "fault lists"), most_runs, budget_s, self._folder)
+        else:
+            found = in_order(self._tried, engine, partial(tell, "seeds"), check=self._check, most_runs=most_runs,
+                             budget_s=budget_s, modules=modules, keep=self._folder)  # fmt: skip
+        self.found = found
+        if found.without:
+            say(f"{found.without} runs have no result, the first one because of: {found.reason}", err=True)
+        if self._folder is not None:
+            make_least(self._folder, self._tried, engine, tell, modules, MOST_RUNS)
+            self.kept = self._folder.of(self._tried)
+        elif found.scenario is not None:
+            self._shrink(found, found.scenario, engine, tell, modules)
+
+    def _shrink(
+        self, found: Searched, failing: Scenario, engine: Engine, tell: Callable[[str, int], None], modules: Modules
+    ) -> None:
+        from fleet.study.shrink import Shrinker
+
+        what = f"run {found.runs + found.without}" if self._guide else f"seed {found.seed}"
+        since = "" if self._guide else f", the first one from {found.first_seed} on"
+        say(f"{what} fails {found.check}{since}", err=True)
+        self.least = Shrinker(failing, engine, tell, modules).shrink(found.check, MOST_RUNS)
+        write_least(self.least.scenario, self.path)
 
 
 def _tried(name: str, changes: list[str | Override], trust: Trust, mode: NemesisMode) -> tuple[Scenario, Modules]:

@@ -9,7 +9,7 @@ import click
 
 from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
-from fleet.cli.study_options import WORKERS, least_options
+from fleet.cli.study_options import SCHEDULER, WORKERS, least_options
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import OVERRIDES, Whole, disturbances
 from fleet.terminal.folding import say
@@ -34,6 +34,7 @@ MOST_RUNS = 2000
 @click.option("--most-runs", metavar="N", type=Whole(1), default=MOST_RUNS, show_default=True,
               help="Stop after this number of runs.")  # fmt: skip
 @WORKERS
+@SCHEDULER
 @trust_option
 @json_option
 def shrink(
@@ -46,6 +47,7 @@ def shrink(
     force: bool,
     most_runs: int,
     workers: int | None,
+    scheduler: str | None,
     trust: Trust,
     as_json: bool,
 ) -> None:
@@ -69,8 +71,8 @@ def shrink(
     scenario, folder = _scenario(failing, [*overrides, *net, *fault], trust)
     path = place_of(scenario, out, force=force)
     modules = modules_of([scenario], folder)
-    with showing(pieces) as tell, engine_of(workers) as engine:
-        found = Shrinker(scenario, engine, tell, modules).shrink(check, most_runs)
+    with showing(pieces) as tell, engine_of(workers, scheduler) as engine:
+        found = Shrinker(scenario, engine, tell, engine.carry(modules)).shrink(check, most_runs)
     write_least(found.scenario, path)
     if as_json:
         from fleet.cli.documents.study import less

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 from fleet.logs.payload_kinds import KindCount
+from fleet.pictures.beliefs import beliefs
 from fleet.pictures.runs import Run
 from fleet.result.result import LinkAge, Result
 from fleet.result.verdict import Verdict
@@ -64,9 +65,8 @@ def side_by_side(runs: Sequence[Run], results: Sequence[Result | None]) -> Table
 
 def believed_errors(run: Run, vehicles: Iterable[str]) -> dict[str, float]:
     """The last formation error of each vehicle that has to navigate, as it believes it [m]."""
-    topics = {i: f"uuv/{i}/belief" for i in vehicles}
-    known = {i: run.log[topic] for i, topic in topics.items() if topic in run.log}
-    return {i: float(one["formation_norm"][-1]) for i, one in known.items() if len(one) and not one.too_many}
+    known = ((i, beliefs(run.log, int(i))) for i in vehicles)
+    return {i: float(one.formation_norm[-1]) for i, one in known if one is not None}
 
 
 def _joined(numbers: Sequence[float | None], join: Callable[[list[float]], float], missing: str = "-") -> str:

@@ -15,7 +15,8 @@ from fleet.logs.records import Array
 from fleet.pictures.axes import MOST_NAMED, Get, draw_lines, finish, over_time, within
 from fleet.pictures.axes import bounds as draw_bounds
 from fleet.pictures.bands import SMALLEST
-from fleet.pictures.runs import Run, View
+from fleet.pictures.beliefs import beliefs
+from fleet.pictures.runs import Run, View, with_gaps
 from fleet.pictures.style import HEAVY, LABEL_PT, plain_decades
 from fleet.pictures.thresholds import draw_thresholds, thresholds
 from fleet.scenario.sections.per_vehicle import Control
@@ -47,14 +48,23 @@ def consensus(runs: Sequence[Run], view: View) -> Figure:
 
 def formation(runs: Sequence[Run], view: View) -> Figure:
     """Distance of each vehicle from its desired position; below it what vehicles that navigate believe of it."""
-    believed = any(run.series(i, "belief", "formation_norm") for run in runs for i in run.vehicles(view))
+    believed = any(beliefs(run.log, i) for run in runs for i in run.vehicles(view))
     return _norm(runs, view, "formation_norm", "formation error [m]", "formation", believed=believed)
+
+
+def _believed_formation(run: Run, i: int) -> tuple[Array, Array] | None:
+    """The formation error of a vehicle as it believes it."""
+    known = beliefs(run.log, i)
+    if known is None:
+        return None
+    t, values = with_gaps(known.t, known.formation_norm[:, np.newaxis], known.step_s)
+    return t, values[:, 0]
 
 
 def _norm(runs: Sequence[Run], view: View, name: str, label: str, error: str, *, believed: bool = False) -> Figure:
     figure, axes = over_time(2, runs, view) if believed else over_time(1, runs, view, 2.4)
     log = view.log_scale is not False
-    panel = [(ax, component(group, name)) for ax, group in zip(axes, ("error", "belief"), strict=False)]
+    panel = list(zip(axes, (component("error", name), _believed_formation), strict=False))
     notes = draw_lines(figure, panel, runs, view, log=log)
     draw_thresholds(axes[0], thresholds(runs, error))
     for ax, text in zip(axes, (label, "as they believe it [m]"), strict=False):

@@ -35,6 +35,8 @@ _MOST_EDGES = 60  # of the graph that are drawn as the formation's shape
 _TALL = 1.3  # times as high as wide: then the legend stands beside the tracks
 _EXAGGERATIONS = (1, 2, 5, 10, 20, 50, 100)
 _MARK = 3.5  # pt
+_TWO_DIGITS = 6.5  # pt, for half a depth of two digits
+_ZOOMS = (0.85, 0.8, 0.75, 0.7, 0.65, 0.6)  # of a picture in three dimensions
 _FAINT: dict[str, Any] = {"linewidths": 0.3, "alpha": 0.4, "zorder": 2, "gid": "others"}
 _CYLINDER: dict[str, Any] = {"facecolor": "0.85", "edgecolor": "0.4", "linewidth": 0.5, "zorder": 1, "gid": "obstacle"}
 _LINE: dict[str, Any] = {"color": PRINT.colour(COURSE), "linewidth": THIN, "linestyle": ":", "gid": "reference"}
@@ -152,7 +154,7 @@ def space(runs: Sequence[Run], view: View) -> Figure:
     figure = Figure(figsize=(COLUMN_IN, 3.4), layout="constrained")
     FigureCanvasAgg(figure)
     ax: Any = figure.add_subplot(projection="3d")
-    factor = _turn(ax, low, high)
+    factor, sides = _turn(ax, low, high)
     edges = [edge for run in runs for edge in _shapes(run, view)]
     for a, b in edges:
         ax.plot([a[1], b[1]], [a[0], b[0]], [a[2], b[2]], color="0.78", linewidth=0.5, gid="formation")
@@ -170,11 +172,30 @@ def space(runs: Sequence[Run], view: View) -> Figure:
     scale = f"depth exaggerated {factor} times" if factor > 1 else "depth to scale"
     _finish(figure, runs, [one for one, _ in happened], [scale])
     marks_legend(figure, entries)
+    _keep_inside(figure, ax, sides)
     return figure
 
 
-def _turn(ax: Any, low: Array, high: Array) -> int:
-    """Let the axes show all of it; returns how many times larger depth is drawn than the plane."""
+def _keep_inside(figure: Figure, ax: Any, sides: Sequence[float]) -> None:
+    """Leave room for the depths beside their axis, and make the box smaller until all labels are inside the figure.
+
+    The layout of a figure does neither for axes in three dimensions.
+    """
+    figure.draw_without_rendering()
+    widest = max((text.get_window_extent().width for text in ax.get_zticklabels()), default=0.0)
+    half = 0.5 * widest * 72.0 / figure.dpi  # pt: they stand around a point beside the axis
+    ax.tick_params(axis="z", pad=half - _TWO_DIGITS)
+    ax.zaxis.labelpad += max(0.0, 2.0 * (half - _TWO_DIGITS + 1.0))
+    for zoom in _ZOOMS:
+        ax.set_box_aspect(sides, zoom=zoom)
+        figure.draw_without_rendering()
+        found = [axis.label.get_window_extent() for axis in (ax.xaxis, ax.yaxis, ax.zaxis)]
+        if min(box.x0 for box in found) > 0.0 and max(box.x1 for box in found) < figure.bbox.width:
+            return
+
+
+def _turn(ax: Any, low: Array, high: Array) -> tuple[int, list[float]]:
+    """Let the axes show all of it; returns how many times larger depth is drawn than the plane, and its sides."""
     across = high - low
     across[2] = max(across[2], 0.5)  # m: otherwise a flat course looks rough
     factor = exaggeration(max(across[:2]), across[2])
@@ -189,9 +210,8 @@ def _turn(ax: Any, low: Array, high: Array) -> int:
         axis.set_major_locator(MaxNLocator(4 if length > 0.4 * max(across[:2]) else 2))
     # The longer side to the right, so that the box fills the picture.
     ax.view_init(elev=28, azim=-60 if across[1] >= across[0] else -25)
-    ax.set_box_aspect((across[1], across[0], factor * across[2]), zoom=0.85)
     ax.autoscale(False)
-    return factor
+    return factor, [across[1], across[0], factor * across[2]]
 
 
 def _paint_in_space(ax: Any, thing: Primitive) -> None:

@@ -13,6 +13,7 @@ from matplotlib.patches import Patch
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from fleet.logs.records import Array
+from fleet.pictures.beliefs import beliefs
 from fleet.pictures.runs import Run, View
 from fleet.scene.belief import ellipse
 from fleet.scene.primitives import AreaShape
@@ -38,23 +39,17 @@ class BelievedWay(NamedTuple):
 
 def believed_way(run: Run, i: int, colour: str, view: View) -> BelievedWay | None:
     """The beliefs of vehicle i in the window of a picture; None: it knew where it was, or the log has no beliefs."""
-    belief, state = f"uuv/{i}/belief", f"uuv/{i}/state"
-    if any(topic not in run.log or not len(run.log[topic]) for topic in (belief, state)):
+    known, state = beliefs(run.log, i), f"uuv/{i}/state"
+    if known is None or state not in run.log or not len(run.log[state]):
         return None
-    known, true = run.log[belief], run.log[state]
-    if any(name not in known for name in ("off", "covariance")):
+    true, (first, last) = run.log[state], view.window or (0.0, run.log.end)
+    inside = np.flatnonzero((known.t >= first) & (known.t <= last))
+    if not len(inside):
         return None
-    t, off, covariance = known.t, known["off"], known["covariance"]
-    if off.shape != (len(t), 3) or covariance.shape != (len(t), 10):
-        return None  # of another log
-    first, last = view.window or (0.0, run.log.end)
-    inside = (t >= first) & (t <= last)
-    if not inside.any():
-        return None
-    t, off, covariance = t[inside], off[inside], covariance[inside]
-    positions = np.column_stack([np.interp(t, true.t, true[name]) for name in ("x", "y", "z")]) + off
+    t = known.t[inside]
+    positions = np.column_stack([np.interp(t, true.t, true[name]) for name in ("x", "y", "z")]) + known.off[inside]
     moments = [min(int(np.searchsorted(t, at)), len(t) - 1) for at in np.linspace(first, last, MOMENTS)]
-    ellipses = [ellipse(i, positions[k].tolist(), covariance[k].tolist()) for k in dict.fromkeys(moments)]
+    ellipses = [ellipse(i, positions[k].tolist(), known.covariance[inside[k]].tolist()) for k in dict.fromkeys(moments)]
     return BelievedWay(i, colour, positions, [one for one in ellipses if one is not None])
 
 

@@ -9,7 +9,7 @@ the fleet, so that they hardly lag behind the hulls between two messages.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from math import sqrt
 from typing import Any
@@ -31,13 +31,14 @@ from fleet.recorder.snapshot import Snapshot
 from fleet.recorder.template import Template, field
 from fleet.recorder.transforms import NO_TURN, enu
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.signals import WHERE_LOCATED, locates
 from fleet.scene.belief import PlaceBelief, drawn_belief
 from fleet.scene.link_state import HISTORY, LinkState, mark_of, state_of
 from fleet.scene.model import SLENDER, SceneModel, diameter
 from fleet.scene.primitives import REFERENCE, CircleShape, CrossShape, Primitive, points_of
 from fleet.scene.styles import FOXGLOVE, NO_AGENT
 from netem.condition import Link
-from netem.wire.messages import Fate, Frame, VehicleFrame
+from netem.wire.messages import Command, Fate, Frame, VehicleFrame
 from world.vectors import Vec3
 
 SCENE_UNITS = {
@@ -95,17 +96,21 @@ class Scene:
             for silent in (False, True)
         }
         self._navigating = frozenset(self._model.navigating)
+        self._locating = frozenset(i for i in self._navigating if locates(scenario.layout(i)))
+        self._telemetry: dict[int, Sequence[float]] = {}  # of those that locate themselves, at the tick of `see`
         self._beliefs: dict[tuple[int, int], Template] = {}  # by vehicle and number of coordinates
         self._names = {link: _link(link).SerializeToString() for link in scenario.graph.links}
         self._lines = {state: Template(partial(_line, state), 6) for state in FOXGLOVE.links}
         self._offsets: list[Vec3] = []  # where the vehicles should be in the message before
         self._formation = b""  # and how that is drawn
 
-    def see(self, frame: Frame, commands: Iterable[int]) -> None:
-        """Note a tick, and the vehicles that have commands. The end tick has no commands.
+    def see(self, frame: Frame, commands: Mapping[int, Command]) -> None:
+        """Note a tick, and the commands of the vehicles. The end tick has no commands.
 
         On a wall clock an agent may miss ticks. It is silent when it has missed them for a while.
         """
+        if self._locating:
+            self._telemetry = {i: commands[i].telemetry for i in self._locating & commands.keys()}
         if frame.tick == self._scenario.ticks:
             return
         self._commanded.update(dict.fromkeys(commands, frame.tick))
@@ -138,8 +143,12 @@ class Scene:
         """
         drawn: list[Primitive] = []
         if row.nav:
-            x, y, z = (believed - true for believed, true in zip(row.nav[:3], row.eta[:3], strict=True))
-            drawn = drawn_belief(row.id, PlaceBelief((x, y, z), row.belief))
+            off = [believed - true for believed, true in zip(row.nav[:3], row.eta[:3], strict=True)]
+            belief = PlaceBelief.by_navigator(off, row.belief)
+            if telemetry := self._telemetry.get(row.id):
+                x, y, _, *covariance = telemetry[WHERE_LOCATED]
+                belief = belief.by_ranges((x - row.eta[0], y - row.eta[1]), covariance)
+            drawn = drawn_belief(row.id, belief)
         x, y, z = place
         values = [value for thing in drawn for dx, dy, dz in _ends(thing) for value in (x + dx, y + dy, z + dz)]
         key = row.id, len(values)

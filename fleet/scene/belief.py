@@ -1,6 +1,9 @@
 """The drawing of a vehicle's belief about its place, next to the truth: a cross, and the ellipse that holds it with 95
 %.
 
+Every vehicle that navigates has the belief of its navigator. One that uses ranges to others believes more: `by_ranges`
+puts that in its place. Whatever draws a belief makes it here.
+
 | symbol | meaning | unit |
 |---|---|---|
 | P = [[a, b], [b, c]] | covariance of north and east | m^2 |
@@ -11,10 +14,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from math import atan2, cos, hypot, isfinite, pi, sin, sqrt
 from typing import NamedTuple
 
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.signals import OF_LOCALIZATION, OF_NAVIGATION
 from fleet.scene.primitives import NED, AreaShape, CrossShape, FramePoint, Primitive, vehicle_frame
 from fleet.scene.styles import VEHICLE
 from world.vectors import Vec3
@@ -25,10 +30,65 @@ _MOST_M = 1e6  # a larger ellipse would be no picture
 
 
 class PlaceBelief(NamedTuple):
-    """A vehicle's belief about its place, as the topic `belief` has it."""
+    """A vehicle's belief about its place."""
 
     off: Vec3  # believed minus true position, NED [m]
-    covariance: Sequence[float]  # of x, y, z and psi: upper triangle, row by row; empty or NaN: it does not know
+    covariance: Sequence[float]  # of north and east: nn, ne, ee [m^2]; empty or NaN: it does not know
+
+    @classmethod
+    def by_navigator(cls, off: Sequence[float], covariance: Sequence[float]) -> PlaceBelief:
+        """As the topic `belief` has it.
+
+        Args:
+            off: believed minus true position, NED [m].
+            covariance: of x, y, z and psi: upper triangle, row by row; or empty.
+        """
+        north, east, down = off
+        return cls((north, east, down), (*covariance[:2], covariance[4]) if len(covariance) == 10 else ())
+
+    def by_ranges(self, off: Sequence[float], covariance: Sequence[float]) -> PlaceBelief:
+        """What the vehicle believes if it uses ranges, as the topic `located` has it; the depth is its navigator's.
+
+        Args:
+            off: believed minus true position, north and east [m].
+            covariance: nn, ne, ee [m^2].
+        """
+        north, east = off
+        return PlaceBelief((north, east, self.off[2]), covariance)
+
+
+class NewestBeliefs:
+    """What the vehicles of a run believe, as the messages of its log tell it: the newest of each, while it is news."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        # An older one is left out: nobody asks a vehicle whose agent is dead where it is.
+        self._lasts_s = {
+            group: max(1.0, 2.0 * scenario.log_every.get(group, 0) * scenario.tick_ns / 1e9)
+            for group in (OF_NAVIGATION, OF_LOCALIZATION)
+        }
+        self._newest: dict[str, dict[int, tuple[float, Sequence[float], Sequence[float]]]]
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget them all."""
+        self._newest = {group: {} for group in self._lasts_s}
+
+    def take(self, i: int, group: str, at_s: float, off: Sequence[float], covariance: Sequence[float]) -> None:
+        """Take what the topic `uuv/<i>/belief` or `uuv/<i>/located` has; the group says which."""
+        if len(off) == (2 if group == OF_LOCALIZATION else 3):
+            self._newest[group][i] = at_s, off, covariance
+
+    def at(self, t: float) -> dict[int, PlaceBelief]:
+        """The best that is known of each vehicle's belief at a time [s]."""
+        known = {i: PlaceBelief.by_navigator(*belief) for i, belief in self._news(OF_NAVIGATION, t)}
+        for i, located in self._news(OF_LOCALIZATION, t):
+            if i in known:
+                known[i] = known[i].by_ranges(*located)
+        return known
+
+    def _news(self, group: str, t: float) -> Iterator[tuple[int, tuple[Sequence[float], Sequence[float]]]]:
+        lasts_s = self._lasts_s[group]
+        return ((i, (off, cov)) for i, (at_s, off, cov) in self._newest[group].items() if t - at_s <= lasts_s)
 
 
 def drawn_belief(i: int, belief: PlaceBelief) -> list[Primitive]:
@@ -47,9 +107,9 @@ def ellipse(vehicle: int, place: Sequence[float], covariance: Sequence[float], f
         place: where it believes it is: north, east, down [m], in the frame.
         covariance: as in `PlaceBelief`.
     """
-    if len(covariance) != 10:
+    if len(covariance) != 3:
         return None
-    a, b, c = covariance[0], covariance[1], covariance[4]
+    a, b, c = covariance
     middle, radius = (a + c) / 2.0, hypot((a - c) / 2.0, b)
     if not all(map(isfinite, (middle, radius, *place))) or middle < radius * (1.0 - 1e-9):
         return None

@@ -4,6 +4,7 @@
 DIR/NAME-CHECK.yaml    a scenario with explicit faults; `fleet run` runs it
 DIR/failures.json      of each: seed, check, expected verdict, digest of its log, and a line to paste
 DIR/NAME.search.json   how far the search of the scenario NAME is, so that it can go on
+DIR/NAME.guide.msgpack the same of a search with a guide (`guided_memory`)
 ```
 
 A kind of failure is the check that fails. `fleet search --keep DIR` fills the folder, `fleet regress DIR` runs it.

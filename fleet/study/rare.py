@@ -156,8 +156,9 @@ class RareEvent:
         half = (high - low) / 2
         # Of plain runs, the number whose normal interval is as wide.
         counting = 1.96**2 * mean * (1 - mean) / half**2 if 0 < half < inf else None
+        at_most = min(1.0, high) if high < inf else None
         return RareFound(
-            known.scenario, known.check, mean, low, high if high < inf else None, len(estimates), known.levels,
+            known.scenario, known.check, mean, low, at_most, len(estimates), known.levels,
             ticks / self._scenario.ticks, counting, sum(not one.spread for one in known.repeats),
         )  # fmt: skip
 

@@ -11,17 +11,21 @@ from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from google.protobuf.message import DecodeError
 
 from fleet.logs.decoder import decoded
-from fleet.logs.schemas import BELIEF, FAULT, PACKET, flat_schema
+from fleet.logs.schemas import BELIEF, FAULT, LOCATED, PACKET, flat_schema
 from fleet.logs.topic_names import believer_of, link_of
 from fleet.result.file import ResultError, read_result
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.signals import OF_LOCALIZATION, OF_NAVIGATION
 from fleet.view.view_state import Row, ViewState
 from netem.causes import Cause
 
 TRANSFORMS, FAULTS = "transforms", "faults"
 _PACKET = flat_schema("Packet", PACKET).message
 _FAULT = flat_schema("Fault", FAULT).message
-_BELIEF = flat_schema("Belief", BELIEF).message
+_BELIEFS = {
+    OF_NAVIGATION: flat_schema("Belief", BELIEF).message,
+    OF_LOCALIZATION: flat_schema("Located", LOCATED).message,
+}
 
 
 def take(picture: ViewState, topic: str, at_s: float, data: bytes, *, moving: bool = True) -> None:
@@ -31,8 +35,8 @@ def take(picture: ViewState, topic: str, at_s: float, data: bytes, *, moving: bo
             picture.transforms(at_s, decoded(FrameTransforms, data))
         elif topic == FAULTS:
             picture.event(at_s, _fault(data))
-        elif (i := believer_of(topic)) is not None:
-            picture.believes(i, at_s, decoded(_BELIEF, data))
+        elif (believer := believer_of(topic)) is not None:
+            picture.believes(*believer, at_s, decoded(_BELIEFS[believer[1]], data))
         elif (link := link_of(topic)) is not None:
             picture.packet(link, decoded(_PACKET, data), moving=moving)
 

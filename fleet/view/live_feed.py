@@ -71,7 +71,8 @@ class LiveFeed:
             for topic in (TRANSFORMS, FAULTS, "link/*"):
                 self._journal.subscribe(topic)
             if self.picture.scene.navigating:
-                self._journal.subscribe_newest(BELIEFS)  # a picture shows one of each vehicle
+                for topics in BELIEFS:
+                    self._journal.subscribe_newest(topics)  # a picture shows one of each vehicle
 
     @property
     def missing(self) -> Missing:

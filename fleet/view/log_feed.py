@@ -61,11 +61,19 @@ class LogFeed:
         checked = map(str, checked_signals(self.scenario.spec.checks, looked_at))
         self.charted = [name for name in checked if self.signals.of_all(name)]
         self._track = self._tracked()
-        self._beliefs = Track(self._tape, [n for n, t in self._topics.items() if believer_of(t) is not None])
+        self._beliefs = [(len(numbers), Track(self._tape, numbers)) for numbers in self._believers()]
         self.end_s = self._tape.end_ns / 1e9
         self.player = self._player(0, rate)
         self._jumped = False
         self.seek(0.0)
+
+    def _believers(self) -> list[list[int]]:
+        """The channels of what vehicles believe: by navigator, and by ranges, which may come at another rate."""
+        found: dict[str, list[int]] = {}
+        for number, topic in self._topics.items():
+            if believer := believer_of(topic):
+                found.setdefault(believer[1], []).append(number)
+        return list(found.values())
 
     def _tracked(self) -> Track:
         more = self.signals.followed
@@ -130,9 +138,10 @@ class LogFeed:
 
     def _take_beliefs(self) -> None:
         """Take the newest of each vehicle: they are many, and a picture shows one."""
-        stop = self._beliefs.before(int(self.picture.at_s * 1e9) + 1)
-        for _, entry in self._beliefs.entries(range(max(0, stop - len(self.picture.scene.navigating)), stop)):
-            take(self.picture, entry.channel.topic, entry.log_ns / 1e9, entry.data)
+        for vehicles, track in self._beliefs:
+            stop = track.before(int(self.picture.at_s * 1e9) + 1)
+            for _, entry in track.entries(range(max(0, stop - vehicles), stop)):
+                take(self.picture, entry.channel.topic, entry.log_ns / 1e9, entry.data)
 
     def clock(self) -> Row:
         """How time goes."""

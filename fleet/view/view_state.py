@@ -15,9 +15,8 @@ from typing import Any
 from fleet.logs.payload_kinds import DAMAGED, kind_of
 from fleet.quantities import QuantityError, vehicle_numbers
 from fleet.scenario.scenario import Scenario, timeline
-from fleet.scenario.sections.signals import OF_NAVIGATION as BELIEF
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED, VehicleEvents, is_fault, vehicle_events
-from fleet.scene.belief import PlaceBelief
+from fleet.scene.belief import NewestBeliefs
 from fleet.scene.link_state import ARRIVED, BEHIND, LinkHistory, LinkState, fate_of, stale_after
 from fleet.scene.model import (
     CROWD,
@@ -59,8 +58,7 @@ class ViewState:
         self._numbers = {link: k for k, link in enumerate(scenario.graph.links)}
         self._round_s = scenario.round_ticks * scenario.tick_ns / 1e9
         self._stale_s = stale_after(self._round_s)
-        # An older one is left out: nobody asks a vehicle whose agent is dead where it is.
-        self._belief_lasts_s = max(1.0, 2.0 * scenario.log_every.get(BELIEF, 0) * scenario.tick_ns / 1e9)
+        self._beliefs = NewestBeliefs(scenario)
         self._faults: list[Row] = _scripted(scenario)
         self._events: dict[str, Row] = {}  # what happened to vehicles, by id
         self._told: list[VehicleEvents] | None = None  # the same as the console counts it; None: it was not asked
@@ -82,7 +80,7 @@ class ViewState:
         self._turns: dict[int, Vec3] = {}  # phi, theta, psi [rad]
         self._speeds: dict[int, float] = {}
         self._placed_s = -1.0
-        self._beliefs: dict[int, tuple[float, PlaceBelief]] = {}  # the newest of each vehicle, and when
+        self._beliefs.clear()
         self._packets: deque[list[Any]] = deque(maxlen=MOST_PACKETS)
         self._samples: deque[list[Any]] = deque(maxlen=MOST_SAMPLES)
         self._fresh: deque[list[Any]] = deque(maxlen=MOST_SAMPLES)  # since the last frame
@@ -117,11 +115,10 @@ class ViewState:
         if not self._samples or at_s - self._samples[-1][0] >= SAMPLE_S - 1e-9:
             self._sample()
 
-    def believes(self, i: int, at_s: float, message: Any) -> None:
-        """Take a message of the topic `uuv/<i>/belief`."""
-        off = tuple(message.off)
-        if i in self.neighbours and len(off) == 3:
-            self._beliefs[i] = at_s, PlaceBelief(off, tuple(message.covariance))
+    def believes(self, i: int, group: str, at_s: float, message: Any) -> None:
+        """Take a message of the topic `uuv/<i>/belief` or `uuv/<i>/located`; the group says which."""
+        if i in self.neighbours:
+            self._beliefs.take(i, group, at_s, tuple(message.off), tuple(message.covariance))
 
     def packet(self, link: Link, message: Any, *, moving: bool = True) -> None:
         """Take a message of a topic `link/<src>-<dst>`.
@@ -275,8 +272,7 @@ class ViewState:
 
     def moving(self) -> list[Primitive]:
         """The primitives that move with the fleet, for the present time, as the scene has them."""
-        known = {i: belief for i, (t, belief) in self._beliefs.items() if self.at_s - t <= self._belief_lasts_s}
-        return self.scene.moving(self.at_s, known)
+        return self.scene.moving(self.at_s, self._beliefs.at(self.at_s))
 
     def history(self) -> Row:
         """The samples of the last minute, for a page that has just been opened, or that has jumped."""

@@ -168,3 +168,20 @@ def test_naive_becomes_overconfident_and_intersection_stays_consistent() -> None
 def test_localisation_needs_ranges_and_messages(overrides: list[str], words: str) -> None:
     with pytest.raises(ScenarioError, match=words):
         small("agent.localization=aid", *overrides)
+
+
+@pytest.mark.parametrize("fixes", [True, False])
+def test_a_vehicle_that_small_fixes_keep_as_sure_as_it_is_stays_an_aid(fixes: bool) -> None:
+    """In the long run a fix lessens the variance by no more than it has grown since the one before."""
+    localizer, round_s = Localizer(config("aid")), 0.1
+    state = StateMessage(2, 0, (0.0, 0.0, 5.0), (1.0, 0.0, 0.0))
+    for k in range(6000):
+        t = k * round_s
+        variance = 0.2 * (1.001 if k % 10 else 1.0) if fixes else 1.0 + (0.035 * t) ** 2
+        localizer.located(nav(round(t / TICK_S), t, 0.0, variance))
+        if k % 50 == 0:
+            other = Localizer(config("aid"))
+            other.restore(localizer.state())
+            localizer = other
+        if t > 100.0:
+            assert localizer.message(state).fixed == fixes, t

@@ -31,7 +31,7 @@ from fleet.scene.link_state import CUTS, HISTORY
 from fleet.scene.model import diameter
 from fleet.scene.styles import FOXGLOVE
 from netem.causes import LOSSES, Cause
-from netem.wire.messages import Fate, Frame, VehicleFrame
+from netem.wire.messages import Command, Fate, Frame, VehicleFrame
 
 FAULTS = "faults=[{at: 1.5 s, for: 1 s, partition: halves}, {at: 2 s, for: 600 ms, kill: 4}, {at: 2.2 s, pause: 1}]"
 LOSSY = "network.links={'*': 'delay 30ms', '1->2': 'delay 30ms loss 40%'}"
@@ -149,7 +149,7 @@ def test_on_a_wall_clock_one_missed_tick_is_no_silence() -> None:
     for tick in range(120):
         answers = b"command" if tick not in (30, 31) and tick < 60 else b""
         row = VehicleFrame(1, (0.0,) * 5, (0.0,) * 5, asked, (0.0,) * 3, answers, (), (), (), ())
-        scene.see(Frame(tick, False, (), (), (row,), b""), [1] if answers else [])
+        scene.see(Frame(tick, False, (), (), (row,), b""), {1: Command(1, tick, (0.0,) * 3, ())} if answers else {})
         told[tick] = 1 in scene.silent()
     assert [tick for tick, silent in told.items() if silent] == list(range(110, 120))  # 0.5 s after the last
 

@@ -15,10 +15,12 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
+from click.testing import CliRunner, Result
 from failing_laws import failing
 from small_scenario import SMALL, small
 from waiting import wait_for
 
+from fleet.cli.main import cli
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.trust import Policy
 from fleet.study.dask_engine import DaskEngine, check_versions, dask_engine, versions
@@ -28,6 +30,10 @@ from fleet.study.modules import modules_of
 from fleet.study.one_run import FAILED, Task
 
 LIMIT_S = 60.0
+
+
+def invoke(*arguments: str) -> Result:
+    return CliRunner().invoke(cli, arguments)
 
 
 @contextmanager
@@ -40,6 +46,53 @@ def started(module: str, *options: str, folder: Path | None = None) -> Iterator[
     finally:
         process.kill()
         process.wait()
+
+
+FAILS = """\
+nemesis: {every: 400 ms, for: 300 ms, pick: [mute, deaf, {wrench: {vehicles: 1, force: 400 0 0 N}}]}
+checks: {formation_error: {below: 4.6 m, after: 800 ms}, max_age: {below: 999 ms}, tumbled: waived}
+log: {snapshot: 100 ms}
+"""
+OF_MANY_RUNS = [
+    ["search", "small.yaml", "--budget", "4", "--force"],
+    ["search", "small.yaml", "--budget", "12", "--guide", "--force"],
+    ["search", "small.yaml", "--budget", "4", "--keep", "kept"],
+    ["search", "small.yaml", "--budget", "10", "--guide", "--keep", "guided"],
+    ["regress", "kept"],
+    ["shrink", "small.yaml", "--set", "seed=2", "--force"],
+    ["rare", "small.yaml", "--check", "formation_error", "--repeats", "3", "--effort", "4",
+     "--net", "* loss 60%", "--set", "nemesis=null"],
+    ["why", "run"],
+]  # fmt: skip
+
+
+def _settled(text: str) -> str:
+    """A document without the number of runs, which counts those that were under way with the first one that fails."""
+    document = json.loads(text)
+    document.pop("runs", None)
+    return json.dumps(document)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_every_command_of_many_runs_gives_the_same_on_a_cluster(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from distributed import LocalCluster
+
+    said: list[list[str]] = []
+    with LocalCluster(n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None) as cluster:
+        for name, where in (("here", ["--workers", "1"]), ("there", ["--scheduler", cluster.scheduler_address])):
+            (tmp_path / name).mkdir()
+            monkeypatch.chdir(tmp_path / name)
+            Path("small.yaml").write_text(SMALL + FAILS, "utf-8")
+            made = invoke("run", "small.yaml", "--in-process", "--seed", "2", "--out", ".", "--quiet")
+            Path(made.stdout.split()[-1]).rename("run")
+            results = [invoke(*command, *where, "--json") for command in OF_MANY_RUNS]
+            said.append([f"{result.exit_code} {_settled(result.stdout)}" for result in results])
+    for command, here, there in zip(OF_MANY_RUNS, *said, strict=True):
+        assert here == there, command
+        assert here[0] in "01", (command, here)
 
 
 @pytest.mark.slow

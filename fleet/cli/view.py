@@ -90,9 +90,9 @@ def show_page(
     """Serve the page until Ctrl-C.
 
     Args:
-        may_act: whether it may disturb the run.
-        browser: whether to open one.
-        rate, loop: of a log: times its own pace, and whether it begins again at the end.
+                may_act: the page may disturb the run.
+        browser: open a browser.
+        rate, loop: for a log: its speed in multiples of its own pace, and whether it begins again at the end.
     """
     from contextlib import closing
 
@@ -105,8 +105,8 @@ def show_page(
     listener = open_listener(host, port)
     if not is_loopback(host):
         may = "watch" if not may_act else "watch the run, and disturb it"
-        say(f"warning: whoever knows this address may {may}, and it travels unencrypted: keep to a network that you "
-            "trust, or use ssh -L", err=True)  # fmt: skip
+        say(f"warning: everybody who knows this address may {may}, and it travels unencrypted. Use a network that "
+            f"you trust, or ssh -L", err=True)  # fmt: skip
     with closing(listener.listening):
         feed: LiveFeed | LogFeed
         if isinstance(source, LiveSource):

@@ -1,4 +1,4 @@
-"""Observations and actions of a policy, as spaces of Gymnasium and as arrays in them. -1 stands for an unknown one.
+"""Observations and actions of a policy, as spaces of Gymnasium and as arrays in them. -1 stands for an unknown one."""
 
 from __future__ import annotations
 

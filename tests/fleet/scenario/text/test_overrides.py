@@ -84,7 +84,7 @@ def test_links_of_an_acoustic_network() -> None:
         ([Override(FAULT, "at 5ms mute 1")], "--fault at 5ms mute 1: faults.1.at: 5 ms is not a whole number of ticks"),
         ([Override(FAULT, "at 1s kill 9")], "--fault at 1s kill 9: faults.1.kill: there is no vehicle 9"),
         (["faults=3", KILL], '--set faults=3: faults: expected a list, got 3'),
-        (["network=3", Override(NET, "* down")], "--set network=3: network: expected keys with values"),
+        (["network=3", Override(NET, "* down")], "--set network=3: network: expected a mapping"),
         (["network.links=3", Override(NET, "* down")], "--set network.links=3: network.links: expected keys"),
     ],
 )  # fmt: skip

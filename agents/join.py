@@ -121,11 +121,11 @@ def _connect(joining: JoinFile) -> Bus:
             return Bus.connect(endpoint, joining.credentials, timeout_ms=CONNECT_MS)
     if not reached:
         where = " or ".join(endpoints)
-        raise NotYetError(f"nobody listens at {where}: run {joining.run} is over, or cannot be reached from here")
+        raise NotYetError(f"there is no router at {where}: run {joining.run} is over, or this machine cannot reach it")
     tls = "its certificate is not the one to expect, or it asks for another; " if "tls/" in joining.endpoint else ""
     raise NotYetError(
-        f"the router at {' or '.join(reached)} does not let {joining.user} in: {tls}the password is wrong, or of "
-        "another run than the one that listens there now"
+        f"the router at {' or '.join(reached)} refuses {joining.user}: {tls}the password is wrong, or another run "
+        f"uses this address now"
     )
 
 
@@ -161,4 +161,4 @@ def _ask(bus: Bus, keys: Keys, vehicle: int) -> tuple[AgentConfig, int, int, Clo
         incarnation, begin = int(values["incarnation"]), int(values["begin"])
         return AgentConfig.from_values(values["agent"]), incarnation, begin, clock_of(values)
     except (MalformedMessage, KeyError, TypeError, ValueError) as error:
-        raise JoinError(f"the answer on {keys.cfg(vehicle)} is none that this version understands: {error}") from None
+        raise JoinError(f"this version does not understand the answer on {keys.cfg(vehicle)}: {error}") from None

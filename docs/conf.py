@@ -1,10 +1,11 @@
 """The documentation as a site: `sphinx-build -W docs docs/_build`, then open docs/_build/index.html.
 
-The pages are Markdown that code hosts show as well. Two things are added to Sphinx here:
+The pages are Markdown that code hosts show as well. Three things are added to Sphinx here:
 
 * A link from a page to a file of the repository, `[`Name`](../../agents/config.py#L46)`, leads to a listing of that
   file in the site, at that line. A file or a line that does not exist is a warning, which `-W` makes an error.
 * The comment behind a field of a class, which holds unit and frame, is the text of that field in the API reference.
+* Each lesson offers itself as a notebook (docs/notebooks.py).
 """
 
 from __future__ import annotations
@@ -58,9 +59,14 @@ html_theme = "furo"
 html_title = "uuv-fleet"
 html_copy_source = False
 html_show_sphinx = False
+html_static_path = ["_static"]
+html_css_files = ["boxes.css"]
 html_show_search_summary = False  # excerpts are fetched, which a browser refuses for pages opened as files
 
 sys.path.insert(0, str(ROOT))  # what is documented is this checkout
+sys.path.insert(0, str(DOCS))
+import notebooks  # noqa: E402  of this folder
+
 logger = logging.getLogger(__name__)
 linked: set[str] = set()  # files of the repository that pages link to
 
@@ -85,6 +91,21 @@ def mark_links(app: Sphinx, docname: str, source: list[str]) -> None:
     source[0] = LINK.sub(mark, source[0])
 
 
+def offer_notebook(app: Sphinx, docname: str, source: list[str]) -> None:
+    """Below what a lesson needs, lead to its notebook."""
+    folder, _, name = docname.rpartition("/")
+    if folder == "learn" and name != "index":
+        link = f'<p><a href="{name}.ipynb" download>Download this lesson as a notebook</a> for Jupyter.</p>'
+        source[0] = re.sub(r"(?<=\n\n)(?=## )", f"{link}\n\n", source[0], count=1)
+
+
+def write_notebooks(app: Sphinx, error: Exception | None) -> None:
+    """Put the notebooks beside the lessons; their links to pages lead to the site's."""
+    if error is None and app.builder.name == "html":
+        for path in notebooks.write(Path(app.outdir) / "learn", pages_end=".html"):
+            logger.info("notebook %s", path.name)
+
+
 def point_links(app: Sphinx, doctree: nodes.document, docname: str) -> None:
     """Let links to `source:PATH#L12` lead to the listing of the file."""
     for node in doctree.findall(nodes.reference):
@@ -102,7 +123,11 @@ def listings(app: Sphinx) -> Iterator[tuple[str, dict[str, Any], str]]:
         except ClassNotFound:
             lexer = TextLexer()
         code = highlight((ROOT / name).read_text("utf-8"), lexer, HtmlFormatter(lineanchors="L", linenos="inline"))
-        yield f"source/{name}", {"title": name, "body": f"<h1>{escape(name)}</h1>{code}"}, "page.html"
+        yield (
+            f"source/{name}",
+            {"title": name, "body": f"<h1>{escape(name)}</h1><div class='listing'>{code}</div>"},
+            "page.html",
+        )
 
 
 def field_comments(cls: type) -> dict[str, str]:
@@ -132,8 +157,10 @@ def describe_fields(_: Sphinx, what: str, name: str, obj: object, options: objec
 
 
 def setup(app: Sphinx) -> None:
-    """Connect the two additions."""
+    """Connect the three additions."""
     app.connect("source-read", mark_links)
+    app.connect("source-read", offer_notebook)
+    app.connect("build-finished", write_notebooks)
     app.connect("doctree-resolved", point_links)
     app.connect("html-collect-pages", listings)
     app.connect("autodoc-process-docstring", describe_fields)

@@ -93,13 +93,11 @@ def _interval(table: TraceTable) -> tuple[int, bool]:
     """
     times = np.array([row.time_ns for row in table.rows if row.time_ns is not None], np.float64)
     if len(times) < 2:
-        raise FleetError(
-            "the trace has no column time: how far apart packets are must be given, as in --interval '1 s'"
-        )
+        raise FleetError("the trace has no column time: give the interval between packets, as in --interval '1 s'")
     steps = np.diff(times)
     usual = float(np.median(steps)) or float(np.mean(steps))
     if not usual:
-        raise FleetError("all packets have one time: how far apart they are must be given, as in --interval '1 s'")
+        raise FleetError("all packets have the same time: give the interval between packets, as in --interval '1 s'")
     return max(1, round(usual)), bool(np.mean(np.abs(steps - usual) > 0.1 * usual) > 0.1)
 
 

@@ -100,7 +100,9 @@ def _prepared(name: str, asked: dict[str, Any], out: Path, trust: Trust) -> tupl
     from fleet.study.study import new_directory
 
     if "along" not in asked:
-        raise click.UsageError("along what? give --along KEY=LOW..HIGH, such as 'network.links.*.loss=0 %..95 %'")
+        raise click.UsageError(
+            "no key to search along: give --along KEY=LOW..HIGH, such as 'network.links.*.loss=0 %..95 %'"
+        )
     spec = BoundarySpec(**asked)
     store, modules = prepare_borders(border_plan(name, spec), spec, new_directory(name, out), trust, warning())
     return Borders(store), modules, spec.timeout_s

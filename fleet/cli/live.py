@@ -144,7 +144,7 @@ def clock(words: tuple[str, ...], run: str | None, as_json: bool) -> None:
 
     run, do, value = clock_words(words, run)
     if do == "speed" and value is None:
-        raise click.UsageError("which speed? A number of times real time, or max")
+        raise click.UsageError("no speed given: expected a multiple of real time such as 2, or max")
     number: Any = None
     try:
         if do == "step":

@@ -197,7 +197,7 @@ def export(
     folders = [folder.absolute() for folder in (*(folder for _, folder in tables), traces, ros2) if folder is not None]
     if not folders:
         raise click.UsageError(
-            "say where the tables go: --csv DIR, --parquet DIR, --netcdf DIR, --traces DIR or --ros2 DIR"
+            "no folder for the tables: give --csv DIR, --parquet DIR, --netcdf DIR, --traces DIR or --ros2 DIR"
         )
     if topics and not tables:
         raise click.UsageError("--topics chooses tables, and --traces and --ros2 write none")

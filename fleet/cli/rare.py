@@ -89,8 +89,8 @@ def _print(found: RareFound) -> None:
     counting = "" if found.counting is None else f"; counting needs {found.counting:.2g} runs for such an interval"
     say(f"{found.repeats} repeats cost as much as {found.runs:.3g} runs{counting}")
     if found.decided:
-        say(f"in {found.decided} of them nothing that is drawn on the way made a difference: there what is drawn "
-            "before, such as the initial state, decides alone, and splitting does not help")  # fmt: skip
+        say(f"in {found.decided} of them draws during the run made no difference. Draws before it, such as the "
+            f"initial state, decide there, and splitting does not help")  # fmt: skip
     if not found.probability:
         say("no repeat got as far as a failure: raise --effort or --repeats")
 

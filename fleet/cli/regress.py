@@ -91,7 +91,7 @@ def _show(found: Sequence[Regressed]) -> None:
         if not one.same:
             click.echo(failure.paste)  # whole, however narrow the terminal is
         elif one.differs:
-            say("  its log is another one than this version of fleet made before: was a law or a plant changed?")
+            say("  its log differs from the one that this version of fleet made before: did a law or a plant change?")
     say(f"{sum(one.same for one in found)} of {len(found)} are as expected")
 
 

@@ -125,7 +125,7 @@ def replay(
     if not run_id or set(run_id) & set("/*$?#"):
         raise click.BadParameter(f"expected one part of a key, without / * $ ? #, got {run_id!r}", param_hint="--run")
     if start_paused and not Keyboard.possible():
-        raise click.UsageError("--start-paused needs a terminal: nobody could go on")
+        raise click.UsageError("--start-paused needs a terminal, because a key press continues it")
     _check_observe(observe, connect)
     options = PlaybackOptions(run=run_id, paused=start_paused, **how)
     terminal = Terminal(stderr=True)
@@ -207,7 +207,7 @@ def record(
     if ros2 and run is not None:
         raise click.UsageError("--run is the journal of a run, and --ros2 records what nodes publish")
     if not keys and not ros2:
-        raise click.UsageError("record what? Give --key 'robot/**', or --key '**' for everything")
+        raise click.UsageError("no key to record: give --key 'robot/**', or --key '**' for everything")
     path = output or Path(f"record-{datetime.now(UTC):%Y%m%d-%H%M%S}{'' if ros2 else '.mcap'}")  # noqa: TID251 (a name)
     with ending() as sessions, StatusLine(Terminal(stderr=True), quiet=quiet) as line:
         if ros2:
@@ -243,7 +243,7 @@ def _ros2(
     from netem.wire.session import quiet_zenoh
 
     if connect and listen:
-        raise click.UsageError("either --connect or --listen")
+        raise click.UsageError("give either --connect or --listen, not both")
     types, domain = types_of(), domain_of(None)
     quiet_zenoh()
     bus, _ = open_ros_session(connect, listen)
@@ -262,7 +262,7 @@ def _session(connect: str | None, listen: str | None, credentials: Any, observed
     from netem.wire.session import quiet_zenoh
 
     if connect and listen:
-        raise click.UsageError("either --connect or --listen")
+        raise click.UsageError("give either --connect or --listen, not both")
     quiet_zenoh()
     with exit_status(3):
         if observed is not None:

@@ -80,7 +80,7 @@ def ros2(
         _write_interfaces(interfaces)
         return
     if connect and listen:
-        raise click.UsageError("either --connect or --listen")
+        raise click.UsageError("give either --connect or --listen, not both")
     source = find_shown(what, rate, control=control, loop=loop)
     with StatusLine(Terminal(stderr=True), quiet=quiet) as line:
 

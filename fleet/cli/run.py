@@ -133,9 +133,11 @@ def run(
       fleet run --from runs/latest@20s --set controller=bsmc
     """
     if how["wait_for_subscribers"] and not (how["publish"] or how["view"] or how["ros2"]):
-        raise click.UsageError("--wait-for-subscribers needs --publish, --view or --ros2: nobody could subscribe")
+        raise click.UsageError(
+            "--wait-for-subscribers needs --publish, --view or --ros2: without them there is nothing to subscribe to"
+        )
     if as_json and show_config:
-        raise click.UsageError("--show-config prints YAML: not together with --json")
+        raise click.UsageError("--show-config prints YAML, so it cannot be used together with --json")
     changes: list[str | Override] = [*overrides, *net, *fault]
     changes += key_options(seed=seed, duration=duration)
     if scenario is not None and begin is None and not how["in_process"] and not show_config:
@@ -198,11 +200,15 @@ def _options(scenario: Scenario, start: Start | None, how: dict[str, Any], termi
         terminal.print(f"warning: {warning}", style="bold red", highlight=False, markup=False, soft_wrap=True)
     _check_clock(how["speed"], how["clock"], one_process)
     if how["audit"] and (one_process or (place and place.router)):
-        raise click.UsageError("--audit reads the log of the router that a run hosts; this run hosts none")
+        raise click.UsageError("--audit reads the log of a run's own router, and this run has none")
     if how["ros2"] and one_process:
-        raise click.UsageError(f"--ros2 is of a run that goes on; not with {one_process}: fleet ros2 plays its log")
+        raise click.UsageError(
+            f"--ros2 needs a run with processes, so not with {one_process}; fleet ros2 plays its log afterwards"
+        )
     if how["view"] and one_process:
-        raise click.UsageError(f"--view is of a run that answers; not with {one_process}: fleet view shows its log")
+        raise click.UsageError(
+            f"--view needs a run with processes, so not with {one_process}; fleet view shows its log afterwards"
+        )
     return Options(
         how["out"],
         in_process=how["in_process"],
@@ -270,7 +276,7 @@ def _load(
         with showing(f"reading {begin}", quiet=quiet) as tell:
             return continuation(*parse_from(begin), changes, scenario, trust, tell)
     if scenario is None:
-        raise click.UsageError("run what? A scenario, or --from a log; see fleet list")
+        raise click.UsageError("no scenario given: name one (see fleet list), or give --from LOG")
     # A scenario that is only shown may name laws that may not run.
     return load_scenario(scenario, changes, trust, refused=[] if only_shown else None), None
 
@@ -298,7 +304,7 @@ def _check_clock(speed: float | None, clock: str, one_process: str) -> None:
     if speed is None and is_given("speed"):
         raise click.UsageError("--clock real has no max: --speed 2 is twice as fast as the wall clock")
     if one_process:
-        raise click.UsageError(f"--clock real is of processes that answer as they can; not with {one_process}")
+        raise click.UsageError(f"--clock real needs a run with processes, so not with {one_process}")
 
 
 def _print_failure(result: Result) -> None:

@@ -91,7 +91,9 @@ def prune(out: Path, keep: int | None, older_than: float | None, verdicts: tuple
     from fleet.execution.past_runs import FINISHED, past_runs, remove, to_prune
 
     if keep is None and older_than is None and verdicts is None:
-        raise click.UsageError("which runs? --keep N, --older-than AGE or --verdict LIST; --keep 0 means all of them")
+        raise click.UsageError(
+            "no runs chosen: give --keep N, --older-than AGE or --verdict LIST; --keep 0 means all of them"
+        )
     now = _now()
     chosen = [verdict for verdict in FINISHED if verdicts is None or verdict.lower() in verdicts]
     going = to_prune(past_runs(out), keep=keep or 0, older_than_s=older_than or 0.0, verdicts=chosen, now=now)

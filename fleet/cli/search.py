@@ -94,9 +94,10 @@ def search(
     from fleet.study.local_engine import engine_of
 
     if guide and liveness:
-        raise StudyError("--guide changes when faults end, and with --liveness that is given: use one of the two")
+        raise StudyError("--guide changes the times of faults, and --liveness fixes them: give one of the two")
     if keep is not None and (out is not None or force):
-        raise click.UsageError("--keep has a file for each kind of failure: not together with --out or --force")
+        said = "--keep writes a file for each kind of failure"
+        raise click.UsageError(f"{said}, so it cannot be used together with --out or --force")
     mode: NemesisMode = "liveness" if liveness else "swarm" if nemesis else None
     tried, modules = _tried(scenario, [*overrides, *net, *fault], trust, mode)
     hunt = _Hunt(tried, check, guide, keep, keep or place_of(tried, out, force=force))
@@ -195,10 +196,13 @@ def _print(
         click.echo(path)
     elif not found.sample:
         which = f"the check {check}" if check else "a check"
-        say(f"none of {found.runs} runs fails {which}; they are no sample, so that says nothing of how many would")
+        say(
+            f"none of {found.runs} runs fails {which}. This gives no bound, because a guided search draws no "
+            "random sample"
+        )
     elif found.runs and found.most_failures is None:
         missed = "; ".join(one.words for one in found.reached if not one.hits)
-        say(f"no failure found, and that says little: {missed}")
+        say(f"no failure found, but the runs did not get everywhere: {missed}")
     elif found.most_failures is not None:
         which = f"the check {check}" if check else "a check"
         say(f"none of {found.runs} runs fails {which}: at most {100 * found.most_failures:.2g} % of such runs do, "

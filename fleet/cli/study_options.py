@@ -82,7 +82,7 @@ def study_directory(name: str, spec: Spec, asked: Mapping[str, Any]) -> Path | N
         return None
     known = fields(spec)
     if is_given("out") or not all(known[key].option.later for key in asked):
-        raise click.UsageError(f"{name} is a study: what it runs is settled; only the missing runs are made")
+        raise click.UsageError(f"{name} is a study with settings of its own: only its missing runs are made")
     return Path(name)
 
 

@@ -78,7 +78,7 @@ def sweep(
       fleet sweep studies/rough-sea-20261122-101500
     """
     if as_json and show_config:
-        raise click.UsageError("--show-config prints YAML: not together with --json")
+        raise click.UsageError("--show-config prints YAML, so it cannot be used together with --json")
     from fleet.study.engine import need_extra
 
     need_extra()
@@ -119,7 +119,7 @@ def _as_file(name: str, directory: Path | None, asked: dict[str, Any], trust: Tr
         return study_yaml(study.spec)
     store, spec = _opened(directory, asked)
     if store.record.spec is None:
-        raise StudyError(f"{directory}: the fleet that made this study did not write down what was asked")
+        raise StudyError(f"{directory}: an older version made this study, and did not save its settings")
     return study_yaml(spec)
 
 
@@ -223,7 +223,7 @@ def _nothing_varied(plan: Plan, trust: Trust, *, quiet: bool) -> None:
             f"be the same. {how}"
         )
     if not quiet:
-        say(f"fleet: nothing is varied, so the runs differ by their seeds alone; {how}", err=True)
+        say(f"fleet: nothing is varied, so the runs differ only in their seeds; {how}", err=True)
 
 
 def _announced(store: Store, missing: int) -> str:

@@ -89,7 +89,7 @@ class Duration(click.ParamType[int]):
         if self._most_s is not None and not self._least_s * 10**9 <= ns <= self._most_s * 10**9:
             self.fail(f"expected {self._least_s} s to {self._most_s} s, got {value!r}", param, ctx)
         if ns < 0:
-            self.fail(f"a time that is not negative is needed, got {value!r}", param, ctx)
+            self.fail(f"expected a time of 0 or more, got {value!r}", param, ctx)
         return ns
 
 
@@ -170,7 +170,7 @@ class Words(click.ParamType[tuple[str, ...]]):
                 from netem.parsing import nearest
 
                 hint = nearest(word, self.words) or f"there are {', '.join(self.words)}{self.others}"
-                self.fail(f"{word!r} is none of them; {hint}", param, ctx)
+                self.fail(f"{word!r} is unknown; {hint}", param, ctx)
         return tuple(dict.fromkeys(asked))
 
     @property
@@ -246,7 +246,7 @@ class AgeText(click.ParamType[float]):
         except (QuantityError, OverflowError) as error:
             self.fail(str(error), param, ctx)
         if age < 0:
-            self.fail(f"an age that is not negative is needed, got {value!r}", param, ctx)
+            self.fail(f"expected an age of 0 or more, got {value!r}", param, ctx)
         return age
 
 
@@ -263,7 +263,7 @@ class FileSize(click.ParamType[int]):
         except QuantityError as error:
             self.fail(f"{error.message}{f': {error.hint}' if error.hint else ''}", param, ctx)
         if size <= 0:
-            self.fail(f"a positive size is needed, got {value!r}", param, ctx)
+            self.fail(f"expected a size above 0, got {value!r}", param, ctx)
         return size
 
 

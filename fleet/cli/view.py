@@ -105,8 +105,8 @@ def show_page(
     listener = open_listener(host, port)
     if not is_loopback(host):
         may = "watch" if not may_act else "watch the run, and disturb it"
-        say(f"warning: whoever knows this address may {may}, and it travels unencrypted: keep to a network that you "
-            "trust, or use ssh -L", err=True)  # fmt: skip
+        say(f"warning: everybody who knows this address may {may}, and it travels unencrypted. Use a network that "
+            f"you trust, or ssh -L", err=True)  # fmt: skip
     with closing(listener.listening):
         feed: LiveFeed | LogFeed
         if isinstance(source, LiveSource):

@@ -33,7 +33,7 @@ def checked_fault(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
         RefusedError: it is none, or none for this scenario; the text says what is wrong.
     """
     if not isinstance(entry, dict) or "at" in entry:
-        raise RefusedError("expected a fault without at: it begins now")
+        raise RefusedError("expected a fault without `at`, because it begins now")
     try:
         section = _ENTRY.validate_python(entry | {"at": f"{tick * scenario.tick_ns} ns"})
     except ValidationError as error:
@@ -46,5 +46,5 @@ def checked_fault(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
     if problem is not None:
         raise RefusedError(str(problem))
     if any(condition.seed is not None for condition in (section.link or {}).values()):
-        raise RefusedError("seed belongs in a scenario: a link that runs keeps its draws")
+        raise RefusedError("a seed belongs in a scenario, because a link keeps its draws during a run")
     return section

@@ -149,7 +149,7 @@ class Operator:
                 raise RefusedError(f"agent {min(both)} was killed by {kill.id}, too: heal that one first")
         acts = round_tick if healed & of_agents else tick
         if acts >= last:
-            raise RefusedError("no round is left in which an agent could begin again", BROKEN)
+            raise RefusedError("the run ends before the next round, so no agent can begin again", BROKEN)
 
         ends = {part: round_tick if isinstance(part, Kill) else tick for part in lasting if part.id in healed}
         self._replace([with_end(part, ends[part]) if part in ends else part for part in self.faults])
@@ -170,7 +170,7 @@ class Operator:
             raise RefusedError("expected the id of a fault, or none for all of them")
         became = {event.fault: event.what for event in self._states()}
         if name in became:
-            raise RefusedError(f"{name} is no fault ({became[name]}): it is what became of the vehicle")
+            raise RefusedError(f"{name} is no fault but an event of the vehicle ({became[name]}), and cannot be healed")
         if name not in active:
             known = f"active: {', '.join(sorted(active))}" if active else "none is active"
             raise RefusedError(f"there is no active fault {name!r}; {known}")

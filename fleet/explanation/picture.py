@@ -46,7 +46,7 @@ def draw(why: Why, log_path: Path, scenario: Scenario, path: Path) -> None:
     below.set_ylabel(_draw_signal(below, why, log))
     below.set_xlim(0.0, scenario.duration_ns / 1e9)
     for ax in (above, below):
-        ax.axvline(why.at_s, color=_FAILED, linewidth=1.2, label="the check had failed")
+        ax.axvline(why.failed_s, color=_FAILED, linewidth=1.2, label="the check had failed")
         if why.no_return.passes_s is not None:
             ax.axvline(why.no_return.passes_s, color=_PASSES, linewidth=1.2, linestyle=(0, (4, 2)),
                        label="healed here, it passes")  # fmt: skip

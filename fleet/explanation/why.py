@@ -34,7 +34,8 @@ class Why(Struct, frozen=True):
     found: Annotated[str, Meta(description="What was found, in words.")]
     others: Annotated[list[str], Meta(description="Other checks that failed.")]
     held_until_s: Annotated[float, Meta(description="Up to when the check is known to have held [s].")]
-    at_s: Annotated[float, Meta(description="When it had failed [s]; everything below is of this time.")]
+    failed_s: Annotated[float, Meta(description="When it had failed [s].")]
+    at_s: Annotated[float, Meta(description="The same, or the end of the log; everything below is of this time [s].")]
     faults: Annotated[list[FaultThen], Meta(description="Faults that had begun by then.")]
     sent: Annotated[int, Meta(description="Messages that were sent by then.")]
     lost: Annotated[dict[str, int], Meta(description="By cause, how many of these had not arrived.")]
@@ -130,13 +131,14 @@ class Explanation:
 
     def _explained(self, found: NoReturn) -> Why:
         log = open_log(self.path, TOPICS, share=lambda share: self._tell(f"reading the log, {100 * share:.0f} %", 0))
-        begin, at_s = self._when(log)
+        begin, failed_s = self._when(log)
+        at_s = min(failed_s, log.end)
         own = any(control.agent is not None for control in self.scenario.controls)
         then = evidence(log, at_s, self.verdict.signals, protocol=own)
         verdict = self.verdict
         return Why(
             self.scenario.name, self.scenario.seed, verdict.check, verdict.asked, verdict.words, self._others, begin,
-            at_s, then.faults, then.sent, then.lost, then.gaps, then.vehicles, found, self._notes,
+            failed_s, at_s, then.faults, then.sent, then.lost, then.gaps, then.vehicles, found, self._notes,
         )  # fmt: skip
 
     def _when(self, log: Log) -> tuple[float, float]:
@@ -151,7 +153,7 @@ class Explanation:
             begin = at_s = log.end if margin is None or margin.at_s is None else margin.at_s
         if at_s > log.end:
             self._notes.append(f"the log ends at {log.end:g} s, before the check fails; what is told is of its end")
-        return min(begin, log.end), min(at_s, log.end)
+        return begin, at_s
 
 
 def _why_not(source: Recorded, asked: Asked) -> str:

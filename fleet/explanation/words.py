@@ -20,10 +20,10 @@ def _verdict(why: Why) -> Iterator[str]:
     yield f"{why.scenario}, seed {why.seed}: {why.check} failed"
     yield f"  asked  {why.asked}"
     yield f"  found  {why.found}"
-    if why.held_until_s < why.at_s:
-        yield f"  it held until {why.held_until_s:g} s, and had failed by {why.at_s:g} s"
+    if why.held_until_s < why.failed_s:
+        yield f"  it held until {why.held_until_s:g} s, and had failed by {why.failed_s:g} s"
     else:
-        yield f"  it failed at {why.at_s:g} s"
+        yield f"  it failed at {why.failed_s:g} s"
     if why.others:
         yield f"  also failed: {', '.join(why.others)} (--check explains another one)"
 

@@ -98,7 +98,7 @@ def host_name(text: str) -> str:
     with contextlib.suppress(ValueError):
         address = ipaddress.ip_address(text.removeprefix("[").removesuffix("]"))
         if address.is_unspecified:
-            raise FleetError(f"{text} is where one listens; expected an address at which others reach this host")
+            raise FleetError(f"{text} is an address to listen on; expected the address that others use for this host")
         return str(address)
     labels = text.rstrip(".").split(".")
     if len(text) > 253 or not all(_LABEL.fullmatch(label) for label in labels) or labels[-1].isdigit():

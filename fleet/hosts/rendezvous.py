@@ -249,7 +249,7 @@ def through_router(
     """
     endpoint = parse_endpoint(router, "--router")
     if endpoint.wildcard:
-        raise FleetError(f"--router: {router} is where one listens; expected the router's own address")
+        raise FleetError(f"--router: {router} is an address to listen on; expected the router's own address")
     if endpoint.protocol == "tcp" and (certs or mutual):
         raise FleetError(
             f"--certs and --mutual-tls are for tls: --router {RouterEndpoint('tls', endpoint.host, endpoint.port)}"
@@ -354,4 +354,4 @@ def _own_address() -> str:
     with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.connect(("192.0.2.1", 9))
         return str(probe.getsockname()[0])
-    raise FleetError("cannot tell under which address agents reach this host: name it with --advertise HOST")
+    raise FleetError("the address of this host for agents is unknown: name it with --advertise HOST")

@@ -231,7 +231,7 @@ def _unpack(path: Path, offset: int, messages: int, floor: int) -> _Stretch:
             if found >= messages:
                 break
     if found < messages:
-        raise LogReadError(f"{path} is not what it was: something wrote to it meanwhile")
+        raise LogReadError(f"{path} has changed: another program wrote to it during reading")
     block = together(blocks).take(np.arange(messages))
     # A message earlier than the one before it is due together with it: the order of the file is kept.
     return _Stretch(block, np.maximum(np.maximum.accumulate(block.log_ns), np.uint64(floor)))

@@ -76,6 +76,6 @@ def _place() -> Path:
         if _PLAIN.fullmatch(place) and len(f"{place}/{_LONGEST_NAME}") <= _MOST_PATH:
             return Path(place)
     raise RunBroken(
-        f"no place for the socket of the run: {' and '.join(places)} cannot be used, since the path is too long or has "
-        "other characters than letters, digits and . / + - _; set TMPDIR to another place"
+        f"there is no folder for the run's socket: {' and '.join(places)} cannot be used. The path is too long, or "
+        f"has characters other than letters, digits and . / + - _; set TMPDIR to another folder"
     )

@@ -103,7 +103,7 @@ class Examination:
         if not 1 <= vehicle <= scenario.vehicles:
             raise FleetError(f"there is no vehicle {vehicle} in {scenario.name}: they are 1 to {scenario.vehicles}")
         if scenario.ideal:
-            raise FleetError("nobody can join an ideal network: take a scenario with another")
+            raise FleetError("an agent cannot join an ideal network: choose a scenario with links")
         self._meeting = meeting or Rendezvous()
         for path in (file, *([file.with_suffix("")] if vehicle in self._meeting.folders else [])):
             if path.exists():
@@ -248,7 +248,7 @@ class Examination:
                 steps, deadline = done, time.monotonic() + 2 * ANSWER_S
             taken = self._take(deadline)
             if taken is None and not steps:
-                raise FleetError(f"nobody came within {timeout_s:g} s: no query of cfg, no hello, no token")
+                raise FleetError(f"no agent came within {timeout_s:g} s: no query of cfg, no hello, no token")
             if taken is None:
                 break
             key, message = taken

@@ -103,7 +103,7 @@ def test_who_joins_is_the_agent_that_would_have_been_started(tmp_path: Path) -> 
         wrong = tmp_path / "wrong.json"
         JoinFile(values["endpoint"], values["run"], 3, "agent-3", "guess").write(wrong)
         code, said = ended(agent(wrong))
-        assert (code, "does not let agent-3 in: the password is wrong" in said, said.count("\n")) == (2, True, 1), said
+        assert (code, "refuses agent-3: the password is wrong" in said, said.count("\n")) == (2, True, 1), said
         kept = tmp_path / "kept.json"
         JoinFile(**values).write(kept)
         code, said = ended(agent(path))
@@ -113,7 +113,7 @@ def test_who_joins_is_the_agent_that_would_have_been_started(tmp_path: Path) -> 
         assert "waiting for agent 3 (external): fleet agent --join " in run.said
         assert digest(run.log) == expected
         code, said = ended(agent(kept))
-        assert (code, "nobody listens at" in said) == (2, True), said
+        assert (code, "there is no router at" in said) == (2, True), said
 
 
 @pytest.mark.slow
@@ -125,7 +125,7 @@ def test_one_that_waits_is_started_before_its_run(tmp_path: Path) -> None:
     JoinFile(f"unixsock-stream/{tmp_path}/gone", "old", 3, "agent-3", "guess").write(latest / "join-3.json")
     waiting = agent(latest / "join-3.json", "--wait")
     assert waiting.stdout is not None
-    assert "waiting, at most 300 s: nobody listens at" in waiting.stdout.readline()
+    assert "waiting, at most 300 s: there is no router at" in waiting.stdout.readline()
     with LiveRun(tmp_path / "runs", "paper", *sets(*SHORT, EXTERNAL)) as run:
         code, said = ended(waiting)
         assert (code, said.splitlines()[-1]) == (0, "agent 3: the run is over")

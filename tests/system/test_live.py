@@ -120,7 +120,7 @@ def test_what_cannot_be_injected_is_refused_in_words(tmp_path: Path) -> None:
             (["inject", "link", "1->2"], 'got only the links "1->2"; as in link 1->2 loss 30%', 2),
             (["inject", "link", "1->3", "loss 3%"], "the graph has no link 1->3; links: 2->1, 1->2", 2),
             (["inject", "link", "1->2", "lss 3%"], 'unknown link condition "lss"', 2),
-            (["inject", "link", "1->2", "loss 3% seed 7"], "seed belongs in a scenario", 2),
+            (["inject", "link", "1->2", "loss 3% seed 7"], "a seed belongs in a scenario", 2),
             (["inject", "mute", "9"], "there is no vehicle 9", 2),
             (["inject", "partition", "half"], "is no partition", 2),
             (["inject", "mute", "1", "--for", "5ms"], "not a whole number of ticks", 2),

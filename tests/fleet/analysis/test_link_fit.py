@@ -119,7 +119,7 @@ def test_bursts_of_independent_losses() -> None:
         ("time [s],delivered\n" + "0,1\n" * 30, "some lost and some not; got 30 packets, of which 0 were lost"),
         ("time [s],delivered\n0,1\n1,0\n", "at least 20 packets"),
         ("delivered\n" + "0\n0\n1\n1\n" * 10, "--interval"),
-        ("time [s],delivered\n" + "0,0\n0,0\n0,1\n0,1\n" * 10, "all packets have one time"),
+        ("time [s],delivered\n" + "0,0\n0,0\n0,1\n0,1\n" * 10, "all packets have the same time"),
         ("time [s],delivered\n" + "".join(f"{n},{n % 2}\n" for n in range(60)), "losses do not come in bursts"),
     ],
 )

@@ -144,7 +144,7 @@ RUNAWAY = ["--set", "faults=[{at: 100 ms, wrench: {force: 1e200 1e200 0 N}}]", "
             "FAIL  formation_error: below 0.0",
         ),
         (["run", "paper", *QUICK], 1, "the run ended at 0.5 s, before the check begins"),
-        (["run"], 2, "run what? A scenario, or --from a log"),
+        (["run"], 2, "no scenario given: name one (see fleet list), or give --from LOG"),
         (["swim"], 2, 'there is no command "swim"; fleet --help lists them'),
         (["runn"], 2, 'there is no command "runn"; did you mean "run"?'),
         (["resume"], 2, 'there is no command "resume"; here it is fleet clock resume'),

@@ -86,7 +86,7 @@ def test_a_run_that_is_over_is_waited_for_and_another_version_is_not(
     JoinFile(f"unixsock-stream/{tmp_path}/gone", "abc", 3, "agent-3", "secret").write(path)
     found, told = patiently(path, lambda: serve(JoinFile.read(path), lambda _: None), iter(()))
     assert isinstance(found, NotYetError) and "run abc is over" in str(found)
-    assert len(told) == 1 and "nobody listens at" in told[0]
+    assert len(told) == 1 and "there is no router at" in told[0]
 
     path.write_text('{"version": "other"}')
     found, told = patiently(path, lambda: JoinFile.read(path), iter(()))

@@ -97,13 +97,13 @@ def test_prune(options: list[str], stay: set[str], out: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ([], "which runs? --keep N"),
-        (["--yes"], "which runs? --keep N"),
+        ([], "no runs chosen: give --keep N"),
+        (["--yes"], "no runs chosen: give --keep N"),
         (["--keep", "-1"], "--keep"),
         (["--older-than", "7"], "without a unit"),
-        (["--older-than", "-7 days"], "not negative"),
+        (["--older-than", "-7 days"], "0 or more"),
         (["--older-than", "7 furlongs"], "furlongs"),
-        (["--verdict", "live"], "'live' is none of them"),
+        (["--verdict", "live"], "'live' is unknown"),
     ],
 )
 def test_what_prune_does_not_take(options: list[str], words: str, out: Path) -> None:

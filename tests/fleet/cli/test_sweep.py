@@ -114,8 +114,8 @@ def test_a_study_of_a_border_is_refused_before_a_worker_starts(engines: list[Her
         (["small.yaml", "--measure", "e_rms"], 'did you mean "e_rms_m"?'),
         (["nosuch", "--seeds", "1"], "there is no such shipped scenario"),
         (["."], "is no study: it has no study.json"),
-        ([".", "--seeds", "1"], "what it runs is settled"),
-        ([".", "--vary", "a=1,2"], "what it runs is settled"),
+        ([".", "--seeds", "1"], "a study with settings of its own"),
+        ([".", "--vary", "a=1,2"], "a study with settings of its own"),
     ],
 )
 def test_mistakes_are_usage(args: list[str], message: str) -> None:
@@ -187,7 +187,7 @@ def test_show_config_tells_mistakes_of_the_points(engines: list[Here]) -> None:
     result = sweep("small.yaml", "--vary", "network.period=50 ms, 51 us", "--show-config")
     assert result.exit_code == 2
     assert "in 1 of 2 points" in result.stderr
-    assert "not together with --json" in sweep("small.yaml", "--show-config", "--json").stderr
+    assert "cannot be used together with --json" in sweep("small.yaml", "--show-config", "--json").stderr
 
 
 def test_a_study_of_a_version_that_kept_no_file_says_so(engines: list[Here]) -> None:
@@ -195,7 +195,7 @@ def test_a_study_of_a_version_that_kept_no_file_says_so(engines: list[Here]) -> 
     record = json.loads((directory / "study.json").read_text("utf-8"))
     spec = record.pop("spec")
     (directory / "study.json").write_text(json.dumps(record), "utf-8")
-    assert "did not write down what was asked" in sweep(str(directory), "--show-config").stderr
+    assert "did not save its settings" in sweep(str(directory), "--show-config").stderr
     assert sweep(str(directory), "-q").exit_code == 0
     for damaged in (spec | {"timeout": "soon"}, spec | {"title": "\x1b[31m"}, spec | {"vary": 3}):
         (directory / "study.json").write_text(json.dumps(record | {"spec": damaged}), "utf-8")
@@ -227,7 +227,7 @@ def test_a_sweep_of_nothing(engines: list[Here]) -> None:
     assert "--vary 'loss=0 %..60 %/20 %' --net '* loss {loss}'" in result.stderr
     result = sweep("small.yaml", "--seeds", "2", "--set", "duration=100 ms")
     assert result.exit_code == 0, result.output
-    assert "fleet: nothing is varied, so the runs differ by their seeds alone; --vary" in result.stderr
+    assert "fleet: nothing is varied, so the runs differ only in their seeds; --vary" in result.stderr
     for quiet in (
         ["-q", "--set", "duration=100 ms"],
         ["--seeds", "1", "--set", "initial.scatter=0 m", "--show-config"],

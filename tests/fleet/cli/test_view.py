@@ -26,7 +26,7 @@ def refused(*arguments: object) -> tuple[int, str]:
 def test_a_run_in_one_process_has_no_page_of_its_own(tmp_path: Path) -> None:
     result = CliRunner().invoke(cli, ["run", "paper", "--in-process", "--view", "--out", str(tmp_path)])
     assert result.exit_code == 2
-    assert "--view is of a run that answers" in result.stderr
+    assert "--view needs a run with processes" in result.stderr
     assert not list(tmp_path.iterdir())
 
 

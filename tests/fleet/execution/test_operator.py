@@ -25,7 +25,7 @@ from fleet.recorder.journal import Journal
             'link.1->2: the delay "20" has no unit; write "20ms", or "20us", which is how ',
         ),
         ({"kill": 9}, "kill: there is no vehicle 9: they are 1 to 3"),
-        ({"at": "3 s", "kill": 3}, "expected a fault without at: it begins now"),
+        ({"at": "3 s", "kill": 3}, "expected a fault without `at`, because it begins now"),
     ],
 )
 def test_a_refusal_says_what_to_do(fault: dict[str, Any], said: str) -> None:
@@ -100,5 +100,5 @@ def test_without_a_round_left_all_but_agents_are_healed(kill: str, granted: int)
     run = Healed(granted, DOWN, f"{{id: k, at: {kill}, kill: 3}}")
     assert run.heal() == {"healed": ["d"], "at_s": granted / 100}
     assert run.ends() == {"d": granted, "k": None}
-    assert run.heal("k")["error"] == "no round is left in which an agent could begin again"
+    assert run.heal("k")["error"] == "the run ends before the next round, so no agent can begin again"
     assert run.restarts() == []

@@ -218,3 +218,14 @@ def test_a_fault_that_is_over_changes_nothing_by_its_healing() -> None:
     )
     search = HealingSearch(remake(scenario, lambda share: None), "formation_error", Here(), lambda doing, runs: None)
     assert max(one.tick for one in search._moments) * scenario.tick_ns < 400_000_000
+
+
+def test_of_a_log_that_ends_before_the_check_fails(small_log: Path, tmp_path: Path) -> None:
+    """As a run that was stopped leaves it: the run is made again to its end, and the log tells as far as it goes."""
+    log = small_log / "run.mcap"
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(log.read_bytes()[: log.stat().st_size // 2])
+    why = explained(cut)
+    assert why.at_s < why.failed_s == explained(small_log, most_runs=0).failed_s
+    assert f"the log ends at {why.at_s:g} s, before the check fails" in why.notes[0]
+    assert f"had failed by {why.failed_s:g} s" in "\n".join(lines(why))

@@ -112,7 +112,7 @@ def test_agents_may_come_with_certificates_alone(made: Path) -> None:
         (["--listen", "tcp/127.0.0.1:1", "--credentials", "f"], "--credentials is for --router"),
         (["--router", "tcp/127.0.0.1:2"], "--router needs --credentials FILE, which fleet acl"),
         (["--router", "tcp/127.0.0.1:2", "--credentials", "f"], "f cannot be read: No such file"),
-        (["--router", "tcp/0.0.0.0:2", "--credentials", "f"], "is where one listens"),
+        (["--router", "tcp/0.0.0.0:2", "--credentials", "f"], "is an address to listen on"),
         (["--router", "tcp/a:2", "--credentials", "f", "--advertise", "x"], "--advertise is for --listen"),
         (["--listen", "tcp/192.0.2.7:7447"], "cannot be used (Cannot assign requested address)"),
         (["--listen", "tcp/127.0.0.1:1", "--in-process"], "a run in one process has no router"),

@@ -124,7 +124,7 @@ def test_the_report_begins_with_the_verdict_a_picture_and_the_reason(run: Run, m
         ("contrl.leads", 'did you mean "control.leads"?'),
         ("command.tau_3", 'there is no signal command.tau_3; did you mean "command.tau"?'),
         ("pose.position", "there is no signal pose.position; there are state.x"),
-        ("leads", "'leads' is none of them; there are track"),
+        ("leads", "'leads' is unknown; there are track"),
         ("erorr", 'did you mean "error"?'),
     ],
 )

@@ -464,7 +464,7 @@ def test_plot_beside_the_log_and_of_a_cut_one(directories: dict[str, Path]) -> N
     ("arguments", "said"),
     [
         (["--what", "eror"], 'did you mean "error"'),
-        (["--format", "gif"], "'gif' is none of them"),
+        (["--format", "gif"], "'gif' is unknown"),
         (["--window", "20s"], "expected two times such as 20s..40s"),
         (["--window", "5s..1s"], "the earlier first"),
         (["--window", "1..2"], "without a unit"),

@@ -143,7 +143,7 @@ def test_a_slow_agent_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 def test_what_the_check_needs(tmp_path: Path) -> None:
     """Nobody comes; no such vehicle; a file that is in the way."""
     file = tmp_path / "join-3.json"
-    with pytest.raises(FleetError, match=r"^nobody came within 0\.05 s"):
+    with pytest.raises(FleetError, match=r"^no agent came within 0\.05 s"):
         Examination(load_scenario("paper"), 3, file).run(0.05, lambda _: None)
     assert not file.exists()
     result = CliRunner().invoke(cli, ["protocol", "check", "--id", "9"])
@@ -153,7 +153,7 @@ def test_what_the_check_needs(tmp_path: Path) -> None:
     assert (result.exit_code, "is there already" in result.output) == (2, True)
     file.unlink()
     file.with_suffix("").mkdir()  # where an agent with a certificate would find what it needs
-    with pytest.raises(FleetError, match="nobody came"):
+    with pytest.raises(FleetError, match="no agent came"):
         Examination(load_scenario("paper"), 3, file).run(0.05, lambda _: None)
     meeting = Rendezvous(folders={3: JoinFolder(3, (), 0, "", KeyPair("", ""))})
     with pytest.raises(FleetError, match=r"join-3 is there already"):

@@ -53,7 +53,7 @@ def test_the_settings_of_an_old_study_hold(tmp_path: Path) -> None:
     rules = store.record.rules
     assert (rules.until, rules.most_seeds, rules.keep_logs, len(store.seeds)) == ("pass ±5 %", 7, "failed", 7)
     result = CliRunner().invoke(cli, ["sweep", str(tmp_path / "a"), "--show-config"])
-    assert "did not write down what was asked" in result.stderr
+    assert "did not save its settings" in result.stderr
     with pytest.raises(StudyError, match=r"study.json is damaged: .*most_seeds"):
         Store.open(old(tmp_path / "b", settings=settings | {"most_seeds": 0}))
 

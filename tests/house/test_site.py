@@ -1,0 +1,95 @@
+"""The documentation as a site: it builds, every link is in place, code fits its boxes, and the search finds words."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from browser import SIZE, SOON_S, browser
+from repository import ROOT
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(importlib.util.find_spec("sphinx") is None, reason="the extra [docs] is not installed"),
+]
+# Words that a stranger types, and a page that has to be among the first twelve.
+WORDS = {
+    "packet loss": "The network between the agents",
+    "latency": "Terms",
+    "acoustic modem": "The acoustic channel",
+    "drift": "Clocks",
+    "DVL": "Navigation",
+    "ROS 2": "ROS 2",
+    "Monte Carlo": "4. Where does it break?",
+    "tutorial": "Terms",
+}
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site; a link that leads nowhere is a warning, and `-W` makes it an error."""
+    made = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-d", made / "cache", "docs", made / "site"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=280, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return made / "site"
+
+
+def test_every_page_is_there_and_nothing_is_fetched(site: Path) -> None:
+    pages = {path.relative_to(site): path.read_text("utf-8") for path in site.rglob("*.html")}
+    for page in (ROOT / "docs").rglob("*.md"):
+        if "_build" not in page.parts:
+            assert page.relative_to(ROOT / "docs").with_suffix(".html") in pages
+    fetched = re.compile(r"<(?:script|img|iframe)[^>]*src=\"(?:https?:)?//|<link[^>]*href=\"(?:https?:)?//")
+    assert [str(name) for name, text in pages.items() if fetched.search(text)] == []
+
+
+def test_the_reference_of_python_has_names_and_comments(site: Path) -> None:
+    api = (site / "reference" / "api.html").read_text("utf-8")
+    for name in ("fleet.open_log", "fleet.Log", "agents.api.Sample.eta", "agents.api.Controller.step"):
+        assert f'id="{name}"' in api
+    assert "own measured x, y, z [m, NED], theta, psi [rad]" in api  # the comment behind a field
+    assert "Alias for field number" not in api
+
+
+def test_each_lesson_offers_its_notebook(site: Path) -> None:
+    lessons = [path for path in (site / "learn").glob("*.html") if path.stem != "index"]
+    assert len(lessons) == 7
+    for path in lessons:
+        assert f'href="{path.stem}.ipynb" download' in path.read_text("utf-8")
+        notebook = path.with_suffix(".ipynb").read_text("utf-8")
+        for link in re.findall(r"\]\((?!https?:|#)([^)#\s]+)", notebook):
+            assert (path.parent / link).exists(), link
+
+
+def test_code_fits_its_box(site: Path) -> None:
+    """A line that is longer than its box goes on below: readers need not scroll sideways, and copy whole lines."""
+    cut, boxes = [], 0
+    with browser() as opened:
+        page = opened.new_page(viewport=SIZE)
+        for path in sorted(site.rglob("*.html")):
+            if "source" in path.relative_to(site).parts:
+                continue
+            page.goto(path.as_uri())
+            wide = page.evaluate(
+                "[...document.querySelectorAll('.content pre')].map(box => box.scrollWidth > box.clientWidth)"
+            )
+            boxes += len(wide)
+            cut += [str(path.relative_to(site))] * sum(wide)
+    assert boxes > 200
+    assert cut == []
+
+
+def test_the_search_finds_the_words_of_a_stranger(site: Path) -> None:
+    with browser() as opened:
+        page = opened.new_page(viewport=SIZE)
+        page.set_default_timeout(1000 * SOON_S)
+        for words, expected in WORDS.items():
+            page.goto((site / "search.html").as_uri() + "?q=" + words.replace(" ", "+"))
+            page.locator("p.search-summary:text-matches('found|did not match', 'i')").wait_for()
+            found = page.locator("ul.search li > a").all_inner_texts()
+            assert expected in found[:12], f"{words}: {found}"

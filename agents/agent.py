@@ -158,7 +158,7 @@ class Agent(Brain):
         return 1.0 if leads else self.config.reference_weight
 
     def _control(self, sample: Sample) -> tuple[Vec3, tuple[float, ...]]:
-        """Forces [N, N m] before the limits, and telemetry; arithmetic that fails is an error with vehicle and tick."""
+        """Forces [N, N m] before the limits, and telemetry. If arithmetic fails, the error names vehicle and tick."""
         try:
             return self._controller.step(sample)
         except (OverflowError, ValueError) as error:

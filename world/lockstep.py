@@ -32,7 +32,7 @@ Out = NavTo | Round | Frame
 
 
 class Lockstep:
-    """Feeds the vehicles with commands and hands out what follows from each."""
+    """Takes commands for the vehicles, and returns the messages that follow from each command."""
 
     def __init__(self, config: WorldConfig, *, frame_every: int = 1) -> None:
         self.config = config

@@ -156,7 +156,7 @@ class WorldProcess:
         self._shell.reject(key, self._state.tick_of(i) if i in self._ids else 0, error)
 
     def _from_console(self, message: Message) -> None:
-        """Do what the console asks for, in its order: nothing acts on a tick that was granted before."""
+        """Carry out the console's requests in their order. None of them changes a tick that was granted before."""
         run, state = self._run, self._state
         match message:
             case Grant():

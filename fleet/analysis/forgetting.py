@@ -17,7 +17,7 @@ RARE = 1e-5  # probability of such a silence that does no harm (docs/guide/proto
 
 
 def forgetting_warnings(scenario: Scenario) -> Iterator[str]:
-    """A sentence where vehicles forget neighbours that live, because all messages of `forget_after_s` may be lost."""
+    """A warning if all messages of `forget_after_s` may be lost, so that vehicles forget living neighbours."""
     period_s = scenario.round_ticks * scenario.tick_ns / 1e9
     forget_s = [None if control.agent is None else _forget_after_s(control.agent) for control in scenario.controls]
     worst: dict[float, tuple[float, Link]] = {}  # by how long agents wait: the largest loss, and its link

@@ -21,7 +21,7 @@ from netem.wire.messages import Fate
 
 
 class LastMessages:
-    """Of each link and protocol the last fate, and when the newest that arrived whole was sent."""
+    """For each link and protocol: the last fate, and the sending time of the newest message that arrived whole."""
 
     def __init__(self, links: Sequence[Link], tick_ns: int) -> None:
         self._states, self._own = _LastOfLinks(links, tick_ns / 1e9), _LastOfLinks(links, tick_ns / 1e9)

@@ -90,9 +90,9 @@ def show_page(
     """Serve the page until Ctrl-C.
 
     Args:
-        may_act: whether it may disturb the run.
-        browser: whether to open one.
-        rate, loop: of a log: times its own pace, and whether it begins again at the end.
+                may_act: the page may disturb the run.
+        browser: open a browser.
+        rate, loop: for a log: its speed in multiples of its own pace, and whether it begins again at the end.
     """
     from contextlib import closing
 

@@ -371,7 +371,7 @@ class Console:
     # Who waits, and who died.
 
     def _wait_to_join(self, since: float, progress: Callable[[], None]) -> None:
-        """Show whom the run waits for, since a wall time. Raises RunBroken: they did not join in time."""
+        """Show the agents that the run waits for, since a wall time. Raises RunBroken: they did not join in time."""
         self.waiting = self._external.waiting(time.monotonic() - since, self._options.join_timeout_s)
         progress()
 

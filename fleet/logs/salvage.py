@@ -1,4 +1,4 @@
-"""MCAP records of a file that may be cut or damaged: what can be trusted is yielded, the rest is counted.
+"""MCAP records of a file that may be cut or damaged: good records are yielded, the others are counted.
 
 Every value in the file is checked first. A length must lie within the file and below `MOST_BYTES`, a chunk must unpack
 to the size and the CRC that it states, an attachment must have its CRC, and the summary its own. So a corrupt length

@@ -143,7 +143,7 @@ def _legend_of_runs(figure: Figure, runs: Sequence[Run]) -> None:
 
 
 def _draw_line(ax: Axes, gid: str, series: Series, whole: float, log: bool, style: dict[str, Any]) -> bool:
-    """Draw the line of a vehicle; returns whether it oscillates too fast, so that its envelope is drawn."""
+    """Draw the line of a vehicle, or its envelope if it oscillates too fast. Returns whether it is the envelope."""
     first, last = ax.get_xlim()
     (t, values), around = enveloped(*series, (first, last), whole, log)
     if around is not None:

@@ -117,11 +117,11 @@ class GuidedSearch:
         budget_s: float = inf,
         keep: FailureFolder | None = None,
     ) -> Searched:
-        """Make generations until a check fails; of one in which several runs fail, the first one counts.
+        """Make generations until a check fails. If several runs of a generation fail, the first one counts.
 
         Args:
             tell: called now and then with the number of runs that were made.
-            most_runs: how many there may be; with a folder those that were made before count.
+                    most_runs: the most runs; with a folder, earlier runs count.
             budget_s: of wall time, after which no generation is begun.
             keep: go on after a failure, and keep the first scenario of each kind of failure here.
 

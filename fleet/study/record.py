@@ -31,7 +31,7 @@ class AxisRecord(msgspec.Struct):
 
 
 class BorderRecord(BoundarySpec, frozen=True, kw_only=True):
-    """The settings of a border's study, in the user's words, along its last axis."""
+    """The settings of a border's study, in the user's words; the border lies along its last axis."""
 
     log: bool  # whether equal ratios are equally far apart
 

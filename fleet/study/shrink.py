@@ -46,8 +46,8 @@ class Shrunk(NamedTuple):
 
     Attributes:
         check: the check that fails.
-        found: what the verdict of that check says, of the first scenario and of the least one.
-        runs: that were made.
+                found: the finding of that check, for the first scenario and for the smallest one.
+        runs: the number of runs made.
         steps: the reductions, in words and in order.
         digest: of the log of the run of the smallest one.
     """

@@ -303,7 +303,7 @@ class Frames(WireRecord, frozen=True, tag="frames"):
 
 
 class LinkReport(WireRecord, frozen=True, tag="links"):
-    """Every fate that became final after the previous report's `until`, up to this one's."""
+    """The fates that became final after the `until` of the previous report, and by the `until` of this one."""
 
     route: ClassVar[Route] = Route("links", "netem", "console")
 

@@ -52,7 +52,7 @@ def archive(path: Path) -> Iterator[zipfile.ZipFile]:
 
 
 def _check_directory(file: IO[bytes]) -> None:
-    """See to it that the list of files can be read: each takes ten times the memory that it has in the archive."""
+    """Check that the list of files is small enough: each entry takes ten times as much memory as in the archive."""
     end = zipfile._EndRecData(file)  # type: ignore[attr-defined]  # the same that zipfile goes by
     if end and end[_SIZE_OF_DIRECTORY] > MAX_DIRECTORY_BYTES:
         raise FmuError(f"lists its files in {end[_SIZE_OF_DIRECTORY]} bytes: more than {MAX_FILES} are not unpacked")

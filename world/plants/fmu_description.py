@@ -67,7 +67,7 @@ def parse(data: bytes) -> Description:
     """A model description from its XML.
 
     Raises:
-        FmuError: it is none of FMI 2 or 3, or too large.
+        FmuError: it is not of FMI 2 or 3, or it is too large.
     """
     reader = _Reader()
     parser = expat.ParserCreate()

@@ -241,7 +241,7 @@ def _vehicle(one: DrawnFault, ground: Ground, past: _Past) -> int:
 
 
 def _links(one: DrawnFault, ground: Ground, past: _Past) -> Selector:
-    """The links of a fault: a pair's, one of its directions, a vehicle's, or all."""
+    """The links of a fault: both links of a pair, one of them, all links of a vehicle, or all links."""
     form = _among(one, ground, _FORM, 4)
     who = _aimed(one, ground, past)
     if who is not None and any(who in link for link in ground.links):

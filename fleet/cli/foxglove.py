@@ -9,15 +9,13 @@ from typing import TYPE_CHECKING
 import click
 from rich.console import Console as Terminal
 
-from fleet.cli.group import exit_status
 from fleet.cli.sessions import ending
 from fleet.logs.tape import Tape
+from fleet.replay.live_journal import LiveJournal
 from fleet.terminal.keyboard import Keyboard
 from fleet.terminal.progress import showing
 from fleet.terminal.status_line import StatusLine
 from fleet.view.source import LiveSource, LogSource
-from netem.wire.access import Credentials
-from netem.wire.open_bus import OpenBus
 from netem.wire.session import quiet_zenoh
 
 if TYPE_CHECKING:
@@ -51,12 +49,10 @@ def _serve_live(source: LiveSource, host: str, port: int | None, line: StatusLin
 
     quiet_zenoh()
     line.print(f"the live run in {source.directory}")
-    observed = source.observed
     with ending() as sessions:
-        with exit_status(3):
-            bus = OpenBus.connect(observed.endpoint, Credentials(observed.user, observed.password))
-            sessions.append(bus)
-        bridge = LiveBridge(source, bus, host, port, control=control)
+        journal = LiveJournal.connect(source.observed, source.directory.name)
+        sessions.append(journal)
+        bridge = LiveBridge(source, journal, host, port, control=control)
         sessions.append(bridge.server)
         _say_where(bridge.server, line)
         what = "disturb the run and watch it" if control else "watch it; --control would let them disturb it, too"

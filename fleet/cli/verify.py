@@ -170,19 +170,22 @@ def script(log: Path) -> None:
 def recover(log: Path, out: Path | None) -> None:
     """Write the undamaged part of a cut or damaged LOG as a clean file with an index.
 
-    Its metadata record `recovery` describes the missing parts. Damaged places are skipped and counted.
+    Its metadata record `recovery` describes the missing parts. Damaged places are skipped and counted. The bag of a
+    killed fleet record --ros2 becomes a new bag, BAG.recovered.
 
     \b
     Examples:
       fleet recover
       fleet recover cut.mcap -o clean.mcap
+      fleet recover bag                   a bag whose recorder was killed
     """
     from fleet.logs.recover import recover as write
     from fleet.logs.recover import recovery_text
+    from fleet.ros2.bag_repair import bag_file, repair
     from fleet.terminal.progress import showing
 
     with showing(f"recovering {log}") as tell:
-        found = write(log, out, tell)
+        found = write(log, out, tell) if bag_file(log) is None else repair(log, out, tell)
     say(recovery_text(found), err=found.nothing)
     sys.exit(1 if found.nothing else 3 if found.lost else 0)
 

@@ -1,4 +1,6 @@
-"""The time at which a check failed, as its log tells it: faults, missing messages, and what vehicles knew."""
+"""The evidence of a log about the time at which a check failed: faults, missing messages, and the knowledge of
+vehicles.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +62,7 @@ class FaultThen(Struct, frozen=True):
 
 
 class Gap(Struct, frozen=True):
-    """Messages in a row on one link, or on several at the same time, none of which arrived."""
+    """Consecutive messages on one link, or on several at the same time, that did not arrive."""
 
     links: Annotated[list[str], Meta(description="Sender and receiver of each, such as 1->2.")]
     cause: Annotated[str, Meta(description="Of most of them: a fate of the log, `corrupted`, or `on the way`.")]
@@ -72,7 +74,7 @@ class Gap(Struct, frozen=True):
 
 
 class Heard(Struct, frozen=True):
-    """What a vehicle had of a neighbour."""
+    """A vehicle's knowledge of a neighbour."""
 
     vehicle: Annotated[int, Meta(description="The neighbour.")]
     sent_s: Annotated[float | None, Meta(description="When its newest message was sent that arrived [s]; null: none.")]
@@ -83,7 +85,7 @@ class Heard(Struct, frozen=True):
 
 
 class VehicleThen(Struct, frozen=True):
-    """What a vehicle knew when the check failed."""
+    """A vehicle's knowledge when the check failed."""
 
     vehicle: Annotated[int, Meta(description="Its number.")]
     silent_s: Annotated[float | None, Meta(description="How long it had reported nothing [s]; null: it did report.")]
@@ -104,7 +106,7 @@ class Evidence(NamedTuple):
 
 
 def evidence(log: Log, at_s: float, signals: Sequence[str], *, protocol: bool) -> Evidence:
-    """What a log says of a time.
+    """The evidence of a log about a time.
 
     Args:
         signals: that the check looks at.
@@ -215,7 +217,7 @@ def _heard(log: Log, src: int, packets: _Packets, at_s: float) -> Heard:
 
 
 def _told(data: bytes | None) -> tuple[float, float, float] | None:
-    """The place in a state message; None: it is none, or a compact one, whose place counts from others."""
+    """The place in a state message; None: it is no state message, or a compact one without an absolute place."""
     if data is None:
         return None
     try:

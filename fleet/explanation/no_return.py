@@ -1,4 +1,4 @@
-"""The point of no return: the last snapshot of a failed run from which it passes if all faults are healed.
+"""The point of no return: the last snapshot of a failed run from which healing all faults still makes it pass.
 
 The run is made once more in this process, with a snapshot about every second (or a hundredth of the run) and a note of
 whether the check has failed by then. Then runs are tried that are healed at one of these moments: what lasts ends, and
@@ -74,7 +74,7 @@ class NoReturn(Struct, frozen=True):
 
 
 class Moment(NamedTuple):
-    """A moment of the run at which it may be healed."""
+    """A moment of the run at which healing is possible."""
 
     tick: int
     state: bytes  # snapshot; empty: there is none
@@ -91,7 +91,10 @@ class Remade:
     broken: str = ""  # why it ended early
 
     def failed_between(self, check: str) -> tuple[float, float]:
-        """The time at which the check failed lies between these [s]; the end of the run, if only that shows it."""
+        """The time at which the check failed lies between these [s].
+
+        If only the end of the run shows it, that is the time.
+        """
         tick_s, end = self.scenario.tick_ns / 1e9, self.scenario.duration_ns / 1e9
         moments = self.moments.get(check, [])
         k = len(moments)
@@ -102,7 +105,7 @@ class Remade:
 
 
 class _Watch:
-    """What the journal writes to: keeps every snapshot, and which checks have failed by then."""
+    """A sink of the journal: keeps every snapshot, and the checks that have failed by then."""
 
     def __init__(self, scenario: Scenario, every: int) -> None:
         self.journal: Journal | None = None
@@ -130,7 +133,7 @@ class _Watch:
 
 
 def with_moments(scenario: Scenario, trust: Trust) -> Scenario:
-    """The scenario with a snapshot at each moment at which it may be healed."""
+    """The scenario with a snapshot at each moment at which healing is possible."""
     every_ns = _every(scenario) * scenario.tick_ns
     return changed(scenario, [f"log.snapshot={show_time(every_ns)}"], trust)
 
@@ -208,7 +211,7 @@ class HealingSearch:
         return self._found("scanned", *self._bounds())
 
     def _candidates(self, remade: Remade) -> list[Moment]:
-        """The moments before the check failed at which healing makes a difference, the first one without any fault."""
+        """The moments before the failure at which healing makes a difference; the first one has no fault yet."""
         moments = list(remade.moments.get(self._check, []))
         while moments and moments[-1].failed:
             moments.pop()
@@ -262,14 +265,14 @@ class HealingSearch:
         return bool(passed)
 
     def _bounds(self) -> tuple[int | None, int | None]:
-        """Places of the last moment that passes, and of the next one that was tried and does not."""
+        """Places of the last moment that passes, and of the next one that was tried and fails."""
         tried = [k for k, moment in enumerate(self._moments) if moment.tick in self._known]
         passing = [k for k in tried if self._known[self._moments[k].tick].passed]
         low = passing[-1] if passing else None
         return low, next((k for k in tried if low is None or k > low), None)
 
     def _ordered(self) -> bool:
-        """Whether of what was tried all that passes comes before all that does not."""
+        """Whether all tried moments that pass come before all that fail."""
         found = [bool(self._known[tick].passed) for tick in sorted(self._known)]
         return found == sorted(found, reverse=True)
 
@@ -292,7 +295,7 @@ class HealingSearch:
 
 
 def healed(tree: Tree, at_ns: int) -> Tree:
-    """A scenario in which all faults are healed from a time on: what lasts ends, what has not begun never begins."""
+    """A scenario that heals all faults at a time: active faults end, and later ones never begin."""
     faults: list[dict[str, Any]] = []
     gone: set[str] = set()
     for number, fault in enumerate(tree.get("faults") or [], start=1):

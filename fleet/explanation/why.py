@@ -47,7 +47,7 @@ class Why(Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """What is to be explained, and how."""
+    """The question to explain, and the way to do so."""
 
     path: Path
     check: str | None = None  # None: the first one that failed

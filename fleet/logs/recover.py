@@ -7,6 +7,7 @@ Its `gaps` are the numbers of the messages, from 0, that follow a gap.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO
 
@@ -17,6 +18,8 @@ from fleet.logs.mcap_writer import McapWriter
 from fleet.logs.reader import GAPS, LOST, RECOVERY, Tell, log_path, lost, open_any
 from fleet.logs.records import MAGIC, Block, Message
 from fleet.logs.salvage import ChunkEnd, Item, Salvage, declarations
+
+_YEAR_1973_S = 1e8
 
 
 @dataclass(slots=True)
@@ -174,7 +177,10 @@ def recovery_text(found: Recovered) -> str:
     """The result of a recovery, in words."""
     if found.nothing:
         return f"{found.path}: nothing can be recovered{f': {found.lost}' if found.lost else ', it holds no message'}"
-    text = f"{found.out}: {found.messages} messages up to t = {found.until_s:g} s"
+    until = f"t = {found.until_s:g} s"
+    if found.until_s > _YEAR_1973_S:  # recorded traffic has dates
+        until = f"{datetime.fromtimestamp(found.until_s, UTC):%Y-%m-%d %H:%M:%S} UTC"
+    text = f"{found.out}: {found.messages} messages up to {until}"
     if found.lost:
         return f"{text}; LOST: {found.lost}"
     return f"{text}; nothing is lost{', the index was rebuilt' if found.rebuilt else ''}"

@@ -49,11 +49,11 @@ class FleetEnv(ParallelEnv[str, Values, Values]):  # type: ignore[misc]
         self.run: SteppedRun | None = None  # of this episode: to look at, and to inject faults
 
     def observation_space(self, agent: str) -> spaces.Dict:
-        """What an agent sees."""
+        """The space of an agent's observations."""
         return self._observed[agent]
 
     def action_space(self, agent: str) -> spaces.Dict:
-        """What an agent decides."""
+        """The space of an agent's actions."""
         return self._decided[agent]
 
     @property

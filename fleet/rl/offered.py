@@ -34,7 +34,7 @@ def parallel_env(
     reward: str | Reward | None = None,
     resident: bool = False,
 ) -> FleetEnv:
-    """A scenario as an environment of PettingZoo, in which policies decide for vehicles; needs the extra `rl`.
+    """A scenario as an environment of PettingZoo: policies decide for vehicles. Needs the extra `rl`.
 
     The run is in this process, and messages pass through the network of the scenario. `docs/guide/policies.md` is the
     guide.

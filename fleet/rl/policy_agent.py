@@ -38,7 +38,7 @@ class Heard(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Action:
-    """What a policy decided: until it decides again."""
+    """The decision of a policy; it holds until the next one."""
 
     move: Vec3  # surge force [N], pitch and yaw moment [N m]; or a velocity over ground [m/s, NED]
     sends: bool
@@ -47,7 +47,7 @@ class Action:
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """What a policy decides."""
+    """The choices that a policy has."""
 
     move: Literal["velocity", "force"]
     numbers: int  # of a message; 0: it is a state message of the scenario's payload
@@ -56,7 +56,7 @@ class Asked:
 
 @dataclass(slots=True)
 class Seat:
-    """What stays of a vehicle's policy when its agent is killed and begins again."""
+    """The part of a vehicle's policy that survives when its agent is killed and begins again."""
 
     config: AgentConfig
     asked: Asked
@@ -100,7 +100,7 @@ class PolicyAgent:
             }
 
     def foresee(self, nav: Nav, due: list[Delivery]) -> Action:
-        """What the scenario's own law does at this tick, which is asked for once."""
+        """The answer of the scenario's own law at this tick; the law is called once."""
         assert self.resident is not None
         before = self.resident.state() if self._remembers(nav.tick) else {}
         sends = nav.tick % self.config.round_ticks == 0
@@ -130,7 +130,7 @@ class PolicyAgent:
             return ()
 
     def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> Decision:
-        """The forces that the policy wants, or those that keep the velocity that it wants."""
+        """The forces that the policy wants, or the forces that keep its wanted velocity."""
         due = list(deliveries)
         self._absorb(nav, due)
         move = self._seat.action.move
@@ -147,7 +147,7 @@ class PolicyAgent:
         return Decision(tau, self.resident.decide(nav, due).telemetry)
 
     def state(self) -> dict[str, Any]:
-        """What the resident law remembers: of a policy nothing is known."""
+        """The memory of the resident law; the policy's memory is unknown."""
         assert self.resident is not None  # otherwise the loop has no `memory_ticks`
         foreseen = self._foreseen
         return foreseen[1] if foreseen is not None and foreseen[1] else self.resident.state()
@@ -209,7 +209,7 @@ class HeldLife:
 
     @property
     def holds(self) -> tuple[Nav, list[Delivery]] | None:
-        """What is known at the tick that waits: the nav, and what is due; None: no tick waits."""
+        """The nav and the due messages of the tick that waits; None: no tick waits."""
         if self._held is None:
             return None
         tick = self._held.tick

@@ -1,4 +1,4 @@
-"""What a policy sees and decides, as spaces of Gymnasium and as arrays in them. -1 stands for what is not known."""
+"""Observations and actions of a policy, as spaces of Gymnasium and as arrays in them. -1 stands for an unknown one."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def decided(scenario: Scenario, i: int, asked: Asked) -> spaces.Dict:
 
 
 def observation(space: spaces.Dict, seat: Seat) -> Values:
-    """What an agent sees at the tick at which it is asked, or was asked last."""
+    """The observation of an agent at the tick of its present or last decision."""
     nav, config = seat.nav, seat.config
     if nav is None:  # its agent has not begun
         return _filled(space)
@@ -87,7 +87,7 @@ def _neighbour(space: spaces.Dict, seat: Seat, j: int) -> Values:
 
 
 def action_of(who: str, space: spaces.Dict, values: Any, asked: Asked) -> Action:
-    """What a policy decided.
+    """The action of a policy.
 
     Raises:
         FleetError: it is not of the space.

@@ -68,6 +68,16 @@ class Bag:
             self.topic(message.name, message.topic.type, message.topic.qos)
         self.write(message.name, message.at_ns, self._types.encode(message.topic.type, message.message))
 
+    def flush(self) -> None:
+        """Write out what there is, so that it can be recovered if nobody closes the bag. Raises FleetError."""
+        storage: Any = self._writer.storage
+        try:
+            if storage.chunk.bio.tell():
+                storage.close_chunk()
+            storage.bio.flush()
+        except OSError as error:
+            raise FleetError(f"cannot write {self.folder}: {error.strerror}") from None
+
     def close(self) -> None:
         """Write the index and metadata.yaml. Raises FleetError: the disk is full."""
         try:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from fleet.replay.capture import FLUSH_NS
 from fleet.ros2.bag import Bag
 from fleet.ros2.rmw import DEFAULT, Entity, read_key, unpack
 from fleet.ros2.types import NO_HASH, RosTypes
@@ -46,6 +47,7 @@ class BagWriter:
         self._names: set[str] = set()
         self._said: set[str] = set()
         self._size = 0
+        self._flushed_ns = 0
         self._open = True
 
     @property
@@ -69,9 +71,13 @@ class BagWriter:
         self._bag.write(entity.name, at_ns, sample.payload)
         self.samples += 1
         self._size += len(sample.payload)
+        self.flush(at_ns)
 
     def flush(self, now_ns: int) -> None:
-        """Nothing: a bag writes itself out in chunks."""
+        """Write out what there is if a second has passed since the last time. Raises FleetError: the disk is full."""
+        if now_ns - self._flushed_ns >= FLUSH_NS:
+            self._flushed_ns = now_ns
+            self._bag.flush()
 
     def close(self) -> None:
         """Write the index, once. Raises FleetError: the disk is full."""

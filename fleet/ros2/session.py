@@ -25,7 +25,7 @@ def open_ros_session(connect: str | None, listen: str | None) -> tuple[RosBus, s
     """
     try:
         if connect is not None:
-            return RosBus.join(connect), f"joined the router at {connect}"
+            return _join(connect)
         if listen is not None:
             return RosBus.be_router(listen), f"a router at {listen}"
         if (bus := RosBus.as_configured()) is not None:
@@ -34,7 +34,14 @@ def open_ros_session(connect: str | None, listen: str | None) -> tuple[RosBus, s
         try:
             probe_address(HOST, PORT)
         except OSError:
-            return RosBus.join(usual), f"joined the router at {usual}"
+            return _join(usual)
         return RosBus.be_router(usual), f"a router at {usual}, this host only"
+    except BusError as error:
+        raise FleetError(str(error), status=3) from None
+
+
+def _join(endpoint: str) -> tuple[RosBus, str]:
+    try:
+        return RosBus.join(endpoint), f"joined the router at {endpoint}"
     except BusError as error:
         raise FleetError(f"{error}; a router of ROS 2: ros2 run rmw_zenoh_cpp rmw_zenohd", status=3) from None

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any
 
-from fleet.replay.attachment import unpack
 from fleet.replay.capture import PublisherGone
-from fleet.replay.missing import Missing, left_out
+from fleet.replay.live_journal import LiveJournal
+from fleet.replay.missing import left_out
 from fleet.replay.topics import ask_topics
 from fleet.terminal.fitting import Piece
 from fleet.terminal.status_line import StatusLine
 from fleet.view.foxglove_server import FELL_BEHIND, FoxgloveChannel, FoxgloveServer, Subscription
 from fleet.view.foxglove_services import services
 from fleet.view.source import LiveSource
-from netem.wire.keys import Keys
-from netem.wire.open_bus import OpenBus, place_of
 
 POLL_S = 0.02
 TELL_S = 2.0  # between two words on what is missing
@@ -29,11 +26,11 @@ CLOCK = "transforms"  # the topic by which we know the time
 class LiveBridge:
     """From the publisher of a live run to a server for viewers."""
 
-    def __init__(self, source: LiveSource, bus: OpenBus, host: str, port: int | None, *, control: bool) -> None:
+    def __init__(self, source: LiveSource, journal: LiveJournal, host: str, port: int | None, *, control: bool) -> None:
         """Ask for the topics, and listen.
 
         Args:
-            bus: joined to the run's publisher.
+            journal: of the run.
             control: whether viewers may inject, heal and hold the clock.
 
         Raises:
@@ -41,8 +38,8 @@ class LiveBridge:
                 at hand, and viewers are to control.
         """
         offered = services(source.controlled()) if control else ()
-        self._bus, self._keys = bus, Keys(source.observed.run)
-        self._topics = ask_topics(bus, self._keys)
+        self._journal = journal
+        self._topics = ask_topics(journal.bus, journal.keys)
         self._numbers = {topic: n for n, topic in enumerate(sorted(self._topics))}
         self.server = FoxgloveServer(
             source.directory.name,
@@ -59,18 +56,18 @@ class LiveBridge:
         self._names = {n: topic for topic, n in self._numbers.items()}
         self._ends: dict[int, Callable[[], None]] = {}
         self._latest_ns = 0
-        self.missing = Missing()
+        self.missing = journal.missing
         self._told, self._told_s = 0, 0.0  # how many messages viewers were told are missing, and when
-        self._bus.subscribe(self._keys.log_end, lambda sample: self.missing.end(sample.payload.to_bytes()))
 
     def run(self, line: StatusLine) -> None:
         """Go on until the run is over."""
-        over = PublisherGone(lambda: self._bus.connected)
+        over = PublisherGone(lambda: self._journal.bus.connected)
         if CLOCK in self._numbers:
             self._fetch(self._numbers[CLOCK])
         while not over():
             self._pass_on(line)
             self._tell(line)
+        self._take()
         deadline = time.monotonic() + COME_S
         while time.monotonic() < deadline and self.missing.to_come:
             self._pass_on(line)
@@ -84,11 +81,18 @@ class LiveBridge:
         for event in self.server.events(POLL_S):
             if isinstance(event, Subscription):
                 self._follow(event.channel)
+        self._take()
         self.server.time(self._latest_ns)
         if self.server.fell_behind():
             line.print(FELL_BEHIND)
         if line.due():
             line.show(self._describe())
+
+    def _take(self) -> None:
+        """Give viewers what has come."""
+        for message in self._journal.take():
+            self._latest_ns = max(self._latest_ns, message.log_ns)
+            self.server.put(self._numbers[message.topic], message.data, message.log_ns)
 
     def _tell(self, line: StatusLine, *, last: bool = False) -> None:
         """Say how many messages are missing, if they are more than before."""
@@ -109,19 +113,9 @@ class LiveBridge:
 
     def _fetch(self, number: int) -> None:
         topic = self._names[number]
+        self._take()  # or messages of a subscription before would count as those of this one
         self.missing.forget(topic)
-        self._ends[number] = self._bus.subscribe(self._keys.log(topic), self._receiver(number, topic))
-
-    def _receiver(self, number: int, topic: str) -> Callable[[Any], None]:
-        """A function that takes the samples of a channel, on a thread of zenoh's."""
-
-        def receive(sample: Any) -> None:
-            stamp = unpack(sample.attachment.to_bytes())
-            self._latest_ns = max(self._latest_ns, stamp.log_ns)
-            self.missing.came(topic, place_of(sample))
-            self.server.put(number, sample.payload.to_bytes(), stamp.log_ns)
-
-        return receive
+        self._ends[number] = self._journal.subscribe(topic)
 
     def _describe(self) -> list[Piece]:
         viewers = self.server.viewers

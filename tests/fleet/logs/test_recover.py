@@ -31,7 +31,7 @@ from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.reader import GAPS, LOST, RECOVERY, LogReader, LogReadError, Record
 from fleet.logs.records import MAGIC, MOST_BYTES
-from fleet.logs.recover import Recovered, recover
+from fleet.logs.recover import Recovered, recover, recovery_text
 from fleet.scenario.loading import load_scenario
 
 # Three chunks, as small as they get.
@@ -496,3 +496,10 @@ def test_recovery_onto_a_full_disk(log: Path, tmp_path: Path, monkeypatch: pytes
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("until_s", "words"), [(60.5, "2 messages up to t = 60.5 s"), (1795471234.5, "up to 2026-11-23 22:00:34 UTC")]
+)
+def test_recorded_traffic_has_dates(until_s: float, words: str) -> None:
+    assert words in recovery_text(Recovered(Path("a"), Path("b"), messages=2, until_s=until_s))

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
 import signal
 from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 from in_process_runs import alone as alone
 from ros_session import ros_router
 from showing import going_on
@@ -14,6 +16,7 @@ from traffic import LIMIT_S, Command
 from traffic import log as log
 from waiting import wait_for
 
+from fleet.cli.main import cli
 from fleet.logs.tape import Tape
 from fleet.ros2.bridge import RosBridge, play_log
 from fleet.ros2.node import RosNode
@@ -43,7 +46,7 @@ def test_what_a_fleet_publishes_is_recorded(log: Path, tmp_path: Path) -> None:
         bridge = RosBridge(RosNode(bus, types_of(), 0, "fleet"), Translation(types_of(), schemas))
 
         def play() -> None:
-            with going_on(lambda keys, line: play_log(bridge, tape, keys, line, rate=1000.0, loop=False)):
+            with going_on(lambda keys, line: play_log(bridge, tape, keys, line, rate=4.0, loop=False)):
                 wait_for(lambda: bridge.at_ns == tape.end_ns, LIMIT_S, "the end")
 
         play()
@@ -97,3 +100,30 @@ def test_what_cannot_be_recorded_is_told_once(tmp_path: Path) -> None:
         "no key of rmw_zenoh",
     ):
         assert any(words in text for text in told), (words, told)
+
+
+def test_a_killed_recorder_leaves_a_bag_that_can_be_recovered(tmp_path: Path) -> None:
+    """It had left neither metadata.yaml nor, of less than a megabyte, any message."""
+    types, folder = types_of(), tmp_path / "bag"
+    writer = BagWriter(folder, types, lambda _: None)
+    entity = Entity(0, "/clock", CLOCK, types.hash(CLOCK))
+    for second in range(1, 4):
+        time = types.new("builtin_interfaces/msg/Time", sec=second, nanosec=0)
+        data = types.encode(CLOCK, types.new(CLOCK, clock=time))
+        sample = ZenohSample(entity.key, data, False, "zenoh/bytes", pack(Attachment(second, 1, bytes(16))), None)
+        writer.add(sample, second * 1_000_000_000)
+    killed = tmp_path / "killed" / "bag"  # as the disk has it now
+    shutil.copytree(folder, killed)
+    writer.close()
+    assert [path.name for path in killed.iterdir()] == ["bag.mcap"]
+    done = CliRunner().invoke(cli, ["recover", str(killed)])
+    said = "bag.recovered: 3 messages up to t = 3 s; LOST: the end: the file is cut"
+    assert (done.exit_code, said in done.output) == (3, True), done.output
+    assert [one.clock.sec for one in read(tmp_path / "killed" / "bag.recovered")["/clock"]] == [1, 2, 3]
+    assert sorted(path.name for path in (tmp_path / "killed").iterdir()) == ["bag", "bag.recovered"]
+    assert "exists already" in CliRunner().invoke(cli, ["recover", str(killed)]).output
+    with (killed / "bag.mcap").open("r+b") as file:
+        file.truncate(killed.joinpath("bag.mcap").stat().st_size - 40)
+    done = CliRunner().invoke(cli, ["recover", str(killed), "-o", str(tmp_path / "cut")])
+    assert (done.exit_code, "LOST" in done.output) == (3, True), done.output
+    assert [one.clock.sec for one in read(tmp_path / "cut")["/clock"]] == [1, 2]

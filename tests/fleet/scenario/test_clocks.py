@@ -62,7 +62,7 @@ def test_drawn_clocks_are_normal_and_each_vehicle_has_its_own() -> None:
         ("agent.clock.drift={sigma: -1 ppm}", "must be between 0 and 100000 ppm"),
         ("agent.clock.offset=25 h", "must be between -24 h and 24 h"),
         ("agent.clock.offset={std: 1 ms}", "unknown key"),
-        ("agent.clock=5 ms", "expected a mapping"),
+        ("agent.clock=5 ms", "expected keys with values"),
         ("faults=[{at: 0 s, clock: {vehicles: 9, step: 1 s}}]", "there is no vehicle 9"),
         ("faults=[{at: 0 s, clock: {vehicles: 2}}]", "changes nothing"),
         ("faults=[{at: 0 s, clock: {vehicles: 2, step: 1}}]", "without a unit"),

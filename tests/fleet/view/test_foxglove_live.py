@@ -23,6 +23,7 @@ from fleet.logs.open_log import open_log
 from fleet.logs.reader import LogReader
 from fleet.logs.tape import Tape
 from fleet.replay.attachment import Stamp, pack
+from fleet.replay.live_journal import LiveJournal
 from fleet.replay.missing import pack_counts
 from fleet.replay.observed import Observed, host_observed, new_observed
 from fleet.replay.playback import PlaybackOptions, Replay
@@ -68,7 +69,9 @@ def test_only_what_viewers_want_is_fetched(log: Path, tmp_path: Path) -> None:
         return {key.removeprefix(prefix) for key in set(replay.key_of.values()) - set(replay.unmatched())}
 
     with joined(observed) as bus:
-        bridge = LiveBridge(LiveSource(tmp_path, observed, None), bus, "127.0.0.1", 0, control=False)
+        bridge = LiveBridge(
+            LiveSource(tmp_path, observed, None), LiveJournal(bus, Keys(observed.run)), "127.0.0.1", 0, control=False
+        )
         try:
             with going_on(lambda _, line: bridge.run(line)), viewer(bridge.server.endpoint) as watcher:
                 assert set(watcher.channels) == {c.topic for c in Tape(log).channels.values()}
@@ -94,7 +97,9 @@ def test_who_only_watches_cannot_control(log: Path, tmp_path: Path) -> None:
     with session(host_observed(observed)) as publisher, joined(observed) as bus:
         Replay(Tape(log), PlaybackOptions(run=observed.run)).open(publisher)
         with pytest.raises(FleetError, match="only what an observer needs is at hand"):
-            LiveBridge(LiveSource(tmp_path, observed, None), bus, "127.0.0.1", 0, control=True)
+            LiveBridge(
+                LiveSource(tmp_path, observed, None), LiveJournal(bus, Keys(observed.run)), "127.0.0.1", 0, control=True
+            )
 
 
 class MadeUpBus:
@@ -116,7 +121,7 @@ def test_what_waits_for_a_viewer_when_the_run_ends_still_comes(tmp_path: Path, m
     """It is told of the end before them, since words overtake messages; and of what did not come from the publisher."""
     bus: Any = MadeUpBus()
     source = LiveSource(tmp_path, Observed("tcp/127.0.0.1:1", "observer", "secret", KEYS.run), None)
-    bridge = LiveBridge(source, bus, "127.0.0.1", 0, control=False)
+    bridge = LiveBridge(source, LiveJournal(bus, KEYS), "127.0.0.1", 0, control=False)
 
     said: list[str] = []
     say = bridge.server.say
@@ -135,7 +140,9 @@ def test_what_waits_for_a_viewer_when_the_run_ends_still_comes(tmp_path: Path, m
         give = wait_for(lambda: bus.subscribed.get(KEYS.log("a")), LIMIT_S, "the subscription")
         for n in range(WAITING):
             stamp = ZBytes(pack(Stamp(n, n, n, n)))
-            give(SimpleNamespace(attachment=stamp, payload=ZBytes(bytes(10_000)), source_info=Source(n + 3 * (n > 5))))
+            info = Source(n + 3 * (n > 5))
+            payload = ZBytes(bytes(10_000))
+            give(SimpleNamespace(key_expr=KEYS.log("a"), attachment=stamp, payload=payload, source_info=info))
         bus.subscribed[KEYS.log_end](SimpleNamespace(payload=ZBytes(pack_counts({"a": WAITING + 5, "b": 9}))))
         bus.connected = False
         wait_for(lambda: OVER in said, LIMIT_S, "the end")
@@ -155,7 +162,7 @@ def test_a_service_call_cuts_a_link_of_a_live_run(tmp_path: Path) -> None:
         source = find_source(str(run.directory), tmp_path)
         assert isinstance(source, LiveSource)
         with joined(source.observed) as bus:
-            bridge = LiveBridge(source, bus, "127.0.0.1", 0, control=True)
+            bridge = LiveBridge(source, LiveJournal(bus, Keys(source.observed.run)), "127.0.0.1", 0, control=True)
             try:
                 with going_on(lambda _, line: bridge.run(line)), viewer(bridge.server.endpoint) as watcher:
                     watcher.subscribe(*topics)

@@ -239,7 +239,7 @@ def test_run_that_breaks(tmp_path: Path) -> None:
 def test_run_that_cannot_begin(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     assert failure("run", "papre", "--json").problems[0].message.startswith("there is no such shipped scenario")
-    assert failure("run", "--json").error.startswith("run what?")
+    assert failure("run", "--json").error.startswith("no scenario given: name one")
     assert failure("run", "paper", "--seed", "x", "--json").exit == 2  # the mistake stands before --json
     assert failure("run", "paper", "--show-config", "--json").error.startswith("--show-config prints YAML")
     assert "cannot make a run directory" in failure("run", *QUICK, "--out", tmp_path / "file", "--json").error

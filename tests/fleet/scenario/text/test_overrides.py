@@ -85,7 +85,7 @@ def test_links_of_an_acoustic_network() -> None:
         ([Override(FAULT, "at 1s kill 9")], "--fault at 1s kill 9: faults.1.kill: there is no vehicle 9"),
         (["faults=3", KILL], '--set faults=3: faults: expected a list, got 3'),
         (["network=3", Override(NET, "* down")], "--set network=3: network: expected a mapping"),
-        (["network.links=3", Override(NET, "* down")], "--set network.links=3: network.links: expected a mapping"),
+        (["network.links=3", Override(NET, "* down")], "--set network.links=3: network.links: expected keys"),
     ],
 )  # fmt: skip
 def test_a_mistake_names_the_option_and_the_text(overrides: list[str | Override], said: str) -> None:

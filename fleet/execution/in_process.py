@@ -210,7 +210,10 @@ class InProcess:
         self._world.resume(tick, snapshot.world)
         self.rounds.resume(tick, snapshot.network)
         self._journal.resume(snapshot)
-        for i, memory in snapshot.memories.items():
+        lives, memories = self._world.state.lives, snapshot.memories
+        for i in sorted(set(self._loops) - set(memories)):  # it was gone there, and may be there now
+            self._loops[i] = self._born(i, lives.incarnation(i, tick), tick)
+        for i, memory in memories.items():
             loop = self._loops[i] = self._born(i, self._world.state.lives.incarnation(i, tick), tick)
             loop.remember(memory, anew=i in start.anew)
 

@@ -43,9 +43,11 @@ from fleet.study.modules import NO_MODULES, Modules
 from fleet.study.one_run import JUDGED, Task, scenario_of
 from fleet.study.plan import run_key
 from fleet.study.shrink import Tree, tree_of
+from netem.lives import Lives
 from netem.wire.messages import Command, Fate, Frame
 from world.errors import WorldError
 from world.plugins.trust import Trust
+from world.run_memory import vehicle_memories
 
 RUNS = "runs that are healed"  # what is being made, for `tell`
 _FIRST, _THEN = 6, 3  # moments that are tried together
@@ -243,14 +245,15 @@ class HealingSearch:
         """The run that is healed at a moment; None: it is no scenario."""
         tree = healed(self._tree, moment.tick * self._scenario.tick_ns)
         text, seed = json.dumps(tree), self._scenario.seed
-        branch = Branch(self._check, 0, moment.state) if self._over_time and moment.state else None
         key = run_key(f"{text}\nhealed at {moment.tick} {self._check}")
-        task = Task(key, 0, seed, self._scenario.name, text, inf, self._modules, branch=branch)
+        task = Task(key, 0, seed, self._scenario.name, text, inf, self._modules)
         try:
-            scenario_of(task)
+            absences = scenario_of(task).faults.absences
         except ScenarioError:
             return None
-        return task
+        if not self._over_time or not moment.state or _lacks_an_agent(moment, Lives(absences)):
+            return task
+        return task._replace(branch=Branch(self._check, 0, moment.state))
 
     def _passed(self, row: Row, task: Task) -> bool | None:
         if row["status"] not in JUDGED:
@@ -325,3 +328,10 @@ def _spread(first: int, last: int, count: int) -> list[int]:
     if count == 1:
         return [first]
     return list(dict.fromkeys(first + round(k * (last - first) / (count - 1)) for k in range(count)))
+
+
+def _lacks_an_agent(moment: Moment, lives: Lives) -> bool:
+    """Whether a snapshot has no memory of an agent that is there in the healed run, which so cannot begin with it."""
+    snapshot = Snapshot.from_bytes(moment.state)
+    vehicles = [known.vehicle for known in vehicle_memories(snapshot.world)]
+    return any(i not in snapshot.memories and not lives.without_agent(i, moment.tick) for i in vehicles)

@@ -229,3 +229,13 @@ def test_of_a_log_that_ends_before_the_check_fails(small_log: Path, tmp_path: Pa
     assert why.at_s < why.failed_s == explained(small_log, most_runs=0).failed_s
     assert f"the log ends at {why.at_s:g} s, before the check fails" in why.notes[0]
     assert f"had failed by {why.failed_s:g} s" in "\n".join(lines(why))
+
+
+def test_an_agent_that_comes_back_by_healing() -> None:
+    """Snapshots after its end have no memory of it, so these runs are made from their start."""
+    text = LONGER + "faults: [{at: 400 ms, kill: 1}]\nchecks: {max_age: {below: 900 ms}, tumbled: waived}\n"
+    scenario = with_moments(parse_scenario(text, "small.yaml"), NOTHING)
+    search = HealingSearch(remake(scenario, lambda share: None), "max_age", Here(), lambda doing, runs: None)
+    found = search.run(24)
+    assert found.passes_s == 1.2  # news of it is older than 900 ms from 1.3 s on
+    assert not any(one.from_snapshot for one in found.tried)

@@ -230,3 +230,14 @@ def test_times_and_speed_count_from_its_start(tmp_path: Path) -> None:
         e = open_log(again.directory)[f"uuv/{i}/error"]
         below = int((e["e_norm"] >= 0.1 * e["e_norm"][0]).nonzero()[0][-1]) + 1
         assert row["settle_10pct_s"] == pytest.approx(e.t[below] - 2.0)
+
+
+@pytest.mark.parametrize("at_ms", [400, 600])
+def test_an_agent_that_was_gone_is_there_if_nothing_ends_it(at_ms: int, tmp_path: Path) -> None:
+    """It begins without memory at that moment. Before, the run waited for it for ever."""
+    log = ["log.snapshot=200 ms", "checks={tumbled: waived}"]
+    gone = run(small(*log, "faults=[{at: 400 ms, kill: 1}]"), tmp_path)
+    scenario, start = continuation(gone.directory, at_ms * 1_000_000, ["faults=[]"])
+    found = run(scenario, tmp_path, start)
+    commands = open_log(found.directory)["uuv/1/command"]
+    assert (commands.t[0], len(commands)) == (at_ms / 1e3, (1000 - at_ms) / 10)

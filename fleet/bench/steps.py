@@ -7,6 +7,7 @@ from collections.abc import Callable
 from statistics import median
 
 from fleet.bench.agent_step import agent_steps
+from fleet.bench.localization_step import localization_steps
 from fleet.bench.navigation_step import navigation_steps
 from fleet.execution.clock import GrantPolicy
 from fleet.execution.in_process import InProcess
@@ -33,6 +34,7 @@ def steps(repeats: int) -> dict[str, float]:
         **agent_steps(max(60, repeats)),
         "world advance, one vehicle": median(_cost(lambda: world.advance(1, (1.0, 0.0, 0.0))) for _ in range(repeats)),
         **navigation_steps(max(2, repeats // 20)),
+        **localization_steps(max(10, repeats)),
         "nav encode and decode": median(_cost(lambda: decode(encode(nav))) for _ in range(repeats)),
         "command encode and decode": median(_cost(lambda: decode(encode(command))) for _ in range(repeats)),
         "journal and log, one tick of 4 vehicles": _log_tick(repeats),

@@ -14,7 +14,7 @@ from fleet.scene.styles import PRINT
 from fleet.view.view_state import Row
 
 MOST_SIGNALS = 2  # that have a chart of their own
-LEFT, RIGHT, BOTTOM, HEIGHT, GAP = 0.06, 0.98, 0.095, 0.15, 0.06  # shares of the figure
+LEFT, RIGHT, BOTTOM, HEIGHT, GAP = 0.06, 0.97, 0.095, 0.15, 0.06  # shares of the figure
 
 
 class MovieChart:

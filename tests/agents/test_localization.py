@@ -10,8 +10,10 @@ from typing import get_args
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import structs
 from small_scenario import small
 
+from agents.api import FormationAgent
 from agents.config import AgentConfig, LocalizationParams, Method
 from agents.errors import PayloadError
 from agents.localization import payload
@@ -185,3 +187,25 @@ def test_a_vehicle_that_small_fixes_keep_as_sure_as_it_is_stays_an_aid(fixes: bo
             localizer = other
         if t > 100.0:
             assert localizer.message(state).fixed == fixes, t
+
+
+def test_an_agent_of_ones_own_gets_the_position_by_ranges_from_the_agent_within() -> None:
+    """What a protocol needs of the localiser: so `agents.api` has no name for it."""
+    agent = FormationAgent(config("aid"))
+    assert "located" in [signal.name for signal in agent.signals]
+    _, known = agent.decide(nav(0, 0.0, 0.0), [])
+    assert known["located"] == pytest.approx((0.0, 0.0, 5.0))
+    agent.transmit(nav(10, 0.1, 0.0))
+    _, known = agent.decide(nav(10, 0.1, 0.0), [said(1, 0, 100.0, 0.0, 0.01, 103.0)])
+    north, east, depth = known["located"]  # type: ignore[misc]
+    assert north == pytest.approx(-2.9, abs=0.2) and (east, depth) == pytest.approx((0.0, 5.0))
+    assert known["ranges_used"] == 1.0
+    assert known["located_covariance"][0] < 1.0 < known["located_covariance"][2]  # type: ignore[index]
+
+
+def test_an_agent_of_ones_own_may_put_a_position_of_its_own_in_place_of_the_navigators() -> None:
+    """The agent within keeps the formation by the nav that it is given."""
+    agent, other = (FormationAgent(replace(small().agent_config(2))) for _ in range(2))
+    plain = agent.decide(nav(0, 0.0, 0.0), [])[1]["e_used"]
+    moved = other.decide(structs.replace(nav(0, 0.0, 0.0), eta=(3.0, 0.0, 5.0, 0.0, 0.0)), [])[1]["e_used"]
+    assert moved != plain

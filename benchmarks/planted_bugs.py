@@ -84,7 +84,8 @@ class FormationAgent:
         pass
 '''
 # Each bench has faults that its protocol survives without a defect. Long one-way silence, two deaths at a time in an
-# auction, and faults that leave no time to recover make the sound ones fail, too.
+# auction, and faults that leave no time to recover make the sound ones fail, too. No fault has a number that a guide
+# could strengthen beyond that.
 _SWARM = "nemesis={mode: swarm, until: 45 s, pick: [%s]}"
 _GRID = "nemesis={every: %s, for: %s, until: %s, pick: [%s]}"
 _COMMON = ("duration=60 s", "tick=100 ms", "log={every: 1 tick, snapshot: 0 s}", "faults=[]", "expect=pass")
@@ -112,7 +113,7 @@ BENCHES = {
         "fleet.protocols.checks:AgreeAfterHeal: {within: 9 s, quorum: fleet}}",
     ), still=True),
     "average": Bench("average", f"{AVERAGE}:ExactAverage", (
-        *_COMMON, _SWARM % "kill, {link *: loss 50% delay 200ms 100ms}",
+        *_COMMON, _SWARM % "kill",
         'network.links={"*": delay 100ms 50ms loss 10% duplicate 5%}',
         "checks={fleet.protocols.checks:TrueMean: {below: 0.01, within: 10 s}}",
     ), still=True),
@@ -120,7 +121,7 @@ BENCHES = {
         *_COMMON, _GRID % ("12 s", "7 s", "31 s", "kill"), "checks.tumbled=waived",
     )),
     "event-triggered": Bench("event-triggered", f"{EVENT}:EventTriggered", (
-        *_COMMON, _GRID % ("5 s", "4 s", "45 s", "down, deaf, mute, {link *: loss 60%}"),
+        *_COMMON, _GRID % ("5 s", "4 s", "45 s", "down, deaf, mute"),
         "checks={formation_error: {below: 1 m, after: 56 s}, tumbled: waived}",
     )),
     "core": Bench("leader-lost-standby", f"{CORE}:Core", (

@@ -294,7 +294,8 @@ def plant(bug: Bug, folder: Path) -> str:
 def _source(module: str) -> str:
     spec = find_spec(module)
     assert spec is not None and spec.origin is not None
-    return Path(spec.origin).read_text("utf-8")
+    origin = Path(spec.origin)  # of a compiled module the source lies beside it
+    return origin.with_name(f"{origin.name.partition('.')[0]}.py").read_text("utf-8")
 
 
 def _lines(path: Path) -> list[dict[str, Any]]:

@@ -56,7 +56,7 @@ class RareFound(Struct, frozen=True):
     check: Annotated[str, Meta(description="The check.")]
     probability: Annotated[float, Meta(description="Mean of the repeats.")]
     low: Annotated[float, Meta(description="95 % interval, from the spread of the repeats.")]
-    high: Annotated[float | None, Meta(description="The same; null: there are too few repeats.")]
+    high: Annotated[float | None, Meta(description="The same; null: too few repeats, or none reached a failure.")]
     repeats: Annotated[int, Meta(description="Independent estimates.")]
     levels: Annotated[tuple[float, ...], Meta(description="Margins of the stages, in the unit of the check.")]
     runs: Annotated[float, Meta(description="What all cost, in whole runs.")]
@@ -156,7 +156,7 @@ class RareEvent:
         half = (high - low) / 2
         # Of plain runs, the number whose normal interval is as wide.
         counting = 1.96**2 * mean * (1 - mean) / half**2 if 0 < half < inf else None
-        at_most = min(1.0, high) if high < inf else None
+        at_most = min(1.0, high) if 0.0 < high < inf else None
         return RareFound(
             known.scenario, known.check, mean, low, at_most, len(estimates), known.levels,
             ticks / self._scenario.ticks, counting, sum(not one.spread for one in known.repeats),

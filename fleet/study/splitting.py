@@ -103,7 +103,9 @@ class Splitting:
             if stage == 0:
                 spread = scores[0] != scores[-1]
             level = scores[ceil(self.share * self.effort) - 1]
-            if not spread or level < 0 or level == inf or (found and level >= found[-1]):
+            if found and level >= found[-1]:  # scores with steps: fewer than that share get to the next one
+                level = max((score for score in scores if score < found[-1]), default=inf)
+            if not spread or level < 0 or level == inf:
                 break
             found.append(level)
             entrances = [_entrance(path, level) for path in paths if reached(path.best, level)]

@@ -121,3 +121,13 @@ def test_what_cannot_be_split_is_told(args: tuple[str, ...], said: str) -> None:
     result = call(*args)
     assert result.exit_code != 0
     assert said in str(result.exception) + result.output
+
+
+@pytest.mark.usefixtures("here")
+def test_where_no_repeat_gets_to_a_failure_there_is_no_upper_bound() -> None:
+    """An interval from 0 to 0 would be a certainty that nobody has."""
+    options = ("--check", "max_age", "--effort", "4", "--repeats", "3", "--set", "duration=600 ms")
+    options += ("--set", "checks.max_age.below=30 s")
+    found = json.loads(call(*options, "--json").stdout)
+    assert (found["probability"], found["low"], found["high"]) == (0.0, 0.0, None)
+    assert "no repeat got as far as a failure" in call(*options).stdout

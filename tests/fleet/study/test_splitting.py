@@ -50,6 +50,44 @@ def test_it_estimates_what_is_known(height: int, repeats: int) -> None:
     assert low < known(height) < high < 5 * known(height)
 
 
+def losses(asks: Sequence[Ask], most: int) -> list[SplitPath]:
+    """A hundred rounds, of which each is lost with 10 %; the margin is how far the longest row of losses is below."""
+    return [_lost(ask, most) for ask in asks]
+
+
+def _lost(ask: Ask, most: int) -> SplitPath:
+    round_, row = (int(part) for part in (ask.start.state or b"0 0").split())
+    draws, best, places, begin = Random(ask.salt), ask.start.best, [], round_
+    while round_ < 100:
+        round_, row = round_ + 1, row + 1 if draws.random() < 0.1 else 0
+        if (margin := most - 0.5 - row) < best:
+            best = margin
+            places.append((best, f"{round_} {row}".encode()))
+            if ask.level is not None and best <= ask.level:
+                break
+    return SplitPath(best, places, round_ - begin)
+
+
+def in_a_row(most: int) -> float:
+    """P(so many losses in a row)."""
+    rows = [1.0, *[0.0] * most]
+    for _ in range(100):
+        lost = [0.0, *(0.1 * p for p in rows[:most])]
+        lost[0], lost[most] = 0.9 * sum(rows[:most]), lost[most] + rows[most]
+        rows = lost
+    return rows[most]
+
+
+def test_a_margin_with_steps_that_few_paths_get_over() -> None:
+    """A tenth of the paths gets over a step, less than a level lets pass."""
+    splitting = Splitting(effort=60)
+    levels, _, _ = splitting.levels(lambda asks: losses(asks, 8), 1)
+    assert len(levels) >= 6
+    found = [splitting.repeat(lambda asks: losses(asks, 8), levels, 100 + n).probability for n in range(60)]
+    _, low, high = interval(found, 0.999)
+    assert low < in_a_row(8) < high < 5 * in_a_row(8)
+
+
 def test_it_is_unbiased_even_with_little_effort() -> None:
     found = [
         Splitting(effort=6).repeat(lambda asks: walk(asks, 14), (8.0, 4.0, 0.0), seed).probability

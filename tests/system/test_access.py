@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import zenoh
 from free_ports import free_port
 from live import LiveRun
 from waiting import wait_for
@@ -117,7 +118,8 @@ class Hall:
         return Bus.connect(self.port if role == "agent-1" else self.endpoint, self.credentials[role])
 
     def put(self, role: str, key: str, data: bytes) -> None:
-        self.sessions[role]._session.put(key, data)
+        # As a run puts: by default zenoh drops a message when the link is congested.
+        self.sessions[role]._session.put(key, data, congestion_control=zenoh.CongestionControl.BLOCK)
 
     def who_heard(self, data: bytes) -> set[tuple[str, str]]:
         return {(role, key) for role, key, heard in list(self.heard) if heard == data}

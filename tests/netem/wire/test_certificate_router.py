@@ -133,9 +133,10 @@ def test_tx_and_cmd_stay_in_order_and_what_is_too_long_stays_out(run: Run) -> No
     order: list[bytes] = []
     run.world.subscribe(KEYS.every(1), lambda key, data: order.append(data) if not key.endswith("nav/1") else None)
     run.until_heard(agent, KEYS.cmd(1), b"ready", by="world")
-    agent._session.put(KEYS.cmd(1), bytes(MAX_BYTES + 1))
+    wait = zenoh.CongestionControl.BLOCK  # as a run puts: zenoh's default drops a message when the link is congested
+    agent._session.put(KEYS.cmd(1), bytes(MAX_BYTES + 1), congestion_control=wait)
     for k in range(200):
-        agent._session.put((KEYS.tx if k % 2 else KEYS.cmd)(1), b"%d" % k)
+        agent._session.put((KEYS.tx if k % 2 else KEYS.cmd)(1), b"%d" % k, congestion_control=wait)
     wait_for(lambda: order and order[-1] == b"199", LIMIT_S)
     assert [data for data in order if data != b"ready"] == [b"%d" % k for k in range(200)]
 

@@ -128,7 +128,8 @@ class Hall:
         """Return once the router has handled all that `role` has sent, and everyone has received what came of it.
 
         A session's messages reach the router in order, and so does what the router sends to each session: a sign of
-        life from `role` is behind what it sent before, and a mark from the router is behind what it passed on.
+        life from `role` is behind what it sent before, and a mark from the router is behind what it passed on. zenoh
+        calls each subscription on a thread of its own, so every subscription gets a mark.
         """
         self._marks += 1
         mark = b"mark %d" % self._marks
@@ -143,14 +144,15 @@ class Hall:
             case _:
                 number = role.removeprefix("agent-")
                 wait_for(lambda: session.ask(KEYS.cfg(number), timeout_s=0.5), LIMIT_S, "the slice")
-        for key, listener in [
-            (KEYS.nav(1), "agent-1"),
-            (KEYS.nav(2), "agent-2"),
-            (KEYS.host(1), HOST),
-            (KEYS.round, NETEM),
-            (KEYS.frame, CONSOLE),
-        ]:
-            self.until_heard(WORLD, key, mark, {listener})
+        waiting = {(role, expression.replace("*", "1")) for role, each in HEARD_BY.items() for expression in each}
+
+        def marked() -> bool:
+            for key in {key for _, key in waiting}:
+                self.put(WORLD, key, mark)
+            waiting.difference_update(self.who_heard(mark))
+            return not waiting
+
+        wait_for(marked, LIMIT_S, f"{mark!r} on every subscription")
 
     def until_heard(self, role: str, key: str, data: bytes, by: set[str]) -> None:
         """Put again and again until everybody has heard it: a subscription takes a moment to become known, and a

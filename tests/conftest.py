@@ -1,6 +1,7 @@
 """What holds for all tests."""
 
 import os
+import signal
 import sys
 from collections.abc import Iterator
 
@@ -12,6 +13,9 @@ pytest_plugins = ["in_process_runs"]
 # Some containers set it: each of the hundreds of processes, and pytest itself, would compile everything again.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
+
+# A shell starts a command in the background with interrupts ignored, and the tests interrupt what they start.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Property tests are about laws, not about how fast the machine is that checks them.
 # Where CI is set a commit gets the same examples each time: what is new is found at the desk, not in a landing. So it

@@ -138,8 +138,11 @@ def takes(spec: Spec) -> Callable[[F], F]:
         named = [each for each in own.values() if each.kind is not Parameter.VAR_KEYWORD]
         named += [Parameter(keyword, Parameter.KEYWORD_ONLY, default=None) for keyword in fields]
         function.__signature__ = signature(function).replace(parameters=named)  # type: ignore[attr-defined]
-        lines = (f"        {keyword}: {_described(field)}" for keyword, field in fields.items())
-        function.__doc__ = (function.__doc__ or "").replace("        options: these.", "\n".join(lines))
+
+        def described(place: re.Match[str]) -> str:  # its indentation depends on the version of Python
+            return "\n".join(f"{place[1]}{keyword}: {_described(field)}" for keyword, field in fields.items())
+
+        function.__doc__ = re.sub(r"( *)options: these\.", described, function.__doc__ or "")
         return function
 
     return describe

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import sysconfig
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from repository import ROOT
 
 import fleet
 from fleet import cores
+
+COMPILED = "world/dynamics" + sysconfig.get_config_var("EXT_SUFFIX")
 
 
 class Installed(importlib.metadata.Distribution):
@@ -24,7 +27,7 @@ class Installed(importlib.metadata.Distribution):
         return Path("/env/site-packages") / str(path)
 
 
-@pytest.fixture(params=[["world/dynamics.cpython-311-x86_64-linux-gnu.so", "world/dynamics.py"], ["world/dynamics.py"]])
+@pytest.fixture(params=[[COMPILED, "world/dynamics.py"], ["world/dynamics.py"]])
 def compiled(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bool:
     names: list[str] = request.param
     monkeypatch.setattr(importlib.metadata, "distributions", lambda **_: [Installed(names)])

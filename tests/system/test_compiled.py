@@ -260,7 +260,7 @@ def test_a_law_can_be_debugged(compiled: Path, tmp_path: Path) -> None:
     options = ["--set", "controller=debugged:Debugged", "--in-process", "--quiet", "--trust"]
     result = fleet(compiled, "run", "paper", *options, folder=tmp_path, typed="p sample.tick, sample.eta[0]\nw\nq\n")
     said = result.stderr  # stdout is for the run's directory alone
-    assert re.search(r"\(7, -0\.99\d+\)", said) and "debugged.py(10)step()" in said, said
+    assert re.search(r"\(7, -0\.99\d+\)", said) and re.search(r"debugged\.py\((9|10)\)step\(\)", said), said
     assert "Traceback" not in said
 
 

@@ -20,6 +20,7 @@ from fleet.view.view_state import Row, ViewState
 from netem.causes import Cause
 
 TRANSFORMS, FAULTS = "transforms", "faults"
+MOST_CHARTED = 4  # signals of checks that have a chart from the start
 _PACKET = flat_schema("Packet", PACKET).message
 _FAULT = flat_schema("Fault", FAULT).message
 _BELIEFS = {

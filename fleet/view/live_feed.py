@@ -21,7 +21,7 @@ from fleet.result.file import RESULT
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.sections.checked_signals import checked_signals
 from fleet.view.chart_signals import published_signals
-from fleet.view.feed import FAULTS, TRANSFORMS, checks_asked, checks_so_far, take
+from fleet.view.feed import FAULTS, MOST_CHARTED, TRANSFORMS, checks_asked, checks_so_far, take
 from fleet.view.source import LiveSource
 from fleet.view.view_state import NOT_PLACED, SAMPLE_S, Row, ViewState
 
@@ -58,7 +58,7 @@ class LiveFeed:
         self.picture = ViewState(self.scenario)
         self.checks = checks_asked(self.scenario)  # as they stand
         checked = map(str, checked_signals(self.scenario.spec.checks))
-        self.charted = [name for name in checked if self.signals.of_all(name)]
+        self.charted = [name for name in checked if self.signals.of_all(name)][:MOST_CHARTED]
         self._run = source.run
         self._listening = False
         if not source.awaited:
@@ -73,6 +73,7 @@ class LiveFeed:
             if self.picture.scene.navigating:
                 for topics in BELIEFS:
                     self._journal.subscribe_newest(topics)  # a picture shows one of each vehicle
+            self.follow(())
 
     @property
     def missing(self) -> Missing:
@@ -192,7 +193,14 @@ class LiveFeed:
         return lost if self.picture.placed else NOT_PLACED
 
     def follow(self, names: Collection[str]) -> None:
-        """Bring these signals and no others into the picture. Raises KeyError: there is none of a name."""
+        """Bring these signals into the picture, and those that have a chart from the start, and no others.
+
+        The latter need no browser that asks for them. So one that comes later, or comes back, sees their last minute.
+
+        Raises:
+            KeyError: there is none of a name.
+        """
+        names = {*names, *(name for charted in self.charted for name in self.signals.meant(charted))}
         self.signals.follow(names)
         self.picture.follow(names)
         topics = {topic for topic in self.signals.followed if link_of(topic) is None}  # those of links come already

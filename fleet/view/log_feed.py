@@ -21,7 +21,7 @@ from fleet.scenario.sections.checked_signals import checked_signals
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
 from fleet.view import overview
 from fleet.view.chart_signals import Signals
-from fleet.view.feed import FAULTS, TRANSFORMS, checks_asked, checks_judged, fault_message, is_lost, take
+from fleet.view.feed import FAULTS, MOST_CHARTED, TRANSFORMS, checks_asked, checks_judged, fault_message, is_lost, take
 from fleet.view.view_state import HISTORY_S, NOT_PLACED, Row, ViewState
 
 MOST_FAULT_BYTES = 32 << 20  # of all messages about faults
@@ -59,7 +59,7 @@ class LogFeed:
         self.checks = judged if judged and judged["rows"] else checks_asked(self.scenario)
         looked_at = [name for row in self.checks["rows"] for name in row.get("signals", ())]
         checked = map(str, checked_signals(self.scenario.spec.checks, looked_at))
-        self.charted = [name for name in checked if self.signals.of_all(name)]
+        self.charted = [name for name in checked if self.signals.of_all(name)][:MOST_CHARTED]
         self._track = self._tracked()
         self._beliefs = [(len(numbers), Track(self._tape, numbers)) for numbers in self._believers()]
         self.end_s = self._tape.end_ns / 1e9

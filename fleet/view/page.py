@@ -62,6 +62,7 @@ class Page:
         self.commands: deque[str] = deque(maxlen=MOST_COMMANDS)  # that had the effect of what was done here
         self._viewers: list[Viewer] = []
         self._followed: set[str] = set()  # signals
+        self.wholes = asyncio.Lock()  # curves of a log are looked up, and given, in the order of the questions
         self._busy = asyncio.Lock()  # one question at a time
         self.new = False
 
@@ -258,10 +259,11 @@ class Viewer:
                 self._play(feed, said)
 
     async def _give_whole(self) -> None:
-        """The curves of a log, as far as they are shown."""
+        """The curves of a log, as far as they are shown; those of the newest question come last."""
         feed = self._page.feed
         if isinstance(feed, LogFeed):
-            self.give({"whole": await run.io_bound(feed.whole, self.signals.get("charts", []))})
+            async with self._page.wholes:
+                self.give({"whole": await run.io_bound(feed.whole, self.signals.get("charts", []))})
 
     def _follow(self, where: str, names: list[str]) -> None:
         before, self.signals = self.signals, self.signals | {where: names}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import count
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,8 +13,11 @@ from small_scenario import small
 from fleet.logs.schemas import BELIEF, flat_schema
 from fleet.replay.live_journal import LiveJournal
 from fleet.replay.missing import pack_counts
+from fleet.replay.observed import Observed
+from fleet.replay.topics import PublishedTopic
 from fleet.scene.primitives import CrossShape
 from fleet.view.live_feed import LiveFeed
+from fleet.view.source import LiveSource
 from fleet.view.view_state import ViewState
 from netem.wire.keys import Keys
 
@@ -76,3 +80,29 @@ def test_of_many_beliefs_the_newest_is_shown_and_none_is_missing() -> None:
     assert [cross.at.north for cross in crosses] == [3.0]
     assert not feed.advance()
     assert feed.missing.count == 0
+
+
+def test_what_is_charted_from_the_start_is_followed_without_a_browser(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A browser that came later, or came back after some seconds, had empty charts of it beside full ones."""
+    scenario = small("navigation=mems", "checks={signal: [{topic: belief.nees, below: 20}]}")
+    schema = flat_schema("Belief", BELIEF)
+    topics = {f"uuv/{i}/belief": PublishedTopic(schema.name, schema.descriptor_set, "") for i in (1, 2)}
+    monkeypatch.setattr("fleet.view.live_feed.ask_scenario", lambda *_: scenario.to_yaml())
+    monkeypatch.setattr("fleet.view.live_feed.ask_topics", lambda *_: topics)
+    followed: list[str] = []
+
+    def subscribe(key: str, _: Any) -> Any:
+        followed.append(key)
+        return lambda: followed.remove(key)
+
+    monkeypatch.setattr(LiveJournal, "connect", lambda *_: LiveJournal(SimpleNamespace(subscribe=subscribe), KEYS))  # type: ignore[arg-type]
+    feed = LiveFeed(LiveSource(Path("x"), Observed("", "", "", "x"), None))
+    charted = {KEYS.log(topic) for topic in topics}
+    assert charted <= set(followed)
+    feed.follow(["uuv/1/belief.off_norm"])
+    feed.follow([])
+    assert charted <= set(followed) and len(followed) == len(set(followed))
+    message = schema.message(nees=2.5).SerializeToString()
+    feed._journal.receive(sample("uuv/2/belief", message, 0))
+    assert feed.advance()
+    assert feed.picture.history()["signals"]["uuv/2/belief.nees"] == [(0.0, 2.5)]

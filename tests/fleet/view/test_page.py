@@ -32,6 +32,13 @@ pytestmark = pytest.mark.slow
 LONG = ("paper", "--publish", "--speed", "1", "--duration", "300 s", "--set", "checks={}")
 
 
+# When the samples of the charts begin: formation errors, and signals that checks name.
+BEGINNINGS = """() => {
+    const { samples, signals } = document.querySelector(".fleet-view").fleet.charting;
+    return [samples[0][0], ...signals.values().map((values) => values[0]?.[0] ?? 1e9)];
+}"""
+
+
 # Of the buttons that are shown: what is read out of each.
 NAMES = """() => [...document.querySelectorAll(".fleet-view button")].filter((one) => one.checkVisibility())
     .map((one) => one.getAttribute("aria-label") ?? one.textContent)"""
@@ -156,6 +163,21 @@ def test_a_log_of_a_hundred_vehicles_is_played_and_searched(opened: Any, alone: 
         chosen.press("Enter")
         page.page.locator(".fleet-chart-unit").get_by_text(re.compile(r"now -?[\d.]+ m$")).wait_for()
         assert page.wrong == []
+
+
+def test_who_comes_later_sees_the_same_minute_in_all_charts(opened: Any, tmp_path: Path) -> None:
+    """Charts of beliefs, which a check names, were empty in a browser that came back after ten seconds."""
+    arguments = ("dead-reckoning", "--publish", "--speed", "1", "--duration", "300 s")
+    with LiveRun(tmp_path, *arguments).until_running() as run, served(str(run.directory)) as address:
+        first = tab(opened, address)
+        began = first.time_s()
+        wait_for(lambda: first.time_s() > began + 3.0, SOON_S, "a later time")
+        first.page.context.close()
+        later = tab(opened, address)
+        wait_for(lambda: len(later.page.evaluate(BEGINNINGS)) == 13, SOON_S, "three signals of four vehicles")
+        formation, *beliefs = later.page.evaluate(BEGINNINGS)
+        assert formation < began + 1.0 and max(beliefs) < formation + 1.0
+        assert later.wrong == []
 
 
 def test_a_line_through_the_fleet_parts_it_and_ctrl_c_ends_run_and_page(opened: Any, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from small_scenario import small
 from fleet.errors import FleetError
 from fleet.view.chart_signals import commands_of
 from fleet.view.live_feed import LiveFeed
+from fleet.view.log_feed import LogFeed
 from fleet.view.page import MOST_AHEAD, MOST_COMMANDS, TRY_AGAIN, Page, Viewer
 from fleet.view.view_state import ViewState
 
@@ -102,6 +103,39 @@ def test_signals_are_followed_as_long_as_a_page_shows_them() -> None:
     assert len(feed.followed) == asked  # the other one shows it
     page._forget(one)
     assert feed.followed[-1] == set()
+
+
+def test_the_curves_of_the_newest_question_are_given_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A page asks for the curves of a log when it opens, and for those of its signals while these are looked up."""
+    feed: Any = object.__new__(LogFeed)
+    feed.whole = list
+    given: list[list[str]] = []
+    viewer: Any = object.__new__(Viewer)
+    vars(viewer).update(_page=Page(feed, may_act=False), _ready=True, signals={})
+    viewer.element = SimpleNamespace(give=lambda changes: given.append(changes["whole"]))
+
+    async def ask_twice() -> None:
+        begun: list[asyncio.Event] = []
+
+        async def looked_up(whole: Any, names: list[str]) -> Any:
+            begun.append(asyncio.Event())
+            await begun[-1].wait()
+            return whole(names)
+
+        monkeypatch.setattr("fleet.view.page.run.io_bound", looked_up)
+        opening = asyncio.create_task(viewer._give_whole())
+        await asyncio.sleep(0)
+        viewer.signals = {"charts": ["belief.nees"]}
+        choosing = asyncio.create_task(viewer._give_whole())
+        while not (opening.done() and choosing.done()):
+            await asyncio.sleep(0)
+            for one in reversed(begun):  # the newest is ready first
+                if not one.is_set():
+                    one.set()
+                    break
+
+    asyncio.run(ask_twice())
+    assert given == [[], ["belief.nees"]]
 
 
 def test_with_credentials_to_watch_only_nothing_can_be_done_either() -> None:

@@ -7,7 +7,6 @@ const SPAN_S = 60;
 const EVERY_MS = 200;
 const [LEFT, RIGHT, TOP, BOTTOM] = [40, 8, 6, 18];
 const ONE = "#f5c04a"; // a signal of one vehicle
-const MOST_CHARTED = 4; // signals of checks that are shown without asking
 const APART_PX = 1.6; // between steps of vehicles that have one value
 const FEW = 12; // vehicles whose steps are drawn apart
 
@@ -158,10 +157,9 @@ export class Charts {
       Array.from({ length: setup.vehicles }, (_, k) => [hull(k + 1), this.shown.map((sample) => [sample[0], sample[column][k]])]);
     const options = (more) => ({ ...more, onSeek: this.onSeek });
     this.list = make("datalist", { id: "fleet-signals" });
-    const charted = setup.charted.slice(0, MOST_CHARTED);
-    this.picked = [...charted, ""].map((name) => this.chooser(name, options({})));
+    this.picked = [...setup.charted, ""].map((name) => this.chooser(name, options({})));
     this.charts = [
-      ...this.picked.slice(0, charted.length).map(({ chart }) => chart),
+      ...this.picked.slice(0, -1).map(({ chart }) => chart),
       new Chart("Formation error", "m", each(1), options({ most: 0.1 })),
       new Chart("Age of information", "s", each(2), options({ most: 0.5 })),
       new Chart("Packets lost", "%", () => [["#ffa94d", this.shown.map((sample) => [sample[0], 100 * sample[3] + 1e-9])]], options({ most: 10 })),

@@ -11,6 +11,7 @@ from click.testing import CliRunner
 from failing_laws import failing
 from failing_laws import module as module
 from fault_histories import EVERYTHING
+from ranged import DYING
 from small_scenario import only_problem, small
 
 from fleet.cli.main import cli
@@ -75,7 +76,7 @@ def since(directory: Path, ns: int) -> list[Record]:
             "dead-reckoning",
             ["duration=4 s", "per_vehicle.1.navigation.usbl={at: 0 0 0 m, period: 400 ms, delay: 1 s}", INSTRUMENTS],
         ),
-        ("locate-consistent", ["duration=9 s", "log.snapshot=3 s", "faults=[{at: 4 s, for: 2 s, kill: 3}]"]),
+        ("locate-consistent", ["duration=9 s", "log.snapshot=3 s", *DYING]),
         ("crossing", ["duration=2 s", "keep_apart.distance=25 m"]),
         pytest.param("helix", ["duration=2 s", "sensors.position_noise=5 cm"], marks=pytest.mark.slow),
         ("rough-sea", ["duration=2 s", "per_vehicle={'2': {controller: bsmc}}", "network.payload=compact"]),

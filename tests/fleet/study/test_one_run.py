@@ -7,10 +7,13 @@ from pathlib import Path
 
 import pytest
 from failing_laws import failing
+from in_process_runs import Alone, log_of
+from ranged import DYING
 from small_scenario import SMALL
 from waiting import wait_for
 
-from fleet.scenario.loading import parse_scenario
+from fleet.logs.open_log import open_log
+from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.trust import Policy
 from fleet.study.modules import modules_of
 from fleet.study.one_run import FAILED, Task, make_run, make_run_in_time
@@ -31,6 +34,20 @@ def test_a_law_that_hangs_within_a_tick_costs_its_run(
     assert (row["status"], row["reason"], row["point"], row["seed"]) == (FAILED, "took longer than 0.2 s", 2, 7)
     if "while" in line:
         wait_for(lambda: set(threading.enumerate()) <= before, 60, "the thread to be ended")
+
+
+@pytest.mark.parametrize("name", ["navigation-aid", "locate-naive", "locate-naive-loop", "locate-consistent"])
+def test_a_run_with_ranges_has_the_same_bytes_in_a_study(name: str, alone: Alone) -> None:
+    """Distributed it has them by `tests/golden/test_gallery.py`, and resumed by `tests/fleet/repeat/test_resume.py`."""
+    dying = name == "locate-consistent"
+    changes = ["duration=7 s", "checks={tumbled: waived}", "expect=pass", *(DYING if dying else [])]
+    result = alone(name, *changes)
+    known = open_log(log_of(result))["uuv/2/guidance"]
+    before, after = known.ranges_used[known.t < 2.0][-1], known.ranges_used[-1]
+    assert before == after == 1 if dying else after > 0, "this would prove nothing"
+    scenario = load_scenario(name, changes)
+    row = make_run(Task("a", 0, scenario.seed, name, scenario.to_yaml(), float("inf")))
+    assert row["digest"] == result.digest
 
 
 def test_a_run_in_time_is_the_same_as_without_a_limit() -> None:

@@ -5,27 +5,30 @@
 | shift | when a fault begins |
 | stretch | how long it lasts |
 | aim | its vehicle, link or partition |
-| strengthen | its numbers |
+| strength | its numbers become those of another fault of its kind |
 | add | another fault, of a list that was tried |
 | drop | leaves one out |
 | combine | the faults of two lists |
 | reseed | nothing of the faults: other packets are lost |
 
 Moves go near a time, where the margin of a check was smallest. All draws are keyed, so a move is a function of its key.
+A list that was moved keeps to the limits of the nemesis (`fault_limits`): a guide finds out what breaks within them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from fractions import Fraction
-from itertools import count
+from functools import partial
+from itertools import compress, count
 from math import log2
 from typing import Any
 
 from fleet.quantities import QuantityError, show_time, time_ns
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.schema.faults import FaultSection, read_fault
+from fleet.scenario.sections.fault_limits import FaultLimits
 from fleet.scenario.sections.partitions import DRAWN_PARTITIONS
-from fleet.study.shrink import TIMES, number_places, scaled
+from fleet.study.shrink import TIMES
 from netem.draws import uniform
 from netem.selectors import Selector
 
@@ -65,6 +68,9 @@ class Mutator:
         self._latest = max(latest_ns, self._tick)
         self._pairs = sorted({(min(link), max(link)) for link in links})
         self._links = sorted(links)
+        spec = scenario.undrawn
+        self._own = spec.faults
+        self._limits = FaultLimits() if spec.nemesis is None else FaultLimits.of(spec.nemesis, spec)
 
     def mutated(
         self, faults: Sequence[Fault], others: Sequence[Sequence[Fault]], near_ns: int | None, draws: Draws
@@ -78,14 +84,16 @@ class Mutator:
         made = [dict(fault) for fault in faults]
         for _ in range(1 + min(3, int(-log2(1.0 - draws.share())))):
             made = self._move(made, others, near_ns, draws)
-        return _named(made[:MOST_FAULTS])
+        named = _named(made[:MOST_FAULTS])
+        kept = self._limits.kept([FaultSection.model_validate(read_fault(fault)) for fault in named], self._own)
+        return list(compress(named, kept))
 
     def _move(
         self, faults: list[Fault], others: Sequence[Sequence[Fault]], near_ns: int | None, draws: Draws
     ) -> list[Fault]:
         donors = [fault for other in others for fault in other]
         changes: tuple[Callable[[Fault, Draws], Fault], ...]
-        changes = self._shift, self._stretch, self._aim, self._strengthen
+        changes = self._shift, self._stretch, self._aim, partial(self._strength, donors)
         kind = draws.below(len(changes) + 4)
         if kind < len(changes) and faults:
             place = self._place(faults, near_ns, draws)
@@ -143,12 +151,16 @@ class Mutator:
             return {**fault, kind: {**fault[kind], "vehicles": str(one)}}
         return fault
 
-    def _strengthen(self, fault: Fault, draws: Draws) -> Fault:
+    def _strength(self, donors: Sequence[Fault], fault: Fault, draws: Draws) -> Fault:
+        """The fault with the numbers of another one, so that it is never stronger than what a seed draws."""
         kind = kind_of(fault)
-        places = number_places(fault[kind]) if not isinstance(fault[kind], str) or kind == "link" else []
-        if not places:
+        alike = [other[kind] for other in donors if kind in other and _forms(other[kind]) == _forms(fault[kind])]
+        if isinstance(fault[kind], str) or not alike:
             return self._stretch(fault, draws)
-        return {**fault, kind: scaled(fault[kind], draws.one(places), Fraction(3 + draws.below(6), 4))}
+        other = draws.one(alike)
+        if kind == "link":
+            return {**fault, kind: dict(zip(fault[kind], other.values(), strict=True))}
+        return {**fault, kind: {**other, **{key: fault[kind][key] for key in ("vehicles",) if key in fault[kind]}}}
 
     def _fitting(self, fault: Fault) -> Fault:
         """The fault with times that fit into the run."""
@@ -156,6 +168,8 @@ class Mutator:
         fits = {**fault, "at": show_time(at)}
         if "for" in fits or at + self._duration > self._latest:
             lasts = min(_ns(fits, "for") if "for" in fits else self._duration, self._latest - at)
+            if (longest := self._limits.longest(kind_of(fits))) is not None:
+                lasts = min(lasts, longest)
             fits["for"] = self._shown(max(lasts, self._tick))
         return fits
 
@@ -167,6 +181,11 @@ class Mutator:
 def kind_of(fault: Fault) -> str:
     """The kind of a fault."""
     return next(key for key in fault if key not in TIMES)
+
+
+def _forms(value: Any) -> tuple[int, bool]:
+    """What must be alike for the numbers of a fault to fit another one: of links their number."""
+    return (len(value), "vehicles" in value) if isinstance(value, dict) else (0, False)
 
 
 def end_of(fault: Fault, duration_ns: int) -> int:

@@ -103,6 +103,8 @@ def _keys_of_mode(nemesis: NemesisSection, report: Report) -> None:
         wanted = "liveness" if key in ("core", "heal") else nemesis.mode or "swarm"
         if getattr(nemesis, key) is not None and nemesis.mode != wanted:
             report.add(("nemesis", key), f"has no effect without mode: {wanted}", key=True)
+    if nemesis.mode == "liveness" and nemesis.most_silent is not None:
+        report.add(("nemesis", "most_silent"), "in liveness all outside the core stay broken", "name a core", key=True)
     if nemesis.mode == "liveness" and nemesis.until is not None:
         report.add(("nemesis", "until"), "liveness ends its faults at heal", "write heal", key=True)
 

@@ -53,6 +53,7 @@ class NemesisSection(Section):
     start: Time | None = None  # of the first; `every`, and 0 s with a mode
     until: Period | None = None  # when the last has ended; the end of the run, three quarters of it in a swarm
     mode: Literal["swarm", "liveness"] | None = None
+    most_silent: Annotated[int, Field(ge=1)] | None = None  # vehicles killed, suspended or mute at once; any number
     mean: Period | None = None  # time from one beginning to the next; the seed draws it
     aims: Annotated[list[Aim], Field(min_length=1)] | None = None  # all
     leader: Annotated[int, Field(ge=1)] | None = None  # vehicle that the aim `leader` means

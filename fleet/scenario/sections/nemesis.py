@@ -8,12 +8,14 @@ The word, and the idea of faults that come and go by themselves, are Jepsen's.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import compress
 from typing import Any
 
 from fleet.scenario.schema.faults import FaultSection
 from fleet.scenario.schema.nemesis import NemesisPick, NemesisSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections import liveness, swarm
+from fleet.scenario.sections.fault_limits import FaultLimits
 from fleet.scenario.sections.ground import Ground
 from fleet.scenario.sections.partitions import DRAWN_PARTITIONS, partition
 from netem.condition import Link
@@ -41,7 +43,8 @@ def explicit(ground: Ground) -> ScenarioSpec:
             drawn = swarm.written(swarm.draw(nemesis, ground), ground)
         case _:
             drawn = _grid(spec, nemesis, ground.links)
-    return spec.model_copy(update=changes | {"faults": [*spec.faults, *drawn]})
+    kept = FaultLimits(nemesis.most_silent).kept(drawn, spec.faults)  # the other limits hold as they are drawn
+    return spec.model_copy(update=changes | {"faults": [*spec.faults, *compress(drawn, kept)]})
 
 
 def _grid(spec: ScenarioSpec, nemesis: NemesisSection, links: Sequence[Link]) -> list[FaultSection]:

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 from fleet.scenario.schema.faults import FaultSection
 from fleet.scenario.schema.nemesis import Aim, NemesisPick, NemesisSection
 from fleet.scenario.sections import aims
+from fleet.scenario.sections.fault_limits import HELD, MOST_HELD_NS, SILENT
 from fleet.scenario.sections.ground import Ground, Pair
 from fleet.scenario.sections.partitions import DRAWN_PARTITIONS, partition
 from fleet.scenario.sections.strengths import OF_LINKS, gust, link_fault, vehicle_fault
@@ -30,9 +31,6 @@ from netem.selectors import Selector, select
 
 PURPOSE = "nemesis swarm"  # of the draws
 MOST = 5000  # faults that are drawn
-SILENT = frozenset({"mute", "kill", "pause"})  # kinds after whose end a vehicle speaks again
-HELD = frozenset({"pause", "stuck"})  # kinds during which a vehicle holds its last command
-MOST_HELD_NS = 5_000_000_000
 _NETWORK = ("partition", "down", "loss", "delay", "rate", "mute", "deaf", "slow", "pause", "kill")
 _IDEAL = ("freeze", "off", "stuck", "bias", "noise", "dropout")
 _ON, _MEAN, _GAP, _LENGTH, _KIND, _AIM, _STRENGTH, _FLAP, _PIECES, _TARGET, _TURN, _FORM = range(12)  # what is drawn

@@ -15,6 +15,7 @@ from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.nemesis import WORDS, NemesisPick
 from fleet.scenario.sections import aims, liveness, swarm
+from fleet.scenario.sections.fault_limits import HELD
 from fleet.scenario.sections.swarm import DrawnFault
 from fleet.scenario.sections.timeline import action, vehicles_of
 from netem.fault_kinds import WorldFaultKind
@@ -35,7 +36,7 @@ def test_the_seed_draws_kinds_number_beginning_length_and_strength() -> None:
     kinds = [len({fault.pick.drawn for fault in run}) for run in runs if len(run) > 15]
     assert 2 < mean(kinds) < 7 and len({fault.pick.drawn for fault in all_faults}) == 10  # of ten, each with 1/2
     assert min(map(len, runs)) <= 1 and max(map(len, runs)) > 20
-    inner = [fault for fault in all_faults if fault.at < 20 * S and fault.pick.drawn not in swarm.HELD]
+    inner = [fault for fault in all_faults if fault.at < 20 * S and fault.pick.drawn not in HELD]
     shares = [log(fault.lasts / 50e6) / log(50 * S / 50e6) for fault in inner]  # log-uniform from a round to half a run
     assert mean(shares) == pytest.approx(0.5, abs=0.06) and min(shares) >= 0 and max(shares) > 0.97
     assert mean(fault.strength for fault in all_faults) == pytest.approx(0.5, abs=0.04)

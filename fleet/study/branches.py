@@ -21,6 +21,7 @@ from fleet.recorder.metrics import VehicleError
 from fleet.recorder.snapshot import Snapshot, Start
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.timeline import Event
+from fleet.study.certain_ages import certain_margin
 from fleet.study.errors import StudyError
 from netem.wire.messages import Command, Fate, Frame
 
@@ -55,19 +56,33 @@ class _ReachedError(Exception):
 
 
 class _Path:
-    """A sink of the journal: keeps each snapshot at which the margin was smaller than ever."""
+    """A sink of the journal: keeps each snapshot at which the margin was smaller than ever.
 
-    def __init__(self, branch: Branch, margin: Callable[[], float]) -> None:
+    The margin must be decided by the snapshot and by what came before: all draws after it are made anew. True states at
+    its tick are in it. What an agent says at its tick follows from what is measured then, so its signals count before.
+    """
+
+    def __init__(
+        self, branch: Branch, margin: Callable[[], float], certain: Callable[[Snapshot], float] | None
+    ) -> None:
         self.best = branch.best
         self.places: list[list[Any]] = []  # [margin, snapshot]
-        self._level, self._margin = branch.level, margin
+        self._level, self._margin, self._certain = branch.level, margin, certain
+        self._of_signal = branch.check not in _OF_THE_TIME
+        self._before = inf  # the margin before the frame of a snapshot
 
-    def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None: ...
+    def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None:
+        if self._of_signal and frame.memory:
+            self._before = self._margin()
+
     def packet(self, fate: Fate) -> None: ...
     def event(self, event: Event) -> None: ...
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        if (margin := self._margin()) >= self.best:
+        margin = self._before if self._of_signal else self._margin()
+        if self._certain is not None:
+            margin = min(margin, self._certain(snapshot))
+        if margin >= self.best:
             return
         self.best = margin
         self.places.append([margin, snapshot.to_bytes()])
@@ -88,7 +103,7 @@ def run_branch(scenario: Scenario, branch: Branch, progress: Callable[[float], N
             return inf
         return verdict.margin.value if verdict.passed else min(verdict.margin.value, _FAILED)
 
-    path = _Path(branch, margin)
+    path = _Path(branch, margin, certain_margin(scenario) if branch.check == "max_age" else None)
     journal = Journal(scenario, path, checks=OwnChecks.asked(scenario, begin))
     runner = InProcess(scenario, journal, start, salt=branch.salt)
     try:

@@ -7,16 +7,19 @@ from contextlib import nullcontext
 from pathlib import Path
 from statistics import fmean
 
+import msgpack
 import pytest
 from click.testing import CliRunner, Result
 from study_engine import Here
 
 from fleet.cli.main import cli
 from fleet.execution.judged import judged
-from fleet.scenario.loading import parse_scenario
+from fleet.recorder.snapshot import Snapshot
+from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.study.branches import Branch, run_branch
 from netem.draws import salted
+from world.plugins.trust import Trust
 
 SELDOM = """\
 title: Two vehicles, and how old their news of each other gets
@@ -66,6 +69,72 @@ def test_a_part_without_salt_goes_on_as_the_run_did() -> None:
     assert len(others) > 1 and max(others) <= margin
     reached = run_branch(scenario, Branch("max_age", 0, level=margin), lambda t: None)
     assert reached["best"] == margin and reached["ticks"] < scenario.ticks
+
+
+def waits(scenario: Scenario, seed: int) -> list[list[int]]:
+    """For the first places of a run, how many ticks each of ten branches takes to news that is a tick older."""
+    places = run_branch(scenario, Branch("max_age", seed), lambda t: None)["places"][1:4]
+    return [
+        [
+            run_branch(scenario, Branch("max_age", salt, state, margin, margin - 0.05), lambda t: None)["ticks"]
+            for salt in range(1, 11)
+        ]
+        for margin, state in places
+    ]
+
+
+@pytest.mark.parametrize("link", ["loss 40%", "delay 250 ms loss 40%", "delay 250 ms 40 ms loss 40%"])
+def test_the_fate_of_the_next_packet_is_still_open_in_a_branch(link: str) -> None:
+    """It was drawn before the snapshot: news got older at the next tick in all branches of a place, or in none."""
+    scenario = seldom("checks.max_age.below=9 s", "duration=2 s", f"network.links.*={link}")
+    found = [ticks for seed in (1, 2, 3, 4) for ticks in waits(scenario, seed)]
+    at_once = [sum(wait == 1 for wait in ticks) / 10 for ticks in found]
+    assert len(found) >= 8 and 0.25 < fmean(at_once) < 0.65
+    assert all(0.0 < share < 1.0 for share in at_once)
+
+
+LAW = """\
+from agents.api import Signal
+
+
+class Drunk:
+    signals = (Signal("total", "1", "where it is"),)
+
+    def __init__(self, config):
+        self.at = 0
+
+    def transmit(self, nav):
+        return (b"here",)
+
+    def decide(self, nav, deliveries):
+        self.at += 1 if int(nav.eta[2] * 1e9) % 2 else -1  # a coin, of the noise of the depth
+        return (0.0, 0.0, 0.0), {"total": float(self.at)}
+
+    def state(self):
+        return {"at": self.at}
+
+    def restore(self, values):
+        self.at = values["at"]
+"""
+
+
+def test_a_signal_counts_once_the_snapshot_has_the_noise_that_made_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A branch measures anew at its first tick: what counted before would be taken back, and the estimate too low."""
+    (tmp_path / "drunk.py").write_text(LAW, "utf-8")
+    (tmp_path / "drunk.yaml").write_text(SELDOM, "utf-8")
+    monkeypatch.chdir(tmp_path)
+    check = "{signal: [{name: high, topic: control.total, vehicles: '1', below: 15.5}], tumbled: waived}"
+    changes = ("agent={law: 'drunk:Drunk'}", "sensors={position_noise: 0.1 m}", f"checks={check}")
+    scenario = load_scenario(Path("drunk.yaml"), changes, Trust(everything=True))
+    places = [
+        place for salt in (1, 2, 3) for place in run_branch(scenario, Branch("high", salt), lambda t: None)["places"]
+    ]
+    assert len(places) > 6
+    for margin, state in places:
+        memory = msgpack.unpackb(Snapshot.from_bytes(state).memories[1])
+        assert memory[0]["agent"]["at"] == 15.5 - margin
 
 
 def test_no_salt_is_the_seed_itself() -> None:

@@ -3,7 +3,7 @@
 A snapshot of tick S has the fates of all packets sent before S: they are in it, or lost. A packet sent at S or later
 arrives L ticks after S at the earliest, so the ages of the ticks S to S + L - 1 are known.
 
-A margin that leaves these ages out is late. When it gets smaller, it is decided already whether the next packet arrives.
+A margin that leaves these ages out is late. When it gets smaller, the fate of the next packet is drawn already.
 All runs that continue from there then share its fate, and new draws do not help.
 """
 

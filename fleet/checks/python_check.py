@@ -21,6 +21,7 @@ from world.errors import PluginError
 from world.plugins.fence import Fence, shown
 
 BUDGET_S = 5.0  # of wall time, that one call may take
+PATIENCE = 12  # times that, if it hardly computes: a suspended process or a busy machine breaks no check
 _MOST_TEXT = 300  # characters of a message, or of a text about what was found
 _MOST_PARAMETER = 50  # characters of one in the words of its check
 _MOST_VALUES = 100  # of a failure, and vehicles
@@ -83,7 +84,7 @@ class RunningPythonCheck:
         parameters = parameters_of(given)
         self._vehicles = facts.vehicles
         # What it prints goes to standard error; there is no place for notes beside a verdict.
-        self._fence = Fence(class_name, BUDGET_S, [], partial(_error, class_name))
+        self._fence = Fence(class_name, BUDGET_S, [], partial(_error, class_name), PATIENCE)
         try:
             found = load_check(class_name, parameters)
         except PluginError as error:

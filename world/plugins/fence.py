@@ -16,7 +16,7 @@ from io import TextIOBase
 from itertools import islice
 from math import isfinite
 from multiprocessing import parent_process
-from time import perf_counter
+from time import perf_counter, thread_time
 from types import FrameType
 from typing import Any
 
@@ -43,11 +43,15 @@ class Fence:
             budget_s: the longest that a call may take [s]; 0: any time.
             notes: takes (tick, note for the user).
             failure: makes the errors.
+            patience: so many times the budget for a call that hardly computes: it waits, or its process was suspended
+                or got no processor. For plug-ins whose failure must not depend on other work of the machine.
     """
 
-    def __init__(self, name: str, budget_s: float, notes: list[tuple[int, str]], failure: Failure) -> None:
+    def __init__(
+        self, name: str, budget_s: float, notes: list[tuple[int, str]], failure: Failure, patience: int = 1
+    ) -> None:
         self._name = name.rpartition(":")[2]
-        self._budget_s = budget_s
+        self._budget_s, self._patience = budget_s, patience
         self._failure = failure
         self._printed = _Printed(self)
         self._tick = 0
@@ -159,25 +163,43 @@ class Fence:
         if not self._budget_s:
             yield
             return
-        began = perf_counter()
+        budget_s, patience = self._budget_s, self._patience
+        began, computed = perf_counter(), thread_time() if patience > 1 else 0.0
+
+        def over() -> bool:
+            passed_s = perf_counter() - began
+            if patience == 1 or passed_s > patience * budget_s:
+                return passed_s > budget_s
+            return passed_s > budget_s and thread_time() - computed > budget_s / 2
+
         # Only a main thread gets signals; elsewhere the time is looked at when the plug-in is back.
         if threading.current_thread() is threading.main_thread():
-            with _alarm(self._budget_s):
+            with _alarm(budget_s, budget_s if patience > 1 else 0.0, over):
                 yield
         else:
             yield
-        if perf_counter() - began > self._budget_s:  # a plug-in that swallowed the signal, or never left C code
+        if over():  # a plug-in that swallowed the signal, or never left C code
             raise _OverBudgetError
 
 
 @contextmanager
-def _alarm(after_s: float) -> Iterator[None]:
-    """Raise `_OverBudgetError` in the code inside after a time; a timer that was set before goes on afterwards."""
+def _alarm(after_s: float, again_s: float, over: Callable[[], bool]) -> Iterator[None]:
+    """Raise `_OverBudgetError` in the code inside after a time; a timer that was set before goes on afterwards.
+
+    Args:
+        again_s: how often it is asked again whether it is over; 0: the first alarm ends it.
+        over: whether it is.
+    """
+
+    def ring(number: int, frame: FrameType | None) -> None:
+        if not again_s or over():
+            raise _OverBudgetError
+
     began = perf_counter()
     left_s = interval_s = 0.0
-    before = signal.signal(signal.SIGALRM, _over_budget)
+    before = signal.signal(signal.SIGALRM, ring)
     try:
-        left_s, interval_s = signal.setitimer(signal.ITIMER_REAL, after_s)
+        left_s, interval_s = signal.setitimer(signal.ITIMER_REAL, after_s, again_s)
         try:
             yield
         finally:
@@ -186,10 +208,6 @@ def _alarm(after_s: float) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
         if left_s:
             signal.setitimer(signal.ITIMER_REAL, max(1e-6, left_s - (perf_counter() - began)), interval_s)
-
-
-def _over_budget(number: int, frame: FrameType | None) -> None:
-    raise _OverBudgetError
 
 
 def numbers_of(value: Any) -> list[float]:

@@ -145,6 +145,15 @@ def test_a_broken_check_is_no_pass(module: Path, monkeypatch: pytest.MonkeyPatch
     assert found.found.startswith("the check is broken, so nothing is known: ") and words in found.found
 
 
+def test_a_check_whose_process_is_suspended_is_not_broken(module: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if it had been slow it was broken, and its verdict depended on what else the machine did."""
+    monkeypatch.setattr(fleet.checks.python_check, "BUDGET_S", 0.1)
+    body = "self.n += 1; import time; time.sleep(0.25 if self.n == 1 else 0.0)"
+    assert verdict(module, STEP + body + "\n").passed
+    monkeypatch.setattr(fleet.checks.python_check, "PATIENCE", 2)
+    assert "longer than its budget" in verdict(module, STEP + body + "\n").found
+
+
 EARLY = """\
 class Check:
     def __init__(self, facts): self.seen = []

@@ -18,13 +18,14 @@ from math import inf, isfinite
 from fleet.errors import ScenarioError
 from fleet.execution.external_agents import refuse
 from fleet.scenario.scenario import Scenario
+from fleet.study.confirmed import compared, repeat_of
 from fleet.study.engine import Engine, Row
 from fleet.study.errors import StudyError
 from fleet.study.failures import FailureFolder, FoundFailure, file_of
 from fleet.study.guided_memory import ROW_KEYS, GuidedMemory, GuidedMemoryFile, KnownRun
 from fleet.study.modules import NO_MODULES, Modules
 from fleet.study.moves import Draws, Fault, Mutator, end_of
-from fleet.study.one_run import Task, scenario_of
+from fleet.study.one_run import JUDGED, Task, failed_checks, scenario_of
 from fleet.study.plan import run_key
 from fleet.study.search import Searched, failures_of
 from fleet.study.shrink import Tree, tree_of
@@ -143,6 +144,7 @@ class GuidedSearch:
                 if file is not None:
                     before.rows = [rows[task.key] for task, _ in tasks if task.key in rows]
                     file.write(before)
+            self._repeat(engine, tell, tasks, rows)
             for task, tree in tasks:
                 if self._take(task, tree, rows[task.key], keep) and keep is None:
                     return found
@@ -161,6 +163,19 @@ class GuidedSearch:
             tell(before + len(rows))
 
         engine.make((task for task, _ in tasks if task.key not in rows), take, lambda: tell(before + len(rows)))
+
+    def _repeat(
+        self, engine: Engine, tell: Callable[[int], None], tasks: list[tuple[Task, Tree]], rows: dict[str, Row]
+    ) -> None:
+        """Repeat the runs that fail a check that no run before has failed."""
+        known, made = set(self._found.kinds), self._found.runs + self._found.without + len(rows)
+        for task, _ in tasks:
+            row, repeats = rows[task.key], list[Row]()
+            failed = failed_checks(row) if row["status"] in JUDGED else []
+            if {check for check in failed if self._check in (None, check)} - known:
+                engine.make(iter([repeat_of(task)]), repeats.extend, lambda: tell(made))
+                rows[task.key] = row = compared(row, repeats[0])
+                known.update(failed if row["status"] in JUDGED else [])
 
     def _take(self, task: Task, tree: Tree, row: Row, keep: FailureFolder | None) -> list[str]:
         """Count a run; returns the checks that it fails."""

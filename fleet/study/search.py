@@ -2,6 +2,7 @@
 
 The seed decides which faults a nemesis draws, and every fate and noise. Seeds are given out in their order, and a seed
 that fails ends the search when those before it are done; so the first one is found however many workers there are.
+A run that fails a check which no run before has failed is repeated (`confirmed`).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Literal
 from fleet.execution.external_agents import refuse
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.overrides import SET, Override
+from fleet.study.confirmed import compared, repeat_of
 from fleet.study.engine import Engine, Row
 from fleet.study.errors import StudyError
 from fleet.study.failures import FailureFolder, FoundFailure, SearchProgress, file_of
@@ -113,10 +115,12 @@ def search(
 
     def tasks() -> Iterator[Task]:
         for seed in count(work.next_seed):
+            yield from work.repeats()
             over = seed > LARGEST_SEED or seed - scenario.seed >= most_runs or time.monotonic() > until
             if over or (keep is None and work.failing):
                 return
-            yield work.task(seed)
+            if not work.has(seed):
+                yield work.task(seed)
 
     def take(rows: list[Row]) -> None:
         for row in rows:
@@ -125,6 +129,8 @@ def search(
 
     try:
         engine.make(tasks(), take, lambda: tell(work.made))
+        while work.doubtful:
+            engine.make(tasks(), take, lambda: tell(work.made))
     finally:
         work.save()
     return work.end()
@@ -141,6 +147,9 @@ class _Search:
         self.found.reached = [Reached(name) for name in names_of([scenario])]
         self.next_seed = scenario.seed
         self._waiting: dict[int, Row] = {}  # rows behind a seed that has none yet
+        self._doubt: int | None = None  # the next seed, if its run fails and is being repeated
+        self._repeats: list[Task] = []  # that no worker has yet
+        self._sure: set[int] = set()  # seeds whose run was repeated
         self.failing = False  # whether a run has failed, perhaps behind such a seed
         if keep is not None:
             self._goes_on(keep)
@@ -150,19 +159,50 @@ class _Search:
     def made(self) -> int:
         return self.found.runs + self.found.without + len(self._waiting)
 
+    @property
+    def doubtful(self) -> bool:
+        """Whether a run that fails has not been repeated."""
+        return self._doubt is not None
+
+    def has(self, seed: int) -> bool:
+        """Whether a seed that is not counted yet has a row."""
+        return seed in self._waiting
+
+    def repeats(self) -> Iterator[Task]:
+        """The runs that are to be repeated; each is given once."""
+        while self._repeats:
+            yield self._repeats.pop()
+
     def task(self, seed: int) -> Task:
         return Task(run_key(f"{self._text}\nseed {seed}"), 0, seed, self._scenario.name, self._text, inf, self._modules)
 
     def take(self, row: Row) -> None:
-        """Take a row, and count the rows that are next."""
-        self._waiting[row["seed"]] = row
-        failed = failed_checks(row) if row["status"] in JUDGED else []
-        self.failing = self.failing or bool(failed if self._check is None else self._check in failed)
-        while (row := self._waiting.pop(self.next_seed, {})) != {}:
-            self._count(row)
+        """Take a row, and count the rows that are next, up to one that fails in a new way: it is repeated first."""
+        seed = row["seed"]
+        if seed == self._doubt:
+            row, self._doubt = compared(self._waiting[seed], row), None
+            self._sure.add(seed)
+        self._waiting[seed] = row
+        self.failing = bool(self.found.kinds) or any(self._fails(row) for row in self._waiting.values())
+        while self._doubt is None and (row := self._waiting.get(self.next_seed, {})) != {}:
+            if self._is_new(row):
+                self._doubt = self.next_seed
+                self._repeats.append(repeat_of(self.task(self.next_seed)))
+                break
+            self._count(self._waiting.pop(self.next_seed))
             self.next_seed += 1
         if self._keep is not None and time.monotonic() - self._saved > _SAVE_S:
             self.save()
+
+    def _is_new(self, row: Row) -> bool:
+        """Whether a run fails a check that none before has failed; without a folder the first one is enough."""
+        if row["seed"] in self._sure or (self._keep is None and self.found.kinds):
+            return False
+        return bool(set(self._fails(row)) - self.found.kinds.keys())
+
+    def _fails(self, row: Row) -> list[str]:
+        failed = failed_checks(row) if row["status"] in JUDGED else []
+        return failed if self._check is None else [check for check in failed if check == self._check]
 
     def save(self) -> None:
         """Write how far it is, if it has a folder."""
@@ -212,7 +252,7 @@ class _Search:
         for one in self.found.reached:
             one.count(row)
         for check in failed if self._keep is not None else failed[:1]:
-            if check in self.found.kinds:
+            if check in self.found.kinds or (self._keep is None and self.found.kinds):
                 continue
             self.found.kinds[check] = seed
             if self._keep is not None:

@@ -25,6 +25,7 @@ def certain_margin(scenario: Scenario) -> Callable[[Snapshot], float]:
     check = scenario.spec.checks.max_age
     assert check is not None
     tick_ns, after = scenario.tick_ns, -(-check.after // scenario.tick_ns)
+    limit_s, tick_s = check.below / 1e9, tick_ns / 1e9
     ahead = {link: _known_ticks(scenario, link) for link in select(parse_selector(check.links), scenario.graph.links)}
 
     def margin(snapshot: Snapshot) -> float:
@@ -34,8 +35,8 @@ def certain_margin(scenario: Scenario) -> Callable[[Snapshot], float]:
         for link, ticks in ahead.items():
             some = range(max(after, snapshot.tick), min(snapshot.tick + ticks, scenario.ticks))
             oldest = max(oldest, _oldest(heard[link], on_the_way.get(link, ()), some))
-        left = check.below - oldest * tick_ns
-        return left / 1e9 if left > 0 else min(left, -1) / 1e9
+        margin_s = limit_s - oldest * tick_s  # to the last bit that of the verdict: levels are compared with it
+        return margin_s if oldest * tick_ns < check.below else min(margin_s, -1e-9)
 
     return margin
 

@@ -93,6 +93,14 @@ def test_the_fate_of_the_next_packet_is_still_open_in_a_branch(link: str) -> Non
     assert all(0.0 < share < 1.0 for share in at_once)
 
 
+def test_the_margin_of_a_snapshot_is_that_of_the_verdict() -> None:
+    """To the last bit: a level is one of them, and is compared with the other."""
+    scenario = seldom("checks.max_age.below=750 ms", "network.links.*.loss=30%")
+    rows = [run_branch(scenario, Branch("max_age", salt), lambda t: None) for salt in range(1, 30)]
+    found = {margin for row in rows for margin, _ in row["places"]}
+    assert len(found) >= 6 and found <= {0.75 - age * 0.1 for age in range(20)}
+
+
 LAW = """\
 from agents.api import Signal
 

@@ -22,6 +22,7 @@ from fleet.study.splitting import Ask, Make, SplitPath, Splitting, interval
 from netem.whole_file import read_file, write_whole
 
 _MOST_BYTES = 10_000_000
+_MARGINS = 2  # changes when other margins count at a snapshot: such repeats do not mix
 _NOTHING = (
     "nothing that world or network draw while a run goes on changes the margin of {check}, so splitting cannot help: "
     "what fails is decided by the initial state and other things that are drawn before; count with fleet sweep"
@@ -138,7 +139,8 @@ class RareEvent:
 
     def _read(self, file: Path) -> RareFile:
         splitting = self._splitting
-        key = run_key(f"{self._text}\nseed {self._scenario.seed} {self._check} {splitting.effort} {splitting.share}")
+        options = f"{self._check} {splitting.effort} {splitting.share} {_MARGINS}"
+        key = run_key(f"{self._text}\nseed {self._scenario.seed} {options}")
         if not file.exists():
             return RareFile(key, self._scenario.name, self._check)
         try:

@@ -170,7 +170,7 @@ def write_scenario(name: str, shipped: str | None, folder: Path) -> Path:
     elif shipped in (known := shipped_scenarios()):
         text = shipped_text(shipped)
     else:
-        hint = nearest(shipped, known) or f"there are {', '.join(known)}"
+        hint = nearest(shipped, known) or "fleet list shows them all"
         raise FleetError(f"--from {shipped}: there is no such shipped scenario; {hint}")
     as_text = name if resolve(name) == name else f'"{name}"'  # a scenario may be called 007
     path = folder / f"{name}.yaml"

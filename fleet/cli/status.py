@@ -68,8 +68,9 @@ def watch_run(found: LiveRun, every: bool, terminal: Console) -> None:
     from rich.live import Live
 
     from fleet.execution.connection import RemoteError, is_live
+    from fleet.terminal.status_line import rewritable
 
-    in_place = terminal.is_terminal and not terminal.is_dumb_terminal
+    in_place = rewritable(terminal) and not terminal.is_dumb_terminal
     values = _status(found, every)
     try:
         with Live(console=terminal, screen=True, auto_refresh=False) if in_place else nullcontext() as live:

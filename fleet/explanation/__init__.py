@@ -1,1 +1,1 @@
-"""`fleet why`: a failed check explained by its log, and the last moment at which healing would have saved the run."""
+"""`fleet why`: explains a failed check by its log, and finds the last moment when healing would have saved it."""

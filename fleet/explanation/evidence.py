@@ -1,6 +1,4 @@
-"""The evidence of a log about the time at which a check failed: faults, missing messages, and the knowledge of
-vehicles.
-"""
+"""What a log says of the time when a check failed: faults, missing messages, and the knowledge of vehicles."""
 
 from __future__ import annotations
 
@@ -64,23 +62,23 @@ class FaultThen(Struct, frozen=True):
 class Gap(Struct, frozen=True):
     """Consecutive messages on one link, or on several at the same time, that did not arrive."""
 
-    links: Annotated[list[str], Meta(description="Sender and receiver of each, such as 1->2.")]
-    cause: Annotated[str, Meta(description="Of most of them: a fate of the log, `corrupted`, or `on the way`.")]
-    words: Annotated[str, Meta(description="The same in words.")]
+    links: Annotated[list[str], Meta(description="Sender and receiver of each link, such as 1->2.")]
+    cause: Annotated[str, Meta(description="Cause of most losses: a fate of the log, `corrupted`, or `on the way`.")]
+    words: Annotated[str, Meta(description="The cause in words.")]
     from_s: Annotated[float, Meta(description="When the first one was sent [s].")]
     to_s: Annotated[float, Meta(description="When the last one was sent [s].")]
-    messages: Annotated[int, Meta(description="How many, of all links.")]
-    goes_on: Annotated[bool, Meta(description="Whether nothing newer had arrived when the check failed.")]
+    messages: Annotated[int, Meta(description="Number of messages, of all links together.")]
+    goes_on: Annotated[bool, Meta(description="Whether the links were still silent when the check failed.")]
 
 
 class Heard(Struct, frozen=True):
     """A vehicle's knowledge of a neighbour."""
 
     vehicle: Annotated[int, Meta(description="The neighbour.")]
-    sent_s: Annotated[float | None, Meta(description="When its newest message was sent that arrived [s]; null: none.")]
-    age_s: Annotated[float | None, Meta(description="How old that was [s].")]
+    sent_s: Annotated[float | None, Meta(description="When the newest message that arrived was sent [s]; null: none.")]
+    age_s: Annotated[float | None, Meta(description="Age of that message [s].")]
     moved_m: Annotated[
-        float | None, Meta(description="How far it was from the place in its state message [m]; null: unknown.")
+        float | None, Meta(description="How far the neighbour had moved since that message [m]; null: unknown.")
     ]
 
 
@@ -89,14 +87,14 @@ class VehicleThen(Struct, frozen=True):
 
     vehicle: Annotated[int, Meta(description="Its number.")]
     silent_s: Annotated[float | None, Meta(description="How long it had reported nothing [s]; null: it did report.")]
-    heard: Annotated[list[Heard], Meta(description="Of each neighbour that it hears.")]
+    heard: Annotated[list[Heard], Meta(description="What it knew of each neighbour that it hears.")]
     off_m: Annotated[float | None, Meta(description="Believed minus true position [m]; null: it knew its place.")]
-    sd_m: Annotated[float | None, Meta(description="What it took for the error of that, north and east [m].")]
+    sd_m: Annotated[float | None, Meta(description="Its own estimate of that error, north and east [m].")]
     signals: Annotated[dict[str, float | None], Meta(description="Signals of the check and of its protocol.")]
 
 
 class Evidence(NamedTuple):
-    """All that."""
+    """Faults, gaps, losses and knowledge, all at the time when the check failed."""
 
     faults: list[FaultThen]
     gaps: list[Gap]
@@ -106,11 +104,11 @@ class Evidence(NamedTuple):
 
 
 def evidence(log: Log, at_s: float, signals: Sequence[str], *, protocol: bool) -> Evidence:
-    """The evidence of a log about a time.
+    """Collect the evidence of a log about a time.
 
     Args:
-        signals: that the check looks at.
-        protocol: whether the signals of the agents' own protocol are told, too.
+        signals: the signals of the check.
+        protocol: whether to add the signals of the agents' own protocol.
     """
     faults = [FaultThen(f.id, f.what, f.begin, f.end, f.end > at_s) for f in log.faults if f.begin <= at_s]
     each = {link: _Packets.of(log[link_topic(link)], at_s) for link in log.links}
@@ -152,7 +150,7 @@ class _Packets(NamedTuple):
         return next((s for s, cause in zip(reversed(self.sent), reversed(self.causes), strict=True) if not cause), None)
 
     def gaps(self) -> Iterator[tuple[float, float, str, int, bool]]:
-        """First and last sending [s], cause, number of messages, and whether it goes on, of each gap."""
+        """Each gap: first and last sending [s], cause, number of messages, and whether it goes on."""
         begin, found = 0, Counter[str]()
         for k, cause in enumerate([*self.causes, ""]):
             if cause:
@@ -164,7 +162,7 @@ class _Packets(NamedTuple):
 
 
 def _gaps(each: dict[Link, _Packets]) -> list[Gap]:
-    """The gaps of all links, equal ones together: those that go on first, then the longest."""
+    """The gaps of all links. Equal gaps are one. Gaps that go on come first, then the longest."""
     together: dict[tuple[float, float, str, bool], list[tuple[str, int]]] = {}
     for (src, dst), packets in each.items():
         for first, last, cause, messages, goes_on in packets.gaps():

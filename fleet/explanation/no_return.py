@@ -1,10 +1,12 @@
-"""The point of no return: the last snapshot of a failed run from which healing all faults still makes it pass.
+"""The point of no return: the last moment of a failed run when healing all faults would still make it pass.
 
-The run is made once more in this process, with a snapshot about every second (or a hundredth of the run) and a note of
-whether the check has failed by then. Then runs are tried that are healed at one of these moments: what lasts ends, and
-what has not begun never begins. A check whose margin is the least over the time is judged from the snapshot on, since
-it had not failed before. Any other one remembers what was before, so its run is made from the start. It is the same run
-up to that moment, to the last bit.
+This module first makes the run once more in this process. It takes a snapshot about every second (or every hundredth
+of the run), and notes whether the check has failed by then. Then it tries healed runs. A healed run has a moment from
+which on no fault is active: faults that last end there, and later ones never begin. Up to that moment it is the same
+run, to the last bit.
+
+Some checks have a margin that is the least over the time. Such a check had not failed before the snapshot, so its
+healed run starts there. Any other check remembers what was before, so its healed run starts at 0.
 """
 
 from __future__ import annotations
@@ -60,7 +62,7 @@ How = Literal["bisected", "scanned", "not needed", "not possible"]
 class HealedRun(Struct, frozen=True):
     """A run that was healed at a moment."""
 
-    at_s: Annotated[float, Meta(description="From when on no fault was on [s].")]
+    at_s: Annotated[float, Meta(description="No fault was on from this time on [s].")]
     passed: Annotated[bool | None, Meta(description="Whether it passed the check; null: it could not be judged.")]
     from_snapshot: Annotated[bool, Meta(description="Whether only the rest of the run was made, from a snapshot.")]
 
@@ -71,12 +73,12 @@ class NoReturn(Struct, frozen=True):
     how: Annotated[How, Meta(description="How it was looked for.")]
     words: Annotated[str, Meta(description="What was found.")]
     passes_s: Annotated[float | None, Meta(description="The last moment from which it passes [s]; null: none.")] = None
-    fails_s: Annotated[float | None, Meta(description="The next one that was tried, from which it fails [s].")] = None
+    fails_s: Annotated[float | None, Meta(description="The next tried moment, from which it fails [s].")] = None
     tried: Annotated[list[HealedRun], Meta(description="The runs that were made, by moment.")] = []
 
 
 class Moment(NamedTuple):
-    """A moment of the run at which healing is possible."""
+    """A moment of the run when healing is possible."""
 
     tick: int
     state: bytes  # snapshot; empty: there is none
@@ -93,9 +95,9 @@ class Remade:
     broken: str = ""  # why it ended early
 
     def failed_between(self, check: str) -> tuple[float, float]:
-        """The time at which the check failed lies between these [s].
+        """The last time when the check held, and the first time when it had failed [s].
 
-        If only the end of the run shows it, that is the time.
+        If only the end of the run shows the failure, both are the end.
         """
         tick_s, end = self.scenario.tick_ns / 1e9, self.scenario.duration_ns / 1e9
         moments = self.moments.get(check, [])
@@ -135,7 +137,7 @@ class _Watch:
 
 
 def with_moments(scenario: Scenario, trust: Trust) -> Scenario:
-    """The scenario with a snapshot at each moment at which healing is possible."""
+    """The scenario with a snapshot at each moment when healing is possible."""
     every_ns = _every(scenario) * scenario.tick_ns
     return changed(scenario, [f"log.snapshot={show_time(every_ns)}"], trust)
 
@@ -213,7 +215,7 @@ class HealingSearch:
         return self._found("scanned", *self._bounds())
 
     def _candidates(self, remade: Remade) -> list[Moment]:
-        """The moments before the failure at which healing makes a difference; the first one has no fault yet."""
+        """The moments before the failure when healing makes a difference. No fault has begun at the first one."""
         moments = list(remade.moments.get(self._check, []))
         while moments and moments[-1].failed:
             moments.pop()
@@ -242,7 +244,7 @@ class HealingSearch:
             self._known[tick] = HealedRun(at_s, passed, task is not None and task.branch is not None)
 
     def _task(self, moment: Moment) -> Task | None:
-        """The run that is healed at a moment; None: it is no scenario."""
+        """Make the run that is healed at a moment. None: the healed text is not a valid scenario."""
         tree = healed(self._tree, moment.tick * self._scenario.tick_ns)
         text, seed = json.dumps(tree), self._scenario.seed
         key = run_key(f"{text}\nhealed at {moment.tick} {self._check}")
@@ -268,14 +270,14 @@ class HealingSearch:
         return bool(passed)
 
     def _bounds(self) -> tuple[int | None, int | None]:
-        """Places of the last moment that passes, and of the next one that was tried and fails."""
+        """Indices of the last moment that passes, and of the next moment that was tried and fails."""
         tried = [k for k, moment in enumerate(self._moments) if moment.tick in self._known]
         passing = [k for k in tried if self._known[self._moments[k].tick].passed]
         low = passing[-1] if passing else None
         return low, next((k for k in tried if low is None or k > low), None)
 
     def _ordered(self) -> bool:
-        """Whether all tried moments that pass come before all that fail."""
+        """Whether every tried moment that passes comes before every moment that fails."""
         found = [bool(self._known[tick].passed) for tick in sorted(self._known)]
         return found == sorted(found, reverse=True)
 

@@ -142,7 +142,7 @@ class Explanation:
         )  # fmt: skip
 
     def _when(self, log: Log) -> tuple[float, float]:
-        """The time at which the check failed lies between these [s]."""
+        """The last time when the check held, and the time when it had failed [s]."""
         if self.verdict.moment is not None:
             at_s = self.verdict.moment.at_s
             begin = at_s
@@ -152,7 +152,7 @@ class Explanation:
             margin = self.verdict.margin
             begin = at_s = log.end if margin is None or margin.at_s is None else margin.at_s
         if at_s > log.end:
-            self._notes.append(f"the log ends at {log.end:g} s, before the check fails; what is told is of its end")
+            self._notes.append(f"the log ends at {log.end:g} s, before the check fails; this explains its end")
         return begin, at_s
 
 
@@ -165,7 +165,7 @@ def _why_not(source: Recorded, asked: Asked) -> str:
     if source.reader.metadata.get("run", {}).get(CLOCK) == Clock.REAL:
         return "it was recorded with --clock real, so no run comes out the same again"
     if START in source.reader.attachments:
-        return "it goes on from another log, so its beginning is not in it; explain that log"
+        return "this run continues another log, so it cannot be made again from its start"
     return ""
 
 

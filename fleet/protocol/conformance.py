@@ -101,7 +101,9 @@ class Examination:
             FleetError: there is no such vehicle, the network is ideal, or the file or the folder exists.
         """
         if not 1 <= vehicle <= scenario.vehicles:
-            raise FleetError(f"there is no vehicle {vehicle} in {scenario.name}: they are 1 to {scenario.vehicles}")
+            raise FleetError(
+                f"there is no vehicle {vehicle} in {scenario.name}: the vehicles are 1 to {scenario.vehicles}"
+            )
         if scenario.ideal:
             raise FleetError("an agent cannot join an ideal network: choose a scenario with links")
         self._meeting = meeting or Rendezvous()

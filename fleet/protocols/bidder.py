@@ -1,9 +1,9 @@
 """The consensus-based bundle algorithm (CBBA; Choi, Brunet, How 2009): which vehicle does which task.
 
-Every vehicle puts tasks into a bundle, one by one. It chooses among the tasks for which it bids more than anyone that
-it knows of, and takes the one that adds most to the score of its path. Then neighbours exchange their beliefs, and
-Table I of the paper says which belief wins. A vehicle that is outbid for a task gives up that task and all later ones
-in its bundle, and chooses anew.
+Every vehicle puts tasks into a bundle, one by one. It considers the tasks for which its bid is higher than all bids
+that it knows. Of these it takes the task that adds most to the score of its path. Then neighbours exchange their
+beliefs, and Table I of the paper says which belief wins. A vehicle that is outbid for a task gives up that task and all
+later ones in its bundle, and chooses anew.
 
 | symbol | meaning | unit |
 |---|---|---|

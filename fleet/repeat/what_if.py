@@ -111,7 +111,7 @@ def _check(path: Path, agent: int, scenario: Scenario, recorded: Scenario, trust
     if scenario.vehicles != recorded.vehicles or scenario.tick_ns != recorded.tick_ns:
         raise FleetError("another number of vehicles, or another tick, is another run: use fleet run")
     if not 1 <= agent <= scenario.vehicles:
-        raise FleetError(f"there is no agent {agent}: they are 1 to {scenario.vehicles}")
+        raise FleetError(f"there is no agent {agent}: the agents are 1 to {scenario.vehicles}")
     for group in ("nav", "command", *(("belief",) if recorded.belief(agent) else ())):
         if (every := recorded.log_every[group]) > 1:
             raise FleetError(f"{path} has every {every}th {group} only: an agent needs all (log.{group}: 1 tick)")

@@ -32,7 +32,7 @@ class FleetEnv(ParallelEnv[str, Values, Values]):  # type: ignore[misc]
     ) -> None:
         """
         Args:
-            vehicles: for which policies decide.
+            vehicles: policies decide for these.
             every: ticks from one decision to the next.
             reward: the name of a check, or a function.
         """

@@ -36,22 +36,23 @@ def parallel_env(
 ) -> FleetEnv:
     """A scenario as an environment of PettingZoo: policies decide for vehicles. Needs the extra `rl`.
 
-    The run is in this process, and messages pass through the network of the scenario. `docs/guide/policies.md` is the
-    guide.
+    The run is in this process. Messages pass through the network of the scenario.
+    The guide is `docs/guide/policies.md`.
 
     Args:
-        scenario: a shipped name, a file, or a scenario that is loaded.
-        set: what to change, as for `fleet.run`.
-        seed: of the first episode, in place of the scenario's.
+        scenario: a shipped name, a file, or a loaded scenario.
+        set: changes of the scenario, as for `fleet.run`.
+        seed: seed of the first episode. None: the seed of the scenario.
         trust: as for `fleet.run`.
-        vehicles: for which policies decide; None: all. The others keep the laws of the scenario.
-        move: what a policy decides: a velocity over ground [m/s, NED], or surge force [N], pitch and yaw moment [N m].
-        message: what it sends: "state", six numbers (position [m], velocity [m/s], NED) in the payload of the scenario;
-            or so many numbers of its own.
-        every: time from one decision to the next; None: the round period of the network.
-        reward: a check, whose margin counts: the rewards of an episode add up to it; or a function of the `State`,
-            which returns a number, or one for each agent; None: the first check that has a margin.
-        resident: with `move="force"`: `infos` have the action of the scenario's own law, and the log its signals.
+        vehicles: policies decide for these vehicles. None: for all. The others keep the laws of the scenario.
+        move: a policy decides a `velocity` over ground [m/s, NED], or a `force`: surge force [N], pitch and yaw
+            moment [N m].
+        message: a policy sends its "state", six numbers (position [m], velocity [m/s], NED) in the payload of the
+            scenario. A number: it sends that many numbers of its own.
+        every: time from one decision to the next. None: the round period of the network.
+        reward: the name of a check. The rewards of an episode add up to its margin. Or a function of the `State`, which
+            returns one number, or one for each agent. None: the first check that has a margin.
+        resident: with `move="force"`, the scenario's own law runs along. `infos` have its action, the log its signals.
 
     Raises:
         FleetError: PettingZoo is not installed, or what is asked for does not fit the scenario.

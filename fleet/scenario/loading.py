@@ -126,8 +126,7 @@ def _text(name_or_path: str) -> tuple[str, str, Path | None]:
     except (OSError, ValueError) as error:
         raise _unreadable(name_or_path, getattr(error, "strerror", None) or str(error)) from None
     hint = nearest(name_or_path, shipped_scenarios()) or "a file needs its suffix, as in my-scenario.yaml"
-    message = f"there is no such shipped scenario; there are {', '.join(shipped_scenarios())}"
-    raise _unreadable(name_or_path, message, hint)
+    raise _unreadable(name_or_path, "there is no such shipped scenario; fleet list shows them all", hint)
 
 
 def _python_file(path: Path) -> tuple[str, str]:

@@ -1,8 +1,7 @@
-"""The drawing of a vehicle's belief about its place, next to the truth: a cross, and the ellipse that holds it with 95
-%.
+"""The drawing of a vehicle's belief about its place: a cross, and an ellipse that holds the true place with 95 %.
 
-Every vehicle that navigates has the belief of its navigator. One that uses ranges to others believes more: `by_ranges`
-puts that in its place. Whatever draws a belief makes it here.
+Every vehicle that navigates has the belief of its navigator. A vehicle that uses ranges to others corrects it:
+`by_ranges` puts the corrected belief in its place. All pictures that show a belief use this module.
 
 | symbol | meaning | unit |
 |---|---|---|
@@ -47,7 +46,7 @@ class PlaceBelief(NamedTuple):
         return cls((north, east, down), (*covariance[:2], covariance[4]) if len(covariance) == 10 else ())
 
     def by_ranges(self, off: Sequence[float], covariance: Sequence[float]) -> PlaceBelief:
-        """What the vehicle believes if it uses ranges, as the topic `located` has it; the depth is its navigator's.
+        """The belief of a vehicle that uses ranges, as the topic `located` has it. The depth is its navigator's.
 
         Args:
             off: believed minus true position, north and east [m].
@@ -58,10 +57,10 @@ class PlaceBelief(NamedTuple):
 
 
 class NewestBeliefs:
-    """What the vehicles of a run believe, as the messages of its log tell it: the newest of each, while it is news."""
+    """The newest belief of each vehicle, from the messages of a log. An old belief is left out."""
 
     def __init__(self, scenario: Scenario) -> None:
-        # An older one is left out: nobody asks a vehicle whose agent is dead where it is.
+        # A vehicle with a dead agent has no belief, so an older one is left out.
         self._lasts_s = {
             group: max(1.0, 2.0 * scenario.log_every.get(group, 0) * scenario.tick_ns / 1e9)
             for group in (OF_NAVIGATION, OF_LOCALIZATION)

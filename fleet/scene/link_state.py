@@ -57,8 +57,8 @@ def fate_of(cause: str, delay_s: float, corrupted: bool, round_s: float) -> str:
 
     Args:
         cause: the field `fate` of its message.
-        delay_s: from sending to the time at which it can be used [s].
-        round_s: between two packets [s].
+        delay_s: time from sending until it can be used [s].
+        round_s: time between two packets [s].
     """
     if cause in CUTS:
         return CUT

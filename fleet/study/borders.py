@@ -39,10 +39,10 @@ Run = tuple[int, bool]  # number of the value along the axis, and whether it pas
 
 
 class Tell(Protocol):
-    """Is told where the search is."""
+    """Receives the progress of the search."""
 
     def __call__(self, progress: Progress, *, known: int, of: int) -> None:
-        """So many borders of so many are found."""
+        """`known` borders of `of` are found."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,13 +50,13 @@ class Border:
     """Where the pass rate falls through the level, at one combination of the other axes.
 
     Attributes:
-        values: of the other axes, by key.
-        value: where, in the unit of the axis; -inf and inf below and above the range, NaN: it may be one of them.
-        low, high: the interval of 95 %; -inf and inf where it goes beyond the range.
-        runs: that were made, with a verdict.
-        failed: that have no result.
+        values: values of the other axes, by key.
+        value: the border, in the unit of the axis. -inf: below the range. inf: above it. NaN: perhaps outside.
+        low, high: the interval of 95 %. -inf and inf: it goes beyond the range.
+        runs: number of runs with a verdict.
+        failed: number of runs without a result.
         first, last: the pass rates at both ends of the range.
-        rising: two neighbouring values between which the pass rate rises, beyond chance; None: it falls, or may.
+        rising: two neighbouring values with a significant rise of the pass rate between them. None: there are none.
     """
 
     values: dict[str, float | str]
@@ -91,12 +91,12 @@ def parse_along(text: str, width: float) -> Axis:
         raise StudyError(f"the width of an interval is a share of the range between 0 and 1, got {width:g}")
     found = parse_axis(text, fine=min(ceil(1.5 / width), MOST_STEPS))
     if found.sampled:
-        raise StudyError(f"{found.key}: values along which a border is looked for are not drawn")
+        raise StudyError(f"{found.key}: a border needs given values, and these are drawn")
     numbers = [value.number for value in found.values]
     if None in numbers or len(numbers) < 2 or numbers != sorted(numbers, key=lambda number: number or 0.0):
         raise StudyError(f"{found.key}: expected a range such as 0 %..95 %, or rising numbers")
     if len(numbers) > MOST_PLACES:
-        raise StudyError(f"{found.key}: these are {len(numbers)} values, and {MOST_PLACES} at most may be")
+        raise StudyError(f"{found.key}: {len(numbers)} values are too many: at most {MOST_PLACES} are possible")
     return replace(found, option="--along")
 
 
@@ -152,12 +152,12 @@ class Borders:
         record = store.record.border
         if record is None:
             raise StudyError(
-                f"{store.directory} does not look for a border: fleet sweep {store.directory} goes on with it"
+                f"{store.directory} is not a study of borders. To continue it: fleet sweep {store.directory}"
             )
         self.store, self.record, self.points = store, record, store.points()
         axes = store.record.axes
         if not axes or not self.points:
-            raise StudyError(f"{store.directory} is damaged: it has nothing along which to look for a border")
+            raise StudyError(f"{store.directory} is damaged: it has no axis, or no points")
         self.along = axes[-1]
         self.keys = [axis.key for axis in axes[:-1]]
         first = [self.points[0][key] for key in self.keys]

@@ -125,11 +125,11 @@ def refuse_branches(scenario: Scenario, check: str) -> None:
     known = list(checks_over_time(scenario))
     if check not in known:
         has = ", ".join(known) or "none"
-        text = f"the margin of the check {check} is not the least over the time, or there is no such check"
-        raise StudyError(f"{scenario.name}: {text}; those that can be used here: {has}")
+        text = f"the check {check} has no margin that is the least over the time, or does not exist"
+        raise StudyError(f"{scenario.name}: {text}. You can use: {has}")
     others = [part for part, purposes in declared(scenario).items() if purposes and part not in _BRANCHES]
     if others:
-        text = f"{', '.join(others)} cannot be drawn anew from a snapshot on"
+        text = f"{', '.join(others)} cannot be drawn again from a snapshot on"
         raise StudyError(f"{scenario.name}: {text}; count with fleet sweep instead")
     if not scenario.memory_ticks:
         raise StudyError(f"{scenario.name} has no snapshots: log.snapshot is 0 s, or a law cannot save its state")

@@ -129,7 +129,7 @@ class FailureFolder:
         if tried is None:
             return SearchProgress(key=key, first_seed=scenario.seed, next_seed=scenario.seed)
         if tried.key != key:
-            raise StudyError(f"{path} is of another {scenario.name}: choose another folder, or remove that file")
+            raise StudyError(f"{path} belongs to another {scenario.name}: choose another folder, or remove that file")
         return tried
 
     def save(self, scenario: Scenario, tried: SearchProgress) -> None:

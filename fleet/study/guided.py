@@ -1,9 +1,9 @@
-"""A guided search: fault lists that brought a check near to failing, or a run to something new, are changed further.
+"""A guided search: it changes fault lists that brought a check near to failing, or a run to something new.
 
-Runs come in generations of a fixed size. A generation is made from what all generations before it found, by keyed
-draws, so what is found does not depend on how many workers there are. A quarter of a generation are seeds as in a plain
-search. The rest are moves (`moves`) on lists of a corpus. That has, for each check, the lists with the smallest
-margins, and those that went through something new (`seen`).
+Runs come in generations of a fixed size. Each generation follows from the results of all earlier ones, by keyed draws.
+So the result does not depend on the number of workers. A quarter of a generation are seeds, as in a plain search. The
+rest are moves (`moves`) on fault lists of a corpus. For each check, the corpus has the lists with the smallest margins,
+and the lists that went through something new (`seen`).
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class GuidedSearch:
         """
         refuse(scenario, "a run of a study")
         if scenario.undrawn.nemesis is None:
-            raise StudyError(f"{scenario.name} has no nemesis that another seed would change: --nemesis adds one")
+            raise StudyError(f"{scenario.name} has no random faults, so all seeds have the same: --nemesis adds some")
         self._scenario, self._check, self._modules = scenario, check, modules
         self._own = len(scenario.undrawn.faults)  # faults of the scenario's own, which stay
         self._text = scenario.to_undrawn_yaml()

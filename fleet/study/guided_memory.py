@@ -1,4 +1,4 @@
-"""What a guided search knows, in a file of its folder, so that it can go on after an interruption."""
+"""The file with which a guided search continues after an interruption: all that the search knows."""
 
 from __future__ import annotations
 
@@ -60,10 +60,10 @@ class GuidedMemoryFile:
         self._key = key
 
     def read(self) -> GuidedMemory | None:
-        """What is known; None: nothing yet.
+        """Read the file. None: there is no file yet.
 
         Raises:
-            StudyError: it is damaged, or of another search.
+            StudyError: it is damaged, or belongs to another search.
         """
         try:
             known = msgspec.msgpack.decode(read_file(self.path, _MOST_BYTES), type=GuidedMemory)
@@ -76,7 +76,7 @@ class GuidedMemoryFile:
         if known.format != FORMAT:
             raise StudyError(f"{self.path} has format {known.format}, expected {FORMAT}: a later fleet wrote it")
         if known.key != self._key:
-            raise StudyError(f"{self.path} is of another search: choose another folder, or remove that file")
+            raise StudyError(f"{self.path} belongs to another search: choose another folder, or remove that file")
         return known
 
     def write(self, memory: GuidedMemory) -> None:

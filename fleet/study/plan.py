@@ -78,16 +78,16 @@ class Plan:
         points = max(lengths, default=1) if self.zipped else prod(lengths)
         points *= next((axis.count for axis in self.axes if axis.sampled), 1)
         if points > MOST_POINTS:
-            raise StudyError(f"these are {points} points, and {MOST_POINTS} at most may be")
+            raise StudyError(f"{points} points are too many: at most {MOST_POINTS} are possible")
         seeds = len(self.seeds)
         if self.most_seeds is not None:
             if seeds > self.most_seeds:
                 raise StudyError(f"each point begins with {seeds} seeds, and {self.most_seeds} at most are allowed")
             seeds = self.most_seeds
         if seeds > MOST_ALLOWED:
-            raise StudyError(f"each point has {seeds} seeds, and {MOST_ALLOWED} at most may be")
+            raise StudyError(f"each point has {seeds} seeds: at most {MOST_ALLOWED} are possible")
         if points * seeds > MOST_RUNS:
-            raise StudyError(f"these are {points * seeds} runs, and {MOST_RUNS} at most may be")
+            raise StudyError(f"{points * seeds} runs are too many: at most {MOST_RUNS} are possible")
         combinations = self._combinations()
         object.__setattr__(self, "points", tuple(self._point(n, row) for n, row in enumerate(combinations)))
 

@@ -148,7 +148,7 @@ class RareEvent:
         except (OSError, ValueError, msgspec.MsgspecError) as error:
             raise StudyError(f"{file} cannot be read: {error!s:.200}") from None
         if known.key != key:
-            raise StudyError(f"{file} is of another scenario, check or option: choose another file with --out")
+            raise StudyError(f"{file} belongs to another scenario, check or option: choose another file with --out")
         return known
 
     def _found(self, known: RareFile) -> RareFound:

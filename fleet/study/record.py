@@ -105,9 +105,9 @@ def read_record(directory: Path) -> StudyRecord:
         raise StudyError(f"{file} is damaged: {error!s:.200}") from None
     for what, names in (("axes", record.axes), ("checks", record.checks), ("columns", record.columns)):
         if len(names) > _MOST_NAMES:
-            raise StudyError(f"{file} has {len(names)} {what}, and {_MOST_NAMES} at most may be")
+            raise StudyError(f"{file} has {len(names)} {what}: at most {_MOST_NAMES} are possible")
     if len(record.seeds) > MOST_ALLOWED:
-        raise StudyError(f"{file} has {len(record.seeds)} seeds, and {MOST_ALLOWED} at most may be")
+        raise StudyError(f"{file} has {len(record.seeds)} seeds: at most {MOST_ALLOWED} are possible")
     every = [
         record.scenario,
         record.command,

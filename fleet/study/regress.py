@@ -25,11 +25,11 @@ class Regressed:
     """One scenario of a folder that was run again.
 
     Attributes:
-        got: what came out, in words.
-        same: whether that is the expected verdict.
+        got: the verdict now, in words.
+        same: whether it is the expected verdict.
         broken: whether the run has no verdict.
-        differs: whether the same fleet has made another log, which no change of its code can explain.
-        wall_s: of the run [s].
+        differs: whether the same version of fleet made another log. A change of its code cannot be the reason.
+        wall_s: duration of the run [s].
     """
 
     failure: FoundFailure

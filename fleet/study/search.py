@@ -37,12 +37,12 @@ class Searched:
 
     Attributes:
         first_seed: the first seed of the search.
-        seed: the first one that fails; None: none did.
-        check: that fails with it; empty: none.
-        scenario: that fails.
-        runs: judged, including later ones that were under way when the first failure came.
-        without: runs without a result.
-        reason: of the first run without a result.
+        seed: the first seed that fails. None: no run failed.
+        check: the check that fails with this seed. Empty: no run failed.
+        scenario: the scenario that fails.
+        runs: number of judged runs. It includes runs that were under way when the first failure came.
+        without: number of runs without a result.
+        reason: why the first of these has no result.
         kinds: by check, the first seed that fails it. Without a folder of failures there is only one.
         reached: the checks that some run must reach.
         sample: all runs were drawn in the same way, so they allow a statement about other runs.
@@ -78,7 +78,7 @@ def nemesis_of(scenario: Scenario, mode: Literal["swarm", "liveness"] = "swarm")
         StudyError: it has one.
     """
     if scenario.undrawn.nemesis is not None:
-        raise StudyError(f"{scenario.name} has a nemesis: change it with --set nemesis.mode={mode} and the like")
+        raise StudyError(f"{scenario.name} already has a nemesis: change that one, as with --set nemesis.mode={mode}")
     return Override(SET, f"nemesis={mode}")
 
 
@@ -109,7 +109,7 @@ def search(
     """
     refuse(scenario, "a run of a study")
     if scenario.undrawn.nemesis is None:
-        raise StudyError(f"{scenario.name} has no nemesis that another seed would change: --nemesis adds one")
+        raise StudyError(f"{scenario.name} has no random faults, so all seeds have the same: --nemesis adds some")
     text, until = scenario.to_undrawn_yaml(), time.monotonic() + budget_s
     work = _Search(scenario, text, check, modules, keep)
 

@@ -173,7 +173,7 @@ def find_columns(names: Iterable[str], columns: Iterable[MeasureColumn] = STANDI
 def _column(measure: SignalMeasure, scenarios: Sequence[Scenario]) -> MeasureColumn:
     most = max(scenario.vehicles for scenario in scenarios)
     if measure.signal.vehicle is not None and measure.signal.vehicle > most:
-        raise StudyError(f'"{measure}": there is no vehicle {measure.signal.vehicle}; they are 1 to {most}')
+        raise StudyError(f'"{measure}": there is no vehicle {measure.signal.vehicle}: the vehicles are 1 to {most}')
     each = ((scenario, i) for scenario in scenarios for i in _vehicles(measure, scenario))
     some = (_places(scenario, i) for scenario, i in each)
     try:

@@ -72,8 +72,8 @@ class Store:
             columns["scenario"] = pa.array([point["scenario"] for point in points], _TEXT)
             table = pa.table(columns, schema=store._point_schema)
             if table.nbytes > MOST_BYTES:
-                size = f"{table.nbytes / 1e6:.0f} MB, and {MOST_BYTES / 1e6:g} MB"
-                raise StudyError(f"the points of the study take {size} at most may be: take fewer points")
+                size = f"{table.nbytes / 1e6:.0f} MB, more than {MOST_BYTES / 1e6:g} MB"
+                raise StudyError(f"the points of the study take {size}: choose fewer points")
             write_table(directory / _POINTS, table)
             write_record(directory, record)
         except FileExistsError:

@@ -220,7 +220,7 @@ def run_study(
 def refuse_border(store: Store) -> None:
     """Raises StudyError: not every point of it is run with every seed."""
     if store.record.border is not None:
-        raise StudyError(f"{store.directory} looks for a border: fleet boundary {store.directory} goes on with it")
+        raise StudyError(f"{store.directory} is a study of borders. To continue it: fleet boundary {store.directory}")
 
 
 class _BudgetSpent(Exception):

@@ -204,7 +204,7 @@ def _range(key: str, text: str, fine: int) -> Axis:
     step = _step(match, unit, low, high)
     count = (high - low) // step + 1
     if count > MOST_VALUES:
-        raise StudyError(f"these are {count} values, and {MOST_VALUES} at most may be")
+        raise StudyError(f"{count} values are too many: at most {MOST_VALUES} are possible")
     return Axis(key, unit, tuple(_value(_float(low + k * step), unit) for k in range(count)))
 
 

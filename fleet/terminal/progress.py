@@ -10,7 +10,7 @@ from datetime import timedelta
 from rich.console import Console as Terminal
 
 from fleet.terminal.fitting import Piece, shortened
-from fleet.terminal.status_line import BAR, PLAIN_S, REFRESH_S, StatusLine, bar
+from fleet.terminal.status_line import BAR, PLAIN_S, REFRESH_S, StatusLine, bar, rewritable
 
 FIRST_S = 2.0  # work that is done by then shows nothing
 
@@ -32,7 +32,7 @@ def showing_steps(doing: str) -> Iterator[Callable[[], None]]:
     """A function to call at each step of work of unknown length; only a terminal shows it."""
     steps = 0
     terminal = Terminal(stderr=True)
-    with StatusLine(terminal, quiet=not terminal.is_terminal, first_s=FIRST_S) as line:
+    with StatusLine(terminal, quiet=not rewritable(terminal), first_s=FIRST_S) as line:
 
         def report() -> None:
             nonlocal steps
@@ -47,7 +47,7 @@ def showing_steps(doing: str) -> Iterator[Callable[[], None]]:
 def showing_time(doing: str, *, quiet: bool = False) -> Iterator[Callable[[float, float], None]]:
     """A function to call with the simulated time reached and the time at which the work ends [s]."""
     terminal = Terminal(stderr=True)
-    with StatusLine(terminal, quiet=quiet, first_s=REFRESH_S if terminal.is_terminal else PLAIN_S) as line:
+    with StatusLine(terminal, quiet=quiet, first_s=REFRESH_S if rewritable(terminal) else PLAIN_S) as line:
 
         def report(at_s: float, end_s: float) -> None:
             if line.due():

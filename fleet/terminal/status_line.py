@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Sequence
 from types import TracebackType
@@ -15,6 +16,11 @@ PLAIN_S = 5.0
 BAR = 24  # characters
 
 
+def rewritable(terminal: Terminal) -> bool:
+    """Whether a line can be written again in place. FORCE_COLOR (CI, Jupyter) asks for colours, in a file as well."""
+    return terminal.is_terminal and (terminal.file.isatty() or not os.environ.get("FORCE_COLOR"))
+
+
 class StatusLine:
     """Ask `due` as often as you like, and `show` something when it is."""
 
@@ -26,7 +32,7 @@ class StatusLine:
             first_s: how long nothing is shown at first; by default 0 on a terminal, a while elsewhere.
         """
         self._terminal, self._quiet = terminal, quiet
-        self.live = terminal.is_terminal  # it can be rewritten
+        self.live = rewritable(terminal)
         self._next = time.monotonic() + ((0.0 if self.live else PLAIN_S) if first_s is None else first_s)
         self._shown = False
 

@@ -10,6 +10,7 @@ import json
 import os
 import platform
 import re
+import tomllib
 from collections.abc import Callable, Iterator
 from inspect import signature
 from pathlib import Path
@@ -32,7 +33,7 @@ from fleet.repeat.verify import verify
 from fleet.scenario.schema.spec import ScenarioSpec
 
 EXPECTED = ROOT / "tests" / "expected"
-# Until 1.0 is released, a change of log bytes makes this log anew: fleet run paper --in-process --duration '2 s'
+# Version 0.1.0 made it, and it is never made again: fleet run paper --in-process --duration '2 s'
 # --set controller=bc --set vehicles=2 --set 'checks={}' --net '* delay 20ms loss 20%' --fault 'at 1s for 500ms mute 2'
 # --set 'log={scene: 0 ticks, transforms: 0 ticks, every: 5 ticks}'
 LOG = EXPECTED / "log-0.1.mcap"
@@ -146,6 +147,16 @@ def test_a_log_of_0_1_verifies() -> None:
     found = verify(LOG)
     assert found.difference is None
     assert found.reproduced
+
+
+def test_one_version_everywhere() -> None:
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["version"]
+    citation = (ROOT / "CITATION.cff").read_text("utf-8")
+    changes = re.findall(r"^## ([\d.]+) \(([^)]+)\)$", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
+    package = (ROOT / "fleet" / "ros2" / "uuv_fleet_msgs" / "package.xml").read_text("utf-8")
+    assert changes[0][0] == version
+    assert f"\nversion: {version}\ndate-released: {changes[0][1]}\n" in citation
+    assert f"<version>{version}</version>" in package
 
 
 def test_the_page_names_tests_that_exist() -> None:

@@ -204,4 +204,4 @@ def _target_problems(
     else:
         for number in vehicles_of(fault):
             if not 1 <= number <= spec.vehicles:
-                yield FaultProblem(kind, f"there is no vehicle {number}: they are 1 to {spec.vehicles}")
+                yield FaultProblem(kind, f"there is no vehicle {number}: the vehicles are 1 to {spec.vehicles}")

@@ -36,7 +36,7 @@ def per_vehicle(parts: Parts, report: Report) -> None:
         seen[packed(text)] = text
         for number in numbers:
             if not 1 <= number <= spec.vehicles:
-                message = f"there is no vehicle {number}: they are 1 to {spec.vehicles}"
+                message = f"there is no vehicle {number}: the vehicles are 1 to {spec.vehicles}"
                 report.add(("per_vehicle", text), message, key=True)
                 break
 

@@ -110,7 +110,7 @@ def graph_form(parts: Parts, report: Report) -> None:
     if g.shape == "ring" and spec.vehicles < 3:
         report.add(("graph", "shape"), f"a ring needs 3 vehicles or more, got {spec.vehicles}", "use path")
     if g.hub is not None and g.hub > spec.vehicles:
-        report.add(("graph", "hub"), f"there is no vehicle {g.hub}: they are 1 to {spec.vehicles}")
+        report.add(("graph", "hub"), f"there is no vehicle {g.hub}: the vehicles are 1 to {spec.vehicles}")
     if g.count is not None and g.count >= spec.vehicles:
         message = f"a vehicle has {spec.vehicles - 1} others to hear, not {g.count}"
         report.add(("graph", "count"), message, "use complete for all of them")
@@ -132,7 +132,7 @@ def edges(parts: Parts, report: Report) -> None:
         seen.add(link)
         for end in link:
             if not 1 <= end <= spec.vehicles:
-                report.add(path, f"there is no vehicle {end}: they are 1 to {spec.vehicles}", key=True)
+                report.add(path, f"there is no vehicle {end}: the vehicles are 1 to {spec.vehicles}", key=True)
 
 
 def followers(parts: Parts, report: Report) -> None:
@@ -149,7 +149,9 @@ def followers(parts: Parts, report: Report) -> None:
     seen: set[int] = set()
     for index, number in enumerate(followers):
         if not 1 <= number <= spec.vehicles:
-            report.add(("graph", "reference", index), f"there is no vehicle {number}: they are 1 to {spec.vehicles}")
+            report.add(
+                ("graph", "reference", index), f"there is no vehicle {number}: the vehicles are 1 to {spec.vehicles}"
+            )
         elif number in seen:
             report.add(("graph", "reference", index), f"vehicle {number} is given twice")
         seen.add(number)
@@ -167,7 +169,7 @@ def knowledge(parts: Parts, report: Report) -> None:
     path = ("graph", "standby", "vehicles")
     for i in standby:
         if not 1 <= i <= spec.vehicles:
-            report.add(path, f"there is no vehicle {i}: they are 1 to {spec.vehicles}")
+            report.add(path, f"there is no vehicle {i}: the vehicles are 1 to {spec.vehicles}")
         elif i in followers:
             report.add(path, f"vehicle {i} follows the reference itself (graph.reference)")
         elif i not in hear_one:

@@ -125,5 +125,5 @@ def vehicles_exist(spec: ScenarioSpec, report: Report, path: tuple[str | int, ..
     """Report the first vehicle in `text` that the scenario does not have."""
     for number in vehicle_numbers(text):
         if not 1 <= number <= spec.vehicles:
-            report.add(path, f"there is no vehicle {number}: they are 1 to {spec.vehicles}")
+            report.add(path, f"there is no vehicle {number}: the vehicles are 1 to {spec.vehicles}")
             break

@@ -85,7 +85,7 @@ def _groups(text: str, vehicles: int) -> list[list[int]]:
             raise TextError(error.message, hint='write groups such as "1,2 / 3,4"') from None
         for i in group:
             if not 1 <= i <= vehicles:
-                raise TextError(f"there is no vehicle {i}: they are 1 to {vehicles}")
+                raise TextError(f"there is no vehicle {i}: the vehicles are 1 to {vehicles}")
             if any(i in other for other in groups):
                 raise TextError(f"vehicle {i} is in two groups")
         groups.append(group)

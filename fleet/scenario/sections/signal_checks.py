@@ -105,7 +105,7 @@ def ask(check: SignalCheck, vehicles: Mapping[int, Mapping[str, SignalPlace]]) -
         raise SignalCheckError("topic", f"{signal} names a vehicle, which has a key of its own", hint)
     some = tuple(vehicles) if check.vehicles is None else tuple(dict.fromkeys(vehicle_numbers(check.vehicles)))
     if strangers := [i for i in some if i not in vehicles]:
-        problem = f"there is no vehicle {strangers[0]}: they are 1 to {len(vehicles)}"
+        problem = f"there is no vehicle {strangers[0]}: the vehicles are 1 to {len(vehicles)}"
         raise SignalCheckError("vehicles", problem)
     try:
         unit = unit_of(signal, (vehicles[i] for i in some))

@@ -104,7 +104,7 @@ def test_the_time_of_a_run_is_kept_and_may_be_given_anew(monkeypatch: pytest.Mon
         (["small.yaml", "--along", "loss=0..5x"], "Invalid value for '--along': loss=0..5x: expected a range"),
         ([*ARGS, "--per", "dley=1, 2"], '--per dley=1: unknown key "dley"'),
         (["small.yaml", "--along", "loss=0 %..9 %", "--per", "delay"], "--per: expected KEY=VALUES"),
-        (["small.yaml", "--along", "loss=0 %..9 % latin 3", "--net", "* loss {loss}"], "are not drawn"),
+        (["small.yaml", "--along", "loss=0 %..9 % latin 3", "--net", "* loss {loss}"], "needs given values"),
         (["small.yaml", "--along", "loss=0 %..9 %", "--net", "* loss {loss}", "--level", "2"], "between 0 and 1"),
         (["."], "is no study: it has no study.json"),
         ([".", "--level", "0.9"], "a study with settings of its own"),

@@ -88,7 +88,7 @@ def test_a_name_that_yaml_has_another_use_for(name: str, tmp_path: Path) -> None
             ["x", "--from", "rough-see"],
             '--from rough-see: there is no such shipped scenario; did you mean "rough-sea"?',
         ),
-        (["x", "--from", "qqqq"], "there are acoustic-80bps, "),
+        (["x", "--from", "qqqq"], "fleet list shows them all"),
         (["there"], "there.yaml is there already; choose another name or --dir"),
     ],
 )

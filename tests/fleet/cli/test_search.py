@@ -112,8 +112,8 @@ def test_with_a_folder_it_goes_on_and_regress_runs_what_is_kept() -> None:
 @pytest.mark.parametrize(
     ("args", "message"),
     [
-        (["paper"], "paper has no nemesis that another seed would change: --nemesis adds one"),
-        (["small.yaml", "--nemesis"], "small has a nemesis: change it"),
+        (["paper"], "paper has no random faults, so all seeds have the same: --nemesis adds some"),
+        (["small.yaml", "--nemesis"], "small already has a nemesis: change that one"),
         (["small.yaml", "--check", "ledger"], "small has no check ledger"),
         (["small.yaml", "--budget", "0"], "expected a number of runs such as 200, or a time such as '10 min', got '0'"),
         (["small.yaml", "--budget", "5 quarks"], "expected a number of runs"),
@@ -139,4 +139,4 @@ def test_with_a_guide_and_a_folder_it_goes_on() -> None:
     assert {one["check"] for one in first["kept"]} <= {one["check"] for one in second["kept"]} == {"formation_error"}
     (kept,) = second["kept"]
     assert not run(Path("kept") / kept["file"], seed=kept["seed"]).passed
-    assert "is of another search" in call(*asked, "--budget", "12", "--check", "formation_error").stderr
+    assert "belongs to another search" in call(*asked, "--budget", "12", "--check", "formation_error").stderr

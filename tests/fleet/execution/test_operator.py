@@ -24,7 +24,7 @@ from fleet.recorder.journal import Journal
             {"link": {"1->2": "delay 20"}},
             'link.1->2: the delay "20" has no unit; write "20ms", or "20us", which is how ',
         ),
-        ({"kill": 9}, "kill: there is no vehicle 9: they are 1 to 3"),
+        ({"kill": 9}, "kill: there is no vehicle 9: the vehicles are 1 to 3"),
         ({"at": "3 s", "kill": 3}, "expected a fault without `at`, because it begins now"),
     ],
 )

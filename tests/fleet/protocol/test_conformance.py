@@ -147,7 +147,7 @@ def test_what_the_check_needs(tmp_path: Path) -> None:
         Examination(load_scenario("paper"), 3, file).run(0.05, lambda _: None)
     assert not file.exists()
     result = CliRunner().invoke(cli, ["protocol", "check", "--id", "9"])
-    assert (result.exit_code, "there is no vehicle 9 in paper: they are 1 to 4" in result.output) == (2, True)
+    assert (result.exit_code, "there is no vehicle 9 in paper: the vehicles are 1 to 4" in result.output) == (2, True)
     file.touch()
     result = CliRunner().invoke(cli, ["protocol", "check", "--id", "3", "--join-file", str(file)])
     assert (result.exit_code, "is there already" in result.output) == (2, True)

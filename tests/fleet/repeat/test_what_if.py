@@ -90,7 +90,7 @@ def test_what_cannot_be_asked_is_refused_in_words(tmp_path: Path) -> None:
     directory = run(tmp_path, "paper", "duration=1 s")
     thin = run(tmp_path, "paper", "duration=1 s", "log.nav=5 ticks")
     for arguments, words in (
-        ([str(directory), "--agent", "9"], "there is no agent 9: they are 1 to 4"),
+        ([str(directory), "--agent", "9"], "there is no agent 9: the agents are 1 to 4"),
         ([str(thin), "--agent", "1"], "has every 5th nav only"),
         ([str(directory), "--agent", "1", "--set", "vehicles=5"], "another number of vehicles"),
         ([str(directory), "--agent", "1", "--controller", "pid"], "--controller pid: controller.law: there is no"),

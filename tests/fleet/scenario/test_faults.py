@@ -232,7 +232,7 @@ def test_a_timeline_compiles_and_prints_back() -> None:
 @pytest.mark.parametrize(
     ("entry", "words"),
     [
-        ("{at: 0 s, mute: 4}", "there is no vehicle 4: they are 1 to 3"),
+        ("{at: 0 s, mute: 4}", "there is no vehicle 4: the vehicles are 1 to 3"),
         ("{at: 0 s}", "does exactly one thing, got none"),
         ("{at: 0 s, mute: 1, deaf: 2}", "got mute and deaf"),
         ("{at: 5 ms, mute: 1}", "is not a whole number of ticks"),

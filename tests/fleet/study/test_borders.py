@@ -142,12 +142,12 @@ def test_a_row_is_a_run() -> None:
 @pytest.mark.parametrize(
     ("along", "message"),
     [
-        ("loss=0 %..50 % random 9", "are not drawn"),
+        ("loss=0 %..50 % random 9", "needs given values"),
         ("controller=nboc, bc", "expected a range such as"),
         ("loss=0 %", "expected a range such as"),
         ("loss=10 %, 5 %", "or rising numbers"),
         ("loss", "expected KEY=VALUES"),
-        ("loss=0 %..90 %/0.01 %", "these are 9001 values, and 1000 at most may be"),
+        ("loss=0 %..90 %/0.01 %", "9001 values are too many: at most 1000 are possible"),
     ],
 )
 def test_what_no_border_can_lie_along(along: str, message: str) -> None:
@@ -181,10 +181,10 @@ def test_a_range_gets_steps_that_are_narrow_enough(text: str, width: float, coun
 
 def test_a_sweep_is_no_study_of_a_border_and_the_other_way_round() -> None:
     borders = prepared("a")
-    with pytest.raises(StudyError, match="fleet boundary a goes on with it"):
+    with pytest.raises(StudyError, match="To continue it: fleet boundary a"):
         run_study(borders.store, Here(), quiet)  # type: ignore[arg-type]
     borders.store.record.border = None
-    with pytest.raises(StudyError, match="fleet sweep a goes on with it"):
+    with pytest.raises(StudyError, match="To continue it: fleet sweep a"):
         Borders(borders.store)
 
 

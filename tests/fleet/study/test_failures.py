@@ -116,7 +116,7 @@ def test_a_folder_may_come_from_anybody(index: str, words: str, tmp_path: Path) 
 def test_a_search_of_another_scenario_is_not_gone_on_with(tmp_path: Path) -> None:
     folder = FailureFolder(tmp_path)
     folder.save(small(NEMESIS, CHECKS), folder.tried(small(), "one"))
-    with pytest.raises(StudyError, match="is of another small"):
+    with pytest.raises(StudyError, match="belongs to another small"):
         folder.tried(small(), "two")
     assert (
         msgspec.json.decode(msgspec.json.encode(FoundFailure(file="a.yaml", check="c", seed=1, digest="d")))["expected"]

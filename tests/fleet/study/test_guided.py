@@ -83,7 +83,7 @@ def test_what_is_known_may_come_from_anybody(tmp_path: Path) -> None:
     file = tmp_path / "small.guide.msgpack"
     known = msgspec.msgpack.decode(file.read_bytes())
     for change, words in (
-        ({"key": "other"}, "is of another search"),
+        ({"key": "other"}, "belongs to another search"),
         ({"format": 2}, "has format 2, expected 1"),
         ({"number": "x"}, "is damaged"),
         ({"novel": [[{"vehicles": 3}, [], {}]]}, "is damaged"),
@@ -96,7 +96,7 @@ def test_what_is_known_may_come_from_anybody(tmp_path: Path) -> None:
 
 
 def test_it_needs_a_nemesis() -> None:
-    with pytest.raises(StudyError, match="--nemesis adds one"):
+    with pytest.raises(StudyError, match="--nemesis adds some"):
         GuidedSearch(small(CHECK))
 
 

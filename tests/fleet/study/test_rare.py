@@ -185,12 +185,12 @@ def test_it_finds_the_known_probability_and_goes_on() -> None:
                 "--check",
                 "deaths",
             ),
-            "those that can be used here: max_age",
+            "You can use: max_age",
         ),
         (("--check", "max_age", "--set", "log.snapshot=0 s"), "seldom has no snapshots"),
         (
             ("--check", "max_age", "--set", "sea.current={sigma: 0.1 0 0 m/s, time_constant: 10 s}"),
-            "current cannot be drawn anew from a snapshot on",
+            "current cannot be drawn again from a snapshot on",
         ),
     ],
 )

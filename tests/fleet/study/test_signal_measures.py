@@ -91,7 +91,7 @@ def test_a_dead_agent_reports_nothing() -> None:
         ("p95 weather.wind", "there are state, nav, command, error, guidance, control"),
         ("max command.tau", r"3 values: choose command.tau_0 to command.tau_2, or \|command.tau\|"),
         ("max |command.tau|", "several units, N, N m, N m"),
-        ("max uuv/4/error.e_norm", "there is no vehicle 4; they are 1 to 3"),
+        ("max uuv/4/error.e_norm", "there is no vehicle 4: the vehicles are 1 to 3"),
         ("median error.e_norm", 'or a percentile such as p95, got "median"'),
         ("p101 error.e_norm", "or a percentile"),
         ("max error.e_norm after 20", "without a unit"),

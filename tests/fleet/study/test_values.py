@@ -98,7 +98,7 @@ def test_any_text_is_values_or_an_error(text: str) -> None:
         ("d=1 s..2 s/1 ms log 5", "what is drawn can be rounded"),
         ("d=1 s..2 s/2 s random 5", "the step is larger"),
         ("d=1 s..2 s lin 1", "a count must be from 2"),
-        ("d=0 ns..1 h/1 ns", "at most may be"),
+        ("d=0 ns..1 h/1 ns", "are possible"),
         ("x=0..1e400 lin 3", "too large"),
         ("x=1e400, 2", "too large"),
         ("x=1e-400..1 log 3", "too small"),

@@ -40,6 +40,18 @@ def test_elsewhere_a_line_comes_now_and_then(monkeypatch: pytest.MonkeyPatch) ->
     assert out.getvalue() == " 50%  drawing\n"
 
 
+def test_colours_in_a_file_are_no_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Jupyter and many CI services set FORCE_COLOR. A line that rewrites itself fills their logs."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    out = io.StringIO()
+    on = Terminal(file=out, width=60)
+    assert on.is_terminal
+    with StatusLine(on, quiet=False, first_s=0.0) as line:
+        assert not line.live
+        line.show("one")
+    assert out.getvalue() == "one\n"
+
+
 def test_quiet_shows_nothing() -> None:
     on, out = terminal(live=True)
     with StatusLine(on, quiet=True) as line:

@@ -1,1 +1,1 @@
-"""Learned protocols: a fleet as an environment of PettingZoo. Policies decide what vehicles do and send."""
+"""Learned protocols: a fleet as an environment of PettingZoo, with policies in place of laws."""

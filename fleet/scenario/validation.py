@@ -23,6 +23,18 @@ from fleet.scenario.text.yaml_reader import Items, Mapping, Node, locate, plain,
 from fleet.scenario.trust import READING, Policy
 from netem.parsing import nearest
 
+# What a hint offers for a key of the whole scenario that is missing.
+EXAMPLES = {
+    "title": "Four vehicles in a square",
+    "vehicles": "4",
+    "duration": "60 s",
+    "reference": "{start: 0 0 5 m, velocity: 0.5 0 0 m/s}",
+    "formation": "{shape: line, spacing: 8 m}",
+    "graph": "{shape: ring}",
+    "initial": "{scatter: 0.5 m, around: reference}",
+    "network": "{period: 100 ms, links: {'*': delay 100ms loss 20%}}",
+}
+
 Loc = tuple[str | int, ...]
 
 
@@ -96,7 +108,8 @@ def _explain(root: Mapping, error: ErrorDetails) -> Problem:
         case "missing":
             section = dotted(path[:-1])
             where = f' in "{section}"' if section else ""
-            return locate(root, path[:-1], key=True).problem(f'"{path[-1]}" is missing{where}', key=name)
+            hint = f"for example {name}: {EXAMPLES[name]}" if name in EXAMPLES else ""
+            return locate(root, path[:-1], key=True).problem(f'"{path[-1]}" is missing{where}', hint, name)
         case "extra_forbidden":
             place = locate(root, path, key=True)
             return place.problem(f'unknown key "{_short(name)}"', _nearest_key(loc), name)

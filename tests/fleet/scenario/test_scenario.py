@@ -31,6 +31,7 @@ from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.formation import grid
 from fleet.scenario.sections.log_rates import DRAWN_GROUPS, LOG_GROUPS
 from fleet.scenario.text.yaml_reader import Mapping, Source, plain, read, resolve
+from fleet.scenario.validation import EXAMPLES
 from netem.condition import Condition
 
 SHIPPED = [name for name, *_ in list_scenarios()]
@@ -504,6 +505,14 @@ def test_missing_keys_are_all_named() -> None:
     missing = [message for _, _, message in found]
     assert '"velocity" is missing in "reference"' in missing
     assert {f'"{k}" is missing' for k in ("vehicles", "duration", "formation", "graph", "network")} < set(missing)
+
+
+def test_the_hints_for_missing_keys_make_a_scenario() -> None:
+    with pytest.raises(ScenarioError) as caught:
+        parse_scenario("name: mine\n", "mine.yaml")
+    hints = [problem.hint.removeprefix("for example ") for problem in caught.value.problems]
+    assert len(hints) == len(EXAMPLES)
+    assert parse_scenario("\n".join(["name: mine", *hints]), "mine.yaml").vehicles == 4
 
 
 def test_rules_run_on_what_is_right_although_something_is_wrong() -> None:

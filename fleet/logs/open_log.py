@@ -15,13 +15,14 @@ from fnmatch import fnmatchcase
 from functools import cached_property
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 import fleet.logs.topic as held
 from fleet.logs.digest import Digest
 from fleet.logs.fault_intervals import FaultInterval, fault_intervals
+from fleet.logs.part import Part
 from fleet.logs.reader import LogReader, LogReadError, Tell, digest, log_path
 from fleet.logs.records import Block
 from fleet.logs.topic import LogKeyError, Topic
@@ -267,25 +268,6 @@ def list_topics(path: Path, topics: Iterable[str] | None, share: Tell) -> Log:
     return opening.read()
 
 
-class Part(NamedTuple):
-    """Which messages of a log are kept."""
-
-    start: float = 0.0  # s
-    end: float = inf
-    every: int = 1
-
-    def within(self, block: Block) -> Block:
-        """Those of the time."""
-        if self.start <= 0.0 and self.end == inf:
-            return block
-        t = block.log_ns / 1e9
-        return block.take((t >= self.start) & (t <= self.end))
-
-    def thinned(self, block: Block, seen: int) -> Block:
-        """The messages to keep of one topic's messages within the time; `seen` messages came before."""
-        return block if self.every == 1 else block.take(np.arange(-seen % self.every, len(block), self.every))
-
-
 class _Opening:
     """Reads a log once, and topics again if they could not all be held."""
 
@@ -309,16 +291,16 @@ class _Opening:
         """The log, with what could be held."""
         reader = LogReader(self._path, self._share)
         total = None if self._drawn is None else Digest()  # a picture says of which log it is
+        plain = self._drawn is None and self._part == Part()
         for block in reader.gathered(_AT_ONCE):
             if total is not None:
                 total.add_block(block, reader.topics_of(block))
-            for name, some in self._of(reader, block):
-                topic = self._topic(reader, name)
-                if topic is None:
-                    continue
-                topic.count(some)
-                if self.hold_all or (self._drawn is not None and not topic.too_many):
-                    topic.add(some)
+            if plain and self._wanted is None and self._path.stat().st_size > held.MOST_HELD:
+                self.hold_all = False  # it would be given up later
+            if plain and not self.hold_all:
+                self._count(reader, block)
+            else:
+                self._take(reader, block)
             self._progress(int(block.log_ns[-1]) / 1e9)
             if (self.hold_all or total is not None) and self._cost() > held.MOST_HELD:
                 self._relieve()
@@ -329,6 +311,27 @@ class _Opening:
         if total is not None:
             log.digest = total.hexdigest()
         return log
+
+    def _take(self, reader: LogReader, block: Block) -> None:
+        """Count the messages of a block that are kept, and hold them."""
+        for name, some in self._of(reader, block):
+            topic = self._topic(reader, name)
+            if topic is None:
+                continue
+            topic.count(len(some), int((some.end - some.begin).sum()), int(some.log_ns.max()))
+            if self.hold_all or (self._drawn is not None and not topic.too_many):
+                topic.add(some)
+
+    def _count(self, reader: LogReader, block: Block) -> None:
+        """Count all messages of a block without a look at each topic's."""
+        counts = np.bincount(block.channel)
+        sizes = np.bincount(block.channel, block.end - block.begin)
+        last_ns = np.zeros(len(counts), np.uint64)
+        np.maximum.at(last_ns, block.channel, block.log_ns)
+        for number in np.flatnonzero(counts).tolist():
+            topic = self._topic(reader, reader.channels[number].topic)
+            if topic is not None:
+                topic.count(int(counts[number]), int(sizes[number]), int(last_ns[number]))
 
     def _topic(self, reader: LogReader, name: str) -> Topic | None:
         if name not in self._topics:
@@ -387,11 +390,11 @@ class _Opening:
         reader = LogReader(self._path, self._share)
         self._seen.clear()
         for block in reader.gathered(_AT_ONCE):
-            for name, some in self._of(reader, block):
-                if name == topic.name:
-                    topic.add(some)
-                    topic.compact(held.STEP * 2)
-                    if topic.cost > held.MOST_HELD:
-                        topic.drop()
-                        raise topic.too_large()
+            its = [number for number, channel in reader.channels.items() if channel.topic == topic.name]
+            for _, some in self._of(reader, block.take(np.isin(block.channel, np.array(its, np.uint16)))):
+                topic.add(some)
+                topic.compact(held.STEP * 2)
+                if topic.cost > held.MOST_HELD:
+                    topic.drop()
+                    raise topic.too_large()
         self._held.append(topic)

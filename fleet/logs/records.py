@@ -20,12 +20,15 @@ from fleet.errors import FleetError
 MAGIC = b"\x89MCAP0\r\n"
 MOST_BYTES = 64 << 20  # of one record, packed or not; our own chunks hold 1 MiB and one message
 MOST_IN_BLOCK = 65_536  # messages
-_SHORT, _AT_ONCE = 1024, 4096  # bytes of payloads, and how many of them, that are gathered by numpy
+_SHORT = 1024  # bytes of payloads that are gathered by numpy
 HEAD = Struct("<BQ")
 CHUNK = Struct("<QQQI")  # first and last time [ns], unpacked size, CRC
 MESSAGE = Struct("<HIQQ")
 U16, U32, U64 = Struct("<H"), Struct("<I"), Struct("<Q")
-_FIELDS = np.dtype([("channel", "<u2"), ("sequence", "<u4"), ("log_ns", "<u8"), ("publish_ns", "<u8")])
+_RECORD = np.dtype([
+    ("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log_ns", "<u8"),
+    ("publish_ns", "<u8"),
+])  # fmt: skip
 _BROKEN = (struct_error, ValueError, RuntimeError, zstandard.ZstdError)  # lz4 raises RuntimeError
 
 Array = np.ndarray[Any, np.dtype[Any]]
@@ -85,12 +88,7 @@ class Block:
         """All payloads, one behind the other."""
         lengths = self.end - self.begin
         if len(lengths) and lengths[0] < _SHORT and (lengths == lengths[0]).all():
-            whole, places = np.frombuffer(self.data, np.uint8), np.arange(lengths[0])
-            # Some at a time: an index takes eight times as much as what it points to.
-            return b"".join(
-                whole[self.begin[first : first + _AT_ONCE, None] + places].tobytes()
-                for first in range(0, len(self), _AT_ONCE)
-            )
+            return _at(self.data, self.begin, np.dtype((np.void, int(lengths[0])))).tobytes() if lengths[0] else b""
         view = memoryview(self.data)
         return b"".join([view[a:b] for a, b in zip(self.begin.tolist(), self.end.tolist(), strict=True)])
 
@@ -120,58 +118,122 @@ class NonsenseError(FleetError):
     """The content of a chunk is not a sequence of records."""
 
 
-def inside(offset: int, data: bytes) -> Iterator[Block | Schema | Channel]:
+def inside(offset: int, data: bytes, places: Array | None = None) -> Iterator[Block | Schema | Channel]:
     """The records of a chunk at an offset, in order.
+
+    Args:
+        offset: of the chunk in the file.
+        data: the unpacked content of the chunk.
+        places: where in it an index says that the messages are. It is quicker to check this than to go from record
+            to record, and the result is the same: a wrong index is not used.
 
     Raises:
         NonsenseError: from some place on these are no records; what stands before was yielded.
     """
+    indexed = None if places is None else _indexed(offset, data, places)
+    yield from _walked(offset, data) if indexed is None else indexed
+
+
+def _indexed(offset: int, data: bytes, places: Array) -> list[Block | Schema | Channel] | None:
+    """The records of a chunk whose messages are at these places; None if they are not, or if others are there too."""
+    size = len(data)
+    if not 0 < len(places) <= MOST_IN_BLOCK or int(places.max()) > size - _RECORD.itemsize:
+        return None
+    begin = np.sort(places).astype(np.int64)
+    records = _at(data, begin, _RECORD)
+    lengths = records["length"]
+    if (records["opcode"] != int(Opcode.MESSAGE)).any() or lengths.min() < MESSAGE.size or lengths.max() > size:
+        return None
+    end = begin + (HEAD.size + lengths.astype(np.int64))
+    before, after = np.append(0, end), np.append(begin, size)  # between them other records stand, or nothing
+    if (before > after).any():
+        return None
+    found: list[Block | Schema | Channel] = []
+    first = 0
+    for row in np.flatnonzero(before < after).tolist():
+        items = _others(data, int(before[row]), int(after[row]))
+        if items is None:
+            return None
+        if items and first < row:
+            found.append(_block(offset, data, records[first:row], begin[first:row], end[first:row]))
+            first = row
+        found += items
+    if first < len(begin):
+        found.append(_block(offset, data, records[first:], begin[first:], end[first:]))
+    return found
+
+
+def _others(data: bytes, at: int, end: int) -> list[Schema | Channel] | None:
+    """The declarations between two places; None if messages stand there, or anything but records."""
+    found: list[Schema | Channel] = []
+    try:
+        while at < end:
+            opcode, length = HEAD.unpack_from(data, at)
+            begin, at = at + HEAD.size, at + HEAD.size + length
+            if at > end or opcode == Opcode.MESSAGE:
+                return None
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                item = parse(opcode, data[begin:at])
+                assert isinstance(item, Schema | Channel)
+                found.append(item)
+    except (struct_error, ValueError):
+        return None
+    return found
+
+
+def _walked(offset: int, data: bytes) -> Iterator[Block | Schema | Channel]:
+    """The same without an index, from record to record."""
     at, size = 0, len(data)
     message, head, fields = int(Opcode.MESSAGE), HEAD.size, MESSAGE.size  # looked up once, not per message
     unpack = HEAD.unpack_from
-    begins: list[int] = []
-    ends: list[int] = []
+    places: list[int] = []
     try:
         while at < size:
             opcode, length = unpack(data, at)
-            begin = at + head
+            place, begin = at, at + head
             at = begin + length
             if at > size:
                 raise ValueError
             if opcode == message:
                 if length < fields:
                     raise ValueError
-                begins.append(begin)
-                ends.append(at)
-                if len(begins) < MOST_IN_BLOCK:
+                places.append(place)
+                if len(places) < MOST_IN_BLOCK:
                     continue
             elif opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
                 continue
-            if begins:
-                yield _block(offset, data, begins, ends)
-                begins, ends = [], []
+            if places:
+                yield _placed(offset, data, places)
+                places = []
             if opcode != message:
                 item = parse(opcode, data[begin:at])
                 assert isinstance(item, Schema | Channel)
                 yield item
     except (struct_error, ValueError):
-        if begins:
-            yield _block(offset, data, begins, ends)
+        if places:
+            yield _placed(offset, data, places)
         raise NonsenseError from None
-    if begins:
-        yield _block(offset, data, begins, ends)
+    if places:
+        yield _placed(offset, data, places)
 
 
-def _block(offset: int, data: bytes, begins: list[int], ends: list[int]) -> Block:
-    begin = np.array(begins, np.int64)
-    whole = np.frombuffer(data, np.uint8)
-    fields = whole[begin[:, None] + np.arange(MESSAGE.size)].view(_FIELDS)[:, 0]
+def _placed(offset: int, data: bytes, places: list[int]) -> Block:
+    begin = np.array(places, np.int64)
+    records = _at(data, begin, _RECORD)
+    return _block(offset, data, records, begin, begin + (HEAD.size + records["length"].astype(np.int64)))
+
+
+def _block(offset: int, data: bytes, records: Array, begin: Array, end: Array) -> Block:
     channel, sequence, log_ns, publish_ns = (
-        np.ascontiguousarray(fields[name]) for name in ("channel", "sequence", "log_ns", "publish_ns")
+        np.ascontiguousarray(records[name]) for name in ("channel", "sequence", "log_ns", "publish_ns")
     )
-    return Block(
-        offset, data, channel, sequence, log_ns, publish_ns, begin + MESSAGE.size, np.array(ends, np.int64)
-    )  # fmt: skip
+    return Block(offset, data, channel, sequence, log_ns, publish_ns, begin + _RECORD.itemsize, end)
+
+
+def _at(data: bytes, places: Array, kind: np.dtype[Any]) -> Array:
+    """What stands at these places of some bytes, each as an item of a kind; all of them are inside."""
+    every = np.ndarray((len(data) - kind.itemsize + 1,), kind, data, strides=(1,))
+    return every[places]
 
 
 def span_of(body: bytes) -> tuple[int, int] | None:

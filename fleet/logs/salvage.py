@@ -11,6 +11,7 @@ import os
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from struct import Struct
 from struct import error as struct_error
 from typing import IO, NamedTuple
 
@@ -24,8 +25,10 @@ from fleet.logs.records import (
     MAGIC,
     MESSAGE,
     MOST_BYTES,
+    MOST_IN_BLOCK,
     U32,
     U64,
+    Array,
     Block,
     NonsenseError,
     content,
@@ -37,7 +40,8 @@ from fleet.logs.records import (
 _FOOTER = HEAD.size + 20  # [bytes]
 _ZSTD = b"\x04\x00\x00\x00zstd"  # in a chunk, behind its lengths: what it is recognised by when the framing is lost
 _WINDOW = 1 << 20
-_INDEXES = 1 << 16  # bytes of message indexes that are looked at together
+_INDEX = Struct("<BQHI")  # how a message index begins: opcode, length of the rest, channel, bytes of its entries
+_INDEXES = 1 << 18  # bytes of message indexes that are looked at together
 _LOOSE = 1 << 20  # bytes of messages outside chunks that make one block
 _TOO_LATE_NS = 1 << 63  # no time: those who read it as a signed number would find it before the year 1970
 _LATER_NS = 60 * 10**9  # after the end of a run; a later time in its log is a mistake
@@ -136,13 +140,17 @@ class Salvage:
                 if opcode == Opcode.MESSAGE and not self._chunked:
                     if self._gather(body, behind):
                         yield from self._gathered()
+                elif opcode == Opcode.CHUNK:
+                    yield from self._gathered()
+                    after, places = self._indexes(behind)
+                    yield from self._chunk(body, places)
+                    if not self.damage:
+                        behind = after
                 else:
                     yield from self._gathered()
                     yield from self._one(opcode, body)
                 if opcode != Opcode.MESSAGE_INDEX:
                     self._lost_at = -1
-                elif not self.damage:
-                    behind = self._behind_indexes(behind)
                 self.at = behind
             except EOFError:
                 self.cut = True
@@ -159,10 +167,7 @@ class Salvage:
         self._summary(self.at, size)
 
     def _one(self, opcode: int, body: bytes) -> Iterator[Item]:
-        if opcode == Opcode.CHUNK:
-            self._chunked = True
-            yield from self._chunk(body)
-        elif opcode == Opcode.MESSAGE:
+        if opcode == Opcode.MESSAGE:
             # One bit turns an index into a message, which has no CRC of its own.
             raise _DamagedError("a message outside the chunks")
         elif opcode == Opcode.MESSAGE_INDEX:
@@ -172,21 +177,32 @@ class Salvage:
         else:
             yield from self._plain(opcode, body)
 
-    def _behind_indexes(self, at: int) -> int:
-        """Where the sound message indexes that follow on one another from a byte end: a chunk has one per channel."""
-        head, index = HEAD.size, int(Opcode.MESSAGE_INDEX)
+    def _indexes(self, at: int) -> tuple[int, Array | None]:
+        """Where the sound message indexes behind a chunk end, and where in it they say that messages are.
+
+        A chunk has one index per channel. The places are None if there are more of them than one block has.
+        """
+        index, head, unpack = int(Opcode.MESSAGE_INDEX), _INDEX.size, _INDEX.unpack_from
+        parts: list[Array] = []
+        count = 0
         while True:
             window = self._read(at, _INDEXES)
-            begin = 0
-            while begin + head + 6 <= len(window):
-                opcode, length = HEAD.unpack_from(window, begin)
-                end = begin + head + length
-                if opcode != index or end > len(window) or not _is_index(window, begin + head, length):
+            begin, last = 0, len(window) - head
+            begins: list[int] = []
+            opcode = index
+            while begin <= last:
+                opcode, length, _, entries = unpack(window, begin)
+                end = begin + head + entries
+                if opcode != index or length != entries + 6 or entries % 16 or end > len(window):
                     break
+                begins.append(begin)
                 begin = end
             at += begin
-            if not begin or len(window) < _INDEXES:
-                return at
+            if begins and count <= MOST_IN_BLOCK:
+                parts.append(_entries(window, np.array([*begins, begin])))
+                count += len(parts[-1])
+            if not begin or len(window) < _INDEXES or opcode != index:
+                return at, np.concatenate(parts) if parts and count <= MOST_IN_BLOCK else None
 
     def _say(self, size: int) -> None:
         if self.at - self._told >= _TELL or self._told == 0:
@@ -238,13 +254,14 @@ class Salvage:
             self.file.seek(at)
         return self.file.read(length)
 
-    def _chunk(self, body: bytes) -> Iterator[Item]:
+    def _chunk(self, body: bytes, places: Array | None) -> Iterator[Item]:
+        self._chunked = True
         try:
             data = content(body)
         except ValueError as error:
             raise _DamagedError(str(error) or "a damaged chunk", span_of(body)) from None
         try:
-            yield from inside(self.at, data)
+            yield from inside(self.at, data, places)
         except NonsenseError:
             raise _DamagedError("a chunk whose content makes no sense") from None
         yield ChunkEnd()
@@ -359,14 +376,18 @@ def declarations(file: IO[bytes]) -> list[Schema | Channel]:
 
 
 def _index_entries(body: bytes) -> int:
-    if not _is_index(body, 0, len(body)):
+    # A channel, and a time and a place for each message.
+    if len(body) % 16 != 6 or U32.unpack_from(body, 2)[0] != len(body) - 6:
         raise _DamagedError("a damaged message index")
     return (len(body) - 6) // 16
 
 
-def _is_index(data: bytes, at: int, length: int) -> bool:
-    """Whether a message index may stand there: a channel, and a time and a place for each message."""
-    return length >= 6 and length % 16 == 6 and int(U32.unpack_from(data, at + 2)[0]) == length - 6
+def _entries(indexes: bytes, bounds: Array) -> Array:
+    """The places that message indexes state, one behind the other; each entry is a time and a place."""
+    counts = (np.diff(bounds) - _INDEX.size) // 16
+    first = np.repeat(bounds[:-1] + _INDEX.size - 16 * (np.cumsum(counts) - counts), counts)
+    at = first + 16 * np.arange(len(first)) + 8
+    return np.ndarray((max(0, len(indexes) - 7),), "<u8", indexes, strides=(1,))[at]
 
 
 def _too_late_ns(run: Mapping[str, str]) -> int:

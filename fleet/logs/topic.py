@@ -83,11 +83,11 @@ class Topic:
         self.drop()
         self.fetch = _refuse
 
-    def count(self, block: Block) -> None:
-        """Count messages."""
-        self._count += len(block)
-        self.size += int((block.end - block.begin).sum())
-        self.last_ns = max(self.last_ns, int(block.log_ns.max()))
+    def count(self, messages: int, size: int, last_ns: int) -> None:
+        """Count messages of so many bytes; `last_ns` is the latest log time of one [ns]."""
+        self._count += messages
+        self.size += size
+        self.last_ns = max(self.last_ns, last_ns)
 
     def add(self, block: Block) -> None:
         """Hold more messages as bytes; only before a field is used."""

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.opcode import Opcode
 from mcap.writer import Writer
 
+from fleet.logs import records
 from fleet.logs.reader import LogReader, LogReadError, log_path, open_file
 
 
@@ -60,3 +65,58 @@ def test_a_message_index_that_is_damaged_ends_the_reading_there(tmp_path: Path) 
     reader = LogReader(log)
     assert len(list(reader)) == 9
     assert [(one.what, one.offset) for one in reader.damage] == [("a damaged message index", data.index(index))]
+
+
+def rec(opcode: int, body: bytes) -> bytes:
+    return records.HEAD.pack(opcode, len(body)) + body
+
+
+@st.composite
+def chunks(draw: st.DrawFn) -> tuple[bytes, list[int]]:
+    """The content of a chunk with messages, declarations and unknown records, and the places of its messages."""
+    data, places = b"", []
+    for number in range(draw(st.integers(1, 12))):
+        kind = draw(st.sampled_from(["message", "message", "message", "channel", "unknown"]))
+        if kind == "message":
+            places.append(len(data))
+            stamp = records.MESSAGE.pack(draw(st.integers(0, 3)), number, number, number)
+            data += rec(Opcode.MESSAGE, stamp + draw(st.binary(max_size=6)))
+        elif kind == "channel":
+            empty = records.U32.pack(0)
+            data += rec(Opcode.CHANNEL, records.U16.pack(number) + records.U16.pack(0) + empty * 3)
+        else:
+            data += rec(0x80, draw(st.binary(max_size=6)))
+    return data, places
+
+
+def seen(data: bytes, places: list[int] | None) -> list[object]:
+    found: list[object] = []
+    try:
+        for item in records.inside(7, data, None if places is None else np.array(places, np.uint64)):
+            found.append(list(item.messages()) if isinstance(item, records.Block) else item)  # noqa: PERF401 (it may raise in between)
+    except records.NonsenseError:
+        found.append("nonsense")
+    return found
+
+
+@given(st.data(), chunks())
+def test_an_index_right_or_wrong_changes_nothing(choose: st.DataObject, made: tuple[bytes, list[int]]) -> None:
+    data, places = made
+    if choose.draw(st.booleans(), "damaged") and data:
+        at = choose.draw(st.integers(0, len(data) - 1))
+        data = data[:at] + bytes([choose.draw(st.integers(0, 255))]) + data[at + 1 :]
+    if choose.draw(st.booleans(), "cut"):
+        data = data[: choose.draw(st.integers(0, len(data)))]
+    lie = choose.draw(st.lists(st.integers(0, len(data) + 40) | st.just((1 << 64) - 1), max_size=2))
+    lacking = places[: choose.draw(st.integers(0, len(places)))]
+    expected = seen(data, None)
+    for index in (places, places[::-1], lacking, places + lie, lie):
+        assert seen(data, index) == expected
+
+
+def test_a_right_index_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    message = rec(Opcode.MESSAGE, records.MESSAGE.pack(1, 2, 3, 4) + b"x")
+    monkeypatch.setattr(records, "_walked", None)
+    (block,) = records.inside(0, message * 3, np.arange(3) * len(message))
+    assert isinstance(block, records.Block)
+    assert [m.data for m in block.messages()] == [b"x"] * 3

@@ -297,10 +297,8 @@ class _Opening:
                 total.add_block(block, reader.topics_of(block))
             if plain and self._wanted is None and self._path.stat().st_size > held.MOST_HELD:
                 self.hold_all = False  # it would be given up later
-            if plain and not self.hold_all:
-                self._count(reader, block)
-            else:
-                self._take(reader, block)
+            take = self._count if plain and not self.hold_all else self._take
+            take(reader, block)
             self._progress(int(block.log_ns[-1]) / 1e9)
             if (self.hold_all or total is not None) and self._cost() > held.MOST_HELD:
                 self._relieve()

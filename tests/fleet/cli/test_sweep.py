@@ -97,8 +97,9 @@ def test_a_study_of_a_border_is_refused_before_a_worker_starts(engines: list[Her
     for options in ([], ["--show-config"]):
         result = sweep(str(directory), *options)
         assert result.exit_code == 2
-        assert "looks for a border" in result.stderr
-        assert f"fleet boundary {directory} goes on" in " ".join(result.stderr.split())
+        said = " ".join(result.stderr.split())
+        assert "is a study of borders" in said
+        assert f"To continue it: fleet boundary {directory}" in said
     assert len(engines) == 1
 
 

@@ -172,7 +172,7 @@ def _limits(scenario: Scenario, found: Analysis) -> list[str]:
             ", below the limit" if most < border else ", too large if it stayed there" if optimised else ": TOO LARGE"
         )
         lines = [
-            f"gain limit of the linear loop, without loss: {border:.4g} 1/s "
+            f"gain limit of the linear loop, the same on all axes, without loss: {border:.4g} 1/s "
             f"(above it {_mode(fleet.mode(border))}); {own}{verdict}"
         ]
     if not scenario.ideal and scenario.graph.links:
@@ -294,8 +294,9 @@ def _loop_warning(scenario: Scenario, found: Analysis) -> list[str]:
     if border == 0.0:
         return ["the linear loop is unstable at every gain: the formation is not kept"]
     what = f"the settled K = {_vector(found.settled)}" if _optimised(scenario) else f"K = {gain:.4g} 1/s"
+    limit = f"{border:.4g} 1/s" + (" on its largest axis" if len({*found.settled}) > 1 else "")
     return [
-        f"{what} is above the limit of the linear loop, {border:.4g} 1/s with these rounds and delays. "
+        f"{what} is above the limit of the linear loop, {limit} with these rounds and delays. "
         f"There {_mode(fleet.mode(border))}, and the formation is not kept. Lower the gain, or shorten rounds "
         "or delays"
     ]

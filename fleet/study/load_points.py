@@ -69,7 +69,7 @@ def _same(problem: Problem, point: Point) -> str:
 def _without_values(text: str, point: Point) -> str:
     """A text without the values of the point, and without other numbers."""
     for value in sorted((value.text for value in point.values.values()), key=len, reverse=True):
-        text = re.sub(rf"(?<!\w){re.escape(value)}(?!\w)", "{}", text)
+        text = re.sub(rf"(?<![\w.]){re.escape(value)}(?!\.?\w)", "{}", text)
     return _NUMBER.sub("{}", text)
 
 

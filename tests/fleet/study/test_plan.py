@@ -84,7 +84,7 @@ def test_what_are_no_seeds(text: str) -> None:
         ((LOSS, LOSS), (), False, "loss is varied twice"),
         ((parse_axis("seed=1,2"),), (), False, "seeds are varied with --seeds"),
         ((parse_axis("a=0..1 lin 20000"), parse_axis("b=0..1 lin 20000")), (), False, "400000000 points"),
-        ((parse_axis("a=0..1 lin 400"), parse_axis("b=0..1 lin 400")), (), False, "100000 at most"),
+        ((parse_axis("a=0..1 lin 400"), parse_axis("b=0..1 lin 400")), (), False, "at most 100000"),
         ((parse_axis("wall_s=1,2"),), ("k={wall_s}",), False, "wall_s is a column of every study"),
         ((LOSS,), ("k={los}",), False, "{los} stands for the value of --vary los"),
         ((LOSS, parse_axis("c=a,b,c")), (), True, "as many values as each other: loss 2, c 3"),

@@ -11,12 +11,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import atan2, cos, hypot, sin, sqrt
 
-from world.vectors import Vec3, Vec5
+from world.vectors import Vec3
 
 
-def earth_velocity(eta: Vec5, nu: Vec5, phi: float = 0.0) -> Vec3:
+def earth_velocity(eta: Sequence[float], nu: Sequence[float], phi: float = 0.0) -> Vec3:
     """Velocity over ground in earth axes: R(theta, psi) (u, v, w), the first three rows of eq. (1).
 
     Of a vehicle that rolls it is R(phi, theta, psi) (u, v, w). Without phi the answer is then wrong by at most

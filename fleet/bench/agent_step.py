@@ -100,7 +100,7 @@ def _samples(config: AgentConfig, tape: list[tuple[Nav, list[Delivery]]]) -> lis
         heard = table.heard(nav.tick)
         desired = config.desired(nav.tick * 0.01)
         e, c = consensus_error(nav.eta[:3], desired.position, config.reference_weight, heard)  # type: ignore[arg-type]
-        velocity = earth_velocity(nav.eta, nav.nu)  # type: ignore[arg-type]
+        velocity = earth_velocity(nav.eta, nav.nu)
         sample = Sample(nav.tick, nav.tick * 0.01, 0.01, nav.eta, nav.nu, velocity, desired, heard, e, c, "")  # type: ignore[arg-type]
         found.append((sample, cascade))
     return found

@@ -48,6 +48,7 @@ MOST_WORK_S = 20.0  # vehicles times the longest delay of their links: 4 s of CP
 FINE = 0.002  # of a border, relative
 LIVE = 30.0  # rad/s: the loops of the vehicles are slower
 SLOW = 0.2  # rad/s
+MOST_CONDITION = 1e8  # of eigenvectors; in the scenarios that ship it is at most 1e6
 
 Complex = np.ndarray[Any, np.dtype[np.complex128]]
 LOOPS = ("speed", "course", "pitch")  # they move a vehicle ahead, to starboard, down
@@ -107,9 +108,14 @@ class LinearFleet:
     def mode(self, gain: float, delay: int | None = None) -> Mode:
         """The oscillation that is nearest to growing, or to decaying.
 
-        Modes that creep (below SLOW) are left out. If L + B is regular, det(I - T(1)) is not 0, so none of them can be
-        the first to grow.
+        If a vehicle grows that hears nobody, its mode is the answer: those are no zeros of det(I - T). Modes that creep
+        (below SLOW) are left out. If L + B is regular, det(I - T(1)) is not 0, so none of them can be the first to
+        grow.
         """
+        rows, alone = self._rows(gain * (1.0 + FINE), delay)  # a little beyond the border
+        if alone:
+            angle, loop = max((row.kind for row in rows), key=lambda kind: kind.growth).own_mode()
+            return Mode(angle / (2.0 * pi * self.m * self.tick_s), loop)
         _, angles, parts = self._survey(gain, delay)
         first = int(np.searchsorted(angles, min(SLOW * self.m * self.tick_s, 1.0)))
         nearest = []
@@ -258,12 +264,26 @@ class _Kind:
             self._later[f] = after
             after = own @ after
         self._P = np.linalg.matrix_power(own, m)
-        self.unstable = int((np.abs(np.linalg.eigvals(self._P)) > 1.0).sum())
+        self._values, self._vectors = np.linalg.eig(self._P)
+        self.unstable = int((np.abs(self._values) > 1.0).sum())
+        self.growth = float(np.abs(self._values).max())
+        # In terms of its eigenvectors the resolvent is a division. They span nothing if eigenvalues meet.
+        self._simple = bool(np.linalg.cond(self._vectors) < MOST_CONDITION)
         self._K, self._heard = K, None if member.told else member.c - member.b
         self._reckons, self._cap, self._tick_s = member.reckons, member.age_cap, tick_s
 
+    def own_mode(self) -> tuple[float, str]:
+        """Angle of the largest eigenvalue of P, and the loop that it moves most."""
+        at = int(np.argmax(np.abs(self._values)))
+        moved = np.abs(self._C[:3] @ self._vectors[:, at])
+        return abs(float(np.angle(self._values[at]))), LOOPS[int(np.argmax(moved))]
+
     def resolvent(self, z: Complex) -> Complex:
         """C (z - P)^-1 at every z."""
+        if self._simple:
+            outputs, inputs = self._C @ self._vectors, np.linalg.inv(self._vectors)
+            shares: Complex = outputs / (z[:, None] - self._values)[:, None, :] @ inputs
+            return shares
         matrices = z[:, None, None] * np.eye(len(self._P)) - self._P.T
         return np.swapaxes(np.linalg.solve(matrices, self._C.T.astype(complex)), 1, 2)
 

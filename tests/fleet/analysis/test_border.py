@@ -10,8 +10,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from repository import ROOT
 
-from fleet.analysis.border import LinearFleet, Link, Member, linear_fleet
-from fleet.analysis.linear import NotLinear
+from fleet.analysis.border import FINE, SLOW, LinearFleet, Link, Member, _Kind, linear_fleet
+from fleet.analysis.linear import Linear, NotLinear
 from fleet.analysis.stability import analyse, report
 from fleet.scenario.loading import load_scenario
 
@@ -89,6 +89,48 @@ def test_equal_vehicles_have_multiple_zeros() -> None:
     for gain in (1.0, 1.6, 1.7, 2.0, 3.0):
         sizes = np.abs(eigenvalues(fleet, gain))
         assert fleet.unstable(gain) == int((sizes > 1.0).sum())
+
+
+@pytest.mark.filterwarnings("ignore:Generating overly large repr")
+@given(fleets())
+@settings(max_examples=15, deadline=None)
+def test_the_mode_at_the_border_is_the_eigenvalue_that_leaves_the_circle(fleet: LinearFleet) -> None:
+    """Whether vehicles excite each other, or one of them grows by itself."""
+    gain = fleet.gain_border(1.0)
+    assume(0.0 < gain < float("inf"))
+    found = eigenvalues(fleet, gain * (1.0 + FINE))
+    slow = SLOW * fleet.m * fleet.tick_s
+    outside = [abs(np.angle(z)) for z in found if abs(z) > 1.0 and abs(np.angle(z)) > slow]
+    assume(outside)
+    frequencies = np.array(outside) / (2.0 * np.pi * fleet.m * fleet.tick_s)
+    assert np.abs(frequencies - fleet.mode(gain).frequency_hz).min() < 0.1
+
+
+def test_a_vehicle_that_grows_by_itself_is_named() -> None:
+    """`follow-the-leader` was said to grow in the speed loop at 2.7 Hz, the nearest point of a determinant that has no
+    zero there."""
+    fleet = analyse(load_scenario("follow-the-leader")).at_most
+    assert fleet is not None
+    mode = fleet.mode(fleet.gain_border(0.3))
+    assert (mode.loop, round(mode.frequency_hz, 1)) == ("course", 1.6)
+
+
+@pytest.mark.parametrize("defective", [False, True])
+def test_the_resolvent_is_that_of_a_linear_system(defective: bool) -> None:
+    """Also if eigenvalues meet, and their vectors do not span the space."""
+    kind = _Kind(Member(PAPER, 1.0, (Link(1, 1.0, 1),), True, None, np.eye(3)), 0.8, 5, 0.04, 6)
+    if defective:
+        n = len(PAPER.F)
+        kind = _Kind(
+            Member(Linear(0.9 * np.eye(n) + np.eye(n, k=1), PAPER.G, PAPER.C), 1.0, (), True, None, np.zeros((3, 3))),
+            0.8,
+            1,
+            0.04,
+            6,
+        )
+    z = np.exp(1j * np.linspace(0.1, 3.0, 7))
+    each = np.array([PAPER.C @ np.linalg.inv(one * np.eye(len(kind._P)) - kind._P) for one in z])
+    assert kind.resolvent(z) == pytest.approx(each, rel=1e-6, abs=1e-9 * np.abs(each).max())
 
 
 @pytest.mark.parametrize(

@@ -21,14 +21,14 @@ def keep_apart_warnings(scenario: Scenario) -> Iterator[str]:
     agents = [i for i, control in controls if control.agent is not None]
     if agents:
         yield (
-            f"keep_apart acts within a FormationAgent: if the agent of {vehicle_names(agents)} has none, or steers by "
-            "itself, it does nothing for it, and the others do their half only"
+            f"keep_apart acts only within a FormationAgent: if the agent of {vehicle_names(agents)} has none, or "
+            "commands the vehicle by itself, this vehicle does not keep apart, and the others do their half only"
         )
     without = [i for i, control in controls if control.agent is None and control.controller is not None]
     if without:
         yield (
             f"keep_apart acts between guidance and tracking: {vehicle_names(without)} with a law in place of both "
-            f"{'does' if len(without) == 1 else 'do'} nothing for it, and the others do their half only"
+            f"{'does' if len(without) == 1 else 'do'} not keep apart, and the others do their half only"
         )
     links = set(scenario.graph.links)
     pairs = combinations(range(1, scenario.vehicles + 1), 2)
@@ -42,8 +42,8 @@ def keep_apart_warnings(scenario: Scenario) -> Iterator[str]:
     steepest = max(abs(_climb(scenario, t)) for t in range(scenario.duration_ns // 1_000_000_000 + 1))
     if steepest > section.climb:
         yield (
-            f"keep_apart: the course of a vehicle climbs or dives with up to {steepest:.3g} m/s, and keep_apart.climb "
-            f"limits every command to {section.climb:g} m/s, so it falls behind"
+            f"keep_apart: the course of a vehicle climbs or dives with up to {steepest:.3g} m/s, but keep_apart.climb "
+            f"limits every command to {section.climb:g} m/s, so the vehicle falls behind"
         )
     yield from _too_near("at the start", [eta[:3] for eta, _ in scenario.initial], section)
     end = scenario.duration_ns / 1e9
@@ -64,8 +64,8 @@ def _too_near(when: str, places: Sequence[Vec3], section: KeepApartSection) -> I
     nearest = min(pairs, default=None)
     if nearest is not None and nearest[0] < section.distance:
         yield (
-            f"keep_apart: {when} vehicles {nearest[1]} and {nearest[2]} are {nearest[0]:.4g} m apart, and "
-            f"{section.distance:g} m is asked for"
+            f"keep_apart: {when} vehicles {nearest[1]} and {nearest[2]} are {nearest[0]:.4g} m apart, but "
+            f"keep_apart.distance is {section.distance:g} m"
         )
     for number, obstacle in enumerate(section.obstacles, start=1):
         inside = [i for i, (north, east, _) in numbered if dist((north, east), obstacle.at) < obstacle.radius]

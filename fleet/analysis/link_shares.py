@@ -10,7 +10,7 @@ from netem.correlation import lost_share
 from netem.link_states import LinkStates
 from netem.link_trace import LinkTrace
 
-_AFTER = "behind its last row the link is down; loop: true begins again"
+_AFTER = "after its last row the link is down. With loop: true the trace begins again"
 
 
 def effective_loss(changing: LinkStates | LinkTrace) -> float:

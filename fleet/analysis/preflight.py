@@ -75,7 +75,7 @@ def _recoveries(scenario: Scenario) -> Iterator[str]:
     ends = {event.fault: event.tick for event in events if event.action == "ends"}
     asked = dict.fromkeys(check.fault for check in scenario.spec.checks.recovery_time or ())
     if EVERY in asked and not any(end < last for end in ends.values()):
-        yield "checks.recovery_time of every fault cannot pass: none ends before the run, unless one is injected"
+        yield "checks.recovery_time cannot pass: no fault ends before the run does, unless you inject one"
     for name in ends if EVERY in asked else asked:
         end = ends.get(name, last)
         if end >= last:
@@ -132,8 +132,8 @@ def _idle_faults(scenario: Scenario) -> Iterator[str]:
     for name, (begin, end) in times.items():
         if end is not None and -(-begin // m) * m >= end:
             yield (
-                f"fault {name} does nothing: agents talk at round ticks, every {m * tick_s:g} s, and none lies between "
-                f"{begin * tick_s:g} and {end * tick_s:g} s; let it last for a round at least"
+                f"fault {name} does nothing: agents talk at round ticks, every {m * tick_s:g} s, and no round tick "
+                f"lies between {begin * tick_s:g} and {end * tick_s:g} s. Let the fault last for a round at least"
             )
 
 
@@ -147,8 +147,8 @@ def _correlated(scenario: Scenario) -> Iterator[str]:
             rate = "less than one packet in a million" if share < 1e-6 else f"{100 * share:.3g}% of the packets"
             gap = f" gap {condition.gap}" if word == "reorder" and condition.gap > 1 else ""
             found[
-                f'"{word} {100 * p:g}% {100 * rho:g}%{gap}" affects {rate} in the long run: a correlation keeps the '
-                "random numbers near 50%, as in the kernel"
+                f'"{word} {100 * p:g}% {100 * rho:g}%{gap}" affects {rate} in the long run, not {100 * p:g}%: the '
+                "correlation keeps the random numbers near 50%, as in the kernel"
             ] = None
         if condition.jitter_ns and condition.delay_correlation:
             found[

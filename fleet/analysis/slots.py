@@ -52,8 +52,9 @@ def describe_slack(scenario: Scenario) -> Iterator[str]:
     """One line on the clocks that the slots bear; none without slots."""
     if (found := slack(scenario)) is not None:
         yield (
-            f"clocks: slots stay apart if clocks differ by less than {found.difference_s:.4g} s. Clocks that begin "
-            f"right may drift by up to {found.drift * 1e6:.4g} ppm, fast or slow, for {scenario.duration_ns / 1e9:g} s"
+            f"clocks: time slots stay apart if clocks differ by less than {found.difference_s:.4g} s. Clocks that "
+            f"begin right may drift by up to {found.drift * 1e6:.4g} ppm, fast or slow, in a run of "
+            f"{scenario.duration_ns / 1e9:g} s"
         )
 
 

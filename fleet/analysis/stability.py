@@ -124,37 +124,46 @@ def report(scenario: Scenario, found: Analysis) -> list[str]:
     reach = "" if found.unreached else "; links lead from there to all other vehicles" if len(followers) < n else ""
     low, high = found.eigenvalues[0], found.eigenvalues[-1]
     lines = [
-        f"graph {connected}; {who} the reference{reach}",
+        f"graph: {connected}; {who} the reference{reach}",
         f"eigenvalues of L+B: {_number(low)} to {_number(high)}; spectral radius of A: {found.spectral_radius_A:.4g}",
     ]
     network, acoustic = scenario.spec.network, scenario.acoustic
     if acoustic is not None:
         talking = describe_turns(network, acoustic, n, scenario.tick_ns)
-        lines.append(f"{talking}; without loss a message is up to {oldest_s(scenario):.4g} s old")
+        lines.append(
+            f"{talking}; without loss the newest message of a neighbour is up to {oldest_s(scenario):.4g} s old"
+        )
         lines.append(describe_noise(network, acoustic, scenario.plans))
         lines += describe_slack(scenario)
     if found.gain_max is not None:
-        lines += _limits(scenario, found)
-        decay = shunting_decay(scenario)
-        if decay is not None:
-            product = found.gain_max * found.lambda_max
-            lines.append(
-                f"rule of thumb {_kept(product < decay)}: K lambda_max(L+B) must be below a. Here it is "
-                f"{found.gain_max:.4g} x {found.lambda_max:.4g} = {product:.4g} 1/s, and a is {decay:g} 1/s"
-            )
-        age = oldest_s(scenario)
-        reckoning = dead_reckoning(scenario, found, age)
-        if age > 0.0 and reckoning is not None:
-            lines.append(
-                f"rule of thumb {_kept(reckoning < 1.0)}: K tau rho(A) must be below 1. Here it is "
-                f"{found.gain_max:.4g} x {age:.4g} s x {found.spectral_radius_A:.4g} = {reckoning:.4g}"
-            )
-        lines.append("docs/background/stability.md explains these limits; a rule of thumb is necessary, not sufficient")
+        lines += [*_limits(scenario, found), *_rules_of_thumb(scenario, found)]
+        lines.append("docs/background/stability.md explains these limits")
     return lines
 
 
+def _rules_of_thumb(scenario: Scenario, found: Analysis) -> list[str]:
+    """The rules that apply, with a title."""
+    gain, rules = found.gain_max, []
+    assert gain is not None
+    decay = shunting_decay(scenario)
+    if decay is not None:
+        product = gain * found.lambda_max
+        rules.append(
+            f"  K lambda_max(L+B) < a: {_kept(product < decay)}. {gain:.4g} x {found.lambda_max:.4g} = "
+            f"{product:.4g} 1/s, and a = {decay:g} 1/s"
+        )
+    age = oldest_s(scenario)
+    reckoning = dead_reckoning(scenario, found, age)
+    if age > 0.0 and reckoning is not None:
+        rules.append(
+            f"  K tau rho(A) < 1: {_kept(reckoning < 1.0)}. {gain:.4g} 1/s x {age:.4g} s x "
+            f"{found.spectral_radius_A:.4g} = {reckoning:.4g}"
+        )
+    return ["rules of thumb, necessary but not sufficient, for the largest K:", *rules] if rules else []
+
+
 def _limits(scenario: Scenario, found: Analysis) -> list[str]:
-    """The limits of the whole linear loop."""
+    """The limits of the whole linear loop, with a title."""
     fleet, most, settled = found.at_most, found.gain_max, found.settled
     if fleet is None or found.at_settled is None:
         return [f"limits of the linear loop: not computed, because {found.not_linear}"]
@@ -164,35 +173,34 @@ def _limits(scenario: Scenario, found: Analysis) -> list[str]:
     if border == 0.0:
         return ["the linear loop is unstable at every gain"]
     optimised = _optimised(scenario)
-    own = f"here K is optimised and at most {most:.4g} 1/s" if optimised else f"here K is {most:.4g} 1/s"
+    own = f"Here K is optimised, {most:.4g} 1/s at most" if optimised else f"Here K is {most:.4g} 1/s"
     if border == inf:
-        lines = [f"the linear loop is stable at every gain, without loss; {own}"]
+        gain = f"stable at every gain. {own}"
     else:
-        verdict = (
-            ", below the limit" if most < border else ", too large if it stayed there" if optimised else ": TOO LARGE"
-        )
-        lines = [
-            f"gain limit of the linear loop, the same on all axes, without loss: {border:.4g} 1/s "
-            f"(above it {_mode(fleet.mode(border))}); {own}{verdict}"
-        ]
-    if not scenario.ideal and scenario.graph.links:
-        period = scenario.round_ticks * fleet.tick_s
-        begin = f"delay limit of all links, with rounds of {period:g} s"
-        if optimised:
-            lines.append(
-                f"{begin}, when K has settled at {_vector(settled)}: {_delay_limit(found.at_settled, max(settled))}"
-            )
-        lines.append(f"{begin}, at K = {most:.4g} 1/s: {_delay_limit(fleet, most)}")
+        verdict = ": stable" if most < border else ": unstable if it stays so large" if optimised else ": UNSTABLE"
+        gain = f"stable below {border:.4g} 1/s. Above, {_mode(fleet.mode(border))}. {own}{verdict}"
+    if scenario.ideal or not scenario.graph.links:
+        return ["theory of the linear loop, without loss:", f"  gain, the same on all axes: {gain}"]
+    lines = [
+        f"theory of the linear loop, without loss, with rounds of {scenario.round_ticks * fleet.tick_s:g} s:",
+        f"  gain, the same on all axes: {gain}",
+    ]
+    if optimised:
+        limit = _delay_limit(found.at_settled, max(settled))
+        lines.append(f"  delay of every link, when K has settled at {_vector(settled)}: {limit}")
+    where = "while K is at its largest," if optimised else "at K ="
+    lines.append(f"  delay of every link, {where} {most:.4g} 1/s: {_delay_limit(fleet, most)}")
+    lines.append(f"  the longest delay here: {_longest_delay_ns(scenario) / 1e9:.4g} s")
     return lines
 
 
 def _delay_limit(fleet: LinearFleet, gain: float) -> str:
     border = fleet.delay_border(gain)
     if border is None:
-        return f"more than {MOST_DELAY_S:g} s"
+        return f"stable up to {MOST_DELAY_S:g} s at least"
     if border == 1:
-        return "none; it is unstable even without delay"
-    return f"{(border - 1) * fleet.tick_s:.4g} s (above it {_mode(fleet.mode(gain, border))})"
+        return "unstable, even without delay"
+    return f"stable up to {(border - 1) * fleet.tick_s:.4g} s. Above, {_mode(fleet.mode(gain, border))}"
 
 
 def _kept(holds: bool) -> str:
@@ -200,20 +208,25 @@ def _kept(holds: bool) -> str:
 
 
 def _mode(mode: Mode) -> str:
-    return f"the {mode.loop} loop grows at {mode.frequency_hz:.2g} Hz"
+    if mode.frequency_hz < 0.005:
+        return f"the {mode.loop} loop grows"
+    return f"the {mode.loop} loop oscillates at {mode.frequency_hz:.2g} Hz and grows"
 
 
 def oldest_s(scenario: Scenario) -> float:
     """The largest age of a received message without loss [s]: a round plus the longest delay, in whole ticks."""
     if scenario.ideal or not scenario.graph.links:
         return 0.0
-    tick = scenario.tick_ns
-    worst = max((c.delay_ns + c.jitter_ns for its in scenario.possible.values() for c in its), default=0)
+    tick, worst = scenario.tick_ns, _longest_delay_ns(scenario)
     if scenario.acoustic is not None:
         age = greatest_age_s(scenario.spec.network, scenario.acoustic, scenario.plans, tick)
         return age + worst / 1e9
     usable = max(1, -(-worst // tick))
     return (usable + scenario.round_ticks - 1) * tick / 1e9
+
+
+def _longest_delay_ns(scenario: Scenario) -> int:
+    return max((c.delay_ns + c.jitter_ns for its in scenario.possible.values() for c in its), default=0)
 
 
 def dead_reckoning(scenario: Scenario, found: Analysis, age_s: float) -> float | None:
@@ -293,11 +306,11 @@ def _loop_warning(scenario: Scenario, found: Analysis) -> list[str]:
     border = fleet.gain_border(gain)
     if border == 0.0:
         return ["the linear loop is unstable at every gain: the formation is not kept"]
-    what = f"the settled K = {_vector(found.settled)}" if _optimised(scenario) else f"K = {gain:.4g} 1/s"
-    limit = f"{border:.4g} 1/s" + (" on its largest axis" if len({*found.settled}) > 1 else "")
+    what = f"K settles at {_vector(found.settled)}" if _optimised(scenario) else f"K is {gain:.4g} 1/s"
+    limit = f"{border:.4g} 1/s" + (" for its largest axis" if len({*found.settled}) > 1 else "")
     return [
-        f"{what} is above the limit of the linear loop, {limit} with these rounds and delays. "
-        f"There {_mode(fleet.mode(border))}, and the formation is not kept. Lower the gain, or shorten rounds "
+        f"{what}, above the limit of the linear loop. With these rounds and delays the limit is {limit}. "
+        f"Above it {_mode(fleet.mode(border))}, and the formation is not kept. Lower the gain, or shorten rounds "
         "or delays"
     ]
 
@@ -319,7 +332,7 @@ def _dead_reckoning_warning(scenario: Scenario, found: Analysis) -> list[str]:
     if product is None or product < 1.0:
         return []
     return [
-        f"K tau rho(A) = {product:.4g} is not below 1 at an age of {age:.4g} s, so dead reckoning with the "
+        f"K tau rho(A) = {product:.4g} is not below 1 at an age of {age:.4g} s, so extrapolation with the "
         f"neighbours' velocities is unstable. Use neighbours.extrapolate: reference, or set guidance.k_max below "
         f"{1.0 / (age * found.spectral_radius_A):.4g} 1/s; the true limit may be lower"
     ]

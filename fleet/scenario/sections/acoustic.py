@@ -204,15 +204,15 @@ def describe_turns(network: NetworkSection, acoustic: AcousticConfig, vehicles: 
     size = SIZES[network.payload]
     airtime = acoustic.modem.airtime_ns(size) / 1e9
     mean, _ = turn_s(network, acoustic, vehicles, tick_ns)
-    said = f"a {network.payload} payload has {size} bytes and is {airtime:.4g} s on the air"
+    said = f"a {network.payload} payload has {size} bytes and takes {airtime:.4g} s of airtime"
     line = f"acoustic modem {network.acoustic.modem}: {said}"
     if acoustic.mac == "tdma":
         slot = acoustic.slot_ticks * tick_ns / 1e9
-        return f"{line}; with slots of {slot:g} s each vehicle talks every {mean:.4g} s"
+        return f"{line}; with slots of {slot:g} s each vehicle sends every {mean:.4g} s"
     if acoustic.mac == "csma":
-        return f"{line}; each vehicle listens before it talks; alone it would talk every {mean:.4g} s on average"
+        return f"{line}; each vehicle listens before it sends; alone it would send every {mean:.4g} s on average"
     alone = _talking(network, acoustic, vehicles, tick_ns).alone
-    line += f"; each vehicle talks every {mean:.4g} s on average"
+    line += f"; each vehicle sends every {mean:.4g} s on average"
     return f"{line}, and {alone:.0%} of its transmissions overlap no other"
 
 
@@ -222,19 +222,22 @@ def describe_noise(network: NetworkSection, acoustic: AcousticConfig, plans: tup
     if modem.delivery is not None:
         extent = extent_m(plans)
         share = 100 * modem.delivery.at(extent)
-        return f"delivered, as measured: {share:.3g}% at {extent:.4g} m, the largest distance in the formation"
+        return (
+            f"delivery as measured: {share:.3g}% of the packets arrive over {extent:.4g} m, the largest distance in "
+            "the formation"
+        )
     snr = acoustic.snr(modem.max_range)
     if acoustic.packet_error_rate(modem.max_range, size) == 0.0:
         return (
-            f"noise loses no packet (cause snr): at the modem's range of {modem.max_range:.4g} m the signal is "
+            f"noise loses no packet (cause snr). At the modem's range of {modem.max_range:.4g} m the signal is "
             f"{snr:.3g} dB above the noise, and {modem.clear_above:g} dB are enough"
         )
     extent = extent_m(plans)
     across = 100 * acoustic.packet_error_rate(extent, size)
     some, half = (_range_of(acoustic, size, share) for share in (0.01, 0.5))
-    steady = " with levels that do not fade" if acoustic.shadowing or acoustic.rician is not None else ""
+    steady = ", if levels did not fade" if acoustic.shadowing or acoustic.rician is not None else ""
     return (
-        f"noise loses packets (cause snr){steady}: 1% with {size} bytes at {some:.4g} m, half at {half:.4g} m, "
+        f"noise loses packets of {size} bytes (cause snr){steady}: 1% at {some:.4g} m, 50% at {half:.4g} m, "
         f"and {across:.3g}% at {extent:.4g} m, the largest distance in the formation"
     )
 

@@ -170,11 +170,13 @@ def test_a_gain_that_the_rule_of_thumb_accepts_is_warned_of() -> None:
     scenario = load_scenario("paper", ["controller=nbc", "guidance.K0=2.3 2.3 2.3 1/s"])
     found = analyse(scenario)
     (warning,) = found.warnings
-    assert warning.startswith("K = 2.3 1/s is above the limit of the linear loop, 1.9")
-    assert "There the course loop grows at 1.6 Hz" in warning
+    assert warning.startswith(
+        "K is 2.3 1/s, above the limit of the linear loop. With these rounds and delays the limit is 1.9"
+    )
+    assert "Above it the course loop oscillates at 1.6 Hz and grows" in warning
     text = "\n".join(report(scenario, found))
-    assert "here K is 2.3 1/s: TOO LARGE" in text
-    assert "rule of thumb kept: K lambda_max(L+B) must be below a. Here it is 2.3 x 4.065" in text
+    assert "Here K is 2.3 1/s: UNSTABLE" in text
+    assert "K lambda_max(L+B) < a: kept. 2.3 x 4.065 = 9.349 1/s, and a = 10 1/s" in text
 
 
 def test_a_delay_that_the_rule_of_thumb_accepts_is_warned_of() -> None:
@@ -182,11 +184,11 @@ def test_a_delay_that_the_rule_of_thumb_accepts_is_warned_of() -> None:
     slow = ["controller=nbc", "guidance.K0=0.9 0.9 0.9 1/s", "network.links={'*': 'delay 430ms'}"]
     scenario = load_scenario("paper", slow)
     found = analyse(scenario)
-    assert "kept: K tau rho(A) must be below 1. Here it is 0.9 x 0.52 s x 1.447 = 0.6773" in "\n".join(
-        report(scenario, found)
-    )
+    text = "\n".join(report(scenario, found))
+    assert "K tau rho(A) < 1: kept. 0.9 1/s x 0.52 s x 1.447 = 0.6773" in text
+    assert "the longest delay here: 0.43 s" in text
     (warning,) = found.warnings
-    assert "is above the limit of the linear loop" in warning
+    assert "above the limit of the linear loop" in warning
     assert analyse(load_scenario("paper", [*slow, "neighbours.extrapolate=reference"])).warnings == []
 
 
@@ -197,7 +199,7 @@ def test_what_a_gain_that_is_optimised_bears() -> None:
     assert found.settled == pytest.approx((0.3, 0.3, 1.171), abs=1e-3)
     assert found.at_settled is not None
     assert 0.25 <= 0.01 * (found.at_settled.delay_border(max(found.settled or ())) or 0) <= 0.30
-    assert "too large if it stayed there" in "\n".join(report(scenario, found))
+    assert "2 1/s at most: unstable if it stays so large" in "\n".join(report(scenario, found))
 
 
 @pytest.mark.parametrize(

@@ -35,7 +35,7 @@ WATER = "network={period: 1 s, payload: compact, acoustic: {modem: mfsk-1066, ma
         (["faults=[{at: 1010 ms, for: 40 ms, id: blip, mute: 2}]"], "fault blip does nothing: agents talk at round"),
         (["faults=[{at: 1010 ms, for: 50 ms, mute: 2}]"], ""),
         (["faults=[{at: 1010 ms, for: 40 ms, pause: 2}]"], ""),
-        ([WATER, "faults=[{at: 1100 ms, for: 400 ms, down: 1<->2}]"], "none lies between 1.1 and 1.5 s"),
+        ([WATER, "faults=[{at: 1100 ms, for: 400 ms, down: 1<->2}]"], "no round tick lies between 1.1 and 1.5 s"),
         (["network.links={'*': loss 10% 25%}"], '"loss 10% 25%" affects 1.75% of the packets'),
         (["network.links={'*': loss 10% 50%}"], '"loss 10% 50%" affects 0.108% of the packets'),
         (["network.links={'*': delay 1ms reorder 25% 50%}"], '"reorder 25% 50%" affects 6.94% of the packets'),
@@ -87,7 +87,7 @@ RECOVERY = "checks={recovery_time: {fault: %s, below: 1 s, within: 1 m}}"
     [
         ("f1", "[{at: 1 s, for: 1 s, mute: 2}]", ""),
         ("every", "[{at: 1 s, for: 1 s, mute: 2}, {at: 3 s, mute: 1}]", ""),
-        ("every", "[{at: 1 s, mute: 2}]", "of every fault cannot pass: none ends"),
+        ("every", "[{at: 1 s, mute: 2}]", "cannot pass: no fault ends before the run does"),
         ("f1", "[{at: 3 s, for: 2 s, mute: 2}]", "the run ends at 4 s, before fault f1 does"),
         (
             "every",

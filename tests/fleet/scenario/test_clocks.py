@@ -80,7 +80,7 @@ def test_what_slots_bear_is_their_guard_less_sound_and_a_tick() -> None:
     airtime_s = scenario.acoustic.modem.airtime_ns(15) / 1e9  # type: ignore[union-attr]
     assert found.difference_s == pytest.approx(1.5 - airtime_s - 50**0.5 / 1500 - 0.01, abs=1e-6)
     assert found.drift == pytest.approx(found.difference_s / 8)
-    assert "ppm, fast or slow, for 4 s" in next(describe_slack(scenario))
+    assert "ppm, fast or slow, in a run of 4 s" in next(describe_slack(scenario))
     assert slack(small()) is None and list(describe_slack(small())) == []
 
 

@@ -154,9 +154,7 @@ def test_a_trace_of_ratios_and_one_that_ends_early(tmp_path: Path) -> None:
     assert [c.loss for c in s.netem_config.changing[1, 2].conditions] == [1.0, 0.0]
     assert not any("trace" in line for line in warnings(s))
     short = traced(tmp_path, "by: packet")
-    assert "the trace of 1->2 has 3 rows for 20 rounds: behind its last row the link is down" in "".join(
-        warnings(short)
-    )
+    assert "the trace of 1->2 has 3 rows for 20 rounds: after its last row the link is down" in "".join(warnings(short))
 
 
 @pytest.mark.parametrize(

@@ -326,32 +326,31 @@ def test_any_override_is_accepted_or_a_scenario_error(pairs: list[tuple[str, str
 
 def test_check_says_how_often_each_talks() -> None:
     lines = "\n".join(stability.report(s := small(), stability.analyse(s)))
-    said = (
-        "acoustic modem fsk-80: a compact payload has 15 bytes and is 2.5 s on the air; each vehicle talks every 15 s"
-    )
-    assert said in lines
+    assert "acoustic modem fsk-80: a compact payload has 15 bytes and takes 2.5 s of airtime; each vehicle" in lines
+    assert "each vehicle sends every 15 s" in lines
     s = small("network.acoustic={modem: fsk-80, mac: tdma, slot: 4 s}")
     lines = "\n".join(stability.report(s, stability.analyse(s)))
-    assert "with slots of 4 s each vehicle talks every 12 s; without loss a message is up to 16.5 s old" in lines
+    assert "with slots of 4 s each vehicle sends every 12 s; without loss the newest message of a neighbour" in lines
+    assert "a neighbour is up to 16.5 s old" in lines
 
 
 def test_check_counts_the_wait_for_news() -> None:
     """`acoustic-s2c`: T of 0.31 s and B of 2 T 7, and one s of a round at most to wait for news."""
     s = load_scenario("acoustic-s2c")
     lines = "\n".join(stability.report(s, stability.analyse(s)))
-    assert "each vehicle talks every 2.753 s on average, and 46% of its transmissions overlap no other" in lines
+    assert "each vehicle sends every 2.753 s on average, and 46% of its transmissions overlap no other" in lines
 
 
 def test_check_says_whether_noise_loses_anything() -> None:
     """In water as it is by default noise loses nothing within any shipped modem's range; with less power it does."""
     for name in ("fsk-80", "mfsk-1066", "s2c", "s2c-burst"):
         s = small(f"network.acoustic={name}", "network.payload=compact")
-        assert "noise loses no packet (cause snr): at the modem's range of" in "\n".join(
+        assert "noise loses no packet (cause snr). At the modem's range of" in "\n".join(
             stability.report(s, stability.analyse(s))
         )
     s = small("network.acoustic={modem: mfsk-1066, source_level: 150 dB, wind: 20 m/s, shipping: 1}")
     lines = "\n".join(stability.report(s, stability.analyse(s)))
-    assert "noise loses packets (cause snr): 1% with 15 bytes at 570.7 m, half at 685.6 m, and 0% at" in lines
+    assert "noise loses packets of 15 bytes (cause snr): 1% at 570.7 m, 50% at 685.6 m, and 0% at" in lines
 
 
 def test_the_default_back_off_is_the_best_load() -> None:

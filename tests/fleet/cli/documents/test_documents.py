@@ -154,11 +154,11 @@ def test_check() -> None:
 def test_check_says_the_limits_that_it_prints_in_words() -> None:
     found = printed(Checked, invoke("check", "paper", "--json"))
     words = invoke("check", "paper").stdout
-    assert f"without loss: {found.theory.gain_limit_per_s:.4g} 1/s (above it " in words
-    assert f"K is optimised and at most {found.theory.gain_per_s:.4g} 1/s" in words
-    assert f"{found.theory.settled_delay_limit_s:.4g} s (above it " in words
+    assert f"stable below {found.theory.gain_limit_per_s:.4g} 1/s. Above, " in words
+    assert f"K is optimised, {found.theory.gain_per_s:.4g} 1/s at most" in words
+    assert f"stable up to {found.theory.settled_delay_limit_s:.4g} s. Above, " in words
     assert found.theory.delay_limit_s == 0.0
-    assert "at K = 2 1/s: none; it is unstable even without delay" in words
+    assert "while K is at its largest, 2 1/s: unstable, even without delay" in words
 
 
 def test_check_of_a_fleet_for_which_theory_has_no_limits() -> None:

@@ -14,11 +14,11 @@ Conditions are written in the grammar of Linux tc-netem (tc-netem(8)):
     TIME         := number followed by us, ms or s        PERCENT, CORRELATION := number followed by %
     RATE         := number followed by bit, kbit, mbit, gbit (bits per second), or bps, kbps, mbps, gbps (bytes!)
 
-tc reads a TIME without a unit as microseconds and a PERCENT without a sign as percent. Here units are required: with
-tc, 200 instead of "200 ms" is a mistake without a message. `down` is not part of tc-netem; `slot` and `ecn` of tc-netem
-are refused by name.
+Here units are required. tc reads a TIME without a unit as microseconds and a PERCENT without a sign as percent. If you
+write 200 instead of "200 ms", tc gives no message. `down` is not part of tc-netem. `slot` and `ecn` of tc-netem are
+refused by name.
 
-Selectors name directed links; an arrow points in the direction of the payload (`netem.selectors` reads them):
+Selectors name directed links. An arrow points in the direction of the payload (`netem.selectors` reads them):
 
     *        every link          1->*  all that vehicle 1 sends
     1->2     1's payloads to 2   *->2  all that vehicle 2 receives   1<->2   1->2 and 2->1
@@ -106,16 +106,16 @@ def parse_condition(text: str) -> Condition:
 
 
 def with_word(text: str, word: str, value: str) -> str:
-    """A condition with new values for one word: `with_word("delay 2s loss 1%", "loss", "30%")`.
+    """Change one word of a condition: `with_word("delay 2s loss 1%", "loss", "30%")` returns `delay 2s loss 30%`.
 
     Args:
-        text: the condition as it is; empty: a perfect link.
-        word: one that takes values; it is added at the end if the condition does not have it.
-        value: everything that is to stand behind the word.
+        text: the present condition. Empty: a perfect link.
+        word: a word with values. If the condition lacks it, it is added at the end.
+        value: all new values of the word.
 
     Raises:
-        TextError: the condition is none; the word is unknown or has no value; the value is none for this word. The
-            column is that in `value` where the value is wrong, else 0.
+        TextError: the condition is not valid, the word is unknown or takes no value, or the value does not fit the
+            word. If the value is wrong, `column` is the place in `value`. Otherwise it is 0.
     """
     if word not in _PARSERS or word == "down":
         valued = ", ".join(name for name in WORDS if name != "down")

@@ -16,7 +16,7 @@ from netem.wire.messages import Delivery, Fate, MeasuredRange
 
 
 class PendingPacket(NamedTuple):
-    """A payload under way; packets sort by the order in which their receiver sees them."""
+    """A payload under way. Packets sort in the order of their delivery."""
 
     due_tick: int
     sent_tick: int

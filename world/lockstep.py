@@ -67,7 +67,7 @@ class Lockstep:
         """Vehicle i's agent has ended: from the first tick without a command it drifts.
 
         Args:
-            until: the tick at which another one takes over, if it is to be another than what was planned.
+            until: another agent takes over at this tick. None: as planned.
         """
         state = self.state
         if incarnation != state.incarnation(i) or state.without_agent(i):

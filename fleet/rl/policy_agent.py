@@ -147,7 +147,7 @@ class PolicyAgent:
         return Decision(tau, self.resident.decide(nav, due).telemetry)
 
     def state(self) -> dict[str, Any]:
-        """The memory of the resident law; the policy's memory is unknown."""
+        """The memory of the scenario's own law. The policy's memory is unknown."""
         assert self.resident is not None  # otherwise the loop has no `memory_ticks`
         foreseen = self._foreseen
         return foreseen[1] if foreseen is not None and foreseen[1] else self.resident.state()

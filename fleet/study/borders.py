@@ -124,11 +124,11 @@ def prepare_borders(
     """Check every point that may be run, and make the directory of the study.
 
     Args:
-        plan: its last axis is the one along which the border is sought, see `parse_along`.
-        spec: the settings of the study; the directory keeps it.
-        directory: of the new study.
+        plan: the plan. The border is sought along its last axis, see `parse_along`.
+        spec: the settings of the study. The directory keeps them.
+        directory: directory of the new study.
         trust: modules that may run, in addition to installed ones and the user's own.
-        warn: called with each check that cannot pass, in words.
+        warn: called with a line of text for each check that cannot pass.
 
     Raises:
         ScenarioError: with the mistakes of all points.

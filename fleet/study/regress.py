@@ -25,6 +25,7 @@ class Regressed:
     """One scenario of a folder that was run again.
 
     Attributes:
+        failure: the scenario, with the expected verdict.
         got: the verdict now, in words.
         same: whether it is the expected verdict.
         broken: whether the run has no verdict.

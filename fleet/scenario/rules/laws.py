@@ -1,4 +1,4 @@
-"""Rules on what each vehicle is and which laws it runs."""
+"""Rules on `per_vehicle`, on the laws of each vehicle, and on its physical data and limits."""
 
 from __future__ import annotations
 

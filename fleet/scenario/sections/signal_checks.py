@@ -65,13 +65,18 @@ class AskedOfSignal:
     """A check on a signal, in SI units; times in ns.
 
     Attributes:
-        unit: "1": none.
-        negated: the check counts samples that meet the condition; otherwise those that do not meet it.
-        sometimes: some run of many must reach such a sample. No run fails for it.
-        within_ns: the time in which a liveness property must begin to hold; None: it is a safety property.
-        least_ns: a safety property breaks after a stretch of such samples of this length, 0: after one sample. A
-            liveness property must hold for this time.
-        fault: a liveness property counts from the end of this fault; None: from `after_ns`.
+        signal: the signal.
+        unit: its unit; "1": it has none.
+        vehicles: the vehicles for which it is checked.
+        condition: the condition on its values.
+        negated: True: the check counts samples that meet the condition. False: samples that do not meet it.
+        within_ns: a liveness property must begin to hold within this time. None: it is a safety property.
+        least_ns: a safety property breaks if the counted samples last this long. With 0 one sample is enough. A
+            liveness property must hold for this long.
+        fault: a liveness property counts from the end of this fault. None: from `after_ns`.
+        after_ns: earlier samples do not count.
+        words: the check in words.
+        sometimes: some run of a study must reach such samples. A single run cannot fail for it.
     """
 
     signal: SignalName

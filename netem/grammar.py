@@ -230,7 +230,8 @@ def _rate(reader: _Reader) -> dict[str, Any]:
         raise TextError(f'the rate "{got}" {text}', column, nearest(unit, RATE_UNITS) if unit else "write 1kbit")
     bits_per_s = number * RATE_UNITS[unit.lower()]
     if bits_per_s.denominator != 1 or not 0 <= bits_per_s <= 10**12:
-        raise TextError("the rate must be a whole number of bits per second, at most 1000 gbit", column)
+        expected = "expected a whole number of bits per second from 0 to 1000 gbit"
+        raise TextError(f'the rate "{got}" is out of range: {expected}', column)
     found = {"rate_bit_s": bits_per_s.numerator}
     if reader.value_follows():
         column = reader.at
@@ -310,9 +311,9 @@ def _time(reader: _Reader, what: str, example: str) -> int:
         raise TextError(f'the {what} takes us, ms or s, got "{unit}"', column, nearest(unit, _TIME_NS))
     ns = number * _TIME_NS[unit]
     if ns < 0 or ns > _LONGEST_TIME_NS:
-        raise TextError(f"the {what} must be between 0 and one day", column)
+        raise TextError(f'the {what} must be between 0 and one day, got "{got}"', column)
     if ns.denominator != 1:
-        raise TextError(f"the {what} is not a whole number of nanoseconds", column)
+        raise TextError(f'the {what} "{got}" is not a whole number of nanoseconds', column)
     return ns.numerator
 
 

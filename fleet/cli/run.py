@@ -200,7 +200,7 @@ def _options(scenario: Scenario, start: Start | None, how: dict[str, Any], termi
         terminal.print(f"warning: {warning}", style="bold red", highlight=False, markup=False, soft_wrap=True)
     _check_clock(how["speed"], how["clock"], one_process)
     if how["audit"] and (one_process or (place and place.router)):
-        raise click.UsageError("--audit reads the log of a run's own router, and this run has none")
+        raise click.UsageError("--audit needs a run with a router of its own: leave out --in-process and --router")
     if how["ros2"] and one_process:
         raise click.UsageError(
             f"--ros2 needs a run with processes, so not with {one_process}; fleet ros2 plays its log afterwards"
@@ -299,10 +299,10 @@ def _check_clock(speed: float | None, clock: str, one_process: str) -> None:
     """
     if clock != Clock.REAL:
         if is_given("max_missed"):
-            raise click.UsageError("--max-missed is for --clock real: in lockstep nobody misses a tick")
+            raise click.UsageError("--max-missed is for --clock real: in lockstep no agent misses a tick")
         return
     if speed is None and is_given("speed"):
-        raise click.UsageError("--clock real has no max: --speed 2 is twice as fast as the wall clock")
+        raise click.UsageError("--clock real has no --speed max: give a number, such as 2 for twice real time")
     if one_process:
         raise click.UsageError(f"--clock real needs a run with processes, so not with {one_process}")
 

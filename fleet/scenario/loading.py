@@ -8,10 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from fleet.errors import Problem, ScenarioError
+from fleet.quantities import describe_value
 from fleet.scenario.catalogue import shipped_scenarios, shipped_text
 from fleet.scenario.scenario import Reading, Scenario
 from fleet.scenario.text.overrides import Override, apply
-from fleet.scenario.text.yaml_reader import Mapping, Scalar, Source, read
+from fleet.scenario.text.yaml_reader import Mapping, Scalar, Source, plain, read
 from fleet.scenario.trust import READING, TYPED, OverrideOrigin, Policy, stranger
 from fleet.scenario.validation import validate
 from netem.parsing import nearest
@@ -70,7 +71,8 @@ def parse_scenario(
     root, problems = read(source)
     if not isinstance(root, Mapping):
         if root is not None:
-            problems.append(root.place.problem("expected keys with values, such as duration: 30 s"))
+            got = describe_value(plain(root))
+            problems.append(root.place.problem(f"expected keys with values, such as duration: 30 s; got {got}"))
         raise ScenarioError(problems)
     if "name" not in root.entries:
         name = re.sub(r"[^a-z0-9_-]+", "-", Path(source_name).stem.lower()).strip("-_")[:64] or "scenario"

@@ -94,7 +94,7 @@ def parse_along(text: str, width: float) -> Axis:
         raise StudyError(f"{found.key}: a border needs given values, and these are drawn")
     numbers = [value.number for value in found.values]
     if None in numbers or len(numbers) < 2 or numbers != sorted(numbers, key=lambda number: number or 0.0):
-        raise StudyError(f"{found.key}: expected a range such as 0 %..95 %, or rising numbers")
+        raise StudyError(f"--along {text:.60}: expected a range such as 0 %..95 %, or two or more rising numbers")
     if len(numbers) > MOST_PLACES:
         raise StudyError(f"{found.key}: {len(numbers)} values are too many: at most {MOST_PLACES} are possible")
     return replace(found, option="--along")

@@ -131,7 +131,7 @@ class OpenBus:
                 key, encoding=encoding, congestion_control=control, reliability=zenoh.Reliability.RELIABLE
             )
         except zenoh.ZError:
-            raise BusError(f"zenoh takes no key {key!r}") from None
+            raise BusError(f"zenoh cannot publish on {key!r}: expected a key such as robot/1/odom") from None
         self._held.append(publisher)
         return OpenPublication(publisher)
 

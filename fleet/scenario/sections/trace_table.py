@@ -150,9 +150,9 @@ def _column(heading: str, problems: list[str]) -> tuple[str, Decimal]:
     if (unit or "").strip() in units:
         size = units[(unit or "").strip()]
         return name, Decimal(size.numerator) / Decimal(size.denominator)
-    got = f"unknown unit {quoted(unit.strip())}" if unit else "the unit is missing"
+    wrong = f"has the unknown unit {quoted(unit.strip())}" if unit else "has no unit"
     expected = " or ".join(f"{name} [{known}]" if known else name for known in units)
-    problems.append(f"{got} of {name}: expected {expected}, got {quoted(heading.strip())}")
+    problems.append(f"the column {name} {wrong}: expected {expected}, got {quoted(heading.strip())}")
     return name, Decimal(1)
 
 

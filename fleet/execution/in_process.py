@@ -40,7 +40,7 @@ from world.sea import World
 WORLD, NETEM = 0, -1  # who speaks; agents have their positive numbers
 
 
-class Life(Protocol):
+class AgentLife(Protocol):
     """One life of an agent: `AgentLoop`, or what stands in its place."""
 
     @property
@@ -52,7 +52,7 @@ class Life(Protocol):
     def remember(self, memory: bytes, /, *, anew: bool = False) -> None: ...
 
 
-MakeLife = Callable[[int, int], Life]  # (incarnation, begin) -> one life of an agent
+MakeLife = Callable[[int, int], AgentLife]  # (incarnation, begin) -> one life of an agent
 
 
 class InProcess:
@@ -82,7 +82,7 @@ class InProcess:
         seed = salted(scenario.seed, salt)
         self._world = Lockstep(replace(scenario.world_config, seed=seed), frame_every=frame_every(scenario))
         self.rounds = Rounds(replace(scenario.netem_config, seed=seed))
-        self._loops: dict[int, Life] = {}
+        self._loops: dict[int, AgentLife] = {}
         self.told: dict[int, Nav] = {}  # by vehicle, the nav that its agent got last
         self.notes: list[str] = []
         self.deaths: dict[int, list[str]] = {}
@@ -217,7 +217,7 @@ class InProcess:
             loop = self._loops[i] = self._born(i, self._world.state.lives.incarnation(i, tick), tick)
             loop.remember(memory, anew=i in start.anew)
 
-    def _born(self, i: int, incarnation: int, begin: int) -> Life:
+    def _born(self, i: int, incarnation: int, begin: int) -> AgentLife:
         if i in self._other_agents:
             return self._other_agents[i](incarnation, begin)
         scenario = self._scenario
@@ -231,7 +231,7 @@ class InProcess:
             memory_ticks=scenario.memory_ticks,
         )
 
-    def _loop(self, i: int, incarnation: int) -> Life:
+    def _loop(self, i: int, incarnation: int) -> AgentLife:
         """The life `incarnation` of agent i, which is made when it is asked for."""
         if incarnation > self._loops[i].incarnation:
             begin = self._world.state.lives.gaps(i)[incarnation - 1][1]

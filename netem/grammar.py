@@ -219,12 +219,8 @@ def _reorder(reader: _Reader) -> dict[str, Any]:
 
 
 def _rate(reader: _Reader) -> dict[str, Any]:
-    column = reader.at
     got = reader.peek()
-    value = reader.value()
-    if value is None:
-        raise TextError(f'expected a rate such as "1kbit", got {quoted(got)}', column)
-    number, unit, column = value
+    number, unit, column = _number(reader, "rate", "1kbit")
     if unit.lower() not in RATE_UNITS:
         text = "has no unit" if not unit else f'takes bit, kbit, mbit (bits) or bps, kbps, mbps (bytes), got "{unit}"'
         raise TextError(f'the rate "{got}" {text}', column, nearest(unit, RATE_UNITS) if unit else "write 1kbit")
@@ -259,6 +255,15 @@ _PARSERS: dict[str, Callable[[_Reader], dict[str, Any]]] = {
 }
 
 
+def _number(reader: _Reader, what: str, example: str) -> tuple[Fraction, str, int]:
+    """The next number, its unit ("" without one) and its column."""
+    column, got = reader.at, reader.peek()
+    value = reader.value()
+    if value is None:
+        raise TextError(f'expected a {what} such as "{example}", got {quoted(got)}', column)
+    return value
+
+
 def _whole(reader: _Reader, what: str, example: str, least: int, most: int = _MOST_PACKETS) -> int:
     column = reader.at
     got = reader.peek()
@@ -281,12 +286,8 @@ def _percents(reader: _Reader, names: tuple[str, ...]) -> dict[str, float]:
 
 
 def _percent(reader: _Reader, what: str) -> float:
-    column = reader.at
     got = reader.peek()
-    value = reader.value()
-    if value is None:
-        raise TextError(f'expected a {what} such as "30%", got {quoted(got)}', column)
-    number, unit, column = value
+    number, unit, column = _number(reader, what, "30%")
     if unit != "%":
         raise TextError(f'the {what} takes a percentage such as "30%", got {quoted(got)}', column)
     if not 0 <= number <= 100:
@@ -295,12 +296,8 @@ def _percent(reader: _Reader, what: str) -> float:
 
 
 def _time(reader: _Reader, what: str, example: str) -> int:
-    column = reader.at
     got = reader.peek()
-    value = reader.value()
-    if value is None:
-        raise TextError(f'expected a {what} such as "{example}", got {quoted(got)}', column)
-    number, unit, column = value
+    number, unit, column = _number(reader, what, example)
     if not unit:
         raise TextError(
             f'the {what} "{got}" has no unit',

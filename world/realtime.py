@@ -23,7 +23,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from netem.errors import OutOfPlace
-from netem.lives import Absence
 from netem.wire.codec import encode
 from netem.wire.messages import Command, Memory, Nav, Round
 from world.config import WorldConfig
@@ -169,10 +168,7 @@ class RealtimeRun:
         tick = state.tick_of(i)
         if self._answered[i] >= tick:
             tick += 1
-        if until is None:
-            state.lives.end(i, tick)
-        else:
-            state.lives.add(Absence(i, tick, until))
+        state.lives.end(i, tick, until)
         return []
 
     def remember(self, i: int, memory: Memory) -> None:

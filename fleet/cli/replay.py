@@ -198,16 +198,7 @@ def record(
     from fleet.replay.capture import Limits, PublisherGone, Recorder, TrafficWriter
     from fleet.terminal.status_line import StatusLine
 
-    credentials = None
-    if run is not None:
-        if connect or listen:
-            raise click.UsageError("--run finds the router by itself: leave out --connect and --listen")
-        connect, credentials, prefix = _observer(run)
-        keys = keys or (f"{prefix}/log/**",)
-    if ros2 and run is not None:
-        raise click.UsageError("--run records a run, and --ros2 records nodes of ROS 2: give one of them")
-    if not keys and not ros2:
-        raise click.UsageError("no key to record: give --key 'robot/**', or --key '**' for everything")
+    connect, credentials, keys = _recorded(keys, connect, listen, run, ros2=ros2)
     path = output or Path(f"record-{datetime.now(UTC):%Y%m%d-%H%M%S}{'' if ros2 else '.mcap'}")  # noqa: TID251 (a name)
     with ending() as sessions, StatusLine(Terminal(stderr=True), quiet=quiet) as line:
         if ros2:
@@ -230,6 +221,26 @@ def record(
                     _finish(recorder, writer, line, path)
                 raise
             _finish(recorder, writer, line, path)
+
+
+def _recorded(
+    keys: tuple[str, ...], connect: str | None, listen: str | None, run: str | None, *, ros2: bool
+) -> tuple[str | None, Any, tuple[str, ...]]:
+    """The endpoint to connect to, the credentials for it, and the keys to record.
+
+    Raises:
+        click.UsageError: there is no key, or options exclude each other.
+    """
+    if ros2 and run is not None:
+        raise click.UsageError("--run records a run, and --ros2 records nodes of ROS 2: give one of them")
+    if run is None:
+        if not keys and not ros2:
+            raise click.UsageError("no key to record: give --key 'robot/**', or --key '**' for everything")
+        return connect, None, keys
+    if connect or listen:
+        raise click.UsageError("--run finds the router by itself: leave out --connect and --listen")
+    endpoint, credentials, prefix = _observer(run)
+    return endpoint, credentials, keys or (f"{prefix}/log/**",)
 
 
 def _ros2(

@@ -62,12 +62,9 @@ def draw_lines(
     exact: bool = False,
     **style: Any,
 ) -> list[str]:
-    """Draw one line per vehicle into each panel. Many vehicles make a band.
-
-    The colour stands for the vehicle. If there are several runs, it stands for the run.
+    """Draw one line per vehicle into each panel, in the vehicle's colour, or in the run's. Many vehicles make a band.
 
     Args:
-        figure: the figure of the panels.
         panel: the axes, each with the function that gets its signal.
         runs: the runs to draw.
         view: the vehicles and the span of time.

@@ -148,7 +148,7 @@ class LogWriter:
 
     def _drawings(self) -> dict[str, tuple[int, Callable[[Frame, bytes], bytes]]]:
         """Declare the topics that viewers draw. By topic: its channel, and the function that makes its messages."""
-        drawn = {}
+        drawn: dict[str, tuple[int, Callable[[Frame, bytes], bytes]]] = {}
         for group, schema, draw in (
             ("transforms", foxglove_schema(FrameTransforms, TRANSFORMS_UNITS), Transforms(self._scenario).message),
             ("scene", foxglove_schema(SceneUpdate, SCENE_UNITS), self._scene.message),

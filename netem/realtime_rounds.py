@@ -135,10 +135,10 @@ class RealtimeRounds:
         """Take the report of vehicle i about the deliveries that it used at a tick.
 
         Args:
-            due_ns: when a tick begins [ns, CLOCK_MONOTONIC].
+            due_ns: returns the begin of a tick [ns, CLOCK_MONOTONIC].
 
         Raises:
-            OutOfPlace: of another incarnation, or of a delivery that was not handed out to it.
+            OutOfPlace: the report is from another incarnation, or names a delivery that the agent did not get.
         """
         self.lives.check(i, receipt.tick, receipt.incarnation)
         tick_ns = self.config.tick_ns

@@ -54,7 +54,7 @@ class WayRow(Struct, frozen=True):
 
     @property
     def overhead(self) -> float:
-        """CPU time that is not that of the bare run, as a share of it."""
+        """The extra CPU time over the bare run, as a share of the bare run's."""
         return median(self.cpu_ratios) - 1.0
 
 

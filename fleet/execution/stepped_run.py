@@ -112,7 +112,7 @@ class SteppedRun:
 
     @property
     def tick(self) -> int:
-        """The next tick; those before it are over."""
+        """The next tick to run. All earlier ticks are over."""
         return self._runner.granted
 
     @property

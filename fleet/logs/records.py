@@ -68,7 +68,7 @@ class Block:
             yield Message(channel, sequence, log_ns, publish_ns, data[begin:end])
 
     def take(self, which: Array) -> Block:
-        """Some of them, by index or by a flag for each."""
+        """Some of the messages, chosen by their indexes or by a flag for each."""
         return Block(
             self.offset, self.data, self.channel[which], self.sequence[which], self.log_ns[which],
             self.publish_ns[which], self.begin[which], self.end[which],

@@ -40,7 +40,7 @@ _BOUNDS = {"time": (Decimal(-(2**62)) / _NS, Decimal(2**62) / _NS), "delay": (De
 
 @dataclass(frozen=True, slots=True)
 class TraceRow:
-    """A row: the measurements of one packet, or the values from one time on. None: not measured."""
+    """A row of a trace: the measurements of one packet, or the values that hold from a time on. None: not measured."""
 
     time_ns: int | None
     delivered: bool
@@ -49,7 +49,12 @@ class TraceRow:
     snr_db: float | None = None
 
     def condition(self, lost_below_db: float | None) -> Condition:
-        """The condition of a link that does this; `lost_below_db` decides where the trace has no `delivered`."""
+        """The condition of a link with these values.
+
+        Args:
+            lost_below_db: at or below this signal-to-noise ratio [dB] a packet is lost, too. None: only `delivered`
+                decides.
+        """
         lost = not self.delivered
         if lost_below_db is not None and self.snr_db is not None:
             lost = lost or self.snr_db <= lost_below_db

@@ -71,7 +71,7 @@ OF_THE_END = frozenset({"ledger", "middleware_loss"})  # packets that are on the
 
 
 def standing(scenario: Scenario, journal: Journal) -> list[dict[str, Any]]:
-    """The checks of a run that goes on: rows with check, asked, found, and passed so far (None: no verdict yet)."""
+    """The checks of a run that is still going: rows with check, asked, found and passed. None: no verdict yet."""
     rows = []
     for verdict in judge(scenario, journal, middleware_lost=0):
         nothing_yet = verdict.value is None and not verdict.passed and verdict.moment is None

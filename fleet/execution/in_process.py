@@ -56,7 +56,10 @@ MakeLife = Callable[[int, int], AgentLife]  # (incarnation, begin) -> one life o
 
 
 class InProcess:
-    """One run: a `Runner`. Who wants to look in between calls `begin`, `advance` and `end` in place of `serve`."""
+    """A `Runner` for one run in this process.
+
+    A caller that looks at the run in between calls `begin`, `advance` and `end` in place of `serve`.
+    """
 
     waiting = ""  # nobody waits for anybody here
     started_s = 0.0
@@ -73,9 +76,11 @@ class InProcess:
         """Prepare a run.
 
         Args:
-            start: where it goes on from another run; None: at its beginning.
-            agents: by vehicle, what makes an agent in place of the scenario's.
-            salt: of what world and network draw from here on; 0: as in every run of this seed.
+            scenario: the scenario of the run.
+            journal: receives everything that happens.
+            start: the snapshot of another run to go on from. None: the run begins at its beginning.
+            agents: by vehicle, functions that make an agent in place of the scenario's.
+            salt: changes all further draws of world and network. 0: the draws of every run with this seed.
         """
         self._other_agents = agents or {}
         self._scenario, self._journal, self._begin = scenario, journal, start

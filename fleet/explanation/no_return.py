@@ -1,9 +1,8 @@
 """The point of no return: the last moment of a failed run when healing all faults would still make it pass.
 
 This module first makes the run once more in this process. It takes a snapshot about every second (or every hundredth
-of the run), and notes whether the check has failed by then. Then it tries healed runs. A healed run has a moment from
-which on no fault is active: faults that last end there, and later ones never begin. Up to that moment it is the same
-run, to the last bit.
+of the run), and notes whether the check has failed by then. Then it tries healed runs. In a healed run all faults end
+at one moment, and no fault begins later. Up to that moment it is the same run, to the last bit.
 
 Some checks have a margin that is the least over the time. Such a check had not failed before the snapshot, so its
 healed run starts there. Any other check remembers what was before, so its healed run starts at 0.

@@ -34,10 +34,12 @@ def load_scenario(
     """The scenario of a shipped name or of a file, with overrides applied.
 
     Args:
+        name_or_path: a shipped name, or the path of a file.
+        overrides: changes by options; a text alone is `key.path=value`, as for `--set`.
         trust: modules that may run, in addition to installed ones and the user's own; see `fleet.scenario.trust`.
         imports: import the laws that the file names, to check that they can be used.
-        refused: a list that receives the laws that may not run; None: such a law is an error.
-        origin: the place that the overrides come from.
+        refused: a list that receives the laws that may not run. None: such a law is an error.
+        origin: the source of the overrides.
 
     Raises:
         ScenarioError: with every mistake that was found, in the order of the file.
@@ -86,12 +88,14 @@ def parse_scenario(
 
 
 def changed(scenario: Scenario, overrides: Sequence[str | Override], trust: Trust = NOTHING) -> Scenario:
-    """A scenario as it would have been with more overrides: the same text, folder and trust, read once more.
+    """Read the text of a scenario once more, with further overrides.
 
-    So what is drawn from the seed is drawn anew, and problems name the lines of the file.
+    All values that the seed draws are drawn anew. Problems name the lines of the file.
 
     Args:
-        trust: in place of the one that the scenario was loaded with; by default the same.
+        scenario: the scenario.
+        overrides: further overrides, after the earlier ones.
+        trust: modules that may run. By default those that the scenario was loaded with.
 
     Raises:
         ScenarioError: with every mistake that was found.

@@ -179,7 +179,7 @@ class _Search:
         return Task(run_key(f"{self._text}\nseed {seed}"), 0, seed, self._scenario.name, self._text, inf, self._modules)
 
     def take(self, row: Row) -> None:
-        """Take a row, and count the rows that are next, up to one that fails in a new way: it is repeated first."""
+        """Take a row. Count the rows that are next in order, until one fails in a new way: it is repeated first."""
         seed = row["seed"]
         if seed == self._doubt:
             row, self._doubt = compared(self._waiting[seed], row), None

@@ -217,7 +217,7 @@ def _options(scenario: Scenario, start: Start | None, how: dict[str, Any], termi
         terminal.print(f"warning: {warning}", style="bold red", highlight=False, markup=False, soft_wrap=True)
     _check_clock(how["speed"], how["clock"], one_process)
     if how["audit"] and (one_process or (place and place.router)):
-        raise click.UsageError("--audit needs a run with a router of its own: leave out --in-process and --router")
+        raise click.UsageError(f"--audit needs a run with a router of its own, so not with {one_process or '--router'}")
     if how["ros2"] and one_process:
         raise click.UsageError(
             f"--ros2 needs a run with processes, so not with {one_process}; fleet ros2 plays its log afterwards"

@@ -121,7 +121,7 @@ def ask(check: SignalCheck, vehicles: Mapping[int, Mapping[str, SignalPlace]]) -
         raise SignalCheckError("vehicles", f"vehicle {without[0]} has no signal {signal.name}", hint)
     condition = _condition(check, unit)
     if condition.over != "each" and len(some) < 2:
-        raise SignalCheckError(_given(check)[0], "compares vehicles, but only one is named", "name two or more")
+        raise SignalCheckError(_given(check)[0], "compares vehicles, but there is only one", "name two or more")
     _check_times(check)
     # Values agree within 5 s if no stretch without that is longer.
     least = check.for_at_least or 0 if check.agree_within is None else check.agree_within + 1

@@ -49,7 +49,7 @@ CUT = "faults=[{id: cut, at: 100 ms, for: 100 ms, down: 1->2}, {id: off, at: 300
         ("topic: state.z, below: 3 m, fault: every", 'fault: needs "eventually_within"'),
         ("topic: state.z, below: 3 m, eventually_within: 1 s, fault: cat", 'there is no fault "cat"'),
         ("topic: state.z, below: 3 m, eventually_within: 1 s, fault: off", '"off" lasts to the end of the run'),
-        ("topic: state.z, spread_below: 3 m, vehicles: 2", "compares vehicles, but only one is named"),
+        ("topic: state.z, spread_below: 3 m, vehicles: 2", "compares vehicles, but there is only one"),
         ("topic: state.z, below: 3 m, vehicles: 2-4", "there is no vehicle 4: the vehicles are 1 to 3"),
         ("topic: state.z, below: 3 m, vehicles: some", "expected vehicle numbers"),
         ("topic: state.z, below: 3 m, name: ledger", 'another check is called "ledger"'),

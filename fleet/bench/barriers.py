@@ -22,16 +22,7 @@ READY_S = 60.0
 
 
 def zenoh_barrier(n: int, ticks: int) -> float:
-    """Measure how fast messages alone allow a run to be.
-
-    In each tick this process sends one message to each agent over Zenoh. Each agent is a process that sends it back.
-
-    Args:
-        n: number of agents.
-        ticks: number of ticks that are measured.
-
-    Returns:
-        Ticks per second of wall time.
+    """Ticks per second of "world -> n agents -> world" with agents that only echo.
 
     Raises:
         FleetError: an echo agent did not answer in time.

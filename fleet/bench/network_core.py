@@ -26,7 +26,7 @@ _PAYLOAD = b"x" * 63
 
 
 def netem_figures(*, quick: bool) -> dict[str, float]:
-    """Measure the speed of `Netem.exchange`: packets per second of CPU time, and its share of an in-process run."""
+    """Packets per second of CPU time through `Netem.exchange`, and the share of an in-process run that it takes."""
     rounds = 5 if quick else 100
     return {
         "vehicles": AGENTS,
@@ -46,13 +46,13 @@ def scenario(vehicles: int, condition: str, seconds: float) -> Scenario:
 
 
 def packets_per_second(condition: str, rounds: int) -> float:
-    """The number of packets that one core exchanges in a second of CPU time."""
+    """How many packets one core takes, impairs and hands out in a second of CPU time."""
     config = scenario(AGENTS, condition, 10.0).netem_config
     return rounds * len(config.links) / _exchanges_s(config, rounds)
 
 
 def _exchanges_s(config: NetemConfig, rounds: int) -> float:
-    """The CPU time [s] of some rounds. Every agent sends in each of them."""
+    """CPU time [s] of this number of rounds in which every agent sends."""
     netem = Netem(config)
     payloads = dict.fromkeys(config.vehicles, (_PAYLOAD,))
     began = time.process_time()

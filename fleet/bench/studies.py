@@ -54,7 +54,7 @@ class WayRow(Struct, frozen=True):
 
     @property
     def overhead(self) -> float:
-        """The extra CPU time over the bare run, as a share of the bare run's."""
+        """CPU time that is not that of the bare run, as a share of it."""
         return median(self.cpu_ratios) - 1.0
 
 

@@ -167,7 +167,7 @@ class InitialSection(Section):
 
 
 def show_initial(initial: InitialSection) -> Any:
-    """The initial states as a scenario file has them: a list or a scatter."""
+    """The file's form of the initial states: a list or a scatter."""
     entries = initial.vehicles if initial.vehicles is not None else initial.scatter
     if entries is None:
         return None

@@ -1,17 +1,18 @@
-"""The interface of control laws, those that ship and yours: the input that a law gets, and the output that it returns.
+"""The interface of control laws: the input and the output of a law. It is the same for shipped laws and for yours.
 
-A *controller* turns a sample into forces. It may be composed of a *guidance law*, which turns the sample into a
-commanded velocity, and a *tracking law*, which turns that command into forces; any guidance goes with any tracking.
-A whole *agent* also decides what is sent to the neighbours. A law needs no other module of this package: what is in
-`__all__` stays. `docs/guide/plugins.md` is the guide; `fleet new controller NAME` writes a template.
+A *controller* turns a sample into forces. It may consist of two laws. A *guidance law* turns the sample into a
+commanded velocity. A *tracking law* turns that command into forces. Any guidance law works with any tracking law.
+A whole *agent* also decides what it sends to its neighbours. A law needs no other module of this package. The names in
+`__all__` are stable. `docs/guide/plugins.md` is the guide; `fleet new controller NAME` writes a template.
 
-A law is made once per run and vehicle, as `Law(config, **parameters)`: the agent's own slice of the scenario, and the
-parameters that the scenario gives it. It has
+The agent makes its law once per run, as `Law(config, **parameters)`. `config` is the agent's own slice of the scenario,
+and `parameters` are the values that the scenario gives the law. A law has
 
 * `signals`: its reported values, a tuple of `Signal` on the class;
-* `step`: one sample, see `Controller`, `Guidance`, `Tracking`. An agent has `transmit` and `decide` instead.
-* `state()` and `restore(values)`, which are optional: everything that the next sample depends on, as plain values
-  (None, bool, int, float, str, bytes, list, dict). A run whose laws all have them can be resumed from its log.
+* `step`: answers one sample, see `Controller`, `Guidance`, `Tracking`. An agent has `transmit` and `decide` instead;
+* `state()` and `restore(values)`, both optional. `state()` returns everything that the next sample depends on, as plain
+  values (None, bool, int, float, str, bytes, list, dict). If all laws of a run have both, you can resume the run from
+  its log.
 """
 
 from __future__ import annotations
@@ -116,10 +117,10 @@ class WholeAgent(Protocol):
         """The payloads to send to every neighbour, at round ticks; at most 40 kB together.
 
         Args:
-            nav: the own measured state. It has `tick` (by the vehicle's own clock), `eta` (x, y, z [m, NED], theta, psi
-                [rad]), `nu` (u, v, w [m/s, body, over ground], q, r [rad/s]), and `roll` (phi [rad], p [rad/s]; empty
-                without a plant). Its `belief` is the covariance of x, y, z, psi [m, rad]: the upper triangle, row by
-                row. It is empty if the vehicle has no estimate of it.
+            nav: the own measured state. `tick` is the time by the vehicle's own clock. `eta` is x, y, z [m, NED],
+                theta, psi [rad]. `nu` is u, v, w [m/s, body, over ground], q, r [rad/s]. `roll` is phi [rad], p
+                [rad/s]; it is empty without a plant. `belief` is the covariance of x, y, z, psi [m, rad]: the upper
+                triangle, row by row. It is empty if the vehicle does not estimate its position.
         """
 
     def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> tuple[Vec3, Telemetry]:
@@ -128,10 +129,10 @@ class WholeAgent(Protocol):
         Args:
             nav: the own measured state, as for `transmit`.
             deliveries: the packets that are due at this tick, ordered by (due_tick, sent_tick, src, seq, copy). Each
-                has `src`, `sent_tick` (by the clock of the sender), `due_tick` (by the own one), `seq`, `copy` and
-                `payload`. If modems measure ranges, it also has `range_m` to the sender, its standard deviation
-                `range_sd_m` [m], and `range_tick`, the tick (by the own clock) at which the vehicles were this distance
-                apart. Without a range these three are None.
+                has `src`, `sent_tick` (by the sender's clock), `due_tick` (by the own clock), `seq`, `copy` and
+                `payload`. If modems measure ranges, it also has the range to the sender `range_m` [m], its standard
+                deviation `range_sd_m` [m], and `range_tick`: the vehicles had this distance at that tick, by the own
+                clock. Without a range these three are None.
 
         Returns:
             Surge force [N], pitch moment and yaw moment [N m], before the actuators' limits; and the telemetry.

@@ -70,10 +70,10 @@ def decode(data: bytes, now: int, round_ticks: int, ahead: int = 0) -> StateMess
     """The state message in `data`.
 
     Args:
-        data: as it came from the network.
-        now: tick at which it was received.
+        data: the payload as received.
+        now: tick of its reception, by the receiver's clock.
         round_ticks: ticks from one round to the next.
-        ahead: by how many ticks the sender's clock may be ahead of the receiver's; half of all rounds at most.
+        ahead: the sender's clock may be ahead of the receiver's by this many ticks; at most half of `ROUNDS` rounds.
 
     Raises:
         PayloadError: wrong length, bad checksum, or unknown version.

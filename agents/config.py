@@ -1,7 +1,7 @@
 """The configuration that one agent gets before a run: its own slice of the scenario, without the slices of others.
 
-The slice travels to the agent as plain values (`to_values`, `from_values`), so that an agent in another
-process, on another host or in another language receives the same thing.
+The agent receives the slice as plain values (`to_values`, `from_values`). Another process, another host and another
+language can read them.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ class LocalizationParams:
 
 @dataclass(frozen=True, slots=True)
 class Law:
-    """A law by name (one that ships, `module:Class`, or an entry point), and the parameters to make it with."""
+    """A law and its parameters. The name is that of a shipped law or of an entry point, or it is `module:Class`."""
 
     name: str
     parameters: dict[str, Any] = field(default_factory=dict)

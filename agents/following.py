@@ -26,8 +26,8 @@ def followed(position: Vec3, heard: Iterable[NeighbourState], offsets: Mapping[i
 
     Args:
         position: its own position [m, NED].
-        heard: the neighbours heard so far, without those whose last state is too old.
-        offsets: Delta_ij by the number j of the neighbour [m, NED]; one for each neighbour in `heard`.
+        heard: the neighbours heard so far. Neighbours with an outdated state are left out.
+        offsets: Delta_ij [m, NED] of each neighbour in `heard`, by its number j.
         t: time by the vehicle's clock [s].
 
     Returns:

@@ -1,7 +1,7 @@
 """An external agent, started in any terminal that can reach the run: it connects, asks for its slice, and serves.
 
-`fleet run` writes a join file for every vehicle whose agent it does not start, with the credentials of that agent
-alone. An agent that joins with it behaves like the one that `fleet run` would have started, to the last bit.
+If `fleet run` does not start the agent of a vehicle, it writes a join file with the credentials of that agent alone. An
+agent that joins with this file computes exactly the same as an agent that `fleet run` starts.
 """
 
 from __future__ import annotations
@@ -42,7 +42,8 @@ def serve(
     Args:
         joining: the content of the join file.
         notify: called with one line of text when the agent has joined.
-        trust: modules of laws that may run in addition to installed ones. The run names the laws, so this user decides.
+        trust: modules of laws that may run although they are not installed. The run names the laws, and the user of
+            this machine allows them.
         make: takes the agent's configuration and the clock of the run, and makes the core that answers samples.
             None: our agent.
 

@@ -58,9 +58,9 @@ class AgentLoop:
             round_ticks: ticks from one round to the next.
             incarnation: the number of this life of the agent, from 0.
             begin: tick of its first nav.
-            ideal: packets arrive at the tick at which they are sent, so the agent transmits before it decides.
-            memory_ticks: the agent sends its memory every this many ticks; 0: never.
-            memories: for an agent that is only recorded, the memories that it sends instead, by tick.
+            ideal: packets arrive in the tick in which they are sent. The agent then transmits before it decides.
+            memory_ticks: the agent sends its memory at multiples of this number of ticks. With 0 it never does.
+            memories: by tick, the memories that a recorded agent sends in place of its own.
         """
         self.core = core
         self.round_ticks = round_ticks
@@ -77,12 +77,12 @@ class AgentLoop:
 
     @property
     def tick(self) -> int:
-        """The last tick answered; one before the first that could be."""
+        """The last tick that was answered. Before the first answer: the tick before the first nav."""
         return self._tick
 
     @property
     def waits_for_inbox(self) -> bool:
-        """Whether a nav is there that an inbox must come for."""
+        """Whether a nav has come, and its inbox is still missing."""
         return self._nav is not None
 
     def remember(self, memory: bytes, *, anew: bool = False) -> None:

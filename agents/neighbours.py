@@ -10,12 +10,12 @@
 | position now, neighbour | pos_j + vel_j age | m | NED |
 | position now, reference | pos_j + eta_j^d(now) - eta_j^d(k_j) | m | NED |
 
-Past the age cap the position stays where extrapolation left it. A neighbour not heard for longer than `drop_after` is
-left out of every sum, as before its first message, and counts again with its next one.
+Beyond the age cap the position stays where extrapolation left it. If the agent has not heard a neighbour for longer
+than `drop_after`, it leaves this neighbour out of every sum. The neighbour counts again with its next message.
 
-The newest state is the one with the latest sending tick, so a late older message never replaces a newer one.
-"neighbour" has no bias, but it closes a loop through the neighbour's velocity that is unstable for long delays.
-"reference" is stable for every delay. "hold" is stable and lags behind a moving formation.
+The newest state is the one with the latest sending tick. A message that arrives late never replaces a newer one.
+"neighbour" has no bias. But it closes a loop through the neighbour's velocity, and with long delays the loop is
+unstable. "reference" is stable for every delay. "hold" is stable and lags behind a moving formation.
 """
 
 from __future__ import annotations
@@ -61,11 +61,11 @@ class NeighbourTable:
         Args:
             neighbours: number, weight and offset of each.
             extrapolation: the way to make up for the age of a message.
-            reference: eta_1^d; None: not known to this agent.
-            offset: the own one, p_i [m, NED].
+            reference: eta_1^d. None: this agent does not know it.
+            offset: the own offset p_i [m, NED].
             tick_s: control period Ts [s].
-            age_cap_s: extrapolation stops at this age [s]; 0: never.
-            drop_after_s: an older neighbour [s] counts for nothing; 0: every one counts.
+            age_cap_s: extrapolation stops at this age [s]. With 0 it never stops.
+            drop_after_s: a neighbour whose last state is older [s] is left out. With 0 every neighbour counts.
             codec: the format of the neighbours' payloads.
             round_ticks: ticks from one round to the next.
         """
@@ -86,12 +86,12 @@ class NeighbourTable:
         self.rejected = 0  # payloads that were refused so far: damaged, not ours, or not from who the network names
 
     def absorb(self, deliveries: Iterable[Delivery], now: int, ahead: int = 0) -> None:
-        """Take what is due at tick `now`; payloads that cannot be used are counted and dropped.
+        """Take the packets that are due. Payloads that cannot be used are counted and dropped.
 
         Args:
-            deliveries: what is due.
-            now: the tick by the own clock.
-            ahead: by how many ticks the clocks of neighbours may be ahead of it; 0: all clocks are right.
+            deliveries: the packets that are due.
+            now: the present tick by the own clock.
+            ahead: a neighbour's clock may be ahead of the own one by this many ticks. 0: all clocks are right.
         """
         for delivery in deliveries:
             became = self._absorb(delivery, now, ahead)
@@ -166,7 +166,7 @@ class NeighbourTable:
         return found
 
     def newest(self, ids: Iterable[int]) -> int | None:
-        """The tick at which the newest state from any of these neighbours was sampled; None: no message has come."""
+        """The latest sampling tick of all states heard from these neighbours. None: no message has come."""
         sent = [message.sent_tick for i in ids if (message := self._newest.get(i)) is not None]
         return max(sent, default=None)
 

@@ -105,8 +105,8 @@ def profile(
 
     Args:
         name: a key of `PROFILES`.
-        guidance: name of the guidance law; a name without an entry in `LAW_DEFAULTS` changes nothing.
-        tracking: name of the tracking law, likewise.
+        guidance: name of the guidance law.
+        tracking: name of the tracking law. A name without an entry in `LAW_DEFAULTS` changes nothing.
 
     Raises:
         AgentError: there is no such profile.

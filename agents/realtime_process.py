@@ -25,7 +25,7 @@ class RealtimeAgentProcess(AgentProcess):
         return self._stamped
 
     def serve(self) -> End:
-        """Answer navs until the world ends this life; processes of our own are ended instead."""
+        """Answer navs until the world ends this life. If the console started this process, it ends it instead."""
         poll = self._navs.poll
         while True:
             item: tuple[str, bytes] | None = self._navs.get()

@@ -17,7 +17,11 @@ _DO = f"install {OURS} into an environment of its own: uv tool install, or pipx 
 
 
 def foreign() -> str:
-    """Which of the packages is not ours, whose it is and what to do, in a line; "" if all are ours."""
+    """Look for a package that another distribution has replaced.
+
+    Returns:
+        One line that names the package, its distribution and the remedy; "" if all packages are ours.
+    """
     for name, begin in _BEGINS.items():
         spec = find_spec(name)
         if spec is None or not _begins(spec, begin):

@@ -1,9 +1,9 @@
-"""Medium access: the tick at which a modem may start to send.
+"""Medium access: computes the tick when a modem may start to send.
 
-`aloha` and `csma` draw a back-off. With `tdma` a vehicle starts when its own clock reaches the start of its next slot:
-vehicle after vehicle, in the order of their numbers. It starts at the first whole tick of simulated time at which its
-clock has reached the slot, so at most a tick late. The round tick fixes the start, from the offset and the drift that
-the clock has at that tick. A clock that is stepped later does not move a start that is fixed.
+`aloha` and `csma` draw a back-off. With `tdma` the vehicles have slots in the order of their numbers. A vehicle starts
+when its own clock reaches its next slot. The start is rounded up to a whole tick of simulated time, so it is at most
+one tick late. It is fixed at the round tick, from the offset and the drift of the clock at that tick. A later step of
+the clock does not move it.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Access:
         return self._tick * self._config.tick_ns + ahead + round(max(_LEAST_RATE, 1.0 + drift) * since)
 
     def _reaches(self, src: int, slot_ns: int, earliest: int) -> int:
-        """The first tick from `earliest` on at which a vehicle's clock has reached `slot_ns`."""
+        """The first tick, not before `earliest`, when a vehicle's clock shows at least `slot_ns`."""
         low, high = earliest - 1, earliest
         while self._shown_ns(src, high) < slot_ns:
             low, high = high, high + 2 * (high - low)

@@ -1,26 +1,26 @@
 """The acoustic channel: each payload is one broadcast to all vehicles in range; transmissions can interfere.
 
-No clock and no I/O, like `netem.network`, which uses it. It writes packets and losses to a `Transit`. A round has
+The channel has no clock and no I/O. `netem.network` calls it. It writes packets and losses to a `Transit`. A round has
 m ticks. In the round that begins at tick k, that is in the ticks k to k + m - 1:
 
 1. A payload enters the transmit buffer of its modem. If the buffer is full, the oldest payload in it is `replaced`. A
    start tick that is already fixed does not change, so a new payload never delays a transmission.
 2. The MAC (medium access control) fixes the starts in the round, at whole ticks and never before the modem is free.
-   `aloha`: a seeded random back-off after the payload is in the buffer and the modem is free. `csma`: likewise, but a
-   modem that hears somebody at its start draws another back-off from the end of what it hears. `tdma`: at the start
-   of the vehicle's next slot by its own clock (`netem.access`). A payload whose start is in a later round stays in
-   the buffer.
+   `aloha`: a seeded random back-off after the payload is in the buffer and the modem is free. `csma`: the same, but if
+   a modem hears a transmission at its start, it draws another back-off after the end of that transmission. `tdma`: at
+   the start of the vehicle's next slot by its own clock (`netem.access`). If the start is in a later round, the payload
+   stays in the buffer.
 3. All distances are between the positions at round tick k; a vehicle without an agent keeps its last known position.
    The active faults, and which vehicles have an agent, are also those at tick k. So a run with faults that a user
    injected while it was running can be repeated.
-4. The round in which a reception ends decides whether it succeeds. Then all transmissions that started before its end
-   are known, so every transmission that overlaps it at the receiver is taken into account. Transmissions are in the
-   order (start, src).
+4. The channel decides whether a reception succeeds in the round of its end. By then it knows all transmissions that
+   started before that end. So it takes every transmission into account that overlaps the reception at the receiver.
+   Transmissions are in the order (start, src).
 5. A modem with `tries` sends a payload to one neighbour after the other. The neighbour answers at the first whole tick
    after it has the payload, unless it transmits itself. Without an answer the sender tries again, and gives up after
    `tries`. A payload that arrives twice is delivered once. Conditions of links act on each try, not on answers.
 
-The causes of a loss, in the order of the checks. `final at` is the tick at which the packet's fate is final.
+The causes of a loss, in the order of the checks. From the tick `final at` on, the packet's fate does not change.
 
 | cause | final at | when |
 |---|---|---|
@@ -157,7 +157,7 @@ class AcousticChannel:
             station.late = sorted([*station.late, sent])
 
     def _next_event(self, alive: list[Station], until: int) -> int | None:
-        """The next tick before `until` at which a modem has something to do; None if there is none."""
+        """The next tick before `until` with work for a modem; None if there is none."""
         ticks = [answer.start_tick for answer in self._answers]
         ticks += [query.start_tick for query in self._ranges.queries]
         for station in alive:

@@ -62,9 +62,7 @@ class Air:
         self.bursts.append(Burst(start, src, airtime_ns, heard))
 
     def idle_tick(self, src: int, now: int) -> int:
-        """The first tick at which a vehicle no longer hears any of the transmissions that it hears now; `now` if it
-        hears none.
-        """
+        """The end of all transmissions that a vehicle hears at tick `now`, as a tick; `now` if it hears none."""
         tick_ns, ends = self._tick_ns, now * self._tick_ns
         for burst in self.bursts:
             for i, _, delay in burst.heard:
@@ -113,7 +111,7 @@ class Air:
         self.bursts = sorted(burst for burst in self.bursts if self._last_ns(burst) > before_ns)
 
     def _last_ns(self, burst: Burst) -> int:
-        """The time [ns] at which a transmission has ended at the farthest vehicle that it can disturb."""
+        """The end of a transmission [ns] at the farthest vehicle that it can disturb."""
         farthest = max((delay for _, _, delay in burst.heard), default=0)
         return burst.start_tick * self._tick_ns + burst.airtime_ns + farthest
 

@@ -87,7 +87,12 @@ NO_FAULTS = ActiveFaults({}, {}, frozenset(), frozenset(), frozenset(), {})
 
 
 def active_faults(faults: tuple[NetFault, ...], tick: int) -> ActiveFaults:
-    """The effect of the faults that are active at a tick; `faults` in the order in which they begin."""
+    """The joint effect of the faults that are active at a tick.
+
+    Args:
+        faults: all faults, ordered by their begin. If two faults contradict each other, the later one applies.
+        tick: the tick.
+    """
     active = [fault for fault in faults if fault.active(tick)]
     if not active:
         return NO_FAULTS

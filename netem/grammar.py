@@ -14,11 +14,11 @@ Conditions are written in the grammar of Linux tc-netem (tc-netem(8)):
     TIME         := number followed by us, ms or s        PERCENT, CORRELATION := number followed by %
     RATE         := number followed by bit, kbit, mbit, gbit (bits per second), or bps, kbps, mbps, gbps (bytes!)
 
-tc reads a TIME without a unit as microseconds and a PERCENT without a sign as percent. Here units are required: with
-tc, 200 instead of "200 ms" is a mistake without a message. `down` is not part of tc-netem; `slot` and `ecn` of tc-netem
-are refused by name.
+Here units are required. tc reads a TIME without a unit as microseconds and a PERCENT without a sign as percent. If you
+write 200 instead of "200 ms", tc gives no message. `down` is not part of tc-netem. `slot` and `ecn` of tc-netem are
+refused by name.
 
-Selectors name directed links; an arrow points in the direction of the payload (`netem.selectors` reads them):
+Selectors name directed links. An arrow points in the direction of the payload (`netem.selectors` reads them):
 
     *        every link          1->*  all that vehicle 1 sends
     1->2     1's payloads to 2   *->2  all that vehicle 2 receives   1<->2   1->2 and 2->1
@@ -106,16 +106,16 @@ def parse_condition(text: str) -> Condition:
 
 
 def with_word(text: str, word: str, value: str) -> str:
-    """A condition with new values for one word: `with_word("delay 2s loss 1%", "loss", "30%")`.
+    """Change one word of a condition: `with_word("delay 2s loss 1%", "loss", "30%")` returns `delay 2s loss 30%`.
 
     Args:
-        text: the condition as it is; empty: a perfect link.
-        word: one that takes values; it is added at the end if the condition does not have it.
-        value: everything that is to stand behind the word.
+        text: the present condition. Empty: a perfect link.
+        word: a word with values. If the condition lacks it, it is added at the end.
+        value: all new values of the word.
 
     Raises:
-        TextError: the condition is none; the word is unknown or has no value; the value is none for this word. The
-            column is that in `value` where the value is wrong, else 0.
+        TextError: the condition is not valid, the word is unknown or takes no value, or the value does not fit the
+            word. If the value is wrong, `column` is the place in `value`. Otherwise it is 0.
     """
     if word not in _PARSERS or word == "down":
         valued = ", ".join(name for name in WORDS if name != "down")
@@ -219,18 +219,15 @@ def _reorder(reader: _Reader) -> dict[str, Any]:
 
 
 def _rate(reader: _Reader) -> dict[str, Any]:
-    column = reader.at
     got = reader.peek()
-    value = reader.value()
-    if value is None:
-        raise TextError(f'expected a rate such as "1kbit", got {quoted(got)}', column)
-    number, unit, column = value
+    number, unit, column = _number(reader, "rate", "1kbit")
     if unit.lower() not in RATE_UNITS:
         text = "has no unit" if not unit else f'takes bit, kbit, mbit (bits) or bps, kbps, mbps (bytes), got "{unit}"'
         raise TextError(f'the rate "{got}" {text}', column, nearest(unit, RATE_UNITS) if unit else "write 1kbit")
     bits_per_s = number * RATE_UNITS[unit.lower()]
     if bits_per_s.denominator != 1 or not 0 <= bits_per_s <= 10**12:
-        raise TextError("the rate must be a whole number of bits per second, at most 1000 gbit", column)
+        expected = "expected a whole number of bits per second from 0 to 1000 gbit"
+        raise TextError(f'the rate "{got}" is out of range: {expected}', column)
     found = {"rate_bit_s": bits_per_s.numerator}
     if reader.value_follows():
         column = reader.at
@@ -258,6 +255,15 @@ _PARSERS: dict[str, Callable[[_Reader], dict[str, Any]]] = {
 }
 
 
+def _number(reader: _Reader, what: str, example: str) -> tuple[Fraction, str, int]:
+    """The next number, its unit ("" without one) and its column."""
+    column, got = reader.at, reader.peek()
+    value = reader.value()
+    if value is None:
+        raise TextError(f'expected a {what} such as "{example}", got {quoted(got)}', column)
+    return value
+
+
 def _whole(reader: _Reader, what: str, example: str, least: int, most: int = _MOST_PACKETS) -> int:
     column = reader.at
     got = reader.peek()
@@ -280,12 +286,8 @@ def _percents(reader: _Reader, names: tuple[str, ...]) -> dict[str, float]:
 
 
 def _percent(reader: _Reader, what: str) -> float:
-    column = reader.at
     got = reader.peek()
-    value = reader.value()
-    if value is None:
-        raise TextError(f'expected a {what} such as "30%", got {quoted(got)}', column)
-    number, unit, column = value
+    number, unit, column = _number(reader, what, "30%")
     if unit != "%":
         raise TextError(f'the {what} takes a percentage such as "30%", got {quoted(got)}', column)
     if not 0 <= number <= 100:
@@ -294,12 +296,8 @@ def _percent(reader: _Reader, what: str) -> float:
 
 
 def _time(reader: _Reader, what: str, example: str) -> int:
-    column = reader.at
     got = reader.peek()
-    value = reader.value()
-    if value is None:
-        raise TextError(f'expected a {what} such as "{example}", got {quoted(got)}', column)
-    number, unit, column = value
+    number, unit, column = _number(reader, what, example)
     if not unit:
         raise TextError(
             f'the {what} "{got}" has no unit',
@@ -310,9 +308,9 @@ def _time(reader: _Reader, what: str, example: str) -> int:
         raise TextError(f'the {what} takes us, ms or s, got "{unit}"', column, nearest(unit, _TIME_NS))
     ns = number * _TIME_NS[unit]
     if ns < 0 or ns > _LONGEST_TIME_NS:
-        raise TextError(f"the {what} must be between 0 and one day", column)
+        raise TextError(f'the {what} must be between 0 and one day, got "{got}"', column)
     if ns.denominator != 1:
-        raise TextError(f"the {what} is not a whole number of nanoseconds", column)
+        raise TextError(f'the {what} "{got}" is not a whole number of nanoseconds', column)
     return ns.numerator
 
 

@@ -74,7 +74,7 @@ def draws(c: Condition) -> list[str]:
 
 
 class LinkOutcome(NamedTuple):
-    """The result for a packet that enters a link: when it leaves and with which payload, or the cause of its loss."""
+    """The result for a packet that enters a link: its delay and its payload, or the cause of its loss."""
 
     delay_ns: int
     cause: Cause | None  # None: it is not lost
@@ -250,9 +250,9 @@ class LinkModel:
         return x
 
     def _use(self, condition: Condition) -> None:
-        """Use a condition from now on: the link's own, or one that is put over it."""
+        """Use a condition from now on: the link's own, or that of a fault."""
         self._used = condition
-        # A condition that is put over the link's own must not seed it anew.
+        # The condition of a fault must not seed the link anew.
         own = self._seed if self.condition.seed is None else self.condition.seed
         seed = own if condition.seed is None else condition.seed
         if seed != self._seed_in_use:

@@ -1,4 +1,4 @@
-"""The directed links of a run: who receives from whom, the effect of each link on a packet, and each link's account."""
+"""The directed links of a run: the receivers of each vehicle, the effect and the packet counts of each link."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PERFECT = Condition()
 
 
 class Links:
-    """The links, as a medium uses them; a fault's condition lies over the link's own."""
+    """The links, as a medium uses them. As long as a fault gives a link another condition, the link has that one."""
 
     def __init__(self, config: NetemConfig) -> None:
         self.models = {
@@ -44,7 +44,10 @@ class Links:
 
 
 class ChangingLinks(Links):
-    """Links, some of them with conditions that change by themselves. A fault's condition lies over them as well."""
+    """The links of a run in which the condition of some links changes by itself, between states or by a trace.
+
+    As long as a fault gives a link another condition, the link has that one.
+    """
 
     def __init__(self, config: NetemConfig) -> None:
         super().__init__(config)

@@ -59,9 +59,17 @@ class Lives:
         self.absences.append(absence)
         self._add_up(absence.vehicle)
 
-    def end(self, i: int, tick: int) -> None:
-        """Vehicle i's agent ended at a tick on its own; the next restart that is planned brings it back."""
-        if not self.without_agent(i, tick):
+    def end(self, i: int, tick: int, until: int | None = None) -> None:
+        """Vehicle i's agent ended at a tick on its own.
+
+        Args:
+            i: number of the vehicle.
+            tick: the first tick without the agent.
+            until: another agent takes over at this tick. None: the next planned restart brings the agent back.
+        """
+        if until is not None:
+            self.add(Absence(i, tick, until))
+        elif not self.without_agent(i, tick):
             self.add(Absence(i, tick, next((end for _, end in self.gaps(i) if end is None or end > tick), None)))
 
     def restart(self, i: int, begin: int | None, tick: int) -> None:

@@ -65,7 +65,7 @@ class Netem:
 
     @property
     def faults(self) -> tuple[NetFault, ...]:
-        """All faults, in the order in which they begin. A caller that injects replaces the whole list."""
+        """All faults, ordered by their begin. A caller that injects a fault replaces the whole list."""
         return self._faults
 
     @faults.setter

@@ -101,10 +101,11 @@ def packet_error_rate(snr_db: float, bits: int, lost_below_db: float, clear_abov
     """The probability that a packet cannot be decoded.
 
     Args:
-        snr_db: signal-to-noise ratio.
-        bits: of the packet.
-        lost_below_db: at or below it every packet is lost, unless `clear_above_db` says otherwise.
-        clear_above_db: at or above it none is; equal to the other, this is a plain threshold.
+        snr_db: signal-to-noise ratio [dB].
+        bits: length of the packet [bit].
+        lost_below_db: at or below this ratio [dB] every packet is lost.
+        clear_above_db: at or above this ratio [dB] no packet is lost. If both ratios are equal, packets at that ratio
+            are received.
     """
     if snr_db >= clear_above_db:
         return 0.0

@@ -98,11 +98,11 @@ class NoRanges:
         """Take the time of a round, and forget what vehicles without an agent had to send."""
 
     def received(self, packet: PendingPacket, r: Reception) -> Ranged:
-        """The results that can be handed over when a packet has come."""
+        """Take a packet that has come. Returns the packets that can be handed over now, each with its range or None."""
         return [(packet, None)]
 
     def heard(self, r: Reception, end_tick: int) -> Ranged:
-        """The results that can be handed over when a query has been received."""
+        """Take the reception of a query. Returns the packets that can be handed over now, as `received` does."""
         return []
 
     def take_due(self, now: int) -> list[Query]:
@@ -112,7 +112,7 @@ class NoRanges:
         return due
 
     def give_up(self, until: int | None) -> Ranged:
-        """The packets that have waited for their range in vain up to a tick; None: all that wait."""
+        """Hand over packets without a range: those with a deadline at or before tick `until`. None: all that wait."""
         late = [kept for kept in self.kept if until is None or kept.deadline_tick <= until]
         self.kept = [] if until is None else [kept for kept in self.kept if kept.deadline_tick > until]
         return [(kept.packet, None) for kept in late]

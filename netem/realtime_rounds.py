@@ -1,8 +1,9 @@
-"""The network without rounds: a packet enters at the tick in which it comes, and is handed out a tick before it is due.
+"""The network on a wall clock: it takes packets in every tick, and hands each one out a tick before it is due.
 
-A pure state machine like `Rounds`; the process decides when a tick is exchanged. A transmission of round tick k enters
-at k, as in lockstep, if it comes in the first half of tick k. A later one enters at the tick in which it comes, and the
-delay of the network counts from there. The impairment models are the same, and so is the least latency of one tick.
+`RealtimeRounds` is a pure state machine like `Rounds`. The process decides when a tick is exchanged. If a transmission
+of round tick k comes in the first half of tick k, it enters the network at k, as in lockstep. If it comes later, it
+enters at its tick of arrival, and the delay of the network counts from there. The impairment models are the same as in
+lockstep, and so is the least latency of one tick.
 """
 
 from __future__ import annotations
@@ -134,10 +135,10 @@ class RealtimeRounds:
         """Take the report of vehicle i about the deliveries that it used at a tick.
 
         Args:
-            due_ns: when a tick begins [ns, CLOCK_MONOTONIC].
+            due_ns: returns the begin of a tick [ns, CLOCK_MONOTONIC].
 
         Raises:
-            OutOfPlace: of another incarnation, or of a delivery that was not handed out to it.
+            OutOfPlace: the report is from another incarnation, or names a delivery that the agent did not get.
         """
         self.lives.check(i, receipt.tick, receipt.incarnation)
         tick_ns = self.config.tick_ns

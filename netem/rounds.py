@@ -1,8 +1,8 @@
 """The network's place in the lockstep: collect a round's transmissions, exchange, answer.
 
-A pure state machine: messages in, addressed messages out. It exchanges round k once the Round of the world names who
-is alive at k and exactly those vehicles have transmitted. On an ideal network it does not wait for the world,
-whose commands of the same tick depend on the exchange.
+`Rounds` is a pure state machine: messages in, addressed messages out. It exchanges round k when two conditions hold.
+The world's Round message has named the vehicles with an agent at k, and each of them that is not suspended has
+transmitted. On an ideal network it does not wait for the world, because the commands of tick k depend on the exchange.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from netem.wire.messages import Inbox, LinkReport, Round, Transmission
 
 
 class Rounds:
-    """Gives `Netem` whole rounds."""
+    """Collects transmissions until a round is complete, and then lets `Netem` exchange it."""
 
     def __init__(self, config: NetemConfig) -> None:
         self.config = config

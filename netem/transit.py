@@ -16,7 +16,7 @@ from netem.wire.messages import Delivery, Fate, MeasuredRange
 
 
 class PendingPacket(NamedTuple):
-    """A payload under way; packets sort by the order in which their receiver sees them."""
+    """A payload under way. Packets sort in the order of their delivery."""
 
     due_tick: int
     sent_tick: int
@@ -62,7 +62,7 @@ def ranged(delivery: Delivery, measured: MeasuredRange) -> Delivery:
 
 
 class Transit:
-    """A medium adds packets and losses; rounds take inboxes and final fates out."""
+    """The packets under way. A medium adds packets and losses; each round takes inboxes and final fates out."""
 
     def __init__(self, config: NetemConfig) -> None:
         self.pending: dict[int, list[PendingPacket]] = {

@@ -1,13 +1,14 @@
-"""The interface of plants, those that ship and yours: the input that a plant gets, and the output that it returns.
+"""The interface of plants: the input and the output of a plant. It is the same for shipped plants and for yours.
 
-A *plant* is the vehicle itself: the equations that turn a command and the water into motion. It takes the place of the
-built-in 5-DOF model of `world/dynamics.py`, and may have six degrees of freedom, actuators with lags, or anything else
-inside. A plant needs no other module of this package: what is in `__all__` stays. `docs/guide/your-vehicle.md` is the
+A *plant* is the vehicle itself: the equations that turn a command and the water into motion. It replaces the built-in
+5-DOF model of `world/dynamics.py`. It may have six degrees of freedom, actuators with lags, or anything else inside. A
+plant needs no other module of this package. The names in `__all__` are stable. `docs/guide/your-vehicle.md` is the
 guide; `fleet new plant NAME` writes a template.
 
-A plant is made once per run and vehicle, as `MyPlant(config, **parameters)`, with the parameters that the scenario
-gives it. Between its steps it should remember nothing. The next step depends on its state alone, which the world keeps,
-logs and gives back. So a run can be resumed from its log, and is the same on every machine.
+The world makes a plant once per run and vehicle, as `MyPlant(config, **parameters)`, with the parameters that the
+scenario gives it. A plant should remember nothing between its steps. The next step depends only on its state. The world
+keeps this state, logs it and passes it to the next step. So a run can be resumed from its log, and is the same on every
+machine.
 
 | quantity | unit | frame |
 |---|---|---|
@@ -56,14 +57,13 @@ class Plant(Protocol):
 
     A class may also have
 
-    * `model: ClassVar[str]`: the vehicle file (as `vehicle.model`) that the controllers use where the scenario names
-      none;
-    * `signals: ClassVar[tuple[Signal, ...]]` and `report(state) -> Mapping`: what it reports besides its motion, such
-      as propeller revolutions; a number, or `width` numbers, for each name;
-    * `state()` and `restore(values)`: what cannot be in the state, as plain values (None, bool, int, float, str,
-      bytes, list, dict). A plant that has these two is asked and restored when a run is resumed from its log.
-    * `close()`: ends what it holds, such as a process; it is not used afterwards. The world of a distributed run just
-      ends without a call: what it holds must end with its process.
+    * `model: ClassVar[str]`: the vehicle file (as `vehicle.model`) that the controllers use if the scenario names none;
+    * `signals: ClassVar[tuple[Signal, ...]]` and `report(state) -> Mapping`: further reported values, such as propeller
+      revolutions. `report` returns a number, or `width` numbers, for each name;
+    * `state()` and `restore(values)`: the memory that cannot be in the state, as plain values (None, bool, int, float,
+      str, bytes, list, dict). If a plant has both, the log holds its memory, and a resumed run restores it;
+    * `close()`: ends everything that it holds, such as a process. It is not used afterwards. In a distributed run the
+      world's process ends without this call, and everything that the plant holds must end with it.
     """
 
     @property
@@ -88,10 +88,10 @@ class Plant(Protocol):
         """The state `dt` later. It is called `substeps` times per tick, with dt = tick / substeps.
 
         Args:
-            state: what `start` or the step before returned.
-            tau: surge force [N], pitch moment, yaw moment [N m]: the command within all limits, after the faults of
-                the actuators.
-            water: the current during the step, and the disturbance at the middle of it.
+            state: the result of `start` or of the last step.
+            tau: surge force [N], pitch moment and yaw moment [N m]. All limits and the faults of the actuators are
+                applied already.
+            water: the current during the step, and the disturbance at its middle.
             dt: length of the step [s].
         """
 

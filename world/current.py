@@ -25,7 +25,7 @@ def draws(name: str, sigma: Iterable[float]) -> list[str]:
 
 
 def purpose(name: str) -> str:
-    """Names a drift among all draws."""
+    """The text that distinguishes a drift from all other draws."""
     return f"current {name}"
 
 
@@ -40,7 +40,7 @@ class GaussMarkov:
             time_constant_s: T [s].
             tick_s: Ts [s].
             seed: the run's seed.
-            purpose: names the drift among all that is drawn.
+            purpose: distinguishes this drift from all other draws.
         """
         self._sigma, self._seed, self._purpose = sigma, seed, purpose
         self._phi = exp(-tick_s / time_constant_s)
@@ -48,7 +48,7 @@ class GaussMarkov:
         self._known: list[Vec3] = []
 
     def at(self, tick: int) -> Vec3:
-        """The current [m/s, NED] so many ticks after the beginning."""
+        """The current [m/s, NED] at `tick`, counted from the beginning of the drift."""
         while len(self._known) <= tick:
             self._known.append(self._next(len(self._known)))
         return self._known[tick]

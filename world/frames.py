@@ -1,4 +1,4 @@
-"""Frames under way: what is to be in each, until it is complete."""
+"""Collects the parts of each frame until it is complete. A frame is the state of all vehicles at one tick."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class FrameAssembly:
         """Begin with the frame of tick 0.
 
         Args:
-            vehicles: how many rows a frame has.
-            ticks: the end tick, which always has a frame.
-            every: a frame is due every so many ticks.
+            vehicles: number of vehicles, and of rows in a frame.
+            ticks: the end tick. It always has a frame.
+            every: ticks from one frame to the next.
         """
         self._vehicles, self._ticks, self._every = vehicles, ticks, every
         self._next = 0  # tick of the next frame

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import msgpack
 
 from netem.errors import OutOfPlace
-from netem.lives import Absence
 from netem.wire.codec import encode
 from netem.wire.messages import Command, Frame, Memory, Nav, Round
 from world.config import WorldConfig
@@ -67,7 +66,7 @@ class Lockstep:
         """Vehicle i's agent has ended: from the first tick without a command it drifts.
 
         Args:
-            until: the tick at which another one takes over, if it is to be another than what was planned.
+            until: another agent takes over at this tick. None: as planned.
         """
         state = self.state
         if incarnation != state.incarnation(i) or state.without_agent(i):
@@ -75,10 +74,7 @@ class Lockstep:
         nav = self._awaiting.pop(i, None)
         tick = state.tick_of(i) if nav is None else nav.tick
         self._complete_memory(i, tick, b"")
-        if until is None:
-            state.lives.end(i, tick)
-        else:
-            state.lives.add(Absence(i, tick, until))
+        state.lives.end(i, tick, until)
         out: list[Out] = []
         self._start(i, out)
         return self._with_frames(out)

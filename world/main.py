@@ -39,16 +39,16 @@ def run(
 
     Args:
         endpoint: address of the router, as zenoh writes it.
-        run_id: the run's number, with which all keys begin.
-        credentials: of everyone who may connect, by role.
+        run_id: the run's number; all keys begin with it.
+        credentials: the logins of all processes that may connect, by role.
         private: a folder that only this user can read, for the router's files.
         config: the world's part of the scenario.
         frame_every: ticks from one frame to the next.
         clock: decides when a tick begins.
         speed: how fast ticks begin on a wall clock, times real time.
-        most_asked: the number of processes that have a turn at the same time, in lockstep.
-        listener: further addresses of the router; None: only `endpoint`.
-        certified: address of a second router, for agents without a password; None: there is none.
+        most_asked: in lockstep, the number of processes that have a turn at the same time.
+        listener: further addresses of the router. None: it has only `endpoint`.
+        certified: address of a second router, for agents without a password. None: no such router.
         audit: report refused messages as well as refused logins.
         members: the vehicles of each process that hosts several agents.
     """

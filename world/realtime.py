@@ -23,7 +23,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from netem.errors import OutOfPlace
-from netem.lives import Absence
 from netem.wire.codec import encode
 from netem.wire.messages import Command, Memory, Nav, Round
 from world.config import WorldConfig
@@ -132,7 +131,7 @@ class RealtimeRun:
         """Take vehicle i's command: it acts over the tick that is under way, if no newer one comes before its end.
 
         Raises:
-            OutOfPlace: it answers a nav that was not sent, or one that already has an answer.
+            OutOfPlace: no nav of this tick was sent, or this nav already has an answer.
         """
         self.state.check(i, command)
         if command.tick > self._tick or command.tick == self._answered[i]:
@@ -161,7 +160,7 @@ class RealtimeRun:
         """Vehicle i's agent has ended: from the first tick without a command it drifts.
 
         Args:
-            until: the tick at which another agent takes over, if it differs from the plan.
+            until: another agent takes over at this tick. None: as planned.
         """
         state = self.state
         if incarnation != state.incarnation(i) or state.without_agent(i):
@@ -169,10 +168,7 @@ class RealtimeRun:
         tick = state.tick_of(i)
         if self._answered[i] >= tick:
             tick += 1
-        if until is None:
-            state.lives.end(i, tick)
-        else:
-            state.lives.add(Absence(i, tick, until))
+        state.lives.end(i, tick, until)
         return []
 
     def remember(self, i: int, memory: Memory) -> None:

@@ -1,4 +1,4 @@
-"""The world's memory of a run before a tick, from which another run can go on.
+"""The world's memory of a run before a tick. Another run can continue from it.
 
 As MessagePack a memory is a map with one key, `vehicles`: an array of `VehicleMemory`, ascending by number.
 """

@@ -213,7 +213,7 @@ class World:
 
     @property
     def faults(self) -> tuple[WorldFault, ...]:
-        """All faults of sensors, actuators and sea, in the order in which they begin. A caller sets the whole list."""
+        """All faults of sensors, actuators and sea, ordered by their begin. A caller sets the whole list."""
         return self._faults
 
     @faults.setter

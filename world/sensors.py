@@ -31,16 +31,16 @@ def measure(true: Measured, noise: NavNoise, seed: int, vehicle: int, tick: int,
     """The report of a vehicle's sensor at a tick. If the noise is off, it is the truth.
 
     Args:
-        true: x, y, z [m, NED], theta, psi [rad]; u, v, w [m/s, body, over ground], q, r [rad/s]; and phi [rad], p
-            [rad/s], or nothing.
-        noise: standard deviations.
+        true: the true values. Pose: x, y, z [m, NED], theta, psi [rad]. Velocity: u, v, w [m/s, body, over ground],
+            q, r [rad/s]. Roll: phi [rad], p [rad/s], or nothing.
+        noise: the standard deviations of the noise.
         seed: the run's seed.
-        vehicle: its number.
-        tick: of the measurement.
-        purpose: names the noise among all draws.
+        vehicle: number of the vehicle.
+        tick: tick of the measurement.
+        purpose: distinguishes this noise from all other draws.
 
     Returns:
-        The same as measured.
+        The measured values, in the form of `true`.
     """
     if noise.off:
         return true

@@ -1,8 +1,8 @@
-"""Whose turn it is: some processes at a time are asked, each tick after tick up to the next round.
+"""Turns of processes: the world asks a few processes at a time, each tick after tick up to the next round.
 
-A process that is woken between a hundred others finds little of its memory in the processor's caches, and its sample
-takes twice as long as the same agent's next one. Between two rounds no vehicle depends on another, so one may take
-several ticks while others wait.
+If a hundred processes wake in turn, each finds little of its memory in the processor's caches. The first sample after
+the wake-up takes twice as long as the next one. Between two rounds no vehicle depends on another. So one agent may
+answer several ticks while others wait.
 """
 
 from __future__ import annotations

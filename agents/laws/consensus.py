@@ -20,7 +20,7 @@ from world.vectors import Vec3
 def consensus_error(position: Vec3, desired: Vec3, b: float, heard: Iterable[NeighbourState]) -> tuple[Vec3, float]:
     """e_i = sum_j a_ij (pos_i - pos_j - Delta_ij) + b_i (pos_i - pd_i), and c_i.
 
-    A neighbour that is not in `heard` counts in neither: the weights that remain belong to the error that remains.
+    A neighbour that is not in `heard` counts neither in e_i nor in c_i.
 
     Args:
         position: own position pos_i [m, NED].

@@ -40,7 +40,7 @@ class RateFilter:
 
         Args:
             tau_f: time constant [s]; 0 does not filter.
-            angle: the signal is an angle [rad], whose differences are wrapped.
+            angle: the signal is an angle [rad]. Its differences are wrapped to (-pi, pi].
         """
         self._tau_f = tau_f
         self._angle = angle

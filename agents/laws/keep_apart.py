@@ -18,12 +18,12 @@
                n' rho       + s >= -a (h + T n' v_i),                                               of each cylinder
                b' rho >= least ahead,   s >= 0,   |rho| <= speed on each axis, climb on the vertical one
 
-The limit of the vertical velocity holds for what the guidance commands as well, and is less in proportion where the
-command is slower than `least ahead`. A vehicle climbs by pitching, and by that gets a heave velocity w which fades
-slowly. When it then slows down to u, it must pitch by about w / u more.
+The command of the guidance has the same limit of the vertical velocity. If the horizontal command is slower than `least
+ahead`, the limit decreases in proportion. The reason: a vehicle climbs by pitching. It thereby gets a heave velocity w,
+which fades slowly. If it then slows down to u, it must pitch by about w / u more.
 
-Both halves of a pair sum up to n' (rho_i - rho_j) >= -a (h + T h'). With v' = (rho - v) / tau, for each lag tau up
-to T, this keeps h >= 0 if h + T h' >= 0 at the start. docs/guide/keep-apart.md derives it.
+The constraints of both vehicles of a pair sum up to n' (rho_i - rho_j) >= -a (h + T h'). With v' = (rho - v) / tau, for
+each lag tau up to T, this keeps h >= 0 if h + T h' >= 0 at the start. docs/guide/keep-apart.md derives it.
 """
 
 from __future__ import annotations
@@ -77,15 +77,15 @@ class Filtered(NamedTuple):
 
 
 def margin(age: float, speed: float, params: KeepApartParams) -> float:
-    """The distance [m] that makes up for the age of what is known of a neighbour.
+    """The extra distance [m] to a neighbour that is needed because its last state is old.
 
-    Take a vehicle with an acceleration of at most alpha and a speed of at most V. Its velocity differs from its earlier
-    velocity v by at most eta = min(alpha A, |v| + V). Its place differs by at most delta, the integral of eta, from the
-    place to which v would have taken it. The constraint needs delta + (1/a + T) eta.
+    Take a neighbour with an acceleration of at most alpha and a speed of at most V. A time A ago it had the velocity v.
+    Its velocity now differs from v by at most eta = min(alpha A, |v| + V). Its place now differs from the place at
+    constant velocity v by at most delta, the integral of eta. The constraint needs delta + (1/a + T) eta.
 
     Args:
-        age: A [s]; what is beyond `age_cap_s` counts no more.
-        speed: |v| when it sampled [m/s].
+        age: A [s]. A greater age than `age_cap_s` counts as `age_cap_s`.
+        speed: |v| [m/s] in the last state.
         params: `acceleration` and `speed` are the limits alpha and V.
     """
     alpha, span = params.acceleration, min(age, params.age_cap_s)
@@ -102,9 +102,9 @@ def bounds(position: Vec3, velocity: Vec3, neighbours: Iterable[Seen], params: K
     A neighbour or cylinder in exactly the same place counts as south of the vehicle, so that it has a direction.
 
     Args:
-        position: own, p_i [m, NED].
-        velocity: own, over ground, v_i [m/s, NED].
-        neighbours: those heard so far.
+        position: the own position p_i [m, NED].
+        velocity: the own velocity over ground v_i [m/s, NED].
+        neighbours: the neighbours heard so far.
         params: distances, gain, lag and limits.
     """
     a, lag = params.gain, params.lag_s
@@ -126,14 +126,15 @@ def bounds(position: Vec3, velocity: Vec3, neighbours: Iterable[Seen], params: K
 def apart(rho: Vec3, found: Sequence[Bound], ahead: Bound, params: KeepApartParams) -> Filtered:
     """The commanded velocity that keeps every constraint, or misses the worst of them by as little as possible.
 
-    It is the one nearest to a target. Where rho keeps all constraints, that is rho. Otherwise take the direction of the
-    constraint that rho misses most. The vehicle must lose some velocity along it. The target is rho plus half as much
-    velocity across it. So a vehicle turns aside rather than stops, and two that meet head-on pass each other.
+    If rho keeps all constraints, the answer is rho. Otherwise the answer is the velocity nearest to a target. Take the
+    constraint that rho misses most. The vehicle must lose some velocity along its direction. The target is rho plus
+    half as much velocity across it. So a vehicle turns aside instead of stopping, and two vehicles that meet head-on
+    pass each other.
 
     Args:
         rho: the commanded velocity of the guidance [m/s, NED].
         found: the constraints.
-        ahead: the least commanded velocity along the vehicle, which cannot hover; less where rho itself has less.
+        ahead: the least commanded velocity along the vehicle, since it cannot hover. If rho has less, that counts.
         params: the limits of the commanded velocity.
     """
     missed = [bound.least - dot(bound.n, rho) for bound in found]
@@ -202,8 +203,8 @@ def _direction(away: Vec3) -> tuple[Vec3, float]:
 class KeepApart:
     """The filter of one vehicle.
 
-    While it changes the command, that moves no faster than `slew`, so the filter remembers its last answer; and it
-    counts how often there was no velocity that keeps every constraint.
+    While the filter changes the command, it also limits the rate of change to `slew`. It therefore remembers its last
+    answer. It counts the samples at which no velocity kept every constraint.
     """
 
     signals: ClassVar[tuple[Signal, ...]] = (
@@ -230,8 +231,8 @@ class KeepApart:
 
         Args:
             rho: the commanded velocity of the guidance [m/s, NED].
-            sample: own `eta` [m, rad, NED] and `velocity` [m/s, NED].
-            neighbours: those heard so far.
+            sample: the own pose `eta` [m, rad, NED] and `velocity` over ground [m/s, NED].
+            neighbours: the neighbours heard so far.
 
         Returns:
             The commanded velocity [m/s, NED], and the values of `signals`, flat.

@@ -51,15 +51,21 @@ def fused(
     variance: float,
     independent: bool,
 ) -> Fused | None:
-    """The own position after a range; None: it says nothing.
+    """Correct the own position by a measured range to another vehicle.
 
     Args:
-        place: own position, north and east [m].
-        other: position of the other vehicle.
-        depth_m: difference of the depths.
-        range_m: as measured.
-        variance: r, of the measurement [m^2].
-        independent: whether the errors of both positions are.
+        place: the own position, north and east [m].
+        covariance: of the own position [m^2].
+        other: the position of the other vehicle, north and east [m].
+        other_covariance: of that position [m^2].
+        depth_m: the difference of the depths [m].
+        range_m: the measured range [m].
+        variance: variance r of the measurement [m^2].
+        independent: the errors of both positions are independent.
+
+    Returns:
+        The corrected position. None: the range does not help, since the vehicles are too close or no weight of the own
+        position gives a smaller covariance.
     """
     dn, de = place[0] - other[0], place[1] - other[1]
     h = sqrt(dn * dn + de * de + depth_m * depth_m)

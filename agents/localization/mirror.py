@@ -1,9 +1,9 @@
-"""The mirror image of a position: what ranges leave open while sender and receiver move on straight ways.
+"""The mirror image of a position: ranges cannot exclude it while sender and receiver both move on straight ways.
 
-Seen from a vehicle that takes off its own way, a sender that moves straight stands on a line. Every range from a point
-of that line fits the true position and its mirror image across the line alike, so a filter with one position may settle
-on the wrong one, and be sure of it. This keeps both, and says how likely each is. As soon as one of both vehicles
-turns, ranges fit only one of them.
+Subtract the receiver's own way from the sender's positions. If both move straight, these points lie on a line. Every
+range to a point of that line fits the true position and its mirror image across the line equally well. A filter with
+one position may therefore settle on the wrong one, with a small covariance. This module keeps both positions, and
+computes how likely each is. As soon as one of the vehicles turns, the ranges fit only one position.
 
 | symbol | meaning | unit |
 |---|---|---|
@@ -61,10 +61,10 @@ class MirrorImage:
         """A range to a sender was used: the mirror image begins when the line is long enough, if it is credible.
 
         Args:
-            sender: s.
-            variance: of it, on both axes together [m^2].
-            own: p, P, without the own way since the start.
-            navigator: what it believes alone, likewise.
+            sender: s, the sender's place minus the own way since the start [m].
+            variance: variance of s, the sum of both axes [m^2].
+            own: p and P, also minus the own way.
+            navigator: the navigator's estimate without ranges, also minus the own way.
         """
         if self._settled or self.other is not None:
             return
@@ -90,12 +90,20 @@ class MirrorImage:
             self.odds = 0.5 * (against - distance(own.place, navigator))
 
     def judge(self, nis: float, other_nis: float) -> bool:
-        """A range fits both so; whether the mirror image has become far likelier."""
+        """Weigh both positions by how well a range fits them.
+
+        Args:
+            nis: normalised innovation squared of the range at the estimate.
+            other_nis: the same at the mirror image.
+
+        Returns:
+            Whether the mirror image is now at least twenty times as likely as the estimate.
+        """
         self.odds += 0.5 * (min(other_nis, _MOST_NIS) - min(nis, _MOST_NIS))
         return self.odds < -_SWAPPED
 
     def grow(self, before: Covariance, after: Covariance) -> None:
-        """It becomes as much less sure as the navigator did."""
+        """Increase the covariance of the mirror image as the navigator's has increased, from `before` to `after`."""
         if self.other is not None:
             self.other = PlaceEstimate(self.other.place, grown(self.other.covariance, before, after))
 

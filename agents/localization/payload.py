@@ -42,7 +42,7 @@ class LocatedMessage(NamedTuple):
 
 
 def is_located(data: bytes) -> bool:
-    """Whether a payload is of this kind, as its length and first byte say."""
+    """Whether a payload is a state message of this kind, by its length and its first byte."""
     return len(data) == SIZE and data[:1] == _FIRST
 
 

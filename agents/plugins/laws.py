@@ -19,15 +19,15 @@ METHODS: dict[str, dict[str, tuple[str, ...]]] = {
 
 
 def load(kind: str, law: Law) -> type[Any]:
-    """The class of a law that is not ours, checked.
+    """Import the class of a user's law, and check it.
 
     Args:
         kind: controller, guidance, tracking or agent.
-        law: `package.module:Class`, or the name of an entry point in group `uuv_fleet.controllers`.
+        law: its name is `package.module:Class`, or that of an entry point in group `uuv_fleet.controllers`.
 
     Raises:
-        UntrustedError: its module is not installed, and was not let in with `admit`.
-        PluginError: there is no such class, or it cannot be used.
+        UntrustedError: the module is not installed, and `admit` has not allowed it.
+        PluginError: the class does not exist, lacks a method, or does not take these parameters.
     """
     return load_class(kind, law.name, lambda law_class: _check(kind, law, law_class))
 

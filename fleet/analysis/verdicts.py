@@ -25,9 +25,9 @@ from netem.selectors import parse_selector, select
 
 
 def judge(scenario: Scenario, journal: Journal, middleware_lost: int) -> list[Verdict]:
-    """Judge every declared check, in the order of the schema; a run that goes on as if it ended now.
+    """Judge every declared check, in the order of the schema. A run that is still going is judged as if it ended now.
 
-    Where a run that goes on has nothing to judge yet, `value` is None and `passed` is False; see `standing`.
+    If such a run has no data for a check yet, `value` is None and `passed` is False; see `standing`.
     """
     checks = scenario.spec.checks
     verdicts = []
@@ -71,7 +71,7 @@ OF_THE_END = frozenset({"ledger", "middleware_loss"})  # packets that are on the
 
 
 def standing(scenario: Scenario, journal: Journal) -> list[dict[str, Any]]:
-    """The checks of a run that goes on: rows with check, asked, found, and passed so far (None: no verdict yet)."""
+    """The checks of a run that is still going: rows with check, asked, found and passed. None: no verdict yet."""
     rows = []
     for verdict in judge(scenario, journal, middleware_lost=0):
         nothing_yet = verdict.value is None and not verdict.passed and verdict.moment is None

@@ -22,18 +22,21 @@ _UNKNOWN: tuple[float, ...] = (nan,) * 10  # a replayed error has no covariance
 
 
 class OffPlace(Protocol):
-    """How far a vehicle is from its place."""
+    """The true formation error of a vehicle: its position minus its desired position [m, NED]."""
 
     @property
     def formation(self) -> Vec3: ...
 
 
 def belief_values(row: VehicleFrame, error: OffPlace) -> tuple[float, ...]:
-    """The values of `BELIEF`, flat; empty: no agent asked for the vehicle's belief at this tick.
+    """The values of the topic `belief`, one after the other in the order of `BELIEF`.
 
     Args:
-        row: the vehicle's.
-        error: the truth about its place.
+        row: the frame's row of the vehicle.
+        error: the vehicle's true formation error.
+
+    Returns:
+        The values; empty if no agent got a measurement of this vehicle at this tick.
     """
     if not row.nav:
         return ()

@@ -58,11 +58,12 @@ class OwnChecks:
         """The checks that a scenario asks for; None: it has none.
 
         Args:
-            begin: tick at which the run begins. Earlier samples do not count.
+            scenario: the scenario.
+            begin: first tick of the run. Earlier samples do not count.
 
         Raises:
-            SignalCheckError: a signal is none of these vehicles.
-            CheckError: one in Python cannot be made.
+            SignalCheckError: no vehicle of the scenario has the signal of a check.
+            CheckError: a check in Python cannot be made.
         """
         checks = scenario.spec.checks
         return cls(scenario, begin) if checks.signal or checks.python else None

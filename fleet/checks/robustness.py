@@ -87,8 +87,8 @@ class AlwaysMargin:
         """The margin so far.
 
         Args:
-            longest: stretch of bad samples [ticks].
-            at: the tick at which the stretch began.
+            longest: length of the longest stretch of bad samples [ticks].
+            at: first tick of that stretch.
         """
         asked = self._asked
         if in_time(asked):

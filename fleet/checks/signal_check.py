@@ -32,8 +32,11 @@ class RunningSignalCheck:
         """Begin with the run.
 
         Args:
-            vehicles: the signals of each.
-            begin: tick at which the run begins. Earlier samples do not count.
+            name: name of the check.
+            asked: the check.
+            scenario: the scenario of the run.
+            vehicles: the signals of each vehicle.
+            begin: first tick of the run. Earlier samples do not count.
         """
         self.name, self.words, self.group = name, asked.words, asked.signal.group
         self.signals = (str(asked.signal),)
@@ -77,7 +80,7 @@ class RunningSignalCheck:
         """The verdict so far.
 
         Args:
-            moment: at which the check failed.
+            moment: the moment of its failure. None: it has not failed.
             now: the newest tick.
             over: the run has come to its end.
         """

@@ -29,7 +29,9 @@ def _writable(_: click.Context, __: click.Parameter, path: Path | None) -> Path 
     if path is not None and path.name.startswith("-"):
         raise click.BadParameter(f"expected the file to write, got the option {path}")
     if path is not None and (path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK)):
-        raise click.BadParameter(f"{path} cannot be written: it is a directory, is in none, or is not yours")
+        raise click.BadParameter(
+            f"{path} cannot be written: it is a directory, its folder is missing, or you may not write there"
+        )
     return path
 
 

@@ -59,7 +59,7 @@ def of_study(store: Store) -> list[JUnitCase]:
 
 
 def of_search(found: Searched, kept: Sequence[FoundFailure], again: str) -> list[JUnitCase]:
-    """A case for each kind of failure, or one that has passed; and one for each check that some run must reach."""
+    """A case for each kind of failure, and one for each check that some run must reach. No failure: one passed case."""
     from fleet.result.junit import JUnitCase
 
     lines = {failure.check: failure.paste for failure in kept}

@@ -1,4 +1,4 @@
-"""The commands that make something of a log: plot, export, report, info."""
+"""The commands that read a log and show or convert it: plot, export, report, info."""
 
 from __future__ import annotations
 

@@ -133,7 +133,7 @@ def replay(
         tape = Tape(log_path(log), tell)
     played = Replay(tape, options)
     if observe is not None and not played.ours:
-        raise click.UsageError("--observe lets in who reads the journal of a run, and this is no log of one")
+        raise click.UsageError(f"--observe is for logs of a run, and {log} is no such log: leave it out")
     with exit_status(3), ending() as sessions, StatusLine(terminal, quiet=quiet) as line:
         if tape.missing:
             line.print(f"warning: {log}: {tape.missing}")
@@ -198,16 +198,7 @@ def record(
     from fleet.replay.capture import Limits, PublisherGone, Recorder, TrafficWriter
     from fleet.terminal.status_line import StatusLine
 
-    credentials = None
-    if run is not None:
-        if connect or listen:
-            raise click.UsageError("--run says already where to connect")
-        connect, credentials, prefix = _observer(run)
-        keys = keys or (f"{prefix}/log/**",)
-    if ros2 and run is not None:
-        raise click.UsageError("--run is the journal of a run, and --ros2 records what nodes publish")
-    if not keys and not ros2:
-        raise click.UsageError("no key to record: give --key 'robot/**', or --key '**' for everything")
+    connect, credentials, keys = _recorded(keys, connect, listen, run, ros2=ros2)
     path = output or Path(f"record-{datetime.now(UTC):%Y%m%d-%H%M%S}{'' if ros2 else '.mcap'}")  # noqa: TID251 (a name)
     with ending() as sessions, StatusLine(Terminal(stderr=True), quiet=quiet) as line:
         if ros2:
@@ -230,6 +221,26 @@ def record(
                     _finish(recorder, writer, line, path)
                 raise
             _finish(recorder, writer, line, path)
+
+
+def _recorded(
+    keys: tuple[str, ...], connect: str | None, listen: str | None, run: str | None, *, ros2: bool
+) -> tuple[str | None, Any, tuple[str, ...]]:
+    """The endpoint to connect to, the credentials for it, and the keys to record.
+
+    Raises:
+        click.UsageError: there is no key, or options exclude each other.
+    """
+    if ros2 and run is not None:
+        raise click.UsageError("--run records a run, and --ros2 records nodes of ROS 2: give one of them")
+    if run is None:
+        if not keys and not ros2:
+            raise click.UsageError("no key to record: give --key 'robot/**', or --key '**' for everything")
+        return connect, None, keys
+    if connect or listen:
+        raise click.UsageError("--run finds the router by itself: leave out --connect and --listen")
+    endpoint, credentials, prefix = _observer(run)
+    return endpoint, credentials, keys or (f"{prefix}/log/**",)
 
 
 def _ros2(
@@ -281,7 +292,7 @@ def _free_endpoint() -> str:
 def _check_observe(observe: Path | None, connect: str | None) -> None:
     """Refuse a file for observers that could not be written, or that nobody could use."""
     if observe is not None and connect is not None:
-        raise click.UsageError("--observe is about a router of our own, and --connect about another one")
+        raise click.UsageError("--observe needs a router of our own: give --listen in place of --connect")
     if observe is not None and observe.exists():
         raise click.BadParameter(f"{observe} exists already; choose another name", param_hint="--observe")
 
@@ -315,7 +326,9 @@ def _observer(run: str) -> tuple[str, Any, str]:
         found = read_observed(path)
         return found.endpoint, Credentials(found.user, found.password), Keys(found.run).prefix
     except RemoteError as error:
-        raise click.BadParameter(f"{error}; it has to be one with --publish", param_hint="--run") from None
+        raise click.BadParameter(
+            f"{error}; the run must have been started with --publish", param_hint="--run"
+        ) from None
     except (OSError, DamagedFile):
         raise click.BadParameter(
             f"{run} is no live run that is published: there is no usable {OBSERVE}", param_hint="--run"

@@ -132,12 +132,7 @@ def run(
       fleet run paper --speed 1 --view
       fleet run --from runs/latest@20s --set controller=bsmc
     """
-    if how["wait_for_subscribers"] and not (how["publish"] or how["view"] or how["ros2"]):
-        raise click.UsageError(
-            "--wait-for-subscribers needs --publish, --view or --ros2: without them there is nothing to subscribe to"
-        )
-    if as_json and show_config:
-        raise click.UsageError("--show-config prints YAML, so it cannot be used together with --json")
+    _check_output(how, as_json=as_json, show_config=show_config)
     changes: list[str | Override] = [*overrides, *net, *fault]
     changes += key_options(seed=seed, duration=duration)
     if scenario is not None and begin is None and not how["in_process"] and not show_config:
@@ -150,8 +145,6 @@ def run(
         return
     from rich.console import Console as Terminal
 
-    from fleet.execution.execute import execute
-
     terminal = Terminal(stderr=True)
     if not quiet:
         for warning in _warnings(loaded, seed_given=seed is not None):
@@ -159,9 +152,35 @@ def run(
     options = replace(_options(loaded, start, how, terminal), quiet=quiet)
     if not quiet:
         _tell_plan(loaded, start, in_process=options.in_process)
+    result = _execute(loaded, options, terminal, view=how["view"], ros2=how["ros2"], as_json=as_json)
+    if junit is not None:
+        cli_junit.write(junit, result.scenario, cli_junit.of_run(result))
+    sys.exit(result.status.exit)
+
+
+def _check_output(how: dict[str, Any], *, as_json: bool, show_config: bool) -> None:
+    """Refuse options of the output that exclude each other.
+
+    Args:
+        how: options of the command line by name.
+    """
+    if how["wait_for_subscribers"] and not (how["publish"] or how["view"] or how["ros2"]):
+        raise click.UsageError(
+            "--wait-for-subscribers needs --publish, --view or --ros2: without them there is nothing to subscribe to"
+        )
+    if as_json and show_config:
+        raise click.UsageError("--show-config prints YAML, so it cannot be used together with --json")
+
+
+def _execute(
+    scenario: Scenario, options: Options, terminal: Terminal, *, view: bool, ros2: bool, as_json: bool
+) -> Result:
+    """Run a scenario and print its result, beside the page (`view`) and the bridge (`ros2`) if they are wanted."""
+    from fleet.execution.execute import execute
+
     with (
-        cli_view.page_process(asked=how["view"], stays=not (quiet or as_json)) as page,
-        cli_ros2.bridge_process(asked=how["ros2"]) as bridge,
+        cli_view.page_process(asked=view, stays=not (options.quiet or as_json)) as page,
+        cli_ros2.bridge_process(asked=ros2) as bridge,
     ):
 
         def on_published(directory: Path) -> None:
@@ -170,13 +189,11 @@ def run(
             if page is not None:
                 page.published(directory)
 
-        result = execute(loaded, replace(options, on_published=on_published), terminal)
+        result = execute(scenario, replace(options, on_published=on_published), terminal)
         if page is not None and result.directory is not None:
             page.over(result.directory)
-        _print_result(result, as_json=as_json, quiet=quiet)
-    if junit is not None:
-        cli_junit.write(junit, result.scenario, cli_junit.of_run(result))
-    sys.exit(result.status.exit)
+        _print_result(result, as_json=as_json, quiet=options.quiet)
+    return result
 
 
 def _options(scenario: Scenario, start: Start | None, how: dict[str, Any], terminal: Terminal) -> Options:
@@ -200,7 +217,7 @@ def _options(scenario: Scenario, start: Start | None, how: dict[str, Any], termi
         terminal.print(f"warning: {warning}", style="bold red", highlight=False, markup=False, soft_wrap=True)
     _check_clock(how["speed"], how["clock"], one_process)
     if how["audit"] and (one_process or (place and place.router)):
-        raise click.UsageError("--audit reads the log of a run's own router, and this run has none")
+        raise click.UsageError(f"--audit needs a run with a router of its own, so not with {one_process or '--router'}")
     if how["ros2"] and one_process:
         raise click.UsageError(
             f"--ros2 needs a run with processes, so not with {one_process}; fleet ros2 plays its log afterwards"
@@ -299,10 +316,10 @@ def _check_clock(speed: float | None, clock: str, one_process: str) -> None:
     """
     if clock != Clock.REAL:
         if is_given("max_missed"):
-            raise click.UsageError("--max-missed is for --clock real: in lockstep nobody misses a tick")
+            raise click.UsageError("--max-missed is for --clock real: in lockstep no agent misses a tick")
         return
     if speed is None and is_given("speed"):
-        raise click.UsageError("--clock real has no max: --speed 2 is twice as fast as the wall clock")
+        raise click.UsageError("--clock real has no --speed max: give a number, such as 2 for twice real time")
     if one_process:
         raise click.UsageError(f"--clock real needs a run with processes, so not with {one_process}")
 

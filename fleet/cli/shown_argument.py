@@ -34,7 +34,7 @@ def find_shown(what: str | None, rate: float | None, *, control: bool, loop: boo
 
     source = find_source(what, RUNS)
     if isinstance(source, LogSource) and control:
-        raise click.UsageError("--control is about a live run: a log cannot be disturbed any more")
+        raise click.UsageError(f"--control needs a live run, not {source.path}: a log cannot be disturbed any more")
     if isinstance(source, LiveSource) and (rate is not None or loop):
-        raise click.UsageError("--rate and --loop are about logs; the pace of a live run: fleet clock speed")
+        raise click.UsageError("--rate and --loop are for logs; fleet clock speed sets the pace of a live run")
     return source

@@ -180,8 +180,12 @@ def _run(
     """Make the runs that are missing, then the logs.
 
     Args:
-        modules: that the runs need; None: they are looked for, if there is a run to make: a whole study needs none.
-        engine: workers and scheduler that were asked for.
+        store: the study.
+        spec: its settings.
+        modules: the modules that the runs need. None: they are looked for if a run is missing.
+        trust: modules that may run although they are not installed.
+        engine: the options --workers and --scheduler.
+        quiet: show no progress.
     """
     from fleet.cli.study_output import showing
     from fleet.study.local_engine import engine_of

@@ -56,7 +56,7 @@ def why(
       fleet why runs/latest --json
     """
     from fleet.cli.study_output import showing
-    from fleet.explanation.why import Asked, Explanation
+    from fleet.explanation.why import Explanation, Question
     from fleet.study.local_engine import engine_of
 
     if picture is not None:
@@ -64,7 +64,7 @@ def why(
 
         format_of(picture)
     with showing(_pieces) as tell:
-        explanation = Explanation(Asked(log, check, most_runs, trust), tell)
+        explanation = Explanation(Question(log, check, most_runs, trust), tell)
         if explanation.searches:
             with engine_of(workers, scheduler) as engine:
                 found = explanation.find(engine, engine.carry(explanation.modules))

@@ -146,7 +146,7 @@ def _scenario(directory: Path) -> str:
 
 def _nothing(run: str | None, known: list[Path]) -> str:
     if run is None:
-        return "no live run; fleet ls lists the runs below runs, also those in one process, which answer nobody"
+        return "no live run; fleet ls lists all runs below runs; a run with --in-process cannot be reached"
     return f"no live run is called {run!r}" + (f"; there are:{_choices(known)}" if known else "; there is none at all")
 
 

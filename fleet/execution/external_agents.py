@@ -34,8 +34,8 @@ def refuse(scenario: Scenario, what: str) -> None:
     """
     if scenario.external:
         raise FleetError(
-            f"{named(scenario.external)}, so somebody else starts that agent, which {what} has no place for; "
-            "set external: false to have ours run there"
+            f"{named(scenario.external)}: {what} cannot have agents that are started elsewhere; "
+            "set external: false there to run ours"
         )
 
 

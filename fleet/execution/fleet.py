@@ -12,15 +12,18 @@ from netem.wire.messages import Death, Restart, WorldFault
 
 
 class Disturbed(Protocol):
-    """What an operator asks of a running fleet, and does to it; `Console` and `InProcess` are such fleets."""
+    """A running fleet: the questions that an operator asks, and the changes that he makes.
+
+    `Console` and `InProcess` are such fleets.
+    """
 
     @property
     def granted(self) -> int:
-        """The grant: ticks below it may have been started."""
+        """The grant: a tick. Earlier ticks may have begun."""
 
     @property
     def waiting(self) -> str:
-        """If nothing moves: who waits for whom, in words; empty: the run moves."""
+        """The processes that the run waits for, in words. Empty: the run moves."""
 
     def set_network_faults(self, faults: Sequence[NetFault]) -> bool:
         """Replace netem's faults; False: it did not answer, and nothing was changed."""

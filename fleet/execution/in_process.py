@@ -40,7 +40,7 @@ from world.sea import World
 WORLD, NETEM = 0, -1  # who speaks; agents have their positive numbers
 
 
-class Life(Protocol):
+class AgentLife(Protocol):
     """One life of an agent: `AgentLoop`, or what stands in its place."""
 
     @property
@@ -52,11 +52,14 @@ class Life(Protocol):
     def remember(self, memory: bytes, /, *, anew: bool = False) -> None: ...
 
 
-MakeLife = Callable[[int, int], Life]  # (incarnation, begin) -> one life of an agent
+MakeLife = Callable[[int, int], AgentLife]  # (incarnation, begin) -> one life of an agent
 
 
 class InProcess:
-    """One run: a `Runner`. Who wants to look in between calls `begin`, `advance` and `end` in place of `serve`."""
+    """A `Runner` for one run in this process.
+
+    A caller that looks at the run in between calls `begin`, `advance` and `end` in place of `serve`.
+    """
 
     waiting = ""  # nobody waits for anybody here
     started_s = 0.0
@@ -73,16 +76,18 @@ class InProcess:
         """Prepare a run.
 
         Args:
-            start: where it goes on from another run; None: at its beginning.
-            agents: by vehicle, what makes an agent in place of the scenario's.
-            salt: of what world and network draw from here on; 0: as in every run of this seed.
+            scenario: the scenario of the run.
+            journal: receives everything that happens.
+            start: the snapshot of another run to go on from. None: the run begins at its beginning.
+            agents: by vehicle, functions that make an agent in place of the scenario's.
+            salt: changes all further draws of world and network. 0: the draws of every run with this seed.
         """
         self._other_agents = agents or {}
         self._scenario, self._journal, self._begin = scenario, journal, start
         seed = salted(scenario.seed, salt)
         self._world = Lockstep(replace(scenario.world_config, seed=seed), frame_every=frame_every(scenario))
         self.rounds = Rounds(replace(scenario.netem_config, seed=seed))
-        self._loops: dict[int, Life] = {}
+        self._loops: dict[int, AgentLife] = {}
         self.told: dict[int, Nav] = {}  # by vehicle, the nav that its agent got last
         self.notes: list[str] = []
         self.deaths: dict[int, list[str]] = {}
@@ -217,7 +222,7 @@ class InProcess:
             loop = self._loops[i] = self._born(i, self._world.state.lives.incarnation(i, tick), tick)
             loop.remember(memory, anew=i in start.anew)
 
-    def _born(self, i: int, incarnation: int, begin: int) -> Life:
+    def _born(self, i: int, incarnation: int, begin: int) -> AgentLife:
         if i in self._other_agents:
             return self._other_agents[i](incarnation, begin)
         scenario = self._scenario
@@ -231,7 +236,7 @@ class InProcess:
             memory_ticks=scenario.memory_ticks,
         )
 
-    def _loop(self, i: int, incarnation: int) -> Life:
+    def _loop(self, i: int, incarnation: int) -> AgentLife:
         """The life `incarnation` of agent i, which is made when it is asked for."""
         if incarnation > self._loops[i].incarnation:
             begin = self._world.state.lives.gaps(i)[incarnation - 1][1]

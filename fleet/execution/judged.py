@@ -34,10 +34,10 @@ def run(
     The result is that of `fleet run --in-process --set ...`, to the digest of the log that is not written.
 
     Args:
-        scenario: a shipped name, a file, or a scenario that is loaded.
+        scenario: a shipped name, a file, or a loaded scenario.
         set: changes, as `--set`: a mapping such as `{"network.links": {"*": "loss 30 %"}, "duration": "20 s"}`,
             or texts such as `"duration=20 s"`.
-        seed: in place of the scenario's.
+        seed: replaces the scenario's seed.
         trust: modules that may run, in addition to installed ones and the user's own. The default for a loaded scenario
             is the trust that it was loaded with.
         progress: called with the simulated time [s] during the run.
@@ -67,11 +67,11 @@ def stepping(
     `docs/guide/stepping.md` is the guide.
 
     Args:
-        scenario: a shipped name, a file, or a scenario that is loaded.
-        set: what to change, as for `run`.
-        seed: in place of the scenario's.
+        scenario: a shipped name, a file, or a loaded scenario.
+        set: changes, as for `run`.
+        seed: replaces the scenario's seed.
         trust: as for `run`.
-        log: a new file, in which the run is recorded; None: nowhere.
+        log: a new file that records the run. None: the run is not recorded.
 
     Returns:
         The run before its first tick. Its result is that of `run`, to the digest.

@@ -91,7 +91,7 @@ class Launch:
         }
 
     def targets(self) -> dict[str, Target]:
-        """The function that each process runs, by role, in the order in which they start."""
+        """The function of each process, by role. The processes start in this order."""
         targets = {WORLD: self._world(), NETEM: self._netem()}
         for h in range(1, len(self._hosting.members) + 1):
             targets[host_role(h)] = self._host(h, host_role(h))

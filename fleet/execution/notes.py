@@ -76,11 +76,12 @@ class Notes:
         """Take a note that `admit` let in.
 
         Args:
-            role: the owner of the note's key; the router lets nobody else put there.
-            tick: now, for a note that is rejected.
+            role: the process that owns the key of the note. The router refuses notes of other processes there.
+            data: the encoded note.
+            tick: the present tick; it stands in the report of a rejected note.
 
         Returns:
-            A host's report that an agent has ended, which is no note.
+            The report of a host that one of its agents has ended. None: it was a note, or was rejected.
         """
         self._queued.release(role)
         try:

@@ -116,7 +116,7 @@ class Operator:
         return {"id": name, "what": words(section), **times}
 
     def _add(self, section: FaultSection, name: str) -> int:
-        """Add a fault. Returns the tick at which it ends if nobody heals it."""
+        """Add a fault. Returns the tick of its end. The operator may heal it earlier."""
         scenario = self.scenario
         found = parts(section, name, scenario.spec, scenario.graph.links)
         if not any(not isinstance(part, NetFault) or part.links or part.vehicles for part in found):

@@ -69,13 +69,14 @@ def newest_run(out: Path) -> Path | None:
 def to_prune(
     runs: Sequence[PastRun], *, keep: int, older_than_s: float, verdicts: Collection[str], now: datetime
 ) -> list[PastRun]:
-    """The runs to remove, among those that are over.
+    """Choose runs to remove. Live runs always stay.
 
     Args:
-        runs: the newest first.
-        keep: the number of newest runs that stay in any case.
+        runs: the runs, the newest first.
+        keep: this number of newest runs stays in any case.
         older_than_s: younger runs stay [s].
         verdicts: runs with another verdict stay.
+        now: the present time.
     """
     over = [run for run in runs if run.verdict != LIVE]
     return [run for run in over[keep:] if run.verdict in verdicts and (now - run.began).total_seconds() >= older_than_s]
@@ -85,10 +86,10 @@ def remove(out: Path, runs: Sequence[PastRun]) -> Iterator[PastRun]:
     """Remove run directories with their content. Targets of links stay; `latest` is mended.
 
     Yields:
-        Each run that was removed. One that goes on meanwhile stays.
+        Each run that was removed. A run that is in use again stays.
 
     Raises:
-        FleetError: one cannot be removed.
+        FleetError: a directory cannot be removed.
     """
     try:
         for run in runs:

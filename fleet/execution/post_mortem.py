@@ -1,4 +1,4 @@
-"""The reason why a run cannot go on: which process ended, how, and its last lines; or which process waits for which."""
+"""Explains why a run cannot go on: a process ended, with its last lines, or the run waits for a process."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ def explain(
 
     Args:
         exits: all processes that ended at about the same time, at least one.
-        children: by role; an agent without a process of its own stands for its host.
-        notes: of the run. The error repeats those about the agent that ended, and names other agents that report the
-            same.
+        children: the processes by role. If an agent shares a process, its role has that process.
+        notes: the notes of the run. The error repeats the notes about the agent that ended, and names other agents with
+            the same note.
         at: the time in the run, in words.
-        computing: the agent that a host computed when it ended; 0: none, or no host.
+        computing: returns the agent that a host was computing when it ended. 0: none, or the process is no host.
     """
     if any(e.code == FORKSERVER_LOST for e in exits) and (death := forkserver_death(_REAPED_S)) is not None:
         return RunBroken(f"{death} at {at}; every process of the run ended with it")
@@ -81,11 +81,11 @@ def who_waits(
     """The agents or processes that have not answered, in words.
 
     Args:
-        world, network: the answers of the world and netem to `waiting`; empty: no answer.
-        children: by role; an agent without a process of its own stands for its host.
-        external: vehicles with an external agent, which is no child.
+        world, network: the answers of the world and netem to `waiting`. Empty: no answer.
+        children: the processes by role. If an agent shares a process, its role has that process.
+        external: vehicles with an external agent. Such an agent is no child process.
         log_is_behind: the journal has received more than the log holds.
-        computing: the agent that a host computes; 0: none, or no host.
+        computing: returns the agent that a host is computing. 0: none, or the process is no host.
     """
     if not world:
         return "waiting for the world" + _condition(WORLD, children[WORLD])

@@ -53,7 +53,7 @@ class Publication:
         self._print_line(f"publishing {where}; how to join: {self._observe}")
 
     def wait(self) -> None:
-        """Wait for a subscriber, if the run is to. Raises FleetError: the publisher ended meanwhile."""
+        """Wait for a subscriber, if the user asked for that. Raises FleetError: the publisher ended meanwhile."""
         if self.publisher.wait:
             self._print_line("waiting for a subscriber")
             self.publisher.heard()

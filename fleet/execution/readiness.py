@@ -24,14 +24,14 @@ def readiness(
 ) -> Readiness:
     """Find out from the answers of world and netem to `ready` which processes are ready.
 
-    Liveliness alone would not show that messages pass.
+    A liveliness token only shows that a process lives. These answers show that messages arrive.
 
     Args:
-        world: with `ready`, pairs (vehicle, incarnation) of agents that greeted it, and `grant`: it hears grants.
-        network: with `round`: it hears the world. Both are empty without an
-            answer.
-        vehicles: all of the fleet, ascending.
-        awaited: vehicles whose external agent has not joined, ascending.
+        world: the world's answer. `ready` has (vehicle, incarnation) of each agent that greeted the world. `grant`
+            says that the world hears grants. Empty: no answer.
+        network: netem's answer. `round` says that netem hears the world. Empty: no answer.
+        vehicles: all vehicles of the fleet, ascending.
+        awaited: vehicles with an external agent that has not joined, ascending.
         silent: keys on which the console has heard no greeting.
     """
     ready = {i for i, _ in world.get("ready", ())}.difference(awaited)

@@ -24,7 +24,7 @@ class Runner(Protocol):
 
     @property
     def waiting(self) -> str:
-        """If nothing moves: who waits for whom, in words; empty: the run moves."""
+        """The processes that the run waits for, in words. Empty: the run moves."""
 
     @property
     def started_s(self) -> float:

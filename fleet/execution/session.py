@@ -80,7 +80,7 @@ class Session:
         self._publish(encode(message))
 
     def ask(self, role: str, op: str, *, timeout_s: float = 1.0, **fields: Any) -> dict[str, Any]:
-        """The answer of world or netem to an operation; empty: no answer in time."""
+        """Ask world or netem for an operation. Returns the answer; empty: no answer came in time."""
         answer = self._bus.ask(self._keys.ctl(role), request(op, **fields), timeout_s=timeout_s)
         return {} if answer is None else read_map(answer)
 

@@ -107,12 +107,12 @@ class SteppedRun:
 
     @property
     def over(self) -> bool:
-        """Whether it goes no further: it came to its end, broke, or was closed."""
+        """Whether the run goes no further, because it came to its end, broke, or was closed."""
         return self._closed
 
     @property
     def tick(self) -> int:
-        """The next tick; those before it are over."""
+        """The next tick to run. All earlier ticks are over."""
         return self._runner.granted
 
     @property
@@ -137,11 +137,14 @@ class SteppedRun:
 
     @property
     def checks(self) -> list[dict[str, Any]]:
-        """The checks as they stand: rows with check, asked, found, and passed (so far); None: not judged yet."""
+        """The present state of the checks: rows with check, asked, found and passed. None: not judged yet."""
         return standing(self.scenario, self._journal)
 
     def margin(self, check: str) -> Margin | None:
-        """By how much a check holds so far; None: that is not known, or not yet.
+        """The margin by which a check holds at present. None: the check has no margin, or not yet.
+
+        Args:
+            check: name of the check.
 
         Raises:
             FleetError: the scenario has no such check.
@@ -163,7 +166,7 @@ class SteppedRun:
         return self.state
 
     def go(self, ticks: int) -> None:
-        """The same without a look at the state."""
+        """As `step`, by a number of ticks, without computing the state."""
         if self._closed:
             raise FleetError(f"the run is over at t = {self.t:g} s: {self._result.reason or 'it came to its end'}")
         with self._going_on():
@@ -189,17 +192,20 @@ class SteppedRun:
             Its id, for `heal`.
 
         Raises:
-            RefusedError: it is none for this scenario, or the run is over.
-            FaultWordsError: it is no fault.
+            RefusedError: the fault is not possible in this scenario, or the run is over.
+            FaultWordsError: the words are no fault.
         """
         found: str = self._ask(op="inject", fault=read_fault(fault))["id"]
         return found
 
     def heal(self, fault: str | None = None) -> list[str]:
-        """End a fault at the next tick, or all that are active; an agent begins again with the next round.
+        """End a fault at the next tick. A killed agent begins again with the next round.
+
+        Args:
+            fault: id of the fault. None: all active faults.
 
         Returns:
-            The ids of what was healed.
+            The ids of the healed faults.
 
         Raises:
             RefusedError: there is no such fault, or the run is over.

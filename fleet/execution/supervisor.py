@@ -73,21 +73,23 @@ class Supervisor:
         """Start vehicle i's agent again at a tick because the operator asks for it.
 
         Args:
-            begin: the tick since which it has been missing; None: whatever that is.
+            i: number of the vehicle.
+            begin: it has been missing since this tick. None: the tick does not matter.
+            tick: it begins at this tick.
         """
         self._lives.restart(i, begin, tick)
         self._fleet.announce(Restart(i, begin, tick))
         self._fleet.set_absences(self._lives.absences)
 
     def next_restart(self) -> int:
-        """The first tick at which an agent begins that is not ready yet. The clock stops before it."""
+        """The first begin of an agent that is not ready yet, as a tick. The clock stops before it."""
         planned = [gap[1] for i in self._vehicles if (gap := self._gap(i)) is not None and gap[1] is not None]
         return min([*planned, *self.starting.values()], default=self._scenario.ticks)
 
     def ended(self, exit_: Exit) -> bool:
         """Record that a process ended. False: the run cannot go on without it.
 
-        When an agent died, the world decides at which tick.
+        If an agent died, the world decides the tick of its death.
         """
         own = [*self._hosting.agents(exit_.role)]
         if not own:

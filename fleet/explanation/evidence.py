@@ -1,4 +1,4 @@
-"""What a log says of the time when a check failed: faults, missing messages, and the knowledge of vehicles."""
+"""Evidence from a log about the time of a failed check: faults, missing messages, and the knowledge of vehicles."""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
 """The point of no return: the last moment of a failed run when healing all faults would still make it pass.
 
 This module first makes the run once more in this process. It takes a snapshot about every second (or every hundredth
-of the run), and notes whether the check has failed by then. Then it tries healed runs. A healed run has a moment from
-which on no fault is active: faults that last end there, and later ones never begin. Up to that moment it is the same
-run, to the last bit.
+of the run), and notes whether the check has failed by then. Then it tries healed runs. In a healed run all faults end
+at one moment, and no fault begins later. Up to that moment it is the same run, to the last bit.
 
 Some checks have a margin that is the least over the time. Such a check had not failed before the snapshot, so its
 healed run starts there. Any other check remembers what was before, so its healed run starts at 0.
@@ -77,7 +76,7 @@ class NoReturn(Struct, frozen=True):
     tried: Annotated[list[HealedRun], Meta(description="The runs that were made, by moment.")] = []
 
 
-class Moment(NamedTuple):
+class HealMoment(NamedTuple):
     """A moment of the run when healing is possible."""
 
     tick: int
@@ -91,7 +90,7 @@ class Remade:
 
     scenario: Scenario  # with as many snapshots as there are moments
     verdicts: list[Verdict] = field(default_factory=list)
-    moments: dict[str, list[Moment]] = field(default_factory=dict)  # by check
+    moments: dict[str, list[HealMoment]] = field(default_factory=dict)  # by check
     broken: str = ""  # why it ended early
 
     def failed_between(self, check: str) -> tuple[float, float]:
@@ -113,7 +112,7 @@ class _Watch:
 
     def __init__(self, scenario: Scenario, every: int) -> None:
         self.journal: Journal | None = None
-        self.moments: dict[str, list[Moment]] = {}
+        self.moments: dict[str, list[HealMoment]] = {}
         self._scenario, self._every = scenario, every
 
     def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None:
@@ -124,7 +123,7 @@ class _Watch:
         for row in standing(self._scenario, self.journal):
             failed[row["check"]] = failed.get(row["check"], False) or row["passed"] is False
         for check, known in failed.items():
-            self.moments.setdefault(check, []).append(Moment(frame.tick, b"", known))
+            self.moments.setdefault(check, []).append(HealMoment(frame.tick, b"", known))
 
     def packet(self, fate: Fate) -> None: ...
     def event(self, event: Event) -> None: ...
@@ -214,7 +213,7 @@ class HealingSearch:
         self._try(_spread(0, len(moments) - 1, max(2, most_runs - len(self._known))))
         return self._found("scanned", *self._bounds())
 
-    def _candidates(self, remade: Remade) -> list[Moment]:
+    def _candidates(self, remade: Remade) -> list[HealMoment]:
         """The moments before the failure when healing makes a difference. No fault has begun at the first one."""
         moments = list(remade.moments.get(self._check, []))
         while moments and moments[-1].failed:
@@ -225,7 +224,7 @@ class HealingSearch:
         last = max((_end(fault) for fault in faults), default=inf)
         without = [one for one in moments if one.tick * tick_ns <= begins]
         others = [one for one in moments if begins < one.tick * tick_ns < last]
-        return [*(without[-1:] or [Moment(0, b"", False)]), *others]
+        return [*(without[-1:] or [HealMoment(0, b"", False)]), *others]
 
     def _try(self, places: Sequence[int]) -> None:
         new = [self._moments[k] for k in dict.fromkeys(places) if self._moments[k].tick not in self._known]
@@ -243,7 +242,7 @@ class HealingSearch:
             passed = None if task is None else self._passed(rows[task.key], task)
             self._known[tick] = HealedRun(at_s, passed, task is not None and task.branch is not None)
 
-    def _task(self, moment: Moment) -> Task | None:
+    def _task(self, moment: HealMoment) -> Task | None:
         """Make the run that is healed at a moment. None: the healed text is not a valid scenario."""
         tree = healed(self._tree, moment.tick * self._scenario.tick_ns)
         text, seed = json.dumps(tree), self._scenario.seed
@@ -332,7 +331,7 @@ def _spread(first: int, last: int, count: int) -> list[int]:
     return list(dict.fromkeys(first + round(k * (last - first) / (count - 1)) for k in range(count)))
 
 
-def _lacks_an_agent(moment: Moment, lives: Lives) -> bool:
+def _lacks_an_agent(moment: HealMoment, lives: Lives) -> bool:
     """Whether a snapshot has no memory of an agent that is there in the healed run, which so cannot begin with it."""
     snapshot = Snapshot.from_bytes(moment.state)
     vehicles = [known.vehicle for known in vehicle_memories(snapshot.world)]

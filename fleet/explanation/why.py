@@ -46,7 +46,7 @@ class Why(Struct, frozen=True):
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class Question:
     """The question to explain, and the way to do so."""
 
     path: Path
@@ -61,19 +61,19 @@ Tell = Callable[[str, int], None]
 class Explanation:
     """The explanation of one log."""
 
-    def __init__(self, asked: Asked, tell: Tell) -> None:
+    def __init__(self, question: Question, tell: Tell) -> None:
         """Read the log, and make its run once more if that is possible.
 
         Raises:
             LogReadError, FleetError, ScenarioError: the log cannot be explained; the text says why.
         """
-        self._asked, self._tell = asked, tell
+        self._question, self._tell = question, tell
         self._notes: list[str] = []
-        source = recorded(asked.path, lambda share: tell(f"reading the log, {100 * share:.0f} %", 0))
+        source = recorded(question.path, lambda share: tell(f"reading the log, {100 * share:.0f} %", 0))
         self.path = source.path
-        self._why_not = _why_not(source, asked)
+        self._why_not = _why_not(source, question)
         self._whole = not source.reader.missing
-        self.scenario = source.script(policy=Policy(asked.trust))
+        self.scenario = source.script(policy=Policy(question.trust))
         self._remade = None if self._why_not else self._remake()
         if self._remade is not None and self._remade.broken:
             self._why_not, self._remade = f"the run does not come to its end: {self._remade.broken}", None
@@ -82,7 +82,7 @@ class Explanation:
         if not verdicts:
             raise FleetError(f"{source.path}: what its checks came to is not known: {self._why_not}, and there is no "
                              "result.json of it")  # fmt: skip
-        self.verdict, self._others = _chosen(source.path, verdicts, asked.check)
+        self.verdict, self._others = _chosen(source.path, verdicts, question.check)
         before = next((one for one in recorded_verdicts if one.check == self.verdict.check), None)
         if before is not None and before.found != self.verdict.found:
             self._notes.append(f"when it was recorded, this was found: {before.found}; fleet verify says what differs")
@@ -109,10 +109,10 @@ class Explanation:
     @property
     def searches(self) -> bool:
         """Whether healed runs are to be made."""
-        return self._remade is not None and self._asked.most_runs > 0
+        return self._remade is not None and self._question.most_runs > 0
 
     def _remake(self) -> Remade:
-        scenario = with_moments(self.scenario, self._asked.trust)
+        scenario = with_moments(self.scenario, self._question.trust)
         return remake(scenario, lambda share: self._tell(f"the run once more, {100 * share:.0f} %", 0))
 
     def _recorded_verdicts(self, source: Recorded) -> list[Verdict]:
@@ -127,7 +127,7 @@ class Explanation:
     def _no_return(self, engine: Engine, modules: Modules) -> NoReturn:
         assert self._remade is not None
         search = HealingSearch(self._remade, self.verdict.check, engine, self._tell, modules)
-        return search.run(self._asked.most_runs)
+        return search.run(self._question.most_runs)
 
     def _explained(self, found: NoReturn) -> Why:
         log = open_log(self.path, TOPICS, share=lambda share: self._tell(f"reading the log, {100 * share:.0f} %", 0))
@@ -156,7 +156,7 @@ class Explanation:
         return begin, at_s
 
 
-def _why_not(source: Recorded, asked: Asked) -> str:
+def _why_not(source: Recorded, question: Question) -> str:
     """Why the run of a log cannot be made again; empty: it can."""
     external = source.script().external
     if external:

@@ -127,14 +127,16 @@ def listening(
     """The rendezvous of a run whose own router also listens for other hosts.
 
     Args:
-        listen: an endpoint; `0.0.0.0` and `[::]` mean every address of this host.
-        certs: a directory as `fleet certs` makes it, for tls.
-        advertise: hosts under which agents reach it; by default the certificate's, or this host's address.
-        external: vehicles whose agents come from elsewhere.
-        mutual: they must show certificates of their own.
+        listen: the endpoint of the router. `0.0.0.0` and `[::]` mean every address of this host.
+        certs: for tls, the directory that `fleet certs` has made.
+        advertise: names or addresses that agents on other hosts use. Default: those of the certificate, or this host's
+            address.
+        external: vehicles with an agent on another host.
+        mutual: these agents must show their own certificates.
+        lease_ms: the router drops a session after this time without a sign of life [ms].
 
     Raises:
-        FleetError: these do not go together; the certificates cannot be used.
+        FleetError: the arguments contradict each other, or the certificates cannot be used.
     """
     endpoint = parse_endpoint(listen, "--listen")
     if endpoint.protocol == "tcp" and (certs or mutual):
@@ -239,13 +241,17 @@ def through_router(
     """The rendezvous of a run whose processes join an existing router.
 
     Args:
-        router: its endpoint.
+        router: endpoint of the router.
         credentials: the file that `fleet acl -o` wrote beside the router's configuration.
-        vehicles: how many the scenario has.
-        certs: a directory with the CA of the router, and for mutual TLS with the clients' certificates.
+        vehicles: number of vehicles of the scenario.
+        certs: a directory with the CA of the router. For mutual TLS it also has the clients' certificates.
+        external: vehicles with an agent on another host.
+        mutual: clients must show certificates.
+        lease_ms: the router drops a session after this time without a sign of life [ms].
 
     Raises:
-        FleetError: these do not go together, or the file is not of such a run; the certificates cannot be used.
+        FleetError: the arguments contradict each other, the file is for another number of vehicles, or the
+            certificates cannot be used.
     """
     endpoint = parse_endpoint(router, "--router")
     if endpoint.wildcard:

@@ -18,12 +18,17 @@ CONFIG, USERS, CREDENTIALS = "router.json5", "users", "credentials.json"
 
 
 def config(run: str, vehicles: int, listen: str, users: str, certs: Path | None, *, mutual: bool, lease_ms: int) -> str:
-    """A configuration file for zenohd; the passwords are in the file it names, not here.
+    """The text of a configuration file for zenohd. It names the file of passwords, and contains none.
 
     Args:
-        users: path of the file of users and passwords, as the router sees it.
-        certs: the directory of the router's certificate, as the router sees it, for tls.
-        mutual: clients must show certificates: an agent its own or that of the run's host, everybody else the latter.
+        run: id of the run.
+        vehicles: number of vehicles.
+        listen: endpoint of the router.
+        users: path of the file of users and passwords on the router's host.
+        certs: for tls, the directory of the router's certificate on the router's host.
+        mutual: clients must show certificates. An agent shows its own certificate, or that of the run's host. Every
+            other process shows that of the run's host.
+        lease_ms: the router drops a session after this time without a sign of life [ms].
     """
     numbers = tuple(range(1, vehicles + 1))
     values: dict[str, Any] = {"mode": "router", "listen": {"endpoints": [listen], "exit_on_failure": True}}

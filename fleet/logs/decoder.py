@@ -30,7 +30,15 @@ class FieldValue(NamedTuple):
 
 
 def decoded(cls: Any, data: bytes) -> Any:
-    """A message of a class of protobuf. Raises DecodeError: it is damaged, or larger than MOST_DECODED."""
+    """Decode a message.
+
+    Args:
+        cls: the protobuf class of the message.
+        data: the encoded message.
+
+    Raises:
+        DecodeError: the message is damaged, or longer than MOST_DECODED.
+    """
     if len(data) > MOST_DECODED:
         raise DecodeError(f"a message of {len(data)} bytes, more than the {MOST_DECODED} that are decoded")
     return cls.FromString(data)

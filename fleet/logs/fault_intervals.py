@@ -1,4 +1,4 @@
-"""From when to when each fault of a log lasted, and each event of a vehicle."""
+"""The begin and the end of each fault in a log, and of each event of a vehicle."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ def fault_intervals(topic: Topic, end: float) -> list[FaultInterval]:
     """Faults and events of vehicles, in the order of their beginnings.
 
     Args:
-        topic: `faults`, the beginnings and ends.
-        end: of the log [s]; what has no end lasts until then.
+        topic: the topic `faults`; it has one message for each begin and each end.
+        end: end of the log [s]. A fault without an end of its own lasts until then.
 
     Raises:
-        LogReadError: there are more than are read.
+        LogReadError: the topic has more than MOST_EVENTS messages.
     """
     if len(topic) > MOST_EVENTS:
         raise LogReadError(f"the log holds {len(topic)} events of faults, more than the {MOST_EVENTS} that are read")
@@ -41,7 +41,12 @@ def fault_intervals(topic: Topic, end: float) -> list[FaultInterval]:
 
 
 def intervals(happened: Iterable[tuple[float, str, str, str]], end: float) -> list[FaultInterval]:
-    """The same of messages one by one: time [s], id, `begins` or `ends`, and what it is."""
+    """As `fault_intervals`, from messages one by one.
+
+    Args:
+        happened: time [s], id, `begins` or `ends`, kind and arguments of each message.
+        end: end of the log [s].
+    """
     found: dict[str, FaultInterval] = {}
     for at, name, action, what in happened:
         if action == "begins":

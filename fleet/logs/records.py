@@ -68,7 +68,7 @@ class Block:
             yield Message(channel, sequence, log_ns, publish_ns, data[begin:end])
 
     def take(self, which: Array) -> Block:
-        """Some of them, by index or by a flag for each."""
+        """Some of the messages, chosen by their indexes or by a flag for each."""
         return Block(
             self.offset, self.data, self.channel[which], self.sequence[which], self.log_ns[which],
             self.publish_ns[which], self.begin[which], self.end[which],
@@ -231,7 +231,7 @@ def _block(offset: int, data: bytes, records: Array, begin: Array, end: Array) -
 
 
 def _at(data: bytes, places: Array, kind: np.dtype[Any]) -> Array:
-    """What stands at these places of some bytes, each as an item of a kind; all of them are inside."""
+    """The items of one type that begin at these places in `data`. Every item must lie within `data`."""
     every = np.ndarray((len(data) - kind.itemsize + 1,), kind, data, strides=(1,))
     return every[places]
 

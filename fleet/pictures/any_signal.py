@@ -49,7 +49,11 @@ class _Found(NamedTuple):
 
 
 def signals_of_checks(runs: Sequence[Run]) -> list[SignalName]:
-    """The signals that the checks of these runs name or looked at; see `checked_signals`."""
+    """The signals to draw if the user names none: those of the runs' checks.
+
+    They are the signals that a check names, and the signals of laws and plants that a check in Python has read. Errors
+    with a picture of their own are left out, and signals that no log has. There are at most MOST_UNASKED.
+    """
     found = [
         name
         for run in runs

@@ -62,13 +62,16 @@ def draw_lines(
     exact: bool = False,
     **style: Any,
 ) -> list[str]:
-    """One line per vehicle and panel, its colour the vehicle's; of several runs, the run's; of many vehicles, a band.
+    """Draw one line per vehicle into each panel, in the vehicle's colour, or in the run's. Many vehicles make a band.
 
     Args:
-        whose: which laws report such a signal, for the message if no vehicle does.
-        log: the signals are errors on a logarithmic axis, which decides who is an outlier.
-        exact: every sample is on the line, also of what oscillates too fast to be seen.
-        style: of each vehicle's line.
+        panel: the axes, each with the function that gets its signal.
+        runs: the runs to draw.
+        view: the vehicles and the span of time.
+        whose: the laws that report such a signal; for the message if no vehicle reports it.
+        log: the signals are errors on a logarithmic axis. Outliers are chosen on this axis.
+        exact: the line goes through every sample, also if a signal oscillates too fast to be seen.
+        style: style of each vehicle's line.
 
     Returns:
         words on vehicles that have no such signal.

@@ -1,9 +1,11 @@
-"""What the log of a run says that a vehicle believed of its place: by its ranges if it used any, else by its navigator.
+"""A vehicle's own estimate of its position over time, read from the log of a run.
 
-| topic | what it has |
+The estimate uses ranges if the vehicle measured any. Otherwise it is that of its navigator.
+
+| topic | content |
 |---|---|
-| `uuv/<i>/belief` | what the navigator believes, also of the depth and of the formation error |
-| `uuv/<i>/located` | north and east by navigator and ranges; it is there if the vehicle uses ranges |
+| `uuv/<i>/belief` | estimate of the navigator, with depth and formation error |
+| `uuv/<i>/located` | north and east by navigator and ranges; only for vehicles that use ranges |
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from fleet.scenario.sections.signals import OF_LOCALIZATION, OF_NAVIGATION
 
 
 class Beliefs(NamedTuple):
-    """What one vehicle believed over time."""
+    """The estimate of one vehicle over time, and its error."""
 
     t: Array  # s
     off: Array  # believed minus true position (samples, 3) [m, NED]
@@ -35,7 +37,11 @@ class Beliefs(NamedTuple):
 
 
 def beliefs(log: Log, i: int) -> Beliefs | None:
-    """What vehicle i believed; None: it knew where it was, or the log does not say, or too much of it."""
+    """The estimate of vehicle i.
+
+    Returns:
+        The estimate. None: the vehicle knew its position, the log lacks the estimate, or has too many samples of it.
+    """
     known = _topic(log, i, OF_NAVIGATION, {"off": 3, "covariance": 10, "formation": 3})
     if known is None:
         return None

@@ -54,7 +54,13 @@ def check_view(runs: Sequence[Run], view: View) -> None:
 
 @dataclass
 class Run:
-    """One log, and what it is called in a legend."""
+    """One run to draw.
+
+    Attributes:
+        log: its log.
+        label: its name in a legend.
+        notes: lines of text for the user about parts that the picture lacks.
+    """
 
     log: Log
     label: str

@@ -57,10 +57,10 @@ def panels(
     ratios: Sequence[float] | None = None,
     share: bool | Literal["col"] = True,
 ) -> tuple[Figure, list[Axes]]:
-    """A figure with a grid of axes, row by row; `ratios`: of the heights of rows.
+    """Make a figure with a grid of axes.
 
     Args:
-        share: the horizontal axis: one for all, or with `col` one for each column.
+        share: True: all axes share one horizontal axis. `col`: the axes of each column share one.
     """
     figure = Figure(figsize=(width, height or 1.6 * rows + 0.5), layout="constrained")
     FigureCanvasAgg(figure)

@@ -21,10 +21,10 @@ def allow_most_open_files() -> None:
 
 
 def allow_open_files(vehicles: int, others: int = 0) -> None:
-    """Raise the soft limit as far as a run needs it; children inherit it.
+    """Raise the soft limit of open files to the number that a run needs. Child processes inherit it.
 
     Args:
-        others: connections from outside of the run; there is room for them as far as the hard limit allows.
+        others: number of connections from outside of the run. They get room as far as the hard limit allows.
 
     Raises:
         RunBroken: the hard limit is too low.

@@ -225,7 +225,7 @@ class BundleAuction:
 
 
 def _is_news(pair: Any, latest: int) -> bool:
-    """Whether it is a vehicle, and a tick at which there could be news of it."""
+    """Whether `pair` is the number of a vehicle and a tick up to `latest`."""
     return isinstance(pair, list) and len(pair) == 2 and is_count(pair[0], _LARGEST) and is_count(pair[1], latest)
 
 

@@ -61,18 +61,18 @@ class TrueMean:
 class AtMostOneLeader:
     """No two vehicles lead at the same time.
 
-    The agents report whether they lead. An agent that is suspended reports nothing, and does not know how late it is.
-    In the whole fleet it counts until its clock shows the `leads_until` of its last report [s], or until it goes on if
-    it has no such signal. It is on no side, so on sides it does not count.
+    The agents report whether they lead. A suspended agent reports nothing. With `per="fleet"` it counts as leader until
+    its clock shows the time `leads_until` [s] of its last report. Without this signal it counts until it goes on. With
+    `per="side"` it does not count, since it belongs to no side.
     """
 
     def __init__(self, facts: Facts, *, per: Literal["fleet", "side"] = "fleet", grace: str = "0 s") -> None:
-        """Make it.
+        """Make the check.
 
         Args:
-            facts: about the scenario.
-            per: one leader in the whole fleet, or one on each side of a partition.
-            grace: the time after the start, and after every change of the sides, in which there may be more.
+            facts: the facts about the scenario.
+            per: `fleet`: one leader in the whole fleet; `side`: one on each side of a partition.
+            grace: for this time after the start, and after every change of the sides, there may be more leaders.
         """
         if per not in ("fleet", "side"):
             raise ValueError(f"per: expected fleet or side, got {per!r:.40}")

@@ -125,13 +125,13 @@ class Election:
         return {self._id: own, **others}
 
     def _leader(self, fresh: dict[int, _Record], tick: int) -> int:
-        """Whom more than half of the voters grant a lease, as far as is known here."""
+        """The candidate with the leases of more than half of the voters, as far as this vehicle knows."""
         votes = Counter(record.candidate for record in fresh.values() if tick < record.until)
         voters = self._vehicles if self._of_fleet else len(fresh)
         return next((i for i, count in votes.items() if i != NOBODY and 2 * count > voters), NOBODY)
 
     def _leads_until(self, fresh: dict[int, _Record]) -> int:
-        """The tick from which it leads no longer if it hears nothing more. It leads now."""
+        """The end of its leadership, as a tick, if it hears nothing more. It leads now."""
         grants = sorted(record.until for record in fresh.values() if record.candidate == self._id)
         others = sorted(record.made + self._lease for i, record in fresh.items() if i != self._id)
 

@@ -11,14 +11,15 @@ from agents.api import Delivery, PayloadError, unpack
 def received(
     kind: str, deliveries: Iterable[Delivery], valid: Callable[[Any, Delivery], bool]
 ) -> tuple[list[tuple[Delivery, Any]], int]:
-    """The messages of a kind that make sense.
+    """The valid messages of one kind.
 
     Args:
-        kind: as given to `agents.api.pack`; what is of another kind or protocol is passed over.
-        valid: whether the values of a message are such as this protocol sends.
+        deliveries: the packets that are due. Messages of other kinds and protocols are skipped.
+        kind: the kind of message, as given to `agents.api.pack`.
+        valid: returns whether a message of this protocol can have these values.
 
     Returns:
-        The deliveries with their values, in order; and how many were refused, because they were damaged or not valid.
+        The deliveries with their values, in order; and the number of messages that are damaged or not valid.
     """
     found, refused = [], 0
     for delivery in deliveries:

@@ -1,14 +1,14 @@
-"""A roll call: all vehicles go on to the next phase together, when enough of them have reached this one.
+"""A roll call: all vehicles enter the next phase together, as soon as enough of them have reached this one.
 
-Every vehicle sends the phase of each that it has heard of, and keeps the largest, so that lost, late and repeated
-messages change nothing. It goes on when as many as its `quorum` have reached its phase. A vehicle that was left behind,
-or has started anew, takes the phase of the vehicles that are ahead.
+Every vehicle keeps the largest phase that it knows of each vehicle, and sends all of them. So lost, late and repeated
+messages do no harm. It enters the next phase when a `quorum` of vehicles has reached its phase. If a vehicle was left
+behind, or has started anew, it takes the phase of the vehicles that are ahead.
 
 * `all`: no phase begins before every vehicle is there. If one never answers again, the others wait for ever.
 * `majority`: more than half of the fleet is enough. A phase may leave the others behind.
 
-Both are safe: no vehicle is more than one phase ahead of what its quorum has reached. Only the second one is live if
-vehicles are lost for good, which no fault that ends can show; a nemesis with `mode: liveness` does.
+Both are safe: no vehicle is more than one phase ahead of its quorum. If vehicles are lost for good, only the second one
+is live. A fault that ends cannot show this difference. A nemesis with `mode: liveness` can.
 """
 
 from __future__ import annotations
@@ -63,11 +63,11 @@ class RollCall:
         self._refused = 0
 
     def transmit(self, nav: Nav) -> list[bytes]:
-        """The formation's payload, and every phase that it knows of."""
+        """The payloads to send: those of the formation, and the largest known phase of every vehicle."""
         return [*self._formation.transmit(nav), pack(KIND, sorted(self._phases.items()))]
 
     def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> tuple[Vec3, Telemetry]:
-        """Steer as the formation asks, take the phases that arrive, and go on if enough are there."""
+        """Steer like the formation agent. Take the phases that arrive, and enter the next phase if enough answered."""
         deliveries = list(deliveries)
         tau, _ = self._formation.decide(nav, deliveries)
         messages, refused = received(KIND, deliveries, self._is_valid)

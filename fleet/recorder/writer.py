@@ -109,10 +109,7 @@ class LogWriter:
         self._scenario = scenario
         self._tick_ns = scenario.tick_ns
         self._every = scenario.log_every
-        sink.attachment("scenario.yaml", "application/yaml", scenario.to_yaml().encode())
-        if start is not None:
-            sink.attachment(START, "application/msgpack", start.snapshot.to_bytes())
-        sink.metadata("run", run_metadata(scenario, start) | ({} if clock is Clock.LOCKSTEP else {CLOCK: clock}))
+        self._write_head(start, clock)
         signals = {i: scenario.plant_signals(i) for i in range(1, scenario.vehicles + 1)}
         plants = {i: own for i, own in signals.items() if own is not None}
         navigating = [i for i in range(1, scenario.vehicles + 1) if scenario.belief(i)]
@@ -129,13 +126,7 @@ class LogWriter:
         self._fix = None if fix is None else fix.message
         self._fixes = {} if fix is None else {i: self._channel(f"uuv/{i}/fix", fix) for i in navigating}
         self._scene = Scene(scenario, None if start is None else start.snapshot)
-        self._drawn: dict[str, tuple[int, Callable[[Frame, bytes], bytes]]] = {}
-        for group, drawn, draw in (
-            ("transforms", foxglove_schema(FrameTransforms, TRANSFORMS_UNITS), Transforms(scenario).message),
-            ("scene", foxglove_schema(SceneUpdate, SCENE_UNITS), self._scene.message),
-        ):
-            if self._every[group]:
-                self._drawn[group] = self._channel(group, drawn), draw
+        self._drawn = self._drawings()
         fault = flat_schema("Fault", FAULT)
         self._fault = fault.message
         self._faults = self._channel("faults", fault)
@@ -146,6 +137,25 @@ class LogWriter:
         packet = flat_schema("RangedPacket", RANGED) if ranging else flat_schema("Packet", PACKET)
         self._packet_data = ranged_data if ranging else packet_data
         self._by_link = {link: self._channel(link_topic(link), packet) for link in scenario.graph.links}
+
+    def _write_head(self, start: Start | None, clock: Clock) -> None:
+        """Write the scenario, the snapshot that the run goes on from, and the metadata."""
+        self._sink.attachment("scenario.yaml", "application/yaml", self._scenario.to_yaml().encode())
+        if start is not None:
+            self._sink.attachment(START, "application/msgpack", start.snapshot.to_bytes())
+        other = {} if clock is Clock.LOCKSTEP else {CLOCK: clock}
+        self._sink.metadata("run", run_metadata(self._scenario, start) | other)
+
+    def _drawings(self) -> dict[str, tuple[int, Callable[[Frame, bytes], bytes]]]:
+        """Declare the topics that viewers draw. By topic: its channel, and the function that makes its messages."""
+        drawn: dict[str, tuple[int, Callable[[Frame, bytes], bytes]]] = {}
+        for group, schema, draw in (
+            ("transforms", foxglove_schema(FrameTransforms, TRANSFORMS_UNITS), Transforms(self._scenario).message),
+            ("scene", foxglove_schema(SceneUpdate, SCENE_UNITS), self._scene.message),
+        ):
+            if self._every[group]:
+                drawn[group] = self._channel(group, schema), draw
+        return drawn
 
     def _schemas(self, plants: Mapping[int, tuple[Signal, ...]]) -> dict[str, dict[int, Schema]]:
         """The schema of every topic group and vehicle; vehicles that run the same share it.

@@ -155,9 +155,9 @@ class _Feed:
         """Show all of a log.
 
         Args:
-            the last tick of a whole log. A tick without a sample then means that the vehicle reported nothing. None: it
-                is not whole. A missing sample may then be lost, also at the
-                last tick, which is left out.
+            reader: reads the log.
+            last: the last tick of a whole log. If a tick lacks a sample, the vehicle reported nothing. None: the log is
+                not whole. A missing sample may then be lost, and the last tick is left out.
         """
         self._whole = last is not None
         decode = Decoder(reader).ours

@@ -53,7 +53,7 @@ def host_observed(observed: Observed) -> OpenBus:
     """A router at the endpoint that lets in the observer and nobody else.
 
     Raises:
-        BusError: the endpoint is taken or none.
+        BusError: the endpoint is not valid, or it is in use.
     """
     from netem.wire.open_bus import OpenBus  # and with it zenoh, which a run in one process does without
 

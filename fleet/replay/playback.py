@@ -223,7 +223,16 @@ class Replay:
 
 
 def obey(player: Player, key: Key, now: int) -> range:
-    """Do what a key press asks for at wall time `now` [ns]; the messages that a step plays."""
+    """Carry out the command of a key press.
+
+    Args:
+        player: the player to control.
+        key: the key that was pressed.
+        now: wall time [ns].
+
+    Returns:
+        Indexes of the messages to publish. Only the key for one step has any.
+    """
     match key:
         case Key.PAUSE:
             player.toggle(now)

@@ -76,7 +76,7 @@ class Player:
 
     @property
     def over(self) -> bool:
-        """Whether nothing is left to play."""
+        """Whether every message has been played, and playing does not begin again."""
         return self._next >= self._stop and (not self._loop or self._first >= self._stop)
 
     @property

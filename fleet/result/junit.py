@@ -22,10 +22,11 @@ class JUnitCase:
     """One test case.
 
     Attributes:
-        failure: what failed, in words; empty: nothing.
-        error: why there is no verdict; empty: there is one.
-        said: what helps to see it again, such as a line to paste.
-        wall_s: how long it took [s].
+        name: name of the case.
+        failure: the failed checks, in words. Empty: all passed.
+        error: the reason for a missing verdict. Empty: there is a verdict.
+        said: help to repeat the case, such as a command to paste.
+        wall_s: its wall time [s].
     """
 
     name: str

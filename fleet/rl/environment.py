@@ -13,7 +13,7 @@ from agents.loop import AgentLoop
 from fleet.errors import FleetError
 from fleet.execution.stepped_run import State, SteppedRun
 from fleet.result.result import Result, Status
-from fleet.rl.policy_agent import Asked, HeldLife, PolicyAgent, Seat, without_memory
+from fleet.rl.policy_agent import Choices, HeldLife, PolicyAgent, Seat, without_memory
 from fleet.rl.spaces import Values, action_of, decided, name_of, observation, observed, values_of
 from fleet.scenario.loading import changed
 from fleet.scenario.scenario import Scenario
@@ -28,7 +28,7 @@ class FleetEnv(ParallelEnv[str, Values, Values]):  # type: ignore[misc]
     render_mode = None
 
     def __init__(
-        self, scenario: Scenario, vehicles: tuple[int, ...], asked: Asked, every: int, reward: str | Reward
+        self, scenario: Scenario, vehicles: tuple[int, ...], choices: Choices, every: int, reward: str | Reward
     ) -> None:
         """
         Args:
@@ -40,9 +40,9 @@ class FleetEnv(ParallelEnv[str, Values, Values]):  # type: ignore[misc]
         self.possible_agents = [name_of(i) for i in vehicles]
         self.agents: list[str] = []
         self._vehicles = dict(zip(self.possible_agents, vehicles, strict=True))
-        self._asked, self._every, self._reward = asked, every, reward
-        self._observed = {who: observed(scenario, i, asked) for who, i in self._vehicles.items()}
-        self._decided = {who: decided(scenario, i, asked) for who, i in self._vehicles.items()}
+        self._choices, self._every, self._reward = choices, every, reward
+        self._observed = {who: observed(scenario, i, choices) for who, i in self._vehicles.items()}
+        self._decided = {who: decided(scenario, i, choices) for who, i in self._vehicles.items()}
         self._seeds: np.random.Generator | None = None  # of episodes that are asked for without a seed
         self._seats: dict[str, Seat] = {}
         self._margin = 0.0
@@ -111,7 +111,7 @@ class FleetEnv(ParallelEnv[str, Values, Values]):  # type: ignore[misc]
         if set(actions) != set(self.agents):
             raise FleetError(f"step: expected an action for each of {', '.join(self.agents)}, got {', '.join(actions)}")
         for who in self.agents:
-            self._seats[who].action = action_of(who, self._decided[who], actions[who], self._asked)
+            self._seats[who].action = action_of(who, self._decided[who], actions[who], self._choices)
         for seat in self._seats.values():
             seat.until = run.tick - 1 + self._every
         for who, seat in self._seats.items():
@@ -144,7 +144,7 @@ class FleetEnv(ParallelEnv[str, Values, Values]):  # type: ignore[misc]
 
     def _seat(self, scenario: Scenario, i: int) -> Seat:
         config = scenario.agent_config(i)
-        return Seat(config if self._asked.resident else without_memory(config), self._asked)
+        return Seat(config if self._choices.resident else without_memory(config), self._choices)
 
     def _maker(self, scenario: Scenario, who: str) -> Callable[[int, int], HeldLife]:
         def make(incarnation: int, begin: int) -> HeldLife:
@@ -179,8 +179,8 @@ class FleetEnv(ParallelEnv[str, Values, Values]):  # type: ignore[misc]
             life = self._seats[who].life
             holds = None if life is None else life.holds
             infos[who] = {"seed": run.scenario.seed, "asked": holds is not None}
-            if self._asked.resident and life is not None and holds is not None:
-                infos[who]["resident"] = values_of(life.core.foresee(*holds), self._asked)
+            if self._choices.resident and life is not None and holds is not None:
+                infos[who]["resident"] = values_of(life.core.foresee(*holds), self._choices)
         return infos
 
     def _rewards(self) -> dict[str, float]:

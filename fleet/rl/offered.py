@@ -11,7 +11,7 @@ from fleet.execution.external_agents import refuse
 from fleet.execution.judged import Changes, loaded
 from fleet.logs.table import need
 from fleet.quantities import QuantityError, show_time, time_ns
-from fleet.rl.policy_agent import Asked
+from fleet.rl.policy_agent import Choices
 from fleet.scenario.scenario import Scenario
 from world.plugins.trust import NOTHING, Trust
 
@@ -68,7 +68,7 @@ def parallel_env(
     _insist_on_laws(found, chosen, move, resident=resident)
     from fleet.rl.environment import FleetEnv
 
-    return FleetEnv(found, chosen, Asked(move, numbers, resident), _every(found, every), _reward(found, reward))
+    return FleetEnv(found, chosen, Choices(move, numbers, resident), _every(found, every), _reward(found, reward))
 
 
 def _numbers(scenario: Scenario, message: str | int) -> int:

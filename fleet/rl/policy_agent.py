@@ -28,7 +28,7 @@ KIND = "policy"  # of messages that hold numbers
 Numbers = tuple[float, ...]
 
 
-class Heard(NamedTuple):
+class HeardMessage(NamedTuple):
     """The last message of a neighbour."""
 
     numbers: Numbers  # its content
@@ -46,7 +46,7 @@ class Action:
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class Choices:
     """The choices that a policy has."""
 
     move: Literal["velocity", "force"]
@@ -59,11 +59,11 @@ class Seat:
     """The part of a vehicle's policy that survives when its agent is killed and begins again."""
 
     config: AgentConfig
-    asked: Asked
+    choices: Choices
     action: Action = Action((0.0, 0.0, 0.0), False, ())
     until: int = 0  # the tick at which the policy decides again
     life: HeldLife | None = None  # that of the agent which runs now
-    heard: dict[int, Heard] = field(default_factory=dict)  # by neighbour; at the tick of `nav`
+    heard: dict[int, HeardMessage] = field(default_factory=dict)  # by neighbour; at the tick of `nav`
     nav: Nav | None = None  # that the policy is asked about, or was last
 
 
@@ -72,15 +72,15 @@ class PolicyAgent:
 
     def __init__(self, seat: Seat) -> None:
         self._seat, self.config = seat, seat.config
-        config, asked = seat.config, seat.asked
+        config, choices = seat.config, seat.choices
         self._tick_s = config.tick_ns / 1e9
         # The scenario's own law: it turns a velocity into forces, or computes along.
-        self.resident = Agent(config) if asked.resident or asked.move == "velocity" else None
+        self.resident = Agent(config) if choices.resident or choices.move == "velocity" else None
         self._states = NeighbourTable(
             config.neighbours, "hold", None, config.offset, self._tick_s,
             codec=config.codec, round_ticks=config.round_ticks,
         )  # fmt: skip
-        self._numbers: dict[int, tuple[int, Heard]] = {}  # by sender: tick of sending, and the message
+        self._numbers: dict[int, tuple[int, HeardMessage]] = {}  # by sender: tick of sending, and the message
         self._limits: tuple[Vec3, Vec3] = (_negative(config.tau_max), config.tau_max)
         self._foreseen: tuple[int, dict[str, Any], tuple[bytes, ...], Decision] | None = None
         self._notes: list[tuple[int, str]] = []
@@ -90,13 +90,14 @@ class PolicyAgent:
         seat, now = self._seat, self._now(nav)
         seat.nav = nav
         self._absorb(nav, due)
-        if seat.asked.numbers:
+        if seat.choices.numbers:
             seat.heard = {
                 i: heard._replace(age_s=max(0, now - sent) * self._tick_s) for i, (sent, heard) in self._numbers.items()
             }
         else:
             seat.heard = {
-                one.id: Heard((*one.position, *one.velocity), one.age, one.range_m) for one in self._states.heard(now)
+                one.id: HeardMessage((*one.position, *one.velocity), one.age, one.range_m)
+                for one in self._states.heard(now)
             }
 
     def foresee(self, nav: Nav, due: list[Delivery]) -> Action:
@@ -112,9 +113,9 @@ class PolicyAgent:
 
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:
         """The payload that the policy wants to send, if it wants to send."""
-        if self._seat.asked.resident and self.resident is not None and not self._is_foreseen(nav.tick):
+        if self._seat.choices.resident and self.resident is not None and not self._is_foreseen(nav.tick):
             self.resident.transmit(nav)
-        action, numbers = self._seat.action, self._seat.asked.numbers
+        action, numbers = self._seat.action, self._seat.choices.numbers
         if not action.sends:
             return ()
         if numbers:
@@ -134,7 +135,7 @@ class PolicyAgent:
         due = list(deliveries)
         self._absorb(nav, due)
         move = self._seat.action.move
-        if self._seat.asked.move == "velocity":
+        if self._seat.choices.move == "velocity":
             assert self.resident is not None
             x, y, z = nav.eta[:3]
             self.resident.course = Motion((x, y, z), move)
@@ -147,7 +148,7 @@ class PolicyAgent:
         return Decision(tau, self.resident.decide(nav, due).telemetry)
 
     def state(self) -> dict[str, Any]:
-        """The memory of the resident law; the policy's memory is unknown."""
+        """The memory of the scenario's own law. The policy's memory is unknown."""
         assert self.resident is not None  # otherwise the loop has no `memory_ticks`
         foreseen = self._foreseen
         return foreseen[1] if foreseen is not None and foreseen[1] else self.resident.state()
@@ -178,7 +179,7 @@ class PolicyAgent:
         return StateMessage(self.config.id, self._now(nav), (x, y, z), velocity)
 
     def _absorb(self, nav: Nav, due: list[Delivery]) -> None:
-        if not self._seat.asked.numbers:
+        if not self._seat.choices.numbers:
             ahead = 0 if nav.clock_ns is None else round(AHEAD_S / self._tick_s)
             self._states.absorb(due, self._now(nav), ahead)
             return
@@ -188,9 +189,9 @@ class PolicyAgent:
             except PayloadError:
                 continue  # damaged, or of another agent
             newer = one.src not in self._numbers or one.sent_tick > self._numbers[one.src][0]
-            if newer and isinstance(content, list) and len(content) == self._seat.asked.numbers:
+            if newer and isinstance(content, list) and len(content) == self._seat.choices.numbers:
                 numbers = tuple(float(number) for number in content)
-                self._numbers[one.src] = one.sent_tick, Heard(numbers, 0.0, one.range_m)
+                self._numbers[one.src] = one.sent_tick, HeardMessage(numbers, 0.0, one.range_m)
 
 
 class HeldLife:

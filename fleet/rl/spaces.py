@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 
 from fleet.errors import FleetError
-from fleet.rl.policy_agent import Action, Asked, Seat
+from fleet.rl.policy_agent import Action, Choices, Seat
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signals import BeliefKind
 
@@ -22,10 +22,10 @@ def name_of(i: int) -> str:
     return f"uuv_{i}"
 
 
-def observed(scenario: Scenario, i: int, asked: Asked) -> spaces.Dict:
+def observed(scenario: Scenario, i: int, choices: Choices) -> spaces.Dict:
     """The space of what agent i sees."""
     config = scenario.agent_config(i)
-    each: dict[str, spaces.Space[Any]] = {"message": _box(asked.numbers or STATE), "age": _box(1, -1.0)}
+    each: dict[str, spaces.Space[Any]] = {"message": _box(choices.numbers or STATE), "age": _box(1, -1.0)}
     if scenario.acoustic is not None:
         each["range"] = _box(1, -1.0)
     found: dict[str, spaces.Space[Any]] = {"time": _box(1, 0.0), "eta": _box(5), "nu": _box(5)}
@@ -41,16 +41,16 @@ def observed(scenario: Scenario, i: int, asked: Asked) -> spaces.Dict:
     return spaces.Dict(found)
 
 
-def decided(scenario: Scenario, i: int, asked: Asked) -> spaces.Dict:
+def decided(scenario: Scenario, i: int, choices: Choices) -> spaces.Dict:
     """The space of what agent i decides."""
     config = scenario.agent_config(i)
-    if asked.move == "velocity":
+    if choices.move == "velocity":
         low, high = config.guidance.rho_lo, config.guidance.rho_hi
     else:
         high = config.tau_max
         low = (-high[0], -high[1], -high[2])
     move = spaces.Box(np.array(low), np.array(high), dtype=np.float64)
-    return spaces.Dict({asked.move: move, "send": spaces.Discrete(2), "message": _box(asked.numbers or STATE)})
+    return spaces.Dict({choices.move: move, "send": spaces.Discrete(2), "message": _box(choices.numbers or STATE)})
 
 
 def observation(space: spaces.Dict, seat: Seat) -> Values:
@@ -86,7 +86,7 @@ def _neighbour(space: spaces.Dict, seat: Seat, j: int) -> Values:
     return values
 
 
-def action_of(who: str, space: spaces.Dict, values: Any, asked: Asked) -> Action:
+def action_of(who: str, space: spaces.Dict, values: Any, choices: Choices) -> Action:
     """The action of a policy.
 
     Raises:
@@ -96,7 +96,7 @@ def action_of(who: str, space: spaces.Dict, values: Any, asked: Asked) -> Action
         got = f"keys {', '.join(map(str, values))}" if isinstance(values, dict) else repr(values)[:80]
         raise FleetError(f"the action of {who}: expected a dict with {', '.join(space)}, got {got}")
     numbers = {}
-    for key in (asked.move, "message"):
+    for key in (choices.move, "message"):
         size = space[key].shape[0]
         try:
             array = np.asarray(values[key], dtype=np.float64)
@@ -107,12 +107,12 @@ def action_of(who: str, space: spaces.Dict, values: Any, asked: Asked) -> Action
         numbers[key] = tuple(array.tolist())
     if values["send"] not in (0, 1):
         raise FleetError(f"the action of {who}: send: expected 0 or 1, got {values['send']!r:.80}")
-    return Action(numbers[asked.move], bool(values["send"]), numbers["message"])
+    return Action(numbers[choices.move], bool(values["send"]), numbers["message"])
 
 
-def values_of(action: Action, asked: Asked) -> Values:
+def values_of(action: Action, choices: Choices) -> Values:
     """The inverse."""
-    return {asked.move: _array(*action.move), "send": int(action.sends), "message": _array(*action.message)}
+    return {choices.move: _array(*action.move), "send": int(action.sends), "message": _array(*action.message)}
 
 
 def _box(size: int, low: float = -inf) -> spaces.Box:

@@ -132,7 +132,7 @@ class RosAgent:
         )
 
     def _take(self, tick: int, stamp: _Stamp) -> None:
-        """Take answers: in lockstep until the one to this stamp has come, on a wall clock those that are there."""
+        """Take answers: in lockstep wait for the answer to this stamp, on a wall clock take those that have come."""
         tell_s = time.monotonic() + TELL_S
         while True:
             try:

@@ -36,13 +36,16 @@ class Bag:
             raise FleetError(f"cannot write {folder}: {error.strerror}") from None
 
     def topic(self, name: str, type_name: str, qos: Qos, hash_: str | None = None) -> None:
-        """There may be messages on a topic.
+        """Add a topic to the bag.
 
         Args:
-            hash_: of its type, as others said it; None: as it is known here.
+            name: of the topic, such as `/uuv_1/odom`.
+            type_name: of its messages, such as `nav_msgs/msg/Odometry`.
+            qos: the quality of service that its publisher offers.
+            hash_: the RIHS01 hash of the type as its publisher declared it; None: the hash that we compute.
 
         Raises:
-            FleetError: its type is not known.
+            FleetError: the type is not known.
         """
         if type_name not in self._types.store.fielddefs:
             raise FleetError(f"{name}: the type {type_name} is not known")
@@ -63,13 +66,21 @@ class Bag:
         self.messages += 1
 
     def add(self, message: RosMessage) -> None:
-        """Append a message, on a topic that need not be there yet. Raises FleetError: the disk is full."""
+        """Append a message. If the bag does not have its topic yet, add the topic first.
+
+        Raises:
+            FleetError: the type of the message is not known, or the bag cannot be written (the disk is full).
+        """
         if message.name not in self._connections:
             self.topic(message.name, message.topic.type, message.topic.qos)
         self.write(message.name, message.at_ns, self._types.encode(message.topic.type, message.message))
 
     def flush(self) -> None:
-        """Write out what there is, so that it can be recovered if nobody closes the bag. Raises FleetError."""
+        """Write all messages to the disk. They can then be recovered from a bag that nobody closed.
+
+        Raises:
+            FleetError: the bag cannot be written (the disk is full).
+        """
         storage: Any = self._writer.storage
         try:
             if storage.chunk.bio.tell():

@@ -94,7 +94,7 @@ def vehicle_of(topic: str) -> tuple[int, str] | None:
 
 
 def is_source(topic: str) -> bool:
-    """Whether a topic of the log is used here."""
+    """Whether a topic of the log becomes a topic of ROS."""
     found = vehicle_of(topic)
     return f"uuv/*/{found[1]}" in SOURCES if found else topic in SOURCES and link_of(topic) is None
 

@@ -40,7 +40,7 @@ LATCHED = Qos(depth=1, transient_local=True)
 
 
 class Attachment(NamedTuple):
-    """The attachment of a message, a request or an answer."""
+    """The data that rmw_zenoh sends beside each message, request or answer."""
 
     sequence: int  # from 1
     sent_ns: int  # since 1970

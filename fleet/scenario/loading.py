@@ -8,10 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from fleet.errors import Problem, ScenarioError
+from fleet.quantities import describe_value
 from fleet.scenario.catalogue import shipped_scenarios, shipped_text
 from fleet.scenario.scenario import Reading, Scenario
 from fleet.scenario.text.overrides import Override, apply
-from fleet.scenario.text.yaml_reader import Mapping, Scalar, Source, read
+from fleet.scenario.text.yaml_reader import Mapping, Scalar, Source, plain, read
 from fleet.scenario.trust import READING, TYPED, OverrideOrigin, Policy, stranger
 from fleet.scenario.validation import validate
 from netem.parsing import nearest
@@ -33,10 +34,12 @@ def load_scenario(
     """The scenario of a shipped name or of a file, with overrides applied.
 
     Args:
+        name_or_path: a shipped name, or the path of a file.
+        overrides: changes by options; a text alone is `key.path=value`, as for `--set`.
         trust: modules that may run, in addition to installed ones and the user's own; see `fleet.scenario.trust`.
         imports: import the laws that the file names, to check that they can be used.
-        refused: a list that receives the laws that may not run; None: such a law is an error.
-        origin: the place that the overrides come from.
+        refused: a list that receives the laws that may not run. None: such a law is an error.
+        origin: the source of the overrides.
 
     Raises:
         ScenarioError: with every mistake that was found, in the order of the file.
@@ -70,7 +73,8 @@ def parse_scenario(
     root, problems = read(source)
     if not isinstance(root, Mapping):
         if root is not None:
-            problems.append(root.place.problem("expected keys with values, such as duration: 30 s"))
+            got = describe_value(plain(root))
+            problems.append(root.place.problem(f"expected keys with values, such as duration: 30 s; got {got}"))
         raise ScenarioError(problems)
     if "name" not in root.entries:
         name = re.sub(r"[^a-z0-9_-]+", "-", Path(source_name).stem.lower()).strip("-_")[:64] or "scenario"
@@ -84,12 +88,14 @@ def parse_scenario(
 
 
 def changed(scenario: Scenario, overrides: Sequence[str | Override], trust: Trust = NOTHING) -> Scenario:
-    """A scenario as it would have been with more overrides: the same text, folder and trust, read once more.
+    """Read the text of a scenario once more, with further overrides.
 
-    So what is drawn from the seed is drawn anew, and problems name the lines of the file.
+    All values that the seed draws are drawn anew. Problems name the lines of the file.
 
     Args:
-        trust: in place of the one that the scenario was loaded with; by default the same.
+        scenario: the scenario.
+        overrides: further overrides, after the earlier ones.
+        trust: modules that may run. By default those that the scenario was loaded with.
 
     Raises:
         ScenarioError: with every mistake that was found.

@@ -39,7 +39,7 @@ from world.vehicle import VehicleParams
 
 
 class UnknownValueError(FleetError):
-    """A value that cannot be known, because it depends on a wrong value."""
+    """A value of the scenario cannot be computed, because another value that it depends on is wrong."""
 
 
 class Parts:

@@ -39,13 +39,17 @@ Loc = tuple[str | int, ...]
 
 
 def validate(root: Mapping, folder: Path | None = None, policy: Policy = READING) -> tuple[Parts | None, list[Problem]]:
-    """The parts of the specification that the tree holds, or None, and every mistake in it.
+    """Check a scenario, and find every mistake in it.
 
-    If some keys are wrong, the rules between keys apply to the right ones.
+    Rules that compare keys are also applied if other keys are wrong. So one call finds as many mistakes as possible.
 
     Args:
-        folder: where the scenario's file lies.
-        policy: which laws may be imported.
+        root: the tree of the YAML file.
+        folder: the folder of the scenario's file; None: it comes from no file.
+        policy: says which laws may be imported.
+
+    Returns:
+        The parts of the scenario, or None if there is a mistake; and all mistakes.
     """
     data = plain(root)
     report = Report(root, policy=policy)

@@ -93,7 +93,7 @@ class SceneModel:
         """The primitives at a time [s] that move with the fleet, without vehicles, links and packets.
 
         Args:
-            beliefs: what vehicles believe of their places.
+            beliefs: the positions that the vehicles themselves estimate.
         """
         wanted = [(i, FramePoint(REFERENCE, *offset)) for i, offset in enumerate(self.offsets(t), start=1)]
         return [

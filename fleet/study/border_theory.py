@@ -24,11 +24,11 @@ class Theory:
     """Theory at the low end of a border's range, and along it.
 
     Attributes:
-        shunting: K lambda_max(L+B) and a [1/s]; the first must be smaller. None: there is no such rule.
-        stable: whether the linear loop is stable at the value that K settles at, at the low end of the range; None:
-            not known.
-        reckoning: the number of the first value at which K tau rho(A) is not below 1, with the mean age under loss. If
-            there is none, the number of all values. None: there is no such rule.
+        shunting: K lambda_max(L+B) and a [1/s]. The first must be smaller. None: the rule does not apply.
+        stable: at the low end of the range, whether the linear loop is stable for the final value of K. None: not
+            known.
+        reckoning: index of the first value with K tau rho(A) >= 1, for the mean age under loss. If no value is that
+            large, the number of values. None: the rule does not apply.
     """
 
     shunting: tuple[float, float] | None

@@ -94,7 +94,7 @@ def parse_along(text: str, width: float) -> Axis:
         raise StudyError(f"{found.key}: a border needs given values, and these are drawn")
     numbers = [value.number for value in found.values]
     if None in numbers or len(numbers) < 2 or numbers != sorted(numbers, key=lambda number: number or 0.0):
-        raise StudyError(f"{found.key}: expected a range such as 0 %..95 %, or rising numbers")
+        raise StudyError(f"--along {text:.60}: expected a range such as 0 %..95 %, or two or more rising numbers")
     if len(numbers) > MOST_PLACES:
         raise StudyError(f"{found.key}: {len(numbers)} values are too many: at most {MOST_PLACES} are possible")
     return replace(found, option="--along")
@@ -124,11 +124,11 @@ def prepare_borders(
     """Check every point that may be run, and make the directory of the study.
 
     Args:
-        plan: its last axis is the one along which the border is sought, see `parse_along`.
-        spec: the settings of the study; the directory keeps it.
-        directory: of the new study.
+        plan: the plan. The border is sought along its last axis, see `parse_along`.
+        spec: the settings of the study. The directory keeps them.
+        directory: directory of the new study.
         trust: modules that may run, in addition to installed ones and the user's own.
-        warn: called with each check that cannot pass, in words.
+        warn: called with a line of text for each check that cannot pass.
 
     Raises:
         ScenarioError: with the mistakes of all points.

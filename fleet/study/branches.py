@@ -37,11 +37,11 @@ class Branch(NamedTuple):
     """A part of a run.
 
     Attributes:
-        check: whose margin counts.
-        salt: of the draws; 0: those of the run of this seed.
-        start: a snapshot; empty: the start of the run.
-        best: the least margin before.
-        level: it ends when the margin is at or below this; None: it goes on to the end of the run.
+        check: the check; its margin counts.
+        salt: changes all draws from here on. 0: the draws of the run with this seed.
+        start: the snapshot to start from. Empty: the start of the run.
+        best: the least margin so far.
+        level: the branch ends as soon as the margin is at or below this. None: it lasts to the end of the run.
     """
 
     check: str
@@ -56,10 +56,11 @@ class _ReachedError(Exception):
 
 
 class _Path:
-    """A sink of the journal: keeps each snapshot at which the margin was smaller than ever.
+    """A sink of the journal: keeps a snapshot whenever the margin is smaller than ever before.
 
-    The margin must be decided by the snapshot and by what came before: all draws after it are made anew. True states at
-    its tick are in it. What an agent says at its tick follows from what is measured then, so its signals count before.
+    All draws after a snapshot are made anew. So the margin must depend only on the snapshot and on the time before it.
+    The snapshot has the true states at its tick. It does not have the agents' signals at its tick, since these depend
+    on measurements at that tick. So the margin of a signal counts only the samples before.
     """
 
     def __init__(

@@ -21,7 +21,10 @@ from netem.transit import PendingPacket
 
 
 def certain_margin(scenario: Scenario) -> Callable[[Snapshot], float]:
-    """What gives the margin of `max_age` in the ticks that a snapshot decides [s]; below 0 the check fails."""
+    """Make a function that computes the margin of `max_age` [s] from a snapshot.
+
+    It covers the ticks for which the snapshot already decides every age. If the margin is below 0, the check fails.
+    """
     check = scenario.spec.checks.max_age
     assert check is not None
     tick_ns, after = scenario.tick_ns, -(-check.after // scenario.tick_ns)

@@ -33,12 +33,12 @@ class Engine(Protocol):
         """
 
     def make(self, tasks: Iterator[Task], take: Callable[[list[Row]], None], wait: Callable[[], None]) -> None:
-        """Make every run, whoever dies meanwhile.
+        """Make every run, also if workers die meanwhile.
 
         Args:
-            tasks: taken in their order as workers become free, so memory does not grow with their number.
-        take: gets rows, in the order in which runs end.
-        wait: called several times a second.
+            tasks: the runs. A free worker takes the next one, so memory does not grow with their number.
+            take: called with the rows of results as runs end.
+            wait: called several times a second.
 
         Raises:
             RunBroken: no worker starts.

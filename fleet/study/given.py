@@ -28,14 +28,15 @@ _QUOTED = re.compile(r"'([^']*)'")
 
 
 def read(field: SpecField, value: object, key: str = "") -> Any:
-    """One value of a field: the whole of it, an entry of its list, or what it has for a key.
+    """Check and convert one value of a field: the whole value, one entry of its list, or the value of one key.
 
     Args:
+        field: the field.
         value: a plain value of a file or a script, or a text of the command line.
-        key: whose value it is, if the field has texts by key.
+        key: the key of the value, if the field has texts by key.
 
     Raises:
-        StudyError: it is something else than the field needs.
+        StudyError: the value does not fit the field.
     """
     if field.shape is bool:
         return _checked(value, isinstance(value, bool), "true or false")

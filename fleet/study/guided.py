@@ -121,10 +121,12 @@ class GuidedSearch:
         """Make generations until a check fails. If several runs of a generation fail, the first one counts.
 
         Args:
+            engine: makes the runs.
             tell: called now and then with the number of runs that were made.
-                    most_runs: the most runs; with a folder, earlier runs count.
-            budget_s: of wall time, after which no generation is begun.
-            keep: go on after a failure, and keep the first scenario of each kind of failure here.
+            most_runs: limit on the number of runs. With a folder, earlier runs count.
+            budget_s: after this wall time [s] no new generation begins.
+            keep: the folder that keeps the first scenario of each kind of failure. The search then goes on after a
+                failure. None: it ends at the first failure.
 
         Raises:
             StudyError: the scenario does not have this check; the folder cannot be used.

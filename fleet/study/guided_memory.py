@@ -1,4 +1,4 @@
-"""The file with which a guided search continues after an interruption: all that the search knows."""
+"""The file of a guided search: its full state, so that the search can continue after an interruption."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class KnownRun(NamedTuple):
 
 
 class GuidedMemory(Struct, kw_only=True):
-    """All that determines the generations to come."""
+    """The values that determine all further generations."""
 
     format: int = FORMAT
     key: str  # of the scenario and the check

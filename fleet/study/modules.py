@@ -33,12 +33,14 @@ class Modules(NamedTuple):
     """Modules that were let in when the scenarios were read.
 
     Attributes:
-        folder: of the scenario's file on this machine, if they lie in it; else they lie in the current directory.
-        files: of the modules. SHA-256 of the files; workers let them in by it, too.
-        names: of the modules of laws, plants and checks.
-        units: the files of plants that are FMUs, as the scenarios name them.
-        carried: path and content of each file, below the folder that the search for modules begins in. Empty: they are
-            imported from their own place.
+        folder: the folder of the scenario's file on this machine, if the modules lie in it. None: they lie in the
+            current directory.
+        files: the files of the modules.
+        fingerprints: SHA-256 of each file. Workers check it before they import a module.
+        names: names of the modules of laws, plants and checks.
+        units: files of plants that are FMUs, as the scenarios name them.
+        carried: path and content of each file. Workers write them below the folder in which the search for modules
+            begins. Empty: workers import the modules from their own place.
     """
 
     folder: str | None = None

@@ -62,7 +62,7 @@ class Mutator:
     """Makes fault lists of a scenario."""
 
     def __init__(self, scenario: Scenario, latest_ns: int) -> None:
-        """Prepare it; no fault that it makes ends after `latest_ns`, so that time to recover is left."""
+        """Prepare it. Every fault ends by `latest_ns`, so that the run has time to recover."""
         self._vehicles, links = scenario.vehicles, scenario.graph.links
         self._duration, self._tick = scenario.duration_ns, scenario.tick_ns
         self._latest = max(latest_ns, self._tick)
@@ -75,11 +75,16 @@ class Mutator:
     def mutated(
         self, faults: Sequence[Fault], others: Sequence[Sequence[Fault]], near_ns: int | None, draws: Draws
     ) -> list[Fault]:
-        """One to four moves on a fault list.
+        """Change a fault list by one to four random moves.
 
         Args:
-            others: lists that faults can be taken from.
-        near_ns: the time of the smallest margin; None: not known.
+            faults: the list; it stays as it is.
+            others: further lists. A move may take faults from them.
+            near_ns: time of the smallest margin [ns]. None: not known.
+            draws: the random draws.
+
+        Returns:
+            The new list, within the limits of the scenario's nemesis.
         """
         made = [dict(fault) for fault in faults]
         for _ in range(1 + min(3, int(-log2(1.0 - draws.share())))):
@@ -184,7 +189,7 @@ def kind_of(fault: Fault) -> str:
 
 
 def _forms(value: Any) -> tuple[int, bool]:
-    """What must be alike for the numbers of a fault to fit another one: of links their number."""
+    """The form of a fault's values. The numbers of a fault fit another fault only if both forms are equal."""
     return (len(value), "vehicles" in value) if isinstance(value, dict) else (0, False)
 
 

@@ -46,13 +46,15 @@ class Plan:
 
     Attributes:
         scenario: a shipped name or a file.
-        changes: what is changed for every run; `{name}` stands for the value of the axis of that name.
-        axes: what is varied.
-        zipped: whether the axes go together, first with first, instead of every value with every other.
-        seeds: of the runs of each point; the same ones, so that points can be compared in pairs.
-        draw: the seed of sampled axes.
-        origin: where changes and axes come from, and so which laws they may name.
-        most_seeds: that a point may have, if seeds are added; None: none is.
+        changes: changes of every run. `{name}` stands for the value of the axis of that name.
+        axes: the varied keys with their values.
+        zipped: the first values of all axes make the first point, the second values the second, and so on. Otherwise
+            every combination is a point.
+        seeds: seeds of the runs of each point. All points have the same ones, so points can be compared in pairs.
+        draw: the seed of drawn axes.
+        origin: the source of changes and axes. It decides which laws they may name.
+        most_seeds: limit on the seeds of a point, if seeds are added. None: no seeds are added.
+        points: the points; computed.
     """
 
     scenario: str

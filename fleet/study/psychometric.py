@@ -46,9 +46,10 @@ class Belief(NamedTuple):
     """The present knowledge of the border.
 
     Attributes:
-        border: the median of its posterior.
-        low, high: the interval of 95 %; below 0 and above 1 the place is a guess, but that it is outside is not.
-        below, above: chances that the border lies below 0, and above 1.
+        border: the median of its posterior. 0 and 1 are the ends of the range.
+        low, high: the interval of 95 %. A value below 0 or above 1 is only a guess of the place, but the border is
+            outside of the range.
+        below, above: the chances that the border lies below 0, and above 1.
     """
 
     border: float

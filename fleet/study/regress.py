@@ -25,6 +25,7 @@ class Regressed:
     """One scenario of a folder that was run again.
 
     Attributes:
+        failure: the scenario, with the expected verdict.
         got: the verdict now, in words.
         same: whether it is the expected verdict.
         broken: whether the run has no verdict.
@@ -113,15 +114,21 @@ def make_least(
     modules: Modules,
     most_runs: int,
 ) -> list[FoundFailure]:
-    """Make the failures of a scenario that are not the least ones yet as small as they can be; returns these.
+    """Make the failures in a folder as small as possible, unless that is done already.
 
     Args:
-        scenario: whose search has found them.
-        tell: called now and then with what is being tried and how many runs were made.
-        most_runs: for each.
+        folder: the folder of failures.
+        scenario: the scenario of the search that found them.
+        engine: makes the runs.
+        tell: called now and then with the present step, in words, and the number of runs made.
+        modules: the modules of its laws.
+        most_runs: limit on the runs for each failure.
+
+    Returns:
+        The failures that were made smaller.
 
     Raises:
-        StudyError: one cannot be read or written.
+        StudyError: a failure cannot be read or written.
     """
     done = []
     for failure in folder.of(scenario):

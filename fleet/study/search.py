@@ -96,16 +96,18 @@ def search(
     """Run a scenario with its own seed, the next one and so on, until a check fails.
 
     Args:
+        scenario: the scenario. Its nemesis draws other faults for each seed.
+        engine: makes the runs.
         tell: called now and then with the number of runs that were made.
-        check: which must fail; None: any.
-        most_runs: how many seeds are tried.
-        budget_s: of wall time, after which no run is begun.
-        modules: that its laws need.
-        keep: go on after a failure, and keep the first scenario of each kind of failure here. Runs that the folder
-            already has are not repeated, and count.
+        check: the search ends when this check fails. None: when any check fails.
+        most_runs: limit on the number of seeds.
+        budget_s: after this wall time [s] no new run begins.
+        modules: the modules of its laws.
+        keep: the folder that keeps the first scenario of each kind of failure. The search then goes on after a
+            failure. Runs that the folder already has count, and are not repeated.
 
     Raises:
-        StudyError: it has no nemesis, or not this check; the folder cannot be used.
+        StudyError: the scenario has no nemesis, or not this check; or the folder cannot be used.
     """
     refuse(scenario, "a run of a study")
     if scenario.undrawn.nemesis is None:
@@ -177,7 +179,7 @@ class _Search:
         return Task(run_key(f"{self._text}\nseed {seed}"), 0, seed, self._scenario.name, self._text, inf, self._modules)
 
     def take(self, row: Row) -> None:
-        """Take a row, and count the rows that are next, up to one that fails in a new way: it is repeated first."""
+        """Take a row. Count the rows that are next in order, until one fails in a new way: it is repeated first."""
         seed = row["seed"]
         if seed == self._doubt:
             row, self._doubt = compared(self._waiting[seed], row), None

@@ -1,9 +1,9 @@
-"""The least that breaks it: a scenario whose run fails a check, with as little as possible of what it need not have.
+"""Makes a scenario that fails a check as small as possible, so that it still fails.
 
-Runs are deterministic, so whatever still fails, fails each time. In turn, until nothing gets less: faults are left out
-(`ddmin`), the run is shortened, the last vehicles are left out, each fault is shortened and made milder. Candidates of
-one step are run side by side. Among those that fail it takes the smallest one, so the number of workers changes
-nothing.
+Runs are deterministic: a scenario that fails once fails each time. The steps are: leave out faults (`ddmin`), shorten
+the run, leave out the last vehicles, shorten each fault and make it milder. They repeat until no step helps any more.
+The candidates of one step run side by side. The smallest candidate that fails is taken, so the result does not depend
+on the number of workers.
 """
 
 from __future__ import annotations
@@ -42,14 +42,15 @@ Tree = dict[str, Any]  # a scenario as plain values
 
 
 class Shrunk(NamedTuple):
-    """The least scenario that was found.
+    """The smallest scenario that was found.
 
     Attributes:
+        scenario: the smallest scenario.
         check: the check that fails.
-                found: the finding of that check, for the first scenario and for the smallest one.
+        found: the finding of that check, for the first scenario and for the smallest one.
         runs: the number of runs made.
         steps: the reductions, in words and in order.
-        digest: of the log of the run of the smallest one.
+        digest: digest of the log of the smallest scenario's run.
     """
 
     scenario: Scenario
@@ -61,7 +62,7 @@ class Shrunk(NamedTuple):
 
 
 class Shrinker:
-    """Makes one scenario less."""
+    """Makes one scenario smaller."""
 
     def __init__(
         self, scenario: Scenario, engine: Engine, tell: Callable[[str, int], None], modules: Modules = NO_MODULES
@@ -69,9 +70,10 @@ class Shrinker:
         """Prepare it.
 
         Args:
-            scenario: whose run fails a check.
-            tell: called now and then with what is being tried and how many runs were made.
-            modules: that its laws need.
+            scenario: its run fails a check.
+            engine: makes the runs.
+            tell: called now and then with the present step, in words, and the number of runs made.
+            modules: the modules of its laws.
         """
         self._name, self._engine, self._tell, self._modules = scenario.name, engine, tell, modules
         self._rows: dict[str, Row] = {}  # by key of the run
@@ -81,13 +83,14 @@ class Shrinker:
         self._tree = tree_of(scenario)
 
     def shrink(self, check: str | None = None, most_runs: int = 10_000) -> Shrunk:
-        """Make it less until nothing can be left out, or the runs are used up.
+        """Make the scenario smaller until no step helps, or `most_runs` runs were made.
 
         Args:
-            check: which must still fail; None: the first that does.
+            check: this check must still fail. None: the first check that fails.
+            most_runs: limit on the number of runs.
 
         Raises:
-            StudyError: it does not fail, or not this check.
+            StudyError: the scenario fails no check, or not this one.
         """
         self._left = most_runs
         first = self._run([self._tree])[0]

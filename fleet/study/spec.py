@@ -40,11 +40,11 @@ class Option(NamedTuple):
     """The words about a field, and its names.
 
     Attributes:
-        help: as `--help` and Python's `help` have it.
-        metavar: stands for the value in `--help`, if its kind says nothing.
-        flag: on the command line, where it is not `--` and the name of the field; None: a file alone has it.
-        keyword: in Python, where it is not the name of the field.
-        later: whether it may be given anew when a study goes on.
+        help: the text of `--help` and of Python's `help`.
+        metavar: the word for the value in `--help`, if the kind of the field has none.
+        flag: the option of the command line. "": `--` and the name of the field. None: only a file can give it.
+        keyword: the keyword in Python. "": the name of the field.
+        later: whether a study that continues may change it.
     """
 
     help: str
@@ -168,12 +168,12 @@ class SpecField(NamedTuple):
 
     @property
     def keyword(self) -> str:
-        """In Python; of a time with its unit."""
+        """The keyword in Python. That of a time ends with its unit, `_s`."""
         return self.option.keyword or (f"{self.name}_s" if self.kind is Kind.TIME else self.name)
 
 
 def fields(spec: Spec) -> dict[str, SpecField]:
-    """The fields of a spec by name, in their order."""
+    """The fields of a class of specs by name, in the order of their declaration."""
     hints, found = get_type_hints(spec, include_extras=True), {}
     for name, default in ((each.name, _default(each)) for each in msgspec.structs.fields(spec)):
         what, *about = get_args(hints[name])

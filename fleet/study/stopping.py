@@ -30,10 +30,10 @@ class Rule(NamedTuple):
     """When a point has enough: half the width of the 95 % interval is at most `margin`.
 
     Attributes:
-        text: as the user wrote it.
-        column: whose median it is; None: the share of runs that passed.
-        margin: in the unit of the column; of the share, or relative, 1.
-        relative: to the median.
+        text: the rule as the user wrote it.
+        column: the rule is on the median of this measure. None: on the share of runs that passed.
+        margin: in the unit of the column. A share or a relative margin has no unit.
+        relative: whether the margin is relative to the median.
     """
 
     text: str

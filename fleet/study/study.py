@@ -70,7 +70,7 @@ class Study:
 
     @property
     def missing(self) -> int:
-        """How many runs are still to be made, as far as is known. Raises StudyError."""
+        """The number of runs that are still to be made, as far as it is known. Raises StudyError: it is damaged."""
         return self._store.missing
 
     def to_pandas(self) -> pd.DataFrame:
@@ -171,10 +171,10 @@ class Study:
         """Make one of its runs again with its log; the digest is that of the row.
 
         Args:
-            point: its number, or its values by key.
-            seed: of the run.
-            out: where the run's directory is made.
-            trust: which modules may run that are not installed.
+            point: number of the point, or its values by key.
+            seed: seed of the run.
+            out: the run's directory is made in this folder.
+            trust: modules that may run although they are not installed.
 
         Raises:
             StudyError: there is no such point.

@@ -31,7 +31,8 @@ def summarise(store: Store, measures: Sequence[MeasureColumn] = ()) -> list[Poin
     """The summary of each point that has a run, in the order of the points.
 
     Args:
-        measures: names for the medians; none: those that the study was made with, or else `DEFAULT`.
+        store: the study.
+        measures: the measures to summarise. Empty: the measures of the study, or else `DEFAULT`.
 
     Raises:
         StudyError: the study is damaged.

@@ -73,13 +73,15 @@ class Axis:
     """A key that is varied.
 
     Attributes:
-        key: of the scenario, such as `network.links.*.loss`, or a name of a template.
-        unit: of the numbers; empty if they have none, or if the values are words.
-        values: in order; of a range that is to be sampled none.
-        how: `grid`: the values; `random`, `latin`: `count` values between `low` and `high` are to be drawn.
+        key: a key of the scenario, such as `network.links.*.loss`, or a name in a template.
+        unit: unit of the numbers. Empty: they have none, or the values are words.
+        values: the values in order. Empty: they are still to be drawn.
+        how: `grid`: the listed values. `random`, `latin`: `count` values are drawn between `low` and `high`.
+        low, high: the ends of the range.
+        count: number of values to draw.
         scale: `log`: equal ratios are equally likely, or equally far apart.
-        step: what is drawn is rounded to whole steps above `low`; 0: it is not.
-        option: of the command line that varies it.
+        step: drawn values are rounded to whole steps above `low`. With 0 they are not rounded.
+        option: the command-line option that varies the key.
     """
 
     key: str

@@ -93,11 +93,13 @@ def access_control(
     """Zenoh's `access_control` block for one run: deny by default, then what each role needs.
 
     Args:
-        hosts: the agents that share processes. Their host's login speaks for them in later lives. Each login has a list
-            of its own, and the router looks through all lists at each login (1,000 lists: 3 ms).
-        certified: roles that count only together with a client certificate, and the names that it may have.
-        prefix: of the user names and of the rules' names, if several runs share a router.
-        world: the world is a client, too.
+        keys: the keys of the run.
+        vehicles: the vehicle numbers.
+        hosts: the agents that share processes. They use the login of their host, in every life. One login per agent
+            would be slow: the router looks through the lists of all logins at each login (1,000 lists: 3 ms).
+        certified: roles that must also show a client certificate, each with the common names that are allowed.
+        prefix: the user names and the names of the rules begin with it, if several runs share a router.
+        world: the world is a client of the router, too.
     """
     listed = _List(prefix)
 

@@ -1,13 +1,13 @@
 """The router's refusals, one line each, taken from zenoh's own log. The rest of that log is left out.
 
-Zenoh refuses silently but for its log: a login at level debug, once per connection, and what access control decides
-at level trace, a line per message, allowed or not. Refused logins are therefore always reported, and refused
-messages when a run is audited, which costs about a tenth of its speed. Zenoh writes to stdout; here that is a socket,
-which a thread reads.
+Zenoh reports refusals only in its log. At level debug it writes a line for each refused login. At level trace it writes
+a line for each message, allowed or not. So refused logins are always reported. Refused messages are reported only if a
+run is audited, since that costs about a tenth of its speed. Zenoh writes its log to stdout. Here stdout is a socket,
+and a thread reads it.
 
-If the buffer is full, a thread that writes a line of the log waits. It may be any thread of the router, perhaps one
-that holds Python's lock. So the reader only reads and counts. Another thread reports what it found, since a report is a
-put, which writes lines of its own. No thread waits longer than WRITE_S: a line that finds no room until then is lost.
+If the socket's buffer is full, the thread that writes a line waits. Any thread of the router may write, even while it
+holds Python's lock. So the reader only reads and counts. Another thread sends the reports, because each report is a put
+and makes zenoh write further lines. No thread waits longer than WRITE_S. Then the line is lost.
 """
 
 from __future__ import annotations

@@ -52,11 +52,12 @@ class Bus:
         """A client session to a run's router.
 
         Args:
-            endpoint: address of the router; of several addresses, separated by commas, each is tried in turn.
+            endpoint: address of the router. Several addresses are separated by commas; each is tried in turn.
             credentials: user, password and, for TLS, the certificates.
             timeout_ms: how long to try [ms].
-            puts: key expressions; the publishers on keys that one of them includes are declared to the router as one.
-                A thousand declarations at once stop zenoh: it waits for room in the socket, and for itself to make it.
+            puts: key expressions. All publishers on keys of one expression are declared to the router as one. Without
+                this, a thousand declarations at once block zenoh: the thread that waits for room in the socket is the
+                one that would make room.
 
         Raises:
             BusError: no router answers in time, or it refuses the credentials or the certificate.
@@ -90,10 +91,12 @@ class Bus:
         """Open the router of a run: it listens on `endpoint`, checks users and enforces the access-control list.
 
         Args:
+            endpoint: address at which the run's own processes reach the router.
+            keys: the keys of the run.
             vehicles: the vehicle numbers.
-            credentials: by role; these users may log in.
-            private: a directory of mode 0700; zenoh reads the users from a file there, which is removed
-                as soon as the session is open.
+            credentials: the users that may log in, by role.
+            private: a directory of mode 0700. Zenoh reads the users from a file there. The file is removed as soon as
+                the session is open.
             listener: additional endpoints, for processes that do not belong to the run.
             hosts: the agents that share processes.
 
@@ -173,12 +176,14 @@ class Bus:
     def channel(self, key: str, capacity: int = 4096) -> PutQueue:
         """A queue of every put on `key`, filled by zenoh without a Python callback.
 
-        A callback needs the interpreter lock and so interrupts the main thread; in the main loops of world and agents
-        it would take a fifth of the CPU time. When the channel is full, the senders block, and nothing else is received
-        on this session. So a thread that waits on one channel must not leave another one full.
+        A callback needs the interpreter lock and so interrupts the main thread. In the main loops of world and agents
+        it would take a fifth of the CPU time. If the channel is full, the senders block, and this session receives
+        nothing else. So a thread that waits on one channel must not leave another one full.
 
-        `capacity` is the number of puts. It should be small if foreign programs can put. Each put in the queue may hold
-        0.5 MB (measured: zenoh keeps the whole buffer in which it received the put).
+        Args:
+            key: the key, or a key expression.
+            capacity: number of puts that the queue can hold. It should be small if foreign programs can put. Each put
+                in the queue may hold 0.5 MB (measured: zenoh keeps the whole buffer that it received).
         """
         return PutQueue(self._session.declare_subscriber(key, zenoh.handlers.FifoChannel(capacity)))
 

@@ -23,21 +23,22 @@ from netem.wire.settings import UNIVERSAL, listening, router_settings, server_tl
 
 
 def new_session_id() -> str:
-    """A zenoh id for a session: hexadecimal, not beginning with 0."""
+    """A random id for a zenoh session: 128 bits as hexadecimal digits. Zenoh allows no 0 as the first digit."""
     return f"{1 << 127 | randbits(127):x}"
 
 
 class CertificateRouter:
-    """Listens with mutual TLS, and passes on what the agents of `listener.certified` say and hear."""
+    """Listens with mutual TLS, and passes messages between the agents of `listener.certified` and the run's router."""
 
     def __init__(self, run: Bus, keys: Keys, vehicles: tuple[int, ...], listener: Listener, session_id: str) -> None:
         """Open the router.
 
         Args:
             run: the session that hosts the router of the run.
-            vehicles: the vehicle numbers; those whose role is in `listener.certified` may join here.
+            keys: the keys of the run.
+            vehicles: all vehicle numbers. An agent may join here if its role is in `listener.certified`.
             listener: the endpoints, with the certificates.
-            session_id: of the router's session.
+            session_id: id of the router's session, see `new_session_id`.
 
         Raises:
             BusError: an endpoint is in use, or this process may not listen on it.
@@ -73,8 +74,8 @@ class CertificateRouter:
     def _connect(self, i: int) -> None:
         """Pass on what agent i says and hears.
 
-        Each subscriber has a thread of its own, so one that waits for room delays only its own messages. Order holds
-        only within one subscriber, as tx and cmd need it.
+        Each subscriber has its own thread. A subscriber that waits for room delays only its own messages. Messages keep
+        their order only within one subscriber, so tx and cmd share one.
         """
         keys, role = self._keys, agent_role(i)
         _pass_on(self._bus, self._run, keys.every(i), (keys.tx(i), keys.cmd(i)), of_others=True)

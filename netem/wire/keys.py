@@ -61,7 +61,7 @@ class Keys:
 
     @property
     def grant(self) -> str:
-        """Console to world: the tick up to which it may run, and changes of agents and faults.
+        """Console to world: the limit of its ticks, and changes of agents and faults.
 
         It is below `cmd`, so that the world receives grants and the agents' commands in one channel.
         """

@@ -39,7 +39,13 @@ class OpenPublication:
         return bool(getattr(status, "matching", status))
 
     def put(self, payload: bytes, attachment: bytes | None, place: int | None = None) -> None:
-        """Put a sample. `place` counts the earlier puts on the key, including those that were left out."""
+        """Put a sample.
+
+        Args:
+            payload: the sample's payload.
+            attachment: data beside the payload; None: none.
+            place: number of earlier puts on the key. Puts that were left out count, so that a reader notices them.
+        """
         source = None if place is None else zenoh.SourceInfo(self._publisher.id, place)
         self._publisher.put(payload, attachment=attachment, source_info=source)
 
@@ -61,10 +67,10 @@ class OpenBus:
 
     @classmethod
     def listen(cls, endpoint: str) -> OpenBus:
-        """A router without credentials: whoever reaches the endpoint may join.
+        """Open a router without credentials. Every process that reaches the endpoint may join.
 
         Raises:
-            BusError: the endpoint is taken or none.
+            BusError: the endpoint is not valid, or it is in use.
         """
         return cls._listen(endpoint, OTHERS)
 
@@ -125,7 +131,7 @@ class OpenBus:
                 key, encoding=encoding, congestion_control=control, reliability=zenoh.Reliability.RELIABLE
             )
         except zenoh.ZError:
-            raise BusError(f"zenoh takes no key {key!r}") from None
+            raise BusError(f"zenoh cannot publish on {key!r}: expected a key such as robot/1/odom") from None
         self._held.append(publisher)
         return OpenPublication(publisher)
 

@@ -42,7 +42,7 @@ class RosBus(OpenBus):
 
     @classmethod
     def be_router(cls, endpoint: str) -> RosBus:
-        """A router, as rmw_zenohd is one. Raises BusError: the endpoint is taken or none."""
+        """A router, as rmw_zenohd is one. Raises BusError: the endpoint is not valid, or in use."""
         settings = listening([endpoint]) | {"scouting/gossip/enabled": True}
         return cls._ros("router", endpoint, settings, "cannot listen on")
 
@@ -96,7 +96,13 @@ class RosBus(OpenBus):
         return sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
 
     def watch_tokens(self, key: str, handler: Callable[[str, bool], None]) -> None:
-        """Call `handler(key, there)` on a thread of zenoh for tokens that are there, come and go."""
+        """Report liveliness tokens.
+
+        Args:
+            key: the tokens to watch, as a key expression.
+            handler: called on a thread of zenoh as `handler(key, there)`: once for each token that exists now, with
+                True for each new token, and with False for each token that ends.
+        """
 
         def receive(sample: zenoh.Sample) -> None:
             handler(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)

@@ -1,19 +1,20 @@
 """Zenoh's settings for our sessions, as paths and values, with the reasons.
 
 * `transport/unicast/lowlatency` with QoS off: 20-40 % less per round trip; our messages have one priority.
-* `transport/link/tx/lease` of one hour on loopback: at the 10 s default a merely suspended process loses its messages
-  silently and reconnects as if nothing had happened. Deaths show as process exits and closed sockets. Between hosts a
-  cable may be pulled, which closes no socket: there the lease is short, and `Bus.on_lost` reports that it has run out.
-* congestion control BLOCK and reliable: DROP loses messages silently. Grants bound what is in flight.
-* scouting and the admin space are off: a run is a closed box. `scouting/delay` too: even so a router would wait half a
-  second for others before its session is open.
+* `transport/link/tx/lease` of one hour on loopback: with the default of 10 s a process that was only suspended loses
+  its messages silently, and reconnects as if nothing had happened. A dead process shows by its exit and its closed
+  socket. Between hosts somebody may pull a cable, and that closes no socket. There the lease is short, and
+  `Bus.on_lost` reports its end.
+* congestion control BLOCK and reliable: DROP loses messages silently. Grants limit the number of messages under way.
+* scouting and the admin space are off: a run is a closed box. `scouting/delay` is off, too: otherwise a router waits
+  half a second for other routers before its session is open.
 * shared memory is off: our messages are far below its threshold, and it starts threads.
-* `transport/link/rx/max_message_size`: zenoh's default is 1 GiB, which anybody who is let in could make the world hold.
-  Our messages fit into one piece. Longer ones of who sends them in several are dropped; who announces a longer piece
-  is cut off. (Measured, 100 MB: the world grew by 200 MB, now by nothing.)
-* one runtime thread instead of five pools: a process has few sessions, and pools that wake each other cost more
-  than they do (bare barrier, N = 4: 165 us per tick against 290). With `lowlatency` sending happens on the calling
-  thread, so a receive task that waits for a full channel cannot hold a send back.
+* `transport/link/rx/max_message_size`: with zenoh's default any client could make the world hold 1 GiB. Our messages
+  fit into one piece. The router drops a longer message of several pieces, and cuts off a client that announces a longer
+  piece. (Measured with 100 MB: the world grew by 200 MB before, and does not grow now.)
+* one runtime thread instead of five pools: a process has few sessions, and the pools would wake each other (bare
+  barrier, N = 4: 165 us per tick against 290). With `lowlatency` the calling thread sends. So a receive task that waits
+  for a full channel does not delay a send.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ from typing import Any
 
 from netem.wire.access import LEASE_MS, Credentials, Listener
 
-# A send that waits takes its thread along, and another one goes on, started as needed. When all 50 of zenoh's default
-# wait, nothing moves any more: so stood a router of 1,000 vehicles on a busy machine; with more room it had up to 769.
+# A send that waits blocks its thread, and zenoh starts another one. If all 50 threads of zenoh's default wait, nothing
+# moves any more. This happened to a router of 1,000 vehicles on a busy machine. With more room it had up to 769.
 THREADS = 4096
 # ZENOH_RUNTIME, which zenoh reads when the first session of a process opens; it panics if that is malformed.
 RUNTIME = (

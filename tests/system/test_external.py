@@ -198,7 +198,9 @@ def test_nobody_comes(tmp_path: Path) -> None:
 
 def test_nobody_can_join_a_run_in_one_process(tmp_path: Path) -> None:
     scenario = load_scenario("paper", [EXTERNAL])
-    with pytest.raises(FleetError, match=r"^vehicle 3 is external, so somebody else starts that agent"):
+    with pytest.raises(
+        FleetError, match=r"^vehicle 3 is external: a run in one process cannot have agents that are started elsewhere"
+    ):
         execute(scenario, Options(tmp_path, in_process=True, quiet=True))
     assert list(tmp_path.iterdir()) == []
     result = CliRunner().invoke(cli, ["check", "ideal", "--set", "external=true"])

@@ -92,7 +92,7 @@ def test_an_agent_too_slow_for_its_ticks_is_named(tmp_path: Path, monkeypatch: p
     ("arguments", "said"),
     [
         (["--in-process"], "not with --in-process"),
-        (["--speed", "max"], "has no max"),
+        (["--speed", "max"], "has no --speed max"),
         (["--clock", "lockstep", "--max-missed", "2%"], "is for --clock real"),
         (["--set", "network=ideal"], "not with network: ideal"),
         (["--max-missed", "2"], "expected a share"),

@@ -82,7 +82,7 @@ class Fixes:
         return tick * MOST_SOURCES + number
 
     def memory(self) -> list[list[float]]:
-        """All that the next fixes depend on."""
+        """The values that all further fixes depend on."""
         return [list(one) for one in self._under_way]
 
     def restore(self, values: list[list[float]], estimate: NavigationFilter) -> None:

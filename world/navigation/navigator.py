@@ -61,11 +61,11 @@ class Navigator:
         """Take what is measured on the way to the next tick.
 
         Args:
-            before: the true state at the tick.
-            after: the same at the next one.
-            current: in between [m/s, NED].
-            faults: those that act on this vehicle at the next tick.
-            phi: true roll at the next tick [rad].
+            before: the true state at the present tick.
+            after: the true state at the next tick.
+            current: the current between both ticks [m/s, NED].
+            faults: the faults that act on this vehicle at the next tick.
+            phi: the true roll at the next tick [rad].
 
         Raises:
             OverflowError, ValueError, ZeroDivisionError: the estimate left the finite numbers.

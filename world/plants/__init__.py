@@ -1,1 +1,1 @@
-"""Plants, which are vehicles with equations of their own: those that ship, and the user's behind the fence."""
+"""Plants: vehicles with equations of their own, both shipped ones and those of users."""

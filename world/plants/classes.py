@@ -1,4 +1,4 @@
-"""The plant behind a name: one that ships, or a class of the user's."""
+"""Finds the class of a plant by its name: a shipped plant, a class of the user, or an FMU."""
 
 from __future__ import annotations
 

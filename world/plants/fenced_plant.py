@@ -90,47 +90,47 @@ class FencedPlant:
         """Move the vehicle to the next tick.
 
         Args:
-            tick: at which it is.
-            tau: surge force [N], pitch and yaw moment [N m], held.
-            current: of the water [m/s, NED], held.
-            wrenches: X, Y, Z [N], K, M, N [N m] in body axes, of each step.
+            tick: the present tick.
+            tau: surge force [N], pitch and yaw moment [N m], constant over the tick.
+            current: velocity of the water [m/s, NED], constant over the tick.
+            wrenches: the disturbance of each step: X, Y, Z [N], K, M, N [N m] in body axes.
             dt: length of a step [s].
 
         Raises:
-            PlantError: it failed; it is where it was before.
+            PlantError: the plant failed. Its state is the same as before the call.
         """
         self._take(tick, self._plant.step, self._fence.call(tick, self._moved, tau, current, wrenches, dt))
 
     def close(self) -> None:
-        """End what the plant holds; it is not used afterwards."""
+        """Let the plant end everything that it holds. It is not used afterwards."""
         if callable(close := getattr(self._plant, "close", None)):
             with suppress(Exception, SystemExit):  # the run is over, and its result stands
                 close()
 
     def memory(self, tick: int, *, moves: bool = True) -> list[Any]:
-        """All that its next steps depend on, for `restore`: [name, roll, state, what else it remembers].
+        """Everything that the next steps depend on, for `restore`: [name, roll, state, further memory of the plant].
 
         Args:
-            tick: of the present state.
+            tick: tick of the present state.
             moves: the vehicle has further steps. The world does not ask a plant that failed for its memory.
 
         Raises:
-            PlantError: it cannot say what else it remembers.
+            PlantError: the plant's own `state` failed, or returned other values than plain ones.
         """
         inside = self._fence.remembered(self._plant.state, tick) if self._resumable and moves else None
         return [self.name, [*self.roll], [*self.state], inside]
 
     def restore(self, tick: int, values: list[Any] | None, pose: Vec5, velocity: Vec5) -> None:
-        """Continue from what `memory` returned in another run; from where a vehicle of another kind was, otherwise.
+        """Continue from the memory of another run. If the vehicle had another plant there, start at its pose.
 
         Args:
-            tick: at which this is.
-            values: None of a vehicle that had no plant.
-            pose: x, y, z [m, NED], theta, psi [rad] of the vehicle that was.
-            velocity: likewise u, v, w [m/s], q, r [rad/s].
+            tick: the present tick.
+            values: the result of `memory` in the other run. None: the vehicle had no plant.
+            pose: x, y, z [m, NED], theta, psi [rad] of the vehicle in the other run.
+            velocity: u, v, w [m/s, body], q, r [rad/s] of the vehicle in the other run.
 
         Raises:
-            PlantError: it cannot.
+            PlantError: the plant cannot continue from it.
         """
         name, (phi, p), state, inside = values if values is not None else ("", (0.0, 0.0), [], None)
         if name != self.name:

@@ -1,8 +1,8 @@
 """The process that runs an FMU. An FMU is native code, so it may crash, print, or never return.
 
-It is started as a file, imports nothing of this package, and answers requests on a connection until the other side
-closes it. When its standard input ends, the process that started it has gone: then it removes the unpacked unit and
-ends, even while the unit is busy.
+The process runs this file as a script, and imports nothing of this package. It answers requests on a connection until
+the other side closes it. If its standard input ends, the process that started it no longer exists. It then removes the
+unpacked unit and ends, even if the unit is busy.
 """
 
 from __future__ import annotations

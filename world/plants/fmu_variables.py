@@ -92,10 +92,14 @@ class UnitFacts:
 
 
 def describe(path: Path) -> tuple[Description, UnitFacts]:
-    """The model description of an FMU, and what starting it needs. Nothing of the unit runs.
+    """Read the model description of an FMU, and the facts that are needed to start it. No code of the FMU runs.
+
+    Args:
+        path: the FMU file.
 
     Raises:
-        FmuError: it is none, or none for here.
+        FmuError: the file cannot be read, is no FMU for co-simulation, or has no binary for this machine; or the
+            package FMPy is not installed.
     """
     try:
         status = path.stat()
@@ -155,7 +159,7 @@ def variables(
         signals: name -> the unit's variable, to be logged.
 
     Raises:
-        FmuError: one is not there, or is not what it is to be.
+        FmuError: the unit has no such variable, or it has the wrong causality, type or unit.
     """
     return _Reader(model).variables(inputs, outputs, initial, start, signals)
 

@@ -177,15 +177,15 @@ class Remus100(SixDegrees):
 
 
 def allocate(tau: Vec3, through: Vec3, hull: Hull = "fossen") -> Vec3:
-    """The revolution and fin angles that give a force and moments in the steady state, as far as there are such.
+    """The revolution and fin angles that give a force and moments in the steady state, as far as the limits allow.
 
-    At low speed fins have no force. There they are not thrown from stop to stop: below 0.2 m/s (`SLOW_FLOW`) they are
-    turned less and less, and at rest they are amidships whatever is asked for.
+    At low speed fins have no force. To keep them from moving from stop to stop, their angle decreases below 0.2 m/s
+    (`SLOW_FLOW`). At rest they are amidships, whatever the command is.
 
     Args:
         tau: surge force [N], pitch and yaw moment [N m].
         through: velocity through the water [m/s, body].
-        hull: whose fins.
+        hull: the hull that the fins belong to.
 
     Returns:
         n [rpm], delta_r, delta_s [rad], within their limits.
@@ -201,8 +201,8 @@ def allocate(tau: Vec3, through: Vec3, hull: Hull = "fossen") -> Vec3:
 def revolution(X: float, u: float) -> float:
     """The revolution [rpm] whose steady surge force is X [N] at the speed u [m/s], between 0 and `N_LIMIT`.
 
-    The propeller is not reversed. It brakes by turning more slowly than the water would turn it, and most at half of
-    that revolution; what is asked for beyond gets that.
+    The propeller is not reversed. It brakes by turning more slowly than the water would turn it. It brakes most at half
+    of that revolution. A stronger braking force also gets half.
     """
     free = max(u, 0.0) * _FALL_T / K_T0  # n / 60 at which the propeller neither drives nor brakes
     square = 0.25 * free * free + X / (_THRUST * K_T0)
@@ -238,11 +238,11 @@ def moved(state: PlantState, commands: Vec3, water: Water, dt: float, hull: Hull
     """Pose, velocity, n, delta_r and delta_s `dt` [s] later.
 
     Args:
-        state: the same now [m, rad; m/s, rad/s; rpm, rad].
-        commands: of the actuators, held: n [rpm], delta_r, delta_s [rad].
+        state: the present values [m, rad; m/s, rad/s; rpm, rad].
+        commands: constant commands of the actuators: n [rpm], delta_r, delta_s [rad].
         water: current and disturbance.
         dt: length of the step [s].
-        hull: whose mass, hull and fins.
+        hull: the hull, with its mass and fins.
     """
     return rk4(lambda s: _rate(s, commands, water, hull), state, dt)
 

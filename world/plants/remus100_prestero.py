@@ -11,13 +11,13 @@ and WHOI 2001: the adjusted coefficients, as D. Sgarioto (DSTO, 2006) lists them
 calculation methods for a dynamical model of the REMUS 100 autonomous underwater vehicle*. Adjusted are the quadratic
 ones of cross-flow and turning: Y_vv and N_rr are ten times, M_qq twenty times what strip theory gives.
 
-One number each holds what hull and fins do alike: Y_uv = -28.6 is -19.0 of the hull and -9.64 of the fins, N_uv = -24.0
-is the Munk moment less that of both lifts. Together they are unstable in yaw and pitch: a hull that is left to itself
-turns, until the quadratic terms limit that.
+Some coefficients are sums over hull and fins. Y_uv = -28.6 is -19.0 of the hull and -9.64 of the fins. N_uv = -24.0 is
+the Munk moment less the moments of both lifts. Together they are unstable in yaw and pitch: without control the hull
+turns, until the quadratic terms limit its turning.
 
-Three things are left out: the added mass that couples sway with yaw (1.93 kg m: 0.7 % of the determinant), the 3.3 N of
-buoyancy that he trims with the stern plane, and his propeller and drag at one speed. For the last, remus100.py has
-values for all speeds.
+Three parts of his model are left out. The first is the added mass that couples sway with yaw (1.93 kg m: 0.7 % of the
+determinant). The second is the 3.3 N of buoyancy that he trims with the stern plane. The third is his propeller and
+drag, which hold for one speed: remus100.py has values for all speeds.
 """
 
 from __future__ import annotations

@@ -40,11 +40,11 @@ class Fence:
 
     Args:
         name: of the plug-in, as the scenario names it.
-            budget_s: the longest that a call may take [s]; 0: any time.
-            notes: takes (tick, note for the user).
-            failure: makes the errors.
-            patience: so many times the budget for a call that hardly computes: it waits, or its process was suspended
-                or got no processor. For plug-ins whose failure must not depend on other work of the machine.
+        budget_s: the longest time that a call may take [s]. With 0 it may take any time.
+        notes: list that receives (tick, note for the user).
+        failure: makes the errors.
+        patience: factor on the budget for a call that hardly computes. Such a call waits, or the system suspended its
+            process or gave it no processor. Use it if the result must not depend on other work of the machine.
     """
 
     def __init__(

@@ -100,16 +100,16 @@ def permit(kind: str, name: str, module: str, permission: Permission) -> None:
 
 
 def permit_file(kind: str, name: str, file: str, permission: Permission) -> None:
-    """Let a plug-in run that is a file of native code, if it may.
+    """Allow a plug-in to run that is a file of native code, if the permission covers it.
 
     Args:
-        kind: of the plug-in, for the message.
-        name: by which callers ask for it afterwards, see `permitted_file`.
+        kind: kind of the plug-in, for the message.
+        name: name of the plug-in; `permitted_file` finds it by this name.
         file: its path, absolute or within one of the folders of the permission.
-        permission: allows files of native code.
+        permission: says which files of native code may run.
 
     Raises:
-        UntrustedError: it may not run.
+        UntrustedError: the permission does not cover the file.
         PluginError: there is no such file.
     """
     _files.pop(name, None)  # what another scenario calls so is another file

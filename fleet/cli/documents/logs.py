@@ -41,7 +41,7 @@ class FieldRow(Struct):
 
 
 class FirstDifference(Struct):
-    """The first message that is not the same."""
+    """The first message that differs between two logs."""
 
     number: Annotated[int, Meta(description="How many messages are before it.")]
     a: Annotated[MessageRow | None, Meta(description="In the first log, or as recorded; null: it has ended.")]

@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # these need the extra `study`, and `fleet schema` does not
 
 
 class Interval(Struct):
-    """A number of several runs, and its interval of 95 % or a little more."""
+    """A number estimated from several runs, with its confidence interval of 95 % or slightly more."""
 
     value: Annotated[
         float | None, Meta(description="The number; null: no run has it, or half of them or more never got there.")
@@ -32,7 +32,7 @@ class Interval(Struct):
 
 
 class PointRow(Struct):
-    """One point of a study."""
+    """One point of a study: one combination of the varied values, and the results of its runs."""
 
     values: Annotated[
         dict[str, float | str], Meta(description="By key that is varied; numbers have the unit of the key.")

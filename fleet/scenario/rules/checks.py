@@ -32,7 +32,7 @@ def checks(parts: Parts, report: Report) -> None:
             vehicles_exist(spec, report, ("checks", name, "vehicles"), check.vehicles)
     separation = spec.checks.min_separation
     if separation is not None and separation.vehicles and len(set(vehicle_numbers(separation.vehicles))) < 2:
-        report.add(("checks", "min_separation", "vehicles"), "a distance is between two vehicles or more")
+        report.add(("checks", "min_separation", "vehicles"), "expected two vehicles or more, got one")
 
 
 def max_age(parts: Parts, report: Report) -> None:
@@ -43,8 +43,8 @@ def max_age(parts: Parts, report: Report) -> None:
     if not spec.network.ideal and check.below <= spec.network.period:
         report.add(
             ("checks", "max_age", "below"),
-            f"every age grows to a round of {show_time(spec.network.period)} before the next can be heard",
-            "choose more",
+            f"{show_time(check.below)} is not above a round of {show_time(spec.network.period)}",
+            "choose several rounds: without any loss an age already grows to one round",
         )
     if check.links != "*" and not select(parse_selector(check.links), parts.links):
         report.add(("checks", "max_age", "links"), f"the graph has no link {check.links}")

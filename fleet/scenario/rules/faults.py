@@ -45,7 +45,8 @@ def faults(parts: Parts, report: Report) -> None:
         path: tuple[str | int, ...] = ("faults", index)
         name = fault.id or f"f{index + 1}"
         if name in seen:
-            report.add((*path, "id"), f'fault {seen[name] + 1} is called "{name}" as well')
+            problem = f'fault {seen[name] + 1} has the id "{name}" already'
+            report.add((*path, "id"), problem, "give every fault its own id")
         seen[name] = index
         report_fault(report, path, fault, spec, links)
 
@@ -96,7 +97,8 @@ def _keys_of_mode(nemesis: NemesisSection, report: Report) -> None:
         if nemesis.mode is None and getattr(nemesis, key) is None:
             report.add_missing(("nemesis",), name, "")
         if nemesis.mode is not None and getattr(nemesis, key) is not None:
-            report.add(("nemesis", name), f"with mode: {nemesis.mode} the seed draws it", "leave it out", key=True)
+            problem = f"has no effect with mode: {nemesis.mode}, since the seed draws it"
+            report.add(("nemesis", name), problem, "leave it out", key=True)
     if nemesis.mode is None and nemesis.pick is None:
         report.add_missing(("nemesis",), "pick", "")
     for key in _OF_SWARM:
@@ -104,9 +106,11 @@ def _keys_of_mode(nemesis: NemesisSection, report: Report) -> None:
         if getattr(nemesis, key) is not None and nemesis.mode != wanted:
             report.add(("nemesis", key), f"has no effect without mode: {wanted}", key=True)
     if nemesis.mode == "liveness" and nemesis.most_silent is not None:
-        report.add(("nemesis", "most_silent"), "in liveness all outside the core stay broken", "name a core", key=True)
+        problem = "has no effect with mode: liveness, since all vehicles outside the core stay broken"
+        report.add(("nemesis", "most_silent"), problem, "name a core with core", key=True)
     if nemesis.mode == "liveness" and nemesis.until is not None:
-        report.add(("nemesis", "until"), "liveness ends its faults at heal", "write heal", key=True)
+        problem = "has no effect with mode: liveness, since its faults end at heal"
+        report.add(("nemesis", "until"), problem, "write heal in place of until", key=True)
 
 
 def _grid(nemesis: NemesisSection, spec: ScenarioSpec, report: Report) -> None:
@@ -115,8 +119,11 @@ def _grid(nemesis: NemesisSection, spec: ScenarioSpec, report: Report) -> None:
     first = nemesis.every if nemesis.start is None else nemesis.start
     until = spec.duration if nemesis.until is None else nemesis.until
     if until - first < nemesis.for_:
-        span = f"from {show_time(first)} to {show_time(until)}"
-        report.add(("nemesis", "for"), f"no fault of {show_time(nemesis.for_)} fits: it acts {span}")
+        begin = "every" if nemesis.start is None else "start"
+        end = "the end of the run" if nemesis.until is None else "until"
+        span = f"from {show_time(first)} ({begin}) to {show_time(until)} ({end})"
+        hint = "make the faults shorter, or let them begin earlier"
+        report.add(("nemesis", "for"), f"no fault of {show_time(nemesis.for_)} fits {span}", hint)
 
 
 def _mode(nemesis: NemesisSection, parts: Parts, report: Report) -> None:
@@ -127,9 +134,11 @@ def _mode(nemesis: NemesisSection, parts: Parts, report: Report) -> None:
     if nemesis.mode == "liveness":
         end, key = healed_at(nemesis, parts.ground), "heal"
         if end >= spec.duration:
-            report.add(("nemesis", key), f"at {show_time(end)} the run is over", "heal the core earlier")
+            problem = f"{show_time(end)} is not before the end of the run, {show_time(spec.duration)}"
+            report.add(("nemesis", key), problem, "heal the core earlier")
     if start >= end:
-        report.add(("nemesis", "start"), f"no fault fits: it acts from {show_time(start)} to {show_time(end)}")
+        problem = f"{show_time(start)} is not before the end of the faults, {show_time(end)}"
+        report.add(("nemesis", "start"), problem, "start earlier, or end later")
     if nemesis.leader is not None:
         vehicles_exist(spec, report, ("nemesis", "leader"), str(nemesis.leader))
     if nemesis.core is not None:

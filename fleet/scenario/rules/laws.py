@@ -1,4 +1,4 @@
-"""Rules on what each vehicle is and which laws it runs."""
+"""Rules on `per_vehicle`, on the laws of each vehicle, and on its physical data and limits."""
 
 from __future__ import annotations
 
@@ -51,7 +51,8 @@ def laws(parts: Parts, report: Report) -> None:
             section = getattr(place, kind)
             if section is None or section.law is None:
                 if section is not None and getattr(section, "parameters", None):
-                    report.add((*path, kind, "parameters"), "belong to a law: name it with law", key=True)
+                    problem, hint = "have no effect without a law", "name the law, too: law: package.module:Class"
+                    report.add((*path, kind, "parameters"), problem, hint, key=True)
                 continue
             law(parts, report, (*path, kind), kind, Law(section.law, section.parameters or {}))
 
@@ -60,7 +61,8 @@ def law(parts: Parts, report: Report, path: tuple[str, ...], kind: str, law: Law
     built_in = list(CONTROLLERS) if kind == "controller" else list(BUILT_IN[kind])
     if law.name in built_in:
         if law.parameters:
-            report.add((*path, "parameters"), f"{law.name} takes none: its gains are keys of guidance and tracking")
+            hint = "its gains are keys of guidance and tracking"
+            report.add((*path, "parameters"), f"the law {law.name} takes no parameters", hint)
         return
     plugin(parts, report, (*path, "law"), kind, law.name, built_in, partial(load, kind, law))
 

@@ -96,7 +96,7 @@ def _trace(parts: Parts, report: Report, path: Path, section: LinkSection) -> in
     try:
         table = parts.traces[section.trace]
     except DataFileError as error:
-        shown = "" if "\n" in section.trace else f"{section.trace}, "
+        shown = "" if "\n" in section.trace else f"{section.trace}: "
         for problem in error.problems:
             report.add((*path, "trace"), shown + problem)
         return 0

@@ -88,7 +88,8 @@ def initial(parts: Parts, report: Report) -> None:
         one_each(report, ("initial",), len(states), spec.vehicles)
         for index, state in enumerate(states):
             if abs(state.pitch) >= math.pi / 2:
-                report.add(("initial", index, "pitch"), "must be between -90 deg and 90 deg")
+                got = f"got {math.degrees(state.pitch):g} deg"
+                report.add(("initial", index, "pitch"), f"must be between -90 deg and 90 deg, {got}")
 
 
 def one_each(report: Report, path: tuple[str | int, ...], got: int, vehicles: int) -> None:

@@ -157,9 +157,12 @@ def speed_of_sound(section: AcousticSection) -> float:
 
 
 def extent_m(plans: tuple[Offset, ...]) -> float:
-    """The largest distance [m] that two vehicles in formation can have: the diagonal of the formation's bounding box.
+    """An upper bound on the distance [m] of two vehicles in formation: the diagonal of the formation's bounding box.
 
-    It is the maximum over the start and the end of each change; `plans` has one offset for each vehicle.
+    A formation that changes has several boxes: one at the start, and one after each change. The largest counts.
+
+    Args:
+        plans: the offset of each vehicle in the formation [m, NED].
     """
     longest = 0.0
     stages = [[plan.start for plan in plans]]

@@ -93,16 +93,26 @@ def read_beside(
     raise DataFileError(kind, name[:most_shown], [f"there is no such file (looked in {looked})"])
 
 
-def read(kind: str, data: bytes, name: str) -> dict[str, Any]:
-    """Parse the bytes of a TOML file; `kind` and `name` are for the texts of errors.
+def read(kind: str, data: bytes, name: str, keys: Collection[str]) -> tuple[dict[str, Any], list[str]]:
+    """Parse the bytes of a TOML file.
+
+    Args:
+        kind: what the file describes; for the texts of errors.
+        data: the content of the file.
+        name: of the file; for the texts of errors.
+        keys: the keys that the file may have.
+
+    Returns:
+        The content, and a line of text for each unknown key.
 
     Raises:
         DataFileError: the bytes are not TOML.
     """
     try:
-        return tomllib.loads(data.decode("utf-8"))
+        values = tomllib.loads(data.decode("utf-8"))
     except (ValueError, RecursionError) as error:  # not UTF-8, not TOML, or an integer of thousands of digits
         raise DataFileError(kind, name, [f"not TOML: {error}"]) from None
+    return values, [f"unknown key {key!r}" for key in values if key not in keys]
 
 
 def table(

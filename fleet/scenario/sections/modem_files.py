@@ -104,8 +104,7 @@ def parse_modem(data: bytes, name: str) -> ModemFile:
     Raises:
         DataFileError: with every mistake that was found.
     """
-    values = data_files.read("modem", data, name)
-    problems = [f"unknown key {key!r}" for key in values if key not in ("name", "title", "modem")]
+    values, problems = data_files.read("modem", data, name, ("name", "title", "modem"))
     curves = data_files.curves(values, "modem", CURVES, problems)
     replaced = {key: 0.0 for curve in curves for key in _IN_PLACE.get(curve, ())}
     numbers = table(values, "modem", NUMBERS, problems, {*CURVES, *_LEFT_OUT, *replaced})

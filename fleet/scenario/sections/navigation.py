@@ -71,8 +71,7 @@ def load_grade(name: str, folder: Path | None = None) -> GradeFile:
         DataFileError: with every mistake that was found.
     """
     data, path = data_files.find("grade", name, _PACKAGE, folder)
-    values = data_files.read("grade", data, path)
-    problems = [f"unknown key {key!r}" for key in values if key not in ("name", "title", "grade")]
+    values, problems = data_files.read("grade", data, path, ("name", "title", "grade"))
     numbers = table(values, "grade", NUMBERS, problems)
     problems += grade_problems(numbers)
     if problems:

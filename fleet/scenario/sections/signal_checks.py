@@ -65,13 +65,18 @@ class AskedOfSignal:
     """A check on a signal, in SI units; times in ns.
 
     Attributes:
-        unit: "1": none.
-        negated: the check counts samples that meet the condition; otherwise those that do not meet it.
-        sometimes: some run of many must reach such a sample. No run fails for it.
-        within_ns: the time in which a liveness property must begin to hold; None: it is a safety property.
-        least_ns: a safety property breaks after a stretch of such samples of this length, 0: after one sample. A
-            liveness property must hold for this time.
-        fault: a liveness property counts from the end of this fault; None: from `after_ns`.
+        signal: the signal.
+        unit: its unit; "1": it has none.
+        vehicles: the vehicles for which it is checked.
+        condition: the condition on its values.
+        negated: True: the check counts samples that meet the condition. False: samples that do not meet it.
+        within_ns: a liveness property must begin to hold within this time. None: it is a safety property.
+        least_ns: a safety property breaks if the counted samples last this long. With 0 one sample is enough. A
+            liveness property must hold for this long.
+        fault: a liveness property counts from the end of this fault. None: from `after_ns`.
+        after_ns: earlier samples do not count.
+        words: the check in words.
+        sometimes: some run of a study must reach such samples. A single run cannot fail for it.
     """
 
     signal: SignalName
@@ -116,7 +121,7 @@ def ask(check: SignalCheck, vehicles: Mapping[int, Mapping[str, SignalPlace]]) -
         raise SignalCheckError("vehicles", f"vehicle {without[0]} has no signal {signal.name}", hint)
     condition = _condition(check, unit)
     if condition.over != "each" and len(some) < 2:
-        raise SignalCheckError(_given(check)[0], "compares vehicles, and there is one", "name two or more")
+        raise SignalCheckError(_given(check)[0], "compares vehicles, but there is only one", "name two or more")
     _check_times(check)
     # Values agree within 5 s if no stretch without that is longer.
     least = check.for_at_least or 0 if check.agree_within is None else check.agree_within + 1
@@ -147,24 +152,26 @@ _NOT_SOMETIMES = ("never", "eventually_within", "agree_within")
 def _check_times(check: SignalCheck) -> None:
     timed = [key for key in ("never", "eventually_within", "for_at_least") if getattr(check, key) is not None]
     if check.agree_within is not None and timed:
-        raise SignalCheckError(timed[0], 'has no meaning beside "agree_within"', "which says itself when it must hold")
+        hint = "agree_within itself says how long values may differ"
+        raise SignalCheckError(timed[0], 'cannot be combined with "agree_within"', hint)
     if check.sometimes and (beside := next((key for key in _NOT_SOMETIMES if getattr(check, key) is not None), None)):
-        raise SignalCheckError("sometimes", f'stands beside "{beside}"', "write two checks")
+        raise SignalCheckError("sometimes", f'cannot be combined with "{beside}"', "write two checks")
     if check.never and check.eventually_within is not None:
-        raise SignalCheckError("never", 'stands beside "eventually_within"', "write two checks")
+        raise SignalCheckError("never", 'cannot be combined with "eventually_within"', "write two checks")
     if timed == ["for_at_least"] and not check.sometimes:
-        hint = "without one of them the condition has to hold all the time"
+        hint = "add one of them: otherwise the condition must always hold"
         raise SignalCheckError("for_at_least", 'needs "never", "sometimes" or "eventually_within"', hint)
     if check.fault is not None and check.eventually_within is None:
-        raise SignalCheckError("fault", 'needs "eventually_within"', "the time after the end of the fault")
+        hint = "add eventually_within: the longest time from the end of the fault"
+        raise SignalCheckError("fault", 'needs "eventually_within"', hint)
 
 
 def _condition(check: SignalCheck, unit: str) -> SignalCondition:
     given = _given(check)
     if not given:
-        raise SignalCheckError("topic", "nothing is asked of it", f"one of {', '.join(CONDITIONS)}")
+        raise SignalCheckError("topic", "the check has no condition", f"add one of {', '.join(CONDITIONS)}")
     if len(given) > 1 and given != ["equals", "within"]:
-        raise SignalCheckError(given[1], f'stands beside "{given[0]}"', "write two checks")
+        raise SignalCheckError(given[1], f'cannot be combined with "{given[0]}"', "write two checks")
     key = given[0]
     value = None if key in ("at_most_one", "agree_within", "within") else _number(key, getattr(check, key), unit)
     shown = "" if value is None else _shown(getattr(check, key))
@@ -191,7 +198,8 @@ def _condition(check: SignalCheck, unit: str) -> SignalCondition:
 
 def _equals(check: SignalCheck, value: float, shown: str, unit: str) -> SignalCondition:
     if isinstance(check.within, list):
-        raise SignalCheckError("within", 'beside "equals" it is one value', "how far off the signal may be")
+        hint = "with equals it is a tolerance, such as within: 0.1"
+        raise SignalCheckError("within", 'with "equals" expected one value, got a list', hint)
     off = 0.0 if check.within is None else _number("within", check.within, unit)
     words = f"equals {shown}" + (f" within {_shown(check.within)}" if off else "")
     return SignalCondition("each", value - off, value + off, False, words)
@@ -200,11 +208,11 @@ def _equals(check: SignalCheck, value: float, shown: str, unit: str) -> SignalCo
 def _range(given: Any, unit: str) -> SignalCondition:
     if not isinstance(given, list):
         problem = f"expected a range such as [0, 30], got {describe_value(given)}"
-        raise SignalCheckError("within", problem, 'one value stands beside "equals"')
+        raise SignalCheckError("within", problem, 'one value is a tolerance, which needs "equals"')
     low, high = (_number("within", one, unit) for one in given)
     if low > high:
-        problem = f"{_shown(given[0])} is above {_shown(given[1])}"
-        raise SignalCheckError("within", problem, "the lower one comes first")
+        problem = f"the low end, {_shown(given[0])}, is above the high end, {_shown(given[1])}"
+        raise SignalCheckError("within", problem, "write the lower value first")
     words = f"between {_shown(given[0])} and {_shown(given[1])}"
     return SignalCondition("each", low, high, False, words)
 

@@ -44,9 +44,8 @@ def load_site(name: str, folder: Path | None = None) -> SiteFile:
         DataFileError: with every mistake that was found.
     """
     data, path = data_files.find("site", name, _PACKAGE, folder)
-    values = data_files.read("site", data, path)
     texts = ("name", "title", "fit", "source")
-    problems = [f"unknown key {key!r}" for key in values if key not in (*texts, "site")]
+    values, problems = data_files.read("site", data, path, (*texts, "site"))
     problems += [f"{key} is missing" for key in texts if not isinstance(values.get(key), str)]
     numbers = table(values, "site", NUMBERS, problems)
     problems += out_of_range(numbers, NUMBERS, _BOUNDS)

@@ -31,7 +31,7 @@ MOST_CONDITIONS = 16  # links that keep their own condition below a fault; of mo
 
 
 def between(low: float, high: float, strength: float) -> float:
-    """A value from `low` to `high`, in equal ratios, with three digits."""
+    """The value at `strength` (0 to 1) between `low` and `high` on a logarithmic scale, rounded to three digits."""
     return float(f"{low * (high / low) ** strength:.3g}")
 
 

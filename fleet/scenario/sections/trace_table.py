@@ -40,7 +40,7 @@ _BOUNDS = {"time": (Decimal(-(2**62)) / _NS, Decimal(2**62) / _NS), "delay": (De
 
 @dataclass(frozen=True, slots=True)
 class TraceRow:
-    """A row: the measurements of one packet, or the values from one time on. None: not measured."""
+    """A row of a trace: the measurements of one packet, or the values that hold from a time on. None: not measured."""
 
     time_ns: int | None
     delivered: bool
@@ -49,7 +49,12 @@ class TraceRow:
     snr_db: float | None = None
 
     def condition(self, lost_below_db: float | None) -> Condition:
-        """The condition of a link that does this; `lost_below_db` decides where the trace has no `delivered`."""
+        """The condition of a link with these values.
+
+        Args:
+            lost_below_db: at or below this signal-to-noise ratio [dB] a packet is lost, too. None: only `delivered`
+                decides.
+        """
         lost = not self.delivered
         if lost_below_db is not None and self.snr_db is not None:
             lost = lost or self.snr_db <= lost_below_db
@@ -150,9 +155,9 @@ def _column(heading: str, problems: list[str]) -> tuple[str, Decimal]:
     if (unit or "").strip() in units:
         size = units[(unit or "").strip()]
         return name, Decimal(size.numerator) / Decimal(size.denominator)
-    got = f"unknown unit {quoted(unit.strip())}" if unit else "the unit is missing"
+    wrong = f"has the unknown unit {quoted(unit.strip())}" if unit else "has no unit"
     expected = " or ".join(f"{name} [{known}]" if known else name for known in units)
-    problems.append(f"{got} of {name}: expected {expected}, got {quoted(heading.strip())}")
+    problems.append(f"the column {name} {wrong}: expected {expected}, got {quoted(heading.strip())}")
     return name, Decimal(1)
 
 

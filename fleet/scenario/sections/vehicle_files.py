@@ -72,8 +72,7 @@ def parse_vehicle(data: bytes, name: str, *, shipped: bool = False) -> VehicleMo
     Raises:
         DataFileError: with every mistake that was found.
     """
-    values = data_files.read("vehicle", data, name)
-    problems = [f"unknown key {key!r}" for key in values if key not in ("name", "title", "parameters", "limits")]
+    values, problems = data_files.read("vehicle", data, name, ("name", "title", "parameters", "limits"))
     params = table(values, "parameters", PARAMETERS, problems)
     limits = table(values, "limits", LIMITS, problems)
     for section, numbers in (("parameters", params), ("limits", limits)):

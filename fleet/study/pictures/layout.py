@@ -25,13 +25,14 @@ class Panel:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Which dimension, by its place, is which part of a picture; those with one value are none.
+    """Which varied key becomes which part of a picture. A key with one value becomes none.
 
     Attributes:
         kind: a `heat` map over two numbers, a `curve` over one, or `boxes` over words.
-        axes: the dimensions along the axes: x, or x and y.
-        lines: whose values are lines, or colours of boxes.
-        panels: in the order of the page.
+        dimensions: the varied keys.
+        axes: places in `dimensions` of the keys along the axes: x, or x and y.
+        lines: place of the key with one line, or one colour of boxes, for each value. None: there is no such key.
+        panels: the panels in the order of the page.
     """
 
     kind: Literal["heat", "curve", "boxes"]

@@ -73,9 +73,12 @@ class Quantity:
     """A number at every point.
 
     Attributes:
+        name: the measure.
         kind: a `share` (of runs that passed), the median of a `number`, or that of a `difference` of pairs of runs.
-        what: in words, with the unit.
-        pair: which difference, if there is only one; else "".
+        what: the quantity in words, with its unit.
+        dimensions: the varied keys.
+        cells: the number at each point.
+        pair: the difference in words, if there is only one; else "".
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Keys and values of a scenario in words, as axes, legends and titles of a study show them."""
+"""Turns keys and values of a scenario into words for the axes, legends and titles of a study's pictures."""
 
 from __future__ import annotations
 

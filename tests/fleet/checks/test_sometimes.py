@@ -67,8 +67,11 @@ def test_no_bound_where_it_was_never_reached() -> None:
 @pytest.mark.parametrize(
     ("check", "words"),
     [
-        ("signal: {topic: state.z, above: 8 m, sometimes: true, never: true}", 'sometimes: stands beside "never"'),
-        ("signal: {topic: state.z, above: 8 m, sometimes: true, eventually_within: 1 s}", "stands beside"),
+        (
+            "signal: {topic: state.z, above: 8 m, sometimes: true, never: true}",
+            'sometimes: cannot be combined with "never"',
+        ),
+        ("signal: {topic: state.z, above: 8 m, sometimes: true, eventually_within: 1 s}", "cannot be combined with"),
         ("signal: {topic: state.z, above: 8 m, sometimes: false}", "expected true"),
         ('"fleet.protocols.checks:TrueMean": {sometimes: 1}', "expected true"),
     ],

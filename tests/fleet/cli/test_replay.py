@@ -73,7 +73,10 @@ def test_bad_options_of_replay(arguments: list[str], words: str, log: Path) -> N
         (["--key", "a//b"], "no key expression"),
         (["--key", "x", "--max-size", "10"], "without a unit"),
         (["--key", "x", "--max-size", "10 furlongs"], "MB"),
-        (["--run", "/nowhere"], "is no live run: there is no observe.json; it has to be one with --publish"),
+        (
+            ["--run", "/nowhere"],
+            "is no live run: there is no observe.json; the run must have been started with --publish",
+        ),
         (["--key", "x", "-o", "/nowhere/x.mcap"], "No such file"),
         (["--key", "x", "-o", __file__], "exists already"),
     ],

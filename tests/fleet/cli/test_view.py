@@ -59,7 +59,7 @@ def test_options_that_are_for_the_other_kind_are_refused(
         write_observed(directory / OBSERVE, Observed("tcp/127.0.0.1:1", "observer", "secret", "0123abcd"))
         for option in (["--rate", "2"], ["--loop"]):
             code, said = refused("paper", *option, *viewer)
-            assert code == 2 and "--rate and --loop are about logs" in said
+            assert code == 2 and "--rate and --loop are for logs" in said
         given = tmp_path / "given.json"
         given.write_bytes((directory / OBSERVE).read_bytes())
         given.chmod(0o600)

@@ -15,7 +15,7 @@ from fleet.cli.main import cli
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.explanation.no_return import HealingSearch, healed, remake, with_moments
-from fleet.explanation.why import Asked, Explanation, Why
+from fleet.explanation.why import Explanation, Question, Why
 from fleet.explanation.words import lines
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.study.modules import NO_MODULES
@@ -33,7 +33,7 @@ def recorded(folder: Path, name: str, *overrides: str) -> Path:
 
 
 def explained(log: Path, check: str | None = None, most_runs: int = 24) -> Why:
-    explanation = Explanation(Asked(log, check, most_runs), lambda doing, runs: None)
+    explanation = Explanation(Question(log, check, most_runs), lambda doing, runs: None)
     return explanation.find(Here(), NO_MODULES) if explanation.searches else explanation.without_runs()
 
 
@@ -124,7 +124,7 @@ def test_from_a_snapshot_or_from_the_start_is_the_same(small_log: Path) -> None:
 
 @pytest.mark.parametrize("backwards", [False, True])
 def test_whoever_makes_the_runs(small_log: Path, backwards: bool) -> None:
-    explanation = Explanation(Asked(small_log, None, 24), lambda doing, runs: None)
+    explanation = Explanation(Question(small_log, None, 24), lambda doing, runs: None)
     assert explanation.find(Here(backwards=backwards), NO_MODULES) == explained(small_log)
 
 
@@ -138,7 +138,7 @@ def test_where_passing_has_no_order_that_is_said(small_log: Path) -> None:
                 row["best"] = 1.0 if len(self.tasks) % 2 else -1.0
             return [row]
 
-    explanation = Explanation(Asked(small_log, None, 24), lambda doing, runs: None)
+    explanation = Explanation(Question(small_log, None, 24), lambda doing, runs: None)
     found = explanation.find(Unordered(), NO_MODULES).no_return
     assert found.how == "scanned"
     assert "some that were healed earlier do not pass" in found.words

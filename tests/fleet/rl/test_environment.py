@@ -240,7 +240,8 @@ def test_a_wrong_action_is_refused_and_the_episode_goes_on(changes: dict[str, An
         ({"resident": True}, 'resident: .*: give move="force", too'),
         ({"set": {"checks": {}}}, "reward: small has no check with a margin"),
         ({"set": {**CHECKS, "network.payload": "located"}}, "message: with network.payload located"),
-        ({"set": {**CHECKS, "per_vehicle": {1: {"external": True}}}}, "which an environment has no place for"),
+        ({"set": {**CHECKS, "per_vehicle": {1: {"external": True}}}},
+         "vehicle 1 is external: an environment cannot have agents that are started elsewhere"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_refused(arguments: dict[str, Any], words: str) -> None:

@@ -145,7 +145,7 @@ def test_a_row_is_a_run() -> None:
         ("loss=0 %..50 % random 9", "needs given values"),
         ("controller=nboc, bc", "expected a range such as"),
         ("loss=0 %", "expected a range such as"),
-        ("loss=10 %, 5 %", "or rising numbers"),
+        ("loss=10 %, 5 %", "or two or more rising numbers"),
         ("loss", "expected KEY=VALUES"),
         ("loss=0 %..90 %/0.01 %", "9001 values are too many: at most 1000 are possible"),
     ],

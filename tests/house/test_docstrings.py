@@ -1,0 +1,71 @@
+"""Sections of docstrings are in order: each entry of `Args:` and `Attributes:` has its place, and names what exists."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+
+import pytest
+from repository import ROOT
+
+MODULES = sorted(path for package in ("netem", "world", "agents", "fleet") for path in (ROOT / package).rglob("*.py"))
+_ENTRY = re.compile(r"    (\*{0,2}\w+(?:, \*{0,2}\w+)*): \S")
+_REST = re.compile(r" {8}\S")
+
+
+def entries(docstring: str) -> Iterator[str]:
+    """The names in the sections, and each line that is neither an entry nor the rest of one."""
+    for section in re.findall(r"^ *(?:Args|Attributes):\n((?:.*\S.*\n?)+)", docstring, re.MULTILINE):
+        for number, line in enumerate(section.splitlines()):
+            entry = _ENTRY.match(line)
+            if entry is not None:
+                yield from (name.lstrip("*") for name in entry[1].split(", "))
+            elif number == 0 or _REST.match(line) is None:
+                yield line
+
+
+def names_of(node: ast.AST) -> set[str]:
+    """Arguments of a function; of a class those of `__init__`, and its attributes."""
+    if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+        every = node.args
+        some = [*every.posonlyargs, *every.args, *every.kwonlyargs, every.vararg, every.kwarg]
+        return {each.arg for each in some if each is not None}
+    names = set[str]()
+    for part in ast.iter_child_nodes(node):
+        match part:
+            case ast.AnnAssign(target=ast.Name(id=name)) | ast.FunctionDef(name=name):
+                names.add(name)
+        if isinstance(part, ast.FunctionDef) and part.name == "__init__":
+            names |= names_of(part) | {each.attr for each in ast.walk(part) if isinstance(each, ast.Attribute)}
+    return names
+
+
+def wrong(source: str) -> list[str]:
+    """`line name: entry` for each entry that is out of place or names nothing."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            known = names_of(node)
+            stray = [entry for entry in entries(ast.get_docstring(node) or "") if entry not in known]
+            found += [f"{node.lineno} {node.name}: {entry.strip()}" for entry in stray]
+    return found
+
+
+def test_entries_name_arguments_and_have_their_place() -> None:
+    found = [f"{path.relative_to(ROOT)}:{entry}" for path in MODULES for entry in wrong(path.read_text("utf-8"))]
+    assert found == []
+
+
+@pytest.mark.parametrize(
+    ("docstring", "expected"),
+    [
+        ("Do.\n\n    Args:\n        a: it.\n            More of it.\n        b: this.\n", []),
+        ("Do.\n\n    Args:\n        a: it.\n            b: this.\n", []),  # cannot be told from more of a
+        ("Do.\n\n    Args:\n        a: it.\n    b: this.\n", ["1 do: b: this."]),
+        ("Do.\n\n    Args:\n            a: it.\n        b: this.\n", ["1 do: a: it."]),
+        ("Do.\n\n    Args:\n        c: it.\n", ["1 do: c"]),
+    ],
+)
+def test_a_stray_entry_is_found(docstring: str, expected: list[str]) -> None:
+    assert wrong(f'def do(a, b):\n    """{docstring}    """\n') == expected

@@ -201,7 +201,7 @@ class _Reader:
         try:
             yield from yaml.parse(text, Loader=_Loader)
         except yaml.MarkedYAMLError as error:
-            if "nesting depth" in (error.problem or ""):  # libyaml's own limit, which is above ours but acts ahead of it
+            if "nesting depth" in (error.problem or ""):  # libyaml's limit is above ours, and it reads ahead
                 self._fail(error.problem_mark, f"nested more than {_MAX_DEPTH} deep")
             hint = ""
             if "alias" in (error.context or ""):

@@ -10,9 +10,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from repository import ROOT
 
-from fleet.analysis.border import FINE, SLOW, LinearFleet, Link, Member, _Kind, linear_fleet
+from fleet.analysis.border import FINE, SLOW, LinearFleet, linear_fleet
 from fleet.analysis.linear import Linear, NotLinear
 from fleet.analysis.stability import analyse, report
+from fleet.analysis.vehicle_round import Link, Member, VehicleRound
 from fleet.scenario.loading import load_scenario
 
 sys.path.insert(0, str(ROOT / "docs" / "examples"))
@@ -118,10 +119,10 @@ def test_a_vehicle_that_grows_by_itself_is_named() -> None:
 @pytest.mark.parametrize("defective", [False, True])
 def test_the_resolvent_is_that_of_a_linear_system(defective: bool) -> None:
     """Also if eigenvalues meet, and their vectors do not span the space."""
-    kind = _Kind(Member(PAPER, 1.0, (Link(1, 1.0, 1),), True, None, np.eye(3)), 0.8, 5, 0.04, 6)
+    kind = VehicleRound(Member(PAPER, 1.0, (Link(1, 1.0, 1),), True, None, np.eye(3)), 0.8, 5, 0.04, 6)
     if defective:
         n = len(PAPER.F)
-        kind = _Kind(
+        kind = VehicleRound(
             Member(Linear(0.9 * np.eye(n) + np.eye(n, k=1), PAPER.G, PAPER.C), 1.0, (), True, None, np.zeros((3, 3))),
             0.8,
             1,

@@ -137,7 +137,8 @@ def _explain(root: Mapping, error: ErrorDetails) -> Problem:
         case "less_than":
             message, hint = f"must be less than {context['lt']}, got {describe_value(value)}", ""
         case "model_type" | "dict_type" | "model_attributes_type":
-            message, hint = f"expected keys with values, got {describe_value(value)}", "write {key: value}"
+            message = f"expected keys with values, got {describe_value(value)}"
+            hint = nearest(str(loc[-1]), [key for key in _siblings(loc) if key != loc[-1]]) or "write {key: value}"
         case "list_type":
             message, hint = f"expected a list, got {describe_value(value)}", ""
         case "string_type":
@@ -173,19 +174,23 @@ def _in_file(root: Mapping, loc: Loc) -> Loc:
     return path
 
 
-def _nearest_key(loc: Loc) -> str:
+def _siblings(loc: Loc) -> list[str]:
+    """The keys of the section that a path ends in."""
     section: type[Section] = ScenarioSpec
     for step in loc[:-1]:
         if isinstance(step, str) and step in section.model_fields:
             section = section_of(section.model_fields[step].annotation) or section
-    key, siblings = str(loc[-1]), [info.alias or name for name, info in section.model_fields.items()]
+    return [info.alias or name for name, info in section.model_fields.items()]
+
+
+def _nearest_key(loc: Loc) -> str:
+    key, siblings = str(loc[-1]), _siblings(loc)
     hint = nearest(key, siblings)
-    if hint:
-        return hint
     elsewhere = [path for path in _everywhere() if path.rpartition(".")[2] == key]
     if elsewhere:
-        return f'did you mean "{min(elsewhere, key=lambda path: path.count("."))}"?'
-    return f"known here: {', '.join(siblings)}"
+        other = f'"{min(elsewhere, key=lambda path: path.count("."))}"?'
+        return hint.replace("?", f" or {other}") if hint else f"did you mean {other}"
+    return hint or f"known here: {', '.join(siblings)}"
 
 
 @cache

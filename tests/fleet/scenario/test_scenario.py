@@ -294,6 +294,8 @@ def test_overrides_apply_in_order() -> None:
         ("network.period=35 s s", 19, "unknown unit"),
         ("network.prd=50 ms", 9, 'did you mean "period"?'),
         ("period=50 ms", 1, 'did you mean "network.period"?'),
+        ("vehicle=3", 9, 'did you mean "vehicles"?'),
+        ("plant=remus100", 1, 'did you mean "agent" or "vehicle.plant"?'),
         ("seed", 1, "write key.path=value"),
         ("=3", 1, "write key.path=value"),
         ("seed=", 6, "the text is empty"),

@@ -109,7 +109,7 @@ def test_a_study_of_a_border_is_refused_before_a_worker_starts(engines: list[Her
         (["small.yaml", "--vary", "loss"], "expected KEY=VALUES"),
         (["small.yaml", "--vary", "loss=0 %..9 %/1 %"], '--vary loss=0 %: unknown key "loss"'),
         (["small.yaml", *VARY, "--net", "* loss 1%"], "two points are the same scenario, network.links.*.loss=0 % and"),
-        (["small.yaml", "--set", "per_vehicle={3: {external: true}}"], "somebody else"),
+        (["small.yaml", "--set", "per_vehicle={3: {external: true}}"], "agents that are started elsewhere"),
         (["small.yaml", "--vary", "status=0 %,9 %", "--net", "* loss {status}"], "status is a column of every study"),
         (["small.yaml", "--seeds", "none"], "expected a number of seeds"),
         (["small.yaml", "--measure", "e_rms"], 'did you mean "e_rms_m"?'),

@@ -90,7 +90,7 @@ class VehicleRound:
         ages = phases + back * self.m
         if self._cap is not None:
             ages = np.minimum(ages, self._cap)
-        for h in np.unique(back):
+        for h in sorted({*back.tolist()}):
             used = self._later[back == h]
             S = np.zeros((len(self._P), self.outputs))
             S[:, :3] = used.sum(axis=0) @ self._K

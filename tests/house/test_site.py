@@ -67,7 +67,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """
     made = tmp_path_factory.mktemp("site")
     sphinx = [sys.executable, "-c", WITHOUT, ",".join(modules_beyond_docs())]
-    command = [*sphinx, "-q", "-W", "--keep-going", "-d", made / "cache", "docs", made / "site"]
+    command: list[str | Path] = [*sphinx, "-q", "-W", "--keep-going", "-d", made / "cache", "docs", made / "site"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=280, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     return made / "site"

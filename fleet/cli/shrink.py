@@ -60,7 +60,7 @@ def shrink(
     \b
     Examples:
       fleet shrink runs/latest
-      fleet shrink nemesis --set seed=7 --check formation_error
+      fleet shrink nemesis --set seed=3 --check formation_error
       fleet shrink my.yaml --out least.yaml
     """
     from fleet.cli.study_output import showing

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import json
 import os
+import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
+import psutil
 import pytest
 from click.testing import CliRunner
 from study_engine import Here
+from waiting import wait_for
 
 from fleet.cli.main import cli
 
@@ -52,3 +58,26 @@ def test_memory_is_looked_at_along_the_way() -> None:
     assert all(row["worker_mb"] > 1 and row["here_mb"] > 1 for row in rows)
     shown = CliRunner().invoke(cli, ["bench", "study", "--memory", "10"], catch_exceptions=False)
     assert "[MB]" in shown.stdout and shown.stdout.count("\n") > 10
+
+
+@pytest.mark.slow
+def test_ctrl_c_prints_no_traceback(tmp_path: Path) -> None:
+    """All processes of the terminal get it, workers too."""
+    command = [sys.executable, "-m", "fleet", "bench", "study", "--runs", "3", "--duration", "60", "--workers", "1"]
+    printed = tmp_path / "printed"
+    with printed.open("wb") as file:
+        measured = subprocess.Popen(command, stdout=file, stderr=file, start_new_session=True)
+    try:
+        ours = psutil.Process(measured.pid)
+
+        def at_work() -> bool:
+            assert measured.poll() is None, printed.read_text()
+            workers = [one for one in ours.children() if "spawn_main" in " ".join(one.cmdline())]
+            return any(one.cpu_times().user > 2.0 for one in workers)
+
+        wait_for(at_work, 60, "a worker that makes a run")
+        os.killpg(measured.pid, signal.SIGINT)
+        assert measured.wait(60) == 130
+    finally:
+        measured.kill()
+    assert "Traceback" not in printed.read_text()

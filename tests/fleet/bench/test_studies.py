@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -62,20 +63,25 @@ def test_memory_is_looked_at_along_the_way() -> None:
 
 @pytest.mark.slow
 def test_ctrl_c_prints_no_traceback(tmp_path: Path) -> None:
-    """All processes of the terminal get it, workers too."""
-    command = [sys.executable, "-m", "fleet", "bench", "study", "--runs", "3", "--duration", "60", "--workers", "1"]
+    """All processes of the terminal get it, a worker that waits for a run, too."""
+    command = [sys.executable, "-m", "fleet", "bench", "study", "--runs", "5", "--duration", "90", "--workers", "1"]
     printed = tmp_path / "printed"
     with printed.open("wb") as file:
         measured = subprocess.Popen(command, stdout=file, stderr=file, start_new_session=True)
     try:
         ours = psutil.Process(measured.pid)
 
-        def at_work() -> bool:
+        def used_s() -> float:
             assert measured.poll() is None, printed.read_text()
             workers = [one for one in ours.children() if "spawn_main" in " ".join(one.cmdline())]
-            return any(one.cpu_times().user > 2.0 for one in workers)
+            return sum(one.cpu_times().user for one in workers)
 
-        wait_for(at_work, 60, "a worker that makes a run")
+        def idle() -> bool:
+            before = used_s()
+            time.sleep(0.5)
+            return before > 2.0 and used_s() == before
+
+        wait_for(idle, 60, "the worker, which has made a run, has nothing to do while the bare runs are made")
         os.killpg(measured.pid, signal.SIGINT)
         assert measured.wait(60) == 130
     finally:

@@ -45,11 +45,19 @@ def test_each_works_on_the_newest_run(folder: Path, monkeypatch: pytest.MonkeyPa
             assert done.exit_code == 0, (line, done.output)
 
 
-@pytest.mark.parametrize("command", ["sweep", "boundary"])
-def test_the_points_of_each_study_are_valid(command: str) -> None:
-    for line in examples(command):
+def test_the_points_of_each_study_are_valid() -> None:
+    for line in examples("sweep"):
         done = invoke(line.partition(" > ")[0] + ("" if "--show-config" in line else " --show-config"))
         assert done.exit_code == 0, (line, done.output)
+
+
+def test_what_is_shrunk_fails_that_check(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    named = [line.partition(" --check ") for line in examples("shrink") if "--check" in line]
+    assert named
+    for failing, _, check in named:
+        done = invoke(failing.replace("fleet shrink", "fleet run --in-process"))
+        assert re.search(rf"^FAIL  {check}: ", done.output, re.M), (failing, done.output)
 
 
 def test_a_run_is_not_shorter_than_its_checks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

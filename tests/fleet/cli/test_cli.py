@@ -119,6 +119,14 @@ def test_version() -> None:
     assert re.fullmatch(rf"fleet, version \d+\.\d+\.\d+, cores: {cores}\n", invoke("--version").output)
 
 
+def test_a_title_that_begins_with_the_same_follows_what_it_is_the_same_as() -> None:
+    """`fleet list` shows the scenarios of a group by name, each with its title."""
+    listed = sorted((load_scenario(name) for name in SHIPPED), key=lambda one: (one.group, one.name))
+    for before, one in zip(listed, listed[1:], strict=False):
+        if one.title.startswith("The same"):
+            assert one.name.startswith(before.name), f"{one.name} is listed after {before.name}"
+
+
 # --- exit status -----------------------------------------------------------
 
 # One of each way out; that of the others is the same, so they are called in this process.

@@ -26,6 +26,7 @@ from setuptools.build_meta import (  # noqa: F401  the hooks that stay as they a
     prepare_metadata_for_build_editable,
     prepare_metadata_for_build_wheel,
 )
+from setuptools.command.build_py import build_py
 
 MYPYC = "mypy>=1.18,<3"
 SWITCH = "UUV_FLEET_COMPILE"
@@ -49,6 +50,7 @@ MODULES = (
 )  # fmt: skip
 # Fused multiply-add and reordered sums would change the last bits of a result.
 FLAGS = ("-ffp-contract=off", "-fno-fast-math", "-w")
+NOTE = "fleet/not_compiled.txt"  # the reason why a wheel has no compiled cores; `fleet --version` says it
 LEVEL = "1"  # of optimisation: 2 takes twice the time for code that is not faster
 
 
@@ -77,7 +79,8 @@ def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_dire
                         raise
                     obstacle = f"{error!r:.300}"
             sys.stderr.write(f"uuv-fleet: the cores are not compiled and run as plain Python: {obstacle}\n")
-            setuptools.setup = partial(plain, options={"build": {"build_base": f"{folder}/plain"}})
+            options = {"build": {"build_base": f"{folder}/plain"}}
+            setuptools.setup = partial(plain, options=options, cmdclass={"build_py": _with_note(obstacle)})
             return build()
         finally:
             setuptools.setup = plain
@@ -102,6 +105,17 @@ def _obstacle() -> str | None:
         return f"there is no C compiler ({compiler})"
     header = Path(sysconfig.get_paths()["include"]) / "Python.h"
     return None if header.is_file() else f"there is no {header}"
+
+
+def _with_note(obstacle: str) -> type[build_py]:
+    """The step that copies the modules, which also writes why they are not compiled."""
+
+    class Noted(build_py):
+        def run(self) -> None:
+            super().run()
+            Path(self.build_lib, NOTE).write_text(f"{obstacle}\n", "utf-8")
+
+    return Noted
 
 
 def _extensions(folder: str) -> Any:

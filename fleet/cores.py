@@ -6,12 +6,25 @@ from importlib.util import find_spec
 from pathlib import Path
 
 _CORE = "world.dynamics"  # one of them: all are compiled, or none
+_NOTE = Path(__file__).with_name("not_compiled.txt")  # .packaging/build_backend.py writes it into a wheel
 
 
 def cores() -> str:
     """`compiled`, or `plain Python`."""
     spec = find_spec(_CORE)
     return "plain Python" if spec is None or (spec.origin or "").endswith(".py") else "compiled"
+
+
+def cores_and_reason() -> str:
+    """`compiled`, or `plain Python` and why."""
+    found = cores()
+    if found == "compiled":
+        return found
+    try:
+        reason = f"at the installation: {_NOTE.read_text('utf-8').strip()}"
+    except OSError:
+        reason = "these are sources, as an editable install uses them"
+    return f"{found} ({reason})"
 
 
 def hidden_cores() -> str:

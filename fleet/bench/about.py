@@ -16,7 +16,7 @@ import psutil
 
 import fleet
 from fleet.bench.figures import this_machine
-from fleet.cores import cores
+from fleet.cores import cores_and_reason
 from fleet.result.file import ResultError, read_result
 from fleet.result.result import Result
 
@@ -38,7 +38,7 @@ def about(run: Path | None) -> str:
 
 def _program() -> Iterator[tuple[str, str]]:
     editable = '"editable": true' in (distribution("uuv-fleet").read_text("direct_url.json") or "")
-    yield "uuv-fleet", f"{version('uuv-fleet')}, cores: {cores()}{', editable' if editable else ''}"
+    yield "uuv-fleet", f"{version('uuv-fleet')}, cores: {cores_and_reason()}{', editable' if editable else ''}"
     yield "sources", str(Path(fleet.__file__).parent)
     yield "python", f"{sys.version.split()[0]}, {sys.executable}"
 

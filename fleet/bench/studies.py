@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -191,7 +192,9 @@ def _cpu_s() -> float:
 
 @contextmanager
 def _futures(workers: int, task: Callable[[int], Task]) -> Iterator[Make]:
-    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+    spawn = multiprocessing.get_context("spawn")
+    # Ctrl-C ends the wait for them here: a worker that gets it too prints a traceback.
+    with ProcessPoolExecutor(workers, spawn, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
         yield lambda runs: list(pool.map(make_run, map(task, range(1, runs + 1)))).clear()
 
 

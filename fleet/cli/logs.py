@@ -104,7 +104,7 @@ def plot(
       fleet plot
       fleet plot --what error,inputs --format svg,pdf --linear
       fleet plot --what messages --window 20s..22s
-      fleet plot --what control.weakest --vehicles 1,4
+      fleet plot --what state.z --vehicles 1,4
       fleet plot runs/a --compare runs/b --what error -o compared
       fleet plot studies/rough-sea-20261122-101500 --measure e_rms_m
     """
@@ -183,8 +183,8 @@ def export(
     \b
     Examples:
       fleet export --csv tables
-      fleet export --parquet tables --topics 'uuv/*/error' --topics 'link/*'
-      fleet export --netcdf tables --topics 'uuv/*/state'
+      fleet export --parquet errors --topics 'uuv/*/error' --topics 'link/*'
+      fleet export --netcdf states --topics 'uuv/*/state'
       fleet export runs/latest --traces links
       fleet export runs/latest --ros2 bag
     """

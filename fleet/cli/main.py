@@ -8,13 +8,15 @@ from __future__ import annotations
 import click
 
 from fleet.cli.group import EPILOG, FleetGroup
-from fleet.cores import cores
+from fleet.cores import cores_and_reason
+
+_CORES = cores_and_reason().replace("%", "%%")
 
 
 @click.group(
     cls=FleetGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}, epilog=EPILOG
 )
-@click.version_option(package_name="uuv-fleet", message=f"%(prog)s, version %(version)s, cores: {cores()}")
+@click.version_option(package_name="uuv-fleet", message=f"%(prog)s, version %(version)s, cores: {_CORES}")
 def cli() -> None:
     """Emulate a fleet of underwater vehicles on a real, impaired pub/sub network.
 

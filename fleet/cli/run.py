@@ -123,7 +123,7 @@ def run(
     \b
     Examples:
       fleet run paper
-      fleet run rough-sea --seed 3 --duration '30 s'
+      fleet run rough-sea --seed 3 --duration '70 s'
       fleet run paper --set vehicles=20 --net '* delay 200ms 50ms loss 30%'
       fleet run paper --fault 'at 20s for 10s partition halves'
       D=$(fleet run paper --in-process --quiet) && fleet plot $D

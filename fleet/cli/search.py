@@ -102,7 +102,11 @@ def search(
     tried, modules = _tried(scenario, [*overrides, *net, *fault], trust, mode)
     hunt = _Hunt(tried, check, guide, keep, keep or place_of(tried, out, force=force))
     with showing(pieces) as tell, engine_of(workers, scheduler) as engine:
-        hunt.run(engine, tell, engine.carry(modules), budget)
+        try:
+            hunt.run(engine, tell, engine.carry(modules), budget)
+        except KeyboardInterrupt:
+            say(hunt.stopped(scenario), err=True)
+            raise
     found = hunt.found
     again = f"fleet run {hunt.path}" if guide else f"fleet run {scenario} --seed {found.seed}"
     cli_junit.write(junit, found.name, cli_junit.of_search(found, hunt.kept, again))
@@ -126,6 +130,14 @@ class _Hunt:
         self.found = Searched(tried.name, tried.seed)
         self.least: Shrunk | None = None
         self.kept = list[FoundFailure]()
+
+    def stopped(self, scenario: str) -> str:
+        """What an interruption leaves, and how to go on; `scenario`: its name or file."""
+        if self._folder is not None:
+            return f"stopped; the same command goes on with what {self.path} has"
+        if self.found.scenario is not None:
+            return f"stopped before the failing run was made smaller, so {self.path} is not written"
+        return f"stopped, and no check had failed; fleet search {scenario} --keep DIR can be stopped and goes on later"
 
     def run(
         self, engine: Engine, tell: Callable[[str, int], None], modules: Modules, budget: tuple[float, float]

@@ -60,7 +60,7 @@ def shrink(
     \b
     Examples:
       fleet shrink runs/latest
-      fleet shrink nemesis --set seed=7 --check formation_error
+      fleet shrink nemesis --set seed=3 --check formation_error
       fleet shrink my.yaml --out least.yaml
     """
     from fleet.cli.study_output import showing
@@ -72,7 +72,11 @@ def shrink(
     path = place_of(scenario, out, force=force)
     modules = modules_of([scenario], folder)
     with showing(pieces) as tell, engine_of(workers, scheduler) as engine:
-        found = Shrinker(scenario, engine, tell, engine.carry(modules)).shrink(check, most_runs)
+        try:
+            found = Shrinker(scenario, engine, tell, engine.carry(modules)).shrink(check, most_runs)
+        except KeyboardInterrupt:
+            say(f"stopped, so {path} is not written; --most-runs N ends with the least scenario after N runs", err=True)
+            raise
     write_least(found.scenario, path)
     if as_json:
         from fleet.cli.documents.study import less

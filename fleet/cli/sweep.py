@@ -71,7 +71,7 @@ def sweep(
     Examples:
       fleet sweep rough-sea --vary 'network.links.*.loss=0 %..90 %/30 %' --seeds 5
       fleet sweep paper --vary 'loss=0 %,30 %' --vary 'delay=0 s,1 s' --net '* loss {loss} delay {delay}'
-      fleet sweep rough-sea --vary controller=nboc,bc --seeds 20 --measure e_rms_m --measure 'p95 |error.e|'
+      fleet sweep lossy --vary controller=nboc,bc --seeds 20 --measure e_rms_m --measure 'p95 |error.e|'
       fleet sweep rough-sea --vary 'network.links.*.loss=0 %..90 %/30 %' --until 'pass ±10 %' --budget '20 min'
       fleet sweep loss-delay --seeds 2
       fleet sweep paper --vary 'network.period=100 ms,1 s' --show-config > my-study.yaml

@@ -43,7 +43,7 @@ def command(
     Examples:
       fleet whatif --agent 3
       fleet whatif --agent 3 --controller bsmc --plot 3.png
-      fleet whatif --agent 1 --set tracking.k_u=2 --set profile=hardened
+      fleet whatif --agent 1 --set 'tracking.k_u=2 1/s' --set profile=hardened
       fleet whatif --agent 2 --controller my_module:MyController
     """
     from rich.console import Console

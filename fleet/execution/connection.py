@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import msgspec
 
 from fleet.errors import FleetError
-from fleet.execution.directory import CONNECTION, in_use
+from fleet.execution.directory import CONNECTION, OBSERVE, in_use
 from fleet.execution.registry import registered
 from fleet.logs.run_name import RUN_NAME
 from netem.errors import BusError
@@ -120,16 +120,16 @@ def choose(run: str | None, file: str) -> Path:
     if run is not None and "/" in run:
         raise RemoteError(f"{run} is no live run: there is no {file}")
     known = published(file)
-    found = known if run is None else _named(run, known)
+    found = known if run is None else named(run, known)
     if not found:
-        raise RemoteError(_nothing(run, known))
+        raise RemoteError(_nothing(run, known, file))
     if len(found) > 1:
         asked = "" if run is None else f" that {run!r} may mean"
         raise RemoteError(f"{len(found)} live runs{asked}; say which:{_choices(found)}", 2)
     return found[0]
 
 
-def _named(run: str, known: list[Path]) -> list[Path]:
+def named(run: str, known: list[Path]) -> list[Path]:
     """The runs with this name, or else with this scenario, or else with a name that begins like this."""
     return (
         [directory for directory in known if directory.name == run]
@@ -144,9 +144,11 @@ def _scenario(directory: Path) -> str:
     return found["scenario"] if found else ""
 
 
-def _nothing(run: str | None, known: list[Path]) -> str:
+def _nothing(run: str | None, known: list[Path], file: str) -> str:
     if run is None:
         return "no live run; fleet ls lists all runs below runs; a run with --in-process cannot be reached"
+    if others := named(run, registered()):  # without the file
+        return f"the live run {others[0].name} " + ("is not published" if file == OBSERVE else f"has no {file} yet")
     return f"no live run is called {run!r}" + (f"; there are:{_choices(known)}" if known else "; there is none at all")
 
 

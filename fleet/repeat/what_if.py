@@ -103,7 +103,10 @@ def what_if(
         other.step(tick, measured)
         if done % 500 == 0:
             progress(done / len(given.navs))
-    return other.found()
+    found = other.found()
+    if source.reader.missing:
+        found.notes.append(f"the log is NOT WHOLE: {source.reader.missing}")
+    return found
 
 
 def _check(path: Path, agent: int, scenario: Scenario, recorded: Scenario, trust: Trust) -> None:

@@ -136,6 +136,9 @@ class Replay:
         next(self._track.entries(range(self._first, self._first + 1)))  # decompressed before the clock starts
         self.player = player = self._player(time.monotonic_ns())
         pace = MeasuredRate()
+        if not player.paused:
+            now = time.monotonic_ns()
+            pace.update(now, player.position(now))  # without a terminal the first line comes after some seconds
         if self.note:
             line.print(f"warning: {self.note}")
         hz = self._wishes.clock_hz

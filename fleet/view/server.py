@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from html import escape
 from importlib.util import find_spec
 from ipaddress import ip_address
+from types import FrameType
 
 from fleet.errors import FleetError
 from fleet.view.live_feed import LiveFeed
@@ -107,7 +108,15 @@ def serve(feed: LiveFeed | LogFeed, listener: PageListener, *, may_act: bool) ->
         access_log=False,
         timeout_graceful_shutdown=1,
     )
-    uvicorn.Server(config).run(sockets=[listener.listening])
+
+    class Server(uvicorn.Server):
+        """Ends within a second, and then does not wait for a second Ctrl-C, at which uvicorn prints a traceback."""
+
+        def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+            super().handle_exit(sig, frame)
+            self.force_exit = False
+
+    Server(config).run(sockets=[listener.listening])
 
 
 class Browser:

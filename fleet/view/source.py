@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fleet.errors import FleetError
-from fleet.execution.connection import LiveRun, RemoteError, choose, find, published
+from fleet.execution.connection import LiveRun, RemoteError, choose, find, named, published
 from fleet.execution.directory import OBSERVE, SCENARIO, in_use
 from fleet.execution.past_runs import newest_run
 from fleet.execution.registry import registered
@@ -77,6 +77,8 @@ def find_source(name: str | None, runs: Path) -> LiveSource | LogSource:
     except RemoteError as error:
         if error.status == 2:  # several
             raise
+        if living := named(name, registered()):
+            raise _not_published(max(living, key=_began)) from None
         if os.path.exists(path):  # such as a folder that has a scenario's name, and no run in it
             return LogSource(log_path(path))
         raise FleetError(f"{error}; nor is it a file or a directory") from None

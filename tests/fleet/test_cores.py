@@ -50,3 +50,14 @@ def test_a_compiled_install_that_is_hidden_is_named(compiled: bool, tmp_path: Pa
 def test_a_script_is_warned_once(compiled: bool, recwarn: pytest.WarningsRecorder) -> None:
     assert fleet.Result is not fleet.open_log  # two names that are loaded when they are used
     assert [str(one.message) for one in recwarn] == ([cores.hidden_cores()] if compiled else [])
+
+
+def test_plain_python_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An installation without a compiler keeps the reason; sources have none."""
+    monkeypatch.setattr(cores, "cores", lambda: "plain Python")
+    monkeypatch.setattr(cores, "_NOTE", tmp_path / "not_compiled.txt")
+    assert cores.cores_and_reason() == "plain Python (these are sources, as an editable install uses them)"
+    (tmp_path / "not_compiled.txt").write_text("there is no C compiler (cc)\n", "utf-8")
+    assert cores.cores_and_reason() == "plain Python (at the installation: there is no C compiler (cc))"
+    monkeypatch.setattr(cores, "cores", lambda: "compiled")
+    assert cores.cores_and_reason() == "compiled"

@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import json
 import os
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
+import psutil
 import pytest
 from click.testing import CliRunner
 from study_engine import Here
+from waiting import wait_for
 
 from fleet.cli.main import cli
 
@@ -52,3 +59,31 @@ def test_memory_is_looked_at_along_the_way() -> None:
     assert all(row["worker_mb"] > 1 and row["here_mb"] > 1 for row in rows)
     shown = CliRunner().invoke(cli, ["bench", "study", "--memory", "10"], catch_exceptions=False)
     assert "[MB]" in shown.stdout and shown.stdout.count("\n") > 10
+
+
+@pytest.mark.slow
+def test_ctrl_c_prints_no_traceback(tmp_path: Path) -> None:
+    """All processes of the terminal get it, a worker that waits for a run, too."""
+    command = [sys.executable, "-m", "fleet", "bench", "study", "--runs", "5", "--duration", "90", "--workers", "1"]
+    printed = tmp_path / "printed"
+    with printed.open("wb") as file:
+        measured = subprocess.Popen(command, stdout=file, stderr=file, start_new_session=True)
+    try:
+        ours = psutil.Process(measured.pid)
+
+        def used_s() -> float:
+            assert measured.poll() is None, printed.read_text()
+            workers = [one for one in ours.children() if "spawn_main" in " ".join(one.cmdline())]
+            return sum(one.cpu_times().user for one in workers)
+
+        def idle() -> bool:
+            before = used_s()
+            time.sleep(0.5)
+            return before > 2.0 and used_s() == before
+
+        wait_for(idle, 60, "the worker, which has made a run, has nothing to do while the bare runs are made")
+        os.killpg(measured.pid, signal.SIGINT)
+        assert measured.wait(60) == 130
+    finally:
+        measured.kill()
+    assert "Traceback" not in printed.read_text()

@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections import Counter
 from io import StringIO
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -115,7 +116,15 @@ def test_every_option_is_explained(command: str) -> None:
 
 
 def test_version() -> None:
-    assert re.fullmatch(r"fleet, version \d+\.\d+\.\d+, cores: (compiled|plain Python)\n", invoke("--version").output)
+    cores = r"(compiled|plain Python \((at the installation: .+|these are sources, as an editable install uses them)\))"
+    assert re.fullmatch(rf"fleet, version \d+\.\d+\.\d+, cores: {cores}\n", invoke("--version").output)
+
+
+def test_a_title_that_begins_with_the_same_follows_what_it_is_the_same_as() -> None:
+    """`fleet list` shows the scenarios of a group by name, each with its title."""
+    for before, one in pairwise(sorted(list_scenarios(), key=lambda one: (one.group, one.name))):
+        if one.title.startswith("The same"):
+            assert one.name.startswith(before.name), f"{one.name} is listed after {before.name}"
 
 
 # --- exit status -----------------------------------------------------------

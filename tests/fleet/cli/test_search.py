@@ -140,3 +140,22 @@ def test_with_a_guide_and_a_folder_it_goes_on() -> None:
     (kept,) = second["kept"]
     assert not run(Path("kept") / kept["file"], seed=kept["seed"]).passed
     assert "belongs to another search" in call(*asked, "--budget", "12", "--check", "formation_error").stderr
+
+
+@pytest.mark.parametrize(
+    ("interrupted", "asked", "message"),
+    [
+        ("fleet.study.search.search", (), "no check had failed; fleet search small.yaml --keep DIR can be stopped and"),
+        ("fleet.study.search.search", ("--keep", "kept"), "the same command goes on with what kept has"),
+        ("fleet.study.shrink.Shrinker.shrink", (), "before the failing run was made smaller, so small-least.yaml is"),
+    ],
+)
+def test_what_ctrl_c_leaves_is_said(
+    interrupted: str, asked: tuple[str, ...], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(interrupted, interrupt)
+    assert message in call("small.yaml", "--budget", "4", *asked).stderr
+    assert not list(Path().glob("*-least.yaml"))

@@ -97,3 +97,12 @@ def test_mistakes_are_usage(args: list[str], message: str) -> None:
     assert result.exit_code == 2
     assert message in result.stderr
     assert not list(Path().glob("*-least.yaml"))
+
+
+def test_ctrl_c_leaves_no_file_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("fleet.study.shrink.Shrinker.shrink", interrupt)
+    assert "so small-least.yaml is not written; --most-runs N" in call("shrink", "small.yaml").stderr
+    assert not Path("small-least.yaml").exists()

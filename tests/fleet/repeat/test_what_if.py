@@ -123,3 +123,12 @@ def test_of_a_run_that_goes_on_from_another_nothing_changed_is_identical(tmp_pat
             assert (found.identical, found.first_s, len(found.t), found.notes) == (True, None, 200, [])
     other = what_if(later, 3, ["controller=nboc"])
     assert (other.first_s, other.notes) == (1.0, ["the log begins at t = 1 s; the other agent has no memory then"])
+
+
+def test_a_log_that_is_not_whole_is_said_to_be(tmp_path: Path) -> None:
+    log = run(tmp_path, "paper", "duration=2 s") / "run.mcap"
+    assert what_if(log, 1).notes == []
+    with log.open("r+b") as file:
+        file.truncate(log.stat().st_size * 2 // 3)
+    result = CliRunner().invoke(cli, ["whatif", str(log), "--agent", "1"])
+    assert result.exit_code == 0 and "note  the log is NOT WHOLE: " in result.stderr, result.output

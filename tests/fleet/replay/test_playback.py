@@ -12,6 +12,7 @@ import stat
 import subprocess
 import sys
 import termios
+import time
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,40 @@ def test_topics_that_a_renaming_puts_on_one_key(log: Path) -> None:
     assert Replay(tape, PlaybackOptions(remap=("uuv/1:=uuv/2", "uuv/2:=uuv/1"))).note == ""
     note = Replay(tape, PlaybackOptions(remap=("uuv/1:=uuv/2",))).note
     assert note == "uuv/1/pose and uuv/2/pose are played on one key, fleet/replay/log/uuv/2/pose, and 6 more so"
+
+
+class Nobody:
+    """A keyboard on which nobody types."""
+
+    def suspended_ns(self) -> int:
+        return 0
+
+    def read(self, seconds: float) -> list[Any]:
+        time.sleep(seconds)
+        return []
+
+
+class LateLine:
+    """A status line that is due only once the player has played for a while, as without a terminal."""
+
+    def __init__(self) -> None:
+        self.shown: list[str] = []
+        self._first = time.monotonic() + 1.3
+
+    def due(self) -> bool:
+        return time.monotonic() >= self._first
+
+    def show(self, pieces: list[Any]) -> None:
+        self.shown.append(" ".join(piece.forms[0] for piece in pieces))
+
+
+def test_the_first_line_has_the_pace(log: Path) -> None:
+    replay, line = Replay(Tape(log), PlaybackOptions()), LateLine()
+    with session(OpenBus.listen(endpoint())) as bus:
+        replay.open(bus)
+        replay.play(Nobody(), line)  # type: ignore[arg-type]
+    pace = float(re.findall(r"([\d.]+) x real time of 1", line.shown[0])[0])
+    assert 0.2 < pace < 1.2, line.shown[0]
 
 
 @pytest.mark.parametrize("topics", [[], ["uuv/*/pose", "link/**"]])

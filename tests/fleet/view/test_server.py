@@ -9,12 +9,17 @@ import stat
 import subprocess
 import sys
 import tempfile
+import time
 from contextlib import closing
 from pathlib import Path
+from signal import SIGINT
 from urllib.parse import urlsplit
+from urllib.request import urlopen
 
 import pytest
 from repository import ROOT
+from traffic import Command
+from traffic import log as log
 
 from fleet.errors import FleetError
 from fleet.view import server
@@ -101,3 +106,16 @@ def test_without_a_screen_no_browser_is_opened(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(server.webbrowser, "open", lambda url: pytest.fail(f"opened {url}"))
     with closing(Browser("http://127.0.0.1:1/?token=secret")) as browser:
         assert not browser.open()
+
+
+def test_a_second_ctrl_c_prints_no_traceback(log: Path) -> None:
+    pytest.importorskip("nicegui", reason="the extra [view] is not installed")
+    with Command("view", log, "--no-open") as viewer:
+        viewer.until("/?token=")
+        address = viewer.printed.split()[-1]
+        urlopen(address, timeout=60).close()  # it serves, so the signals are the server's
+        for _ in range(2):
+            viewer.send(SIGINT)
+            time.sleep(0.05)  # or both are one signal
+        assert viewer.status() == 130
+        assert "Traceback" not in viewer.printed

@@ -71,7 +71,7 @@ def test_nothing_to_show(tmp_path: Path) -> None:
     with pytest.raises(FleetError, match="no live run is called 'x'; there is none at all; nor is it a file"):
         find_source("x", tmp_path)
     with live_directory(tmp_path / "a") as directory:
-        for name in (None, str(directory)):
+        for name in (None, str(directory), "paper", directory.name):
             with pytest.raises(FleetError, match="is not published: start it with fleet run"):
                 find_source(name, tmp_path)
     path = tmp_path / "given.json"

@@ -91,6 +91,24 @@ def test_equal_vehicles_have_multiple_zeros() -> None:
         assert fleet.unstable(gain) == int((sizes > 1.0).sum())
 
 
+def test_a_division_by_zero_that_changes_no_result_is_no_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+    """numpy's determinant of a regular complex matrix makes one on arm64."""
+    divisions = 0
+
+    def on_arm64(part: np.ndarray) -> object:
+        nonlocal divisions
+        divisions += int(np.isnan(np.array([0.0, 1.0]) / 0.0).sum())
+        return slogdet(part)
+
+    slogdet = np.linalg.slogdet
+    monkeypatch.setattr(np.linalg, "slogdet", on_arm64)
+    link = Link(1, 1.0, 2), Link(0, 1.0, 2)
+    fleet = LinearFleet(tuple(Member(PAPER, 1.0, (own,), True, None, np.eye(3)) for own in link), 3, 0.01)
+    assert fleet.unstable(1.0) == 0
+    assert fleet.mode(1.0).frequency_hz > 0
+    assert divisions
+
+
 @pytest.mark.parametrize(
     ("what", "case"),
     [

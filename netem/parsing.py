@@ -19,10 +19,10 @@ def exact_number(text: str) -> Fraction | None:
     return Fraction(Decimal(text))
 
 
-def nearest(word: str, known: Iterable[str]) -> str:
-    """`did you mean "delay"?` when one of the known words is near, else nothing."""
+def nearest(word: str, known: Iterable[str], likeness: float = 0.6) -> str:
+    """`did you mean "delay"?` when one of the known words is near, else nothing. A likeness of 1 is the same word."""
     lower = {name.lower(): name for name in known}
-    close = get_close_matches(word.lower()[:60], lower, n=1, cutoff=0.6)
+    close = get_close_matches(word.lower()[:60], lower, n=1, cutoff=likeness)
     return f'did you mean "{lower[close[0]]}"?' if close else ""
 
 

@@ -91,7 +91,7 @@ class LinearFleet:
         first = int(np.searchsorted(angles, min(SLOW * self.m * self.tick_s, 1.0)))
         nearest = []
         for axes, part in parts:
-            size = np.linalg.slogdet(part)[1]
+            size = _slogdet(part)[1]
             dips = [n for n in range(first, len(angles)) if size[n] <= size[max(n - 1, first) : n + 2].min()]
             _, values, right = np.linalg.svd(part[dips])
             at = int(np.argmin(values[:, -1]))
@@ -155,7 +155,7 @@ class LinearFleet:
         groups = _groups(loop[::10])
         parts = [_part(loop, axes) for axes in groups]
         # Sign (a direction in the complex plane) and logarithm of det(I - T), per part.
-        found = np.array([np.linalg.slogdet(part) for part in parts])
+        found = np.array([_slogdet(part) for part in parts])
         for _ in range(40):
             turn = np.abs(np.angle(found[:, 0, 1:] * found[:, 0, :-1].conj())) > 0.6
             coarse = (turn | (np.abs(np.diff(found[:, 1].real)) > 0.7)).any(axis=0)
@@ -171,7 +171,7 @@ class LinearFleet:
             more = [_part(loop, axes) for axes in groups]
             order = np.argsort(np.concatenate([angles, new]))
             angles = np.concatenate([angles, new])[order]
-            found = np.concatenate([found, [np.linalg.slogdet(part) for part in more]], axis=2)[:, :, order]
+            found = np.concatenate([found, [_slogdet(part) for part in more]], axis=2)[:, :, order]
             parts = [np.concatenate([part, added])[order] for part, added in zip(parts, more, strict=True)]
         turns = float(np.angle(found[:, 0, 1:] * found[:, 0, :-1].conj()).sum()) / pi
         return alone - round(turns), angles, list(zip(groups, parts, strict=True))
@@ -241,6 +241,15 @@ def _part(loop: Complex, axes: tuple[int, ...]) -> Complex:
     points, N, outputs = loop.shape[:3]
     chosen = [3 * kind + axis for kind in range(outputs // 3) for axis in axes]
     return loop[:, :, chosen][:, :, :, :, chosen].reshape(points, N * len(chosen), N * len(chosen))
+
+
+def _slogdet(part: Complex) -> Any:
+    """Signs and logarithms of determinants.
+
+    On arm64, numpy 2.4.6 warns of a division by zero for each complex matrix with a real pivot. Its result is right.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.linalg.slogdet(part)
 
 
 def linear_fleet(

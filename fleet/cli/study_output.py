@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from rich.console import Console as Terminal
 
-from fleet.study.record import AxisRecord
-from fleet.study.store import Store
-from fleet.study.summary import reached
-from fleet.study.sweep import Progress
 from fleet.terminal.fitting import Piece
 from fleet.terminal.folding import say
 from fleet.terminal.status_line import BAR, StatusLine, bar
 from fleet.terminal.table import TerminalColumn
+
+if TYPE_CHECKING:  # they import pyarrow, which commands without a table of runs do not need
+    from fleet.study.record import AxisRecord
+    from fleet.study.store import Store
+    from fleet.study.sweep import Progress
 
 
 def axis_columns(axes: Sequence[AxisRecord], rows: Sequence[Mapping[str, float | str]]) -> list[TerminalColumn]:
@@ -65,5 +67,7 @@ def progress_pieces(line: StatusLine, share: float, progress: Progress) -> list[
 
 def show_reached(store: Store) -> None:
     """Say what some run had to reach, and whether one did."""
+    from fleet.study.summary import reached
+
     for one in reached(store):
         say(one.words if one.hits else f"{one.words}: that no check fails says little")

@@ -185,6 +185,8 @@ def _siblings(loc: Loc) -> list[str]:
 
 def _nearest_key(loc: Loc) -> str:
     key, siblings = str(loc[-1]), _siblings(loc)
+    if hint := nearest(key, siblings, 0.8):
+        return hint
     hint = nearest(key, siblings)
     elsewhere = [path for path in _everywhere() if path.rpartition(".")[2] == key]
     if elsewhere:

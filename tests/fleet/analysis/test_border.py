@@ -134,6 +134,24 @@ def test_the_resolvent_is_that_of_a_linear_system(defective: bool) -> None:
     assert kind.resolvent(z) == pytest.approx(each, rel=1e-6, abs=1e-9 * np.abs(each).max())
 
 
+def test_a_division_by_zero_that_changes_no_result_is_no_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+    """numpy's determinant of a regular complex matrix makes one on arm64."""
+    divisions = 0
+
+    def on_arm64(part: np.ndarray) -> object:
+        nonlocal divisions
+        divisions += int(np.isnan(np.array([0.0, 1.0]) / 0.0).sum())
+        return slogdet(part)
+
+    slogdet = np.linalg.slogdet
+    monkeypatch.setattr(np.linalg, "slogdet", on_arm64)
+    link = Link(1, 1.0, 2), Link(0, 1.0, 2)
+    fleet = LinearFleet(tuple(Member(PAPER, 1.0, (own,), True, None, np.eye(3)) for own in link), 3, 0.01)
+    assert fleet.unstable(1.0) == 0
+    assert fleet.mode(1.0).frequency_hz > 0
+    assert divisions
+
+
 @pytest.mark.parametrize(
     ("what", "case"),
     [

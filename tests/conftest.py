@@ -16,6 +16,9 @@ sys.dont_write_bytecode = False
 
 # A shell starts a command in the background with interrupts ignored, and the tests interrupt what they start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+# `nohup` has hang-ups ignored. With a handler they still do nothing here, and what the tests start begins without it.
+if signal.getsignal(signal.SIGHUP) == signal.SIG_IGN:
+    signal.signal(signal.SIGHUP, lambda *_: None)
 
 # Property tests are about laws, not about how fast the machine is that checks them.
 # Where CI is set a commit gets the same examples each time: what is new is found at the desk, not in a landing. So it

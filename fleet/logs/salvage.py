@@ -11,7 +11,6 @@ import os
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from struct import Struct
 from struct import error as struct_error
 from typing import IO, NamedTuple
 
@@ -19,6 +18,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, DataEnd, Header, Metadata, Schema
 
+from fleet.logs.message_indexes import read_indexes
 from fleet.logs.records import (
     CHUNK,
     HEAD,
@@ -40,8 +40,6 @@ from fleet.logs.records import (
 _FOOTER = HEAD.size + 20  # [bytes]
 _ZSTD = b"\x04\x00\x00\x00zstd"  # in a chunk, behind its lengths: what it is recognised by when the framing is lost
 _WINDOW = 1 << 20
-_INDEX = Struct("<BQHI")  # how a message index begins: opcode, length of the rest, channel, bytes of its entries
-_INDEXES = 1 << 18  # bytes of message indexes that are looked at together
 _LOOSE = 1 << 20  # bytes of messages outside chunks that make one block
 _TOO_LATE_NS = 1 << 63  # no time: those who read it as a signed number would find it before the year 1970
 _LATER_NS = 60 * 10**9  # after the end of a run; a later time in its log is a mistake
@@ -142,7 +140,7 @@ class Salvage:
                         yield from self._gathered()
                 elif opcode == Opcode.CHUNK:
                     yield from self._gathered()
-                    after, places = self._indexes(behind)
+                    after, places = read_indexes(self._read, behind, MOST_IN_BLOCK)
                     yield from self._chunk(body, places)
                     if not self.damage:
                         behind = after
@@ -176,33 +174,6 @@ class Salvage:
                 self.damage[-1].messages += count
         else:
             yield from self._plain(opcode, body)
-
-    def _indexes(self, at: int) -> tuple[int, Array | None]:
-        """Where the sound message indexes behind a chunk end, and where in it they say that messages are.
-
-        A chunk has one index per channel. The places are None if there are more of them than one block has.
-        """
-        index, head, unpack = int(Opcode.MESSAGE_INDEX), _INDEX.size, _INDEX.unpack_from
-        parts: list[Array] = []
-        count = 0
-        while True:
-            window = self._read(at, _INDEXES)
-            begin, last = 0, len(window) - head
-            begins: list[int] = []
-            opcode = index
-            while begin <= last:
-                opcode, length, _, entries = unpack(window, begin)
-                end = begin + head + entries
-                if opcode != index or length != entries + 6 or entries % 16 or end > len(window):
-                    break
-                begins.append(begin)
-                begin = end
-            at += begin
-            if begins and count <= MOST_IN_BLOCK:
-                parts.append(_entries(window, np.array([*begins, begin])))
-                count += len(parts[-1])
-            if not begin or len(window) < _INDEXES or opcode != index:
-                return at, np.concatenate(parts) if parts and count <= MOST_IN_BLOCK else None
 
     def _say(self, size: int) -> None:
         if self.at - self._told >= _TELL or self._told == 0:
@@ -380,14 +351,6 @@ def _index_entries(body: bytes) -> int:
     if len(body) % 16 != 6 or U32.unpack_from(body, 2)[0] != len(body) - 6:
         raise _DamagedError("a damaged message index")
     return (len(body) - 6) // 16
-
-
-def _entries(indexes: bytes, bounds: Array) -> Array:
-    """The places that message indexes state, one behind the other; each entry is a time and a place."""
-    counts = (np.diff(bounds) - _INDEX.size) // 16
-    first = np.repeat(bounds[:-1] + _INDEX.size - 16 * (np.cumsum(counts) - counts), counts)
-    at = first + 16 * np.arange(len(first)) + 8
-    return np.ndarray((max(0, len(indexes) - 7),), "<u8", indexes, strides=(1,))[at]
 
 
 def _too_late_ns(run: Mapping[str, str]) -> int:

@@ -59,25 +59,27 @@ class VehicleRound:
             self._later[f] = after
             after = own @ after
         self._P = np.linalg.matrix_power(own, m)
-        self._values, self._vectors = np.linalg.eig(self._P)
+        self._values, vectors = np.linalg.eig(self._P)
         self.unstable = int((np.abs(self._values) > 1.0).sum())
         self.growth = float(np.abs(self._values).max())
-        # In terms of its eigenvectors the resolvent is a division. They span nothing if eigenvalues meet.
-        self._simple = bool(np.linalg.cond(self._vectors) < MOST_CONDITION)
+        # In terms of the eigenvectors of P the resolvent is a division. If eigenvalues meet, the vectors may not span
+        # the space, and `resolvent` solves a linear system.
+        self._outputs = self._C @ vectors
+        simple = np.linalg.cond(vectors) < MOST_CONDITION
+        self._inputs: Complex | None = np.linalg.inv(vectors) if simple else None
         self._K, self._heard = K, None if member.told else member.c - member.b
         self._reckons, self._cap, self._tick_s = member.reckons, member.age_cap, tick_s
 
     def own_mode(self) -> tuple[float, str]:
         """Angle of the largest eigenvalue of P, and the loop that it moves most."""
         at = int(np.argmax(np.abs(self._values)))
-        moved = np.abs(self._C[:3] @ self._vectors[:, at])
+        moved = np.abs(self._outputs[:3, at])
         return abs(float(np.angle(self._values[at]))), LOOPS[int(np.argmax(moved))]
 
     def resolvent(self, z: Complex) -> Complex:
         """C (z - P)^-1 at every z."""
-        if self._simple:
-            outputs, inputs = self._C @ self._vectors, np.linalg.inv(self._vectors)
-            shares: Complex = outputs / (z[:, None] - self._values)[:, None, :] @ inputs
+        if self._inputs is not None:
+            shares: Complex = self._outputs / (z[:, None] - self._values)[:, None, :] @ self._inputs
             return shares
         matrices = z[:, None, None] * np.eye(len(self._P)) - self._P.T
         return np.swapaxes(np.linalg.solve(matrices, self._C.T.astype(complex)), 1, 2)

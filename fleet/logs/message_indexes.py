@@ -19,9 +19,9 @@ def read_indexes(read: Callable[[int, int], bytes], at: int, most: int) -> tuple
     """Find the sound message indexes from a byte on; a chunk has one per channel.
 
     Args:
-        read: the bytes of the file from a place on, so many or fewer.
+        read: returns the bytes of the file from a place on: as many as asked for, fewer at the end of the file.
         at: where the first index begins.
-        most: so many places are returned.
+        most: the largest number of places that is returned.
 
     Returns:
         Where the last sound index ends, and the places of the messages in the chunk; None if there are more than

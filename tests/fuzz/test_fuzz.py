@@ -79,10 +79,8 @@ from world.lockstep import Lockstep
 from world.process import WorldProcess
 from world.realtime_process import RealtimeWorldProcess
 
-EXAMPLES = int(os.environ.get("FUZZ_EXAMPLES", "40"))
 fuzz = settings(
-    max_examples=EXAMPLES,
-    deadline=None,
+    max_examples=int(os.environ.get("FUZZ_EXAMPLES", settings.default.max_examples)),
     suppress_health_check=list(HealthCheck),
 )
 KEYS = Keys("f0220000")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from small_scenario import SMALL, WILD, small
 
@@ -496,7 +496,6 @@ GOOD = st.sampled_from(
 
 
 @given(st.lists(st.tuples(st.sampled_from(KEYS), WILD | GOOD).map("=".join), min_size=1, max_size=8), NEMESES)
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_any_check_is_accepted_or_a_scenario_error(overrides: list[str], drawn: list[str]) -> None:
     """Wrong values at every key, also of an entry without its list; what is accepted prints back."""
     full = "checks={recovery_time: [{fault: split, below: 1 s, within: 1 m}], max_age: {below: 1 s}}"

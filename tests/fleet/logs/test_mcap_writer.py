@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.records import Attachment
@@ -94,7 +94,6 @@ def written(make: Callable[..., Any], steps: list[tuple[Any, ...]]) -> bytes:
     return target.getvalue()
 
 
-@settings(max_examples=300, deadline=None)
 @given(STEPS)
 def test_the_same_bytes_as_the_library(steps: list[tuple[Any, ...]]) -> None:
     assert written(McapWriter, steps) == written(Library, steps)

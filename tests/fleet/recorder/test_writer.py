@@ -13,7 +13,7 @@ import pytest
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from plain_messages import Copy, Entry, encoded
 from small_scenario import small
@@ -180,7 +180,6 @@ def pose(at_ns: int, row: VehicleFrame) -> bytes:
     return before + b"\x1a" + bytes([len(places)]) + places
 
 
-@settings(max_examples=40, deadline=None)
 @given(scenarios(), st.integers(0, 2**32), st.sampled_from([300, 5000, 1024 * 1024]))
 def test_the_log_of_any_journal_is_the_one_written_message_by_message(
     scenario: Scenario, seed: int, chunk_bytes: int

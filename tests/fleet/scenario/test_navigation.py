@@ -10,7 +10,7 @@ from math import radians
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from small_scenario import SMALL, only_problem, small
 
@@ -138,7 +138,6 @@ def test_mistakes_in_a_trace_have_their_line(text: str, words: str) -> None:
 
 
 @given(st.text(max_size=60) | st.text("0123456789.,-e \n", max_size=80).map(TRACE.__add__))
-@settings(max_examples=60)
 def test_any_text_is_a_trace_or_is_refused_in_words(text: str) -> None:
     try:
         points = parse_trace(text, "nav.csv")

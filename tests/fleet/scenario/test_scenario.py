@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from repository import EXPECTED
 from small_scenario import SMALL, WILD, only_problem, places, small
@@ -258,7 +258,6 @@ CHOICES: dict[str, st.SearchStrategy[str]] = {
 
 
 @given(st.lists(st.sampled_from(sorted(CHOICES)).flatmap(lambda k: CHOICES[k].map(lambda v: f"{k}={v}")), max_size=8))
-@settings(max_examples=60, deadline=None)
 def test_every_valid_scenario_round_trips(overrides: list[str]) -> None:
     try:
         s = small(*overrides)
@@ -655,7 +654,6 @@ WILD_OVERRIDES = st.lists(
 
 
 @given(WILD_OVERRIDES)
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_any_override_is_accepted_or_a_scenario_error(overrides: list[str]) -> None:
     """Wrong values of every type at every key: the validator itself never raises anything else."""
     try:
@@ -668,7 +666,6 @@ def test_any_override_is_accepted_or_a_scenario_error(overrides: list[str]) -> N
 
 
 @given(st.data())
-@settings(max_examples=200, deadline=None)
 def test_any_damage_to_a_scenario_is_accepted_or_a_scenario_error(data: st.DataObject) -> None:
     lines = load_scenario("rough-sea").to_yaml().splitlines()
     for _ in range(data.draw(st.integers(1, 4))):

@@ -13,7 +13,7 @@ from typing import Any
 import msgpack
 import pytest
 from any_message import ANY_MESSAGE, ARRAY, KINDS, OR_NIL, RECORDS, messages
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from netem.errors import MalformedMessage
@@ -263,7 +263,6 @@ def test_arbitrary_values_under_a_known_kind(fields: list[Any], kind: str) -> No
     taken_or_refused(msgpack.packb([kind, *fields]))
 
 
-@settings(max_examples=300)
 @given(ANY_MESSAGE, st.data())
 def test_mutated_bytes(message: Message, data: st.DataObject) -> None:
     """Flips, cuts and insertions in valid messages, which get further than noise does."""

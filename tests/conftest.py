@@ -31,9 +31,7 @@ settings.register_profile("few", settings.get_profile("laws"), max_examples=15) 
 def pytest_configure(config: pytest.Config) -> None:
     """Draw the same examples in each run, and 200 per law with `-m ''`; `--hypothesis-seed` draws new ones."""
     profile = config.option.hypothesis_profile or ("laws" if config.option.markexpr else "many")
-    settings.register_profile(
-        "drawn", settings.get_profile(profile), derandomize=config.option.hypothesis_seed is None
-    )
+    settings.register_profile("drawn", settings.get_profile(profile), derandomize=config.option.hypothesis_seed is None)
     settings.load_profile("drawn")
 
 

@@ -13,9 +13,8 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from loops import agent_config
 
-from agents.config import AgentConfig, Neighbour
+from agents.config import AgentConfig, Neighbour, Offset, OffsetChange
 from agents.neighbours import NeighbourTable
-from agents.offset import Offset, OffsetChange
 from agents.payload import StateMessage, encode
 from agents.trajectory import Circle, Path, PathError, Reference, StraightLine
 from netem.wire.messages import Delivery

@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 from repository import ROOT
 
-from fleet.protocol import slice_fields
-from fleet.protocol.page import page
+from fleet.protocol.page import FIELDS, page
 from netem.fault_kinds import WorldFaultKind
 
 
@@ -63,10 +62,10 @@ def test_paper_page_links_lead_to_what_they_name() -> None:
     assert re.findall(r"^\*\*G(\d+)\.", page_text, re.MULTILINE) == [str(n) for n in range(1, 32)]
 
 
-@pytest.mark.parametrize("cls", slice_fields.FIELDS)
+@pytest.mark.parametrize("cls", FIELDS)
 def test_the_protocol_page_knows_every_field_of_a_slice(cls: type) -> None:
     """And calls them by the keys under which they travel, in their order."""
-    assert list(slice_fields.FIELDS[cls]) == [field.name for field in fields(cls)]
+    assert list(FIELDS[cls]) == [field.name for field in fields(cls)]
 
 
 def test_the_protocol_page_defines_every_type_that_it_names() -> None:

@@ -14,14 +14,13 @@ from hypothesis import strategies as st
 from msgspec.structs import astuple
 
 from netem.acoustic import AcousticChannel
-from netem.causes import LOSSES, Cause
 from netem.condition import Condition, Link
 from netem.config import NetemConfig
-from netem.curve import Curve
+from netem.fault_kinds import LOSSES, Cause
 from netem.faults import NetFault
 from netem.ledger import Ledger
-from netem.links import Links
-from netem.modem import AcousticConfig, Modem
+from netem.medium import Links
+from netem.modem import AcousticConfig, Curve, Modem
 from netem.network import Netem, fate_order
 from netem.rounds import Rounds
 from netem.transit import Transit

@@ -10,10 +10,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from repository import ROOT
 
-from fleet.analysis.border import FINE, SLOW, LinearFleet, linear_fleet
+from fleet.analysis.border import FINE, SLOW, LinearFleet, Link, Member, VehicleRound, linear_fleet
 from fleet.analysis.linear import Linear, NotLinear
 from fleet.analysis.stability import analyse, report
-from fleet.analysis.vehicle_round import Link, Member, VehicleRound
 from fleet.scenario.loading import load_scenario
 
 sys.path.insert(0, str(ROOT / "docs" / "examples"))

@@ -23,9 +23,8 @@ from fleet.bench.recorder import Calls
 from fleet.logs.reader import LogReader
 from fleet.logs.schemas import COMMAND, ERROR, FAULT, PACKET, ROLL, STATE, flat_schema, signal_columns, stamp_of
 from fleet.recorder import tick_messages
-from fleet.recorder.log_file import LogFile
+from fleet.recorder.log_file import LogFile, NoLog
 from fleet.recorder.metrics import VehicleError
-from fleet.recorder.no_log import NoLog
 from fleet.recorder.snapshot import Snapshot
 from fleet.recorder.transforms import quaternion
 from fleet.recorder.writer import LogWriter
@@ -33,7 +32,7 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.log_rates import LOG_GROUPS
 from fleet.scenario.sections.signals import OF_THE_PLANT
 from fleet.scenario.sections.timeline import Event
-from netem.causes import Cause
+from netem.fault_kinds import Cause
 from netem.wire.messages import Command, Fate, Frame, VehicleFrame
 from world.signal import width_of
 

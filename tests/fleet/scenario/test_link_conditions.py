@@ -20,7 +20,7 @@ from fleet.errors import ScenarioError
 from fleet.scenario.loading import changed, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.data_files import DataFileError
-from fleet.scenario.sections.trace_files import load_trace, read_trace
+from fleet.scenario.sections.link_conditions import load_trace, read_trace
 from fleet.scenario.sections.trace_table import MOST_ROWS, TraceRow, TraceTable, read_csv
 from netem.condition import Condition
 from netem.link_states import LinkStates

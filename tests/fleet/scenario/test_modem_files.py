@@ -19,8 +19,7 @@ from fleet.scenario.schema.network import AcousticSection
 from fleet.scenario.sections.acoustic import turn_s
 from fleet.scenario.sections.data_files import DataFileError
 from fleet.scenario.sections.modem_files import CURVES, NUMBERS, load_modem, parse_modem, shipped_modems
-from netem.modem import AcousticConfig
-from netem.ranging import RangingConfig
+from netem.modem import AcousticConfig, RangingConfig
 
 SMALL = """\
 title: Three vehicles

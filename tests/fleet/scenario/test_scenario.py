@@ -16,22 +16,20 @@ from hypothesis import strategies as st
 from repository import EXPECTED
 from small_scenario import SMALL, WILD, only_problem, places, small
 
-from agents.config import GuidanceParams, Neighbour, TrackingParams
-from agents.offset import Offset
+from agents.config import GuidanceParams, Neighbour, Offset, TrackingParams
 from agents.profiles import PROFILES, profile
 from agents.trajectory import StraightLine
 from fleet.errors import FleetError, ScenarioError
 from fleet.scenario.catalogue import list_scenarios
-from fleet.scenario.loading import load_scenario, parse_scenario
+from fleet.scenario.loading import EXAMPLES, load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.control import GuidanceSection, TrackingSection
 from fleet.scenario.schema.network import LinkSection, LinkStateSection
-from fleet.scenario.schema.section import Section
 from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.schema.value_types import Section
 from fleet.scenario.sections.formation import grid
 from fleet.scenario.sections.log_rates import DRAWN_GROUPS, LOG_GROUPS
 from fleet.scenario.text.yaml_reader import Mapping, Source, plain, read, resolve
-from fleet.scenario.validation import EXAMPLES
 from netem.condition import Condition
 
 SHIPPED = [name for name, *_ in list_scenarios()]

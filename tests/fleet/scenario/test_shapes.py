@@ -23,11 +23,10 @@ from fleet.execution.options import Options
 from fleet.result.result import Status
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.schema.motion import FormationShape, GraphSection
-from fleet.scenario.schema.shapes import GRAPH
+from fleet.scenario.schema.motion import GRAPH, FormationShape, GraphSection
 from fleet.scenario.sections.formation import SHAPES, offsets
 from fleet.scenario.sections.graph import build
-from fleet.scenario.sections.vehicle_files import load_vehicle
+from fleet.scenario.sections.per_vehicle import load_vehicle
 
 # --- formations ------------------------------------------------------------
 

@@ -16,11 +16,11 @@ from any_message import ANY_MESSAGE, ARRAY, KINDS, OR_NIL, RECORDS, messages
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from fleet.protocol.page import declared, fields_of, records, texts
 from netem.errors import MalformedMessage
 from netem.wire.codec import decode, encode, expect
-from netem.wire.control import read_map
 from netem.wire.messages import Command, Grant, Hello, Message, Nav
-from netem.wire.wire_types import declared, fields_of, records, texts
+from netem.wire.shell import read_map
 
 
 def plainest(wire: str) -> Any:

@@ -72,7 +72,7 @@ def boundary(
         _show(borders, found)
     picture = _picture(borders, trust)
     if as_json:
-        from fleet.cli.documents.boundary import boundary_document
+        from fleet.cli.documents.studies import boundary_document
 
         print_document(boundary_document(borders, found, None if picture is None else str(picture)))
     else:

@@ -13,7 +13,7 @@ from fleet.terminal.folding import stdout
 def list_(as_json: bool) -> None:
     """List the scenarios that ship with the package, by group, and the studies.
 
-    fleet ls lists the runs made of them, and fleet ps the live ones. The cost of a study is the approximate time of all
+    fleet ls lists the runs made of them. The cost of a study is the approximate time of all
     its runs on one processor core, with compiled code.
     """
     from fleet.scenario.catalogue import list_scenarios
@@ -21,9 +21,9 @@ def list_(as_json: bool) -> None:
 
     scenarios, studies = list_scenarios(), list_studies()
     if as_json:
-        from fleet.cli.documents.listing import ScenarioRow, Scenarios, StudyRow
+        from fleet.cli.documents.logs import Scenarios
 
-        print_document(Scenarios([ScenarioRow(*row) for row in scenarios], [StudyRow(*row) for row in studies]))
+        print_document(Scenarios(scenarios, studies))
         return
     from rich.table import Table
     from rich.text import Text

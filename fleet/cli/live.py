@@ -1,4 +1,4 @@
-"""The commands for live runs: ps, inject, heal, clock, stop. `fleet status` has a module of its own."""
+"""The commands for live runs: inject, heal, clock, stop. `fleet status` has a module of its own."""
 
 from __future__ import annotations
 
@@ -9,39 +9,6 @@ import click
 from fleet.cli import completion
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.run_argument import answer, clock_words, fault_words, heal_words, run_argument, run_option
-
-
-@click.command()
-@json_option
-def ps(as_json: bool) -> None:
-    """List the live runs of this user, wherever they were started.
-
-    fleet ls lists all runs below a directory, also those that are over. fleet list shows the scenarios.
-
-    \b
-    Examples:
-      fleet ps
-    """
-    from fleet.cli.documents.live import LiveRunRow, LiveRuns
-    from fleet.execution.connection import RemoteError, ask, live_runs
-
-    rows = []
-    for found in live_runs():
-        row = LiveRunRow(found.name, str(found.directory), found.scenario, found.pid, found.endpoint)
-        try:
-            values = ask(found, "status")
-            row.at_s, row.end_s, row.clock = values["at_s"], values["end_s"], values["clock"]
-        except RemoteError as error:
-            row.error = str(error)
-        rows.append(row)
-    if as_json:
-        print_document(LiveRuns(rows))
-        return
-    if not rows:
-        click.echo("no live run", err=True)
-    for row in rows:
-        click.echo(row.error or f"{row.run}: t = {row.at_s:.1f} of {row.end_s:g} s, {row.clock}")
-        click.echo(f"  {row.directory}, pid {row.pid}")
 
 
 @click.command()
@@ -73,7 +40,7 @@ def inject(what: tuple[str, ...], run: str | None, lasts: str | None, name: str 
       fleet inject gust velocity='0 0.5 0 m/s' over=10s
       fleet inject efficiency vehicles=2 surge='50 %' --for 20s
     """
-    from fleet.cli.documents.live import Injected
+    from fleet.execution.answers import Injected
     from fleet.execution.connection import find
     from fleet.scenario.text.fault_words import read_fault
 
@@ -107,7 +74,7 @@ def heal(words: tuple[str, ...], run: str | None, as_json: bool) -> None:
       fleet heal paper live-1
       fleet heal
     """
-    from fleet.cli.documents.live import Healed
+    from fleet.execution.answers import Healed
     from fleet.execution.connection import RemoteError
 
     meant, name = heal_words(words, run)
@@ -139,7 +106,7 @@ def clock(words: tuple[str, ...], run: str | None, as_json: bool) -> None:
       fleet clock paper 2x      the same of the run paper, if several live
       fleet clock resume
     """
-    from fleet.cli.documents.live import ClockSet
+    from fleet.execution.answers import ClockSet
     from fleet.execution.connection import find
 
     run, do, value = clock_words(words, run)
@@ -174,7 +141,7 @@ def stop(run: str | None, as_json: bool) -> None:
       fleet stop
       fleet stop paper
     """
-    from fleet.cli.documents.live import Stopping
+    from fleet.execution.answers import Stopping
     from fleet.execution.connection import find
 
     found = answer(Stopping, find(run), "stop")
@@ -184,4 +151,4 @@ def stop(run: str | None, as_json: bool) -> None:
     click.echo(f"{found.run}: stopping at t = {found.at_s:.2f} s")
 
 
-COMMANDS = (ps, inject, heal, clock, stop)
+COMMANDS = (inject, heal, clock, stop)

@@ -162,6 +162,8 @@ def _notes(runs: Sequence[Any]) -> Iterator[str]:
     "--ros2", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
     help="Write a bag of ROS 2 here; needs uuv-fleet[ros2].",
 )  # fmt: skip
+@click.option("--scenario", is_flag=True,
+              help="Print the scenario that runs LOG again, with all that was injected while it was made.")  # fmt: skip
 @click.option("--topics", metavar="PATTERN", multiple=True, help="Only topics such as 'uuv/*/state'; repeatable.")
 @FORCE
 def export(
@@ -171,10 +173,11 @@ def export(
     netcdf: Path | None,
     traces: Path | None,
     ros2: Path | None,
+    scenario: bool,
     topics: tuple[str, ...],
     force: bool,
 ) -> None:
-    """Write LOG (an MCAP file, or a run directory) as tables, one file per topic.
+    """Write LOG (an MCAP file, or a run directory) as tables, one file per topic, or print its scenario.
 
     Times are in s. Units are in CSV's header, and in the metadata of the other formats; export.json describes each
     table. Numbers read back exactly; bytes are hexadecimal in CSV, and left out in NetCDF. Data that only 3D viewers
@@ -187,6 +190,7 @@ def export(
       fleet export --netcdf states --topics 'uuv/*/state'
       fleet export runs/latest --traces links
       fleet export runs/latest --ros2 bag
+      fleet export --scenario > again.yaml && fleet run again.yaml
     """
     from fleet.logs.export import export as write
     from fleet.logs.open_log import list_topics
@@ -195,10 +199,14 @@ def export(
 
     tables = [(form, folder) for form, folder in (("csv", csv), ("parquet", parquet), ("netcdf", netcdf)) if folder]
     folders = [folder.absolute() for folder in (*(folder for _, folder in tables), traces, ros2) if folder is not None]
+    if scenario:
+        if folders or topics:
+            raise click.UsageError("--scenario prints the scenario only, and writes no tables")
+        _print_scenario(log)
+        return
     if not folders:
-        raise click.UsageError(
-            "no folder for the tables: give --csv DIR, --parquet DIR, --netcdf DIR, --traces DIR or --ros2 DIR"
-        )
+        forms = "--csv DIR, --parquet DIR, --netcdf DIR, --traces DIR or --ros2 DIR"
+        raise click.UsageError(f"no folder for the tables: give {forms}; or --scenario")
     if topics and not tables:
         raise click.UsageError("--topics chooses tables, and --traces and --ros2 write none")
     if len(set(folders)) < len(folders):
@@ -222,6 +230,15 @@ def export(
             paths = write(found, folder, form, force=force, share=tell)
         for path in paths:
             click.echo(path)
+
+
+def _print_scenario(log: Path) -> None:
+    from fleet.repeat.recorded_run import script
+    from fleet.terminal.progress import showing
+
+    with showing(f"reading {log}") as tell:
+        made = script(log, tell)
+    click.echo(made.to_yaml(), nl=False)
 
 
 def _export_bag(log: Path, folder: Path) -> None:
@@ -331,9 +348,7 @@ def info(log: Path, as_json: bool) -> None:
     with showing(f"reading {log}") as tell:
         found = read_info(log, tell)
     if as_json:
-        from fleet.cli.documents.logs import contents
-
-        print_document(contents(found))
+        print_document(found)
     else:
         say(info_text(found))
 

@@ -44,7 +44,7 @@ def protocol(context: click.Context) -> None:
 @click.option("--listen-certified", metavar="ENDPOINT",
               help="Also listen here for an agent with a certificate and no password (zenoh-pico).")  # fmt: skip
 @click.option("--certs", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
-              help="With --listen-certified: certificates, made by fleet certs.")  # fmt: skip
+              help="With --listen-certified: certificates, made by fleet hosts certs.")  # fmt: skip
 def check(
     vehicle: int,
     scenario: str,

@@ -62,7 +62,7 @@ def regress(
     changed = regression.accept(found) if accept else 0
     cli_junit.write(junit, folder.name, cli_junit.of_regress(found))
     if as_json:
-        from fleet.cli.documents.search import regressed
+        from fleet.cli.documents.studies import regressed
 
         print_document(regressed(folder, found))
     else:

@@ -194,7 +194,7 @@ def _print(
 ) -> None:
     """Print the result of the search."""
     if as_json:
-        from fleet.cli.documents.search import first_failing
+        from fleet.cli.documents.studies import first_failing
 
         print_document(first_failing(found, least, path, kept))
     elif found.scenario is not None and least is not None:

@@ -79,7 +79,7 @@ def shrink(
             raise
     write_least(found.scenario, path)
     if as_json:
-        from fleet.cli.documents.study import less
+        from fleet.cli.documents.studies import less
 
         print_document(less(found, scenario, path))
     else:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rich.console import Console, Group
     from rich.table import Table
 
-    from fleet.cli.documents.live import FaultRow, LinkRow, RunStatus, VehicleRow
+    from fleet.execution.answers import FaultRow, LinkRow, RunStatus, VehicleRow
     from fleet.execution.connection import LiveRun
 
 EVERY_S = 1.0
@@ -58,7 +58,7 @@ def status(run: str | None, watch: bool, every: bool, as_json: bool) -> None:
 
 
 def _status(found: LiveRun, every: bool) -> RunStatus:
-    from fleet.cli.documents.live import RunStatus
+    from fleet.execution.answers import RunStatus
 
     return answer(RunStatus, found, "status", all=every)
 

@@ -96,7 +96,7 @@ def sweep(
     if junit is not None:
         cli_junit.write(junit, store.record.scenario, cli_junit.of_study(store))
     if as_json:
-        from fleet.cli.documents.study import swept
+        from fleet.cli.documents.studies import swept
 
         print_document(swept(store, shown))
     elif quiet:

@@ -1,4 +1,4 @@
-"""The commands that prove a log right or make it usable: verify, check-log, diff, script, recover."""
+"""The commands that prove a log right or make it usable: verify, diff, recover."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from fleet.terminal.folding import say
 from world.plugins.trust import Trust
 
 _VERIFY = "Exit status: 0 reproduced, 1 not, 2 no log of ours or it cannot be run here, 3 no message is left in it."
-_CHECK_LOG = "Exit status: 0 every check passes, 1 one does not, 2 no log of ours, or a check makes no sense."
 _DIFF = "Exit status: 0 the same (or within the tolerance), 1 different, 2 one of them is no log."
 _RECOVER = "Exit status: 0 whole, 1 nothing can be recovered, 2 usage, 3 something is lost."
 _log = click.Path(path_type=Path)
@@ -46,47 +45,10 @@ def verify(log: Path, trust: Trust, as_json: bool, quiet: bool) -> None:
     ):
         found = check(log, tell, trust, reading)
     if as_json:
-        from fleet.cli.documents.logs import verified
-
-        print_document(verified(found))
+        print_document(found)
     else:
         say("\n".join(verification_lines(found)))
     sys.exit(0 if found.reproduced else 1)
-
-
-@click.command(cls=TrustingCommand, epilog=_CHECK_LOG)
-@log_argument
-@click.option("--set", "overrides", metavar="checks=...", multiple=True,
-              help="Other checks than those of the run, as in a scenario; repeatable.")  # fmt: skip
-@trust_option
-@json_option
-@NO_PROGRESS
-def check_log(log: Path, overrides: tuple[str, ...], trust: Trust, as_json: bool, quiet: bool) -> None:
-    """Judge LOG by your own checks, on signals and in Python, without running it again.
-
-    Those of its scenario, or others. A log that was cut is judged up to where it is whole. Checks of other kinds,
-    such as formation_error, are judged by the run.
-
-    \b
-    Examples:
-      fleet check-log --set 'checks={signal: {topic: state.z, below: 30 m}}'
-      fleet check-log runs/latest --set 'checks={"my_checks:OneLeader": {grace: 2 s}}'
-    """
-    from fleet.repeat.check_log import check_log as check
-    from fleet.terminal.progress import showing
-
-    with showing(f"reading {log}", quiet=quiet) as reading:
-        found = check(log, overrides, trust, reading)
-    if as_json:
-        from fleet.cli.documents.logs import judged
-
-        print_document(judged(found))
-    else:
-        for verdict in sorted(found.verdicts, key=lambda verdict: verdict.passed):  # failed ones on top
-            say(f"{'pass' if verdict.passed else 'FAIL'}  {verdict.check}: {verdict.asked}; found {verdict.words}")
-        how_far = f"judged up to t = {found.until_s:g} s of {found.end_s:g} s"
-        say(f"{how_far}, as far as the file goes: {found.missing}" if found.missing else how_far)
-    sys.exit(0 if found.passed else 1)
 
 
 @click.command(epilog=_DIFF)
@@ -136,30 +98,13 @@ def diff(a: Path, b: Path | None, tolerance: float, everything: bool, as_json: b
     if found.first is None:
         say(f"the same bit for bit ({found.same} messages)")
     else:
-        say(f"they part at {found.first}")
+        say(f"they part at {found.first.words}")
         say("\n".join(deviation_lines(found, None if everything else 20)))
     for other in besides_messages(left, right):
         say(f"besides, not the same: {other}")
     if found.first is not None and tolerance:
         say(f"{'within' if found.within(tolerance) else 'NOT within'} the tolerance of {tolerance:g}")
     sys.exit(status)
-
-
-@click.command()
-@log_argument
-def script(log: Path) -> None:
-    """Print the scenario that runs LOG again, with everything that was injected while it was made.
-
-    \b
-    Examples:
-      fleet script > again.yaml && fleet run again.yaml
-    """
-    from fleet.repeat.recorded_run import script as make
-    from fleet.terminal.progress import showing
-
-    with showing(f"reading {log}") as tell:
-        made = make(log, tell)
-    click.echo(made.to_yaml(), nl=False)
 
 
 @click.command(epilog=_RECOVER)
@@ -190,4 +135,4 @@ def recover(log: Path, out: Path | None) -> None:
     sys.exit(1 if found.nothing else 3 if found.lost else 0)
 
 
-COMMANDS = (verify, check_log, diff, script, recover)
+COMMANDS = (verify, diff, recover)

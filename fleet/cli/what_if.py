@@ -62,9 +62,7 @@ def command(
 
         draw(found, plot, digest(log_path(log)))
     if as_json:
-        from fleet.cli.documents.what_if import other_commands
-
-        print_document(other_commands(found))
+        print_document(found.compared)
         return
     for note in found.notes:
         say(f"note  {note}", err=True)
@@ -73,9 +71,7 @@ def command(
 
 def what_if_lines(found: WhatIf) -> list[str]:
     """The comparison in words."""
-    from fleet.cli.documents.what_if import other_commands
-
-    shown = other_commands(found)
+    shown = found.compared
     if not len(found.t):
         return [f"agent {found.agent} commanded nothing in this log"]
     lines = [

@@ -10,6 +10,8 @@ from collections.abc import Collection, Mapping
 from math import inf, isfinite
 from typing import Any
 
+from msgspec.structs import asdict
+
 from fleet.recorder.journal import Journal
 from fleet.recorder.metrics import SETTLE_M, Series
 from fleet.recorder.settling import below_from, least_s, stayed
@@ -68,7 +70,7 @@ def event_rows(scenario: Scenario, journal: Journal) -> list[dict[str, Any]]:
     last = {event.what: event for event in begun}
     return [
         {
-            **row._asdict(),
+            **asdict(row),
             "id": last[row.what].fault,
             "last_s": last[row.what].tick * scenario.tick_ns / 1e9,
             "lasts": last[row.what].fault not in ended,

@@ -27,22 +27,22 @@ from world.plugins.trust import NOTHING, Trust
 class Why(Struct, frozen=True):
     """`fleet why --json`: what made a check fail."""
 
-    scenario: Annotated[str, Meta(description="Name of the scenario.")]
-    seed: Annotated[int, Meta(description="Seed of the run.")]
-    check: Annotated[str, Meta(description="The check that failed.")]
+    scenario: str
+    seed: int
+    check: str
     asked: Annotated[str, Meta(description="What was asked, in words.")]
     found: Annotated[str, Meta(description="What was found, in words.")]
-    others: Annotated[list[str], Meta(description="Other checks that failed.")]
-    held_until_s: Annotated[float, Meta(description="Up to when the check is known to have held [s].")]
-    failed_s: Annotated[float, Meta(description="When it had failed [s].")]
-    at_s: Annotated[float, Meta(description="The same, or the end of the log; everything below is of this time [s].")]
-    faults: Annotated[list[FaultThen], Meta(description="Faults that had begun by then.")]
-    sent: Annotated[int, Meta(description="Messages that were sent by then.")]
+    others: list[str]
+    held_until_s: Annotated[float, Meta(description="Up to when the check is known to have held.")]
+    failed_s: float
+    at_s: Annotated[float, Meta(description="The same, or the end of the log; everything below is of this time.")]
+    faults: list[FaultThen]
+    sent: int
     lost: Annotated[dict[str, int], Meta(description="By cause, how many of these had not arrived.")]
     gaps: Annotated[list[Gap], Meta(description="Messages in a row that did not arrive, the most important first.")]
-    vehicles: Annotated[list[VehicleThen], Meta(description="What each vehicle knew.")]
+    vehicles: list[VehicleThen]
     no_return: Annotated[NoReturn, Meta(description="The last moment at which healing helps.")]
-    notes: Annotated[list[str], Meta(description="What limits all this.")]
+    notes: list[str]
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from fleet.logs.decoder import Decoder, FieldValue
-from fleet.logs.first_difference import Difference, begin_ns, side
+from fleet.logs.first_difference import Difference, begin_ns, difference, side
 from fleet.logs.reader import LogReader, Record
 from fleet.logs.records import Block, Message
 
@@ -90,7 +90,7 @@ def compare(a: LogReader, b: LogReader, names: tuple[str, str] = ("a", "b")) -> 
         else:
             if found.first is None:
                 sides = [side(names[k], readers[k], heads[k]) for k in (0, 1)]
-                found.first = Difference(number, sides[0], sides[1])
+                found.first = difference(number, sides[0], sides[1])
             # The one that is behind in time catches up, so that few messages wait.
             times = [inf if head is None else head.log_ns for head in heads]
             turn = (0, 1) if times[0] == times[1] else (0,) if times[0] < times[1] else (1,)

@@ -12,9 +12,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from math import isnan
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta, Struct
 from msgspec.structs import astuple, replace
 
 from agents.agent import Agent
@@ -46,6 +47,27 @@ Array = np.ndarray[Any, np.dtype[np.float64]]
 COMPONENTS = (("surge force", "N"), ("pitch moment", "N m"), ("yaw moment", "N m"))
 
 
+class Component(Struct, frozen=True):
+    """How far one component of the commands is from the recorded one."""
+
+    unit: str
+    max: Annotated[float | None, Meta(description="The most, in the unit; null: it is not finite.")]
+    at_s: float
+    rms: Annotated[float | None, Meta(description="Root mean square, in the unit; null: it is not finite.")]
+
+
+class OtherCommands(Struct, frozen=True):
+    """`fleet whatif --json`: the commands of another agent, compared with the recorded ones."""
+
+    agent: int
+    samples: int
+    messages: int
+    identical: Annotated[bool, Meta(description="Whether every command is the recorded one, to the last bit.")]
+    first_s: Annotated[float | None, Meta(description="Time of the first one that is not; null: there is none.")]
+    components: Annotated[dict[str, Component], Meta(description="By component; none without a command.")]
+    notes: list[str]
+
+
 @dataclass(slots=True)
 class WhatIf:
     """The commands of two agents with the same senses; shapes (samples,) and (samples, 3)."""
@@ -69,6 +91,16 @@ class WhatIf:
         """Time of the first command that differs [s]."""
         different = np.flatnonzero((self.recorded != self.found).any(axis=1))
         return float(self.t[different[0]]) if len(different) else None
+
+    @property
+    def compared(self) -> OtherCommands:
+        """The comparison in numbers."""
+        away = abs(self.found - self.recorded)
+        components = {
+            name: Component(unit, float(far.max()), float(self.t[far.argmax()]), float((far**2).mean() ** 0.5))
+            for (name, unit), far in zip(COMPONENTS if len(self.t) else (), away.T, strict=False)
+        }
+        return OtherCommands(self.agent, len(self.t), self.heard, self.identical, self.first_s, components, self.notes)
 
 
 def what_if(

@@ -16,12 +16,12 @@ Bucket = tuple[Annotated[float, Meta(gt=0, le=1e15)], Count]
 class Spread(Struct):
     """The distribution of a time."""
 
-    count: Annotated[Count, Meta(description="How many were measured.")]
+    count: Count
     negative: Annotated[Count, Meta(description="How many of them are below 0.")]
-    p50_ms: Annotated[float, Meta(description="Median [ms].")]
-    p95_ms: Annotated[float, Meta(description="95th percentile [ms].")]
-    p99_ms: Annotated[float, Meta(description="99th percentile [ms].")]
-    max_ms: Annotated[float, Meta(description="The largest [ms].")]
+    p50_ms: float
+    p95_ms: Annotated[float, Meta(description="95th percentile.")]
+    p99_ms: Annotated[float, Meta(description="99th percentile.")]
+    max_ms: float
     histogram_ms: Annotated[
         list[Bucket], Meta(description="Upper edge and count of every bucket that is not empty [ms].")
     ]
@@ -31,24 +31,24 @@ class WorldTiming(Struct):
     """How the world kept to the wall clock."""
 
     period_ms: Annotated[float, Meta(description="Wall time of a tick [ms].", gt=0, le=1e9)]
-    run_s: Annotated[float, Meta(description="Wall time of the ticks that began [s].")]
-    held_s: Annotated[float, Meta(description="How long the clock stood still [s].")]
-    slipped_s: Annotated[float, Meta(description="How far the world, being late, moved the clock [s].")]
-    lag: Annotated[Spread, Meta(description="How late ticks began.")]
-    gap: Annotated[Spread, Meta(description="From one tick to the next.")]
+    run_s: Annotated[float, Meta(description="Wall time of the ticks that began.")]
+    held_s: float
+    slipped_s: Annotated[float, Meta(description="How far the world, being late, moved the clock.")]
+    lag: Spread
+    gap: Spread
 
 
 class VehicleTiming(Struct):
     """How one agent kept up."""
 
     asked: Annotated[Count, Meta(description="Ticks at which it was to answer.")]
-    missed: Annotated[Count, Meta(description="Those that it missed.")]
-    late: Annotated[Count, Meta(description="Answers that came late.")]
+    missed: Count
+    late: Count
     stale: Annotated[Count, Meta(description="Ticks with a command of an earlier tick.")]
     longest: Annotated[Count, Meta(description="Ticks missed in a row, at most.")]
     silent: Annotated[Count, Meta(description="Ticks in which it was taken for silent.")]
-    response: Annotated[Spread, Meta(description="From the measurement to its answer.")]
-    gap: Annotated[Spread, Meta(description="From one measurement to the next.")]
+    response: Spread
+    gap: Spread
 
     @property
     def missed_share(self) -> float:
@@ -59,15 +59,15 @@ class VehicleTiming(Struct):
 class LinkTiming(Struct):
     """The delay of one directed link."""
 
-    injected: Annotated[Spread, Meta(description="As the scenario asks for it.")]
-    measured: Annotated[Spread, Meta(description="As it was.")]
+    injected: Spread
+    measured: Spread
 
 
 class NetworkTiming(Struct):
     """How the network kept to the wall clock."""
 
     links: Annotated[dict[str, LinkTiming], Meta(description="By link, as `1->2`.")]
-    hop: Annotated[Spread, Meta(description="From the network to the agent.")]
+    hop: Spread
     margin: Annotated[Spread, Meta(description="From the arrival to its due tick; below 0: too late.")]
     overdue: Annotated[Count, Meta(description="Deliveries that were used after their due tick.")]
     unread: Annotated[Count, Meta(description="Deliveries that no agent had confirmed at the end.")]
@@ -78,10 +78,10 @@ class NetworkTiming(Struct):
 class Timing(Struct, kw_only=True):
     """How everybody kept up with `--clock real`."""
 
-    clock: Annotated[Clock, Meta(description="real.")] = Clock.REAL
+    clock: Clock = Clock.REAL
     speed: Annotated[float, Meta(description="Times real time [1].")] = 1.0
     label: Annotated[str, Meta(description="on time, or degraded.")] = ""
     reasons: Annotated[list[str], Meta(description="Why it is degraded, in words.")] = []
-    world: Annotated[WorldTiming, Meta(description="The world.")]
-    vehicles: Annotated[dict[str, VehicleTiming], Meta(description="By vehicle.")]
-    netem: Annotated[NetworkTiming, Meta(description="The network.")]
+    world: WorldTiming
+    vehicles: dict[str, VehicleTiming]
+    netem: NetworkTiming

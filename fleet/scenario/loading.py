@@ -121,7 +121,7 @@ def _text(name_or_path: str) -> tuple[str, str, Path | None]:
         if path.suffix or "/" in name_or_path or path.exists():
             return name_or_path, _content(path).decode("utf-8-sig"), path.parent
     except UnicodeDecodeError as error:
-        hint = "a log? fleet run --from goes on from one, fleet script makes a scenario of one"
+        hint = "a log? fleet run --from goes on from one, fleet export --scenario makes a scenario of one"
         raise _unreadable(name_or_path, f"not UTF-8 text (byte {error.start})", hint) from None
     except IsADirectoryError:
         inside = path / "scenario.yaml"

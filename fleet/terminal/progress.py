@@ -28,11 +28,11 @@ def showing(doing: str, *, quiet: bool = False) -> Iterator[Callable[[float], No
 
 
 @contextmanager
-def showing_steps(doing: str) -> Iterator[Callable[[], None]]:
+def showing_steps(doing: str, *, quiet: bool = False) -> Iterator[Callable[[], None]]:
     """A function to call at each step of work of unknown length; only a terminal shows it."""
     steps = 0
     terminal = Terminal(stderr=True)
-    with StatusLine(terminal, quiet=not rewritable(terminal), first_s=FIRST_S) as line:
+    with StatusLine(terminal, quiet=quiet or not rewritable(terminal), first_s=FIRST_S) as line:
 
         def report() -> None:
             nonlocal steps

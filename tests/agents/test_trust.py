@@ -124,7 +124,7 @@ def invoke(*arguments: str) -> Result:
 READING = (
     ["plot", "LOG", "--what", "track,error,inputs,commands,gains", "-o", "plots"],
     ["report", "LOG", "-o", "page.html"],
-    ["script", "LOG"],
+    ["export", "LOG", "--scenario"],
     ["export", "LOG", "--csv", "tables"],
     ["info", "LOG"],
     ["diff", "LOG", "LOG"],
@@ -133,7 +133,7 @@ READING = (
 
 
 @pytest.mark.parametrize("where", ["here", "installed"])
-@pytest.mark.parametrize("arguments", READING, ids=lambda arguments: arguments[0])
+@pytest.mark.parametrize("arguments", READING, ids=lambda arguments: " ".join(arguments[::2]))
 def test_reading_runs_nothing(
     arguments: list[str], where: str, victim: tuple[str, Path, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -147,7 +147,7 @@ def test_reading_runs_nothing(
     assert found.exit_code == 0, found.output
     assert not list(mark.parent.rglob("*.mark"))
     assert name not in sys.modules
-    if arguments[0] == "script":
+    if "--scenario" in arguments:
         assert f'controller: "{name}:Main"' in found.stdout
 
 
@@ -212,7 +212,7 @@ def test_why_runs_no_module_of_mine_unasked(victim: tuple[str, Path, str]) -> No
     assert "every check passed" in " ".join(invoke("why", log, "--trust").stderr.split())
 
 
-@pytest.mark.parametrize("arguments", RUNNING, ids=lambda arguments: arguments[0])
+@pytest.mark.parametrize("arguments", RUNNING, ids=lambda arguments: " ".join(arguments[::2]))
 def test_a_log_runs_no_module_of_mine_unasked(arguments: list[str], victim: tuple[str, Path, str]) -> None:
     log, mark, name = victim
     given = [log if argument == "LOG" else argument for argument in arguments]
@@ -342,7 +342,7 @@ def test_a_scenario_from_elsewhere(where: str, tmp_path: Path, monkeypatch: pyte
         assert f": {key}.law: {name}:" in checked.stderr
     assert checked.stderr.count("warning: not checked: ") == 4
     assert invoke("run", "../there/s.yaml", "--show-config").exit_code == 0
-    assert invoke("acl", "../there/s.yaml", "--listen", "tcp/127.0.0.1:7447").exit_code == 0
+    assert invoke("hosts", "acl", "../there/s.yaml", "--listen", "tcp/127.0.0.1:7447").exit_code == 0
     assert not list(tmp_path.rglob("*.mark"))
     assert invoke("check", "../there/s.yaml", "--trust").exit_code == 0
     assert list(tmp_path.rglob("*.mark"))

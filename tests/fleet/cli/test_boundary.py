@@ -12,7 +12,7 @@ from click.testing import CliRunner, Result
 from small_scenario import SMALL
 from study_engine import Drawn
 
-from fleet.cli.documents.boundary import BoundaryFound
+from fleet.cli.documents.studies import BoundaryFound
 from fleet.cli.main import cli
 
 ARGS = [

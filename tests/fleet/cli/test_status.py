@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from live_directory import live_directory
 from rich.console import Console
 
-from fleet.cli.documents.live import RunStatus
 from fleet.cli.main import cli
 from fleet.cli.status import screen, watch_run
+from fleet.execution.answers import RunStatus
 from fleet.execution.connection import RemoteError, find
 
 

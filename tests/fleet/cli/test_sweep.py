@@ -14,7 +14,7 @@ from click.testing import CliRunner, Result
 from small_scenario import SMALL
 from study_engine import Here
 
-from fleet.cli.documents.study import Swept
+from fleet.cli.documents.studies import Swept
 from fleet.cli.main import cli
 from fleet.study.store import Store
 

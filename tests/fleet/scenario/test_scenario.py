@@ -34,7 +34,7 @@ from fleet.scenario.text.yaml_reader import Mapping, Source, plain, read, resolv
 from fleet.scenario.validation import EXAMPLES
 from netem.condition import Condition
 
-SHIPPED = [name for name, *_ in list_scenarios()]
+SHIPPED = [row.name for row in list_scenarios()]
 
 
 def problems(text: str, *overrides: str) -> list[tuple[int, int, str]]:

@@ -11,7 +11,7 @@ import click
 from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.study_options import OUT, SCHEDULER, WORKERS, given, spec_options, study_directory, warning
-from fleet.cli.trust import TrustingCommand, trust_option
+from fleet.cli.types import TRUST
 from fleet.study.spec import BoundarySpec
 from fleet.terminal.folding import say, stdout
 
@@ -21,25 +21,23 @@ if TYPE_CHECKING:
     from fleet.study.sweep import Progress
     from fleet.terminal.fitting import Piece
     from fleet.terminal.status_line import StatusLine
-    from world.plugins.trust import Trust
 
 OUTSIDE = ("below", "above")
 
 
-@click.command(cls=TrustingCommand)
+@click.command()
 @click.argument("scenario", metavar="SCENARIO|DIR", shell_complete=scenarios)
 @spec_options(BoundarySpec)
 @OUT
 @WORKERS
 @SCHEDULER
-@trust_option
+@TRUST
 @json_option
 def boundary(
     scenario: str,
     out: Path,
     workers: int | None,
     scheduler: str | None,
-    trust: Trust,
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -64,13 +62,13 @@ def boundary(
 
     need_extra()
     asked = given(BoundarySpec, options)
-    borders, modules, timeout_s = _opened(scenario, asked, trust) or _prepared(scenario, asked, out, trust)
+    borders, modules, timeout_s = _opened(scenario, asked) or _prepared(scenario, asked, out)
     if borders.open():
         _run(borders, modules, timeout_s, (workers, scheduler))
     found = borders.found()
     if not as_json:
         _show(borders, found)
-    picture = _picture(borders, trust)
+    picture = _picture(borders)
     if as_json:
         from fleet.cli.documents.studies import boundary_document
 
@@ -79,7 +77,7 @@ def boundary(
         click.echo(borders.store.directory)
 
 
-def _opened(name: str, asked: dict[str, Any], trust: Trust) -> tuple[Borders, Modules, float] | None:
+def _opened(name: str, asked: dict[str, Any]) -> tuple[Borders, Modules, float] | None:
     """The study of a directory, the modules that its runs need and the time that a run may take; None: it is none."""
     from fleet.study.borders import Borders
     from fleet.study.spec import seconds
@@ -91,10 +89,10 @@ def _opened(name: str, asked: dict[str, Any], trust: Trust) -> tuple[Borders, Mo
     if (directory := study_directory(name, BoundarySpec, asked)) is None:
         return None
     borders = Borders(Store.open(directory))
-    return borders, modules_again(borders.store, trust), seconds(asked.get("timeout", borders.record.timeout))
+    return borders, modules_again(borders.store), seconds(asked.get("timeout", borders.record.timeout))
 
 
-def _prepared(name: str, asked: dict[str, Any], out: Path, trust: Trust) -> tuple[Borders, Modules, float]:
+def _prepared(name: str, asked: dict[str, Any], out: Path) -> tuple[Borders, Modules, float]:
     """The same of a new study."""
     from fleet.study.borders import Borders, border_plan, prepare_borders
     from fleet.study.study import new_directory
@@ -104,7 +102,7 @@ def _prepared(name: str, asked: dict[str, Any], out: Path, trust: Trust) -> tupl
             "no key to search along: give --along KEY=LOW..HIGH, such as 'network.links.*.loss=0 %..95 %'"
         )
     spec = BoundarySpec(**asked)
-    store, modules = prepare_borders(border_plan(name, spec), spec, new_directory(name, out), trust, warning())
+    store, modules = prepare_borders(border_plan(name, spec), spec, new_directory(name, out), warning())
     return Borders(store), modules, spec.timeout_s
 
 
@@ -124,14 +122,14 @@ def _run(borders: Borders, modules: Modules, timeout_s: float, engine: tuple[int
             raise
 
 
-def _picture(borders: Borders, trust: Trust) -> Path | None:
+def _picture(borders: Borders) -> Path | None:
     """Draw the borders; None if that fails, with a message."""
     from fleet.study.border_theory import theory
     from fleet.study.errors import StudyError
     from fleet.study.pictures.border import write_borders
 
     try:
-        picture = write_borders(borders, theory(borders, trust))
+        picture = write_borders(borders, theory(borders))
     except StudyError as error:  # the answer is there without it
         say(f"there is no picture: {error}", err=True)
         return None

@@ -10,10 +10,8 @@ import click
 
 from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
-from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import NO_PROGRESS, OVERRIDES, disturbances
+from fleet.cli.types import NO_PROGRESS, OVERRIDES, TRUST, disturbances
 from fleet.terminal.folding import say
-from world.plugins.trust import Trust
 
 if TYPE_CHECKING:
     from fleet.errors import Problem
@@ -23,11 +21,11 @@ if TYPE_CHECKING:
 _CHECK = "Exit status: 0 valid, or every check of a log passes; 1 one does not; 2 a mistake, or no log of ours."
 
 
-@click.command(cls=TrustingCommand, epilog=_CHECK)
+@click.command(epilog=_CHECK)
 @click.argument("scenario", metavar="SCENARIO|LOG", shell_complete=scenarios)
 @OVERRIDES
 @disturbances
-@trust_option
+@TRUST
 @json_option
 @NO_PROGRESS
 def check(
@@ -35,7 +33,6 @@ def check(
     overrides: tuple[str, ...],
     fault: tuple[Override, ...],
     net: tuple[Override, ...],
-    trust: Trust,
     as_json: bool,
     quiet: bool,
 ) -> None:
@@ -59,7 +56,7 @@ def check(
     if is_log(scenario):
         if fault or net:
             raise click.UsageError(f"{scenario} is a log: --net and --fault are for a scenario")
-        _check_log(Path(scenario), overrides, trust, as_json=as_json, quiet=quiet)
+        _check_log(Path(scenario), overrides, as_json=as_json, quiet=quiet)
     from fleet.analysis.first_sample import try_laws, try_plants
     from fleet.analysis.preflight import warnings
     from fleet.analysis.stability import analyse, report
@@ -67,7 +64,7 @@ def check(
     from fleet.terminal.progress import showing_steps
 
     refused: list[Problem] = []
-    loaded = load_scenario(scenario, [*overrides, *net, *fault], trust, refused=refused)
+    loaded = load_scenario(scenario, [*overrides, *net, *fault], refused=refused)
     try_laws(loaded)
     try_plants(loaded)
     with showing_steps("limits of the linear loop", quiet=quiet) as step:
@@ -91,12 +88,12 @@ def is_log(name: str) -> bool:
     return name.endswith(".mcap") or (Path(name).is_dir() and name not in shipped_scenarios())
 
 
-def _check_log(log: Path, overrides: tuple[str, ...], trust: Trust, *, as_json: bool, quiet: bool) -> NoReturn:
+def _check_log(log: Path, overrides: tuple[str, ...], *, as_json: bool, quiet: bool) -> NoReturn:
     from fleet.repeat.check_log import check_log
     from fleet.terminal.progress import showing
 
     with showing(f"reading {log}", quiet=quiet) as reading:
-        found = check_log(log, overrides, trust, reading)
+        found = check_log(log, overrides, reading)
     if as_json:
         print_document(found)
     else:

@@ -13,11 +13,9 @@ from typing import TYPE_CHECKING, NoReturn, TypeVar
 import click
 
 from fleet.cli.group import report
-from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import Duration
+from fleet.cli.types import TRUST, Duration
 from fleet.errors import FleetError
 from fleet.processes.interrupts import ending_status
-from world.plugins.trust import Trust
 
 if TYPE_CHECKING:
     from agents.join import MakeCore
@@ -32,7 +30,7 @@ _AGENT = (
 )
 
 
-@click.command(cls=TrustingCommand, epilog=_AGENT)
+@click.command(epilog=_AGENT)
 @click.option(
     "--join",
     "path",
@@ -57,9 +55,9 @@ _AGENT = (
     flag_value="jazzy",
     help="A node of ROS 2 is the agent: it gets the vehicle's measurements and messages, and answers with a wrench.",
 )
-@trust_option
+@TRUST
 @click.option("-q", "--quiet", is_flag=True, help="Print only errors.")
-def agent(path: Path, wait: int | None, ros2: str | None, trust: Trust, quiet: bool) -> None:
+def agent(path: Path, wait: int | None, ros2: str | None, quiet: bool) -> None:
     """Run the agent of an external vehicle here, in this terminal, until the run is over.
 
     It behaves like the agent that fleet run would start: the scenario determines its laws, and the log is the same.
@@ -94,7 +92,7 @@ def agent(path: Path, wait: int | None, ros2: str | None, trust: Trust, quiet: b
         setproctitle.setproctitle(f"fleet agent {joining.vehicle} [{joining.scenario}]")
         quiet_zenoh()
         make = None if ros2 is None else _node(ros2, joining.vehicle, line)
-        return joining.vehicle, serve(joining, begun, trust, make)
+        return joining.vehicle, serve(joining, begun, make)
 
     try:
         with line:

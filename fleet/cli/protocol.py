@@ -9,9 +9,7 @@ import click
 
 from fleet.cli.completion import scenarios
 from fleet.cli.group import ListingGroup
-from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import Duration, Whole
-from world.plugins.trust import Trust
+from fleet.cli.types import TRUST, Duration, Whole
 
 _CHECK = "Exit status: 0 every check passed, 1 one did not, 2 usage, or nobody came, 129 terminal closed, 130 Ctrl-C."
 
@@ -32,11 +30,11 @@ def protocol(context: click.Context) -> None:
         click.echo(page(), nl=False)
 
 
-@protocol.command(cls=TrustingCommand, epilog=_CHECK)
+@protocol.command(epilog=_CHECK)
 @click.option("--id", "vehicle", metavar="I", type=Whole(min=1), required=True, help="The agent's number.")
 @click.option("--scenario", default="paper", show_default=True, shell_complete=scenarios,
               help="The scenario of the agent's slice.")  # fmt: skip
-@trust_option
+@TRUST
 @click.option("--join-file", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
               help="Where to write the join file; by default join-<i>.json here.")  # fmt: skip
 @click.option("--timeout", type=Duration(), default="300 s", show_default=True, help="How long to wait for the agent.")
@@ -48,7 +46,6 @@ def protocol(context: click.Context) -> None:
 def check(
     vehicle: int,
     scenario: str,
-    trust: Trust,
     join_file: Path | None,
     timeout: int,
     port: int | None,
@@ -80,7 +77,7 @@ def check(
         place = listening_for_certificates(Rendezvous(), listen_certified, certs, external=(vehicle,))
         check_free(listen_certified, CERTIFIED)
     file = join_file or Path(f"join-{vehicle}.json")
-    examination = Examination(load_scenario(scenario, trust=trust), vehicle, file, port=port, meeting=place)
+    examination = Examination(load_scenario(scenario), vehicle, file, port=port, meeting=place)
     found = examination.run(timeout / 1e9, lambda text: click.echo(text, err=True))
     for text in examination.notes:
         click.echo(f"note  the agent says: {printable(text)}")

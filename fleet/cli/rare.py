@@ -11,17 +11,15 @@ from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.shrink import pieces
 from fleet.cli.study_options import SCHEDULER, WORKERS
-from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES, Whole, disturbances
+from fleet.cli.types import OVERRIDES, TRUST, Whole, disturbances
 from fleet.terminal.folding import say
 
 if TYPE_CHECKING:
     from fleet.scenario.text.overrides import Override
     from fleet.study.rare import RareFound
-    from world.plugins.trust import Trust
 
 
-@click.command(cls=TrustingCommand)
+@click.command()
 @click.argument("scenario", shell_complete=scenarios)
 @click.option("--check", metavar="NAME", required=True, help="The check whose failures are rare.")
 @click.option("--repeats", metavar="N", type=Whole(1, 10_000), default=20, show_default=True,
@@ -34,7 +32,7 @@ if TYPE_CHECKING:
               help="The file for estimates; a later call continues it. By default NAME-rare.json.")  # fmt: skip
 @WORKERS
 @SCHEDULER
-@trust_option
+@TRUST
 @json_option
 def rare(
     scenario: str,
@@ -47,7 +45,6 @@ def rare(
     out: Path | None,
     workers: int | None,
     scheduler: str | None,
-    trust: Trust,
     as_json: bool,
 ) -> None:
     """Estimate how often a check fails, if failures are too rare to count.
@@ -69,9 +66,9 @@ def rare(
     from fleet.study.study_file import refuse_study
 
     refuse_study(scenario)
-    loaded = load_scenario(scenario, [*overrides, *net, *fault], trust)
+    loaded = load_scenario(scenario, [*overrides, *net, *fault])
     if loaded.spec.log.snapshot is None:
-        loaded = changed(loaded, ["log.snapshot=1 s"], trust)
+        loaded = changed(loaded, ["log.snapshot=1 s"])
     modules = modules_of([loaded], Path(scenario).parent if Path(scenario).exists() else None)
     path = out or Path(f"{loaded.name}-rare.json")
     with showing(pieces) as tell, engine_of(workers, scheduler) as engine:

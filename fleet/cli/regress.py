@@ -12,23 +12,22 @@ import click
 from fleet.cli import junit as cli_junit
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.study_options import SCHEDULER, WORKERS
-from fleet.cli.trust import TrustingCommand, trust_option
+from fleet.cli.types import TRUST
 from fleet.terminal.folding import say
 
 if TYPE_CHECKING:
     from fleet.study.regress import Regressed
     from fleet.terminal.fitting import Piece
     from fleet.terminal.status_line import StatusLine
-    from world.plugins.trust import Trust
 
 
-@click.command(cls=TrustingCommand)
+@click.command()
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path, file_okay=False))
 @click.option("--accept", is_flag=True, help="Expect the present verdicts from now on.")
 @cli_junit.JUNIT
 @WORKERS
 @SCHEDULER
-@trust_option
+@TRUST
 @json_option
 def regress(
     folder: Path,
@@ -36,7 +35,6 @@ def regress(
     junit: Path | None,
     workers: int | None,
     scheduler: str | None,
-    trust: Trust,
     as_json: bool,
 ) -> None:
     """Repeat the failures that a search has kept, and compare their verdicts with the expected ones.
@@ -55,7 +53,7 @@ def regress(
     from fleet.study.local_engine import engine_of
     from fleet.study.regress import Regression
 
-    regression = Regression(FailureFolder(folder), trust)
+    regression = Regression(FailureFolder(folder))
     of = len(regression.failures)
     with showing(_pieces) as tell, engine_of(workers, scheduler) as engine:
         found = regression.run(engine, lambda made: tell(made, of), engine.carry(regression.modules))

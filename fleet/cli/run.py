@@ -17,12 +17,10 @@ from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.group import EPILOG
 from fleet.cli.junit import JUNIT
-from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES, Duration, Share, Speed, Whole, disturbances, is_given, key_options
+from fleet.cli.types import OVERRIDES, TRUST, Duration, Share, Speed, Whole, disturbances, is_given, key_options
 from fleet.terminal.folding import say, stdout
 from fleet.terminal.output import OutputError, give_up_output
 from netem.clock import Clock
-from world.plugins.trust import Trust
 
 if TYPE_CHECKING:
     from rich.console import Console as Terminal
@@ -36,7 +34,7 @@ if TYPE_CHECKING:
 MOST_FAULTS = 20  # of the scenario, said before it runs
 
 
-@click.command(cls=TrustingCommand, epilog=EPILOG)
+@click.command(epilog=EPILOG)
 @click.argument("scenario", required=False, shell_complete=scenarios)
 @click.option("--from", "begin", metavar="LOG[@TIME]", help="Continue from a snapshot in a log, in one process.")
 @click.option(
@@ -74,7 +72,7 @@ MOST_FAULTS = 20  # of the scenario, said before it runs
 @click.option("--in-process", is_flag=True, help="One process, no zenoh; the same log, byte for byte.")
 @OVERRIDES
 @disturbances
-@trust_option
+@TRUST
 @click.option("--show-config", is_flag=True, help="Print the merged scenario and stop.")
 @click.option(
     "--port",
@@ -111,7 +109,6 @@ def run(
     overrides: tuple[str, ...],
     fault: tuple[Override, ...],
     net: tuple[Override, ...],
-    trust: Trust,
     show_config: bool,
     as_json: bool,
     junit: Path | None,
@@ -139,7 +136,7 @@ def run(
         from fleet.processes.children import start_forkserver
 
         start_forkserver()  # now: it imports for as long as reading a scenario takes
-    loaded, start = _load(scenario, begin, changes, trust, quiet=quiet, only_shown=show_config)
+    loaded, start = _load(scenario, begin, changes, quiet=quiet, only_shown=show_config)
     if show_config:
         click.echo(loaded.to_yaml(), nl=False)
         return
@@ -278,7 +275,6 @@ def _load(
     scenario: str | None,
     begin: str | None,
     changes: list[str | Override],
-    trust: Trust,
     *,
     quiet: bool,
     only_shown: bool,
@@ -291,11 +287,11 @@ def _load(
         from fleet.terminal.progress import showing
 
         with showing(f"reading {begin}", quiet=quiet) as tell:
-            return continuation(*parse_from(begin), changes, scenario, trust, tell)
+            return continuation(*parse_from(begin), changes, scenario, tell)
     if scenario is None:
         raise click.UsageError("no scenario given: name one (see fleet list), or give --from LOG")
     # A scenario that is only shown may name laws that may not run.
-    return load_scenario(scenario, changes, trust, refused=[] if only_shown else None), None
+    return load_scenario(scenario, changes, refused=[] if only_shown else None), None
 
 
 def _warnings(scenario: Scenario, *, seed_given: bool) -> list[str]:

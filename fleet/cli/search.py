@@ -16,8 +16,7 @@ from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.junit import JUNIT
 from fleet.cli.shrink import MOST_RUNS, pieces, place_of, show_least, write_least
 from fleet.cli.study_options import SCHEDULER, WORKERS, least_options
-from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES, Budget, disturbances
+from fleet.cli.types import OVERRIDES, TRUST, Budget, disturbances
 from fleet.terminal.folding import say
 
 if TYPE_CHECKING:
@@ -28,13 +27,12 @@ if TYPE_CHECKING:
     from fleet.study.modules import Modules
     from fleet.study.search import Searched
     from fleet.study.shrink import Shrunk
-    from world.plugins.trust import Trust
 
 
 NemesisMode = Literal["swarm", "liveness"] | None
 
 
-@click.command(cls=TrustingCommand)
+@click.command()
 @click.argument("scenario", shell_complete=scenarios)
 @click.option("--budget", metavar="RUNS|TIME", type=Budget(), default="200", show_default=True,
               help="The number of seeds to try, or the time in which new ones begin, e.g. '10 min'.")  # fmt: skip
@@ -52,7 +50,7 @@ NemesisMode = Literal["swarm", "liveness"] | None
 @JUNIT
 @WORKERS
 @SCHEDULER
-@trust_option
+@TRUST
 @json_option
 def search(
     scenario: str,
@@ -70,7 +68,6 @@ def search(
     junit: Path | None,
     workers: int | None,
     scheduler: str | None,
-    trust: Trust,
     as_json: bool,
 ) -> None:
     """Try seeds of a nemesis until a check fails, and make that run as small as possible.
@@ -99,7 +96,7 @@ def search(
         said = "--keep writes a file for each kind of failure"
         raise click.UsageError(f"{said}, so it cannot be used together with --out or --force")
     mode: NemesisMode = "liveness" if liveness else "swarm" if nemesis else None
-    tried, modules = _tried(scenario, [*overrides, *net, *fault], trust, mode)
+    tried, modules = _tried(scenario, [*overrides, *net, *fault], mode)
     hunt = _Hunt(tried, check, guide, keep, keep or place_of(tried, out, force=force))
     with showing(pieces) as tell, engine_of(workers, scheduler) as engine:
         try:
@@ -175,7 +172,7 @@ class _Hunt:
         write_least(self.least.scenario, self.path)
 
 
-def _tried(name: str, changes: list[str | Override], trust: Trust, mode: NemesisMode) -> tuple[Scenario, Modules]:
+def _tried(name: str, changes: list[str | Override], mode: NemesisMode) -> tuple[Scenario, Modules]:
     """The scenario of the search, and the modules that its runs need; `mode`: of the nemesis that the scenario gets."""
     from fleet.scenario.loading import load_scenario
     from fleet.study.modules import modules_of
@@ -183,9 +180,9 @@ def _tried(name: str, changes: list[str | Override], trust: Trust, mode: Nemesis
     from fleet.study.study_file import refuse_study
 
     refuse_study(name)
-    tried = load_scenario(name, changes, trust)
+    tried = load_scenario(name, changes)
     if mode is not None:
-        tried = load_scenario(name, [*changes, nemesis_of(tried, mode)], trust)
+        tried = load_scenario(name, [*changes, nemesis_of(tried, mode)])
     return tried, modules_of([tried], Path(name).parent if Path(name).exists() else None)
 
 

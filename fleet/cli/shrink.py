@@ -10,8 +10,7 @@ import click
 from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.study_options import SCHEDULER, WORKERS, least_options
-from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES, Whole, disturbances
+from fleet.cli.types import OVERRIDES, TRUST, Whole, disturbances
 from fleet.terminal.folding import say
 
 if TYPE_CHECKING:
@@ -20,12 +19,11 @@ if TYPE_CHECKING:
     from fleet.study.shrink import Shrunk
     from fleet.terminal.fitting import Piece
     from fleet.terminal.status_line import StatusLine
-    from world.plugins.trust import Trust
 
 MOST_RUNS = 2000
 
 
-@click.command(cls=TrustingCommand)
+@click.command()
 @click.argument("failing", metavar="LOG|SCENARIO", shell_complete=scenarios)
 @OVERRIDES
 @disturbances
@@ -35,7 +33,7 @@ MOST_RUNS = 2000
               help="Stop after this number of runs.")  # fmt: skip
 @WORKERS
 @SCHEDULER
-@trust_option
+@TRUST
 @json_option
 def shrink(
     failing: str,
@@ -48,7 +46,6 @@ def shrink(
     most_runs: int,
     workers: int | None,
     scheduler: str | None,
-    trust: Trust,
     as_json: bool,
 ) -> None:
     """Make a run that fails a check as small as possible.
@@ -68,7 +65,7 @@ def shrink(
     from fleet.study.modules import modules_of
     from fleet.study.shrink import Shrinker
 
-    scenario, folder = _scenario(failing, [*overrides, *net, *fault], trust)
+    scenario, folder = _scenario(failing, [*overrides, *net, *fault])
     path = place_of(scenario, out, force=force)
     modules = modules_of([scenario], folder)
     with showing(pieces) as tell, engine_of(workers, scheduler) as engine:
@@ -136,18 +133,18 @@ def show_least(scenario: Scenario, found: Shrunk, path: Path) -> None:
     click.echo(path)
 
 
-def _scenario(name: str, changes: list[str | Override], trust: Trust) -> tuple[Scenario, Path | None]:
+def _scenario(name: str, changes: list[str | Override]) -> tuple[Scenario, Path | None]:
     """The scenario of a log or a file, and the folder of that file."""
     from fleet.scenario.catalogue import shipped_scenarios
     from fleet.scenario.loading import load_scenario
 
     path = Path(name)
     if name in shipped_scenarios() or path.suffix in (".yaml", ".yml"):
-        return load_scenario(name, changes, trust), path.parent if path.exists() else None
+        return load_scenario(name, changes), path.parent if path.exists() else None
     from fleet.repeat.recorded_run import recorded
     from fleet.scenario.trust import Policy
 
-    return recorded(path).script(changes, Policy(trust)), None
+    return recorded(path).script(changes, Policy()), None
 
 
 COMMANDS = (shrink,)

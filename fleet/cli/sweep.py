@@ -14,7 +14,7 @@ from fleet.cli.completion import studies
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.junit import JUNIT
 from fleet.cli.study_options import OUT, SCHEDULER, WORKERS, given, spec_options, study_directory, warning
-from fleet.cli.trust import TrustingCommand, trust_option
+from fleet.cli.types import TRUST
 from fleet.study.spec import KeepLogs, StudySpec
 from fleet.terminal.folding import say, stdout
 
@@ -28,18 +28,17 @@ if TYPE_CHECKING:
     from fleet.study.sweep import Progress
     from fleet.terminal.fitting import Piece
     from fleet.terminal.status_line import StatusLine
-    from world.plugins.trust import Trust
 
 _MOST_TOLD = 10  # logs that are not kept
 
 
-@click.command(cls=TrustingCommand)
+@click.command()
 @click.argument("scenario", metavar="SCENARIO|STUDY|DIR", shell_complete=studies)
 @spec_options(StudySpec)
 @OUT
 @WORKERS
 @SCHEDULER
-@trust_option
+@TRUST
 @JUNIT
 @click.option("--show-config", is_flag=True, help="Print the study as a file, with the options in it, and stop.")
 @json_option
@@ -49,7 +48,6 @@ def sweep(
     out: Path,
     workers: int | None,
     scheduler: str | None,
-    trust: Trust,
     junit: Path | None,
     show_config: bool,
     as_json: bool,
@@ -85,14 +83,14 @@ def sweep(
     asked = given(StudySpec, options)
     directory = study_directory(scenario, StudySpec, asked)
     if show_config:
-        click.echo(_as_file(scenario, directory, asked, trust), nl=False)
+        click.echo(_as_file(scenario, directory, asked), nl=False)
         return
     if directory is None:
-        store, spec, modules = _prepared(scenario, asked, out, trust, quiet=quiet)
+        store, spec, modules = _prepared(scenario, asked, out, quiet=quiet)
     else:
         store, spec, modules = *_opened(directory, asked), None
     shown = _columns(store, spec)
-    _run(store, spec, modules, trust, (workers, scheduler), quiet=quiet)
+    _run(store, spec, modules, (workers, scheduler), quiet=quiet)
     if junit is not None:
         cli_junit.write(junit, store.record.scenario, cli_junit.of_study(store))
     if as_json:
@@ -105,7 +103,7 @@ def sweep(
         _show(store, shown)
 
 
-def _as_file(name: str, directory: Path | None, asked: dict[str, Any], trust: Trust) -> str:
+def _as_file(name: str, directory: Path | None, asked: dict[str, Any]) -> str:
     """The study as a file, with the options in it. Raises what would be raised before the first run."""
     from fleet.study.errors import StudyError
     from fleet.study.load_points import load_points
@@ -115,7 +113,7 @@ def _as_file(name: str, directory: Path | None, asked: dict[str, Any], trust: Tr
 
     if directory is None:
         study = _asked_for(name, asked)
-        declared(study.spec, load_points(plan_of(*study), trust, refused=[]))  # laws that may not run are no mistake
+        declared(study.spec, load_points(plan_of(*study), refused=[]))  # laws that may not run are no mistake
         return study_yaml(study.spec)
     store, spec = _opened(directory, asked)
     if store.record.spec is None:
@@ -144,9 +142,7 @@ def _asked_for(name: str, asked: dict[str, Any]) -> NamedStudy:
     return study._replace(spec=spec)
 
 
-def _prepared(
-    name: str, asked: dict[str, Any], out: Path, trust: Trust, *, quiet: bool
-) -> tuple[Store, StudySpec, Modules]:
+def _prepared(name: str, asked: dict[str, Any], out: Path, *, quiet: bool) -> tuple[Store, StudySpec, Modules]:
     """A new study in a directory of its own."""
     from fleet.study.plan import plan_of
     from fleet.study.study import new_directory
@@ -155,8 +151,8 @@ def _prepared(
     study = _asked_for(name, asked)
     plan = plan_of(*study)
     if not study.spec.vary:
-        _nothing_varied(plan, trust, quiet=quiet)
-    store, modules = prepare(plan, new_directory(name, out), trust, study.spec, warn=warning(quiet=quiet))
+        _nothing_varied(plan, quiet=quiet)
+    store, modules = prepare(plan, new_directory(name, out), study.spec, warn=warning(quiet=quiet))
     return store, study.spec, modules
 
 
@@ -172,7 +168,6 @@ def _run(
     store: Store,
     spec: StudySpec,
     modules: Modules | None,
-    trust: Trust,
     engine: tuple[int | None, str | None],
     *,
     quiet: bool,
@@ -183,7 +178,6 @@ def _run(
         store: the study.
         spec: its settings.
         modules: the modules that the runs need. None: they are looked for if a run is missing.
-        trust: modules that may run although they are not installed.
         engine: the options --workers and --scheduler.
         quiet: show no progress.
     """
@@ -197,7 +191,7 @@ def _run(
     if not missing and not logs_to_make(store, spec.keep_logs):
         return
     if modules is None:
-        modules = modules_again(store, trust)
+        modules = modules_again(store)
     with showing(_pieces, quiet=quiet) as tell, engine_of(*engine) as workers:
         try:
             progress = run_study(
@@ -210,7 +204,7 @@ def _run(
     _tell_what_is_missing(store, spec.keep_logs, progress.not_kept)
 
 
-def _nothing_varied(plan: Plan, trust: Trust, *, quiet: bool) -> None:
+def _nothing_varied(plan: Plan, *, quiet: bool) -> None:
     """Say that runs differ by their seeds alone.
 
     Raises:
@@ -220,7 +214,7 @@ def _nothing_varied(plan: Plan, trust: Trust, *, quiet: bool) -> None:
     from fleet.study.load_points import load_points
 
     how = "--vary varies a key: --vary 'loss=0 %..60 %/20 %' --net '* loss {loss}' varies the loss of all links"
-    (scenario,) = load_points(plan, trust)
+    (scenario,) = load_points(plan)
     if len(plan.seeds) > 1 and not seeded(scenario):
         raise click.UsageError(
             f"nothing is varied, and nothing in {scenario.name} depends on the seed: all {len(plan.seeds)} runs would "

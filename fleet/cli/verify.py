@@ -9,10 +9,8 @@ import click
 
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument, newest_log
-from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import NO_PROGRESS
+from fleet.cli.types import NO_PROGRESS, TRUST
 from fleet.terminal.folding import say
-from world.plugins.trust import Trust
 
 _VERIFY = "Exit status: 0 reproduced, 1 not, 2 no log of ours or it cannot be run here, 3 no message is left in it."
 _DIFF = "Exit status: 0 the same (or within the tolerance), 1 different, 2 one of them is no log."
@@ -20,12 +18,12 @@ _RECOVER = "Exit status: 0 whole, 1 nothing can be recovered, 2 usage, 3 somethi
 _log = click.Path(path_type=Path)
 
 
-@click.command(cls=TrustingCommand, epilog=_VERIFY)
+@click.command(epilog=_VERIFY)
 @log_argument
-@trust_option
+@TRUST
 @json_option
 @NO_PROGRESS
-def verify(log: Path, trust: Trust, as_json: bool, quiet: bool) -> None:
+def verify(log: Path, as_json: bool, quiet: bool) -> None:
     """Run LOG again and compare: every message, bit for bit.
 
     It repeats the log's scenario and seed with all injected faults and deaths, in this process, up to the end of the
@@ -43,7 +41,7 @@ def verify(log: Path, trust: Trust, as_json: bool, quiet: bool) -> None:
         showing(f"reading {log}", quiet=quiet) as reading,
         showing_time("verified", quiet=quiet) as tell,
     ):
-        found = check(log, tell, trust, reading)
+        found = check(log, tell, reading)
     if as_json:
         print_document(found)
     else:

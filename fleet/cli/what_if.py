@@ -9,21 +9,19 @@ import click
 
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument
-from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES, Whole, key_options
+from fleet.cli.types import OVERRIDES, TRUST, Whole, key_options
 from fleet.terminal.folding import say
-from world.plugins.trust import Trust
 
 if TYPE_CHECKING:
     from fleet.repeat.what_if import WhatIf
 
 
-@click.command(cls=TrustingCommand, name="whatif")
+@click.command(name="whatif")
 @log_argument
 @click.option("--agent", type=Whole(min=1), required=True, help="The number of the vehicle.")
 @click.option("--controller", metavar="LAW", help="Short for --set controller=LAW: a name, or package.module:Class.")
 @OVERRIDES
-@trust_option
+@TRUST
 @click.option("--plot", type=click.Path(path_type=Path), help="Draw both commands into this file (png, svg, pdf).")
 @json_option
 def command(
@@ -31,7 +29,6 @@ def command(
     agent: int,
     controller: str | None,
     overrides: tuple[str, ...],
-    trust: Trust,
     plot: Path | None,
     as_json: bool,
 ) -> None:
@@ -55,7 +52,7 @@ def command(
     terminal = Console(stderr=True)
     with Status("reading the log", console=terminal) as status:
         tell = lambda share: status.update(f"agent {agent}: {100 * share:.0f} %")  # noqa: E731
-        found = what_if(log, agent, changes, tell, trust)
+        found = what_if(log, agent, changes, tell)
     if plot is not None:
         from fleet.logs.reader import digest, log_path
         from fleet.repeat.what_if_picture import draw

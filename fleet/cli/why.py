@@ -10,10 +10,8 @@ import click
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument
 from fleet.cli.study_options import SCHEDULER, WORKERS
-from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import Whole
+from fleet.cli.types import TRUST, Whole
 from fleet.terminal.folding import say
-from world.plugins.trust import Trust
 
 if TYPE_CHECKING:
     from fleet.terminal.fitting import Piece
@@ -22,7 +20,7 @@ if TYPE_CHECKING:
 MOST_RUNS = 24
 
 
-@click.command(cls=TrustingCommand)
+@click.command()
 @log_argument
 @click.option("--check", metavar="NAME", help="The check that failed; by default the first one that did.")
 @click.option("--picture", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
@@ -31,7 +29,7 @@ MOST_RUNS = 24
               help="Healed runs that are tried; 0: only what the log says.")  # fmt: skip
 @WORKERS
 @SCHEDULER
-@trust_option
+@TRUST
 @json_option
 def why(
     log: Path,
@@ -40,7 +38,6 @@ def why(
     most_runs: int,
     workers: int | None,
     scheduler: str | None,
-    trust: Trust,
     as_json: bool,
 ) -> None:
     """Explain why a check failed in LOG: faults, messages that did not arrive, and what each vehicle knew.
@@ -64,7 +61,7 @@ def why(
 
         format_of(picture)
     with showing(_pieces) as tell:
-        explanation = Explanation(Question(log, check, most_runs, trust), tell)
+        explanation = Explanation(Question(log, check, most_runs), tell)
         if explanation.searches:
             with engine_of(workers, scheduler) as engine:
                 found = explanation.find(engine, engine.carry(explanation.modules))

@@ -47,7 +47,6 @@ from fleet.study.shrink import Tree, tree_of
 from netem.lives import Lives
 from netem.wire.messages import Command, Fate, Frame
 from world.errors import WorldError
-from world.plugins.trust import Trust
 from world.run_memory import vehicle_memories
 
 RUNS = "runs that are healed"  # what is being made, for `tell`
@@ -135,10 +134,10 @@ class _Watch:
                 moments[-1] = moments[-1]._replace(state=state)
 
 
-def with_moments(scenario: Scenario, trust: Trust) -> Scenario:
+def with_moments(scenario: Scenario) -> Scenario:
     """The scenario with a snapshot at each moment when healing is possible."""
     every_ns = _every(scenario) * scenario.tick_ns
-    return changed(scenario, [f"log.snapshot={show_time(every_ns)}"], trust)
+    return changed(scenario, [f"log.snapshot={show_time(every_ns)}"])
 
 
 def _every(scenario: Scenario) -> int:

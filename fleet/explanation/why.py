@@ -21,7 +21,6 @@ from fleet.scenario.trust import Policy
 from fleet.study.engine import Engine
 from fleet.study.modules import Modules, modules_of
 from netem.clock import Clock
-from world.plugins.trust import NOTHING, Trust
 
 
 class Why(Struct, frozen=True):
@@ -52,7 +51,6 @@ class Question:
     path: Path
     check: str | None = None  # None: the first one that failed
     most_runs: int = 0  # healed ones; 0: none is made
-    trust: Trust = NOTHING
 
 
 Tell = Callable[[str, int], None]
@@ -73,7 +71,7 @@ class Explanation:
         self.path = source.path
         self._why_not = _why_not(source, question)
         self._whole = not source.reader.missing
-        self.scenario = source.script(policy=Policy(question.trust))
+        self.scenario = source.script(policy=Policy())
         self._remade = None if self._why_not else self._remake()
         if self._remade is not None and self._remade.broken:
             self._why_not, self._remade = f"the run does not come to its end: {self._remade.broken}", None
@@ -112,7 +110,7 @@ class Explanation:
         return self._remade is not None and self._question.most_runs > 0
 
     def _remake(self) -> Remade:
-        scenario = with_moments(self.scenario, self._question.trust)
+        scenario = with_moments(self.scenario)
         return remake(scenario, lambda share: self._tell(f"the run once more, {100 * share:.0f} %", 0))
 
     def _recorded_verdicts(self, source: Recorded) -> list[Verdict]:

@@ -24,7 +24,6 @@ from fleet.scenario.sections.timeline import Event
 from fleet.scenario.text.overrides import Override
 from fleet.scenario.trust import Policy
 from netem.wire.messages import Fate
-from world.plugins.trust import NOTHING, Trust
 
 FAULTS = "faults"  # topic
 
@@ -43,14 +42,12 @@ class JudgedLog(Struct, frozen=True):
 def check_log(
     path: Path,
     overrides: Sequence[str] = (),
-    trust: Trust = NOTHING,
     reading: Callable[[float], None] = lambda share: None,
 ) -> JudgedLog:
     """Judge a log by its scenario's own checks, or by others.
 
     Args:
         overrides: `checks...=...` as for `fleet run --set`.
-        trust: modules of checks that may run, in addition to installed ones and the user's own.
         reading: called with the share of the file that was read, twice from its beginning.
 
     Raises:
@@ -61,7 +58,7 @@ def check_log(
     _insist_on_checks(overrides)
     source = recorded(path, reading)
     refused: list[Problem] = []  # a law that may not run is no mistake here, unless a check is about one of its signals
-    scenario = source.script([Override.of(text) for text in overrides], Policy(trust, refused=refused))
+    scenario = source.script([Override.of(text) for text in overrides], Policy(refused=refused))
     if strangers := [problem for problem in refused if problem.key.partition(".")[0] == "checks"]:
         raise ScenarioError(strangers)
     begin = source.reader.metadata.get("run", {}).get(FROM_TICK, "0")

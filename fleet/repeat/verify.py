@@ -33,7 +33,6 @@ from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.trust import Policy
 from world.errors import WorldError
-from world.plugins.trust import NOTHING, Trust
 
 _VERSIONS = ("uuv-fleet", "python", "piqp")  # that may change a bit without anybody's mistake
 
@@ -62,13 +61,11 @@ Tell = Callable[[float, float], None]  # sim time that is verified, and up to wh
 def verify(
     path: Path,
     tell: Tell = lambda at_s, end_s: None,
-    trust: Trust = NOTHING,
     reading: Callable[[float], None] = lambda share: None,
 ) -> Verification:
     """Run a log again and compare.
 
     Args:
-        trust: modules of its laws that may run in addition to installed ones.
 
     Raises:
         LogReadError: there is no log to read.
@@ -83,7 +80,7 @@ def verify(
     if last_ns < 0:
         raise FleetError(f"{path} holds no message{f': {reader.missing}' if reader.missing else ''}", status=3)
     start = start_of(reader)
-    policy = Policy(trust, checks=False)
+    policy = Policy(checks=False)
     scenario = source.script(policy=policy) if start is not None else _scenario(source, policy)
     verification = Verification(path, last_ns / 1e9, scenario.ticks * scenario.tick_ns / 1e9, missing=reader.missing)
     verification.external = scenario.external

@@ -41,7 +41,7 @@ from netem.vehicle_clock import Clocks
 from netem.wire.messages import Delivery, Nav
 from world.errors import PluginError
 from world.plugins.loading import admit
-from world.plugins.trust import NOTHING, Permission, Trust
+from world.plugins.trust import Permission
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 COMPONENTS = (("surge force", "N"), ("pitch moment", "N m"), ("yaw moment", "N m"))
@@ -108,14 +108,12 @@ def what_if(
     agent: int,
     overrides: Sequence[str | Override] = (),
     progress: Callable[[float], None] = lambda _: None,
-    trust: Trust = NOTHING,
 ) -> WhatIf:
     """Give a fresh agent what a recorded one was given.
 
     Args:
         overrides: `key=value`, as for `fleet run --set`; they apply to this agent alone.
         progress: called with the share of the work that is done: two readings of the log, then the agent.
-        trust: modules of this agent's laws that may run, in addition to installed ones and those in `overrides`.
 
     Raises:
         FleetError: there is no log of ours, the agent is not there, its navigation was thinned, or its law may not run
@@ -125,8 +123,8 @@ def what_if(
     path = log_path(path)
     source = read(path, progress)
     source.insist_on_lockstep("what an agent had heard when is not in it")
-    scenario, recorded = source.script(overrides, Policy(trust, imports=False)), source.script()
-    _check(path, agent, scenario, recorded, trust)
+    scenario, recorded = source.script(overrides, Policy(imports=False)), source.script()
+    _check(path, agent, scenario, recorded)
     given = _read(path, agent, scenario.tick_ns, progress)
     if not given.navs:
         raise FleetError(f"{path} has no navigation of agent {agent}")
@@ -141,7 +139,7 @@ def what_if(
     return found
 
 
-def _check(path: Path, agent: int, scenario: Scenario, recorded: Scenario, trust: Trust) -> None:
+def _check(path: Path, agent: int, scenario: Scenario, recorded: Scenario) -> None:
     """Raises FleetError: the log cannot say what this agent had known, or its laws may not run."""
     if scenario.vehicles != recorded.vehicles or scenario.tick_ns != recorded.tick_ns:
         raise FleetError("another number of vehicles, or another tick, is another run: use fleet run")
@@ -151,7 +149,7 @@ def _check(path: Path, agent: int, scenario: Scenario, recorded: Scenario, trust
         if (every := recorded.log_every[group]) > 1:
             raise FleetError(f"{path} has every {every}th {group} only: an agent needs all (log.{group}: 1 tick)")
     try:
-        permission = Permission(trust, elsewhere=(Path(),), because=A_LOG)
+        permission = Permission(elsewhere=(Path(),), because=A_LOG)
         for kind, law in laws(scenario.controls[agent - 1]).items():
             if law.name not in BUILT_IN[kind]:
                 admit(kind, law.name, permission)

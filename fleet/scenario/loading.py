@@ -17,7 +17,6 @@ from fleet.scenario.trust import READING, TYPED, OverrideOrigin, Policy, strange
 from fleet.scenario.validation import validate
 from netem.parsing import nearest
 from netem.whole_file import read_bounded, read_file
-from world.plugins.trust import NOTHING, Trust
 
 _MAX_BYTES = 4_000_000  # as many as the characters that yaml_reader takes can have
 
@@ -25,7 +24,6 @@ _MAX_BYTES = 4_000_000  # as many as the characters that yaml_reader takes can h
 def load_scenario(
     name_or_path: str | Path,
     overrides: Sequence[str | Override] = (),
-    trust: Trust = NOTHING,
     *,
     imports: bool = True,
     refused: list[Problem] | None = None,
@@ -36,7 +34,6 @@ def load_scenario(
     Args:
         name_or_path: a shipped name, or the path of a file.
         overrides: changes by options; a text alone is `key.path=value`, as for `--set`.
-        trust: modules that may run, in addition to installed ones and the user's own; see `fleet.scenario.trust`.
         imports: import the laws that the file names, to check that they can be used.
         refused: a list that receives the laws that may not run. None: such a law is an error.
         origin: the source of the overrides.
@@ -46,7 +43,7 @@ def load_scenario(
     """
     shown, text, folder = _text(str(name_or_path))
     why = origin.stranger or ("" if folder is None else stranger(Path(shown)))
-    policy = Policy(trust, why, imports, refused, origin.typed)
+    policy = Policy(why, imports, refused, origin.typed)
     return parse_scenario(text, shown, overrides, folder, policy)
 
 
@@ -87,7 +84,7 @@ def parse_scenario(
     return Scenario.compile(parts, Reading(text, tuple(overrides), folder, policy), source_name)
 
 
-def changed(scenario: Scenario, overrides: Sequence[str | Override], trust: Trust = NOTHING) -> Scenario:
+def changed(scenario: Scenario, overrides: Sequence[str | Override]) -> Scenario:
     """Read the text of a scenario once more, with further overrides.
 
     All values that the seed draws are drawn anew. Problems name the lines of the file.
@@ -95,14 +92,12 @@ def changed(scenario: Scenario, overrides: Sequence[str | Override], trust: Trus
     Args:
         scenario: the scenario.
         overrides: further overrides, after the earlier ones.
-        trust: modules that may run. By default those that the scenario was loaded with.
 
     Raises:
         ScenarioError: with every mistake that was found.
     """
     text, before, folder, policy = scenario.reading
-    policy = replace(policy, refused=None, trust=policy.trust if trust is NOTHING else trust)
-    return parse_scenario(text, scenario.source, [*before, *overrides], folder, policy)
+    return parse_scenario(text, scenario.source, [*before, *overrides], folder, replace(policy, refused=None))
 
 
 def _order(problem: Problem, source: Source, overrides: Sequence[str | Override]) -> tuple[int, int, int]:

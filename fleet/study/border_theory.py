@@ -16,7 +16,6 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy
 from fleet.study.borders import Borders
 from fleet.study.one_run import A_STUDY
-from world.plugins.trust import Trust
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,13 +35,13 @@ class Theory:
     reckoning: int | None
 
 
-def theory(borders: Borders, trust: Trust) -> list[Theory]:
+def theory(borders: Borders) -> list[Theory]:
     """Of each border what theory says.
 
     Raises:
         ScenarioError: a law of a scenario may not be loaded here, or a scenario is damaged.
     """
-    return [_theory(borders, number, Policy(trust, A_STUDY)) for number in range(borders.count)]
+    return [_theory(borders, number, Policy(A_STUDY)) for number in range(borders.count)]
 
 
 def _theory(borders: Borders, number: int, policy: Policy) -> Theory:

@@ -16,7 +16,7 @@ from fleet.study.pictures.border import write_borders
 from fleet.study.spec import BoundarySpec
 from fleet.study.store import Store
 from fleet.study.study import Study, new_directory
-from world.plugins.trust import NOTHING, Trust
+from world.plugins.trust import trusting
 
 
 class Boundary:
@@ -46,17 +46,18 @@ class Boundary:
         """One per combination of the other axes. Raises StudyError."""
         return self._borders.found()
 
-    def write_picture(self, trust: Trust = NOTHING) -> Path:
+    def write_picture(self, trust: bool = False) -> Path:
         """Draw the borders, with what theory says of them, as `border.png` in the study's directory.
 
         Args:
-            trust: which modules may be loaded that are not installed.
+            trust: load modules, too, that are not installed.
 
         Raises:
             ScenarioError: a law may not be loaded.
             StudyError: there is too much for one picture, or the file cannot be written.
         """
-        return write_borders(self._borders, theory(self._borders, trust))
+        with trusting(trust):
+            return write_borders(self._borders, theory(self._borders))
 
 
 @takes(BoundarySpec)
@@ -68,7 +69,7 @@ def boundary(
     out: str | Path | None = None,
     workers: int | None = None,
     scheduler: Any = None,
-    trust: Trust = NOTHING,
+    trust: bool = False,
     progress: Tell = lambda *_, **__: None,
     **options: Any,
 ) -> Boundary:
@@ -81,7 +82,7 @@ def boundary(
         out: the directory of the new study; None: one below `studies`.
         workers: processes of this machine; None: one per core.
         scheduler: of an existing Dask cluster: an address or a cluster object; None: workers of this machine.
-        trust: modules that may run, in addition to installed ones and the user's own.
+        trust: run modules, too, that are neither installed nor the user's own.
         progress: called several times a second.
         options: these.
 
@@ -93,7 +94,8 @@ def boundary(
     need_extra()
     spec = BoundarySpec(**keywords(BoundarySpec, {"along": along, "per": per, **options}))
     directory = new_directory(str(scenario)) if out is None else Path(out)
-    store, modules = prepare_borders(border_plan(str(scenario), spec), spec, directory, trust)
+    with trusting(trust):
+        store, modules = prepare_borders(border_plan(str(scenario), spec), spec, directory)
     with engine_of(workers, scheduler) as engine:
         find_borders(Borders(store), engine, progress, modules=modules, timeout_s=spec.timeout_s)
     return Boundary(store)

@@ -18,12 +18,11 @@ from fleet.scenario.scenario import Scenario
 from fleet.study.plan import Plan, Point
 from netem.grammar import WORDS
 from netem.parsing import NUMBER
-from world.plugins.trust import NOTHING, Trust
 
 _NUMBER = re.compile(rf"(?<!\w){NUMBER.pattern}", re.ASCII)
 
 
-def load_points(plan: Plan, trust: Trust = NOTHING, *, refused: list[Problem] | None = None) -> list[Scenario]:
+def load_points(plan: Plan, *, refused: list[Problem] | None = None) -> list[Scenario]:
     """The scenario of each point.
 
     Args:
@@ -36,7 +35,7 @@ def load_points(plan: Plan, trust: Trust = NOTHING, *, refused: list[Problem] | 
     mistakes: dict[tuple[int, str], tuple[Problem, list[Point]]] = {}
     for point in plan.points:
         try:
-            scenario = load_scenario(plan.scenario, point.changes, trust, refused=refused, origin=plan.origin)
+            scenario = load_scenario(plan.scenario, point.changes, refused=refused, origin=plan.origin)
             scenarios.append(scenario)
         except ScenarioError as error:
             times: Counter[str] = Counter()  # one point may have several that differ only in numbers

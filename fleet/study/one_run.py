@@ -32,7 +32,7 @@ from fleet.study.modules import NO_MODULES, Modules, folder_of
 from fleet.study.seen import SeenStates
 from fleet.study.signal_measures import Samples
 from fleet.study.sometimes import column_of
-from world.plugins.trust import Trust
+from world.plugins.trust import Trust, trusting
 
 A_STUDY = "a study names it"  # why a law that is not installed needs trust
 FAILED = "failed"  # the status of a run that has no result
@@ -162,8 +162,8 @@ def recorded(
 def scenario_of(task: Task) -> Scenario:
     """The scenario of a run. Raises ScenarioError."""
     modules = task.modules
-    policy = Policy(Trust(fingerprints=frozenset(modules.fingerprints)), stranger=A_STUDY)
-    return parse_scenario(task.text, task.name, [f"seed={task.seed}"], folder_of(modules), policy)
+    with trusting(Trust(fingerprints=frozenset(modules.fingerprints))):
+        return parse_scenario(task.text, task.name, [f"seed={task.seed}"], folder_of(modules), Policy(A_STUDY))
 
 
 def failed_checks(row: Mapping[str, Any]) -> list[str]:

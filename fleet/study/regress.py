@@ -17,7 +17,6 @@ from fleet.study.modules import Modules, modules_of
 from fleet.study.one_run import A_STUDY, JUDGED, Task, failed_checks
 from fleet.study.plan import run_key
 from fleet.study.shrink import Shrinker
-from world.plugins.trust import Trust
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +43,7 @@ class Regressed:
 class Regression:
     """The scenarios of a folder, read and ready to run."""
 
-    def __init__(self, folder: FailureFolder, trust: Trust) -> None:
+    def __init__(self, folder: FailureFolder) -> None:
         """Read every scenario.
 
         Raises:
@@ -54,7 +53,7 @@ class Regression:
         self._folder, self.failures = folder, folder.failures()
         if not self.failures:
             raise StudyError(f"{folder.path} holds no failures: fleet search SCENARIO --keep {folder.path} fills it")
-        policy = Policy(trust, A_STUDY)
+        policy = Policy(A_STUDY)
         self._scenarios = [folder.load(failure, policy) for failure in self.failures]
         for scenario in self._scenarios:
             refuse(scenario, "a run of a study")

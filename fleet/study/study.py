@@ -28,7 +28,7 @@ from fleet.study.store import Store
 from fleet.study.study_file import NamedStudy, study_named
 from fleet.study.summary import PointSummary, summarise
 from fleet.study.sweep import Progress, prepare, run_study
-from world.plugins.trust import NOTHING, Trust
+from world.plugins.trust import trusting
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -165,16 +165,14 @@ class Study:
 
         return write(self._store, measures, self.directory / "plots" if folder is None else Path(folder), formats)
 
-    def rerun(
-        self, point: int | Mapping[str, Any], seed: int, out: Path = Path("runs"), trust: Trust = NOTHING
-    ) -> Result:
+    def rerun(self, point: int | Mapping[str, Any], seed: int, out: Path = Path("runs"), trust: bool = False) -> Result:
         """Make one of its runs again with its log; the digest is that of the row.
 
         Args:
             point: number of the point, or its values by key.
             seed: seed of the run.
             out: the run's directory is made in this folder.
-            trust: modules that may run although they are not installed.
+            trust: run modules, too, that are not installed.
 
         Raises:
             StudyError: there is no such point.
@@ -191,8 +189,9 @@ class Study:
         else:
             raise StudyError(f"there is no point {point}: they are 0 to {len(rows) - 1}")
         record = self._store.record
-        policy = Policy(trust, A_STUDY)
-        scenario = parse_scenario(row["scenario"], record.scenario, [f"seed={seed}"], self._store.folder, policy)
+        text, changes = row["scenario"], [f"seed={seed}"]
+        with trusting(trust):
+            scenario = parse_scenario(text, record.scenario, changes, self._store.folder, Policy(A_STUDY))
         return execute(scenario, Options(out, in_process=True, quiet=True))
 
 
@@ -214,7 +213,7 @@ def sweep(
     out: str | Path | None = None,
     workers: int | None = None,
     scheduler: Any = None,
-    trust: Trust = NOTHING,
+    trust: bool = False,
     progress: Callable[[Progress], None] = lambda _: None,
     **options: Any,
 ) -> Study:
@@ -226,7 +225,7 @@ def sweep(
         out: the directory of the new study; None: one below `studies`.
         workers: processes of this machine; None: one per core.
         scheduler: of an existing Dask cluster: an address or a cluster object; None: workers of this machine.
-        trust: modules that may run, in addition to installed ones and the user's own.
+        trust: run modules, too, that are neither installed nor the user's own.
         progress: called several times a second.
         options: these.
 
@@ -240,7 +239,8 @@ def sweep(
     study = study_named(str(scenario)) or NamedStudy(StudySpec(str(scenario)))
     spec = study.spec.changed(**keywords(StudySpec, {"vary": vary, **options}))
     directory = new_directory(str(scenario)) if out is None else Path(out)
-    store, modules = prepare(plan_of(spec, study.origin), directory, trust, spec)
+    with trusting(trust):
+        store, modules = prepare(plan_of(spec, study.origin), directory, spec)
     with engine_of(workers, scheduler) as engine:
         run_study(store, engine, progress, modules=modules, timeout_s=spec.timeout_s, budget_s=spec.budget_s)
     return Study(store)

@@ -34,7 +34,6 @@ def check(
     fault: tuple[Override, ...],
     net: tuple[Override, ...],
     as_json: bool,
-    quiet: bool,
 ) -> None:
     """Check SCENARIO without running it, and report all mistakes at once; or judge LOG by checks.
 
@@ -56,7 +55,7 @@ def check(
     if is_log(scenario):
         if fault or net:
             raise click.UsageError(f"{scenario} is a log: --net and --fault are for a scenario")
-        _check_log(Path(scenario), overrides, as_json=as_json, quiet=quiet)
+        _check_log(Path(scenario), overrides, as_json=as_json)
     from fleet.analysis.first_sample import try_laws, try_plants
     from fleet.analysis.preflight import warnings
     from fleet.analysis.stability import analyse, report
@@ -67,7 +66,7 @@ def check(
     loaded = load_scenario(scenario, [*overrides, *net, *fault], refused=refused)
     try_laws(loaded)
     try_plants(loaded)
-    with showing_steps("limits of the linear loop", quiet=quiet) as step:
+    with showing_steps("limits of the linear loop") as step:
         found = analyse(loaded, tell=step)
         told = [*found.warnings, *warnings(loaded)]
         lines = [] if as_json else report(loaded, found)
@@ -88,11 +87,11 @@ def is_log(name: str) -> bool:
     return name.endswith(".mcap") or (Path(name).is_dir() and name not in shipped_scenarios())
 
 
-def _check_log(log: Path, overrides: tuple[str, ...], *, as_json: bool, quiet: bool) -> NoReturn:
+def _check_log(log: Path, overrides: tuple[str, ...], *, as_json: bool) -> NoReturn:
     from fleet.repeat.check_log import check_log
     from fleet.terminal.progress import showing
 
-    with showing(f"reading {log}", quiet=quiet) as reading:
+    with showing(f"reading {log}") as reading:
         found = check_log(log, overrides, reading)
     if as_json:
         print_document(found)

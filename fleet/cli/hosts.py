@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -26,6 +26,20 @@ _LEASE = click.option("--lease", metavar="TIME", type=Duration(*_LEASES_S), defa
                       help="Close a link between hosts after this time without a sign of life.")  # fmt: skip
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class HostsOptions:
+    """The values of `hosts_options`."""
+
+    listen: str | None
+    listen_certified: str | None
+    certs: Path | None
+    advertise: tuple[str, ...]
+    mutual_tls: bool
+    router: str | None
+    credentials: Path | None
+    lease: int  # ns
+
+
 def hosts_options(command: F) -> F:
     """Add the options of `fleet run` for agents on other hosts; `rendezvous` reads their values."""
     folder, file = (click.Path(path_type=Path, file_okay=dir_, dir_okay=not dir_) for dir_ in (False, True))
@@ -46,14 +60,14 @@ def hosts_options(command: F) -> F:
     return command
 
 
-def rendezvous(scenario: Scenario, options: dict[str, Any], *, in_process: bool) -> Rendezvous | None:
+def rendezvous(scenario: Scenario, options: HostsOptions, *, in_process: bool) -> Rendezvous | None:
     """Where the processes meet, by the options of `hosts_options`; None if none of these options is given.
 
     Raises:
         FleetError: they do not go together, or with the scenario.
     """
     names = ("listen", "listen_certified", "router", "certs", "advertise", "mutual_tls", "credentials")
-    given = [name for name in names if options[name]]
+    given = [name for name in names if getattr(options, name)]
     if not given:
         return None
     from fleet.hosts.rendezvous import (
@@ -65,8 +79,8 @@ def rendezvous(scenario: Scenario, options: dict[str, Any], *, in_process: bool)
         through_router,
     )
 
-    listen, router, lease_ms = options["listen"], options["router"], options["lease"] // 1_000_000
-    certified = options["listen_certified"]
+    listen, router, lease_ms = options.listen, options.router, options.lease // 1_000_000
+    certified = options.listen_certified
     spelt = "--" + given[0].replace("_", "-")
     if in_process:
         raise FleetError(f"{spelt}: a run in one process has no router that others could join")
@@ -76,23 +90,32 @@ def rendezvous(scenario: Scenario, options: dict[str, Any], *, in_process: bool)
         raise FleetError("either --listen or --router, not both")
     if not (listen or router or certified):
         raise FleetError(f"{spelt} needs --listen or --router")
-    if options["mutual_tls"] and not (listen or router):
+    if options.mutual_tls and not (listen or router):
         raise FleetError(f"--mutual-tls is for --listen or --router: {CERTIFIED} always asks for certificates")
-    common = {"certs": options["certs"], "external": scenario.external, "lease_ms": lease_ms}
+    certs, external = options.certs, scenario.external
     if lease_ms >= scenario.spec.stall_timeout / 1e6:
         raise FleetError(
             f"--lease {lease_ms / 1000:g} s is no shorter than stall_timeout {scenario.stall_timeout_s:g} s: "
             f"the run would break before a silent link ends: --set stall_timeout='{lease_ms / 500:g} s'"
         )
     if not router:
-        if options["credentials"]:
+        if options.credentials:
             raise FleetError("--credentials is for --router: a router of its own makes fresh ones")
         found = Rendezvous()
         if listen:
-            found = listening(listen, advertise=options["advertise"], mutual=options["mutual_tls"], **common)
+            found = listening(
+                listen,
+                advertise=options.advertise,
+                mutual=options.mutual_tls,
+                certs=certs,
+                external=external,
+                lease_ms=lease_ms,
+            )
             check_free(listen)
         if certified:
-            found = listening_for_certificates(found, certified, advertise=options["advertise"], **common)
+            found = listening_for_certificates(
+                found, certified, advertise=options.advertise, certs=certs, external=external, lease_ms=lease_ms
+            )
             check_free(certified, CERTIFIED)
         if not scenario.external:
             nobody = (
@@ -100,11 +123,19 @@ def rendezvous(scenario: Scenario, options: dict[str, Any], *, in_process: bool)
             )
             found = replace(found, warnings=(*found.warnings, nobody))
         return found
-    if options["advertise"]:
+    if options.advertise:
         raise FleetError("--advertise is for --listen: agents are told the endpoint of --router")
-    if not options["credentials"]:
+    if not options.credentials:
         raise FleetError("--router needs --credentials FILE, which fleet hosts acl SCENARIO -o DIR writes")
-    return through_router(router, options["credentials"], scenario.vehicles, mutual=options["mutual_tls"], **common)
+    return through_router(
+        router,
+        options.credentials,
+        scenario.vehicles,
+        mutual=options.mutual_tls,
+        certs=certs,
+        external=external,
+        lease_ms=lease_ms,
+    )
 
 
 @click.group(cls=ListingGroup)

@@ -13,7 +13,7 @@ from fleet.cli import completion
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument, newest_log
 from fleet.cli.study_pictures import check_options, is_study, measure_option, plot_study, report_study
-from fleet.cli.types import FORCE, PictureWords, Vehicles, Window, Words
+from fleet.cli.types import FORCE, NO_PROGRESS, PictureWords, Vehicles, Window, Words
 from fleet.terminal.folding import say
 
 KINDS = (
@@ -78,6 +78,7 @@ def _folder(_: click.Context, __: click.Parameter, value: Path | None) -> Path |
 @_vehicles
 @_log_scale
 @_window
+@NO_PROGRESS
 def plot(
     log: Path,
     out: Path | None,
@@ -166,6 +167,7 @@ def _notes(runs: Sequence[Any]) -> Iterator[str]:
               help="Print the scenario that runs LOG again, with all that was injected while it was made.")  # fmt: skip
 @click.option("--topics", metavar="PATTERN", multiple=True, help="Only topics such as 'uuv/*/state'; repeatable.")
 @FORCE
+@NO_PROGRESS
 def export(
     log: Path,
     csv: Path | None,
@@ -281,6 +283,7 @@ def _export_traces(log: Path, folder: Path, *, force: bool) -> None:
 @_vehicles
 @_log_scale
 @_window
+@NO_PROGRESS
 def report(
     logs: tuple[Path, ...],
     out: Path,
@@ -334,6 +337,7 @@ def report(
 @click.command()
 @log_argument
 @json_option
+@NO_PROGRESS
 def info(log: Path, as_json: bool) -> None:
     """Summarise LOG (an MCAP file, or a run directory), also if it was cut short.
 

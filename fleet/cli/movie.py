@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from fleet.cli.log_argument import log_argument
-from fleet.cli.types import Duration, Whole
+from fleet.cli.types import NO_PROGRESS, Duration, Whole
 
 
 @click.command()
@@ -23,7 +23,7 @@ from fleet.cli.types import Duration, Whole
     "--to", "end", metavar="TIME", type=Duration(), help="End at this time; by default at the end of the log."
 )
 @click.option(
-    "-r", "--rate", metavar="X", type=click.FloatRange(0.001, 1000.0),
+    "--speed", metavar="X", type=click.FloatRange(0.001, 1000.0),
     help="Times real time; by default so that the movie lasts 12 s, but never slower than real time.",
 )  # fmt: skip
 @click.option("--fps", metavar="N", type=Whole(1, 50), default=10, show_default=True,
@@ -32,6 +32,7 @@ from fleet.cli.types import Duration, Whole
     "--width", metavar="PX", type=Whole(320, 1920), default=800, show_default=True,
     help="In pixels, rounded down to a multiple of 8; the height is three quarters of it.",
 )  # fmt: skip
+@NO_PROGRESS
 def movie(
     log: Path,
     out: Path,
@@ -39,7 +40,7 @@ def movie(
     view: str,
     begin: int,
     end: int | None,
-    rate: float | None,
+    speed: float | None,
     fps: int,
     width: int,
 ) -> None:
@@ -52,7 +53,7 @@ def movie(
     Examples:
       fleet movie
       fleet movie runs/latest -o heal.gif --view 3d
-      fleet movie runs/latest -o cut.mp4 --from 5s --to 40s --rate 2 --fps 25
+      fleet movie runs/latest -o cut.mp4 --from 5s --to 40s --speed 2 --fps 25
     """
     from fleet.logs.reader import log_path
     from fleet.pictures.page import check_place
@@ -63,7 +64,9 @@ def movie(
     check_place(out, force=force)
     window = begin / 1e9, None if end is None else end / 1e9
     with showing(f"drawing {out}") as tell:
-        missing = write(log_path(log), out, tell, view=view, window=window, rate=rate, fps=fps, width=width - width % 8)
+        missing = write(
+            log_path(log), out, tell, view=view, window=window, speed=speed, fps=fps, width=width - width % 8
+        )
     if missing:
         say(f"fleet: {log}: {missing}", err=True)
     click.echo(out)

@@ -21,7 +21,7 @@ VERDICTS = ("pass", "fail", "broke", "stopped")
 
 
 @click.command()
-@click.option("--out", metavar="DIR", type=click.Path(path_type=Path), default=Path("runs"), show_default=True,
+@click.option("-o", "--out", metavar="DIR", type=click.Path(path_type=Path), default=Path("runs"), show_default=True,
               help="The folder with run directories.")  # fmt: skip
 @click.option("--prune", is_flag=True, help="Remove runs that are over: those that fit every option below.")
 @click.option("--keep", metavar="N", type=Whole(min=0), help="Keep the newest N of the runs that are over.")

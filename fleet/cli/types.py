@@ -32,7 +32,18 @@ TRUST = click.option(
     help="Also run laws, plants and checks that are neither installed nor your own.",
 )  # fmt: skip
 FORCE = click.option("--force", is_flag=True, help="Replace what is there.")
-NO_PROGRESS = click.option("-q", "--quiet", is_flag=True, help="No progress.")
+
+
+def _hush(context: click.Context, option: click.Parameter, value: bool) -> None:
+    if value:
+        from fleet.terminal.status_line import hushed
+
+        context.with_resource(hushed())
+
+
+NO_PROGRESS = click.option(
+    "-q", "--quiet", is_flag=True, expose_value=False, callback=_hush, help="No progress."
+)  # fmt: skip
 
 
 def is_given(name: str) -> bool:

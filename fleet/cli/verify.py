@@ -23,7 +23,7 @@ _log = click.Path(path_type=Path)
 @TRUST
 @json_option
 @NO_PROGRESS
-def verify(log: Path, as_json: bool, quiet: bool) -> None:
+def verify(log: Path, as_json: bool) -> None:
     """Run LOG again and compare: every message, bit for bit.
 
     It repeats the log's scenario and seed with all injected faults and deaths, in this process, up to the end of the
@@ -38,8 +38,8 @@ def verify(log: Path, as_json: bool, quiet: bool) -> None:
     from fleet.terminal.progress import showing, showing_time
 
     with (
-        showing(f"reading {log}", quiet=quiet) as reading,
-        showing_time("verified", quiet=quiet) as tell,
+        showing(f"reading {log}") as reading,
+        showing_time("verified") as tell,
     ):
         found = check(log, tell, reading)
     if as_json:
@@ -57,7 +57,7 @@ def verify(log: Path, as_json: bool, quiet: bool) -> None:
 @click.option("--all", "everything", is_flag=True, help="Every signal that differs, not only the first twenty.")
 @json_option
 @NO_PROGRESS
-def diff(a: Path, b: Path | None, tolerance: float, everything: bool, as_json: bool, quiet: bool) -> None:
+def diff(a: Path, b: Path | None, tolerance: float, everything: bool, as_json: bool) -> None:
     """Compare the messages of logs A and B: whether they are the same, where they part, and how far signals differ.
 
     If one run continues another (fleet run --from), the comparison begins where the later one begins.
@@ -76,7 +76,7 @@ def diff(a: Path, b: Path | None, tolerance: float, everything: bool, as_json: b
     second = newest_log() if b is None else b
     if b is None and log_path(a).exists() and log_path(a).samefile(log_path(second)):
         raise click.UsageError("A is the newest run itself: name the log to compare it with")
-    with showing(f"comparing {a} and {second}", quiet=quiet) as tell:
+    with showing(f"comparing {a} and {second}") as tell:
         left, right = LogReader(log_path(a), tell), LogReader(log_path(second))
         found = compare(left, right)
     status = 0 if found.first is None or (tolerance and found.within(tolerance)) else 1
@@ -107,6 +107,7 @@ def diff(a: Path, b: Path | None, tolerance: float, everything: bool, as_json: b
 
 @click.command(epilog=_RECOVER)
 @log_argument
+@NO_PROGRESS
 @click.option(
     "-o", "--out", metavar="OUT", type=_log, help="The file to write; by default LOG.recovered.mcap next to it."
 )

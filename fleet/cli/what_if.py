@@ -9,7 +9,7 @@ import click
 
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument
-from fleet.cli.types import OVERRIDES, TRUST, Whole, key_options
+from fleet.cli.types import NO_PROGRESS, OVERRIDES, TRUST, Whole, key_options
 from fleet.terminal.folding import say
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 @TRUST
 @click.option("--plot", type=click.Path(path_type=Path), help="Draw both commands into this file (png, svg, pdf).")
 @json_option
+@NO_PROGRESS
 def command(
     log: Path,
     agent: int,
@@ -43,15 +44,11 @@ def command(
       fleet whatif --agent 1 --set 'tracking.k_u=2 1/s' --set profile=hardened
       fleet whatif --agent 2 --controller my_module:MyController
     """
-    from rich.console import Console
-    from rich.status import Status
-
     from fleet.repeat.what_if import what_if
+    from fleet.terminal.progress import showing
 
     changes = [*overrides, *key_options(controller=controller)]
-    terminal = Console(stderr=True)
-    with Status("reading the log", console=terminal) as status:
-        tell = lambda share: status.update(f"agent {agent}: {100 * share:.0f} %")  # noqa: E731
+    with showing(f"agent {agent}") as tell:
         found = what_if(log, agent, changes, tell)
     if plot is not None:
         from fleet.logs.reader import digest, log_path

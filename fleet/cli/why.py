@@ -10,7 +10,7 @@ import click
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument
 from fleet.cli.study_options import SCHEDULER, WORKERS
-from fleet.cli.types import TRUST, Whole
+from fleet.cli.types import NO_PROGRESS, TRUST, Whole
 from fleet.terminal.folding import say
 
 if TYPE_CHECKING:
@@ -25,17 +25,18 @@ MOST_RUNS = 24
 @click.option("--check", metavar="NAME", help="The check that failed; by default the first one that did.")
 @click.option("--picture", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
               help="Draw it into this file (png, svg, pdf).")  # fmt: skip
-@click.option("--most-runs", metavar="N", type=Whole(0, 10_000), default=MOST_RUNS, show_default=True,
+@click.option("--budget", metavar="N", type=Whole(0, 10_000), default=MOST_RUNS, show_default=True,
               help="Healed runs that are tried; 0: only what the log says.")  # fmt: skip
 @WORKERS
 @SCHEDULER
 @TRUST
 @json_option
+@NO_PROGRESS
 def why(
     log: Path,
     check: str | None,
     picture: Path | None,
-    most_runs: int,
+    budget: int,
     workers: int | None,
     scheduler: str | None,
     as_json: bool,
@@ -49,7 +50,7 @@ def why(
     Examples:
       fleet why
       fleet why runs/latest --check formation_error --picture why.png
-      fleet why runs/latest --most-runs 0
+      fleet why runs/latest --budget 0
       fleet why runs/latest --json
     """
     from fleet.cli.study_output import showing
@@ -61,7 +62,7 @@ def why(
 
         format_of(picture)
     with showing(_pieces) as tell:
-        explanation = Explanation(Question(log, check, most_runs), tell)
+        explanation = Explanation(Question(log, check, budget), tell)
         if explanation.searches:
             with engine_of(workers, scheduler) as engine:
                 found = explanation.find(engine, engine.carry(explanation.modules))

@@ -28,11 +28,11 @@ def showing(doing: str, *, quiet: bool = False) -> Iterator[Callable[[float], No
 
 
 @contextmanager
-def showing_steps(doing: str, *, quiet: bool = False) -> Iterator[Callable[[], None]]:
+def showing_steps(doing: str) -> Iterator[Callable[[], None]]:
     """A function to call at each step of work of unknown length; only a terminal shows it."""
     steps = 0
     terminal = Terminal(stderr=True)
-    with StatusLine(terminal, quiet=quiet or not rewritable(terminal), first_s=FIRST_S) as line:
+    with StatusLine(terminal, quiet=not rewritable(terminal), first_s=FIRST_S) as line:
 
         def report() -> None:
             nonlocal steps
@@ -44,10 +44,10 @@ def showing_steps(doing: str, *, quiet: bool = False) -> Iterator[Callable[[], N
 
 
 @contextmanager
-def showing_time(doing: str, *, quiet: bool = False) -> Iterator[Callable[[float, float], None]]:
+def showing_time(doing: str) -> Iterator[Callable[[float, float], None]]:
     """A function to call with the simulated time reached and the time at which the work ends [s]."""
     terminal = Terminal(stderr=True)
-    with StatusLine(terminal, quiet=quiet, first_s=REFRESH_S if rewritable(terminal) else PLAIN_S) as line:
+    with StatusLine(terminal, quiet=False, first_s=REFRESH_S if rewritable(terminal) else PLAIN_S) as line:
 
         def report(at_s: float, end_s: float) -> None:
             if line.due():

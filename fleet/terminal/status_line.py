@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from types import TracebackType
 
 from rich.console import Console as Terminal
@@ -14,6 +16,17 @@ from fleet.terminal.fitting import Piece, fit
 REFRESH_S = 0.1
 PLAIN_S = 5.0
 BAR = 24  # characters
+_hushed: ContextVar[bool] = ContextVar("hushed", default=False)
+
+
+@contextmanager
+def hushed() -> Iterator[None]:
+    """Show no progress inside, whatever is done there."""
+    token = _hushed.set(True)
+    try:
+        yield
+    finally:
+        _hushed.reset(token)
 
 
 def rewritable(terminal: Terminal) -> bool:
@@ -31,7 +44,7 @@ class StatusLine:
             quiet: show nothing at all.
             first_s: how long nothing is shown at first; by default 0 on a terminal, a while elsewhere.
         """
-        self._terminal, self._quiet = terminal, quiet
+        self._terminal, self._quiet = terminal, quiet or _hushed.get()
         self.live = rewritable(terminal)
         self._next = time.monotonic() + ((0.0 if self.live else PLAIN_S) if first_s is None else first_s)
         self._shown = False

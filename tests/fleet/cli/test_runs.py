@@ -13,7 +13,6 @@ from live_directory import live_directory
 from fleet.cli.documents.logs import Runs
 from fleet.cli.main import cli
 
-NOW = datetime.now(UTC).replace(microsecond=0)  # noqa: TID251 (a name)
 HOURS = {"pass": 1, "check_failed": 50, "broken": 100, "interrupted": 300}
 
 
@@ -27,9 +26,9 @@ def invoke(*arguments: str | Path) -> Result:
 def out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A run of each kind below `runs`, which began so many hours ago, and a live one."""
     monkeypatch.chdir(tmp_path)
-    runs = tmp_path / "runs"
+    runs, now = tmp_path / "runs", datetime.now(UTC)  # noqa: TID251 (a name)
     for status, hours in HOURS.items():
-        path = runs / f"{status}-1-{NOW - timedelta(hours=hours):%Y%m%d-%H%M%S}"
+        path = runs / f"{status}-1-{now - timedelta(hours=hours):%Y%m%d-%H%M%S}"
         (path / "log").mkdir(parents=True)
         (path / "scenario.yaml").write_text("")
         (path / "run.mcap").write_bytes(bytes(2_000_000))

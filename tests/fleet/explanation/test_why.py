@@ -167,7 +167,7 @@ def test_the_command(small_log: Path, tmp_path: Path, monkeypatch: pytest.Monkey
     assert "small, seed 1: formation_error failed" in result.stdout
     assert "the point of no return" in result.stdout
     assert picture.read_bytes().startswith(b"\x89PNG")
-    document = json.loads(call(small_log, "--json", "--most-runs", "0").stdout)
+    document = json.loads(call(small_log, "--json", "--budget", "0").stdout)
     assert (document["check"], document["no_return"]["how"]) == ("formation_error", "not possible")
 
 

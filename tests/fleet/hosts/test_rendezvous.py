@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from repository import ROOT
 
 from fleet.cli.group import command_of
-from fleet.cli.hosts import rendezvous
+from fleet.cli.hosts import HostsOptions, rendezvous
 from fleet.cli.main import cli
 from fleet.errors import FleetError
 from fleet.hosts import router_config
@@ -69,7 +69,7 @@ def test_listening_for_nobody_is_warned_of(made: Path) -> None:
             "lease": 2000,
         }
         others = {"router": None, "credentials": None, "listen_certified": None}
-        found = rendezvous(load_scenario("paper", overrides), options | others, in_process=False)
+        found = rendezvous(load_scenario("paper", overrides), HostsOptions(**(options | others)), in_process=False)
         assert found and ["no vehicle is external" in warning for warning in found.warnings] == [True] * warned
 
 

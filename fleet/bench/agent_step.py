@@ -11,11 +11,10 @@ from typing import Any
 from agents.agent import Agent
 from agents.config import AgentConfig
 from agents.controllers import CONTROLLERS, Cascade
-from agents.laws.consensus import consensus_error
 from agents.laws.gain_qp import build_qp, solve
 from agents.laws.guidance import OptimalGuidance
 from agents.laws.kinematics import earth_velocity
-from agents.laws.velocity_command import direction_command, floor_speed
+from agents.laws.velocity_command import consensus_error, direction_command, floor_speed
 from agents.neighbours import NeighbourTable
 from agents.payload import StateMessage
 from agents.payload import encode as encode_payload

@@ -10,8 +10,7 @@ from pathlib import Path
 
 from fleet.bench.echo import echo_bus, echo_pipe
 from fleet.errors import FleetError
-from fleet.processes.children import Children
-from fleet.processes.run_folder import RunFolder
+from fleet.processes.children import Children, RunFolder
 from netem.private_folder import PrivateFolder
 from netem.wire.access import agent_role, generate
 from netem.wire.bus import Bus

@@ -17,7 +17,7 @@ import msgspec
 
 from fleet.bench.figures import FORMAT, Change, Figure, FiguresComparison, Measured
 from fleet.errors import FleetError
-from netem.whole_file import read_file
+from netem.private_file import read_file
 
 LEAST = 0.10  # a smaller change counts as noise, however well the repeats agree
 FEWEST = 3  # repeats, or the noise is not known

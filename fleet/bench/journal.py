@@ -13,7 +13,7 @@ from fleet.bench.recorder import recorder_figures
 from fleet.errors import FleetError
 from fleet.logs.reader import LogReader
 from fleet.logs.tape import Tape
-from fleet.processes.ports import free_port
+from fleet.processes.limits import free_port
 from fleet.replay.capture import Limits, Recorder, TrafficWriter
 from fleet.replay.playback import PlaybackOptions, Replay
 from fleet.scenario.scenario import Scenario

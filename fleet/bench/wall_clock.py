@@ -20,8 +20,8 @@ from fleet.result.result import Result
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.terminal.table import columns, show
-from netem.clock import Clock
 from netem.private_folder import PrivateFolder
+from netem.vehicle_clock import Clock
 
 
 class WallClockRow(Struct, frozen=True):

@@ -32,7 +32,7 @@ def about(words: tuple[str, ...], schemas: bool) -> None:
         _schemas(" ".join(words))  # "check LOG" is one of two words
         return
     from fleet.bench.about import about as report
-    from fleet.execution.past_runs import newest_run
+    from fleet.execution.directory import newest_run
 
     if len(words) > 1 or not all(Path(word).is_dir() for word in words):
         raise click.BadParameter(f"{' '.join(words)!r} is no run directory", param_hint="RUN")

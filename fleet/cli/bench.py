@@ -13,7 +13,7 @@ import click
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.group import ListingGroup
 from fleet.cli.types import Numbers, Whole
-from fleet.terminal.folding import stdout
+from fleet.terminal.table import stdout
 
 if TYPE_CHECKING:
     from msgspec import Struct
@@ -228,7 +228,7 @@ def study(runs: int, duration: float, workers: int, memory: int | None, output: 
 def _give(document: Struct, output: Path | None, *, as_json: bool) -> None:
     """Print a document, or write it, or both."""
     if output is not None:
-        from fleet.result.json_text import json_text
+        from fleet.result.result import json_text
 
         output.write_text(json_text(document) + "\n", "utf-8")
     if as_json:

@@ -11,7 +11,7 @@ import click
 from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.types import NO_PROGRESS, OVERRIDES, TRUST, disturbances
-from fleet.terminal.folding import say
+from fleet.terminal.table import say
 
 if TYPE_CHECKING:
     from fleet.errors import Problem
@@ -60,7 +60,7 @@ def check(
     from fleet.analysis.preflight import warnings
     from fleet.analysis.stability import analyse, report
     from fleet.scenario.loading import load_scenario
-    from fleet.terminal.progress import showing_steps
+    from fleet.terminal.status_line import showing_steps
 
     refused: list[Problem] = []
     loaded = load_scenario(scenario, [*overrides, *net, *fault], refused=refused)
@@ -89,7 +89,7 @@ def is_log(name: str) -> bool:
 
 def _check_log(log: Path, overrides: tuple[str, ...], *, as_json: bool) -> NoReturn:
     from fleet.repeat.check_log import check_log
-    from fleet.terminal.progress import showing
+    from fleet.terminal.status_line import showing
 
     with showing(f"reading {log}") as reading:
         found = check_log(log, overrides, reading)

@@ -12,7 +12,7 @@ from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.shrink import pieces
 from fleet.cli.study_options import SCHEDULER, WORKERS
 from fleet.cli.types import OVERRIDES, TRUST, Whole, disturbances
-from fleet.terminal.folding import say
+from fleet.terminal.table import say
 
 if TYPE_CHECKING:
     from fleet.scenario.text.overrides import Override

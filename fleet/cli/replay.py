@@ -119,8 +119,7 @@ def replay(
     from fleet.replay.observed import new_observed
     from fleet.replay.playback import PlaybackOptions, Replay
     from fleet.terminal.keyboard import Keyboard
-    from fleet.terminal.progress import showing
-    from fleet.terminal.status_line import StatusLine
+    from fleet.terminal.status_line import StatusLine, showing
 
     if not run_id or set(run_id) & set("/*$?#"):
         raise click.BadParameter(f"expected one part of a key, without / * $ ? #, got {run_id!r}", param_hint="--run")
@@ -284,7 +283,7 @@ def _session(connect: str | None, listen: str | None, credentials: Any, observed
 
 
 def _free_endpoint() -> str:
-    from fleet.processes.ports import free_port
+    from fleet.processes.limits import free_port
 
     return f"tcp/127.0.0.1:{free_port(None)}"
 

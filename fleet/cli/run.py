@@ -18,9 +18,9 @@ from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.group import EPILOG
 from fleet.cli.junit import JUNIT
 from fleet.cli.types import OVERRIDES, TRUST, Duration, Share, Speed, Whole, disturbances, is_given, key_options
-from fleet.terminal.folding import say, stdout
 from fleet.terminal.output import OutputError, give_up_output
-from netem.clock import Clock
+from fleet.terminal.table import say, stdout
+from netem.vehicle_clock import Clock
 
 if TYPE_CHECKING:
     from rich.console import Console as Terminal
@@ -299,7 +299,7 @@ def _load(
 
     if begin is not None:
         from fleet.repeat.resume import continuation, parse_from
-        from fleet.terminal.progress import showing
+        from fleet.terminal.status_line import showing
 
         with showing(f"reading {begin}", quiet=quiet) as tell:
             return continuation(*parse_from(begin), changes, scenario, tell)

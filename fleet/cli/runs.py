@@ -10,11 +10,11 @@ import click
 
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.types import AgeText, Whole, Words
-from fleet.terminal.folding import stdout
+from fleet.terminal.table import stdout
 
 if TYPE_CHECKING:
     from fleet.execution.answers import LiveRunRow
-    from fleet.execution.past_runs import PastRun
+    from fleet.execution.directory import PastRun
 
 WIDE = 100  # columns from which on there is room for what the name says already
 VERDICTS = ("pass", "fail", "broke", "stopped")
@@ -66,7 +66,7 @@ def ls(
     if chosen or yes:
         raise click.UsageError("--keep, --older-than, --verdict and --yes say what --prune removes: give it, too")
     from fleet.cli.documents.logs import Runs
-    from fleet.execution.past_runs import LIVE, past_runs
+    from fleet.execution.directory import LIVE, past_runs
 
     live, found = _live(), past_runs(out)
     size = sum(run.size for run in found)
@@ -103,7 +103,7 @@ def _live() -> list[LiveRunRow]:
 
 def _prune(out: Path, keep: int, older_than_s: float, verdicts: tuple[str, ...] | None, *, yes: bool) -> None:
     """Remove the runs that fit every given option. Without --yes they are only listed."""
-    from fleet.execution.past_runs import FINISHED, past_runs, remove, to_prune
+    from fleet.execution.directory import FINISHED, past_runs, remove, to_prune
 
     chosen = [verdict for verdict in FINISHED if verdicts is None or verdict.lower() in verdicts]
     going = to_prune(past_runs(out), keep=keep, older_than_s=older_than_s, verdicts=chosen)

@@ -17,7 +17,7 @@ from fleet.cli.junit import JUNIT
 from fleet.cli.shrink import MOST_RUNS, pieces, place_of, show_least, write_least
 from fleet.cli.study_options import SCHEDULER, WORKERS, least_options
 from fleet.cli.types import OVERRIDES, TRUST, Budget, disturbances
-from fleet.terminal.folding import say
+from fleet.terminal.table import say
 
 if TYPE_CHECKING:
     from fleet.scenario.scenario import Scenario

@@ -10,7 +10,7 @@ import click
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument, newest_log
 from fleet.cli.types import NO_PROGRESS, TRUST
-from fleet.terminal.folding import say
+from fleet.terminal.table import say
 
 _VERIFY = "Exit status: 0 reproduced, 1 not, 2 no log of ours or it cannot be run here, 3 no message is left in it."
 _DIFF = "Exit status: 0 the same (or within the tolerance), 1 different, 2 one of them is no log."
@@ -35,7 +35,7 @@ def verify(log: Path, as_json: bool) -> None:
     """
     from fleet.repeat.verify import verification_lines
     from fleet.repeat.verify import verify as check
-    from fleet.terminal.progress import showing, showing_time
+    from fleet.terminal.status_line import showing, showing_time
 
     with (
         showing(f"reading {log}") as reading,
@@ -67,11 +67,10 @@ def diff(a: Path, b: Path | None, tolerance: float, everything: bool, as_json: b
       fleet diff runs/paper-1-20261121-120000
       fleet diff a.mcap b.mcap --tolerance 1e-9
     """
-    from fleet.logs.deviation import compare, deviation_lines
-    from fleet.logs.first_difference import begin_ns, besides_messages
+    from fleet.logs.deviation import begin_ns, besides_messages, compare, deviation_lines
     from fleet.logs.reader import LogReader, log_path
     from fleet.logs.schemas import FROM
-    from fleet.terminal.progress import showing
+    from fleet.terminal.status_line import showing
 
     second = newest_log() if b is None else b
     if b is None and log_path(a).exists() and log_path(a).samefile(log_path(second)):
@@ -126,7 +125,7 @@ def recover(log: Path, out: Path | None) -> None:
     from fleet.logs.recover import recover as write
     from fleet.logs.recover import recovery_text
     from fleet.ros2.bag_repair import bag_file, repair
-    from fleet.terminal.progress import showing
+    from fleet.terminal.status_line import showing
 
     with showing(f"recovering {log}") as tell:
         found = write(log, out, tell) if bag_file(log) is None else repair(log, out, tell)

@@ -10,7 +10,7 @@ import click
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument
 from fleet.cli.types import NO_PROGRESS, OVERRIDES, TRUST, Whole, key_options
-from fleet.terminal.folding import say
+from fleet.terminal.table import say
 
 if TYPE_CHECKING:
     from fleet.repeat.what_if import WhatIf
@@ -45,7 +45,7 @@ def command(
       fleet whatif --agent 2 --controller my_module:MyController
     """
     from fleet.repeat.what_if import what_if
-    from fleet.terminal.progress import showing
+    from fleet.terminal.status_line import showing
 
     changes = [*overrides, *key_options(controller=controller)]
     with showing(f"agent {agent}") as tell:

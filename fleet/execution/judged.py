@@ -9,8 +9,8 @@ from typing import Any, Never
 
 from fleet.execution.external_agents import refuse
 from fleet.execution.stepped_run import SteppedRun
+from fleet.recorder.journal import Watcher
 from fleet.recorder.log_file import LogFile
-from fleet.recorder.watched import Watcher
 from fleet.result.result import Result
 from fleet.scenario.loading import changed, load_scenario
 from fleet.scenario.scenario import Scenario

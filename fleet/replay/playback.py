@@ -14,9 +14,9 @@ from fleet.replay.capture_format import ATTACHMENT, DELETE, ENCODING, KIND, zeno
 from fleet.replay.player import RATE_STEP, SEEK_NS, MeasuredRate, Metronome, Player
 from fleet.replay.selection import Renaming, chosen
 from fleet.replay.topics import hand_out
-from fleet.terminal.fitting import Piece
 from fleet.terminal.keyboard import Key, Keyboard
 from fleet.terminal.status_line import StatusLine
+from fleet.terminal.table import Piece
 from netem.wire.keys import Keys
 from netem.wire.open_bus import OpenBus, OpenPublication
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 from fleet.errors import FleetError
 from netem.parsing import nearest
-from netem.wire.key_expressions import matching
+from netem.wire.open_bus import matching
 
 
 def chosen(topics: Iterable[str], patterns: Sequence[str], expression: str | None) -> set[str]:

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 from msgspec import Meta, Struct
 
 from fleet.quantities import time_ns
-from fleet.scenario.text.shipped import ShippedFiles
+from fleet.scenario.catalogue import ShippedFiles
 from fleet.scenario.text.yaml_reader import Source, plain, read
 from fleet.study.values import axis, values_text
 

@@ -9,8 +9,8 @@ from fleet.replay.capture import PublisherGone
 from fleet.replay.live_journal import LiveJournal
 from fleet.replay.missing import left_out
 from fleet.replay.topics import ask_topics
-from fleet.terminal.fitting import Piece
 from fleet.terminal.status_line import StatusLine
+from fleet.terminal.table import Piece
 from fleet.view.foxglove_server import FELL_BEHIND, FoxgloveChannel, FoxgloveServer, Subscription
 from fleet.view.foxglove_services import services
 from fleet.view.source import LiveSource

@@ -10,14 +10,13 @@ from typing import Any
 
 from fleet.logs.fault_intervals import MOST_EVENTS
 from fleet.logs.reader import LogReadError
-from fleet.logs.run_name import run_name
 from fleet.logs.tape import Tape, Track
-from fleet.logs.topic_names import believer_of, link_of
+from fleet.logs.topic_names import believer_of, link_of, run_name
 from fleet.quantities import vehicle_numbers
 from fleet.repeat.recorded_run import recorded
 from fleet.replay.player import Player
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.checked_signals import checked_signals
+from fleet.scenario.sections.signals import checked_signals
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
 from fleet.view import overview
 from fleet.view.chart_signals import Signals

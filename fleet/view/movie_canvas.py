@@ -15,7 +15,6 @@ from matplotlib.patches import Ellipse
 
 from fleet.logs.records import Array
 from fleet.pictures.style import THIN
-from fleet.scene.link_state import LinkState
 from fleet.scene.model import LegendRow
 from fleet.scene.primitives import (
     AreaShape,
@@ -26,7 +25,7 @@ from fleet.scene.primitives import (
     LineShape,
     Primitive,
 )
-from fleet.scene.styles import PRINT
+from fleet.scene.styles import PRINT, LinkState
 from fleet.view.movie_camera import Camera
 
 TURNS = np.linspace(0.0, 2.0 * np.pi, 37)

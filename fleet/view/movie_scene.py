@@ -16,10 +16,9 @@ from fleet.logs.records import Array
 from fleet.palette import COLOURS
 from fleet.pictures.style import LABEL_PT, LEGEND_PT, TEXT_PT, THIN
 from fleet.scenario.sections.vehicle_events import vehicle_events
-from fleet.scene.link_state import CUT, LinkState
 from fleet.scene.model import LEAST_FLIGHT_S, MOST_FLIGHT_S, STOPS, TRAIL_S
 from fleet.scene.primitives import NED, REFERENCE, points_of, vehicle_frame
-from fleet.scene.styles import FAULT, NO_AGENT, PACKET, PRINT
+from fleet.scene.styles import CUT, FAULT, NO_AGENT, PACKET, PRINT, LinkState
 from fleet.view.movie_camera import SCENE_PT, Camera
 from fleet.view.movie_canvas import TURNS, Canvas, hull, lane, sample, tip
 from fleet.view.movie_chart import MovieChart

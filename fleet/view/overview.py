@@ -15,7 +15,7 @@ from fleet.logs.records import Array
 from fleet.logs.topic import Topic
 from fleet.logs.topic_names import link_topic
 from fleet.view.chart_signals import ChartSignal
-from netem.causes import Cause
+from netem.fault_kinds import Cause
 
 MOST_SAMPLES = 600  # of a curve
 MOST_VALUES = 60_000  # of all curves of one chart

@@ -6,7 +6,7 @@ import shlex
 from typing import Any
 
 from fleet.errors import FleetError
-from fleet.execution.fault_request import checked_fault
+from fleet.execution.operator import checked_fault
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.fault_words import read_fault
 

@@ -23,8 +23,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from queue import SimpleQueue
 
-from netem.wire.session import log_zenoh
-from netem.wire.settings import PIECE_BYTES
+from netem.wire.session import PIECE_BYTES, log_zenoh
 
 log = logging.getLogger(__name__)
 

@@ -21,12 +21,11 @@ from free_ports import free_port
 from live import LiveRun
 from waiting import wait_for
 
-import fleet.execution.launch
+import fleet.execution.supervisor
 from fleet.execution.directory import RunDirectory
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.processes.children import Children, Exit
-from fleet.processes.run_folder import RunFolder
+from fleet.processes.children import Children, Exit, RunFolder
 from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario
 from netem.wire.access import Credentials
@@ -34,7 +33,7 @@ from netem.wire.audit import CUT_OFF
 from netem.wire.bus import Bus
 from netem.wire.keys import Keys
 from netem.wire.open_bus import OpenBus
-from netem.wire.settings import PIECE_BYTES
+from netem.wire.session import PIECE_BYTES
 
 HUGE = 150_000_000
 
@@ -52,7 +51,7 @@ def attacked(
         thief.wait_until_up(keys, values["endpoint"])
         attack(thief, keys, values["endpoint"])
 
-    patch.setattr(fleet.execution.launch, "generate", thief.generate)
+    patch.setattr(fleet.execution.supervisor, "generate", thief.generate)
     patch.setattr(RunDirectory, "write_connection", write_and_attack)
     try:
         return execute(load_scenario("paper", SCENARIO), Options(out, quiet=True, audit=audit))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from fleet.cli.log_argument import RUNS
+from fleet.cli.completion import RUNS
 
 
 @click.command()

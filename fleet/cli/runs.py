@@ -1,4 +1,4 @@
-"""The command `fleet ls`: the live runs, and the runs below a directory, which it also removes."""
+"""The commands that list: `fleet list` the scenarios, `fleet ls` the runs, which it also removes."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from fleet.terminal.table import stdout
 if TYPE_CHECKING:
     from fleet.execution.answers import LiveRunRow
     from fleet.execution.directory import PastRun
+
 
 WIDE = 100  # columns from which on there is room for what the name says already
 VERDICTS = ("pass", "fail", "broke", "stopped")
@@ -153,4 +154,44 @@ def _age(seconds: float) -> str:
     return f"{max(0, int(seconds))} s"
 
 
-COMMANDS = (ls,)
+@click.command(name="list")
+@json_option
+def list_(as_json: bool) -> None:
+    """List the scenarios that ship with the package, by group, and the studies.
+
+    fleet ls lists the runs made of them. The cost of a study is the approximate time of all
+    its runs on one processor core, with compiled code.
+    """
+    from fleet.scenario.catalogue import list_scenarios
+    from fleet.study.catalogue import list_studies
+
+    scenarios, studies = list_scenarios(), list_studies()
+    if as_json:
+        from fleet.cli.documents.logs import Scenarios
+
+        print_document(Scenarios(scenarios, studies))
+        return
+    from rich.table import Table
+    from rich.text import Text
+
+    from fleet.scenario.schema.groups import GROUPS
+
+    terminal = stdout()
+    table = Table(box=None, pad_edge=False)
+    for heading in ("scenario", "UUVs", "time", "expect", "what one learns"):
+        table.add_column(heading, no_wrap=heading != "what one learns")
+    for group in GROUPS:
+        table.add_row(Text(group, "bold"))
+        for row in (row for row in scenarios if row.group == group):
+            table.add_row(f"  {row.name}", str(row.vehicles), f"{row.duration_s:g} s", row.expect, row.title)
+    terminal.print(table)
+    terminal.print()
+    table = Table(box=None, pad_edge=False)
+    for heading in ("study", "runs", "cost", "what it asks"):
+        table.add_column(heading, no_wrap=heading != "what it asks")
+    for study in studies:
+        table.add_row(study.name, str(study.runs), f"{study.core_s / 60:.0f} min", study.title)
+    terminal.print(table)
+
+
+COMMANDS = (ls, list_)

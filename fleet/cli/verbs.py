@@ -17,14 +17,14 @@ class Verb(NamedTuple):
 
 GROUPS: dict[str, dict[str, Verb]] = {
     "Start": {
-        "list": Verb("listing", "List the scenarios and studies that ship (runs: ls)."),
+        "list": Verb("runs", "List the scenarios and studies that ship (runs: ls)."),
         "new": Verb("new", "Write a scenario, law, protocol, check or vehicle."),
         "check": Verb("check", "Check a scenario without running it, or judge a log."),
         "run": Verb("run", "Run a scenario and judge it."),
         "reproduce": Verb("reproduce", "Run the paper's simulations again and judge its claims."),
     },
     "Live runs": {
-        "status": Verb("status", "Show how a run is doing, and its faults."),
+        "status": Verb("live", "Show how a run is doing, and its faults."),
         "view": Verb("view", "Show a live run or a log in the browser."),
         "inject": Verb("live", "Inject a fault."),
         "heal": Verb("live", "End a fault, or all of them."),
@@ -36,7 +36,7 @@ GROUPS: dict[str, dict[str, Verb]] = {
         "info": Verb("logs", "Summarise a log."),
         "plot": Verb("logs", "Draw pictures of logs or of a study."),
         "report": Verb("logs", "Write one HTML page about logs or a study."),
-        "movie": Verb("movie", "Make a GIF or an MP4 of a log."),
+        "movie": Verb("logs", "Make a GIF or an MP4 of a log."),
         "export": Verb("logs", "Write a log as tables, or as a scenario."),
         "fit": Verb("fit", "Fit link states to a trace of a link."),
     },
@@ -44,7 +44,7 @@ GROUPS: dict[str, dict[str, Verb]] = {
         "verify": Verb("verify", "Run a log's scenario again and compare every byte."),
         "diff": Verb("verify", "Compare two logs."),
         "why": Verb("why", "Explain why a check failed."),
-        "whatif": Verb("what_if", "Compare another agent's commands with the log's."),
+        "whatif": Verb("verify", "Compare another agent's commands with the log's."),
         "replay": Verb("replay", "Publish a log on zenoh again."),
         "recover": Verb("verify", "Save what is left of a damaged log."),
     },
@@ -57,7 +57,7 @@ GROUPS: dict[str, dict[str, Verb]] = {
         "shrink": Verb("shrink", "Make a failing run as small as possible."),
     },
     "Other hosts and programs": {
-        "agent": Verb("join", "Run an external vehicle's agent in this terminal."),
+        "agent": Verb("protocol", "Run an external vehicle's agent in this terminal."),
         "hosts": Verb("hosts", "Prepare a run over several hosts: certificates, a router."),
         "protocol": Verb("protocol", "Print the wire protocol, or check an agent."),
         "record": Verb("replay", "Record zenoh traffic to an MCAP file."),

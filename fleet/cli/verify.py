@@ -1,16 +1,21 @@
-"""The commands that prove a log right or make it usable: verify, diff, recover."""
+"""The commands that prove a log right, compare it or make it usable: verify, diff, whatif, recover."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument, newest_log
-from fleet.cli.types import NO_PROGRESS, TRUST
+from fleet.cli.types import NO_PROGRESS, OVERRIDES, TRUST, Whole, key_options
 from fleet.terminal.table import say
+
+if TYPE_CHECKING:
+    from fleet.repeat.what_if import WhatIf
+
 
 _VERIFY = "Exit status: 0 reproduced, 1 not, 2 no log of ours or it cannot be run here, 3 no message is left in it."
 _DIFF = "Exit status: 0 the same (or within the tolerance), 1 different, 2 one of them is no log."
@@ -133,4 +138,70 @@ def recover(log: Path, out: Path | None) -> None:
     sys.exit(1 if found.nothing else 3 if found.lost else 0)
 
 
-COMMANDS = (verify, diff, recover)
+@click.command(name="whatif")
+@log_argument
+@click.option("--agent", type=Whole(min=1), required=True, help="The number of the vehicle.")
+@click.option("--controller", metavar="LAW", help="Short for --set controller=LAW: a name, or package.module:Class.")
+@OVERRIDES
+@TRUST
+@click.option("--plot", type=click.Path(path_type=Path), help="Draw both commands into this file (png, svg, pdf).")
+@json_option
+@NO_PROGRESS
+def command(
+    log: Path,
+    agent: int,
+    controller: str | None,
+    overrides: tuple[str, ...],
+    plot: Path | None,
+    as_json: bool,
+) -> None:
+    """Give another agent the navigation and messages of one in LOG, and compare their commands.
+
+    This is open loop: the vehicle still moves by the recorded commands. Without a change the commands are identical.
+
+    \b
+    Examples:
+      fleet whatif --agent 3
+      fleet whatif --agent 3 --controller bsmc --plot 3.png
+      fleet whatif --agent 1 --set 'tracking.k_u=2 1/s' --set profile=hardened
+      fleet whatif --agent 2 --controller my_module:MyController
+    """
+    from fleet.repeat.what_if import what_if
+    from fleet.terminal.status_line import showing
+
+    changes = [*overrides, *key_options(controller=controller)]
+    with showing(f"agent {agent}") as tell:
+        found = what_if(log, agent, changes, tell)
+    if plot is not None:
+        from fleet.logs.reader import digest, log_path
+        from fleet.repeat.what_if_picture import draw
+
+        draw(found, plot, digest(log_path(log)))
+    if as_json:
+        print_document(found.compared)
+        return
+    for note in found.notes:
+        say(f"note  {note}", err=True)
+    say("\n".join([*what_if_lines(found), *([str(plot)] if plot is not None else [])]))
+
+
+def what_if_lines(found: WhatIf) -> list[str]:
+    """The comparison in words."""
+    shown = found.compared
+    if not len(found.t):
+        return [f"agent {found.agent} commanded nothing in this log"]
+    lines = [
+        f"agent {found.agent}: {shown.samples} samples from t = {found.t[0]:g} to {found.t[-1]:g} s, "
+        f"{found.heard} messages heard, {found.lives} {'life' if found.lives == 1 else 'lives'}"
+    ]
+    if found.identical:
+        return [*lines, "identical: every command is that of the log, to the last bit"]
+    lines.append(f"the commands differ from t = {found.first_s:g} s on")
+    lines += [
+        f"  {name:<13} at most {c.max:.4g} {c.unit} away (t = {c.at_s:g} s), RMS {c.rms:.4g} {c.unit}"
+        for name, c in shown.components.items()
+    ]
+    return lines
+
+
+COMMANDS = (verify, diff, recover, command)

@@ -570,7 +570,7 @@ def test_a_run_is_no_scenario(tmp_path: Path) -> None:
 def test_list_fits_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     out = StringIO()
     monkeypatch.setattr(
-        "fleet.cli.listing.stdout", lambda: Terminal(file=out, width=80, force_terminal=True, no_color=True)
+        "fleet.cli.runs.stdout", lambda: Terminal(file=out, width=80, force_terminal=True, no_color=True)
     )
     invoke("list")
     text = re.sub(r"\x1b\[\d*m", "", out.getvalue())

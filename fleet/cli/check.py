@@ -104,7 +104,6 @@ def _check_log(log: Path, overrides: tuple[str, ...], *, as_json: bool) -> NoRet
 
 
 def _say_what_is_expected(loaded: Scenario, lines: list[str], refused: list[Problem]) -> None:
-    """A valid scenario in words, and what theory expects of it, which is `lines`."""
     from fleet.analysis.link_shares import link_lines
     from fleet.analysis.seed import HINT, NOTHING, seeded
     from fleet.scenario.scenario import timeline_lines

@@ -124,7 +124,6 @@ def _words(error: Exception) -> str:
 
 
 def _document(ctx: click.Context, error: Exception, message: str, status: int) -> None:
-    """Print an error as the document of a command with `--json`."""
     if json_is_asked(ctx):
         from fleet.cli.documents.failure import failure
 

@@ -418,7 +418,6 @@ def _more(count: int, what: str) -> str:
 
 
 def _worst(vehicles: list[VehicleRow], most: int) -> list[VehicleRow]:
-    """Those with the greatest formation errors, in their order."""
     from fleet.execution.operator import badness
 
     worst = sorted(vehicles, key=lambda row: -badness(row.formation_m))[:most]

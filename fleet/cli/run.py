@@ -256,7 +256,6 @@ def _options(scenario: Scenario, start: Start | None, how: RunOptions, terminal:
 
 
 def _tell_plan(scenario: Scenario, start: Start | None, *, in_process: bool) -> None:
-    """Say on stderr what will happen in a run."""
     from fleet.scenario.scenario import timeline_lines
 
     for line in [*(start.notes if start else ()), *timeline_lines(scenario, MOST_FAULTS)]:
@@ -310,7 +309,6 @@ def _load(
 
 
 def _warnings(scenario: Scenario, *, seed_given: bool) -> list[str]:
-    """The warnings about the scenario before it runs."""
     from fleet.analysis.preflight import warnings
     from fleet.analysis.seed import HINT, NOTHING, seeded
     from fleet.analysis.stability import analyse

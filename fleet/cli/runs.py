@@ -86,7 +86,6 @@ def ls(
 
 
 def _live() -> list[LiveRunRow]:
-    """The live runs of this user, wherever they were started."""
     from fleet.execution.answers import LiveRunRow
     from fleet.execution.connection import RemoteError, ask, live_runs
 

@@ -105,7 +105,6 @@ def _schemas(
 
 
 def _as_text(kind: type) -> dict[str, Any]:
-    """The schema of a type that JSON does not know: a path, which is printed as text."""
     assert kind is Path
     return {"type": "string"}
 

@@ -53,7 +53,7 @@ MECHANISMS = (
 LONGEST = (
     *("leader-lost", "leader-lost-standby", "follow-the-leader", "nemesis", "gauss-markov-current"),
     *("partition-heal", "rough-sea", "remus", "mixed"),
-    *("acoustic-noise", "acoustic-80bps", "acoustic-s2c"),
+    *("acoustic-noise", "acoustic-80bps", "acoustic-s2c", "burst", "event-triggered-loss", "election-slow"),
     *("average", "election", "event-triggered", "auction-partition"),
     *("navigation-aid", "navigation-aid-clock", "locate-naive", "locate-naive-loop"),
     *("locate-consistent", "locate-compass"),

@@ -11,7 +11,6 @@ import click
 from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import print_document
 from fleet.cli.study_options import OUT, Asked, Making, making_options, spec_options, study_directory
-from fleet.cli.trust import TrustingCommand
 from fleet.study.spec import BoundarySpec
 from fleet.terminal.table import say, stdout
 
@@ -21,12 +20,11 @@ if TYPE_CHECKING:
     from fleet.study.sweep import Progress
     from fleet.terminal.status_line import StatusLine
     from fleet.terminal.table import Piece
-    from world.plugins.trust import Trust
 
 OUTSIDE = ("below", "above")
 
 
-@click.command(cls=TrustingCommand)
+@click.command()
 @click.argument("scenario", metavar="SCENARIO|DIR", shell_complete=scenarios)
 @spec_options(BoundarySpec)
 @OUT
@@ -52,7 +50,7 @@ def boundary(scenario: str, asked: Asked[BoundarySpec], out: Path, how: Making) 
     from fleet.study.engine import need_extra
 
     need_extra()
-    borders, modules, timeout_s = _opened(scenario, asked, how.trust) or _prepared(scenario, asked, out, how)
+    borders, modules, timeout_s = _opened(scenario, asked) or _prepared(scenario, asked, out, how)
     if borders.open():
         _run(borders, modules, timeout_s, how)
     found = borders.found()
@@ -60,14 +58,14 @@ def boundary(scenario: str, asked: Asked[BoundarySpec], out: Path, how: Making) 
         _show(borders, found)
     picture = _picture(borders, how)
     if how.as_json:
-        from fleet.cli.documents.boundary import boundary_document
+        from fleet.cli.documents.studies import boundary_document
 
         print_document(boundary_document(borders, found, None if picture is None else str(picture)))
     else:
         click.echo(borders.store.directory)
 
 
-def _opened(name: str, asked: Asked[BoundarySpec], trust: Trust) -> tuple[Borders, Modules, float] | None:
+def _opened(name: str, asked: Asked[BoundarySpec]) -> tuple[Borders, Modules, float] | None:
     """The study of a directory, the modules that its runs need and the time that a run may take; None: it is none."""
     from fleet.study.borders import Borders
     from fleet.study.spec import seconds
@@ -80,7 +78,7 @@ def _opened(name: str, asked: Asked[BoundarySpec], trust: Trust) -> tuple[Border
         return None
     borders = Borders(Store.open(directory))
     timeout = asked.spec.timeout if "timeout" in asked.names else borders.record.timeout
-    return borders, modules_again(borders.store, trust), seconds(timeout)
+    return borders, modules_again(borders.store), seconds(timeout)
 
 
 def _prepared(name: str, asked: Asked[BoundarySpec], out: Path, how: Making) -> tuple[Borders, Modules, float]:
@@ -92,7 +90,7 @@ def _prepared(name: str, asked: Asked[BoundarySpec], out: Path, how: Making) -> 
         raise click.UsageError(
             "no key to search along: give --along KEY=LOW..HIGH, such as 'network.links.*.loss=0 %..95 %'"
         )
-    store, modules = prepare_borders(border_plan(name, spec), spec, new_directory(name, out), how.trust, how.warn)
+    store, modules = prepare_borders(border_plan(name, spec), spec, new_directory(name, out), how.warn)
     return Borders(store), modules, spec.timeout_s
 
 
@@ -117,7 +115,7 @@ def _picture(borders: Borders, how: Making) -> Path | None:
     from fleet.study.pictures.border import write_borders
 
     try:
-        picture = write_borders(borders, theory(borders, how.trust))
+        picture = write_borders(borders, theory(borders))
     except StudyError as error:  # the answer is there without it
         say(f"there is no picture: {error}", err=True)
         return None

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fleet.cli.types import Duration
+from fleet.cli.types import NO_PROGRESS, Duration
 from fleet.terminal.table import say
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     "--picture", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
     help="Draw the lengths of bursts, of TRACE and of the fit, into this file (png, svg, pdf).",
 )  # fmt: skip
+@NO_PROGRESS
 def fit(trace: Path, states: str, interval: int | None, picture: Path | None) -> None:
     """Fit link states to what TRACE (CSV) says was delivered, and print them for a scenario.
 

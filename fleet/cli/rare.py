@@ -12,7 +12,6 @@ from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import print_document
 from fleet.cli.shrink import pieces
 from fleet.cli.study_options import Making, changing_options, making_options
-from fleet.cli.trust import TrustingCommand
 from fleet.cli.types import Duration, Whole
 from fleet.terminal.table import say
 
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from fleet.study.rare import RareFound
 
 
-@click.command(cls=TrustingCommand)
+@click.command()
 @click.argument("scenario", shell_complete=scenarios)
 @click.option("--check", metavar="NAME", required=True, help="The check whose failures are rare.")
 @click.option("--repeats", metavar="N", type=Whole(1, 10_000), default=20, show_default=True,
@@ -59,9 +58,9 @@ def rare(
     from fleet.study.study_file import refuse_study
 
     refuse_study(scenario)
-    loaded = load_scenario(scenario, changes, how.trust)
+    loaded = load_scenario(scenario, changes)
     if loaded.spec.log.snapshot is None:
-        loaded = changed(loaded, ["log.snapshot=1 s"], how.trust)
+        loaded = changed(loaded, ["log.snapshot=1 s"])
     modules = modules_of([loaded], Path(scenario).parent if Path(scenario).exists() else None)
     path = out or Path(f"{loaded.name}-rare.json")
     with how.showing(pieces) as tell, how.engine() as engine:

@@ -12,7 +12,6 @@ import click
 from fleet.cli import junit as cli_junit
 from fleet.cli.documents.output import print_document
 from fleet.cli.study_options import Making, making_options
-from fleet.cli.trust import TrustingCommand
 from fleet.terminal.table import say
 
 if TYPE_CHECKING:
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from fleet.terminal.table import Piece
 
 
-@click.command(cls=TrustingCommand)
+@click.command()
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path, file_okay=False))
 @click.option("--accept", is_flag=True, help="Expect the present verdicts from now on.")
 @cli_junit.JUNIT
@@ -40,14 +39,14 @@ def regress(folder: Path, accept: bool, junit: Path | None, how: Making) -> None
     """
     from fleet.study.failures import FailureFolder, Regression
 
-    regression = Regression(FailureFolder(folder), how.trust)
+    regression = Regression(FailureFolder(folder))
     of = len(regression.failures)
     with how.showing(_pieces) as tell, how.engine() as engine:
         found = regression.run(engine, lambda made: tell(made, of), engine.carry(regression.modules))
     changed = regression.accept(found) if accept else 0
     cli_junit.write(junit, folder.name, cli_junit.of_regress(found))
     if how.as_json:
-        from fleet.cli.documents.search import regressed
+        from fleet.cli.documents.studies import regressed
 
         print_document(regressed(folder, found))
     else:

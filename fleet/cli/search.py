@@ -16,7 +16,6 @@ from fleet.cli.documents.output import print_document
 from fleet.cli.junit import JUNIT
 from fleet.cli.shrink import MOST_RUNS, pieces, place_of, show_least, write_least
 from fleet.cli.study_options import Making, changing_options, least_options, making_options
-from fleet.cli.trust import TrustingCommand
 from fleet.cli.types import Budget
 from fleet.terminal.table import say
 
@@ -28,13 +27,12 @@ if TYPE_CHECKING:
     from fleet.study.modules import Modules
     from fleet.study.search import Searched
     from fleet.study.shrink import Shrunk
-    from world.plugins.trust import Trust
 
 
 NemesisMode = Literal["swarm", "liveness"] | None
 
 
-@click.command(cls=TrustingCommand)
+@click.command()
 @click.argument("scenario", shell_complete=scenarios)
 @click.option("--budget", metavar="RUNS|TIME", type=Budget(), default="200", show_default=True,
               help="The number of seeds to try, or the time in which new ones begin, e.g. '10 min'.")  # fmt: skip
@@ -83,7 +81,7 @@ def search(
         said = "--keep writes a file for each kind of failure"
         raise click.UsageError(f"{said}, so it cannot be used together with --out or --force")
     mode: NemesisMode = "liveness" if liveness else "swarm" if nemesis else None
-    tried, modules = _tried(scenario, changes, how.trust, mode)
+    tried, modules = _tried(scenario, changes, mode)
     hunt = _Hunt(tried, check, keep, keep or place_of(tried, out, force=force))
     with how.showing(pieces) as tell, how.engine() as engine:
         try:
@@ -152,7 +150,7 @@ class _Hunt:
         write_least(self.least.scenario, self.path)
 
 
-def _tried(name: str, changes: list[str | Override], trust: Trust, mode: NemesisMode) -> tuple[Scenario, Modules]:
+def _tried(name: str, changes: list[str | Override], mode: NemesisMode) -> tuple[Scenario, Modules]:
     """The scenario of the search, and the modules that its runs need; `mode`: of the nemesis that the scenario gets."""
     from fleet.scenario.loading import load_scenario
     from fleet.study.modules import modules_of
@@ -160,9 +158,9 @@ def _tried(name: str, changes: list[str | Override], trust: Trust, mode: Nemesis
     from fleet.study.study_file import refuse_study
 
     refuse_study(name)
-    tried = load_scenario(name, changes, trust)
+    tried = load_scenario(name, changes)
     if mode is not None:
-        tried = load_scenario(name, [*changes, nemesis_of(tried, mode)], trust)
+        tried = load_scenario(name, [*changes, nemesis_of(tried, mode)])
     return tried, modules_of([tried], Path(name).parent if Path(name).exists() else None)
 
 
@@ -170,7 +168,7 @@ def _print(
     found: Searched, least: Shrunk | None, check: str | None, path: Path, kept: list[FoundFailure], *, as_json: bool
 ) -> None:
     if as_json:
-        from fleet.cli.documents.search import first_failing
+        from fleet.cli.documents.studies import first_failing
 
         print_document(first_failing(found, least, path, kept))
     elif found.scenario is not None and least is not None:

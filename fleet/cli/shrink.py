@@ -10,7 +10,6 @@ import click
 from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import print_document
 from fleet.cli.study_options import Making, changing_options, least_options, making_options
-from fleet.cli.trust import TrustingCommand
 from fleet.cli.types import Whole
 from fleet.terminal.table import say
 
@@ -20,12 +19,11 @@ if TYPE_CHECKING:
     from fleet.study.shrink import Shrunk
     from fleet.terminal.status_line import StatusLine
     from fleet.terminal.table import Piece
-    from world.plugins.trust import Trust
 
 MOST_RUNS = 2000
 
 
-@click.command(cls=TrustingCommand)
+@click.command()
 @click.argument("failing", metavar="LOG|SCENARIO", shell_complete=scenarios)
 @changing_options
 @click.option("--check", metavar="NAME", help="The check that must still fail; by default the first that fails.")
@@ -57,7 +55,7 @@ def shrink(
     from fleet.study.modules import modules_of
     from fleet.study.shrink import Shrinker
 
-    scenario, folder = _scenario(failing, changes, how.trust)
+    scenario, folder = _scenario(failing, changes)
     path = place_of(scenario, out, force=force)
     modules = modules_of([scenario], folder)
     with how.showing(pieces) as tell, how.engine() as engine:
@@ -68,7 +66,7 @@ def shrink(
             raise
     write_least(found.scenario, path)
     if how.as_json:
-        from fleet.cli.documents.study import less
+        from fleet.cli.documents.studies import less
 
         print_document(less(found, scenario, path))
     else:
@@ -125,17 +123,17 @@ def show_least(scenario: Scenario, found: Shrunk, path: Path) -> None:
     click.echo(path)
 
 
-def _scenario(name: str, changes: list[str | Override], trust: Trust) -> tuple[Scenario, Path | None]:
+def _scenario(name: str, changes: list[str | Override]) -> tuple[Scenario, Path | None]:
     from fleet.scenario.catalogue import shipped_scenarios
     from fleet.scenario.loading import load_scenario
 
     path = Path(name)
     if name in shipped_scenarios() or path.suffix in (".yaml", ".yml"):
-        return load_scenario(name, changes, trust), path.parent if path.exists() else None
+        return load_scenario(name, changes), path.parent if path.exists() else None
     from fleet.repeat.recorded_run import recorded
     from fleet.scenario.trust import Policy
 
-    return recorded(path).script(changes, Policy(trust)), None
+    return recorded(path).script(changes, Policy()), None
 
 
 COMMANDS = (shrink,)

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 import click
 
 from fleet.cli.documents.output import json_option
-from fleet.cli.trust import trust_option
-from fleet.cli.types import FORCE, OVERRIDES, Whole, disturbances, is_given
+from fleet.cli.types import FORCE, OVERRIDES, TRUST, Whole, disturbances, is_given
 from fleet.study.spec import BoundarySpec, Kind, Spec, SpecField, StudySpec, fields
 from fleet.terminal.table import say
 
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
     from fleet.scenario.text.overrides import Override
     from fleet.study.engine import Engine
     from fleet.terminal.table import Piece
-    from world.plugins.trust import Trust
 
 F = TypeVar("F", bound=Callable[..., Any])
 S = TypeVar("S", StudySpec, BoundarySpec)
@@ -47,14 +45,12 @@ class Making:
     Attributes:
         workers: of this machine; None: one per core.
         scheduler: address of a Dask cluster, to be used instead.
-        trust: modules that may run although they are not installed.
         as_json: print one document.
         quiet: show no progress.
     """
 
     workers: int | None
     scheduler: str | None
-    trust: Trust
     as_json: bool
     quiet: bool
 
@@ -95,13 +91,13 @@ def making_options(quiet: str = "No progress.") -> Callable[[F], F]:
     def add(command: F) -> F:
         @wraps(command)
         def with_how(
-            *arguments: Any, workers: int | None, scheduler: str | None, trust: Trust, as_json: bool, quiet: bool,
+            *arguments: Any, workers: int | None, scheduler: str | None, as_json: bool, quiet: bool,
             **options: Any,
         ) -> Any:  # fmt: skip
-            return command(*arguments, how=Making(workers, scheduler, trust, as_json, quiet), **options)
+            return command(*arguments, how=Making(workers, scheduler, as_json, quiet), **options)
 
         made = click.option("-q", "--quiet", is_flag=True, help=quiet)(with_how)
-        return WORKERS(SCHEDULER(trust_option(json_option(made))))  # type: ignore[return-value]
+        return WORKERS(SCHEDULER(TRUST(json_option(made))))  # type: ignore[return-value]
 
     return add
 

@@ -14,7 +14,6 @@ from fleet.cli.completion import studies
 from fleet.cli.documents.output import print_document
 from fleet.cli.junit import JUNIT
 from fleet.cli.study_options import OUT, Asked, Making, making_options, spec_options, study_directory
-from fleet.cli.trust import TrustingCommand
 from fleet.study.spec import KeepLogs, StudySpec
 from fleet.terminal.table import say, stdout
 
@@ -28,12 +27,11 @@ if TYPE_CHECKING:
     from fleet.study.sweep import Progress
     from fleet.terminal.status_line import StatusLine
     from fleet.terminal.table import Piece
-    from world.plugins.trust import Trust
 
 _MOST_TOLD = 10  # logs that are not kept
 
 
-@click.command(cls=TrustingCommand)
+@click.command()
 @click.argument("scenario", metavar="SCENARIO|STUDY|DIR", shell_complete=studies)
 @spec_options(StudySpec)
 @OUT
@@ -76,7 +74,7 @@ def sweep(
     need_extra()
     directory = study_directory(scenario, asked)
     if show_config:
-        click.echo(_as_file(scenario, directory, asked, how.trust), nl=False)
+        click.echo(_as_file(scenario, directory, asked), nl=False)
         return
     if directory is None:
         store, spec, modules = _prepared(scenario, asked, out, how)
@@ -87,7 +85,7 @@ def sweep(
     if junit is not None:
         cli_junit.write(junit, store.record.scenario, cli_junit.of_study(store))
     if how.as_json:
-        from fleet.cli.documents.study import swept
+        from fleet.cli.documents.studies import swept
 
         print_document(swept(store, shown))
     elif how.quiet:
@@ -96,14 +94,14 @@ def sweep(
         _show(store, shown)
 
 
-def _as_file(name: str, directory: Path | None, asked: Asked[StudySpec], trust: Trust) -> str:
+def _as_file(name: str, directory: Path | None, asked: Asked[StudySpec]) -> str:
     from fleet.study.plan import plan_of
     from fleet.study.study_file import study_yaml
     from fleet.study.sweep import declared, load_points
 
     if directory is None:
         study = _asked_for(name, asked)
-        declared(study.spec, load_points(plan_of(*study), trust, refused=[]))  # laws that may not run are no mistake
+        declared(study.spec, load_points(plan_of(*study), refused=[]))  # laws that may not run are no mistake
         return study_yaml(study.spec)
     return study_yaml(_opened(directory, asked)[1])
 
@@ -137,7 +135,7 @@ def _prepared(name: str, asked: Asked[StudySpec], out: Path, how: Making) -> tup
     plan = plan_of(*study)
     if not study.spec.vary:
         _nothing_varied(plan, how)
-    store, modules = prepare(plan, new_directory(name, out), how.trust, study.spec, warn=how.warn)
+    store, modules = prepare(plan, new_directory(name, out), study.spec, warn=how.warn)
     return store, study.spec, modules
 
 
@@ -165,7 +163,7 @@ def _run(store: Store, spec: StudySpec, modules: Modules | None, how: Making) ->
     if not missing and not logs_to_make(store, spec.keep_logs):
         return
     if modules is None:
-        modules = modules_again(store, how.trust)
+        modules = modules_again(store)
     with how.showing(_pieces) as tell, how.engine() as workers:
         try:
             progress = run_study(
@@ -188,7 +186,7 @@ def _nothing_varied(plan: Plan, how: Making) -> None:
     from fleet.study.sweep import load_points
 
     hint = "--vary varies a key: --vary 'loss=0 %..60 %/20 %' --net '* loss {loss}' varies the loss of all links"
-    (scenario,) = load_points(plan, how.trust)
+    (scenario,) = load_points(plan)
     if len(plan.seeds) > 1 and not seeded(scenario):
         raise click.UsageError(
             f"nothing is varied, and nothing in {scenario.name} depends on the seed: all {len(plan.seeds)} runs would "

@@ -10,7 +10,6 @@ import click
 from fleet.cli.documents.output import print_document
 from fleet.cli.log_argument import log_argument
 from fleet.cli.study_options import Making, making_options
-from fleet.cli.trust import TrustingCommand
 from fleet.cli.types import Whole
 from fleet.terminal.table import say
 
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
 MOST_RUNS = 24
 
 
-@click.command(cls=TrustingCommand)
+@click.command()
 @log_argument
 @click.option("--check", metavar="NAME", help="The check that failed; by default the first one that did.")
 @click.option("--picture", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
@@ -49,7 +48,7 @@ def why(log: Path, check: str | None, picture: Path | None, budget: int, how: Ma
 
         format_of(picture)
     with how.showing(_pieces) as tell:
-        explanation = Explanation(Question(log, check, budget, how.trust), tell)
+        explanation = Explanation(Question(log, check, budget), tell)
         if explanation.searches:
             with how.engine() as engine:
                 found = explanation.find(engine, engine.carry(explanation.modules))

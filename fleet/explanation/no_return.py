@@ -49,7 +49,6 @@ from netem.lives import Lives
 from netem.wire.messages import Command, Fate, Frame
 from world.config import vehicle_memories
 from world.errors import WorldError
-from world.plugins.trust import Trust
 
 RUNS = "runs that are healed"  # what is being made, for `tell`
 _FIRST, _THEN = 6, 3  # moments that are tried together
@@ -62,7 +61,7 @@ How = Literal["bisected", "scanned", "not needed", "not possible"]
 class HealedRun(Struct, frozen=True):
     """A run that was healed at a moment."""
 
-    at_s: Annotated[float, Meta(description="No fault was on from this time on [s].")]
+    at_s: Annotated[float, Meta(description="No fault was on from this time on.")]
     passed: Annotated[bool | None, Meta(description="Whether it passed the check; null: it could not be judged.")]
     from_snapshot: Annotated[bool, Meta(description="Whether only the rest of the run was made, from a snapshot.")]
 
@@ -70,10 +69,10 @@ class HealedRun(Struct, frozen=True):
 class NoReturn(Struct, frozen=True):
     """The point of no return, or why there is none."""
 
-    how: Annotated[How, Meta(description="How it was looked for.")]
-    words: Annotated[str, Meta(description="What was found.")]
-    passes_s: Annotated[float | None, Meta(description="The last moment from which it passes [s]; null: none.")] = None
-    fails_s: Annotated[float | None, Meta(description="The next tried moment, from which it fails [s].")] = None
+    how: How
+    words: str
+    passes_s: Annotated[float | None, Meta(description="The last moment from which it passes; null: none.")] = None
+    fails_s: Annotated[float | None, Meta(description="The next tried moment, from which it fails.")] = None
     tried: Annotated[list[HealedRun], Meta(description="The runs that were made, by moment.")] = []
 
 
@@ -136,10 +135,10 @@ class _Watch:
                 moments[-1] = moments[-1]._replace(state=state)
 
 
-def with_moments(scenario: Scenario, trust: Trust) -> Scenario:
+def with_moments(scenario: Scenario) -> Scenario:
     """The scenario with a snapshot at each moment when healing is possible."""
     every_ns = _every(scenario) * scenario.tick_ns
-    return changed(scenario, [f"log.snapshot={show_time(every_ns)}"], trust)
+    return changed(scenario, [f"log.snapshot={show_time(every_ns)}"])
 
 
 def _every(scenario: Scenario) -> int:

@@ -36,7 +36,6 @@ from fleet.study.statistics import Estimate, pass_rate
 from fleet.study.store import Store
 from fleet.study.sweep import Progress, Work, prepare, task_of
 from fleet.study.values import Axis, axis, parse_axis
-from world.plugins.trust import NOTHING, Trust
 
 MOST_STEPS = 500  # of a range, where they are chosen for the user
 MOST_PLACES = 1000  # along an axis; each takes 0.3 MB
@@ -124,7 +123,6 @@ def prepare_borders(
     plan: Plan,
     spec: BoundarySpec,
     directory: Path,
-    trust: Trust = NOTHING,
     warn: Callable[[str], None] = lambda _: None,
 ) -> tuple[Store, Modules]:
     """Check every point that may be run, and make the directory of the study.
@@ -133,7 +131,6 @@ def prepare_borders(
         plan: the plan. The border is sought along its last axis, see `parse_along`.
         spec: the settings of the study. The directory keeps them.
         directory: directory of the new study.
-        trust: modules that may run, in addition to installed ones and the user's own.
         warn: called with a line of text for each check that cannot pass.
 
     Raises:
@@ -143,7 +140,7 @@ def prepare_borders(
     if not 0.0 < spec.level < 1.0:
         raise StudyError(f"the level must be between 0 and 1, got {spec.level:g}")
     border = BorderRecord(**structs.asdict(spec), log=plan.axes[-1].scale == "log")
-    return prepare(plan, directory, trust, border=border, warn=warn)
+    return prepare(plan, directory, border=border, warn=warn)
 
 
 class Borders:
@@ -330,13 +327,13 @@ class Theory:
     reckoning: int | None
 
 
-def theory(borders: Borders, trust: Trust) -> list[Theory]:
+def theory(borders: Borders) -> list[Theory]:
     """Of each border what theory says.
 
     Raises:
         ScenarioError: a law of a scenario may not be loaded here, or a scenario is damaged.
     """
-    return [_theory(borders, number, Policy(trust, A_STUDY)) for number in range(borders.count)]
+    return [_theory(borders, number, Policy(A_STUDY)) for number in range(borders.count)]
 
 
 def _theory(borders: Borders, number: int, policy: Policy) -> Theory:

@@ -34,7 +34,6 @@ from fleet.study.plan import run_key
 from fleet.study.row import Row
 from fleet.study.shrink import Shrinker
 from netem.private_file import read_file, write_whole
-from world.plugins.trust import Trust
 
 INDEX = "failures.json"
 FORMAT = 1  # of both JSON files
@@ -200,7 +199,7 @@ class Regressed:
 class Regression:
     """The scenarios of a folder, read and ready to run."""
 
-    def __init__(self, folder: FailureFolder, trust: Trust) -> None:
+    def __init__(self, folder: FailureFolder) -> None:
         """Read every scenario.
 
         Raises:
@@ -210,7 +209,7 @@ class Regression:
         self._folder, self.failures = folder, folder.failures()
         if not self.failures:
             raise StudyError(f"{folder.path} holds no failures: fleet search SCENARIO --keep {folder.path} fills it")
-        policy = Policy(trust, A_STUDY)
+        policy = Policy(A_STUDY)
         self._scenarios = [folder.load(failure, policy) for failure in self.failures]
         for scenario in self._scenarios:
             refuse(scenario, "a run of a study")

@@ -30,7 +30,7 @@ from fleet.study.errors import StudyError
 from fleet.study.measures import MEASURES, Samples
 from fleet.study.modules import NO_MODULES, Modules, folder_of
 from fleet.study.row import FAILED, PREFIX, CheckRow, Row
-from world.plugins.trust import Trust
+from world.plugins.trust import Trust, trusting
 
 A_STUDY = "a study names it"  # why a law that is not installed needs trust
 GRACE_S = 1.0  # a law may end its tick so long after the time that the run may take
@@ -149,8 +149,8 @@ def recorded(
 def scenario_of(task: Task) -> Scenario:
     """The scenario of a run. Raises ScenarioError."""
     modules = task.modules
-    policy = Policy(Trust(fingerprints=frozenset(modules.fingerprints)), stranger=A_STUDY)
-    return parse_scenario(task.text, task.name, [f"seed={task.seed}"], folder_of(modules), policy)
+    with trusting(Trust(fingerprints=frozenset(modules.fingerprints))):
+        return parse_scenario(task.text, task.name, [f"seed={task.seed}"], folder_of(modules), Policy(A_STUDY))
 
 
 def _measured(result: Result, samples: Samples) -> Row:

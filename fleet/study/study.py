@@ -30,7 +30,7 @@ from fleet.study.store import Store
 from fleet.study.study_file import NamedStudy, study_named
 from fleet.study.summary import PointSummary, summarise
 from fleet.study.sweep import Progress, prepare, run_study
-from world.plugins.trust import NOTHING, Trust
+from world.plugins.trust import trusting
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -168,16 +168,14 @@ class Study:
 
         return write(self._store, measures, self.directory / "plots" if folder is None else Path(folder), formats)
 
-    def rerun(
-        self, point: int | Mapping[str, Any], seed: int, out: Path = Path("runs"), trust: Trust = NOTHING
-    ) -> Result:
+    def rerun(self, point: int | Mapping[str, Any], seed: int, out: Path = Path("runs"), trust: bool = False) -> Result:
         """Make one of its runs again with its log; the digest is that of the row.
 
         Args:
             point: number of the point, or its values by key.
             seed: seed of the run.
             out: the run's directory is made in this folder.
-            trust: modules that may run although they are not installed.
+            trust: run modules, too, that are not installed.
 
         Raises:
             StudyError: there is no such point.
@@ -194,8 +192,9 @@ class Study:
         else:
             raise StudyError(f"there is no point {point}: they are 0 to {len(rows) - 1}")
         record = self._store.record
-        policy = Policy(trust, A_STUDY)
-        scenario = parse_scenario(row.scenario, record.scenario, [f"seed={seed}"], self._store.folder, policy)
+        changes = [f"seed={seed}"]
+        with trusting(trust):
+            scenario = parse_scenario(row.scenario, record.scenario, changes, self._store.folder, Policy(A_STUDY))
         return execute(scenario, Options(out, in_process=True, quiet=True))
 
 
@@ -217,7 +216,7 @@ def sweep(
     out: str | Path | None = None,
     workers: int | None = None,
     scheduler: Any = None,
-    trust: Trust = NOTHING,
+    trust: bool = False,
     progress: Callable[[Progress], None] = lambda _: None,
     **options: Unpack[SweepKeywords],
 ) -> Study:
@@ -229,7 +228,7 @@ def sweep(
         out: the directory of the new study; None: one below `studies`.
         workers: processes of this machine; None: one per core.
         scheduler: of an existing Dask cluster: an address or a cluster object; None: workers of this machine.
-        trust: modules that may run, in addition to installed ones and the user's own.
+        trust: run modules, too, that are neither installed nor the user's own.
         progress: called several times a second.
         options: these.
 
@@ -243,7 +242,8 @@ def sweep(
     study = study_named(str(scenario)) or NamedStudy(StudySpec(str(scenario)))
     spec = study.spec.changed(**keywords(StudySpec, {"vary": vary, **options}))
     directory = new_directory(str(scenario)) if out is None else Path(out)
-    store, modules = prepare(plan_of(spec, study.origin), directory, trust, spec)
+    with trusting(trust):
+        store, modules = prepare(plan_of(spec, study.origin), directory, spec)
     with engine_of(workers, scheduler) as engine:
         run_study(store, engine, progress, modules=modules, timeout_s=spec.timeout_s, budget_s=spec.budget_s)
     return Study(store)
@@ -289,17 +289,18 @@ class Boundary:
         """One per combination of the other axes. Raises StudyError."""
         return self._borders.found()
 
-    def write_picture(self, trust: Trust = NOTHING) -> Path:
+    def write_picture(self, trust: bool = False) -> Path:
         """Draw the borders, with what theory says of them, as `border.png` in the study's directory.
 
         Args:
-            trust: which modules may be loaded that are not installed.
+            trust: load modules, too, that are not installed.
 
         Raises:
             ScenarioError: a law may not be loaded.
             StudyError: there is too much for one picture, or the file cannot be written.
         """
-        return write_borders(self._borders, theory(self._borders, trust))
+        with trusting(trust):
+            return write_borders(self._borders, theory(self._borders))
 
 
 @takes(BoundarySpec)
@@ -311,7 +312,7 @@ def boundary(
     out: str | Path | None = None,
     workers: int | None = None,
     scheduler: Any = None,
-    trust: Trust = NOTHING,
+    trust: bool = False,
     progress: Tell = lambda *_, **__: None,
     **options: Unpack[BoundaryKeywords],
 ) -> Boundary:
@@ -324,7 +325,7 @@ def boundary(
         out: the directory of the new study; None: one below `studies`.
         workers: processes of this machine; None: one per core.
         scheduler: of an existing Dask cluster: an address or a cluster object; None: workers of this machine.
-        trust: modules that may run, in addition to installed ones and the user's own.
+        trust: run modules, too, that are neither installed nor the user's own.
         progress: called several times a second.
         options: these.
 
@@ -336,7 +337,8 @@ def boundary(
     need_extra()
     spec = BoundarySpec(**keywords(BoundarySpec, {"along": along, "per": per, **options}))
     directory = new_directory(str(scenario)) if out is None else Path(out)
-    store, modules = prepare_borders(border_plan(str(scenario), spec), spec, directory, trust)
+    with trusting(trust):
+        store, modules = prepare_borders(border_plan(str(scenario), spec), spec, directory)
     with engine_of(workers, scheduler) as engine:
         find_borders(Borders(store), engine, progress, modules=modules, timeout_s=spec.timeout_s)
     return Boundary(store)

@@ -35,7 +35,6 @@ from fleet.study.study_file import placed
 from fleet.study.summary import DEFAULT
 from netem.grammar import WORDS
 from netem.parsing import NUMBER
-from world.plugins.trust import NOTHING, Trust
 
 _WRITE_S, _WRITE_ROWS = 10.0, 1000  # rows wait at most so long, or until there are so many
 
@@ -78,7 +77,6 @@ class Progress:
 def prepare(
     plan: Plan,
     directory: Path,
-    trust: Trust = NOTHING,
     spec: StudySpec | None = None,
     border: BorderRecord | None = None,
     warn: Callable[[str], None] = lambda _: None,
@@ -88,7 +86,6 @@ def prepare(
     Args:
         plan: the runs.
         directory: of the new study.
-        trust: modules that may run, in addition to installed ones and the user's own.
         spec: the source of the plan; the directory keeps it.
         border: the object of the search, if the study is that of a border.
         warn: called with each check that cannot pass, in words.
@@ -100,7 +97,7 @@ def prepare(
         ScenarioError: with the mistakes of all points, each once.
         StudyError: two points are the same, or the directory cannot be made.
     """
-    scenarios = load_points(plan, trust)
+    scenarios = load_points(plan)
     for text in point_warnings(plan, scenarios):
         warn(text)
     first, path = scenarios[0], Path(plan.scenario)
@@ -145,14 +142,14 @@ def declared(spec: StudySpec, scenarios: Sequence[Scenario]) -> tuple[tuple[str,
     return tuple(column.name for column in find_columns(measures, columns)), columns
 
 
-def modules_again(store: Store, trust: Trust) -> Modules:
+def modules_again(store: Store) -> Modules:
     """The modules that the runs of a study need that is there. It may come from anybody, so they need trust.
 
     Raises:
         ScenarioError: one of them may not run, or a scenario is damaged.
         StudyError: the study is damaged.
     """
-    policy = Policy(trust, A_STUDY)
+    policy = Policy(A_STUDY)
     name, folder = store.record.scenario, store.folder
     scenarios = [parse_scenario(point.scenario, name, folder=folder, policy=policy) for point in store.points]
     return _modules(scenarios, folder)
@@ -358,7 +355,7 @@ def _keep_logs(work: Work, like: Task, kept: KeepLogs) -> None:
 _NUMBER = re.compile(rf"(?<!\w){NUMBER.pattern}", re.ASCII)
 
 
-def load_points(plan: Plan, trust: Trust = NOTHING, *, refused: list[Problem] | None = None) -> list[Scenario]:
+def load_points(plan: Plan, *, refused: list[Problem] | None = None) -> list[Scenario]:
     """The scenario of each point.
 
     Args:
@@ -371,7 +368,7 @@ def load_points(plan: Plan, trust: Trust = NOTHING, *, refused: list[Problem] | 
     mistakes: dict[tuple[int, str], tuple[Problem, list[Point]]] = {}
     for point in plan.points:
         try:
-            scenario = load_scenario(plan.scenario, point.changes, trust, refused=refused, origin=plan.origin)
+            scenario = load_scenario(plan.scenario, point.changes, refused=refused, origin=plan.origin)
             scenarios.append(scenario)
         except ScenarioError as error:
             times: Counter[str] = Counter()  # one point may have several that differ only in numbers

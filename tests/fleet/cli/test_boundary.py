@@ -13,7 +13,7 @@ from made_up_study import damage
 from small_scenario import SMALL
 from study_engine import Drawn
 
-from fleet.cli.documents.boundary import BoundaryFound
+from fleet.cli.documents.studies import BoundaryFound
 from fleet.cli.main import cli
 
 ARGS = [

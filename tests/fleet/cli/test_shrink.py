@@ -11,7 +11,7 @@ from click.testing import CliRunner, Result
 from small_scenario import SMALL, small
 from study_engine import Here
 
-from fleet.cli.documents.study import Less
+from fleet.cli.documents.studies import Less
 from fleet.cli.main import cli
 from fleet.cli.shrink import write_least
 from fleet.execution.judged import run

@@ -15,7 +15,7 @@ from made_up_study import damage
 from small_scenario import SMALL
 from study_engine import Here
 
-from fleet.cli.documents.study import Swept
+from fleet.cli.documents.studies import Swept
 from fleet.cli.main import cli
 from fleet.study.row import Row
 from fleet.study.store import Store

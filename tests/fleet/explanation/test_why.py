@@ -19,7 +19,6 @@ from fleet.explanation.no_return import HealingSearch, healed, remake, with_mome
 from fleet.explanation.why import Explanation, Question, Why, lines
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.study.modules import NO_MODULES
-from world.plugins.trust import NOTHING
 
 LONGER = SMALL.replace("duration: 1 s", "duration: 2 s")
 PUSH = "faults: [{at: 300 ms, for: 1500 ms, id: push, wrench: {vehicles: 1, force: -40 0 0 N}}]\n"
@@ -110,7 +109,7 @@ def test_a_push(small_log: Path) -> None:
 
 def test_from_a_snapshot_or_from_the_start_is_the_same(small_log: Path) -> None:
     """A run from a snapshot on is that from the start, so both find the same moment."""
-    scenario = with_moments(load_scenario(str(small_log / "scenario.yaml")), NOTHING)
+    scenario = with_moments(load_scenario(str(small_log / "scenario.yaml")))
     remade = remake(scenario, lambda share: None)
     found = []
     for over_time in (True, False):
@@ -214,7 +213,7 @@ def test_the_words_are_of_the_log(small_log: Path) -> None:
 def test_a_fault_that_is_over_changes_nothing_by_its_healing() -> None:
     """Its moments need no run: each is the run itself, which fails."""
     scenario = with_moments(
-        parse_scenario(LONGER + PUSH.replace("1500 ms", "100 ms").replace("-40", "-600") + TIGHT, "small.yaml"), NOTHING
+        parse_scenario(LONGER + PUSH.replace("1500 ms", "100 ms").replace("-40", "-600") + TIGHT, "small.yaml")
     )
     search = HealingSearch(remake(scenario, lambda share: None), "formation_error", Here(), lambda doing, runs: None)
     assert max(one.tick for one in search._moments) * scenario.tick_ns < 400_000_000
@@ -234,7 +233,7 @@ def test_of_a_log_that_ends_before_the_check_fails(small_log: Path, tmp_path: Pa
 def test_an_agent_that_comes_back_by_healing() -> None:
     """Snapshots after its end have no memory of it, so these runs are made from their start."""
     text = LONGER + "faults: [{at: 400 ms, kill: 1}]\nchecks: {max_age: {below: 900 ms}, tumbled: waived}\n"
-    scenario = with_moments(parse_scenario(text, "small.yaml"), NOTHING)
+    scenario = with_moments(parse_scenario(text, "small.yaml"))
     search = HealingSearch(remake(scenario, lambda share: None), "max_age", Here(), lambda doing, runs: None)
     found = search.run(24)
     assert found.passes_s == 1.2  # news of it is older than 900 ms from 1.3 s on

@@ -20,7 +20,7 @@ from fleet.scenario.scenario import Scenario
 from fleet.study.branches import Branch, run_branch
 from fleet.study.row import PartRow
 from netem.draws import salted
-from world.plugins.trust import Trust
+from world.plugins.trust import trusting
 
 SELDOM = """\
 title: Two vehicles, and how old their news of each other gets
@@ -138,7 +138,8 @@ def test_a_signal_counts_once_the_snapshot_has_the_noise_that_made_it(
     monkeypatch.chdir(tmp_path)
     check = "{signal: [{name: high, topic: control.total, vehicles: '1', below: 15.5}], tumbled: waived}"
     changes = ("agent={law: 'drunk:Drunk'}", "sensors={position_noise: 0.1 m}", f"checks={check}")
-    scenario = load_scenario(Path("drunk.yaml"), changes, Trust(everything=True))
+    with trusting(True):
+        scenario = load_scenario(Path("drunk.yaml"), changes)
     places = [place for salt in (1, 2, 3) for place in part_of(scenario, Branch("high", salt)).places]
     assert len(places) > 6
     for margin, state in places:

@@ -16,7 +16,7 @@ from fleet.study.plan import plan_of
 from fleet.study.spec import StudySpec
 from fleet.study.study_file import is_study, parse_study, study_named
 from fleet.study.sweep import load_points
-from world.plugins.trust import Trust
+from world.plugins.trust import trusting
 
 
 def parse(text: str, folder: Path | None = None) -> StudySpec:
@@ -193,6 +193,6 @@ def test_laws_of_a_study_obey_the_rules_of_scenarios(
     assert Path("it_ran").exists() is runs
     assert ("has no 'Law'" if runs else f"would run {module}.py, which is not installed") in str(caught.value)
     if not runs:
-        with pytest.raises(ScenarioError, match="has no 'Law'"):
-            load_points(plan_of(*named), Trust(everything=True))
+        with pytest.raises(ScenarioError, match="has no 'Law'"), trusting(True):
+            load_points(plan_of(*named))
         assert Path("it_ran").exists()

@@ -27,7 +27,7 @@ from fleet.study.study import Study, open_study
 from fleet.study.summary import summarise
 from fleet.study.sweep import Progress, modules_again, prepare, run_study
 from fleet.study.values import parse_axis
-from world.plugins.trust import Trust
+from world.plugins.trust import trusting
 
 CHECKS = Override(SET, "checks={formation_error: {below: 0.9 m, after: 0.9 s}}")
 LINKS = Override(SET, "network.links={'*': delay 50ms loss 10%}")
@@ -140,7 +140,8 @@ def test_a_run_without_a_frame_is_a_row(small_file: str, tmp_path: Path) -> None
     assert row.status == "broken"
     assert "no" in row.reason
     assert row.number("wall_s") > 0
-    assert modules_again(store, Trust(everything=True)).fingerprints == modules.fingerprints
+    with trusting(True):
+        assert modules_again(store).fingerprints == modules.fingerprints
 
 
 def test_a_strangers_study_cannot_fill_the_memory_or_the_terminal(

@@ -1,16 +1,9 @@
-"""The document of each command with `--json`.
-
-Those of `fleet bench` stand beside what measures, which reads them again with `--compare`.
-"""
+"""The document of each command with `--json`."""
 
 from __future__ import annotations
 
 from msgspec import Struct
 
-from fleet.bench.figures import ComparedFiles, Measured
-from fleet.bench.scale import Scaled
-from fleet.bench.studies import StudyMeasured
-from fleet.bench.wall_clock import OnWallClock
 from fleet.cli.documents import live
 from fleet.cli.documents.boundary import BoundaryFound
 from fleet.cli.documents.check import Checked
@@ -24,11 +17,6 @@ from fleet.result.result import Result
 from fleet.study.rare import RareFound
 
 DOCUMENTS: dict[str, type[Struct]] = {
-    "bench": Measured,
-    "bench compare": ComparedFiles,
-    "bench real": OnWallClock,
-    "bench scale": Scaled,
-    "bench study": StudyMeasured,
     "boundary": BoundaryFound,
     "check": Checked,
     "check-log": LogJudged,

@@ -118,9 +118,8 @@ def test_the_schema_of_one_command() -> None:
     result = invoke("schema", "verify")
     assert json.loads(result.stdout) == schema("verify")
     assert [option["$ref"] for option in schema("verify")["anyOf"]] == ["#/$defs/Verified", "#/$defs/FailedCommand"]
-    assert json.loads(invoke("schema", "bench", "real").stdout) == schema("bench real")
     refused = invoke("schema", "script")
-    assert (refused.exit_code, "script has no --json; there are bench, bench compare, " in refused.stderr) == (2, True)
+    assert (refused.exit_code, "script has no --json; there are boundary, check, " in refused.stderr) == (2, True)
 
 
 def test_numbers_that_are_not_finite_and_names_that_are_no_text_are_printed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -40,6 +40,8 @@ class _Group(click.Group):
         except FleetError as error:
             click.echo(f"benchmarks: {error}", err=True)
             ctx.exit(error.status)
+        except KeyboardInterrupt:
+            ctx.exit(130)
 
 
 @click.group(cls=_Group, invoke_without_command=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import secrets
 import socket
@@ -14,12 +15,14 @@ from ipaddress import ip_address
 from types import FrameType
 
 from fleet.errors import FleetError
+from fleet.processes.limits import allow_most_open_files
 from fleet.view.live_feed import LiveFeed
 from fleet.view.log_feed import LogFeed
 from netem.private_folder import PrivateFolder, runtime_place
 
 LOOPBACK = "127.0.0.1"
-BACKLOG = 64  # connections that are accepted at once, before any of them is looked at
+MOST_HEADER_BYTES = 16_384  # of a request, so that whoever has no token holds no more of our memory
+SILENT_S = 3.0  # for a whole request; a browser sends its own at once
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +82,6 @@ def serve(feed: LiveFeed | LogFeed, listener: PageListener, *, may_act: bool) ->
     from nicegui import ui
 
     from fleet.view.guard import Guard
-    from fleet.view.half_open import HalfOpen
     from fleet.view.page import Page
 
     page = Page(feed, may_act=may_act)
@@ -98,11 +100,11 @@ def serve(feed: LiveFeed | LogFeed, listener: PageListener, *, may_act: bool) ->
         show_welcome_message=False,
     )
     page.begin()
-    guarded = HalfOpen(Guard(app, listener.token, listener.port, listener.names))
+    allow_most_open_files()  # whoever reaches the port can open connections and stay silent
     config = uvicorn.Config(
-        guarded,
-        http=guarded.protocol(),  # type: ignore[arg-type]
-        backlog=BACKLOG,
+        Guard(app, listener.token, listener.port, listener.names),
+        http=_impatient(),
+        h11_max_incomplete_event_size=MOST_HEADER_BYTES,
         proxy_headers=False,
         log_level="error",
         access_log=False,
@@ -117,6 +119,22 @@ def serve(feed: LiveFeed | LogFeed, listener: PageListener, *, may_act: bool) ->
             self.force_exit = False
 
     Server(config).run(sockets=[listener.listening])
+
+
+def _impatient() -> type[asyncio.Protocol]:
+    """A connection that is closed if no whole request came in time; h11, since httptools has no limit of headers."""
+    from uvicorn.protocols.http.h11_impl import H11Protocol
+
+    class Impatient(H11Protocol):
+        def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+            super().connection_made(transport)
+            self.loop.call_later(SILENT_S, self._close_if_silent)
+
+        def _close_if_silent(self) -> None:
+            if self.cycle is None and self in self.connections:  # which a websocket leaves
+                self.transport.abort()
+
+    return Impatient
 
 
 class Browser:

@@ -16,7 +16,6 @@ from netem.errors import MalformedMessage, OutOfPlace
 from netem.lives import Absence
 from netem.wire.access import WORLD as WORLD
 from netem.wire.access import Members, agent_role, host_role
-from netem.wire.audit import Refusals
 from netem.wire.bundles import Hosts
 from netem.wire.bus import Bus, Respond
 from netem.wire.codec import encode, expect
@@ -42,6 +41,7 @@ from netem.wire.messages import (
     WorldFaults,
 )
 from netem.wire.parts import PART_BYTES, pieces, split
+from netem.wire.refusals import Refusals
 from netem.wire.shell import Probes, Shell
 from world.errors import IntegrationError
 from world.lockstep import Lockstep, NavTo, Out

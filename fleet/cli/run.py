@@ -89,9 +89,6 @@ MOST_FAULTS = 20  # of the scenario, said before it runs
 )
 @click.option("--ros2", is_flag=True, help="Publish the run, and show it to ROS 2 as fleet ros2 does.")
 @click.option(
-    "--audit", is_flag=True, help="Also report each message that the router refuses; the run is a tenth slower."
-)
-@click.option(
     "--wait-for-subscribers",
     is_flag=True,
     help="With --publish, --view or --ros2: begin when there is a listener, such as the page.",
@@ -216,8 +213,6 @@ def _options(scenario: Scenario, start: Start | None, how: dict[str, Any], termi
     for warning in place.warnings if place else ():
         terminal.print(f"warning: {warning}", style="bold red", highlight=False, markup=False, soft_wrap=True)
     _check_clock(how["speed"], how["clock"], one_process)
-    if how["audit"] and (one_process or (place and place.router)):
-        raise click.UsageError(f"--audit needs a run with a router of its own, so not with {one_process or '--router'}")
     if how["ros2"] and one_process:
         raise click.UsageError(
             f"--ros2 needs a run with processes, so not with {one_process}; fleet ros2 plays its log afterwards"
@@ -239,7 +234,6 @@ def _options(scenario: Scenario, start: Start | None, how: dict[str, Any], termi
         start_order=_shuffle(how["start_order"]),
         join_timeout_s=how["join_timeout"] / 1e9,
         rendezvous=place,
-        audit=how["audit"],
     )
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import IO, Any, Protocol
@@ -24,14 +23,6 @@ GONE_S = 1.0  # a connection that was lost is back sooner, if it comes back
 MOST_QUEUED = 100_000  # samples; beyond that zenoh's thread waits, and with it the sender
 MOST_CHANNELS = 65_535  # MCAP numbers them with 16 bits
 MOST_BATCH = 1000
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """When a recording ends by itself; None: never."""
-
-    duration_ns: int | None = None
-    size: int | None = None
 
 
 class SampleWriter(Protocol):
@@ -168,14 +159,15 @@ class Recorder:
     def record(
         self,
         writer: SampleWriter,
-        limits: Limits,
+        duration_ns: int | None,
         line: StatusLine,
         interrupted: Callable[[], KeyboardInterrupt | None] = lambda: None,
         over: Callable[[], bool] | None = None,
     ) -> bool:
-        """Record until a limit is reached, nothing more can come, or an exception ends it.
+        """Record until the time is over, nothing more can come, or an exception ends it.
 
         Args:
+            duration_ns: wall time; None: without limit.
             over: asked when nothing came for a while, whether anything can.
 
         Returns:
@@ -187,12 +179,12 @@ class Recorder:
         """
         began = seen_ns = time.monotonic_ns()
         seen, rate = 0, 0.0
-        end = None if limits.duration_ns is None else began + limits.duration_ns
+        end = None if duration_ns is None else began + duration_ns
         while True:
             if (interruption := interrupted()) is not None:
                 raise interruption
             now = time.monotonic_ns()
-            if (end is not None and now >= end) or (limits.size is not None and writer.size >= limits.size):
+            if end is not None and now >= end:
                 return False
             if now - seen_ns >= FLUSH_NS:
                 rate, seen, seen_ns = (writer.samples - seen) * 1e9 / (now - seen_ns), writer.samples, now

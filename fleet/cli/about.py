@@ -123,7 +123,7 @@ def _run(run: Path) -> Iterator[tuple[str, str]]:
 
 
 def _checks(result: Result) -> Iterator[tuple[str, str]]:
-    failed = [verdict for verdict in result.verdicts if not verdict.passed]
+    failed = [verdict for verdict in result.checks if not verdict.passed]
     for verdict in failed[:_MOST_CHECKS]:
         yield "failed", f"{verdict.check}: {verdict.asked}; found {verdict.found}"
     if len(failed) > _MOST_CHECKS:

@@ -139,7 +139,7 @@ def _section(number: int, run: Run, found: RunResult, kinds: Sequence[str], view
         status=None if result is None else Mark(result.passed, result.words),
         reason="" if result is None else result.reason,
         first=first,
-        checks=checks_table([] if result is None else result.verdicts),
+        checks=checks_table([] if result is None else result.checks),
         faults=Table(("fault", "from [s]", "to [s]", "what"), faults),
         events=Table(("event", "times", "first at [s]"), [(e.what, e.times, f"{e.first_s:.10g}") for e in events]),
         tables=_tables(run, result),

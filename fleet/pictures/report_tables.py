@@ -44,10 +44,10 @@ def side_by_side(runs: Sequence[Run], results: Sequence[Result | None]) -> Table
         if result is None:
             rows.append([*row, *["-"] * (len(headings) - len(row))])
             continue
-        good = sum(verdict.passed for verdict in result.verdicts)
+        good = sum(verdict.passed for verdict in result.checks)
         row += [
             Mark(result.passed, result.status.replace("_", " ")),
-            f"{good} of {len(result.verdicts)}" if result.verdicts else "-",
+            f"{good} of {len(result.checks)}" if result.checks else "-",
         ]
         vehicles = list(result.vehicles.values())
         row += [

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
+import fleet
 from agents.controllers import CONTROLLERS
-from fleet.execution.in_memory import Array, record
-from fleet.reproduce.measures import vehicle_measures
+from fleet.reproduce.measures import Array, recorded, vehicle_measures
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
+from netem.private_folder import PrivateFolder
 
 U, D = "undisturbed", "disturbed"
 SEAS = (U, D)
@@ -103,7 +104,7 @@ class Outcome:
     metrics: list[dict[str, Any]]
     t: Array
     signals: dict[str, Any] = field(default_factory=dict)  # float32 arrays (sample, vehicle, component), thinned
-    inputs: dict[str, Any] = field(default_factory=dict)  # of UUV 1 at every sample: t, demand, tau
+    inputs: dict[str, Any] = field(default_factory=dict)  # of UUV 1 at every sample: t, demand, applied
     broken: str = ""
 
     @property
@@ -125,9 +126,10 @@ _PICTURED = ("e", "rho", "u_cmd", "K", "z")
 def run_case(name: str, progress: Any) -> Outcome:
     """Run one case and measure it."""
     scenario = CASES[name].scenario()
-    recording = record(scenario, progress)
-    recording.signals["z"] = np.sqrt(recording["u_err"] ** 2 + recording["q_err"] ** 2 + recording["r_err"] ** 2)
+    with PrivateFolder("reproduce") as folder, fleet.Run(scenario, log=folder / "run.mcap") as run:
+        result = run.to_end(progress)
+        recording = recorded(fleet.open_log(folder / "run.mcap"))
     every = max(1, round(EVERY_S * 1e9 / scenario.tick_ns))
     kept = {key: recording[key][::every].astype(np.float32) for key in _PICTURED if key in recording.signals}
-    inputs = {key: recording[key][:, 0].astype(np.float32) for key in ("demand", "tau")} | {"t": recording.t}
-    return Outcome(name, vehicle_measures(recording), recording.t[::every], kept, inputs, recording.broken)
+    inputs = {key: recording[key][:, 0].astype(np.float32) for key in ("demand", "applied")} | {"t": recording.t}
+    return Outcome(name, vehicle_measures(recording), recording.t[::every], kept, inputs, result.reason)

@@ -2,20 +2,62 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from math import tau
 from typing import Any
 
 import numpy as np
 
+import fleet
 from agents.laws.kinematics import earth_velocity
-from fleet.execution.in_memory import Array, Recording
 from fleet.recorder.metrics import SETTLE_FRACTION, SETTLE_M
 from fleet.recorder.settling import settling_time
+from fleet.scenario.scenario import Scenario
 from world.tumble import LIMIT_RAD
 
 CALM_LATE_S = 10.0  # undisturbed, "late" is this long
 FIRST_S = 2.0  # the initial effort is counted over so long
 PEAK_AFTER_S = 5.0  # what comes later is no part of the start any more
+SIGNALS = {  # by topic of a vehicle, of which the report needs each sample
+    "state": (), "error": ("e",), "command": ("applied",), "guidance": ("rho", "u_cmd", "K"),
+    "control": ("u_err", "q_err", "r_err", "demand"),
+}  # fmt: skip
+ETA, NU = ("x", "y", "z", "theta", "psi"), ("u", "v", "w", "q", "r")
+
+Array = np.ndarray[Any, np.dtype[np.float64]]
+
+
+@dataclass(slots=True)
+class Recording:
+    """One run: every signal as an array (sample, vehicle, component), from t = 0; NaN where none is logged."""
+
+    scenario: Scenario
+    t: Array  # s, shape (samples,)
+    signals: dict[str, Array] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> Array:
+        return self.signals[name]
+
+
+def recorded(log: fleet.Log) -> Recording:
+    """The signals of a log."""
+    scenario = log.scenario
+    t = max((log[f"uuv/{i}/state"].t for i in range(1, scenario.vehicles + 1)), key=len)
+    made = Recording(scenario, t)
+    for i in range(1, scenario.vehicles + 1):
+        for name, fields in SIGNALS.items():
+            topic = log[f"uuv/{i}/{name}"]
+            values = {field: topic[field].reshape(len(topic), -1) for field in fields if field in topic.units}
+            if name == "state":
+                values = {
+                    "eta": np.stack([topic[each] for each in ETA], axis=1),
+                    "nu": np.stack([topic[each] for each in NU], axis=1),
+                }
+            for key, value in values.items():
+                of_all = made.signals.setdefault(key, np.full((len(t), scenario.vehicles, value.shape[1]), np.nan))
+                of_all[np.searchsorted(t, topic.t), i - 1] = value
+    made.signals["z"] = np.sqrt(made["u_err"] ** 2 + made["q_err"] ** 2 + made["r_err"] ** 2)
+    return made
 
 
 def vehicle_measures(recording: Recording) -> list[dict[str, Any]]:
@@ -26,7 +68,7 @@ def vehicle_measures(recording: Recording) -> list[dict[str, Any]]:
     rows = []
     for i in range(recording.scenario.vehicles):
         e = np.linalg.norm(recording["e"][:, i], axis=1)
-        z, tau_, demand = recording["z"][:, i, 0], recording["tau"][:, i], recording["demand"][:, i]
+        z, tau_, demand = recording["z"][:, i, 0], recording["applied"][:, i], recording["demand"][:, i]
         rho, K, theta = recording["rho"][:, i], recording["K"][:, i], recording["eta"][:, i, 3]
         rows.append(
             {

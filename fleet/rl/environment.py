@@ -11,7 +11,7 @@ from pettingzoo import ParallelEnv
 
 from agents.loop import AgentLoop
 from fleet.errors import FleetError
-from fleet.execution.stepped_run import State, SteppedRun
+from fleet.execution.stepped_run import Run, State
 from fleet.result.result import Result, Status
 from fleet.rl.policy_agent import Choices, HeldLife, PolicyAgent, Seat, without_memory
 from fleet.rl.spaces import Values, action_of, decided, name_of, observation, observed, values_of
@@ -46,7 +46,7 @@ class FleetEnv(ParallelEnv[str, Values, Values]):  # type: ignore[misc]
         self._seeds: np.random.Generator | None = None  # of episodes that are asked for without a seed
         self._seats: dict[str, Seat] = {}
         self._margin = 0.0
-        self.run: SteppedRun | None = None  # of this episode: to look at, and to inject faults
+        self.run: Run | None = None  # of this episode: to look at, and to inject faults
 
     def observation_space(self, agent: str) -> spaces.Dict:
         """The space of an agent's observations."""
@@ -91,7 +91,7 @@ class FleetEnv(ParallelEnv[str, Values, Values]):  # type: ignore[misc]
             )
         self._seats = {who: self._seat(scenario, i) for who, i in self._vehicles.items()}
         lives = {i: self._maker(scenario, who) for who, i in self._vehicles.items()}
-        self.run, self.agents, self._margin = SteppedRun(scenario, agents=lives), [*self.possible_agents], 0.0
+        self.run, self.agents, self._margin = Run.prepared(scenario, agents=lives), [*self.possible_agents], 0.0
         self.run.go(1)
         self._look()
         self._rewards()

@@ -127,7 +127,7 @@ def _seen(scenario: Scenario, check: Callable[[float], None] | None, seen: SeenS
     """The row of a run, with what it went through, and when each margin was least [s]."""
     result = judged(scenario, check, seen)
     row = _measured(result) | {"seen": seen.features()}
-    for verdict in result.verdicts:
+    for verdict in result.checks:
         if (margin := verdict.margin) is not None and row[f"margin.{verdict.check}"] == margin.value:
             row[f"at.{verdict.check}"] = margin.at_s
     return row
@@ -174,7 +174,7 @@ def failed_checks(row: Mapping[str, Any]) -> list[str]:
 def _measured(result: Result) -> dict[str, Any]:
     row: dict[str, Any] = {"status": str(result.status), "reason": result.reason, "digest": result.digest}
     row["passed"] = result.passed
-    for verdict in result.verdicts:  # of several of one check the worst, which are those that failed
+    for verdict in result.checks:  # of several of one check the worst, which are those that failed
         name = verdict.check
         if verdict.reached is not None:
             row[column_of(name)] = float(verdict.reached)

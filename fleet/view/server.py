@@ -131,7 +131,7 @@ def _impatient() -> type[asyncio.Protocol]:
             self.loop.call_later(SILENT_S, self._close_if_silent)
 
         def _close_if_silent(self) -> None:
-            if self.cycle is None and self in self.connections:  # which a websocket leaves
+            if not getattr(self, "cycle", None) and self in self.connections:  # which a websocket leaves
                 self.transport.abort()
 
     return Impatient

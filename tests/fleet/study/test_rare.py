@@ -59,7 +59,7 @@ def streak(rounds: int, length: int, loss: float) -> float:
 
 def test_a_part_without_salt_goes_on_as_the_run_did() -> None:
     scenario = seldom()
-    whole = next(verdict for verdict in judged(scenario).verdicts if verdict.check == "max_age")
+    whole = next(verdict for verdict in judged(scenario).checks if verdict.check == "max_age")
     assert whole.margin is not None
     row = run_branch(scenario, Branch("max_age", 0), lambda t: None)
     assert row["best"] == whole.margin.value and row["ticks"] == scenario.ticks

@@ -22,7 +22,7 @@ from fleet.errors import RunBroken
 from fleet.processes.ports import free_port
 from fleet.replay.attachment import Stamp, pack
 from fleet.replay.capture_format import zenoh_encoding
-from fleet.replay.missing import pack_counts
+from fleet.replay.live_journal import pack_counts
 from fleet.replay.observed import Observed, host_observed
 from fleet.replay.publisher import ENTRY, LENGTH
 from fleet.replay.topics import hand_out

@@ -11,7 +11,7 @@ from repository import ROOT
 
 PACKAGES = ("netem", "world", "agents", "fleet")
 MODULES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
-LIMIT = 400  # lines
+LIMIT = 600  # lines
 
 # Longer ones, each with its reason.
 LONGER: dict[str, str] = {}

@@ -25,7 +25,7 @@ from fleet.logs.reader import Record
 from fleet.logs.schemas import FAULT, flat_schema
 from fleet.replay.attachment import unpack
 from fleet.replay.capture_format import zenoh_encoding
-from fleet.replay.missing import Missing
+from fleet.replay.live_journal import Missing
 from fleet.replay.publisher import BATCH_BYTES, LivePublisher
 from fleet.scenario.loading import load_scenario
 from netem.errors import BusError

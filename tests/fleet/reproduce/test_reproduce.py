@@ -14,15 +14,32 @@ import fleet
 from agents.controllers import CONTROLLERS
 from fleet.cli.main import cli
 from fleet.processes.interrupts import HungUp
-from fleet.reproduce.cases import CASES, NAMES, D, Outcome, U, run_case
-from fleet.reproduce.claims import CORRECTED, NO_K_MAX, PRINTED, judge
-from fleet.reproduce.figures import DASHED, FIGURES, OF_CONTROLLERS, OF_VEHICLES, TAU_MAX, consensus_errors, inputs
-from fleet.reproduce.measures import Recording, late_s, recorded, tumbled, vehicle_measures
-from fleet.reproduce.report import write
+from fleet.reproduce.cases import (
+    CASES,
+    NAMES,
+    D,
+    Outcome,
+    Recording,
+    U,
+    late_s,
+    recorded,
+    run_case,
+    tumbled,
+    vehicle_measures,
+)
+from fleet.reproduce.claims import CORRECTED, NO_K_MAX, PRINTED, Claim, ClaimCheck, judge
+from fleet.reproduce.figures import (
+    DASHED,
+    FIGURES,
+    OF_CONTROLLERS,
+    OF_VEHICLES,
+    TAU_MAX,
+    consensus_errors,
+    inputs,
+    topology,
+)
+from fleet.reproduce.report import HEADINGS, chosen, table_1, write
 from fleet.reproduce.run import _network_check
-from fleet.reproduce.table1 import HEADINGS, chosen, table_1
-from fleet.reproduce.topology import topology
-from fleet.reproduce.verdicts import Claim, ClaimCheck
 from fleet.result.result import Result, Status
 
 

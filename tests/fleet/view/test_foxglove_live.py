@@ -58,8 +58,8 @@ def joined(observed: Observed) -> Iterator[OpenBus]:
 
 def test_only_what_viewers_want_is_fetched(log: Path, tmp_path: Path) -> None:
     """And what tells the time. The publisher sees who subscribes; a replay stands in for a run here."""
-    observed = new_observed(endpoint(), "0123abcd")
-    replay = Replay(Tape(log), PlaybackOptions(run=observed.run, rate=0.0))
+    observed = new_observed(endpoint(), "replay")
+    replay = Replay(Tape(log), PlaybackOptions(speed=0.0))
     publisher = host_observed(observed)
     replay.open(publisher)
 
@@ -92,9 +92,9 @@ def test_only_what_viewers_want_is_fetched(log: Path, tmp_path: Path) -> None:
 
 def test_who_only_watches_cannot_control(log: Path, tmp_path: Path) -> None:
     """With the observer's credentials and nothing else there are no services, whatever is asked for."""
-    observed = new_observed(endpoint(), "0123abcd")
+    observed = new_observed(endpoint(), "replay")
     with session(host_observed(observed)) as publisher, joined(observed) as bus:
-        Replay(Tape(log), PlaybackOptions(run=observed.run)).open(publisher)
+        Replay(Tape(log), PlaybackOptions()).open(publisher)
         with pytest.raises(FleetError, match="only what an observer needs is at hand"):
             LiveBridge(
                 LiveSource(tmp_path, observed, None), LiveJournal(bus, Keys(observed.run)), "127.0.0.1", 0, control=True

@@ -341,7 +341,6 @@ class Run:
 
 
 def _ticks(by: int | str, tick_ns: int) -> int:
-    """So many ticks, 1 at least. Raises FleetError."""
     text = f"step({by!r})"
     try:
         ns = time_ns(by) if isinstance(by, str) else by * tick_ns

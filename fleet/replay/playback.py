@@ -163,7 +163,6 @@ class Replay:
             self.published += 1
 
     def _attachment(self, number: int, sequence: int) -> bytes | None:
-        """The attachment of a sample of captured traffic: the message before it."""
         if not number or not self._attached:
             return None
         entry = self._tape[number - 1]

@@ -138,13 +138,11 @@ def _largest(values: Array) -> float:
 
 
 def _span(values: Array) -> list[float]:
-    """Largest minus smallest of each column."""
     finite = _finite(values)
     return [float(x) for x in np.ptp(finite, axis=0)] if len(finite) else [float("nan")] * values.shape[1]
 
 
 def _mean(values: Array) -> list[float]:
-    """Of each column."""
     finite = _finite(values)
     return [float(x) for x in finite.mean(axis=0)] if len(finite) else [float("nan")] * values.shape[1]
 

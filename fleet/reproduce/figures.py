@@ -130,7 +130,6 @@ def readings(o: Outcomes, sea: str) -> Figure:
 
 
 def _by_vehicle(o: Outcomes, shown: Sequence[Line], key: str, label: str, until_s: float) -> Figure:
-    """The norm of a signal, a panel per vehicle."""
     figure, axes = panels(2, 2)
     for i, ax in enumerate(axes):
         _norms(ax, o, shown, key, i)

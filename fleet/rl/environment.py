@@ -130,7 +130,6 @@ def _array(*values: float) -> np.ndarray[Any, np.dtype[np.float64]]:
 
 
 def _filled(space: spaces.Dict) -> Values:
-    """-1 everywhere, and 0 in messages: nothing is known."""
     return {
         key: _filled(one) if isinstance(one, spaces.Dict) else np.full(one.shape, 0.0 if key == "message" else -1.0)
         for key, one in space.items()

@@ -113,7 +113,6 @@ def _insist_on_laws(scenario: Scenario, vehicles: tuple[int, ...], move: str, *,
 
 
 def _every(scenario: Scenario, every: str | None) -> int:
-    """Ticks from one decision to the next."""
     if every is None:
         return scenario.round_ticks
     try:

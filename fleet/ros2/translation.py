@@ -245,7 +245,6 @@ class Translation:
         })  # fmt: skip
 
     def _made(self, i: int, at_ns: int, some: Mapping[str, Callable[[], Any]]) -> list[RosMessage]:
-        """The wanted messages among the possible ones."""
         return [
             RosMessage(f"/uuv_{i}/{name}", _BY_NAME[f"/uuv_{{i}}/{name}"], at_ns, make())
             for name, make in some.items()

@@ -147,13 +147,11 @@ class LiveBridge:
             line.show(self._describe())
 
     def _take(self) -> None:
-        """Give viewers what has come."""
         for message in self._journal.take():
             self._latest_ns = max(self._latest_ns, message.log_ns)
             self.server.put(self._numbers[message.topic], message.data, message.log_ns)
 
     def _tell(self, line: StatusLine, *, last: bool = False) -> None:
-        """Say how many messages are missing, if they are more than before."""
         now, count = time.monotonic(), self.missing.count if last else self.missing.lost
         if count > self._told and (last or now - self._told_s >= TELL_S):
             self._told, self._told_s = count, now
@@ -162,7 +160,6 @@ class LiveBridge:
             line.print(text)
 
     def _follow(self, number: int) -> None:
-        """Fetch a channel, or no longer, as viewers want."""
         if number in self.server.wanted:
             if number not in self._ends:
                 self._fetch(number)

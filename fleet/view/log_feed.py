@@ -128,7 +128,6 @@ def _most(curves: int) -> int:
 
 
 def _one(signal: ChartSignal, values: Array) -> Array:
-    """The numbers of a signal, of the values of its field."""
     if not len(values):
         return np.empty(0)
     wide = values.reshape(len(values), -1)
@@ -166,7 +165,6 @@ def _at(at: Array, column: tuple[Array, Array]) -> Array:
 
 
 def _age(at: Array, links: Collection[Topic | None]) -> Array:
-    """How old the oldest news of a neighbour is."""
     oldest = np.full(len(at), np.nan)
     for link in links:
         newest = np.zeros(len(at))
@@ -181,7 +179,6 @@ def _age(at: Array, links: Collection[Topic | None]) -> Array:
 
 
 def _lost(at: Array, links: Collection[Topic]) -> Array:
-    """The share of the packets around each time that did not arrive whole."""
     every = max(1, round(LOSS_S / max(1e-9, float(at[1] - at[0]))))
     edges = np.append(at[:-1:every], np.inf)
     lost, total = np.zeros(len(edges) - 1), np.zeros(len(edges) - 1)

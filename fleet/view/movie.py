@@ -157,7 +157,6 @@ def _charted(feed: LogFeed, name: str) -> tuple[str, dict[int, str]]:
 def _drawn(
     feed: LogFeed, scene: MovieScene, begin_s: float, end_s: float, rate: float, fps: int, count: int
 ) -> Iterator[int]:
-    """The numbers of the pictures, each when it is drawn."""
     feed.seek(begin_s)
     scene.remember(feed.picture.history())
     for k in range(count):

@@ -331,7 +331,6 @@ class MovieScene:
         )
 
     def _make_scene(self) -> None:
-        """The axes of the scene, in points, and its legend."""
         axes = self.figure.add_axes((0.0, 0.28, 1.0, SCENE_PT[1] / 72.0 / HEIGHT_IN))
         axes.set(xlim=(0.0, SCENE_PT[0]), ylim=(0.0, SCENE_PT[1]))
         axes.set_axis_off()
@@ -342,7 +341,6 @@ class MovieScene:
         self._canvas = Canvas(axes, self._camera, size)
 
     def _make_texts(self, verdict: Row | None) -> None:
-        """The text above the scene: name, verdict, time, faults and events."""
         name, fault = _short(self._setup["scenario"], 50), PRINT.colour(FAULT)
         self.figure.text(0.02, 0.95, name, size=TEXT_PT + 2, weight="bold", parse_math=False)
         if verdict is not None:

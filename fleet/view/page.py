@@ -263,7 +263,6 @@ class Page:
             viewer.give(changes)
 
     async def _show(self) -> None:
-        """Give every browser each picture, for ever."""
         loop = asyncio.get_running_loop()
         due = loop.time()
         while True:
@@ -284,7 +283,6 @@ class Page:
                     viewer.show(frame)
 
     async def _look(self) -> None:
-        """Ask the console how it is doing, again and again, until the run is over."""
         assert isinstance(self.feed, LiveFeed)
         over, told = False, self.feed.checks
         while not over:
@@ -377,7 +375,6 @@ class Viewer:
         self.element.give({"frame": frame | {"n": self._sent, "slow": now < self._slow_until}})
 
     async def _said(self, said: Row) -> None:
-        """Take an action of a user in the browser."""
         try:
             await self._do(said)
         except FleetError as error:
@@ -438,7 +435,6 @@ class Viewer:
         self.give({"history": self._page.feed.picture.history()})
 
     def _play(self, feed: LogFeed, said: Row) -> None:
-        """Take an action on the time line of a log."""
         at_s: float | None = None
         match said.get("do"):
             case "toggle":
@@ -461,7 +457,6 @@ class Viewer:
         self._page.new = True
 
     async def _download(self) -> None:
-        """The run so far as a scenario."""
         from fleet.repeat.recorded_run import script
 
         page, feed = self._page, self._page.feed

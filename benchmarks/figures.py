@@ -29,7 +29,7 @@ from fleet.cores import cores
 from fleet.errors import FleetError
 from fleet.terminal.table import columns, show
 
-FORMAT = 1  # of the document; another one cannot be compared with this
+FORMAT = 2  # of the document; another one cannot be compared with this
 LEAST = 0.10  # a smaller change counts as noise, however well the repeats agree
 FEWEST = 3  # repeats, or the noise is not known
 BUSY = 0.5  # load per processor before a measurement from which on it says so
@@ -51,16 +51,6 @@ class Figure(Struct, forbid_unknown_fields=True):
     def best(self) -> float:
         """The best sample: other work on the machine only ever makes a measurement worse."""
         return max(self.samples) if self.higher_is_better else min(self.samples)
-
-
-class Machine(Struct, forbid_unknown_fields=True):
-    """The machine that was measured, and its load average per processor when it began."""
-
-    cpus: int
-    processor: str
-    system: str
-    python: str
-    busy: float
 
 
 class Change(Struct):
@@ -95,10 +85,9 @@ class Measured(Struct, forbid_unknown_fields=True):
     format: int
     began: str  # UTC, as ISO 8601 writes it
     command: str
-    machine: Machine
+    machine: dict[str, str]
+    busy: float  # load average per processor when it began
     versions: dict[str, str]
-    cores: str
-    quick: bool
     figures: list[Figure]
     comparison: Comparison | None = None
 
@@ -108,11 +97,14 @@ class Collector:
 
     def __init__(self, *, quick: bool) -> None:
         cpus = os.cpu_count() or 1
-        machine = Machine(cpus, processor(), platform.platform(), platform.python_version(), os.getloadavg()[0] / cpus)
+        machine = {
+            "processors": str(cpus), "processor": processor(), "system": platform.platform(),
+            "Python": platform.python_version(), "cores": cores(), "quick": str(quick),
+        }  # fmt: skip
         began = datetime.now(UTC).isoformat(timespec="seconds")  # noqa: TID251  for people who read the file
         versions = {name: version(name) for name in _PACKAGES}
         command = shlex.join(["python", "-m", "benchmarks", *sys.argv[1:]])
-        self.measured = Measured(FORMAT, began, command, machine, versions, cores(), quick, [])
+        self.measured = Measured(FORMAT, began, command, machine, os.getloadavg()[0] / cpus, versions, [])
 
     def add(
         self,
@@ -143,6 +135,8 @@ def read(path: Path) -> Measured:
     """
     try:
         measured = msgspec.json.decode(path.read_bytes(), type=Measured)
+        if measured.format != FORMAT:
+            raise FleetError(f"{path}: expected format {FORMAT}, got {measured.format}; measure again")
     except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
         raise FleetError(f"{path}: expected the figures that -o wrote: {error}") from error
     for figure in measured.figures:
@@ -189,7 +183,7 @@ def _change(old: Figure, new: Figure) -> Change:
 
 def _warnings(old: Measured, new: Measured, of_machine: Sequence[Change]) -> list[str]:
     """Why the two may not be comparable."""
-    then, now = ({**_flat(measured), **measured.versions} for measured in (old, new))
+    then, now = (measured.machine | measured.versions for measured in (old, new))
     told = [
         f"{what}: {then.get(what, 'none')} then, {now.get(what, 'none')} now"
         for what in dict.fromkeys([*then, *now])
@@ -201,19 +195,11 @@ def _warnings(old: Measured, new: Measured, of_machine: Sequence[Change]) -> lis
         if change.verdict != "same"
     ]
     for which, measured in (("then", old), ("now", new)):
-        if measured.machine.busy > BUSY:
-            told.append(f"the machine was busy {which}: load {measured.machine.busy:.1f} per processor")
+        if measured.busy > BUSY:
+            told.append(f"the machine was busy {which}: load {measured.busy:.1f} per processor")
     if min(len(figure.samples) for measured in (old, new) for figure in measured.figures) < FEWEST:
         told.append(f"figures with fewer than {FEWEST} repeats: their noise is not known, so they count as same")
     return told
-
-
-def _flat(measured: Measured) -> dict[str, str]:
-    machine = measured.machine
-    return {
-        "processors": str(machine.cpus), "processor": machine.processor, "system": machine.system,
-        "Python": machine.python, "cores": measured.cores, "quick": str(measured.quick),
-    }  # fmt: skip
 
 
 def show_figures(measured: Measured, terminal: Terminal) -> None:

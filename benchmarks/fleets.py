@@ -9,17 +9,12 @@ is measured several times, in turn, so that a slow minute of the machine meets a
 
 from __future__ import annotations
 
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-
-import psutil
+from collections.abc import Callable
 
 from benchmarks.barriers import LOOP, ZENOH, loops_per_s, zenoh_barrier
 from benchmarks.figures import Collector, Measured
 from benchmarks.recorder import recorder_figures
-from benchmarks.soak import pss_mb
 from benchmarks.start_up import COMMANDS, PYTHON, cpu_times
 from fleet.errors import FleetError
 from fleet.execution.execute import execute
@@ -31,7 +26,7 @@ from netem.private_folder import PrivateFolder
 
 REPEATS = 5
 DISTRIBUTED, IN_PROCESS, CPU = "c distributed", "d in-process", "d CPU time of a tick"
-READY, PSS = "ready", "PSS of an agent"
+READY = "ready"
 # Four vehicles at the rates at which others are used; a round is a whole number of ticks.
 RATES: dict[str, tuple[str, ...]] = {
     "tick 10 ms, round 100 ms": (),
@@ -63,8 +58,7 @@ def measure_fleets(sizes: list[int], *, quick: bool, say: Callable[[str], None])
 def _fleet(n: int, quick: bool, found: Collector) -> None:
     name, scenario = f"N = {n}: ", _scenario(n, quick)
     zenoh, loops = zenoh_barrier(n, 50 if quick else max(100, 4_000 // n)), loops_per_s()
-    with _sampled_pss() as pss:
-        distributed = _wall(scenario, in_process=False)
+    distributed = _wall(scenario, in_process=False)
     cpu_s = time.process_time()
     alone = _wall(scenario, in_process=True)
     tick_us = (time.process_time() - cpu_s) / scenario.ticks * 1e6  # with what a run does once
@@ -73,8 +67,6 @@ def _fleet(n: int, quick: bool, found: Collector) -> None:
     found.add(name + IN_PROCESS, "ticks/s", scenario.ticks / alone.run_s, (LOOP, loops))
     found.add(name + CPU, "us", tick_us, (LOOP, 1e6 / loops), higher=False)
     found.add(name + READY, "s", distributed.startup_s, (LOOP, 1 / loops), higher=False)
-    if pss[0]:  # a run of half a second was not seen
-        found.add(name + PSS, "MB", pss[0], higher=False)
 
 
 def _rates(quick: bool, found: Collector) -> None:
@@ -120,25 +112,3 @@ def _wall(scenario: Scenario, *, in_process: bool) -> Wall:
     status = 3 if result.status in (Status.BROKEN, Status.CHECK_FAILED) else result.status.exit
     reason = f"the run with {scenario.vehicles} vehicles ended: {result.status}"
     raise FleetError(f"{reason}{f', {result.reason}' if result.reason else ''}", status=status)
-
-
-@contextmanager
-def _sampled_pss() -> Iterator[list[float]]:
-    """Largest mean proportional set size [MB] of the agent processes seen inside the block, in a list."""
-    largest = [0.0]
-    done = threading.Event()
-
-    def sample() -> None:
-        while not done.wait(0.5):
-            titles = ((process.pid, process.info["cmdline"]) for process in psutil.process_iter(["cmdline"]))
-            agents = (pid for pid, title in titles if " ".join(title or []).startswith("fleet agent"))
-            if sizes := [size for size in map(pss_mb, agents) if size]:
-                largest[0] = max(largest[0], sum(sizes) / len(sizes))
-
-    thread = threading.Thread(target=sample, daemon=True)
-    thread.start()
-    try:
-        yield largest
-    finally:
-        done.set()
-        thread.join()

@@ -36,7 +36,7 @@ def test_every_figure_is_measured_compared_and_written(tmp_path: Path) -> None:
     assert {f"start: {name}" for name in COMMANDS if name != PYTHON} <= names
     assert sum(name.startswith("four vehicles: tick 100 ms") for name in names) == 2
     assert all(len(figure.ratios) == len(figure.samples) for figure in found.figures if figure.baseline)
-    assert (found.quick, found.machine.cpus > 0, found.versions["uuv-fleet"] != "") == (True, True, True)
+    assert found.machine["quick"] == "True" and found.versions["uuv-fleet"]
     assert all(name in first.stdout for name in names)
 
 

@@ -12,10 +12,10 @@ from click.testing import CliRunner, Result
 
 from benchmarks import fleets
 from benchmarks.__main__ import main
-from benchmarks.figures import FORMAT, Change, Figure, Machine, Measured, compare, read
+from benchmarks.figures import FORMAT, Change, Figure, Measured, compare, read
 from fleet.errors import FleetError
 
-IDLE = Machine(2, "a processor", "Linux", "3.11.7", 0.1)
+IDLE = {"processors": "2", "processor": "a processor", "Python": "3.11.7", "cores": "compiled"}
 
 
 def rate(*ratios: float, of: float = 1000.0) -> Figure:
@@ -28,7 +28,7 @@ def memory(*samples: float) -> Figure:
 
 
 def measured(*figures: Figure, **other: Any) -> Measured:
-    values = {"machine": IDLE, "versions": {"numpy": "2.1"}, "cores": "compiled", "quick": False} | other
+    values = {"machine": IDLE, "busy": 0.1, "versions": {"numpy": "2.1"}} | other
     return Measured(
         format=FORMAT, began="2026-11-22T10:00:00+00:00", command="python -m benchmarks", figures=[*figures], **values
     )
@@ -69,8 +69,8 @@ def test_a_change_says_by_how_much_and_how_large_the_noise_is() -> None:
 
 
 def test_what_makes_two_measurements_less_comparable_is_said() -> None:
-    busy = Machine(4, "another", "Linux", "3.12.0", 1.5)
-    old, new = measured(memory(1.0, 1.0, 1.0)), measured(memory(1.0), machine=busy, cores="plain Python", versions={})
+    other = {"processors": "4", "processor": "another", "Python": "3.12.0", "cores": "plain Python"}
+    old, new = measured(memory(1.0, 1.0, 1.0)), measured(memory(1.0), machine=other, busy=1.5, versions={})
     assert compare(old, new, Path("old.json")).warnings == [
         "processors: 2 then, 4 now",
         "processor: a processor then, another now",

@@ -25,8 +25,7 @@ import agents
 from agents.config import AgentConfig
 from agents.errors import PayloadError
 from agents.formation_agent import FormationAgent
-from agents.laws.filters import wrap
-from agents.laws.kinematics import earth_velocity
+from agents.laws.kinematics import earth_velocity, wrap
 from agents.message import pack, unpack
 from agents.sample import NeighbourState, Sample, VelocityCommand
 from agents.trajectory import Motion

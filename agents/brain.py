@@ -7,8 +7,8 @@ from math import isfinite
 
 from agents.config import AgentConfig
 from agents.controllers import layout
-from agents.decision import Decision, Step
 from agents.errors import ControllerError
+from agents.sample import Decision, Step
 from agents.signals import SignalLayout
 from netem.wire.messages import Delivery, Nav
 from world.vectors import Vec3, Vec5

@@ -16,8 +16,7 @@ from agents.laws.keep_apart import KeepApart
 from agents.laws.velocity_command import direction_command, floor_speed
 from agents.localization.localizer import Localizer
 from agents.neighbours import NeighbourTable
-from agents.plugins.fenced_law import FencedLaw
-from agents.plugins.laws import load
+from agents.plugins.laws import FencedLaw, load
 from agents.sample import Sample, VelocityCommand
 from agents.signals import COMMANDED, HEARD, SignalLayout
 from world.vectors import Vec3

@@ -11,8 +11,7 @@ import msgspec
 from msgspec import Meta
 
 from agents.errors import AgentError
-from netem.private_file import DamagedFile, ExposedFile, parse_json, read_private
-from netem.whole_file import write_whole
+from netem.private_file import DamagedFile, ExposedFile, parse_json, read_private, write_whole
 from netem.wire.access import LEASE_MS, Credentials
 from netem.wire.messages import PROTOCOL_VERSION
 

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import msgpack
 
-from agents.decision import Decision
+from agents.sample import Decision
 from netem.errors import OutOfPlace
 from netem.wire.messages import Command, Delivery, Inbox, Memory, Nav, Receipt, Transmission
 

@@ -24,12 +24,11 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from agents.compact import decode as decode_compact
-from agents.config import Codec, Extrapolation, Neighbour
+from agents.config import Codec, Extrapolation, Neighbour, Offset
 from agents.errors import PayloadError
 from agents.laws.keep_apart import Seen
 from agents.localization.payload import decode as decode_located
 from agents.localization.payload import is_located
-from agents.offset import Offset
 from agents.payload import CAUSES, StateMessage, decode
 from agents.sample import NeighbourState
 from agents.trajectory import Reference

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from netem.wire.declaring import Uint
-from netem.wire.messages import Delivery, Nav
+from netem.wire.messages import Delivery, Nav, Uint
 
 
 class OwnNav(Nav, frozen=True):

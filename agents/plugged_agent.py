@@ -8,12 +8,11 @@ from typing import Any
 
 from agents.brain import Brain
 from agents.config import AgentConfig, Law
-from agents.decision import Decision
 from agents.errors import ControllerError
 from agents.laws.velocity_command import clip
 from agents.own_time import by_own_clock, received_by_own_clock
-from agents.plugins.fenced_law import law_fence
-from agents.plugins.laws import load
+from agents.plugins.laws import law_fence, load
+from agents.sample import Decision
 from netem.wire.messages import Delivery, Nav
 from world.plugins.checks import resumable
 from world.plugins.fence import shown

@@ -8,6 +8,24 @@ from typing import NamedTuple
 from agents.trajectory import Motion
 from world.vectors import Vec3, Vec5
 
+# --- decision
+# An agent's answer to one sample.
+
+
+class Decision(NamedTuple):
+    """The command to the vehicle, and the values for the log."""
+
+    tau: Vec3  # surge force [N], pitch and yaw moment [N m], within the actuators' limits
+    telemetry: tuple[float, ...]  # the values of the declared signals, in order
+
+
+class Step(NamedTuple):
+    """A decision, and what to send to the neighbours."""
+
+    tau: Vec3
+    telemetry: tuple[float, ...]
+    payloads: tuple[bytes, ...]  # none between round ticks
+
 
 class NeighbourState(NamedTuple):
     """An agent's knowledge of one neighbour that it has heard."""
@@ -40,7 +58,7 @@ class Sample(NamedTuple):
     nu: Vec5  # own measured u, v, w [m/s, body, over ground], q, r [rad/s]
     velocity: Vec3  # own velocity over ground [m/s, NED]
     desired: Motion  # where this vehicle should be now, and how it should move: the reference plus its own offset; of a
-    #                  vehicle that does not know the reference: the mean over its neighbours, see agents/following.py
+    #                  vehicle that does not know the reference: the mean over its neighbours, see agents/agent.py
     neighbours: tuple[NeighbourState, ...]  # those heard so far, by number
     e: Vec3  # consensus error [m, NED], eq. (8)
     c: float  # sum of the weights in e [1]

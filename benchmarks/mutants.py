@@ -257,7 +257,7 @@ class Bench:
         """Run tests; returns pytest's exit code, None: they took longer than `limit_s` of CPU time, or hang."""
         (self._scratch / "tests").write_text("\n".join(tests), "utf-8")
         here = str(Path(__file__).resolve().parent)
-        env = {**os.environ, "CI": "1", "PYTHONPATH": f"{self.root}:{here}", **more}
+        env = {**os.environ, "PYTHONPATH": f"{self.root}:{here}", **more}
         command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "mutants", "-p", "no:cacheprovider"]
         command += ["--basetemp", str(self._scratch / "temp"), f"@{self._scratch / 'tests'}"]
         with open(self._scratch / "output", "wb") as output, subprocess.Popen(

@@ -35,8 +35,7 @@ from fleet.cli.types import OVERRIDES
 from fleet.cores import cores
 from fleet.errors import FleetError
 from fleet.scenario.loading import load_scenario
-from fleet.terminal.folding import stdout
-from fleet.terminal.table import columns, show
+from fleet.terminal.table import columns, show, stdout
 
 RATE = 100  # samples per second
 SAMPLE_S = 0.1  # between two looks at the processes' times

@@ -23,8 +23,7 @@ import psutil
 from msgspec import Meta, Struct
 from rich.console import Console as Terminal
 
-from fleet.terminal.folding import stdout
-from fleet.terminal.table import columns, show
+from fleet.terminal.table import columns, show, stdout
 
 SAMPLE_S = 0.5
 WARM = 0.25  # share of the run after which memory is compared with the end

@@ -26,7 +26,7 @@ from soak import Soak, result_of
 
 from agents.join_file import JoinFile
 from fleet.cli.types import Numbers
-from fleet.terminal.folding import stdout
+from fleet.terminal.table import stdout
 from netem.errors import BusError
 from netem.wire.bus import Bus
 from netem.wire.codec import encode

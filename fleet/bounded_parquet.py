@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from fleet.parquet_pages import column_chunks, unpacked_bytes
-from netem.whole_file import open_file
+from netem.private_file import open_file
 
 TEXT = pa.string()
 _MOST_GROUPS = 1000

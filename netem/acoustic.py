@@ -49,12 +49,11 @@ from msgspec import Struct
 
 from netem.access import Access
 from netem.air import Air
-from netem.causes import Cause
 from netem.config import NetemConfig
+from netem.fault_kinds import Cause
 from netem.faults import ActiveFaults
 from netem.link_trace import TRY
-from netem.links import Links
-from netem.medium import MediumRound, Place
+from netem.medium import Links, MediumRound, Place
 from netem.ranges import Kept, Query, make_ranges
 from netem.station import ANSWER, Answer, Burst, Reception, Station, Transfer, Waiting
 from netem.transit import PendingPacket, Transit

@@ -19,8 +19,8 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from netem.causes import Cause
 from netem.condition import Link
+from netem.fault_kinds import Cause
 from netem.wire.messages import Fate
 
 

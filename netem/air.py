@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from math import sqrt
 
 from netem import fading
-from netem.causes import Cause
 from netem.draws import undecided, uniform
+from netem.fault_kinds import Cause
 from netem.medium import Place
 from netem.modem import AcousticConfig, Modem
 from netem.propagation import decibels, power

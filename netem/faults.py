@@ -11,10 +11,9 @@ from typing import Any, NamedTuple
 import msgspec
 from msgspec import structs
 
-from netem.causes import Cause
 from netem.condition import Condition, Link, condition_from_values, condition_values
 from netem.errors import MalformedMessage
-from netem.fault_kinds import FaultKind
+from netem.fault_kinds import Cause, FaultKind
 from netem.wire.messages import TimedFault
 
 

@@ -2,13 +2,52 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, field
 from typing import Literal
 
 from netem import propagation
-from netem.curve import Curve
-from netem.ranging import RangingConfig
+
+# --- curve
+# A quantity that was measured at some points, and is a straight line between them.
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """Points (x, y), x ascending: y is linear between two points, and constant before the first and after the last."""
+
+    points: tuple[tuple[float, float], ...]
+
+    def at(self, x: float) -> float:
+        """The value at x."""
+        points = self.points
+        after = bisect_left(points, x, key=lambda point: point[0])
+        if after == 0:
+            return points[0][1]
+        if after == len(points):
+            return points[-1][1]
+        (x0, y0), (x1, y1) = points[after - 1], points[after]
+        return y0 + (y1 - y0) * (x - x0) / (x1 - x0)
+
+
+# --- ranging
+# How modems measure ranges, as configured; `netem.ranges` measures them.
+
+
+Method = Literal["one-way", "two-way"]
+
+
+@dataclass(frozen=True, slots=True)
+class RangingConfig:
+    """How modems measure ranges."""
+
+    method: Method = "one-way"
+    noise: float = 0.5  # m, standard deviation
+    outliers: float = 0.0  # probability
+    excess: float = 0.0  # m, by which an outlier is too long on average
+    request: int = 0  # bytes of a request, and of a reply; two-way
+    turn_ns: int = 0  # after which the next receiver of the same packet sends its request; two-way
+
 
 Mac = Literal["aloha", "csma", "tdma"]
 

@@ -19,8 +19,7 @@ from netem.condition import Condition, Link, condition_from_values, condition_va
 from netem.config import NetemConfig
 from netem.faults import NetFault, active_faults, fault_from_values, fault_values
 from netem.impairment import LinkMemory, LinkModel
-from netem.links import make_links
-from netem.medium import IndependentLinks, Medium, MediumRound, Place
+from netem.medium import IndependentLinks, Medium, MediumRound, Place, make_links
 from netem.transit import PendingPacket, Transit
 from netem.vehicle_clock import Clocks
 from netem.wire.messages import Delivery, Fate, MeasuredRange

@@ -23,13 +23,12 @@ from netem.realtime_rounds import RealtimeRounds
 from netem.rounds import Rounds
 from netem.wire.access import NETEM, Members
 from netem.wire.bundles import Hosts
-from netem.wire.bus import Bus, Respond
+from netem.wire.bus import PART_BYTES, Bus, Respond, pieces, split
 from netem.wire.codec import encode, expect
-from netem.wire.control import read_map
-from netem.wire.host_messages import Bundle
 from netem.wire.keys import Keys, vehicle_of
 from netem.wire.messages import (
     PROTOCOL_VERSION,
+    Bundle,
     Delivery,
     Fate,
     Hello,
@@ -41,8 +40,7 @@ from netem.wire.messages import (
     Round,
     Transmission,
 )
-from netem.wire.parts import PART_BYTES, pieces, split
-from netem.wire.shell import Probes, Shell
+from netem.wire.shell import Probes, Shell, read_map
 
 log = logging.getLogger(__name__)
 

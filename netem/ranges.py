@@ -48,8 +48,7 @@ from netem.air import Air
 from netem.config import NetemConfig
 from netem.draws import normal, undecided, uniform
 from netem.medium import MediumRound
-from netem.modem import AcousticConfig
-from netem.ranging import RangingConfig
+from netem.modem import AcousticConfig, RangingConfig
 from netem.station import REPLY, REQUEST, Reception
 from netem.transit import PendingPacket
 from netem.vehicle_clock import Clocks

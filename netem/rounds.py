@@ -13,8 +13,8 @@ import msgpack
 
 from netem.config import NetemConfig
 from netem.errors import OutOfPlace
-from netem.links import PERFECT
 from netem.lives import Lives
+from netem.medium import PERFECT
 from netem.network import Netem
 from netem.wire.messages import Inbox, LinkReport, Round, Transmission
 

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
-from netem.causes import Cause
 from netem.config import NetemConfig
+from netem.fault_kinds import Cause
 from netem.faults import ActiveFaults
 from netem.vehicle_clock import Clocks
 from netem.wire.messages import Delivery, Fate, MeasuredRange

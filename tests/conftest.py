@@ -25,18 +25,18 @@ if signal.getsignal(signal.SIGHUP) == signal.SIG_IGN:
     signal.signal(signal.SIGHUP, lambda *_: None)
 
 # Property tests are about laws, not about how fast the machine is that checks them.
-# Where CI is set a commit gets the same examples each time: what is new is found at the desk, not in a landing. So it
-# gets fewer.
-CI = bool(os.environ.get("CI"))
 settings.register_profile(
-    "laws",
-    deadline=None,
-    suppress_health_check=[HealthCheck.too_slow],
-    derandomize=CI,
-    max_examples=50 if CI else 100,
+    "laws", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True, max_examples=25
 )
+settings.register_profile("many", settings.get_profile("laws"), max_examples=200)
 settings.register_profile("few", settings.get_profile("laws"), max_examples=15)  # --hypothesis-profile=few
-settings.load_profile("laws")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Draw the same examples in each run, and 200 per law with `-m ''`; `--hypothesis-seed` draws new ones."""
+    profile = config.option.hypothesis_profile or ("laws" if config.option.markexpr else "many")
+    settings.register_profile("drawn", settings.get_profile(profile), derandomize=config.option.hypothesis_seed is None)
+    settings.load_profile("drawn")
 
 
 @pytest.fixture(scope="session", autouse=True)

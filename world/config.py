@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from netem.lives import Absence
 from netem.vehicle_clock import VehicleClock
@@ -12,7 +12,91 @@ from netem.wire.messages import WorldFault
 from world.navigation.config import Navigation
 from world.tumble import LIMIT_RAD
 from world.vectors import Vec3, Vec5
-from world.vehicle import VehicleParams
+
+# --- vehicle
+# The data of a vehicle: the numbers of the 5-DOF model and of its actuators.
+#
+# | symbol | meaning | unit | paper |
+# |---|---|---|---|
+# | m, Iy, Iz | rigid-body mass, moments of inertia in pitch and yaw | kg, kg m^2 | Table I |
+# | beta_udot .. beta_rdot | added mass with the paper's sign (m1 = m - beta_udot) | kg, kg m^2 | Table I |
+# | beta_u .. beta_r | linear damping in surge, sway, heave, pitch, yaw | kg/s, kg m^2/s | Table I |
+# | beta_b | restoring moment coefficient in pitch | N m | Table I |
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleParams:
+    """Parameters of the 5-DOF underactuated vehicle (eqs. 1-2); `world/vehicles` holds numbers with their sources."""
+
+    m: float
+    Iy: float
+    Iz: float
+    beta_udot: float
+    beta_vdot: float
+    beta_wdot: float
+    beta_qdot: float
+    beta_rdot: float
+    beta_u: float
+    beta_v: float
+    beta_w: float
+    beta_q: float
+    beta_r: float
+    beta_b: float
+
+    @property
+    def inertia(self) -> Vec5:
+        """m1..m5 [kg, kg, kg, kg m^2, kg m^2]: mass matrix diagonal as printed below eq. (2)."""
+        return (
+            self.m - self.beta_udot,
+            self.m - self.beta_vdot,
+            self.m - self.beta_wdot,
+            self.Iy - self.beta_qdot,
+            self.Iz - self.beta_rdot,
+        )
+
+
+# --- run memory
+# The world's memory of a run before a tick. Another run can continue from it.
+#
+# As MessagePack a memory is a map with one key, `vehicles`: an array of `VehicleMemory`, ascending by number.
+
+
+DIVERGED = "diverged"
+
+
+class Tumbling(NamedTuple):
+    """How often a vehicle has tumbled, and when the last time."""
+
+    tumbled: int  # 1 while it is tumbled, else 0
+    number: int  # how often it has tumbled, this time included
+    since: int  # tick at which it began the last time
+
+
+class VehicleMemory(NamedTuple):
+    """One vehicle before a tick."""
+
+    vehicle: int  # its number
+    motion: list[Any]  # of `World.memory`
+    tau: list[float]  # the last command that took effect [N, N m]
+    delayed: list[list[Any]]  # [tick, tau] of commands that wait because the agent is slow
+    condition: str | list[int] | bool  # DIVERGED, a `Tumbling`, or False; logs of old versions have True as well
+    agent: bytes | None  # what its agent remembers; none without an agent; None: the agent has not sent it yet
+
+    @property
+    def diverged(self) -> bool:
+        """Whether the vehicle is not integrated any more."""
+        return self.condition == DIVERGED
+
+    @property
+    def tumbling(self) -> Tumbling | None:
+        """How it tumbled; None: it has not, or it diverged."""
+        return Tumbling(*self.condition) if isinstance(self.condition, list) else None
+
+
+def vehicle_memories(memory: dict[str, Any]) -> Iterator[VehicleMemory]:
+    """The vehicles in a memory, by number."""
+    return map(VehicleMemory._make, memory["vehicles"])
+
 
 # RK4 steps per tick. At a tick of 10 ms one step stays within 4e-7 of a converged velocity in the paper's
 # disturbed runs, two within 3e-8, four within 7e-9; each step costs about 7 us per vehicle.

@@ -14,8 +14,7 @@ import msgpack
 from netem.errors import OutOfPlace
 from netem.wire.codec import encode
 from netem.wire.messages import Command, Frame, Memory, Nav, Round
-from world.config import WorldConfig
-from world.run_memory import VehicleMemory
+from world.config import VehicleMemory, WorldConfig
 from world.run_state import NOT_SENSED, RunState
 from world.vectors import ZERO, Vec3
 

@@ -6,15 +6,15 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-from netem.clock import Clock
+from netem.vehicle_clock import Clock
 from netem.wire.access import WORLD as WORLD
 from netem.wire.access import Credentials, Listener, Members
 from netem.wire.bus import Bus
 from netem.wire.certificate_router import CertificateRouter
 from netem.wire.keys import Keys
-from netem.wire.link_loss import end_with_link
 from netem.wire.refusals import Refusals, listen
 from netem.wire.session import quiet_zenoh
+from netem.wire.shell import end_with_link
 from world.config import WorldConfig
 from world.lockstep import Lockstep
 from world.process import WorldProcess

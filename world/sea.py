@@ -22,9 +22,8 @@ from world.current import draws as draws_of_drift
 from world.disturbance import disturbance
 from world.dynamics import Coefficients, State, coefficients, rk4_step
 from world.errors import IntegrationError, WorldError
-from world.navigation.kinds import navigation_of
+from world.navigation.kinds import ReplayedError, navigation_of
 from world.navigation.navigator import Navigator
-from world.navigation.replay import ReplayedError
 from world.plants.fenced_plant import FencedPlant
 from world.sensors import Measured, measure, split
 from world.vectors import Vec2, Vec3, Vec5, Vec6, plus

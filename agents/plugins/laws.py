@@ -2,12 +2,66 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
-from agents.config import Law
+from agents.config import AgentConfig, Law
+from agents.errors import ControllerError
+from agents.sample import Sample
 from agents.signals import COMMANDED, HEARD
-from world.plugins.checks import check_class, check_signals
+from world.plugins.checks import check_class, check_signals, resumable
+from world.plugins.fence import Fence, shown
 from world.plugins.loading import load_class
+from world.signal import Signal
+from world.vectors import Vec3
+
+# --- fenced law
+# A law of the user behind a fence.
+
+
+def law_fence(config: AgentConfig, law: Law, notes: list[tuple[int, str]]) -> Fence:
+    """The fence of one law of one vehicle: every failure is a ControllerError that names vehicle, tick and line."""
+    return Fence(law.name, config.budget_s, notes, partial(ControllerError, config.id))
+
+
+class FencedLaw:
+    """A user's guidance, tracking or controller, called as ours are: `step` returns a flat tuple of telemetry."""
+
+    def __init__(
+        self, config: AgentConfig, law: Law, law_class: type[Any], what: str, notes: list[tuple[int, str]]
+    ) -> None:
+        self._fence = law_fence(config, law, notes)
+        self._signals: tuple[Signal, ...] = law_class.signals
+        self._law = self._fence.make(law_class, config, law.parameters)
+        self._resumable = resumable(law_class)  # the class, not the instance: there `state` may be anything
+        self._what = what
+
+    def step(self, sample: Sample, *more: Any) -> tuple[Vec3, tuple[float, ...]]:
+        """One sample, checked.
+
+        Raises:
+            ControllerError: the law raised, took too long, or returned what cannot be used.
+        """
+        fence, method, tick = self._fence, self._law.step, sample.tick
+        answer = fence.call(tick, method, sample, *more)
+        if not isinstance(answer, tuple) or len(answer) != 2:
+            raise fence.wrong(tick, method, f"returned {shown(answer)}: expected ({self._what}, telemetry)")
+        vector = fence.vector(tick, method, self._what, answer[0])
+        return vector, fence.telemetry(tick, method, self._signals, answer[1])
+
+    def state(self) -> Any:
+        """The law's state, or None when it has none.
+
+        Raises:
+            ControllerError: its state() raised, took too long, or returned what a log cannot hold.
+        """
+        return self._fence.remembered(self._law.state) if self._resumable else None
+
+    def restore(self, values: Any) -> None:
+        """Continue from `state()`; a law without one begins from the start."""
+        if self._resumable:
+            self._law.restore(values)
+
 
 # What a class of each kind must be able to do, and with what it is called.
 METHODS: dict[str, dict[str, tuple[str, ...]]] = {

@@ -2,21 +2,146 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import inspect
+from collections.abc import Iterator, Sequence
 from itertools import combinations
-from math import dist
+from math import ceil, dist, log
 
-from fleet.analysis.forgetting import forgetting_warnings
-from fleet.analysis.keep_apart import keep_apart_warnings
+from agents.config import Law
+from agents.plugins.laws import load
 from fleet.analysis.link_shares import short_traces
-from fleet.analysis.slots import slot_warnings
-from fleet.analysis.stability import oldest_s
-from fleet.quantities import vehicle_numbers
+from fleet.analysis.stability import oldest_s, slot_warnings
+from fleet.quantities import vehicle_names, vehicle_numbers
 from fleet.recorder.settling import least_s
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.checks import EVERY
+from fleet.scenario.schema.control import KeepApartSection
 from fleet.scenario.sections.timeline import OF_THE_NETWORK
-from netem.correlation import effective
+from netem.condition import Condition, Link, effective
+from world.errors import PluginError
+from world.vectors import Vec3, plus
+
+# --- forgetting
+# Protocols that forget a neighbour after a silence: how long that must be for the loss of their links.
+
+
+PARAMETER = "forget_after_s"
+RARE = 1e-5  # probability of such a silence that does no harm (docs/guide/protocols/average.md, High loss)
+
+
+def forgetting_warnings(scenario: Scenario) -> Iterator[str]:
+    """A warning if all messages of `forget_after_s` may be lost, so that vehicles forget living neighbours."""
+    period_s = scenario.round_ticks * scenario.tick_ns / 1e9
+    forget_s = [None if control.agent is None else _forget_after_s(control.agent) for control in scenario.controls]
+    worst: dict[float, tuple[float, Link]] = {}  # by how long agents wait: the largest loss, and its link
+    for link, loss in _losses(scenario).items():
+        after_s = forget_s[link[1] - 1]
+        if after_s is not None and loss > worst.get(after_s, (0.0, link))[0]:
+            worst[after_s] = loss, link
+    for after_s, (loss, (src, dst)) in worst.items():
+        needed_s = period_s * log(RARE) / log(loss)
+        if after_s < needed_s:
+            yield (
+                f"agent {dst} takes a neighbour for gone after {PARAMETER} = {after_s:g} s, and the link {src}->{dst} "
+                f"loses {100 * loss:g}% of the packets: all that come in this time are lost with a probability of "
+                f"{loss ** int(after_s / period_s):.1g}; {PARAMETER}: {ceil(10 * needed_s) / 10:g} makes it {RARE:g}"
+            )
+
+
+def _losses(scenario: Scenario) -> dict[Link, float]:
+    """The largest loss of each link that loses some packets, one by one; by itself or through a fault."""
+    given = [*scenario.conditions.items()]
+    for fault in scenario.faults.network:
+        if fault.condition is not None:
+            given += [(link, fault.condition) for link in fault.links]
+    found: dict[Link, float] = {}
+    for link, condition in given:
+        if _one_by_one(condition):
+            found[link] = max(condition.loss, found.get(link, 0.0))
+    return found
+
+
+def _one_by_one(condition: Condition) -> bool:
+    return 0.0 < condition.loss < 1.0 and condition.loss_model is None and not condition.loss_correlation
+
+
+def _forget_after_s(law: Law) -> float | None:
+    """The parameter's value, or its default; None of a law that has none, or may not be imported now."""
+    given = law.parameters.get(PARAMETER)
+    if given is None:
+        try:
+            parameter = inspect.signature(load("agent", law)).parameters.get(PARAMETER)
+        except PluginError:
+            return None
+        given = None if parameter is None else parameter.default
+    return float(given) if isinstance(given, int | float) else None
+
+
+# --- keep apart
+# Limits of the section `keep_apart` in a scenario, as warnings before a run.
+
+
+def keep_apart_warnings(scenario: Scenario) -> Iterator[str]:
+    """One sentence for each; none without the section."""
+    section = scenario.spec.keep_apart
+    if section is None:
+        return
+    controls = list(enumerate(scenario.controls, start=1))
+    agents = [i for i, control in controls if control.agent is not None]
+    if agents:
+        yield (
+            f"keep_apart acts only within a FormationAgent: if the agent of {vehicle_names(agents)} has none, or "
+            "commands the vehicle by itself, this vehicle does not keep apart, and the others do their half only"
+        )
+    without = [i for i, control in controls if control.agent is None and control.controller is not None]
+    if without:
+        yield (
+            f"keep_apart acts between guidance and tracking: {vehicle_names(without)} with a law in place of both "
+            f"{'does' if len(without) == 1 else 'do'} not keep apart, and the others do their half only"
+        )
+    links = set(scenario.graph.links)
+    pairs = combinations(range(1, scenario.vehicles + 1), 2)
+    deaf = [(i, j) for i, j in pairs if (i, j) not in links or (j, i) not in links]
+    if deaf:
+        more = f", and {len(deaf) - 1} more pairs like them" if len(deaf) > 1 else ""
+        yield (
+            f"keep_apart: vehicles {deaf[0][0]} and {deaf[0][1]} do not both hear each other{more}; a vehicle keeps "
+            "apart from those that it hears, so add links to the graph"
+        )
+    steepest = max(abs(_climb(scenario, t)) for t in range(scenario.duration_ns // 1_000_000_000 + 1))
+    if steepest > section.climb:
+        yield (
+            f"keep_apart: the course of a vehicle climbs or dives with up to {steepest:.3g} m/s, but keep_apart.climb "
+            f"limits every command to {section.climb:g} m/s, so the vehicle falls behind"
+        )
+    yield from _obstacle_too_near("at the start", [eta[:3] for eta, _ in scenario.initial], section)
+    end = scenario.duration_ns / 1e9
+    place = scenario.reference.at(end).position
+    there = [plan.at(end).position for plan in scenario.plans]
+    yield from _obstacle_too_near("in the formation at the end", [plus(place, offset) for offset in there], section)
+
+
+def _climb(scenario: Scenario, t: float) -> float:
+    """The fastest climb or dive that any vehicle is to make at a time [s], downwards positive [m/s]."""
+    down = scenario.reference.at(t).velocity[2]
+    return max((down + plan.at(t).velocity[2] for plan in scenario.plans), key=abs)
+
+
+def _obstacle_too_near(when: str, places: Sequence[Vec3], section: KeepApartSection) -> Iterator[str]:
+    numbered = list(enumerate(places, start=1))
+    pairs = [(dist(p, q), i, j) for (i, p), (j, q) in combinations(numbered, 2)]
+    nearest = min(pairs, default=None)
+    if nearest is not None and nearest[0] < section.distance:
+        yield (
+            f"keep_apart: {when} vehicles {nearest[1]} and {nearest[2]} are {nearest[0]:.4g} m apart, but "
+            f"keep_apart.distance is {section.distance:g} m"
+        )
+    for number, obstacle in enumerate(section.obstacles, start=1):
+        inside = [i for i, (north, east, _) in numbered if dist((north, east), obstacle.at) < obstacle.radius]
+        if inside:
+            verb = "is" if len(inside) == 1 else "are"
+            yield f"keep_apart: {when} {vehicle_names(inside)} {verb} within obstacle {number}"
+
 
 LARGE_MB = 50.0  # from which on a warning about the size is given
 MESSAGE_BYTES = 70  # in a log, compressed and indexed: 68 to 72 measured with 3, 4 and 12 vehicles

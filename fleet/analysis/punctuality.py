@@ -7,7 +7,7 @@ from typing import Any
 
 from msgspec import convert
 
-from fleet.result.timing import Timing
+from fleet.result.result import Timing
 from fleet.result.verdict import Verdict
 
 ON_TIME, DEGRADED = "on time", "degraded"

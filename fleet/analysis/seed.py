@@ -17,7 +17,7 @@ from netem.faults import NetFault
 from netem.link_states import LinkStates
 from netem.link_trace import LinkTrace
 from world import current, sea, sensors
-from world.navigation import fixes, instrument_faults, instruments, navigator
+from world.navigation import config, fixes, instruments, navigator
 from world.navigation.config import DeadReckoning
 
 NOTHING = "nothing in this scenario depends on the seed: every seed gives the same run"
@@ -65,7 +65,7 @@ def _parts(scenario: Scenario) -> Iterator[tuple[str, list[str]]]:
             yield "faults", partitions.draws(section.partition, spec.vehicles, section.id or f"f{number}")
     for fault in scenario.faults.world:
         yield "faults", sea.draws(fault)
-        yield "faults", instrument_faults.draws(fault)
+        yield "faults", config.draws(fault)
     for over in scenario.faults.network:
         yield "faults", _of_fault(over, scenario.conditions)
     if scenario.other_laws:

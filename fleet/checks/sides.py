@@ -9,7 +9,7 @@ from fleet.quantities import vehicle_numbers
 from fleet.scenario.sections.graph import reached
 from fleet.scenario.sections.partitions import partition
 from netem.condition import Link
-from netem.selectors import parse_selector, select
+from netem.grammar import parse_selector, select
 
 
 class Sides:

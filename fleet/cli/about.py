@@ -45,7 +45,7 @@ def about(run: Path | None) -> None:
       fleet about
       fleet about runs/latest > report.txt
     """
-    from fleet.execution.past_runs import newest_run
+    from fleet.execution.directory import newest_run
 
     click.echo(report(run or (newest_run(RUNS) if RUNS.is_dir() else None)))
 

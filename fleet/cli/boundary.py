@@ -13,14 +13,14 @@ from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.study_options import OUT, SCHEDULER, WORKERS, given, spec_options, study_directory, warning
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.study.spec import BoundarySpec
-from fleet.terminal.folding import say, stdout
+from fleet.terminal.table import say, stdout
 
 if TYPE_CHECKING:
     from fleet.study.borders import Border, Borders
     from fleet.study.modules import Modules
     from fleet.study.sweep import Progress
-    from fleet.terminal.fitting import Piece
     from fleet.terminal.status_line import StatusLine
+    from fleet.terminal.table import Piece
     from world.plugins.trust import Trust
 
 OUTSIDE = ("below", "above")
@@ -142,7 +142,7 @@ def _picture(borders: Borders, trust: Trust) -> Path | None:
 def _pieces(line: StatusLine, progress: Progress, *, known: int, of: int) -> list[Piece]:
     """How many borders are found."""
     from fleet.cli.study_output import progress_pieces
-    from fleet.terminal.fitting import Piece
+    from fleet.terminal.table import Piece
 
     drawn, rate, failed = progress_pieces(line, known / of, progress)
     return [Piece(0, [f"{known} / {of} borders"]), drawn, Piece(2, [f"{progress.made} runs"]), rate, failed]

@@ -10,7 +10,7 @@ from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import OVERRIDES, disturbances
-from fleet.terminal.folding import say
+from fleet.terminal.table import say
 from world.plugins.trust import Trust
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def check(
     from fleet.analysis.preflight import warnings
     from fleet.analysis.stability import analyse, report
     from fleet.scenario.loading import load_scenario
-    from fleet.terminal.progress import showing_steps
+    from fleet.terminal.status_line import showing_steps
 
     refused: list[Problem] = []
     loaded = load_scenario(scenario, [*overrides, *net, *fault], trust, refused=refused)

@@ -105,7 +105,7 @@ def pictures(context: click.Context, parameter: click.Parameter, typed: str) -> 
     before, comma, last = typed.rpartition(",")
     words = [*getattr(parameter.type, "words", ())]
     try:
-        from fleet.logs.signal_names import signal_names
+        from fleet.logs.topic_names import signal_names
 
         # Where the option has no value yet, click has not told the arguments apart.
         log = context.params.get("log") or next(iter(context.args), None)
@@ -117,7 +117,7 @@ def pictures(context: click.Context, parameter: click.Parameter, typed: str) -> 
 
 def _newest_log() -> Any:
     from fleet.cli.log_argument import RUNS
-    from fleet.execution.past_runs import newest_run
+    from fleet.execution.directory import newest_run
 
     return newest_run(RUNS)
 
@@ -126,7 +126,7 @@ def _newest_log() -> Any:
 def injection(context: click.Context) -> Iterable[str]:
     """The next words in `fleet inject`."""
     from fleet.scenario.schema.faults import ACTIONS, FaultSection
-    from fleet.scenario.schema.section import section_of
+    from fleet.scenario.schema.value_types import section_of
 
     given = context.params.get("what") or ()
     named = given[:1] if given and given[0] not in ACTIONS else ()

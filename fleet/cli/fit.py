@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fleet.cli.types import Duration
-from fleet.terminal.folding import say
+from fleet.terminal.table import say
 
 if TYPE_CHECKING:
     from fleet.analysis.link_fit import LinkFit
@@ -38,9 +38,9 @@ def fit(trace: Path, states: str, interval: int | None, picture: Path | None) ->
     """
     from fleet.analysis.link_fit import fit as fitted
     from fleet.errors import FleetError
-    from fleet.scenario.sections.trace_files import read_trace
-    from fleet.scenario.text.plain_yaml import yaml_text
-    from fleet.terminal.progress import showing_steps
+    from fleet.scenario.sections.link_conditions import read_trace
+    from fleet.scenario.text.yaml_reader import yaml_text
+    from fleet.terminal.status_line import showing_steps
 
     if trace.suffix not in (".csv", ".parquet"):
         raise click.BadParameter(f"expected a file that ends in .csv or .parquet, got {trace}", param_hint="TRACE")

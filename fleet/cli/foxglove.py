@@ -13,8 +13,7 @@ from fleet.cli.sessions import ending
 from fleet.logs.tape import Tape
 from fleet.replay.live_journal import LiveJournal
 from fleet.terminal.keyboard import Keyboard
-from fleet.terminal.progress import showing
-from fleet.terminal.status_line import StatusLine
+from fleet.terminal.status_line import StatusLine, showing
 from fleet.view.source import LiveSource, LogSource
 from netem.wire.session import quiet_zenoh
 

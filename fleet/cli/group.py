@@ -16,7 +16,7 @@ import click
 from fleet.cli.documents.output import json_is_asked, print_document
 from fleet.cli.verbs import ELSEWHERE, GROUPS, VERBS
 from fleet.errors import FleetError
-from fleet.terminal.folding import say
+from fleet.terminal.table import say
 from netem.errors import NetemError
 
 EPILOG = (

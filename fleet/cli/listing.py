@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from fleet.cli.documents.output import json_option, print_document
-from fleet.terminal.folding import stdout
+from fleet.terminal.table import stdout
 
 
 @click.command(name="list")

@@ -33,7 +33,7 @@ def newest_log() -> Path:
     Raises:
         click.UsageError: there is none.
     """
-    from fleet.execution.past_runs import newest_run
+    from fleet.execution.directory import newest_run
 
     found = newest_run(RUNS)
     if found is None:

@@ -14,7 +14,7 @@ from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument, newest_log
 from fleet.cli.study_pictures import check_options, is_study, measure_option, plot_study, report_study
 from fleet.cli.types import FORCE, PictureWords, Vehicles, Window, Words
-from fleet.terminal.folding import say
+from fleet.terminal.table import say
 
 KINDS = (
     "track", "error", "velocity", "attitude", "inputs", "commands", "gains", "links", "messages", "ages", "checks",
@@ -116,7 +116,7 @@ def plot(
     from fleet.logs.reader import log_path
     from fleet.pictures.gallery import check_signals, write
     from fleet.pictures.runs import View, check_view, load
-    from fleet.terminal.progress import showing
+    from fleet.terminal.status_line import showing
 
     said: list[str] = []
     with showing("reading") as tell:
@@ -188,10 +188,10 @@ def export(
       fleet export runs/latest --traces links
       fleet export runs/latest --ros2 bag
     """
+    from fleet.logs.dataset import fits
     from fleet.logs.export import export as write
     from fleet.logs.open_log import list_topics
-    from fleet.logs.table import fits
-    from fleet.terminal.progress import showing
+    from fleet.terminal.status_line import showing
 
     tables = [(form, folder) for form, folder in (("csv", csv), ("parquet", parquet), ("netcdf", netcdf)) if folder]
     folders = [folder.absolute() for folder in (*(folder for _, folder in tables), traces, ros2) if folder is not None]
@@ -227,7 +227,7 @@ def export(
 def _export_bag(log: Path, folder: Path) -> None:
     from fleet.logs.reader import log_path
     from fleet.ros2.bag import write_bag
-    from fleet.terminal.progress import showing
+    from fleet.terminal.status_line import showing
 
     with showing(f"writing {folder}") as tell:
         paths, missing = write_bag(log_path(log), folder, tell)
@@ -238,9 +238,9 @@ def _export_bag(log: Path, folder: Path) -> None:
 
 
 def _export_traces(log: Path, folder: Path, *, force: bool) -> None:
+    from fleet.logs.export import write_traces
     from fleet.logs.open_log import open_log
-    from fleet.logs.traces import write_traces
-    from fleet.terminal.progress import showing
+    from fleet.terminal.status_line import showing
 
     with showing(f"reading {log}") as tell:
         found = open_log(log, ["link/*"], share=tell)
@@ -290,7 +290,7 @@ def report(
     from fleet.pictures.page import check_place
     from fleet.pictures.report import write
     from fleet.pictures.runs import View, check_view, load
-    from fleet.terminal.progress import showing
+    from fleet.terminal.status_line import showing
 
     check_place(out, force=force)
     chosen = logs or (newest_log(),)
@@ -326,7 +326,7 @@ def info(log: Path, as_json: bool) -> None:
       fleet info runs/latest/run.mcap --json
     """
     from fleet.logs.info import info_text, read_info
-    from fleet.terminal.progress import showing
+    from fleet.terminal.status_line import showing
 
     with showing(f"reading {log}") as tell:
         found = read_info(log, tell)

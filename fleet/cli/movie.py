@@ -56,8 +56,8 @@ def movie(
     """
     from fleet.logs.reader import log_path
     from fleet.pictures.page import check_place
-    from fleet.terminal.folding import say
-    from fleet.terminal.progress import showing
+    from fleet.terminal.status_line import showing
+    from fleet.terminal.table import say
     from fleet.view.movie import write
 
     check_place(out, force=force)

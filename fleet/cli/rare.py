@@ -13,7 +13,7 @@ from fleet.cli.shrink import pieces
 from fleet.cli.study_options import SCHEDULER, WORKERS
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import OVERRIDES, Whole, disturbances
-from fleet.terminal.folding import say
+from fleet.terminal.table import say
 
 if TYPE_CHECKING:
     from fleet.scenario.text.overrides import Override

@@ -13,12 +13,12 @@ from fleet.cli import junit as cli_junit
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.study_options import SCHEDULER, WORKERS
 from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.terminal.folding import say
+from fleet.terminal.table import say
 
 if TYPE_CHECKING:
     from fleet.study.regress import Regressed
-    from fleet.terminal.fitting import Piece
     from fleet.terminal.status_line import StatusLine
+    from fleet.terminal.table import Piece
     from world.plugins.trust import Trust
 
 
@@ -76,7 +76,7 @@ def regress(
 
 
 def _pieces(line: StatusLine, made: int, of: int) -> list[Piece]:
-    from fleet.terminal.fitting import Piece
+    from fleet.terminal.table import Piece
 
     return [Piece(0, [f"{made} / {of} runs"])]
 

@@ -82,8 +82,7 @@ def replay(log: Path, connect: str | None, listen: str | None, quiet: bool, **ho
     from fleet.logs.tape import Tape
     from fleet.replay.playback import PlaybackOptions, Replay
     from fleet.terminal.keyboard import Keyboard
-    from fleet.terminal.progress import showing
-    from fleet.terminal.status_line import StatusLine
+    from fleet.terminal.status_line import StatusLine, showing
 
     options = PlaybackOptions(**how)
     if options.step and not Keyboard.possible():
@@ -223,7 +222,7 @@ def _finish(recorder: Any, writer: Any, line: Any, path: Path) -> None:
 
 
 def _session(connect: str | None, listen: str | None, credentials: Any) -> Any:
-    from fleet.processes.ports import free_port
+    from fleet.processes.limits import free_port
     from netem.wire.open_bus import OpenBus
     from netem.wire.session import quiet_zenoh
 

@@ -9,7 +9,7 @@ import click
 from fleet.cli.group import exit_status
 from fleet.cli.types import Whole
 from fleet.processes.limits import processors
-from fleet.terminal.folding import stdout
+from fleet.terminal.table import stdout
 
 
 @click.command()
@@ -48,7 +48,7 @@ def reproduce(out: Path, jobs: int | None, cases: tuple[str, ...], formats: tupl
     from rich.table import Table
 
     from fleet.reproduce.cases import CASES
-    from fleet.terminal.progress import showing_jobs
+    from fleet.terminal.status_line import showing_jobs
 
     names = [name for name in CASES if not cases or any(name.lower().startswith(c.lower()) for c in cases)]
     for case in cases:

@@ -15,9 +15,8 @@ from fleet.execution.notes import folded, without_agent
 from fleet.result.result import FaultEvent, LinkAge, Result, Status, VehicleResult
 from fleet.scenario.sections.vehicle_events import vehicle_events
 from fleet.terminal import table
-from fleet.terminal.folding import INDENT, fold
-from fleet.terminal.table import TerminalColumn, width
-from netem.causes import Cause
+from fleet.terminal.table import INDENT, TerminalColumn, fold, width
+from netem.fault_kinds import Cause
 from netem.ledger import Account
 
 Say = Callable[..., None]

@@ -159,7 +159,7 @@ def _serve_log(
     from fleet.ros2.translation import Translation
     from fleet.ros2.types import types_of
     from fleet.terminal.keyboard import Keyboard
-    from fleet.terminal.progress import showing
+    from fleet.terminal.status_line import showing
     from fleet.view.feed import checks_judged
 
     types = types_of(distro)

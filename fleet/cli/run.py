@@ -19,9 +19,9 @@ from fleet.cli.group import EPILOG
 from fleet.cli.junit import JUNIT
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import OVERRIDES, Duration, Share, Speed, Whole, disturbances, is_given, key_options
-from fleet.terminal.folding import say, stdout
 from fleet.terminal.output import OutputError, give_up_output
-from netem.clock import Clock
+from fleet.terminal.table import say, stdout
+from netem.vehicle_clock import Clock
 from world.plugins.trust import Trust
 
 if TYPE_CHECKING:
@@ -282,7 +282,7 @@ def _load(
 
     if begin is not None:
         from fleet.repeat.resume import continuation, parse_from
-        from fleet.terminal.progress import showing
+        from fleet.terminal.status_line import showing
 
         with showing(f"reading {begin}", quiet=quiet) as tell:
             return continuation(*parse_from(begin), changes, scenario, trust, tell)

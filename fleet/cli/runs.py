@@ -11,12 +11,12 @@ import click
 
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.types import AgeText, Whole, Words
-from fleet.terminal.folding import stdout
+from fleet.terminal.table import stdout
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from fleet.execution.past_runs import PastRun
+    from fleet.execution.directory import PastRun
 
 WIDE = 100  # columns from which on there is room for what the name says already
 VERDICTS = ("pass", "fail", "broke", "stopped")
@@ -42,7 +42,7 @@ def ls(out: Path, as_json: bool) -> None:
       fleet ls --out /data/runs --json
     """
     from fleet.cli.documents.listing import RunRow, Runs
-    from fleet.execution.past_runs import LIVE, past_runs
+    from fleet.execution.directory import LIVE, past_runs
 
     found, now = past_runs(out), _now()
     size = sum(run.size for run in found)
@@ -88,7 +88,7 @@ def prune(out: Path, keep: int | None, older_than: float | None, verdicts: tuple
       fleet prune --keep 20
       fleet prune --older-than '7 days' --verdict fail,broke --yes
     """
-    from fleet.execution.past_runs import FINISHED, past_runs, remove, to_prune
+    from fleet.execution.directory import FINISHED, past_runs, remove, to_prune
 
     if keep is None and older_than is None and verdicts is None:
         raise click.UsageError(

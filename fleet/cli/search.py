@@ -18,7 +18,7 @@ from fleet.cli.shrink import MOST_RUNS, pieces, place_of, show_least, write_leas
 from fleet.cli.study_options import SCHEDULER, WORKERS, least_options
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import OVERRIDES, Budget, disturbances
-from fleet.terminal.folding import say
+from fleet.terminal.table import say
 
 if TYPE_CHECKING:
     from fleet.scenario.scenario import Scenario

@@ -12,14 +12,14 @@ from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.study_options import SCHEDULER, WORKERS, least_options
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import OVERRIDES, Whole, disturbances
-from fleet.terminal.folding import say
+from fleet.terminal.table import say
 
 if TYPE_CHECKING:
     from fleet.scenario.scenario import Scenario
     from fleet.scenario.text.overrides import Override
     from fleet.study.shrink import Shrunk
-    from fleet.terminal.fitting import Piece
     from fleet.terminal.status_line import StatusLine
+    from fleet.terminal.table import Piece
     from world.plugins.trust import Trust
 
 MOST_RUNS = 2000
@@ -119,7 +119,7 @@ def write_least(scenario: Scenario, path: Path) -> None:
 
 def pieces(line: StatusLine, doing: str, runs: int) -> list[Piece]:
     """The current trial, and the number of runs made."""
-    from fleet.terminal.fitting import Piece
+    from fleet.terminal.table import Piece
 
     return [Piece(0, [f"{runs} runs"]), Piece(1, [doing])]
 

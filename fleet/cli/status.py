@@ -10,7 +10,7 @@ import click
 
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.run_argument import answer, run_argument
-from fleet.terminal.folding import stdout
+from fleet.terminal.table import stdout
 
 if TYPE_CHECKING:
     from rich.console import Console, Group
@@ -141,7 +141,7 @@ def _more(count: int, what: str) -> str:
 
 def _worst(vehicles: list[VehicleRow], most: int) -> list[VehicleRow]:
     """Those with the greatest formation errors, in their order."""
-    from fleet.execution.live_status import badness
+    from fleet.execution.operator import badness
 
     worst = sorted(vehicles, key=lambda row: -badness(row.formation_m))[:most]
     return sorted(worst, key=lambda row: row.vehicle)

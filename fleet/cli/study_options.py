@@ -10,7 +10,7 @@ import click
 
 from fleet.cli.types import FORCE, OVERRIDES, Whole, disturbances, is_given
 from fleet.study.spec import Kind, Spec, SpecField, fields
-from fleet.terminal.folding import say
+from fleet.terminal.table import say
 
 F = TypeVar("F", bound=Callable[..., Any])
 OUT = click.option("--out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False), default=Path("studies"),

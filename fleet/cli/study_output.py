@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console as Terminal
 
-from fleet.terminal.fitting import Piece
-from fleet.terminal.folding import say
 from fleet.terminal.status_line import BAR, StatusLine, bar
-from fleet.terminal.table import TerminalColumn
+from fleet.terminal.table import Piece, TerminalColumn, say
 
 if TYPE_CHECKING:  # they import pyarrow, which commands without a table of runs do not need
     from fleet.study.record import AxisRecord

@@ -16,7 +16,7 @@ from fleet.cli.junit import JUNIT
 from fleet.cli.study_options import OUT, SCHEDULER, WORKERS, given, spec_options, study_directory, warning
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.study.spec import KeepLogs, StudySpec
-from fleet.terminal.folding import say, stdout
+from fleet.terminal.table import say, stdout
 
 if TYPE_CHECKING:
     from fleet.study.measures import MeasureColumn
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from fleet.study.store import Store
     from fleet.study.study_file import NamedStudy
     from fleet.study.sweep import Progress
-    from fleet.terminal.fitting import Piece
     from fleet.terminal.status_line import StatusLine
+    from fleet.terminal.table import Piece
     from world.plugins.trust import Trust
 
 _MOST_TOLD = 10  # logs that are not kept
@@ -255,7 +255,7 @@ def _tell_what_is_missing(store: Store, logs: KeepLogs, not_kept: list[str]) -> 
 def _pieces(line: StatusLine, progress: Progress) -> list[Piece]:
     """Where a study is."""
     from fleet.cli.study_output import progress_pieces
-    from fleet.terminal.fitting import Piece
+    from fleet.terminal.table import Piece
 
     left = f"{timedelta(seconds=round(progress.left_s))} left" if isfinite(progress.left_s) else ""
     drawn, rate, failed = progress_pieces(line, progress.made / max(1, progress.runs), progress)

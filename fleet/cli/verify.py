@@ -11,7 +11,7 @@ from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument, newest_log
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import NO_PROGRESS
-from fleet.terminal.folding import say
+from fleet.terminal.table import say
 from world.plugins.trust import Trust
 
 _VERIFY = "Exit status: 0 reproduced, 1 not, 2 no log of ours or it cannot be run here, 3 no message is left in it."
@@ -38,7 +38,7 @@ def verify(log: Path, trust: Trust, as_json: bool, quiet: bool) -> None:
     """
     from fleet.repeat.verify import verification_lines
     from fleet.repeat.verify import verify as check
-    from fleet.terminal.progress import showing, showing_time
+    from fleet.terminal.status_line import showing, showing_time
 
     with (
         showing(f"reading {log}", quiet=quiet) as reading,
@@ -73,7 +73,7 @@ def check_log(log: Path, overrides: tuple[str, ...], trust: Trust, as_json: bool
       fleet check-log runs/latest --set 'checks={"my_checks:OneLeader": {grace: 2 s}}'
     """
     from fleet.repeat.check_log import check_log as check
-    from fleet.terminal.progress import showing
+    from fleet.terminal.status_line import showing
 
     with showing(f"reading {log}", quiet=quiet) as reading:
         found = check(log, overrides, trust, reading)
@@ -107,11 +107,10 @@ def diff(a: Path, b: Path | None, tolerance: float, everything: bool, as_json: b
       fleet diff runs/paper-1-20261121-120000
       fleet diff a.mcap b.mcap --tolerance 1e-9
     """
-    from fleet.logs.deviation import compare, deviation_lines
-    from fleet.logs.first_difference import begin_ns, besides_messages
+    from fleet.logs.deviation import begin_ns, besides_messages, compare, deviation_lines
     from fleet.logs.reader import LogReader, log_path
     from fleet.logs.schemas import FROM
-    from fleet.terminal.progress import showing
+    from fleet.terminal.status_line import showing
 
     second = newest_log() if b is None else b
     if b is None and log_path(a).exists() and log_path(a).samefile(log_path(second)):
@@ -155,7 +154,7 @@ def script(log: Path) -> None:
       fleet script > again.yaml && fleet run again.yaml
     """
     from fleet.repeat.recorded_run import script as make
-    from fleet.terminal.progress import showing
+    from fleet.terminal.status_line import showing
 
     with showing(f"reading {log}") as tell:
         made = make(log, tell)
@@ -182,7 +181,7 @@ def recover(log: Path, out: Path | None) -> None:
     from fleet.logs.recover import recover as write
     from fleet.logs.recover import recovery_text
     from fleet.ros2.bag import bag_file, repair
-    from fleet.terminal.progress import showing
+    from fleet.terminal.status_line import showing
 
     with showing(f"recovering {log}") as tell:
         found = write(log, out, tell) if bag_file(log) is None else repair(log, out, tell)

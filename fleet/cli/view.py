@@ -100,7 +100,7 @@ def show_page(
     """
     from contextlib import closing
 
-    from fleet.terminal.folding import say
+    from fleet.terminal.table import say
     from fleet.view.live_feed import LiveFeed
     from fleet.view.log_feed import LogFeed
     from fleet.view.server import Browser, is_loopback, open_listener, serve

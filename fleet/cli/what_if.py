@@ -11,7 +11,7 @@ from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import OVERRIDES, Whole, key_options
-from fleet.terminal.folding import say
+from fleet.terminal.table import say
 from world.plugins.trust import Trust
 
 if TYPE_CHECKING:

@@ -12,12 +12,12 @@ from fleet.cli.log_argument import log_argument
 from fleet.cli.study_options import SCHEDULER, WORKERS
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import Whole
-from fleet.terminal.folding import say
+from fleet.terminal.table import say
 from world.plugins.trust import Trust
 
 if TYPE_CHECKING:
-    from fleet.terminal.fitting import Piece
     from fleet.terminal.status_line import StatusLine
+    from fleet.terminal.table import Piece
 
 MOST_RUNS = 24
 
@@ -75,7 +75,7 @@ def why(
     if as_json:
         print_document(found)
         return
-    from fleet.explanation.words import lines
+    from fleet.explanation.why import lines
 
     say("\n".join([*lines(found), *([str(picture)] if picture is not None else [])]))
 
@@ -83,7 +83,7 @@ def why(
 def _pieces(line: StatusLine, doing: str, runs: int) -> list[Piece]:
     """What is being done, and how many healed runs were made."""
     from fleet.explanation.no_return import RUNS
-    from fleet.terminal.fitting import Piece
+    from fleet.terminal.table import Piece
 
     return [Piece(0, [doing]), Piece(1, [f"{runs} runs" if doing == RUNS else ""])]
 

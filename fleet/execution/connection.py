@@ -13,14 +13,13 @@ import msgspec
 from fleet.errors import FleetError
 from fleet.execution.directory import CONNECTION, OBSERVE, in_use
 from fleet.execution.registry import registered
-from fleet.logs.run_name import RUN_NAME
+from fleet.logs.topic_names import RUN_NAME
 from netem.errors import BusError
-from netem.private_file import DamagedFile, parse_json
-from netem.whole_file import read_file
+from netem.private_file import DamagedFile, parse_json, read_file
 from netem.wire.access import LEASE_MS, Credentials
 from netem.wire.bus import Bus
-from netem.wire.control import read_map, request
 from netem.wire.keys import Keys
+from netem.wire.shell import read_map, request
 
 ASK_S = 5.0
 MOST_BYTES = 100_000  # of a connection file, with certificates

@@ -1,47 +1,42 @@
 """The console of a distributed run: start the processes, wait until all are ready, grant the clock, record.
 
-Everything that happens is an event of one queue (`fleet.execution.events`), which the main thread takes one by one.
+Everything that happens is an event of one queue (`fleet.execution.session`), which the main thread takes one by one.
 """
 
 from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import msgpack
 
 from fleet.errors import RunBroken, StoppedError
-from fleet.execution.accounts import closing, lost_messages
 from fleet.execution.clock import GrantPolicy, LiveClock
 from fleet.execution.directory import RunDirectory
-from fleet.execution.events import EXPECTED, EventKind, EventQueue
 from fleet.execution.external_agents import ExternalAgents
 from fleet.execution.hosting import hosting
-from fleet.execution.launch import Launch
 from fleet.execution.notes import Notes, tick_text
 from fleet.execution.operator import Operator
 from fleet.execution.options import Options
-from fleet.execution.post_mortem import explain, last_lines, who_waits
-from fleet.execution.readiness import readiness
 from fleet.execution.runner import Closing
-from fleet.execution.session import Session, connect_to_router, connect_to_world
-from fleet.execution.supervisor import Supervisor
+from fleet.execution.session import EXPECTED, EventKind, EventQueue, Session, connect_to_router, connect_to_world
+from fleet.execution.supervisor import Launch, Supervisor, explain, last_lines, who_waits
 from fleet.processes.children import Children, Exit
 from fleet.processes.interrupts import deferring_interrupts
 from fleet.recorder.journal import Journal
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.timeline import Kill
-from netem.clock import Clock
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.faults import NetFault, fault_values
 from netem.lives import Absence
+from netem.vehicle_clock import Clock
 from netem.wire.access import CONSOLE, NETEM, WORLD, agent_role
 from netem.wire.bus import Bus, Respond
 from netem.wire.codec import expect
-from netem.wire.control import read_map
 from netem.wire.keys import Keys
 from netem.wire.messages import (
     PROTOCOL_VERSION,
@@ -56,6 +51,95 @@ from netem.wire.messages import (
     WorldFault,
     WorldFaults,
 )
+from netem.wire.shell import read_map
+
+# --- accounts
+# The account of a completed run: every message that one process sent, another received.
+
+
+def closing(world: dict[str, Any], network: dict[str, Any], rejected: dict[str, int]) -> Closing:
+    """The final reports of a completed run's processes.
+
+    Args:
+        world, network: what they answered to `close`.
+        rejected: notes that were not kept, by key.
+    """
+    return Closing(
+        entered={(src, dst): (sent, copies) for src, dst, sent, copies in network.get("entered", ())},
+        rejected={**world.get("rejected", {}), **network.get("rejected", {}), **rejected},
+        timing={**world.get("timing", {}), "netem": network.get("timing", {})},
+    )
+
+
+def lost_messages(counts: dict[str, Any], clock: Clock = Clock.LOCKSTEP) -> int:
+    """How many messages left one process of a completed run and never arrived at the other.
+
+    Every nav is answered by one command; agents' own counts are not needed.
+
+    Args:
+        counts: by process (`world`, `netem`, `console`), how many messages of each kind it sent and received.
+        clock: on a wall clock an agent may skip navs, and commands are not counted.
+
+    Raises:
+        RunBroken: a process did not report what it sent and received.
+    """
+    try:
+        world_sent, world_received = counts["world"]["sent"], counts["world"]["received"]
+        netem_sent, netem_received = counts["netem"]["sent"], counts["netem"]["received"]
+        console = counts["console"]
+        pairs = [
+            *([(world_sent["nav"], world_received["cmd"])] if clock is Clock.LOCKSTEP else []),
+            (world_sent["round"], netem_received["round"]),
+            (world_sent["frame"], console["frame"]),
+            (netem_sent["links"], console["links"]),
+        ]
+    except KeyError as error:
+        raise RunBroken(f"a process closed without its count of {error}") from None
+    return sum(abs(sent - received) for sent, received in pairs)
+
+
+# --- readiness
+# Whether everyone is ready for the first tick.
+
+
+@dataclass(frozen=True, slots=True)
+class Readiness:
+    """The processes that are ready, at one moment."""
+
+    missing: str  # who is not, in words; empty: everyone is ready
+    only_external: bool = False  # nobody is missing but agents that somebody else starts
+
+
+def readiness(
+    world: Mapping[str, Any],
+    network: Mapping[str, Any],
+    vehicles: Sequence[int],
+    awaited: Sequence[int],
+    silent: Collection[str],
+) -> Readiness:
+    """Find out from the answers of world and netem to `ready` which processes are ready.
+
+    A liveliness token only shows that a process lives. These answers show that messages arrive.
+
+    Args:
+        world: the world's answer. `ready` has (vehicle, incarnation) of each agent that greeted the world. `grant`
+            says that the world hears grants. Empty: no answer.
+        network: netem's answer. `round` says that netem hears the world. Empty: no answer.
+        vehicles: all vehicles of the fleet, ascending.
+        awaited: vehicles with an external agent that has not joined, ascending.
+        silent: keys on which the console has heard no greeting.
+    """
+    ready = {i for i, _ in world.get("ready", ())}.difference(awaited)
+    absent = [i for i in vehicles if i not in ready]
+    cores = bool(network.get("round") and world.get("grant"))
+    if absent:
+        missing = "agents " + ", ".join(map(str, absent)) if len(absent) < 9 else f"{len(absent)} agents"
+    elif not network.get("round"):
+        missing = "netem"
+    else:
+        missing = ", ".join(sorted(silent)) or ("" if cores else "the clock's key")
+    return Readiness(missing, only_external=bool(awaited) and absent == list(awaited) and cores)
+
 
 READY_S = 20.0
 READY_PER_VEHICLE_S = 0.2

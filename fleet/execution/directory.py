@@ -13,14 +13,18 @@ import os
 import secrets
 import shutil
 import time
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import IO, Any
 
 from fleet.errors import FleetError
-from fleet.logs.run_name import STAMP
-from fleet.result.file import RESULT
-from netem.whole_file import open_file, write_whole
+from fleet.logs.topic_names import RUN_NAME, STAMP, begun_at
+from fleet.result.file import RESULT, ResultError, read_result
+from fleet.result.result import Status
+from netem.private_file import open_file, write_whole
 
 LATEST = "latest"
 LOG, SCENARIO, CONNECTION, OBSERVE = "run.mcap", "scenario.yaml", "connection.json", "observe.json"
@@ -160,3 +164,155 @@ def _make_unique(out: Path, base: str) -> Path:
             number += 1
         else:
             return path
+
+
+# --- past runs
+# The runs below a directory: which there are, what they came to, how large they are, and which may go.
+
+
+PASS, FAIL, BROKE, STOPPED, LIVE = VERDICTS = ("pass", "FAIL", "broke", "stopped", "live")
+FINISHED = VERDICTS[:-1]
+_OF_STATUS = {
+    Status.PASS: PASS,
+    Status.CHECK_FAILED: FAIL,
+    Status.BROKEN: BROKE,
+    Status.INTERRUPTED: STOPPED,
+    Status.HUNG_UP: STOPPED,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class PastRun:
+    """One run directory, of a run that goes on or is over."""
+
+    path: Path
+    scenario: str
+    verdict: str  # one of VERDICTS; a run without a result broke
+    sim_s: float | None  # None: there is no result
+    size: int  # of all its files [bytes]
+    began: datetime
+
+    @property
+    def name(self) -> str:
+        return self.path.name
+
+
+def past_runs(out: Path) -> list[PastRun]:
+    """The runs below a directory, the newest first. Links, and directories that are not ours, are left out.
+
+    Raises:
+        FleetError: the directory cannot be read.
+    """
+    found = [_read(path, began) for path, began in _ours(out)]
+    return sorted(found, key=lambda run: (run.began, run.name), reverse=True)
+
+
+def newest_run(out: Path) -> Path | None:
+    """The directory of the newest run: the target of `latest`, or else the run that began last.
+
+    Raises:
+        FleetError: the directory cannot be read.
+    """
+    with suppress(OSError):
+        path = out / (out / LATEST).readlink()
+        if path.is_dir():
+            return path
+    return _began_last(out)
+
+
+def to_prune(
+    runs: Sequence[PastRun], *, keep: int, older_than_s: float, verdicts: Collection[str], now: datetime
+) -> list[PastRun]:
+    """Choose runs to remove. Live runs always stay.
+
+    Args:
+        runs: the runs, the newest first.
+        keep: this number of newest runs stays in any case.
+        older_than_s: younger runs stay [s].
+        verdicts: runs with another verdict stay.
+        now: the present time.
+    """
+    over = [run for run in runs if run.verdict != LIVE]
+    return [run for run in over[keep:] if run.verdict in verdicts and (now - run.began).total_seconds() >= older_than_s]
+
+
+def remove(out: Path, runs: Sequence[PastRun]) -> Iterator[PastRun]:
+    """Remove run directories with their content. Targets of links stay; `latest` is mended.
+
+    Yields:
+        Each run that was removed. A run that is in use again stays.
+
+    Raises:
+        FleetError: a directory cannot be removed.
+    """
+    try:
+        for run in runs:
+            if in_use(run.path):
+                continue
+            try:
+                shutil.rmtree(run.path)
+            except OSError as error:
+                raise FleetError(f"cannot remove {run.path}: {error.strerror}", status=3) from None
+            yield run
+    finally:
+        _mend_latest(out)
+
+
+def _mend_latest(out: Path) -> None:
+    """Let `latest` lead to the newest run that is left, if it leads nowhere."""
+    link = out / LATEST
+    if not link.is_symlink() or link.exists():
+        return
+    newest = _began_last(out)
+    if newest is None:
+        link.unlink(missing_ok=True)
+    else:
+        link_latest(out, newest.name)
+
+
+def _began_last(out: Path) -> Path | None:
+    return max(_ours(out), key=lambda pair: (pair[1], pair[0]), default=(None,))[0]
+
+
+def _ours(out: Path) -> Iterator[tuple[Path, datetime]]:
+    """The run directories below a directory, and when they began.
+
+    A directory is ours if it has a name that `fleet run` gives, a scenario and a folder of logs. So a directory that a
+    user renamed is never removed.
+    """
+    try:
+        entries = list(os.scandir(out))
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise no_place(f"cannot read {out}", error) from None
+    for entry in entries:
+        began = begun_at(entry.name)
+        if began is None or not entry.is_dir(follow_symlinks=False):
+            continue
+        path = Path(entry.path)
+        if os.path.isfile(path / SCENARIO) and os.path.isdir(path / "log"):
+            yield path, began
+
+
+def _read(path: Path, began: datetime) -> PastRun:
+    name = RUN_NAME.fullmatch(path.name)
+    assert name is not None  # it is one of ours
+    verdict, sim_s = BROKE, None
+    if in_use(path):
+        verdict = LIVE
+    else:
+        with suppress(OSError, ResultError):
+            result = read_result(path)
+            verdict, sim_s = _OF_STATUS[result.status], result.sim_s
+    return PastRun(path, name["scenario"], verdict, sim_s, _size(path), began)
+
+
+def _size(path: Path) -> int:
+    """The sizes of all files below a directory [bytes], without the targets of links."""
+    total = 0
+    for folder, _, files in os.walk(path):
+        for file in files:
+            with suppress(OSError):
+                total += os.lstat(os.path.join(folder, file)).st_size
+    return total

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import secrets
 import time
+from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
+from pathlib import Path
 
 from rich.console import Console as Terminal
 
@@ -21,23 +23,173 @@ from fleet.execution.hosting import Hosting, hosting
 from fleet.execution.in_process import InProcess
 from fleet.execution.options import Options
 from fleet.execution.outcome import account_for, judge_run, settle
-from fleet.execution.progress import ProgressLine
-from fleet.execution.publication import NoPublication, Publication
 from fleet.execution.registry import RegistryError, register
 from fleet.execution.runner import Runner
 from fleet.processes.interrupts import DeferInterrupts, HungUp
-from fleet.processes.limits import NO_THREAD, no_thread
-from fleet.processes.ports import free_port
+from fleet.processes.limits import NO_THREAD, free_port, no_thread
 from fleet.recorder.journal import Journal
-from fleet.recorder.log_file import LogFile
-from fleet.recorder.no_log import NoLog
+from fleet.recorder.log_file import LogFile, NoLog
 from fleet.recorder.writer import LogWriter
+from fleet.replay.publisher import LivePublisher
 from fleet.result.file import write_result
-from fleet.result.result import Result, Status, Wall
+from fleet.result.result import Published, Result, Status, Wall
 from fleet.scenario.scenario import Scenario
-from fleet.terminal.status_line import StatusLine
-from netem.clock import Clock
+from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
+from fleet.terminal.status_line import BAR, StatusLine, bar
+from fleet.terminal.table import GAP, Piece, shortened
+from netem.vehicle_clock import Clock
 from world.errors import WorldError
+
+# --- progress
+# The display of a run while it goes on: its time and speed, the formation error, packets and faults.
+
+
+STILL_S = 60.0  # between plain lines when nothing moves
+MOST_FAULTS = 4  # shown by name
+
+
+class ProgressLine:
+    """Shows how a run goes on a status line; call it as often as you like."""
+
+    def __init__(self, scenario: Scenario, journal: Journal, line: StatusLine, waiting: Callable[[], str]) -> None:
+        """Prepare it.
+
+        Args:
+            waiting: the waiting process and its cause, in words; empty: the run moves.
+        """
+        self._journal, self._waiting, self._line = journal, waiting, line
+        self._tick_s = scenario.tick_ns / 1e9
+        self._ticks = scenario.ticks
+        self._end_s = scenario.ticks * self._tick_s
+        self._began_s: float | None = None
+        self._shown, self._still_until_s = (-1, ""), 0.0  # what the last plain line was about
+
+    def __call__(self) -> None:
+        """Show it if it is time to."""
+        now = time.monotonic()
+        if self._began_s is None or self._journal.written < 0:
+            self._began_s = now  # waiting for agents to join is no part of the run
+        if not self._line.due():
+            return
+        waiting = self._waiting()
+        about = self._journal.written, waiting.rsplit(", ", 1)[0]  # without for how long
+        if not self._line.live and about == self._shown and now < self._still_until_s:
+            return
+        self._shown, self._still_until_s = about, now + STILL_S
+        self._line.show(self._pieces(now - self._began_s, waiting))
+
+    def _pieces(self, passed_s: float, waiting: str) -> list[Piece]:
+        """The parts of the display, `passed_s` of wall time after the start."""
+        tick, begin = max(0, self._journal.written), self._journal.begin
+        at_s = tick * self._tick_s
+        speed = f"{(tick - begin) * self._tick_s / passed_s:.1f} x" if passed_s else ""
+        share = (tick - begin) / max(1, self._ticks - begin)
+        off = self._journal.metrics.formation
+        of_fleet = off.vehicles > 1
+        whose = [f" (UUV {off.vehicle})", ""] if of_fleet else [""]
+        worst_m, median_m = off.worst_m or 0.0, off.median_m or 0.0
+        errors = [f"error {worst_m:.3f} m{of}" for of in whose]
+        waits = waiting.replace("waiting for", "waits for")
+        return [
+            Piece(0, [f"t = {at_s:.1f} / {self._end_s:g} s", f"{at_s:.1f}/{self._end_s:g} s"]),
+            Piece(7, [bar(share), bar(share, BAR // 2), ""] if self._line.live else [""]),
+            Piece(5, [f"{speed} real time", speed, ""] if speed else [""]),
+            Piece(2, [f"formation {errors[0]}", *errors, f"error {worst_m:.2f} m"]),
+            Piece(8, [f"median {median_m:.3f} m", ""] if of_fleet else [""]),
+            Piece(6, [*self._packets(), ""]),
+            Piece(1, self._faults()),
+            Piece(4, self._events()),
+            Piece(3, [waiting, *shortened(waiting, 40, 30), *shortened(waits, 22)]),
+        ]
+
+    def _packets(self) -> list[str]:
+        total = self._journal.ledger.total()
+        lost = sum(total.lost.values()) - total.replaced
+        never_sent = f", {total.replaced} replaced" if total.replaced else ""
+        short = f"{total.delivered} delivered, {lost} lost"
+        return [f"packets {short}{never_sent}", short]
+
+    def _faults(self) -> list[str]:
+        """The active faults: some by name, or how many."""
+        names = self._journal.active
+        if not names:
+            return [""]
+        forms = []
+        for most in range(MOST_FAULTS, 0, -1):
+            more = f" and {len(names) - most} more" if len(names) > most else ""
+            forms.append(f"faults {', '.join(names[:most])}{more}")
+        return [*dict.fromkeys(forms), f"{len(names)} fault{'s' * (len(names) > 1)}"]
+
+    def _events(self) -> list[str]:
+        """The vehicles that are tumbled or have diverged now: by number, or how many."""
+        kinds = [(TUMBLED, sorted(self._journal.tumbled)), (DIVERGED, sorted(self._journal.diverged))]
+        known = [(kind, vehicles) for kind, vehicles in kinds if vehicles]
+        by_number = GAP.join(f"{kind} {', '.join(map(str, vehicles))}" for kind, vehicles in known)
+        counted = GAP.join(f"{len(vehicles)} {kind}" for kind, vehicles in known)
+        few = all(len(vehicles) <= MOST_FAULTS for _, vehicles in known)
+        return [*([by_number] if few else []), counted, ""]
+
+
+# --- publication
+# The journal of a run on zenoh, while it goes on, or nothing of the kind.
+
+
+class NoPublication:
+    """A run that is not published."""
+
+    publisher = None
+
+    def open(self) -> None:
+        """Begin to publish."""
+
+    def wait(self) -> None:
+        """Wait for a subscriber, if the run is to."""
+
+    def close(self) -> None:
+        """End."""
+
+    def summary(self) -> Published | None:
+        """The result's entry about it."""
+        return None
+
+
+class Publication:
+    """A run that is published."""
+
+    def __init__(
+        self, run: str, observe: Path, scenario: str, print_line: Callable[[str], None], *, wait: bool
+    ) -> None:
+        """Prepare it; nothing is started.
+
+        Args:
+            run: its id; its keys begin with fleet/<run>/.
+            observe: the file that says, while the run lives, where and as whom to subscribe.
+            scenario: of the run, as YAML.
+            print_line: shows the operator a line that stays.
+            wait: the run begins when there is a subscriber.
+        """
+        self.publisher = LivePublisher(run, observe, scenario, wait=wait)  # what the log writer hands each message
+        self._observe, self._print_line = observe, print_line
+
+    def open(self) -> None:
+        """Begin to publish. Raises FleetError: that is not possible."""
+        self.publisher.open()
+        where = f"fleet/{self.publisher.run}/log/** at {self.publisher.endpoint}"
+        self._print_line(f"publishing {where}; how to join: {self._observe}")
+
+    def wait(self) -> None:
+        """Wait for a subscriber, if the user asked for that. Raises FleetError: the publisher ended meanwhile."""
+        if self.publisher.wait:
+            self._print_line("waiting for a subscriber")
+            self.publisher.heard()
+
+    def close(self) -> None:
+        """End, once everything is published."""
+        self.publisher.close()
+
+    def summary(self) -> Published | None:
+        """The result's entry about it."""
+        return Published(self.publisher.published, self.publisher.dropped)
 
 
 @dataclass(slots=True)

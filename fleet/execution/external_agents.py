@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from agents.join_file import JoinFile
 from fleet.errors import FleetError, RunBroken
 from fleet.execution.directory import RunDirectory
-from fleet.hosts.join_folder import JoinFolder
+from fleet.hosts.rendezvous import JoinFolder
 from fleet.scenario.scenario import Scenario
 from netem.wire.access import Credentials, agent_role
 from netem.wire.keys import Keys

@@ -15,7 +15,7 @@ from fleet.execution.options import Options
 from fleet.processes.limits import processors
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.per_vehicle import Control
-from netem.clock import Clock
+from netem.vehicle_clock import Clock
 from netem.wire.access import agent_role, host_role
 
 Process = TypeVar("Process")

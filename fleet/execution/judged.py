@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Never
 
 from fleet.execution.stepped_run import Changes, Run, loaded
+from fleet.recorder.journal import Watcher
 from fleet.recorder.log_file import LogFile
-from fleet.recorder.watched import Watcher
 from fleet.result.result import Result
 from fleet.scenario.scenario import Scenario
 from world.plugins.trust import NOTHING, Trust

@@ -10,9 +10,8 @@ from fleet.errors import printable
 from netem.errors import MalformedMessage
 from netem.wire.access import WORLD
 from netem.wire.codec import expect
-from netem.wire.host_messages import Ended
 from netem.wire.keys import vehicle_of
-from netem.wire.messages import Note
+from netem.wire.messages import Ended, Note
 from netem.wire.queues import Quota
 
 MOST_NOTES = 1000

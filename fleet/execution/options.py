@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fleet.analysis.punctuality import MOST_MISSED
-from netem.clock import Clock
+from netem.vehicle_clock import Clock
 
 if TYPE_CHECKING:
     from fleet.hosts.rendezvous import Rendezvous

@@ -11,8 +11,7 @@ from fleet.analysis.verdicts import judge, judge_expected
 from fleet.cores import cores
 from fleet.execution.runner import Runner
 from fleet.recorder.journal import Journal
-from fleet.recorder.log_file import LogError, LogFile
-from fleet.recorder.no_log import NoLog
+from fleet.recorder.log_file import LogError, LogFile, NoLog
 from fleet.result.result import FaultEvent, LinkAge, Result, Status, TumbleSpell, Wall
 from fleet.result.verdict import Verdict
 from fleet.scenario.scenario import Scenario

@@ -19,16 +19,13 @@ from fleet.checks.own_checks import OwnChecks
 from fleet.errors import FleetError, RunBroken
 from fleet.execution.clock import GrantPolicy, LiveClock
 from fleet.execution.external_agents import refuse
-from fleet.execution.fault_request import RefusedError
 from fleet.execution.in_process import InProcess, MakeLife
-from fleet.execution.operator import Operator
+from fleet.execution.operator import Operator, RefusedError
 from fleet.execution.outcome import account_for, judge_run, settle
 from fleet.notebook import html_table
 from fleet.quantities import QuantityError, show_time, time_ns
-from fleet.recorder.journal import Journal
-from fleet.recorder.log_file import LogFile
-from fleet.recorder.no_log import NoLog
-from fleet.recorder.watched import WatchedLog, Watcher
+from fleet.recorder.journal import Journal, WatchedLog, Watcher
+from fleet.recorder.log_file import LogFile, NoLog
 from fleet.recorder.writer import LogWriter
 from fleet.result.result import Result, Status, Wall
 from fleet.result.verdict import Margin

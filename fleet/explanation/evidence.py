@@ -19,8 +19,8 @@ from fleet.logs.reader import LogReadError
 from fleet.logs.topic import Topic
 from fleet.logs.topic_names import link_topic
 from fleet.scenario.sections.signals import parse_name
-from netem.causes import Cause
 from netem.condition import Link
+from netem.fault_kinds import Cause
 
 TOPICS = ("uuv/*/state", "uuv/*/belief", "uuv/*/located", "uuv/*/control", "uuv/*/guidance", "uuv/*/error",
           "uuv/*/command", "uuv/*/clock", "uuv/*/plant", "uuv/*/nav", "faults", "link/*")  # fmt: skip

@@ -27,8 +27,8 @@ from fleet.execution.in_process import InProcess
 from fleet.execution.outcome import judge_run, settle
 from fleet.quantities import show_time, time_ns
 from fleet.recorder.journal import Journal
+from fleet.recorder.log_file import NoLog
 from fleet.recorder.metrics import VehicleError
-from fleet.recorder.no_log import NoLog
 from fleet.recorder.snapshot import Snapshot
 from fleet.result.result import Result, Status
 from fleet.result.verdict import Verdict
@@ -46,9 +46,9 @@ from fleet.study.plan import run_key
 from fleet.study.shrink import Tree, tree_of
 from netem.lives import Lives
 from netem.wire.messages import Command, Fate, Frame
+from world.config import vehicle_memories
 from world.errors import WorldError
 from world.plugins.trust import Trust
-from world.run_memory import vehicle_memories
 
 RUNS = "runs that are healed"  # what is being made, for `tell`
 _FIRST, _THEN = 6, 3  # moments that are tried together

@@ -17,8 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from fleet.errors import FleetError
-from netem.private_file import ExposedFile, read_private
-from netem.whole_file import read_file, write_whole
+from netem.private_file import ExposedFile, read_file, read_private, write_whole
 
 CA, SERVER = "ca", "server"
 OWN = "fleet"  # what the run's own processes show to a router that asks for certificates

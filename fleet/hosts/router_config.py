@@ -9,10 +9,10 @@ from typing import Any
 from fleet.errors import FleetError
 from fleet.hosts.certificates import CA, OWN, SERVER, path
 from fleet.hosts.rendezvous import new_credentials
-from netem.whole_file import write_whole
+from netem.private_file import write_whole
 from netem.wire.access import CONSOLE, NETEM, OPERATOR, WORLD, access_control, agent_role
 from netem.wire.keys import Keys
-from netem.wire.settings import router_settings
+from netem.wire.session import router_settings
 
 CONFIG, USERS, CREDENTIALS = "router.json5", "users", "credentials.json"
 

@@ -11,16 +11,198 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from itertools import chain, islice
-from math import inf, isnan
+from itertools import chain, islice, zip_longest
+from math import inf, isfinite, isnan
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fleet.logs.decoder import Decoder, FieldValue
-from fleet.logs.first_difference import Difference, begin_ns, side
 from fleet.logs.reader import LogReader, Record
 from fleet.logs.records import Block, Message
+from fleet.logs.schemas import ANEW, FROM, FROM_TICK, START
+
+# --- first difference
+# Where two logs differ first: the first message that is not the same in both, field by field.
+
+
+_MOST_BYTES = 24  # of a payload, shown
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """One log's side of the first difference."""
+
+    name: str
+    record: Record | None  # None: the log has ended
+    values: list[FieldValue]
+    tick_ns: int
+    why: str = ""  # the log has ended
+
+    def __str__(self) -> str:
+        if self.record is None:
+            return f"the log ends here{f' ({self.why})' if self.why else ''}"
+        return f"{self.record.topic}, {self._when}, sent {self.record.publish_ns} ns, seq {self.record.sequence}"
+
+    @property
+    def _when(self) -> str:
+        assert self.record is not None
+        at = self.record.log_ns
+        return f"tick {at / self.tick_ns:g}, t = {at / 1e9:g} s" if self.tick_ns else f"t = {at / 1e9:g} s"
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """The first message that differs; `number` counts from 0."""
+
+    number: int
+    left: Side
+    right: Side
+
+    def __str__(self) -> str:
+        a, b = self.left, self.right
+        if a.record is None or b.record is None or a.record[:4] != b.record[:4]:
+            return "\n".join([f"message {self.number}", *self._apart(a), *self._apart(b)])
+        lines: list[tuple[str, ...]] = [("field", a.name, b.name, "|a - b|", "unit")]
+        alike = 0
+        for one, other in zip_longest(a.values, b.values):
+            if same(one, other):
+                alike += 1
+                continue
+            path, _, unit = one or other
+            lines.append((path, _shown(one), _shown(other), _gap(one, other), unit))
+        head = f"message {self.number}: {a}"
+        tail = [f"  ({alike} other field{'s' * (alike != 1)} the same)"] if alike else []
+        if len(lines) == 1:  # the same values, written in another way
+            return f"{head}\n  {a.name}: {_bytes(a.record.data)}\n  {b.name}: {_bytes(b.record.data)}"
+        return "\n".join([head, *_table(lines), *tail])
+
+    @staticmethod
+    def _apart(side: Side) -> Iterator[str]:
+        yield f"  {side.name}: {side}"
+        for value in side.values:
+            yield f"    {value.path} = {_shown(value)} {value.unit}".rstrip()
+
+
+def first_difference(a: LogReader, b: LogReader, names: tuple[str, str] = ("a", "b")) -> Difference | None:
+    """The first message that is not the same in both logs; reads no further. Gaps and ends count as differences.
+
+    Raises:
+        LogReadError: one of them is no log.
+    """
+    for number, (left, right) in enumerate(zip_longest(a, b)):
+        if left != right:
+            return Difference(number, side(names[0], a, left), side(names[1], b, right))
+    return None
+
+
+def side(name: str, reader: LogReader, record: Record | None) -> Side:
+    """One side of a difference, decoded by the schema of its log."""
+    tick_ns = tick_length(reader)
+    if record is None:
+        return Side(name, None, [], tick_ns, reader.missing)
+    return Side(name, record, Decoder(reader)(record), tick_ns)
+
+
+def besides_messages(a: LogReader, b: LogReader) -> list[str]:
+    """Further differences of two logs: attachments, metadata and the declarations of topics.
+
+    Where only one of the runs goes on from another, that it does so is no difference.
+    """
+    start: set[str] = {START, FROM, FROM_TICK, ANEW} if begin_ns(a) != begin_ns(b) else set()
+    names = sorted((a.attachments.keys() | b.attachments.keys()) - start)
+    found = [f"attachment {name}" for name in names if a.attachments.get(name) != b.attachments.get(name)]
+    for name in sorted(a.metadata.keys() | b.metadata.keys()):
+        left, right = a.metadata.get(name, {}), b.metadata.get(name, {})
+        keys = [key for key in sorted((left.keys() | right.keys()) - start) if left.get(key) != right.get(key)]
+        found += [f"metadata {name}: {key} {left.get(key)} and {right.get(key)}" for key in keys]
+    topics = {topic for topic, _ in _declared(a).items() ^ _declared(b).items()}
+    return [*found, *(f"the declaration of {topic}" for topic in sorted(topics))]
+
+
+def framing(a: Path, b: Path) -> str:
+    """From which byte on two files differ; "" if they do not."""
+    if a.stat().st_size == b.stat().st_size == 0:
+        return ""
+    offset = 0
+    with a.open("rb") as left, b.open("rb") as right:
+        while True:
+            one, other = left.read(1 << 20), right.read(1 << 20)
+            if one != other:
+                place = next((n for n, (x, y) in enumerate(zip(one, other, strict=False)) if x != y), None)
+                return "one file is longer" if place is None else f"the bytes from {offset + place} on"
+            if not one:
+                return ""
+            offset += len(one)
+
+
+def tick_length(reader: LogReader) -> int:
+    """Ts [ns] of a log as far as it was read; 0 if it states none."""
+    return _stated(reader, "tick_ns")
+
+
+def begin_ns(reader: LogReader) -> int:
+    """The time at which the run of a log begins, from the part that was read.
+
+    It is above 0 if the run continues another.
+    """
+    return min(_stated(reader, FROM_TICK) * tick_length(reader), 2**63 - 1)
+
+
+def _stated(reader: LogReader, key: str) -> int:
+    """A number that the log states of its run; 0 if it does not."""
+    text = reader.metadata.get("run", {}).get(key, "0")
+    return int(text) if text.isascii() and text.isdigit() and len(text) < 20 else 0
+
+
+def _declared(reader: LogReader) -> dict[str, tuple[Any, ...]]:
+    found: dict[str, tuple[Any, ...]] = {}
+    for channel in reader.channels.values():
+        schema = reader.schemas.get(channel.schema_id)
+        known = (schema.name, schema.encoding, schema.data) if schema is not None else ()
+        found[channel.topic] = (*known, channel.message_encoding, tuple(sorted(channel.metadata.items())))
+    return found
+
+
+def same(a: FieldValue | None, b: FieldValue | None) -> bool:
+    """Whether a field is there in both messages with the same value; what is no number is the same as another one."""
+    if a is None or b is None:
+        return False
+    return bool(a.value == b.value or (a.value != a.value and b.value != b.value))
+
+
+def _shown(value: FieldValue | None) -> str:
+    if value is None:
+        return "-"
+    return _bytes(value.value) if isinstance(value.value, bytes) else repr(value.value)
+
+
+def _bytes(data: bytes) -> str:
+    more = f".. ({len(data)} bytes)" if len(data) > _MOST_BYTES else ""
+    return data[:_MOST_BYTES].hex() + more
+
+
+def _gap(a: FieldValue | None, b: FieldValue | None) -> str:
+    if a is None or b is None:
+        return ""
+    if isinstance(a.value, bytes) and isinstance(b.value, bytes):
+        place = next((n for n, (x, y) in enumerate(zip(a.value, b.value, strict=False)) if x != y), None)
+        return "length" if place is None else f"byte {place}"
+    if (
+        isinstance(a.value, int | float)
+        and isinstance(b.value, int | float)
+        and isfinite(a.value)
+        and isfinite(b.value)
+    ):
+        return f"{abs(a.value - b.value):.3g}"
+    return ""
+
+
+def _table(rows: list[tuple[str, ...]]) -> list[str]:
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return ["  " + "  ".join(f"{cell:<{w}}" for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+
 
 MOST_WAITING_BYTES = 64 << 20  # of them
 _STEP = 4096  # messages that are compared at once

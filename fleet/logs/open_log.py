@@ -15,16 +15,14 @@ from fnmatch import fnmatchcase
 from functools import cached_property
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 import fleet.logs.topic as held
-from fleet.logs.digest import Digest
 from fleet.logs.fault_intervals import FaultInterval, fault_intervals
-from fleet.logs.part import Part
 from fleet.logs.reader import LogReader, LogReadError, Tell, digest, log_path
-from fleet.logs.records import Block
+from fleet.logs.records import Block, Digest
 from fleet.logs.topic import LogKeyError, Topic
 from fleet.logs.topic_names import link_of
 from fleet.notebook import html_table
@@ -36,6 +34,30 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from fleet.scenario.scenario import Scenario
+
+
+# --- part
+# Which messages of a log are kept: those of a time, and one in a number of each topic.
+
+
+class Part(NamedTuple):
+    """Which messages of a log are kept."""
+
+    start: float = 0.0  # s
+    end: float = inf
+    every: int = 1
+
+    def within(self, block: Block) -> Block:
+        """Those of the time."""
+        if self.start <= 0.0 and self.end == inf:
+            return block
+        t = block.log_ns / 1e9
+        return block.take((t >= self.start) & (t <= self.end))
+
+    def thinned(self, block: Block, seen: int) -> Block:
+        """The messages to keep of one topic's messages within the time; `seen` messages came before."""
+        return block if self.every == 1 else block.take(np.arange(-seen % self.every, len(block), self.every))
+
 
 BUCKETS = 4000  # spans of time that a picture can show, at most
 _AT_ONCE = 16 << 20  # bytes whose messages are handed out together: a chunk has one or two of each of many topics

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from agents import compact, message, payload
 from fleet.logs.topic import Topic
-from netem.causes import Cause
+from netem.fault_kinds import Cause
 
 STATE, OTHER, DAMAGED = "state message", "other bytes", "damaged"
 _CHECKSUM = 4  # bytes at the end of a message of one's own

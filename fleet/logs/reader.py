@@ -13,10 +13,9 @@ import numpy as np
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from fleet.errors import FleetError
-from fleet.logs.digest import Digest
-from fleet.logs.records import MAGIC, Block, together
+from fleet.logs.records import MAGIC, Block, Digest, together
 from fleet.logs.salvage import Damage, Item, Salvage
-from netem.whole_file import read_file
+from netem.private_file import read_file
 
 RECOVERY = "recovery"  # name of the metadata record in a file that `fleet recover` wrote
 LOST = "lost"  # key in this record: text that says what is lost

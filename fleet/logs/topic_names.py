@@ -2,9 +2,70 @@
 
 from __future__ import annotations
 
+import json
+import os
 import re
+from datetime import UTC, datetime
+from pathlib import Path
 
+from fleet.logs.reader import LogReader, log_path
+from fleet.scenario.sections.signals import GROUPS
 from netem.condition import Link
+
+# --- run name
+# The name of a run, which is that of its directory, and when it began, which only that name says.
+
+
+STAMP = "%Y%m%d-%H%M%S"  # in the names of run directories, UTC
+RUN_NAME = re.compile(r"(?P<scenario>.+)-(?P<seed>\d+)-(?P<began>\d{8}-\d{6})(-\d+)?", re.ASCII)
+
+
+def run_name(log: Path) -> str:
+    """The name of a run.
+
+    Args:
+        log: its log; a link such as `latest` in its path is resolved.
+
+    Returns:
+        The name of the run directory, or of a log that is not called run.mcap as in such a directory.
+    """
+    path = Path(os.path.realpath(log))
+    return path.parent.name if path.name == "run.mcap" else path.stem
+
+
+def begun_at(name: str) -> datetime | None:
+    """When the run of a name began, in UTC; None: the name does not say it, because somebody gave it another one."""
+    found = RUN_NAME.fullmatch(name)
+    try:
+        return None if found is None else datetime.strptime(found["began"], STAMP).replace(tzinfo=UTC)
+    except ValueError:  # no day has this number
+        return None
+
+
+# --- signal names
+# The names of the signals of a log, without reading all of it.
+
+
+def signal_names(path: Path) -> list[str]:
+    """Every signal of a vehicle as its channels declare it: `control.leads`; read from the beginning of the file.
+
+    Raises:
+        LogReadError: there is no log to read.
+    """
+    reader = LogReader(log_path(path))
+    next(iter(reader.blocks()), None)
+    found: dict[str, None] = {}
+    for channel in reader.channels.values():
+        group = re.fullmatch(r"uuv/\d+/(\w+)", channel.topic)
+        if group is None or group[1] not in GROUPS:
+            continue
+        try:
+            fields = list(json.loads(channel.metadata["units"]))
+        except (KeyError, ValueError, TypeError):  # a channel that is not ours
+            continue
+        found |= {f"{group[1]}.{field}": None for field in fields if isinstance(field, str)}
+    return sorted(found)
+
 
 _LINK = re.compile(r"link/(\d{1,9})-(\d{1,9})", re.ASCII)
 _BELIEVER = re.compile(r"uuv/(\d{1,9})/(belief|located)", re.ASCII)

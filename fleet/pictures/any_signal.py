@@ -21,14 +21,12 @@ from matplotlib.ticker import MaxNLocator
 from fleet.errors import FleetError
 from fleet.logs.records import Array
 from fleet.logs.topic import Topic
-from fleet.pictures.axes import MOST_NAMED, Get, draw_lines, finish, over_time
-from fleet.pictures.failures import COLOUR
+from fleet.pictures.axes import COLOUR, MOST_NAMED, Get, draw_lines, finish, over_time
 from fleet.pictures.runs import NothingToDraw, Run, View, check_view
 from fleet.pictures.thresholds import Threshold, draw_thresholds
 from fleet.scenario.schema.checks import SignalCheck
-from fleet.scenario.sections.checked_signals import checked_signals
 from fleet.scenario.sections.signal_checks import AskedOfSignal, SignalCheckError, ask
-from fleet.scenario.sections.signals import GROUPS, SignalName, SignalPlace, component, parse_name
+from fleet.scenario.sections.signals import GROUPS, SignalName, SignalPlace, checked_signals, component, parse_name
 from netem.parsing import nearest
 
 MOST_AXES = 8  # components of a vector

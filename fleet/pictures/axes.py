@@ -2,25 +2,232 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from matplotlib.text import Annotation
 
 from fleet.logs.fault_intervals import FaultInterval
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
-from fleet.pictures.bands import Series, band_legend, draw_band, outlier_style, outliers, spread
-from fleet.pictures.envelope import enveloped, reach
-from fleet.pictures.failures import draw_failures
 from fleet.pictures.runs import NothingToDraw, Run, View, first_words
 from fleet.pictures.shades import shade
-from fleet.pictures.style import COLUMN_IN, LABEL_PT, LEGEND_PT, STYLE_NAMES, STYLES, TEXT_PT, THIN, panels
+from fleet.pictures.style import COLUMN_IN, LABEL_PT, LEGEND_PT, NORMAL, STYLE_NAMES, STYLES, TEXT_PT, THIN, panels
+
+# --- failures
+# The times at which checks failed, marked on the axes over time.
+
+
+MOST_MARKS = 6
+_ROOM = 0.06  # of the axis: what a number needs
+COLOUR = "#a4001d"
+
+
+def draw_failures(axes: Sequence[Axes], runs: Sequence[Run]) -> list[str]:
+    """A line across all axes at each moment, numbered above the first; returns what each number stands for."""
+    begin, end = axes[0].get_xlim()
+    by_time: dict[float, list[str]] = {}
+    for run in runs:
+        of = f" ({run.label})" if len(runs) > 1 else ""
+        for name, at_s in run.failures:
+            by_time.setdefault(at_s, []).append(f"{name}{of}")
+    shown = [(at_s, names) for at_s, names in sorted(by_time.items()) if begin <= at_s <= end]
+    words, rows = [], list[float]()  # of each row of numbers above each other where its last one stands
+    for number, (at_s, names) in enumerate(shown[:MOST_MARKS], start=1):
+        for ax in axes:
+            ax.axvline(at_s, color=COLOUR, linewidth=0.9, linestyle=(0, (1, 1)), zorder=4, gid="failed-check")
+        row = next((k for k, last in enumerate(rows) if at_s - last > _ROOM * (end - begin)), len(rows))
+        rows[row : row + 1] = [at_s]
+        axes[0].annotate(
+            f"✗{number}", (at_s, 0.0), xycoords=("data", "axes fraction"), textcoords="offset points",
+            xytext=(1.5, 2 + row * (LABEL_PT + 2)), color=COLOUR, fontsize=LABEL_PT, ha="left", va="bottom", zorder=5,
+            gid="failed-check-name", bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.3},
+        )  # fmt: skip
+        words.append(f"✗{number}  fails at {at_s:g} s: {', '.join(names)}")
+    return words + ([f"and at {len(shown) - MOST_MARKS} more times"] if len(shown) > MOST_MARKS else [])
+
+
+# --- bands
+# Many vehicles as a band with a median, and the few that differ most by name.
+
+
+NAMED = 3  # outliers
+SMALLEST = 1e-6  # of an error: below it is arithmetic, not control
+_BINS = 600
+_ALL, _MOST = 0.16, 0.32  # opacity of the band of all vehicles, and of that of most
+
+Series = tuple[Array, Array]  # times [s], values
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """The spread of many vehicles in each of some intervals of time; arrays of one length."""
+
+    t: Array  # s
+    low: Array  # the least of all samples
+    high: Array
+    most_low: Array  # 10 % and 90 % of the vehicles, by their means
+    most_high: Array
+    median: Array
+    means: dict[int, Array]  # vehicle -> its mean, NaN where it has none
+
+
+def spread(series: Mapping[int, Series]) -> Band:
+    """The spread of signals of vehicles; short peaks stay within its extremes."""
+    times = np.unique(np.concatenate([t[np.isfinite(t)] for t, _ in series.values()]))
+    if len(times) > _BINS:
+        edges = np.linspace(times[0], times[-1], _BINS + 1)
+        middle = (edges[1:] + edges[:-1]) / 2
+    else:
+        edges, middle = np.append(times, np.inf), times
+    low, high = np.full(len(middle), np.inf), np.full(len(middle), -np.inf)
+    means: dict[int, Array] = {}
+    for i, (t, values) in series.items():
+        good = np.isfinite(t) & np.isfinite(values)
+        place = np.clip(np.searchsorted(edges, t[good], "right") - 1, 0, len(middle) - 1)
+        np.minimum.at(low, place, values[good])
+        np.maximum.at(high, place, values[good])
+        count = np.bincount(place, minlength=len(middle))
+        total = np.bincount(place, values[good], minlength=len(middle))
+        means[i] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    known = np.isfinite(low)
+    table = np.array(list(means.values()))[:, known]
+    most_low, median, most_high = np.nanpercentile(table, (10, 50, 90), axis=0)
+    named = {i: mean[known] for i, mean in means.items()}
+    return Band(middle[known], low[known], high[known], most_low, most_high, median, named)
+
+
+def outliers(panels: Sequence[Band], log: bool) -> list[int]:
+    """The vehicles that are farthest from the median on average over time and panels, the worst first.
+
+    Args:
+        log: the signals are errors on a logarithmic axis: only more than the median counts, by its factor.
+    """
+    score: dict[int, float] = {}
+    for one in panels:
+        off = {}
+        for i, mean in one.means.items():
+            if log:
+                away = np.maximum(np.log10(np.maximum(mean, SMALLEST) / np.maximum(one.median, SMALLEST)), 0.0)
+            else:
+                away = np.abs(mean - one.median)
+            known = away[np.isfinite(away)]
+            off[i] = float(known.mean()) if len(known) else 0.0
+        most = max(off.values(), default=0.0) or 1.0
+        for i, value in off.items():
+            score[i] = score.get(i, 0.0) + value / most
+    return sorted(score, key=lambda i: (-score[i], i))[:NAMED]
+
+
+def draw_band(ax: Axes, found: Band, colour: str = COLOURS[0], style: Any = "-") -> None:
+    """The band of all vehicles, that of most, and the median."""
+    ax.fill_between(found.t, found.low, found.high, color=colour, alpha=_ALL, linewidth=0, gid="band-all")
+    ax.fill_between(found.t, found.most_low, found.most_high, color=colour, alpha=_MOST, linewidth=0, gid="band-most")
+    ax.plot(found.t, found.median, color=colour, linestyle=style, linewidth=NORMAL, gid="median")
+
+
+def outlier_style(k: int) -> dict[str, Any]:
+    """How the `k`-th outlier is drawn."""
+    return {"color": COLOURS[k + 1], "linestyle": STYLES[k + 1], "linewidth": THIN}
+
+
+def band_legend(vehicles: int, named: Sequence[int]) -> list[Artist]:
+    """The entries of a legend of one run's band."""
+    return [
+        Line2D([], [], color=COLOURS[0], linewidth=NORMAL, label=f"median of {vehicles}"),
+        Patch(color=COLOURS[0], alpha=_ALL + _MOST, linewidth=0, label="10 to 90 %"),
+        Patch(color=COLOURS[0], alpha=_ALL, linewidth=0, label="all"),
+        *(Line2D([], [], label=f"UUV {i}", **outlier_style(k)) for k, i in enumerate(named)),
+    ]
+
+
+# --- envelope
+# A signal that oscillates faster than a picture can show: its envelope and its mean instead of a solid block.
+
+
+COLUMNS = 90  # of an axis, each about 2 pt wide: two lines beside each other cover it
+_TURNS = 2  # in a column: a whole oscillation
+_NEAR = 5  # columns; where most of so many have such turns, the signal oscillates and does not only jump
+_LEAST = 0.03  # of the range of the axis: what a column's range must be, so that small noise stays a line
+
+
+class Envelope(NamedTuple):
+    """Where a signal oscillates too fast to be seen, and what is drawn instead; arrays of one length."""
+
+    t: Array  # edges of columns [s], each twice, NaN where it does not oscillate
+    low: Array
+    high: Array
+
+
+def reach(lines: Iterable[Series], log: bool = False) -> float:
+    """The range of all lines of an axis, in decades if it is logarithmic."""
+    each = [_seen(values[np.isfinite(values)], log) for _, values in lines]
+    some = [values for values in each if len(values)]
+    return float(max(values.max() for values in some) - min(values.min() for values in some)) if some else 0.0
+
+
+def enveloped(
+    t: Array, values: Array, span: tuple[float, float], whole: float, log: bool = False
+) -> tuple[Series, Envelope | None]:
+    """What to draw of a signal.
+
+    Args:
+        t: times [s], ascending; NaN in gaps.
+        values: of the same length.
+        span: the time axis [s].
+        whole: the `reach` of all lines of the axis.
+        log: its axis is logarithmic.
+
+    Returns:
+        The line, which is the mean where the signal oscillates too fast, and the envelope there; None: it never does.
+    """
+    if len(t) < _TURNS * 2:
+        return (t, values), None
+    good = np.flatnonzero(np.isfinite(t) & np.isfinite(values) & (t >= span[0]) & (t <= span[1]))
+    if len(good) <= COLUMNS * _TURNS:
+        return (t, values), None
+    edges = np.linspace(*span, COLUMNS + 1)
+    place = np.clip(np.searchsorted(edges, t[good], "right") - 1, 0, COLUMNS - 1)
+    seen = _seen(values[good], log)
+    low, high = np.full(COLUMNS, np.inf), np.full(COLUMNS, -np.inf)
+    np.minimum.at(low, place, seen)
+    np.maximum.at(high, place, seen)
+    steps = np.diff(seen)
+    moving = np.flatnonzero(steps)
+    turning = moving[1:][np.sign(steps[moving[1:]]) != np.sign(steps[moving[:-1]])]
+    turns = np.bincount(place[turning], minlength=COLUMNS)
+    fast = (turns >= _TURNS) & (high - low >= _LEAST * whole) & (whole > 0.0)
+    fast = (np.convolve(fast, np.ones(_NEAR), "same") > _NEAR / 2) & np.isfinite(low)
+    if not fast.any():
+        return (t, values), None
+    count = np.maximum(np.bincount(place, minlength=COLUMNS), 1)
+    mean = np.bincount(place, values[good], minlength=COLUMNS) / count
+    of_fast = np.zeros(len(t), bool)
+    of_fast[good[fast[place]]] = True
+    middle = (edges[1:] + edges[:-1])[fast] / 2
+    # Where its samples were in the order of the line, so that gaps stay gaps.
+    first = np.searchsorted(place, np.flatnonzero(fast))
+    kept = ~of_fast
+    order = np.argsort(np.concatenate([np.flatnonzero(kept), good[first]]), kind="stable")
+    line = np.concatenate([t[kept], middle])[order], np.concatenate([values[kept], mean[fast]])[order]
+    bottom, top = np.full(COLUMNS, np.inf), np.full(COLUMNS, -np.inf)
+    np.minimum.at(bottom, place, values[good])
+    np.maximum.at(top, place, values[good])
+    shape = [np.repeat(np.where(fast, one, np.nan), 2) for one in (bottom, top)]
+    return line, Envelope(np.repeat(edges, 2)[1:-1], *shape)
+
+
+def _seen(values: Array, log: bool) -> Array:
+    """Values as the axis shows them."""
+    return np.log10(np.maximum(np.abs(values), SMALLEST)) if log else values
+
 
 MOST_NAMED = len(COLOURS)  # lines that a legend names; more vehicles are a band
 FEW = 60  # samples that are shown as points too

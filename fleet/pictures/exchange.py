@@ -19,8 +19,8 @@ from fleet.pictures.axes import finish, legend_of, marks_legend, over_time
 from fleet.pictures.runs import NothingToDraw, Run, View
 from fleet.pictures.style import LABEL_PT, THIN, plain_decades
 from fleet.quantities import vehicle_numbers
-from netem.causes import Cause
 from netem.condition import Link
+from netem.fault_kinds import Cause
 
 CORRUPTED = "corrupted"
 # Fate -> (mark, colour). Every one has a mark and a colour of its own: blue for what arrives, grey for what is neither,

@@ -2,18 +2,289 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
+from textwrap import wrap
+from typing import Any
 
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from fleet.errors import FleetError
+from fleet.logs.payload_kinds import DAMAGED, count_kinds
 from fleet.logs.reader import Tell
+from fleet.logs.records import Array
+from fleet.logs.schemas import CLOCK
 from fleet.logs.topic import TooLargeError
-from fleet.pictures import any_signal, exchange, shares, time_series, timing, track
+from fleet.logs.topic_names import link_topic
+from fleet.palette import COLOURS
+from fleet.pictures import any_signal, exchange, time_series, track
+from fleet.pictures.axes import MOST_NAMED, finish, legend_of, marks_legend, over_time
+from fleet.pictures.exchange import FATES, fates_of, links_between, name_rows, rank
 from fleet.pictures.runs import NothingToDraw, Run, View, origin
-from fleet.pictures.style import save
+from fleet.pictures.style import COLUMN_IN, LABEL_PT, STYLES, THIN, panels, save
+from fleet.result.file import ResultError, read_result
+from fleet.result.result import Spread, Timing
 from fleet.scenario.sections.signals import parse_name
+from netem.condition import Link
+from netem.fault_kinds import Cause
+from netem.vehicle_clock import Clock
+
+# --- timing
+# How punctual a run on a wall clock was: how late each agent answered, and what a packet's delay became.
+
+
+GREY = "#999999"
+
+
+def punctuality(runs: Sequence[Run], view: View) -> Figure:
+    """Above, what share of each agent's answers took longer than so long; below, of deliveries."""
+    (run,) = runs
+    timing = _timing(run)
+    figure, (top, bottom) = panels(2, 1, COLUMN_IN, 3.9)
+    rows = {i: timing.vehicles[str(i)] for i in run.vehicles(view)}
+    worst = sorted(rows, key=lambda i: -rows[i].response.p99_ms)[: MOST_NAMED - 1]
+    for i, row in rows.items():
+        k = sorted(worst).index(i) if i in worst else -1
+        colour, style = (COLOURS[k], STYLES[k]) if k >= 0 else (GREY, "-")
+        _tail(top, row.response.histogram_ms, row.response.negative, colour, style)
+    top.axvline(timing.world.period_ms, color="#000000", linewidth=THIN, linestyle=(0, (1, 1)))
+    top.set_ylabel("share of answers slower")
+    links = timing.netem.links.values()
+    shown: list[tuple[str, str, Any, list[tuple[float, int]]]] = [
+        ("injected, sim time", COLOURS[4], "-", _sum(link.injected for link in links)),
+        ("measured, sim time", COLOURS[6], "--", _sum(link.measured for link in links)),
+        ("network to agent, wall time", COLOURS[5], "-.", timing.netem.hop.histogram_ms),
+    ]
+    for _, colour, style, histogram in shown:
+        _tail(bottom, histogram, 0, colour, style)
+    bottom.set_ylabel("share of packets slower")
+    for ax in (top, bottom):
+        ax.set_xscale("log")
+        ax.set_yscale("log")
+    top.tick_params(labelbottom=True)
+    top.text(timing.world.period_ms, 0.6, " a tick", fontsize=LABEL_PT, va="top")
+    top.set_xlabel("answer after its tick began [ms of wall time]")
+    bottom.set_xlabel("delay [ms]")
+    more = [("others", GREY, "-")] if len(rows) > len(worst) else []
+    legend_of(figure, [*((f"UUV {i}", COLOURS[k], STYLES[k]) for k, i in enumerate(sorted(worst))), *more])
+    handles = [Line2D([], [], color=colour, linestyle=style, label=name) for name, colour, style, _ in shown]
+    bottom.legend(handles=handles, fontsize=LABEL_PT, loc="lower left")
+    return figure
+
+
+def on_wall_clock(run: Run) -> bool:
+    """Whether anything could be late in it."""
+    return run.log.run.get(CLOCK) == Clock.REAL
+
+
+def _timing(run: Run) -> Timing:
+    """The run's measurements of itself, from the result next to its log."""
+    if not on_wall_clock(run):
+        raise NothingToDraw("the run was in lockstep, where nothing can be late; see fleet run --clock real")
+    try:
+        timing = read_result(run.log.path.parent).timing
+    except FileNotFoundError as error:
+        raise NothingToDraw(f"{error.filename} is not there: the run did not end by itself") from None
+    except ResultError as error:
+        raise NothingToDraw(str(error)) from None
+    if timing is None:
+        raise NothingToDraw("the result.json beside the log has no timing")
+    if missing := [i for i in run.log.vehicles if str(i) not in timing.vehicles]:
+        raise NothingToDraw(f"the result.json beside the log has no timing of vehicle {missing[0]}")
+    return timing
+
+
+def _sum(spreads: Iterable[Spread]) -> list[tuple[float, int]]:
+    total: Counter[float] = Counter()
+    for spread in spreads:
+        for edge, count in spread.histogram_ms:
+            total[edge] += count
+    return [(edge, total[edge]) for edge in sorted(total)]
+
+
+def _tail(ax: Axes, histogram: list[tuple[float, int]], below: int, colour: str, style: Any) -> None:
+    """The share that took longer than each edge of a histogram; `below` lie under its first."""
+    if not histogram:
+        return
+    edges, counts = (np.array(column, float) for column in zip(*histogram, strict=True))
+    total = counts.sum() + below
+    slower = 1.0 - (below + np.cumsum(counts)) / total
+    # The last bin is reached by no sample: the line ends at the smallest share.
+    t = np.concatenate(([edges[0] / 1.12], edges))
+    share = np.concatenate(([1.0], np.maximum(slower, 0.5 / total)))
+    ax.plot(t, share, color=colour, linestyle=style, drawstyle="steps-post")
+
+
+# --- shares
+# The fate of the packets of each link over time: a strip per link with the share of every fate.
+
+
+MOST_ROWS = 36  # links with a row of their own; of more, the worst have one, and the others one together
+WORST = 12
+LATE = "late"  # arrived, but behind a newer packet of its link
+_ARRIVED = (Cause.DELIVERED, LATE)
+_COLOURS = {LATE: "#0072B2"} | {fate: colour for fate, (_, colour) in FATES.items()}
+_BINS = 150  # of the time axis, at most
+_PER_BIN = 4  # packets, if there are enough
+_ROW_IN = 0.17
+_MOST_KINDS = 6
+
+
+@dataclass(slots=True)
+class Row:
+    """A strip of the picture: one link, or several together."""
+
+    name: str
+    bins: dict[str, Array] = field(default_factory=dict)  # fate -> packets in each bin
+
+    @property
+    def total(self) -> int:
+        """Packets in all bins."""
+        return int(sum(counts.sum() for counts in self.bins.values()))
+
+    @property
+    def arrived(self) -> float:
+        """The share of the packets that arrived whole; 1 without packets."""
+        good = sum(counts.sum() for fate, counts in self.bins.items() if fate in _ARRIVED)
+        return float(good / self.total) if self.total else 1.0
+
+
+def timeline(runs: Sequence[Run], view: View) -> Figure:
+    """A strip per link: the shares of its packets' fates by sending time, exact where a fault begins or ends."""
+    (run,) = runs
+    links = links_between(run, view)
+    first, last = view.window or (0.0, run.log.end or 1.0)
+    found = {link: _named(run, link, first, last) for link in links}
+    sent = [times for times, _ in found.values() if len(times)]
+    if not sent:
+        raise NothingToDraw("no packet was sent in that time")
+    faults = [edge for fault in run.log.faults for edge in (fault.begin, fault.end)]
+    edges = time_bins(first, last, faults, _period(sent))
+    rows = fold([Row(f"{a}→{b}", _count(*found[a, b], edges)) for a, b in links])
+    height = float(np.clip(_ROW_IN * len(rows), min(0.3 * len(rows), 1.6), 7.0))
+    figure, (ax,) = over_time(1, runs, view, height + 1.2)
+    counts: Counter[str] = Counter()
+    for row in rows:
+        counts.update({fate: int(bins.sum()) for fate, bins in row.bins.items()})
+    shown = sorted(counts, key=_order)
+    for fate, polygons in strips(rows, shown, edges).items():
+        ax.add_collection(
+            PolyCollection(polygons, facecolor=_colour(fate), linewidth=0, antialiased=False, zorder=2,
+                           gid=f"fate-{fate}")
+        )  # fmt: skip
+    ax.set_ylim(len(rows) - 0.4, -0.6)
+    name_rows(ax, [row.name for row in rows], LABEL_PT)
+    for k, row in enumerate(rows):
+        share = f"{100.0 * row.arrived:.3g} %" if row.total else "none"
+        ax.annotate(share, (1.0, k), xycoords=("axes fraction", "data"), xytext=(2, 0), textcoords="offset points",
+                    fontsize=LABEL_PT - 0.5, va="center", color="0.25", gid="arrived")  # fmt: skip
+    ax.set_ylabel("link")
+    ax.grid(False)
+    marks_legend(figure, [Patch(color=_colour(fate), label=f"{fate} {counts[fate]}") for fate in shown])
+    notes = ["right: share that arrived"]
+    if any((sum(row.bins.values(), np.zeros(len(edges) - 1)) == 0).any() for row in rows):
+        notes.append("blank: nothing was sent")
+    if LATE in counts:
+        notes.append("late: arrived behind a newer one of its link")
+    if view.window is None:
+        notes += kinds_line(run, links)
+    finish(figure, [ax], runs, notes)
+    return figure
+
+
+def kinds_line(run: Run, links: Sequence[Link]) -> list[str]:
+    """Words on how many packets carried which kind of payload, and how many of these arrived; none if all are alike."""
+    kinds = count_kinds(run.log[link_topic(link)] for link in links) or []
+    if len([one for one in kinds if one.kind != DAMAGED]) < 2:
+        return []
+    each = [f"{one.kind} {one.packets} ({one.delivered / one.packets:.0%} whole)" for one in kinds[:_MOST_KINDS]]
+    more = [f"{len(kinds) - _MOST_KINDS} more kinds"] if len(kinds) > _MOST_KINDS else []
+    return wrap("kinds: " + ", ".join(each + more), 54)
+
+
+def fold(rows: list[Row]) -> list[Row]:
+    """The rows as they are, or of too many the worst by what arrived, worst first, and one for all others."""
+    if len(rows) <= MOST_ROWS:
+        return rows
+    best = max(row.arrived for row in rows)
+    worst = sorted((row for row in rows if row.arrived < best), key=lambda row: row.arrived)[:WORST]
+    own = set(map(id, worst))
+    others = [row for row in rows if id(row) not in own]
+    together: dict[str, Array] = {}
+    for row in others:
+        for fate, counts in row.bins.items():
+            together[fate] = together.get(fate, 0) + counts
+    return [*worst, Row(f"{len(others)} others" if worst else f"all {len(others)}", together)]
+
+
+def time_bins(first: float, last: float, faults: Sequence[float], period: float) -> Array:
+    """Edges [s] of bins of about the same width, with an edge exactly where a fault begins or ends."""
+    span = last - first
+    width = max(span / _BINS, min(_PER_BIN * period, span / 20.0), period)
+    corners = sorted({first, last, *(edge for edge in faults if first < edge < last)})
+    parts = [np.linspace(a, b, max(1, int((b - a) / width)) + 1)[:-1] for a, b in pairwise(corners)]
+    return np.append(np.concatenate(parts), last)
+
+
+def strips(rows: Sequence[Row], fates: Sequence[str], edges: Array) -> dict[str, list[Array]]:
+    """Fate -> a polygon (points, 2) per row: [s] and place; the shares of a bin upon one another."""
+    x = np.repeat(edges, 2)[1:-1]
+    found: dict[str, list[Array]] = {}
+    for k, row in enumerate(rows):
+        total = np.maximum(sum(row.bins.values(), np.zeros(len(edges) - 1)), 1)
+        below = np.full(len(edges) - 1, k + 0.4)
+        for fate in fates:
+            if fate not in row.bins:
+                continue
+            above = below - 0.8 * row.bins[fate] / total
+            outline = np.concatenate([np.repeat(below, 2), np.repeat(above, 2)[::-1]])
+            found.setdefault(fate, []).append(np.column_stack([np.concatenate([x, x[::-1]]), outline]))
+            below = above
+    return found
+
+
+def _named(run: Run, link: Link, first: float, last: float) -> tuple[Array, Array]:
+    """(sent [s], fate) of the packets of a link that were sent in a time; what was overtaken is late."""
+    sent, due, fate, _ = fates_of(run, link)
+    good = np.flatnonzero(fate == Cause.DELIVERED)
+    order = good[np.lexsort((sent[good], due[good]))]
+    newest = np.maximum.accumulate(sent[order]) if len(order) else sent[order]
+    fate = fate.copy()
+    fate[order[sent[order] < newest]] = LATE
+    inside = (sent >= first) & (sent <= last)
+    return sent[inside], fate[inside]
+
+
+def _count(sent: Array, fate: Array, edges: Array) -> dict[str, Array]:
+    # A tick is a multiple of a float that is none: what is sent where a fault begins is sent in it.
+    place = np.clip(np.searchsorted(edges, sent + 1e-9, "right") - 1, 0, len(edges) - 2)
+    return {name: np.bincount(place[fate == name], minlength=len(edges) - 1) for name in set(fate)}
+
+
+def _period(sent: Sequence[Array]) -> float:
+    """The usual time between two packets of a link [s]."""
+    gaps = [np.diff(np.unique(times)) for times in sent]
+    together = np.concatenate(gaps)
+    return float(np.median(together)) if len(together) else 0.0
+
+
+def _order(fate: str) -> tuple[int, str]:
+    """Fates in their order, delivered first, so that it is at the bottom of a strip."""
+    number, name = rank(Cause.DELIVERED if fate == LATE else fate)
+    return number, f"{name}, {fate}" if fate == LATE else name
+
+
+def _colour(fate: str) -> str:
+    return _COLOURS.get(fate, "#777777")
+
 
 Draw = Callable[[Sequence[Run], View], Figure]
 _Picture = tuple[str, str, Draw]
@@ -33,14 +304,14 @@ WHAT: dict[str, tuple[_Picture, ...]] = {
     "inputs": (("inputs", "Force and moments as applied, limits, and where a limit was met", time_series.inputs),),
     "commands": (("commands", "Velocity commands and the bounds that the optimisation keeps", time_series.commands),),
     "gains": (("gains", "Gains that the optimisation chooses, and their bounds", time_series.gains),),
-    "links": (("links", "What became of the packets of each link, as shares over time", shares.timeline),),
+    "links": (("links", "What became of the packets of each link, as shares over time", timeline),),
     "messages": (("messages", "Messages between the agents in space and time", exchange.spacetime),),
     "ages": (("ages", "Age of what was last heard on each link", exchange.ages),),
     "checks": (),  # a picture for each signal that the checks name
-    "timing": (("timing", "On a wall clock: how late agents answered, what delays became", timing.punctuality),),
+    "timing": (("timing", "On a wall clock: how late agents answered, what delays became", punctuality),),
 }
 # Those that are left out where everything is asked for, if they hold for none of the runs.
-_ONLY_IF: dict[str, Callable[[Run], bool]] = {"timing": timing.on_wall_clock, "attitude": time_series.rolls}
+_ONLY_IF: dict[str, Callable[[Run], bool]] = {"timing": on_wall_clock, "attitude": time_series.rolls}
 PER_RUN = frozenset({"links", "messages", "timing"})  # those that show one run only: of several, each has its own
 
 

@@ -4,40 +4,314 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
 
 from msgspec import convert, structs
 
-from fleet.logs.payload_kinds import count_kinds
+from agents.controllers import CONTROLLERS, laws
+from fleet.logs.payload_kinds import KindCount, count_kinds
 from fleet.logs.reader import Tell
-from fleet.logs.run_name import begun_at, run_name
-from fleet.logs.topic_names import link_topic
+from fleet.logs.topic_names import begun_at, link_topic, run_name
+from fleet.pictures.any_signal import file_name
+from fleet.pictures.beliefs import beliefs
 from fleet.pictures.gallery import PER_RUN, WHAT, draw
 from fleet.pictures.page import PageImage, SectionImages, png, render, write_page
-from fleet.pictures.report_scenario import conditions_note, conditions_table, network_facts, scenario_facts
-from fleet.pictures.report_tables import (
-    Mark,
-    Table,
-    believed_errors,
-    checks_table,
-    kinds_table,
-    links_table,
-    number,
-    rest,
-    side_by_side,
-    worst,
-)
-from fleet.pictures.runs import Run, View
-from fleet.pictures.telling import telling
+from fleet.pictures.runs import Run, View, first_words
+from fleet.quantities import vehicle_numbers
 from fleet.result.file import ResultError, read_result
 from fleet.result.result import LinkAge, Result
+from fleet.result.verdict import Verdict
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.schema.network import show_network
+from fleet.scenario.sections.per_vehicle import Control
+from fleet.scenario.sections.signals import parse_name
 from fleet.scenario.sections.vehicle_events import vehicle_events
 from netem.ages import Ages
-from netem.causes import Cause
+from netem.fault_kinds import Cause
 from netem.ledger import Account
 from netem.wire.messages import Fate
+
+# --- telling
+# Which picture shows best what a run came to: the one at the top of a report.
+
+
+_OF_CHECKS = {
+    "formation_error": "formation", "consensus_error": "error", "recovery_time": "formation", "tumbled": "formation",
+    "min_separation": "track", "deaths": "track", "max_age": "ages", "connected": "links", "ledger": "links",
+    "middleware_loss": "links",
+}  # fmt: skip
+_ELSE = ("formation", "error", "track", "links")  # what is looked at first where no check says more
+
+
+def telling(run: Run) -> list[str]:
+    """Names of pictures, the most telling first: what failed checks look at, then what others do, then errors."""
+    failed = [verdict for verdict in run.verdicts if not verdict.passed]
+    passed = [verdict for verdict in run.verdicts if verdict.passed and verdict.signals]
+    return [*_of(failed), *_of(passed), *_ELSE]
+
+
+def _of(verdicts: Iterable[Verdict]) -> list[str]:
+    found = []
+    for verdict in verdicts:
+        signals = [name for name in map(parse_name, verdict.signals) if name is not None]
+        found += [_ERRORS.get(name.name, file_name(name)) for name in signals]
+        if verdict.check in _OF_CHECKS:
+            found.append(_OF_CHECKS[verdict.check])
+    return found
+
+
+_ERRORS = {"error.e_norm": "error", "error.formation_norm": "formation"}  # signals that have a picture of their own
+
+
+# --- report tables
+# The tables of a report: headings and rows, which the page's template turns into HTML.
+
+
+_Name = TypeVar("_Name", int, str)
+MOST_ROWS = 40  # of a table of vehicles or links
+_ONLY_IF_ANY = ("duplicated", "in flight", "corrupted")  # columns that are left out where every link has a 0
+
+
+class Mark(NamedTuple):
+    """A cell with a word in the colour of a pass or of a failure."""
+
+    good: bool
+    word: str
+
+
+class Table(NamedTuple):
+    """Rows under headings, or without any; a cell is a `Mark`, or is shown as text."""
+
+    headings: Sequence[str]
+    rows: Sequence[Sequence[Any]]
+
+
+def side_by_side(runs: Sequence[Run], results: Sequence[Result | None]) -> Table:
+    """A row per run: what one looks for first when runs are compared; None: the run has no result."""
+    headings = (
+        "run", "seed", "vehicles", "status", "checks passed", "slowest settle to 10 % [s]",
+        "largest final formation error [m]", "surge effort, all [N s]", "delivered", "oldest heard [s]",
+    )  # fmt: skip
+    rows = []
+    for run, result in zip(runs, results, strict=True):
+        row: list[Any] = [run.label, run.log.run.get("seed", "-"), len(run.log.vehicles)]
+        if result is None:
+            rows.append([*row, *["-"] * (len(headings) - len(row))])
+            continue
+        good = sum(verdict.passed for verdict in result.checks)
+        row += [
+            Mark(result.passed, result.status.replace("_", " ")),
+            f"{good} of {len(result.checks)}" if result.checks else "-",
+        ]
+        vehicles = list(result.vehicles.values())
+        row += [
+            _joined([one.settle_10pct_s for one in vehicles], max, "not settled"),
+            _joined([one.formation_final_m for one in vehicles], max),
+            _joined([one.effort_Ns for one in vehicles], sum),
+        ]
+        accounts = result.ledger.values()
+        entered = sum(account.sent + account.duplicated - account.replaced for account in accounts)
+        row.append(f"{sum(account.delivered for account in accounts) / entered:.1%}" if entered else "-")
+        age = result.ages.get("*")
+        rows.append([*row, f"{age.max_s:.4g}" if age else "-"])
+    return Table(headings, rows)
+
+
+def believed_errors(run: Run, vehicles: Iterable[str]) -> dict[str, float]:
+    """The last formation error of each vehicle that has to navigate, as it believes it [m]."""
+    known = ((i, beliefs(run.log, int(i))) for i in vehicles)
+    return {i: float(one.formation_norm[-1]) for i, one in known if one is not None}
+
+
+def _joined(numbers: Sequence[float | None], join: Callable[[list[float]], float], missing: str = "-") -> str:
+    """One number for all vehicles; `missing`: what stands there if one of them has none."""
+    known = [value for value in numbers if value is not None]
+    return "-" if not numbers else f"{join(known):.4g}" if len(known) == len(numbers) else missing
+
+
+def links_table(ledger: Mapping[str, Account], ages: Mapping[str, LinkAge]) -> Table:
+    """Packets and ages of all links, or of the links with the oldest news; `ledger` and `ages` as in a result."""
+    # What a modem never sent, because there were news, was not lost on the way.
+    causes = sorted(
+        {cause for account in ledger.values() for cause in account.lost}, key=lambda c: (c != Cause.REPLACED, c)
+    )
+    names = worst(ledger, {name: age.max_s for name, age in ages.items()})
+    counted = ("sent", "duplicated", "delivered", "in_flight", "corrupted")
+    rows = []
+    for name in ["*", *names]:
+        accounts = list(ledger.values()) if name == "*" else [ledger[name]]
+        numbers = [sum(getattr(account, key) for account in accounts) for key in counted]
+        losses = [sum(account.lost.get(cause, 0) for account in accounts) for cause in causes]
+        age = ages.get(name)
+        times = ["-"] * 3 if age is None else [f"{seconds:.3f}" for seconds in (age.mean_s, age.p95_s, age.max_s)]
+        rows.append(("all" if name == "*" else name, *numbers, *losses, *times))
+    headings = ("link", *(key.replace("_", " ") for key in counted),
+                *(cause if cause == Cause.REPLACED else f"lost: {cause}" for cause in causes),
+                "mean age [s]", "95 % [s]", "max [s]")  # fmt: skip
+    kept = [k for k, heading in enumerate(headings) if heading not in _ONLY_IF_ANY or rows[0][k]]
+    rows, headings = [tuple(row[k] for k in kept) for row in rows], tuple(headings[k] for k in kept)
+    rows += rest(len(ledger) - len(names), "whose age stayed lower")
+    return Table(headings, rows)
+
+
+def kinds_table(kinds: Sequence[KindCount]) -> Table:
+    """The packets by kind of payload."""
+    rows = [
+        (one.kind, one.packets, one.delivered, f"{one.delivered / one.packets:.1%}", f"{one.size / one.packets:.4g}")
+        for one in kinds[:MOST_ROWS]
+    ]
+    left = rest(len(kinds) - len(rows), "of which there are fewer")
+    return Table(("kind", "packets", "arrived whole", "share", "mean size [bytes]"), [*rows, *left])
+
+
+def checks_table(verdicts: Sequence[Verdict]) -> Table:
+    """The verdicts, failed checks on top."""
+    rows = [
+        (one.check, Mark(one.passed, "pass" if one.passed else "FAIL"), one.asked, one.found)
+        for one in sorted(verdicts, key=lambda one: one.passed)
+    ]
+    return Table(("check", "verdict", "asked", "found"), rows)
+
+
+def worst(rows: Mapping[_Name, Any], how_bad: Mapping[_Name, float]) -> list[_Name]:
+    """The names of all rows, or of too many those of the worst, the worst first."""
+    if len(rows) <= MOST_ROWS:
+        return list(rows)
+    return sorted(rows, key=lambda name: -how_bad.get(name, 0.0))[:MOST_ROWS]
+
+
+def rest(count: int, which: str) -> list[tuple[str]]:
+    """A row that says how many rows are left out, and which; none if none are."""
+    return [(f"{count} more, {which}",)] if count else []
+
+
+def number(key: str, value: Any) -> str:
+    """A value of a vehicle's result."""
+    if value is None:
+        return "not settled" if key.startswith("settle") else "-"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+# --- report scenario
+# A report's text about a run's scenario: the fleet, its laws and its graph, and the conditions of its links.
+
+
+_NUMBERS = ("ahead", "behind", "weight", "hub", "count", "probability")  # of a graph's shape
+_SHIPPED = {(pair.guidance, pair.tracking): name for name, pair in CONTROLLERS.items()}
+
+
+def scenario_facts(scenario: Scenario) -> list[tuple[str, Any]]:
+    """(name, value) of what one wants to know first."""
+    return [
+        ("scenario", scenario.name),
+        ("vehicles", scenario.vehicles),
+        ("graph", _graph(scenario)),
+        ("controller", _by_vehicle([_laws(control) for control in scenario.controls])),
+        ("profile", _by_vehicle(_profiles(scenario))),
+        ("duration", f"{scenario.duration_ns / 1e9:g} s in ticks of {scenario.tick_ns / 1e6:g} ms"),
+        ("seed", scenario.seed),
+    ]
+
+
+def network_facts(scenario: Scenario) -> list[tuple[str, Any]]:
+    """(name, value) of the network: its rounds, and an acoustic channel's modem with what was changed of it."""
+    if scenario.ideal:
+        return [("network", "ideal: without latency")]
+    network = show_network(scenario.spec.network)
+    acoustic: dict[str, Any] = network.get("acoustic", {})
+    return [
+        ("network", "acoustic channel" if acoustic else "links"),
+        ("round", f"every {network['period']}"),
+        ("payload", network.get("payload", "full")),
+        *((key.replace("_", " "), _words(value)) for key, value in acoustic.items()),
+    ]
+
+
+def conditions_table(scenario: Scenario) -> Table:
+    """A row per selector of links, in the words of the scenario; no row where every link is perfect."""
+    links = {} if scenario.ideal else show_network(scenario.spec.network).get("links", {})
+    return Table(("links", "condition"), [(selector, _condition(shown)) for selector, shown in links.items()])
+
+
+def _condition(shown: Any) -> str:
+    """The condition of links in words: one condition, states, or a trace (without its values, which are too many)."""
+    if isinstance(shown, str):
+        return shown
+    states = [f"{name} (mean {state['mean']}): {state['condition']}" for name, state in shown.get("states", {}).items()]
+    rest = {key: value for key, value in shown.items() if key not in ("states", "trace")}
+    trace = [f"a trace of {shown['trace'].count(chr(10)) - 1} rows"] if "trace" in shown else []
+    return "; ".join([*states, *trace, *([_words(rest)] if rest else [])])
+
+
+def conditions_note(scenario: Scenario) -> str:
+    """How the table of conditions is read, or why it has no row."""
+    if scenario.ideal:
+        return "What an agent sends is heard at the same tick."
+    if not scenario.spec.network.links:
+        return "" if scenario.acoustic else "Every link is perfect: what an agent sends is heard at the next tick."
+    return "At the start. The last line that names a link holds for it; a link that no line names is perfect."
+
+
+def _words(value: Any) -> Any:
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {_words(inner)}" for key, inner in value.items())
+    return f"{value:g}" if isinstance(value, float) else value
+
+
+def _graph(scenario: Scenario) -> str:
+    section, links = scenario.spec.graph, scenario.graph.links
+    given = section.model_dump(exclude_none=True, exclude_defaults=True)
+    numbers = "".join(f", {key} {given[key]:g}" for key in _NUMBERS if key in given)
+    shape = section.shape or f"edges {first_words([f'{src}->{dst}' for src, dst in links], 12)}"
+    followers = [i for i, b in enumerate(scenario.b, start=1) if b]
+    who = "every vehicle" if len(followers) == scenario.vehicles else _vehicles(followers)
+    standby = section.standby
+    ready = "" if standby is None else f", {_vehicles(vehicle_numbers(standby.vehicles))} on standby"
+    return f"{shape}{numbers}; {len(links)} directed links; the reference is followed by {who}{ready}"
+
+
+def _laws(control: Control) -> str:
+    running = laws(control)
+    if "guidance" not in running:
+        return ", ".join(law.name for law in running.values())
+    guidance, tracking = running["guidance"].name, running["tracking"].name
+    name = _SHIPPED.get((guidance, tracking))
+    pair = f"guidance {guidance}, tracking {tracking}"
+    return pair if name is None else f"{name} ({pair})"
+
+
+def _profiles(scenario: Scenario) -> list[str]:
+    found: list[str] = [scenario.spec.profile] * scenario.vehicles
+    for numbers, overrides in scenario.spec.per_vehicle.items():
+        for i in vehicle_numbers(numbers):
+            found[i - 1] = overrides.profile or found[i - 1]
+    return found
+
+
+def _by_vehicle(words: Sequence[str]) -> str:
+    """A value for all vehicles, or with the vehicles that have it: `nboc`, `vehicles 1-3: nboc; vehicle 4: bc`."""
+    which: dict[str, list[int]] = {}
+    for i, text in enumerate(words, start=1):
+        which.setdefault(text, []).append(i)
+    if len(which) == 1:
+        return words[0]
+    return "; ".join(f"{_vehicles(numbers)}: {text}" for text, numbers in which.items())
+
+
+def _vehicles(numbers: Sequence[int]) -> str:
+    """`vehicle 3`, `vehicles 1-3, 5`; numbers ascending."""
+    spans: list[list[int]] = []
+    for number in numbers:
+        if spans and spans[-1][-1] == number - 1:
+            spans[-1].append(number)
+        else:
+            spans.append([number])
+    text = first_words([str(s[0]) if len(s) == 1 else f"{s[0]}-{s[-1]}" for s in spans], 12)
+    return f"vehicle{'' if len(numbers) == 1 else 's'} {text}"
+
 
 TEMPLATE = "report.html"
 

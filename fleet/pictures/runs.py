@@ -17,7 +17,7 @@ from fleet.errors import FleetError
 from fleet.logs.open_log import Log, open_drawn
 from fleet.logs.reader import check_readable
 from fleet.logs.records import Array
-from fleet.logs.run_name import run_name
+from fleet.logs.topic_names import run_name
 from fleet.pictures.style import Provenance
 from fleet.result.file import ResultError, read_result
 from fleet.result.verdict import Verdict

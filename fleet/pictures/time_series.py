@@ -12,9 +12,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
 from fleet.logs.records import Array
-from fleet.pictures.axes import MOST_NAMED, Get, draw_lines, finish, over_time, within
+from fleet.pictures.axes import MOST_NAMED, SMALLEST, Get, draw_lines, finish, over_time, within
 from fleet.pictures.axes import bounds as draw_bounds
-from fleet.pictures.bands import SMALLEST
 from fleet.pictures.beliefs import beliefs
 from fleet.pictures.runs import Run, View, with_gaps
 from fleet.pictures.style import HEAVY, LABEL_PT, plain_decades

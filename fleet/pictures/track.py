@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,21 +12,169 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle
+from matplotlib.patches import Circle, Patch
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
-from fleet.pictures.axes import MOST_NAMED, marks_legend
-from fleet.pictures.bands import outliers, spread
-from fleet.pictures.runs import NothingToDraw, Run, View
+from fleet.pictures.axes import MOST_NAMED, marks_legend, outliers, spread
+from fleet.pictures.beliefs import beliefs
+from fleet.pictures.runs import NothingToDraw, Run, View, first_words
 from fleet.pictures.style import COLUMN_IN, LABEL_PT, LEGEND_PT, NORMAL, STYLE_NAMES, STYLES, THIN
-from fleet.pictures.track_beliefs import BELIEF_ENTRIES, BelievedWay, believed_way, draw_ways, draw_ways_in_space
-from fleet.pictures.track_marks import Happening, directions, happenings, places, told
-from fleet.scene.model import SceneModel
-from fleet.scene.primitives import CylinderShape, LineShape, Primitive
+from fleet.quantities import vehicle_numbers
+from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
+from fleet.scene.model import SceneModel, ellipse
+from fleet.scene.primitives import AreaShape, CylinderShape, LineShape, Primitive
 from fleet.scene.styles import COURSE, PRINT
+
+# --- track beliefs
+# Where the vehicles believed that they were, beside where they were: a thin way, and an ellipse at a few moments.
+
+
+MOMENTS = 5
+STRETCHES = 40  # of a way in three dimensions
+_ELLIPSE_LINE: dict[str, Any] = {"linewidth": 0.6, "linestyle": (0, (2, 1))}
+_AREA: dict[str, Any] = {"alpha": 0.2, "linewidth": 0.5, "zorder": 1.5}
+BELIEF_ENTRIES: list[Artist] = [  # of a legend
+    Line2D([], [], label="as believed", **_ELLIPSE_LINE, color="0.3"),
+    Patch(label="95 % ellipse", color="0.3", alpha=_AREA["alpha"]),
+]
+
+
+class BelievedWay(NamedTuple):
+    """The beliefs of one vehicle."""
+
+    vehicle: int
+    colour: str
+    positions: Array  # (samples, 3) [m, NED]
+    ellipses: list[AreaShape]
+
+
+def believed_way(run: Run, i: int, colour: str, view: View) -> BelievedWay | None:
+    """The beliefs of vehicle i in the window of a picture; None: it knew where it was, or the log has no beliefs."""
+    known, state = beliefs(run.log, i), f"uuv/{i}/state"
+    if known is None or state not in run.log or not len(run.log[state]):
+        return None
+    true, (first, last) = run.log[state], view.window or (0.0, run.log.end)
+    inside = np.flatnonzero((known.t >= first) & (known.t <= last))
+    if not len(inside):
+        return None
+    t = known.t[inside]
+    positions = np.column_stack([np.interp(t, true.t, true[name]) for name in ("x", "y", "z")]) + known.off[inside]
+    moments = [min(int(np.searchsorted(t, at)), len(t) - 1) for at in np.linspace(first, last, MOMENTS)]
+    ellipses = [ellipse(i, positions[k].tolist(), known.covariance[inside[k]].tolist()) for k in dict.fromkeys(moments)]
+    return BelievedWay(i, colour, positions, [one for one in ellipses if one is not None])
+
+
+def draw_ways(ax: Axes, ways: Sequence[BelievedWay]) -> None:
+    """Draw them from above."""
+    for way in ways:
+        p, gid = way.positions, f"belief-{way.vehicle}"
+        ax.plot(p[:, 1], p[:, 0], color=way.colour, zorder=2.2, gid=gid, **_ELLIPSE_LINE)
+        for one in way.ellipses:
+            norths, easts = [point.north for point in one.points], [point.east for point in one.points]
+            ax.fill(easts, norths, color=way.colour, gid=f"ellipse-{way.vehicle}", **_AREA)
+
+
+def draw_ways_in_space(ax: Any, ways: Sequence[BelievedWay]) -> None:
+    """Draw them in three dimensions; an ellipse lies at the depth that the vehicle believes.
+
+    Depth is exaggerated, so the noise of its sensor would hide everything: the line joins means of short stretches.
+    """
+    for way in ways:
+        p = np.array([part.mean(axis=0) for part in np.array_split(way.positions, STRETCHES) if len(part)])
+        ax.plot(p[:, 1], p[:, 0], p[:, 2], color=way.colour, gid=f"belief-{way.vehicle}", **_ELLIPSE_LINE)
+        for one in way.ellipses:
+            corners = [[(point.east, point.north, point.down) for point in one.points]]
+            style = {"facecolor": way.colour, "edgecolor": way.colour, "gid": f"ellipse-{way.vehicle}"}
+            ax.add_collection3d(Poly3DCollection(corners, **style, **_AREA))
+
+
+# --- track marks
+# The marks on the pictures of the tracks: events of vehicles and their places, directions, desired places.
+
+
+# What begins a fault's text -> (what became of the vehicle, mark).
+MARKS = {"kill": ("agent dead", "X"), TUMBLED: (TUMBLED, "*"), DIVERGED: (DIVERGED, "P")}
+_ARROWS = 3  # per track
+
+
+class Happening(NamedTuple):
+    """An event of a vehicle."""
+
+    vehicle: int
+    what: str  # agent dead, tumbled, diverged
+    mark: str
+    t: float  # s
+    position: Array  # m, NED
+
+
+def happenings(run: Run, view: View, tracks: Mapping[int, tuple[Array, Array]]) -> list[Happening]:
+    """The events of the vehicles in a picture, in the order of time.
+
+    Args:
+        tracks: times [s] and positions (samples, 3) [m, NED] of each vehicle.
+    """
+    found = []
+    for fault in (*run.log.faults, *run.log.events):
+        kind, _, who = fault.what.partition(" ")
+        for i in numbers(who) if kind in MARKS else ():
+            if i in tracks and (view.window is None or view.window[0] <= fault.begin <= view.window[1]):
+                t, positions = tracks[i]
+                k = min(int(np.searchsorted(t, fault.begin)), len(t) - 1)
+                found.append(Happening(i, *MARKS[kind], fault.begin, positions[k]))
+    return sorted(found, key=lambda one: (one.t, one.vehicle))
+
+
+def numbers(text: str) -> Sequence[int]:
+    """The vehicles that a fault's text names; none if it names something else."""
+    try:
+        return vehicle_numbers(text)
+    except ValueError:
+        return ()
+
+
+def told(found: Sequence[Happening]) -> list[str]:
+    """A line such as `tumbled: UUV 2 at 27.7 s (3 times), UUV 3 at 26.3 s` for each kind."""
+    lines = []
+    for what in dict.fromkeys(one.what for one in found):
+        times: dict[int, list[float]] = {}
+        for one in found:
+            if one.what == what:
+                times.setdefault(one.vehicle, []).append(one.t)
+        often = {i: f" ({len(t)} times)" if len(t) > 1 else "" for i, t in times.items()}
+        each = [f"UUV {i} at {t[0]:.4g} s{often[i]}" for i, t in times.items()]
+        lines += [f"{what}: {first_words(each[k : k + 2], 2)}" for k in range(0, min(len(each), 6), 2)]
+        if len(each) > 6:
+            lines.append(f"{what}: {len(each) - 6} more")
+    return lines
+
+
+def directions(positions: Array) -> list[tuple[Array, float]]:
+    """(position [m, NED], course [degrees from east to north]) at a few places along a track, evenly by its length."""
+    steps = np.linalg.norm(np.diff(positions[:, :2], axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(np.nan_to_num(steps))])
+    if along[-1] < 1.0:  # m: it stays where it is
+        return []
+    found = []
+    for share in (np.arange(_ARROWS) + 0.5) / _ARROWS:
+        k = int(np.clip(np.searchsorted(along, share * along[-1]), 1, len(positions) - 1))
+        back = max(int(np.searchsorted(along, along[k] - 0.01 * along[-1])) - 1, 0)
+        north, east = positions[k, :2] - positions[back, :2]
+        found.append((positions[k], float(np.degrees(np.arctan2(north, east)))))
+    return found
+
+
+def places(run: Run, view: View) -> dict[int, Array]:
+    """Where each vehicle should be at the end of the picture [m, NED]."""
+    if run.scenario is None:
+        return {}
+    t = min(view.window[1] if view.window else run.log.end, run.log.end)
+    scene = SceneModel(run.scenario)
+    reference, offsets = np.array(scene.reference(t)), scene.offsets(t)
+    return {i: reference + np.array(offsets[i - 1]) for i in run.vehicles(view) if i <= len(offsets)}
+
 
 SHAPES = 5  # moments at which the formation is drawn
 GREY = "0.6"

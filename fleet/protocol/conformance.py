@@ -13,44 +13,26 @@ import shlex
 import shutil
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from secrets import token_hex
+from typing import Any
 
+import msgpack
+
+from agents import payload
 from agents.join_file import JoinFile
 from fleet.errors import FleetError
 from fleet.hosts.rendezvous import Rendezvous
-from fleet.processes.ports import free_port
-from fleet.protocol.canned_messages import damaged, junk_of
-from fleet.protocol.checks import (
-    ASKS,
-    BELIEVES,
-    CHECKS,
-    COMMANDS,
-    DAMAGED,
-    EARLIER,
-    ENDS,
-    FORM,
-    GAP,
-    HELLO,
-    LATE,
-    MALFORMED,
-    MEMORY,
-    PARTS,
-    READY,
-    ROLLS,
-    SHOWS,
-    TOKEN,
-    TRANSMITS,
-    UNASKED,
-    ProtocolCheck,
-)
-from fleet.protocol.emulated_fleet import EmulatedFleet
+from fleet.processes.limits import free_port
 from fleet.scenario.scenario import Scenario
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.private_folder import PrivateFolder
-from netem.wire.access import agent_role, generate
-from netem.wire.codec import encode
+from netem.wire.access import Credentials, Listener, agent_role, generate
+from netem.wire.bus import Bus, Respond
+from netem.wire.certificate_router import CertificateRouter
+from netem.wire.codec import decode, encode
 from netem.wire.keys import Keys
 from netem.wire.messages import (
     PROTOCOL_VERSION,
@@ -63,8 +45,188 @@ from netem.wire.messages import (
     Memory,
     Message,
     Nav,
+    Note,
     Transmission,
 )
+from netem.wire.shell import Probes
+
+# --- canned messages
+# The bad input of `fleet protocol check`: payloads that a network has damaged, and bytes that are no message.
+
+
+def damaged(src: int, sent: int, eta: tuple[float, ...]) -> tuple[Delivery, ...]:
+    """A neighbour's payloads of a tick, and the same payloads after a damaging network.
+
+    Args:
+        eta: the pose of who receives it [m, rad]; the neighbour is 5 m to its north.
+    """
+    good = payload.encode(payload.StateMessage(src, sent, (eta[0] + 5.0, eta[1], eta[2]), (0.5, 0.0, 0.0)))
+    flipped = bytes([good[0], good[1] ^ 0x40, *good[2:]])
+    payloads = [good, flipped, good[:15], b"", bytes(range(63)), b"\xff" * 200]
+    return tuple(Delivery(sent + 1, sent, src, seq, 0, data) for seq, data in enumerate(payloads))
+
+
+def junk_of(life: int) -> tuple[bytes, ...]:
+    """Bytes that are no message: no MessagePack, no array, no kind, too short, of wrong types, of an unknown kind."""
+    return (
+        b"",
+        b"\xc1",
+        b"\xff" * 40,
+        msgpack.packb({"nav": 1}),
+        msgpack.packb([]),
+        msgpack.packb(["nav", life]),
+        msgpack.packb(["nav", life, "now", [0.0] * 5, [0.0] * 5]),
+        msgpack.packb(["rx", life, None, False, []]),
+        msgpack.packb(["weather", life, 1, [], []]),
+    )
+
+
+# --- checks
+# The rules of `fleet protocol check`, and the form of a verdict.
+
+
+ASKS = "asks cfg for its slice"
+HELLO = "says hello on cmd and tx: role agent, its number, the incarnation of cfg, the protocol version"
+READY = "says hello with echo set on cmd, once both were echoed"
+TOKEN = "declares its liveliness token"
+COMMANDS = "answers each nav with one cmd: its incarnation and tick, three finite numbers, all telemetry or none"
+TRANSMITS = "puts one tx at each round tick, before the cmd, and none at other ticks"
+LATE = "waits with its answer until the inbox is known up to the tick"
+PARTS = "takes an inbox in parts for known only when the last is there"
+DAMAGED = "survives payloads that the network has damaged"
+MALFORMED = "drops malformed messages and goes on"
+EARLIER = "ignores nav, rx and end of an earlier life"
+GAP = "goes on after ticks in which it was not asked"
+ROLLS = "answers a nav with roll, its sixth field"
+SHOWS = "answers a nav with what its clock shows, its seventh field"
+BELIEVES = "answers a nav with belief, its eighth field"
+MEMORY = "puts memory, if at all, before the cmd of a tick at which it is asked for"
+UNASKED = "puts nothing that it was not asked for"
+FORM = "puts well-formed messages of its own kinds only"
+ENDS = "closes its session when it is told the end"
+CHECKS = (
+    *(ASKS, HELLO, READY, TOKEN, COMMANDS, TRANSMITS, LATE, PARTS, DAMAGED),
+    *(MALFORMED, EARLIER, GAP, ROLLS, SHOWS, BELIEVES, MEMORY, UNASKED, FORM, ENDS),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ProtocolCheck:
+    """One verdict; None if the exchange did not get that far."""
+
+    what: str
+    passed: bool | None
+    expected: str = ""
+    got: str = ""
+
+    def __str__(self) -> str:
+        if self.passed:
+            return f"pass  {self.what}"
+        if self.passed is None:
+            return f"----  {self.what}: not reached"
+        return f"FAIL  {self.what}: expected {self.expected}; got {self.got}"
+
+
+# --- emulated fleet
+# All of a run that one agent sees, in one session: router, world, netem and console, for a canned exchange.
+
+
+MOST_NOTES = 100
+KINDS = {"cmd": (Hello, Command, Memory), "tx": (Hello, Transmission), "note": (Note,)}
+
+
+class EmulatedFleet:
+    """Answers every cfg query and hello of the agent, keeps its notes, and hands out the rest in order."""
+
+    def __init__(
+        self,
+        endpoint: str,
+        keys: Keys,
+        vehicle: int,
+        user: Credentials,
+        private: Path,
+        answer: dict[str, Any],
+        certified: Listener | None = None,
+    ) -> None:
+        """Open the router and subscribe to what the agent puts.
+
+        Args:
+            private: a directory of mode 0700, as for `Bus.host`.
+            answer: to the query of cfg.
+            certified: where the agent may join with a certificate alone; None: nowhere.
+
+        Raises:
+            BusError: the endpoint is taken.
+        """
+        bus = self._bus = Bus.host(endpoint, keys, (vehicle,), {user.user: user}, private)
+        self._second = CertificateRouter(bus, keys, (vehicle,), certified) if certified else None
+        self._vehicle, self._probes = vehicle, {"cmd": Probes(), "tx": Probes()}
+        came: SimpleQueue[tuple[str, bytes]] = SimpleQueue()
+        put = came.put
+        self._came = came
+        self.here = False  # whether the agent holds its token
+        self.notes: list[str] = []  # texts of the agent's Note messages
+        packed = msgpack.packb(answer)
+
+        def receive(key: str, data: bytes) -> None:
+            kind = key.split("/")[-2]
+            if kind in KINDS:  # the rest is our own
+                put((kind, data))
+
+        def configure(key: str, _: bytes, respond: Respond) -> None:
+            respond(packed)
+            put(("cfg", b""))
+
+        # Starred as in a run: the router tells an agent of subscribers by their own expression.
+        for key in (keys.cmd("*"), keys.tx("*")):
+            bus.subscribe(key, lambda *_: None)
+        # Both in one, because only what one subscriber gets comes in the order in which it was put.
+        bus.subscribe(keys.every(vehicle), receive)
+        bus.subscribe(keys.note("*"), lambda _, data: put(("note", data)))
+        bus.answer(keys.cfg("*"), configure)
+        token = keys.alive(agent_role(vehicle))
+        bus.watch_tokens(token, lambda _, alive: put(("token", b"1" if alive else b"")))
+        self.nav: Callable[[bytes], None] = bus.publisher(keys.nav(vehicle))
+        self.rx: Callable[[bytes], None] = bus.publisher(keys.rx(vehicle))
+
+    def take(self, timeout_s: float) -> tuple[str, Message | None] | None:
+        """The next thing that came: `cmd` or `tx` with a message, `cfg` or `token` with none; None when nothing did.
+
+        Raises:
+            MalformedMessage: the agent put what does not belong on that key.
+            OutOfPlace: it sends hello more often than world and netem would answer.
+        """
+        deadline = time.monotonic() + timeout_s
+        while (left := deadline - time.monotonic()) > 0:
+            try:
+                key, data = self._came.get(timeout=left)
+            except Empty:
+                break
+            if key == "cfg":
+                return key, None
+            if key == "token":
+                self.here = bool(data)
+                return key, None
+            message = decode(data)
+            if not isinstance(message, KINDS[key]):
+                raise MalformedMessage(key, f"a {type(message).__name__.lower()} on {key}")
+            if isinstance(message, Note):
+                if len(self.notes) < MOST_NOTES:
+                    self.notes.append(message.text)
+                continue
+            if isinstance(message, Hello) and not message.echo:
+                self._probes[key].spend(self._vehicle)
+                role, echo = ("world", self.nav) if key == "cmd" else ("netem", self.rx)
+                echo(encode(Hello(role, 0, 0, PROTOCOL_VERSION, True)))
+            return key, message
+        return None
+
+    def close(self) -> None:
+        """Close the router."""
+        if self._second is not None:
+            self._second.close()
+        self._bus.close()
+
 
 ANSWER_S = 5.0  # until an answer counts as missing
 SILENCE_S = 0.3  # how long nothing must come where nothing may, at least

@@ -30,7 +30,7 @@ from netem.ledger import Ledger
 from netem.lives import Absence
 from netem.wire.codec import decode
 from netem.wire.messages import Command, Fate, Frame, LinkReport
-from world.run_memory import vehicle_memories
+from world.config import vehicle_memories
 
 
 class Spell(NamedTuple):
@@ -300,3 +300,26 @@ def _command(data: bytes) -> Command:
     command = decode(data)
     assert isinstance(command, Command)  # the world checked it before it went into the frame
     return command
+
+
+# --- watched
+# A run that is recorded and watched: what the journal writes is also shown to somebody who measures.
+
+
+class Watcher(Protocol):
+    """Sees every frame, with its decoded commands and errors by vehicle."""
+
+    def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None: ...
+
+
+class WatchedLog:
+    """A sink of the journal that passes everything on."""
+
+    def __init__(self, log: JournalSink, watcher: Watcher) -> None:
+        self._log, self._watcher = log, watcher
+        self.packet, self.event, self.snapshot = log.packet, log.event, log.snapshot
+
+    def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None:
+        """Pass a frame on, then show it."""
+        self._log.frame(frame, commands, errors)
+        self._watcher.frame(frame, commands, errors)

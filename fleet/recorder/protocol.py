@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from fleet.result.result import SignalValue
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.checked_signals import checked_signals
+from fleet.scenario.sections.signals import checked_signals
 
 
 class _Reported(NamedTuple):

@@ -28,15 +28,12 @@ from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 
 from fleet.recorder.snapshot import Snapshot
-from fleet.recorder.template import Template, field
-from fleet.recorder.transforms import NO_TURN, enu
+from fleet.recorder.transforms import NO_TURN, Template, enu, field
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signals import WHERE_LOCATED, locates
-from fleet.scene.belief import PlaceBelief, drawn_belief
-from fleet.scene.link_state import HISTORY, LinkState, mark_of, state_of
-from fleet.scene.model import SLENDER, SceneModel, diameter
+from fleet.scene.model import SLENDER, PlaceBelief, SceneModel, diameter, drawn_belief
 from fleet.scene.primitives import REFERENCE, CircleShape, CrossShape, Primitive, points_of
-from fleet.scene.styles import FOXGLOVE, NO_AGENT
+from fleet.scene.styles import FOXGLOVE, HISTORY, NO_AGENT, LinkState, mark_of, state_of
 from netem.condition import Link
 from netem.wire.messages import Command, Fate, Frame, VehicleFrame
 from world.vectors import Vec3
@@ -50,7 +47,7 @@ UNHEARD_NS = 500_000_000  # after so long without a command an agent counts as a
 
 
 class LinkHistories:
-    """The marks that the last packets of each link left; see `fleet.scene.link_state`."""
+    """The marks that the last packets of each link left; see `fleet.scene.styles`."""
 
     def __init__(self, links: Iterable[Link], values: Iterable[Iterable[Any]] = (), begin: int = 0) -> None:
         """Begin with what `values` gave, at tick `begin`."""

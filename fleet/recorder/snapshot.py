@@ -17,7 +17,7 @@ import msgpack
 
 from fleet.errors import FleetError
 from fleet.quantities import show_time
-from world.run_memory import vehicle_memories
+from world.config import vehicle_memories
 
 if TYPE_CHECKING:
     from fleet.logs.reader import LogReader, Tell
@@ -31,7 +31,7 @@ class Snapshot:
     """One moment of a run."""
 
     tick: int
-    world: dict[str, Any]  # as `world.run_memory` says, the agents' memories in it
+    world: dict[str, Any]  # as `world.config` says, the agents' memories in it
     network: dict[str, Any]  # of netem.network
     heard: list[list[int]]  # [src, dst, newest tick of sending that arrived] of each link
     drawn: list[list[Any]] = field(default_factory=list)  # what became of the last packets; see `fleet.recorder.scene`

@@ -16,11 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.signals import SignalLayout
-from fleet.checks.belief import SIZE as BELIEF_SIZE
-from fleet.checks.belief import belief_values
-from fleet.checks.located import SIZE as LOCATED_SIZE
-from fleet.checks.located import located_values
-from fleet.logs.batch import HEAD, MESSAGE, STAMP_BYTES, Batch
+from fleet.checks.values import BELIEF_SIZE as BELIEF_SIZE
+from fleet.checks.values import LOCATED_SIZE as LOCATED_SIZE
+from fleet.checks.values import belief_values, located_values
+from fleet.logs.mcap_writer import HEAD, MESSAGE, STAMP_BYTES, Batch
 from fleet.logs.schemas import (
     BELIEF,
     CLOCK_ERROR,

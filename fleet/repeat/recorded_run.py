@@ -21,7 +21,7 @@ from fleet.scenario.sections.vehicle_events import is_fault
 from fleet.scenario.text.fault_words import FaultWordsError, read_fault
 from fleet.scenario.text.overrides import Override
 from fleet.scenario.trust import READING, Policy
-from netem.clock import Clock
+from netem.vehicle_clock import Clock
 
 MOST_TEXT = 64 << 20  # bytes of all of them
 

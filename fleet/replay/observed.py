@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
-from netem.private_file import parse_json
+from netem.private_file import parse_json, read_file, write_whole
 from netem.private_folder import PrivateFolder
-from netem.whole_file import read_file, write_whole
 from netem.wire.access import OBSERVER, Credentials
 from netem.wire.keys import Keys
 

@@ -13,13 +13,12 @@ from fleet.replay.attachment import Stamp, pack
 from fleet.replay.capture_format import ATTACHMENT, DELETE, ENCODING, KIND, zenoh_encoding
 from fleet.replay.player import RATE_STEP, SEEK_NS, MeasuredRate, Player
 from fleet.replay.topics import hand_out
-from fleet.terminal.fitting import Piece
 from fleet.terminal.keyboard import Key, Keyboard
 from fleet.terminal.status_line import StatusLine
+from fleet.terminal.table import Piece
 from netem.parsing import nearest
-from netem.wire.key_expressions import matching
 from netem.wire.keys import Keys
-from netem.wire.open_bus import OpenBus, OpenPublication
+from netem.wire.open_bus import OpenBus, OpenPublication, matching
 
 MOST = 256  # messages between two looks at the keyboard
 NAP_S = 0.05  # the longest wait without a look at the clock

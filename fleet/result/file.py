@@ -9,9 +9,8 @@ from pathlib import Path
 import msgspec
 
 from fleet.errors import FleetError
-from fleet.result.json_text import json_text
-from fleet.result.result import FORMAT, Result
-from netem.whole_file import read_file
+from fleet.result.result import FORMAT, Result, json_text
+from netem.private_file import read_file
 
 RESULT = "result.json"  # in the directory of a run
 _MOST_BYTES = 20_000_000

@@ -14,10 +14,104 @@ import msgspec
 from msgspec import Meta, Struct
 
 from fleet.notebook import html_table
-from fleet.result.json_text import json_text
-from fleet.result.timing import Timing
 from fleet.result.verdict import Verdict
 from netem.ledger import Account, Count
+from netem.vehicle_clock import Clock
+
+# --- timing
+# How everybody kept up in a run on a wall clock, as the world and the network measure it.
+
+
+Counts = dict[str, Count]  # by vehicle
+Bucket = tuple[Annotated[float, Meta(gt=0, le=1e15)], Count]
+
+
+class Spread(Struct):
+    """The distribution of a time."""
+
+    count: Annotated[Count, Meta(description="How many were measured.")]
+    negative: Annotated[Count, Meta(description="How many of them are below 0.")]
+    p50_ms: Annotated[float, Meta(description="Median [ms].")]
+    p95_ms: Annotated[float, Meta(description="95th percentile [ms].")]
+    p99_ms: Annotated[float, Meta(description="99th percentile [ms].")]
+    max_ms: Annotated[float, Meta(description="The largest [ms].")]
+    histogram_ms: Annotated[
+        list[Bucket], Meta(description="Upper edge and count of every bucket that is not empty [ms].")
+    ]
+
+
+class WorldTiming(Struct):
+    """How the world kept to the wall clock."""
+
+    period_ms: Annotated[float, Meta(description="Wall time of a tick [ms].", gt=0, le=1e9)]
+    run_s: Annotated[float, Meta(description="Wall time of the ticks that began [s].")]
+    held_s: Annotated[float, Meta(description="How long the clock stood still [s].")]
+    slipped_s: Annotated[float, Meta(description="How far the world, being late, moved the clock [s].")]
+    lag: Annotated[Spread, Meta(description="How late ticks began.")]
+    gap: Annotated[Spread, Meta(description="From one tick to the next.")]
+
+
+class VehicleTiming(Struct):
+    """How one agent kept up."""
+
+    asked: Annotated[Count, Meta(description="Ticks at which it was to answer.")]
+    missed: Annotated[Count, Meta(description="Those that it missed.")]
+    late: Annotated[Count, Meta(description="Answers that came late.")]
+    stale: Annotated[Count, Meta(description="Ticks with a command of an earlier tick.")]
+    longest: Annotated[Count, Meta(description="Ticks missed in a row, at most.")]
+    silent: Annotated[Count, Meta(description="Ticks in which it was taken for silent.")]
+    response: Annotated[Spread, Meta(description="From the measurement to its answer.")]
+    gap: Annotated[Spread, Meta(description="From one measurement to the next.")]
+
+    @property
+    def missed_share(self) -> float:
+        """The share of its ticks that it missed."""
+        return self.missed / max(1, self.asked)
+
+
+class LinkTiming(Struct):
+    """The delay of one directed link."""
+
+    injected: Annotated[Spread, Meta(description="As the scenario asks for it.")]
+    measured: Annotated[Spread, Meta(description="As it was.")]
+
+
+class NetworkTiming(Struct):
+    """How the network kept to the wall clock."""
+
+    links: Annotated[dict[str, LinkTiming], Meta(description="By link, as `1->2`.")]
+    hop: Annotated[Spread, Meta(description="From the network to the agent.")]
+    margin: Annotated[Spread, Meta(description="From the arrival to its due tick; below 0: too late.")]
+    overdue: Annotated[Count, Meta(description="Deliveries that were used after their due tick.")]
+    unread: Annotated[Count, Meta(description="Deliveries that no agent had confirmed at the end.")]
+    late: Annotated[Counts, Meta(description="Transmissions that came late, by vehicle.")]
+    missed: Annotated[Counts, Meta(description="Transmissions that did not come, by vehicle.")]
+
+
+class Timing(Struct, kw_only=True):
+    """How everybody kept up with `--clock real`."""
+
+    clock: Annotated[Clock, Meta(description="real.")] = Clock.REAL
+    speed: Annotated[float, Meta(description="Times real time [1].")] = 1.0
+    label: Annotated[str, Meta(description="on time, or degraded.")] = ""
+    reasons: Annotated[list[str], Meta(description="Why it is degraded, in words.")] = []
+    world: Annotated[WorldTiming, Meta(description="The world.")]
+    vehicles: Annotated[dict[str, VehicleTiming], Meta(description="By vehicle.")]
+    netem: Annotated[NetworkTiming, Meta(description="The network.")]
+
+
+# --- json text
+# JSON as files and `--json` have it.
+
+
+def json_text(document: Any) -> str:
+    """A struct or plain values as JSON: a number that is not finite becomes null, since JSON has none."""
+    try:
+        return msgspec.json.format(msgspec.json.encode(document, enc_hook=str), indent=2).decode()
+    except UnicodeEncodeError:  # the name of a file that is no text; json writes it with escapes
+        plain = json.dumps(msgspec.to_builtins(document, enc_hook=str))
+        return json.dumps(json.loads(plain, parse_constant=lambda _: None), indent=2)
+
 
 FORMAT = 1  # of result.json; a larger one was written by a later version
 Number = float | None  # null in JSON: not finite, or there is none

@@ -9,7 +9,7 @@ from msgspec import Meta, Struct
 from msgspec.structs import replace
 
 from fleet.quantities import vehicle_names
-from netem.causes import Cause
+from netem.fault_kinds import Cause
 
 
 class LastMessage(Struct, frozen=True):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 from fleet.errors import FleetError
 from fleet.execution.external_agents import refuse
 from fleet.execution.stepped_run import Changes, loaded
-from fleet.logs.table import need
+from fleet.logs.dataset import need
 from fleet.quantities import QuantityError, show_time, time_ns
 from fleet.rl.policy_agent import Choices
 from fleet.scenario.scenario import Scenario

@@ -12,7 +12,6 @@ from typing import Any, Literal, NamedTuple
 from agents import compact
 from agents.agent import Agent
 from agents.config import AgentConfig
-from agents.decision import Decision
 from agents.errors import PayloadError
 from agents.laws.kinematics import earth_velocity
 from agents.laws.velocity_command import clip
@@ -20,6 +19,7 @@ from agents.loop import AgentLoop, Answer
 from agents.message import pack, unpack
 from agents.neighbours import AHEAD_S, NeighbourTable
 from agents.payload import StateMessage, encode
+from agents.sample import Decision
 from agents.trajectory import Motion
 from netem.wire.messages import Delivery, Inbox, Nav
 from world.vectors import Vec3

@@ -24,14 +24,14 @@ from typing import Any
 import numpy as np
 
 from agents.config import AgentConfig
-from agents.decision import Decision
 from agents.laws.velocity_command import clip
 from agents.plugged_agent import MAX_PAYLOAD_BYTES
+from agents.sample import Decision
 from fleet.ros2.mapping import MessageMaker, base_link, frd
 from fleet.ros2.node import RosNode
 from fleet.ros2.rmw import LATCHED
 from fleet.ros2.types import OWN
-from netem.clock import Clock
+from netem.vehicle_clock import Clock
 from netem.wire.messages import Delivery, Nav
 from world.vectors import Vec3
 

@@ -21,9 +21,9 @@ from fleet.ros2.node import RosNode
 from fleet.ros2.translation import RosMessage, Translation
 from fleet.ros2.types import OWN
 from fleet.scenario.text.fault_words import read_fault
-from fleet.terminal.fitting import Piece
 from fleet.terminal.keyboard import Keyboard
 from fleet.terminal.status_line import StatusLine
+from fleet.terminal.table import Piece
 from fleet.view.source import LiveSource
 
 POLL_S = 0.05

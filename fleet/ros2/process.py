@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from fleet.terminal.folding import say
+from fleet.terminal.table import say
 
 # With `-m` a file in the current directory could take the place of a module.
 _MAIN = "import sys; sys.path.append(sys.argv.pop(1)); from fleet.__main__ import main; main()"

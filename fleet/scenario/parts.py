@@ -11,31 +11,31 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from agents.offset import Offset
+from agents.config import Offset
 from agents.trajectory import Reference
 from fleet.errors import FleetError
 from fleet.quantities import vehicle_numbers
 from fleet.scenario.schema.control import GuidanceSection, VehicleOverrides
-from fleet.scenario.schema.shapes import REFERENCE
+from fleet.scenario.schema.motion import REFERENCE
 from fleet.scenario.schema.spec import ScenarioSpec
-from fleet.scenario.sections import formation, graph, link_conditions, nemesis, per_vehicle, reference, timeline
+from fleet.scenario.sections import formation, graph, link_conditions, nemesis, per_vehicle, timeline
 from fleet.scenario.sections.acoustic import compile_acoustic, modem_values
 from fleet.scenario.sections.clocks import vehicle_clock
+from fleet.scenario.sections.formation import keep_apart_params
 from fleet.scenario.sections.graph import Graph
 from fleet.scenario.sections.ground import Ground, instruments
-from fleet.scenario.sections.keep_apart import keep_apart_params
+from fleet.scenario.sections.link_conditions import Traces
 from fleet.scenario.sections.modem_files import Values, modem_of
 from fleet.scenario.sections.navigation import navigation_of
 from fleet.scenario.sections.per_vehicle import Control, Entries
-from fleet.scenario.sections.trace_files import Traces
 from netem.condition import Condition, Link
+from netem.grammar import parse_selector, select
 from netem.link_states import LinkStates
 from netem.link_trace import LinkTrace
 from netem.modem import AcousticConfig, Modem
-from netem.selectors import parse_selector, select
 from netem.vehicle_clock import VehicleClock
+from world.config import VehicleParams
 from world.vectors import Vec3, Vec5
-from world.vehicle import VehicleParams
 
 
 class UnknownValueError(FleetError):
@@ -64,7 +64,7 @@ class Parts:
         section = self.spec.reference
         if any(getattr(section, key) is None for key in REFERENCE[section.shape or "line"].needed):
             raise UnknownValueError
-        return reference.build(section)
+        return formation.build(section)
 
     @cached_property
     def plans(self) -> tuple[Offset, ...]:

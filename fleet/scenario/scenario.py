@@ -9,14 +9,13 @@ from math import gcd
 from pathlib import Path
 from typing import NamedTuple
 
-from agents.config import AgentConfig, Law, Neighbour
+from agents.config import AgentConfig, Law, Neighbour, Offset, OffsetChange
 from agents.controllers import BUILT_IN, laws, layout
-from agents.offset import Offset, OffsetChange
 from agents.signals import SignalLayout
 from agents.trajectory import Reference
 from fleet.quantities import vehicle_numbers
 from fleet.scenario.parts import Parts
-from fleet.scenario.schema.sea import CurrentSection
+from fleet.scenario.schema.faults import CurrentSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.schema.vehicle import PlantSection, VehicleSection
 from fleet.scenario.sections.acoustic import inlined_modem
@@ -26,10 +25,9 @@ from fleet.scenario.sections.ground import Ground
 from fleet.scenario.sections.log_rates import log_every, memory_ticks
 from fleet.scenario.sections.modem_files import shipped_modems
 from fleet.scenario.sections.navigation import inlined_navigation
-from fleet.scenario.sections.per_vehicle import Control, inlined_vehicle, model_name
+from fleet.scenario.sections.per_vehicle import Control, inlined_vehicle, model_name, shipped_vehicles
 from fleet.scenario.sections.signals import BeliefKind
 from fleet.scenario.sections.timeline import FaultPlan
-from fleet.scenario.sections.vehicle_files import shipped_vehicles
 from fleet.scenario.text import yaml_writer
 from fleet.scenario.text.overrides import Override
 from fleet.scenario.trust import Policy

@@ -10,7 +10,7 @@ from math import prod
 from typing import Any, NamedTuple
 
 from fleet.quantities import time_ns
-from fleet.scenario.text.shipped import ShippedFiles
+from fleet.scenario.catalogue import ShippedFiles
 from fleet.scenario.text.yaml_reader import Source, plain, read
 from fleet.study.values import axis, values_text
 

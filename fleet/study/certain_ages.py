@@ -15,8 +15,8 @@ from typing import Any
 from fleet.recorder.snapshot import Snapshot
 from fleet.scenario.scenario import Scenario
 from netem.condition import Link
-from netem.links import PERFECT
-from netem.selectors import parse_selector, select
+from netem.grammar import parse_selector, select
+from netem.medium import PERFECT
 from netem.transit import PendingPacket
 
 

@@ -23,7 +23,7 @@ from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy
 from fleet.study.errors import StudyError
-from netem.whole_file import read_file, write_whole
+from netem.private_file import read_file, write_whole
 
 INDEX = "failures.json"
 FORMAT = 1  # of both JSON files

@@ -14,7 +14,7 @@ from typing import Any, Literal, TypeVar
 from fleet.errors import printable
 from fleet.execution.stepped_run import override_texts
 from fleet.quantities import QuantityError, describe_value, show_time, time_ns
-from fleet.scenario.text.plain_yaml import inline
+from fleet.scenario.text.yaml_reader import inline
 from fleet.study.errors import StudyError
 from fleet.study.plan import parse_seeds
 from fleet.study.signal_measures import check_name

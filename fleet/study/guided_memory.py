@@ -12,7 +12,7 @@ from fleet.study.engine import Row
 from fleet.study.errors import StudyError
 from fleet.study.moves import Fault
 from fleet.study.shrink import Tree
-from netem.whole_file import read_file, write_whole
+from netem.private_file import read_file, write_whole
 
 FORMAT = 1
 # The names in a row that a search looks at begin with these.

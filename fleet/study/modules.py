@@ -17,7 +17,7 @@ from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 from agents.controllers import BUILT_IN, laws
-from fleet.processes.run_folder import close_at_end
+from fleet.processes.children import close_at_end
 from fleet.scenario.scenario import Scenario
 from fleet.study.errors import StudyError
 from netem.private_folder import PrivateFolder

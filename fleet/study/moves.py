@@ -26,11 +26,11 @@ from typing import Any
 from fleet.quantities import QuantityError, show_time, time_ns
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultSection, read_fault
-from fleet.scenario.sections.fault_limits import FaultLimits
+from fleet.scenario.sections.ground import FaultLimits
 from fleet.scenario.sections.partitions import DRAWN_PARTITIONS
 from fleet.study.shrink import TIMES
 from netem.draws import uniform
-from netem.selectors import Selector
+from netem.grammar import Selector
 
 PURPOSE = "guide"  # of the draws
 MOST_FAULTS = 12  # that moves make

@@ -19,7 +19,7 @@ from fleet.study.modules import NO_MODULES, Modules
 from fleet.study.one_run import Task
 from fleet.study.plan import run_key
 from fleet.study.splitting import Ask, Make, SplitPath, Splitting, interval
-from netem.whole_file import read_file, write_whole
+from netem.private_file import read_file, write_whole
 
 _MOST_BYTES = 10_000_000
 _MARGINS = 2  # changes when other margins count at a snapshot: such repeats do not mix

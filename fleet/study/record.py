@@ -14,7 +14,7 @@ from fleet.study.errors import StudyError
 from fleet.study.measures import MeasureColumn
 from fleet.study.spec import MOST_ALLOWED, BoundarySpec, KeepLogs, StudySpec, texts
 from fleet.study.values import Axis
-from netem.whole_file import read_file, write_whole
+from netem.private_file import read_file, write_whole
 
 VERSION = 3
 _WITH_SETTINGS = 2  # the version before

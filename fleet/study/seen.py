@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from hashlib import blake2b
 
+from fleet.recorder.journal import Watcher
 from fleet.recorder.metrics import VehicleError
-from fleet.recorder.watched import Watcher
 from fleet.scenario.scenario import Scenario
 from netem.wire.messages import Command, Frame
 

@@ -21,13 +21,13 @@ from fleet.quantities import QuantityError, show_time, time_ns
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.separation import Separation
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.checked_signals import checked_signals
 from fleet.scenario.sections.signals import (
     SIGNAL,
     SignalError,
     SignalName,
     SignalPlace,
     VehicleSignals,
+    checked_signals,
     read_name,
     unit_of,
 )

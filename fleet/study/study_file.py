@@ -11,15 +11,25 @@ import msgspec
 from fleet.errors import Problem, ScenarioError, printable
 from fleet.quantities import describe_value
 from fleet.scenario.catalogue import shipped_scenarios
-from fleet.scenario.text.plain_yaml import inline, yaml_text
-from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Scalar, Source, TextPlace, plain, read
+from fleet.scenario.text.yaml_reader import (
+    Items,
+    Mapping,
+    Node,
+    Scalar,
+    Source,
+    TextPlace,
+    inline,
+    plain,
+    read,
+    yaml_text,
+)
 from fleet.scenario.trust import TYPED, OverrideOrigin, origin
 from fleet.study.catalogue import shipped_studies, study_text
 from fleet.study.errors import StudyError
 from fleet.study.given import read as read_value
 from fleet.study.spec import Kind, SpecField, StudySpec, fields
 from netem.parsing import nearest
-from netem.whole_file import read_file
+from netem.private_file import read_file
 
 _KEY = "study"
 _NESTED = re.compile(r"\s*[\[{]")

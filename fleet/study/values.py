@@ -23,7 +23,7 @@ from typing import Literal, NamedTuple
 
 from fleet.errors import printable
 from fleet.quantities import DIMENSIONS
-from fleet.scenario.text.plain_yaml import inline
+from fleet.scenario.text.yaml_reader import inline
 from fleet.study.errors import StudyError
 from netem.grammar import RATE_UNITS
 from netem.parsing import LONGEST_NUMBER, NUMBER, exact_number, nearest

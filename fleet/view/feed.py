@@ -17,7 +17,7 @@ from fleet.result.file import ResultError, read_result
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signals import OF_LOCALIZATION, OF_NAVIGATION
 from fleet.view.view_state import Row, ViewState
-from netem.causes import Cause
+from netem.fault_kinds import Cause
 
 TRANSFORMS, FAULTS = "transforms", "faults"
 MOST_CHARTED = 4  # signals of checks that have a chart from the start

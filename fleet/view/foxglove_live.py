@@ -12,8 +12,8 @@ from fleet.replay.capture import PublisherGone
 from fleet.replay.live_journal import LiveJournal, left_out
 from fleet.replay.topics import ask_topics
 from fleet.scenario.text.fault_words import read_fault
-from fleet.terminal.fitting import Piece
 from fleet.terminal.status_line import StatusLine
+from fleet.terminal.table import Piece
 from fleet.view.foxglove_server import FELL_BEHIND, FoxgloveChannel, FoxgloveServer, ServiceOffer, Subscription
 from fleet.view.source import LiveSource
 

@@ -13,9 +13,9 @@ from fleet.logs.tape import Tape, Track
 from fleet.replay.capture_format import ATTACHMENT, DELETE, KIND
 from fleet.replay.playback import obey
 from fleet.replay.player import SEEK_NS, Player
-from fleet.terminal.fitting import Piece
 from fleet.terminal.keyboard import Key, Keyboard
 from fleet.terminal.status_line import StatusLine
+from fleet.terminal.table import Piece
 from fleet.view.foxglove_server import FELL_BEHIND, FoxgloveChannel, FoxgloveServer, PlaybackRequest, Subscription
 
 MOST = 256  # messages between two looks at what viewers ask for

@@ -18,7 +18,7 @@ from fleet.replay.player import MeasuredRate
 from fleet.replay.topics import ask_scenario, ask_topics
 from fleet.result.file import RESULT
 from fleet.scenario.loading import parse_scenario
-from fleet.scenario.sections.checked_signals import checked_signals
+from fleet.scenario.sections.signals import checked_signals
 from fleet.view.chart_signals import published_signals
 from fleet.view.feed import FAULTS, MOST_CHARTED, TRANSFORMS, checks_asked, checks_so_far, take
 from fleet.view.source import LiveSource

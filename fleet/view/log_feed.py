@@ -15,20 +15,19 @@ from fleet.logs.fault_intervals import MOST_EVENTS
 from fleet.logs.open_log import Log, open_drawn
 from fleet.logs.reader import LogReadError
 from fleet.logs.records import Array
-from fleet.logs.run_name import run_name
 from fleet.logs.tape import Tape, Track
 from fleet.logs.topic import Topic
-from fleet.logs.topic_names import believer_of, link_of, link_topic
+from fleet.logs.topic_names import believer_of, link_of, link_topic, run_name
 from fleet.quantities import vehicle_numbers
 from fleet.repeat.recorded_run import recorded
 from fleet.replay.player import Player
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.checked_signals import checked_signals
+from fleet.scenario.sections.signals import checked_signals
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
 from fleet.view.chart_signals import ChartSignal, Signals
 from fleet.view.feed import FAULTS, MOST_CHARTED, TRANSFORMS, checks_asked, checks_judged, fault_message, is_lost, take
 from fleet.view.view_state import HISTORY_S, NOT_PLACED, Row, ViewState
-from netem.causes import Cause
+from netem.fault_kinds import Cause
 
 MOST_SAMPLES = 600  # of a curve
 MOST_VALUES = 60_000  # of all curves of one chart

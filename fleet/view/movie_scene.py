@@ -22,7 +22,6 @@ from fleet.palette import COLOURS
 from fleet.pictures.shades import union
 from fleet.pictures.style import LABEL_PT, LEGEND_PT, TEXT_PT, THIN
 from fleet.scenario.sections.vehicle_events import vehicle_events
-from fleet.scene.link_state import CUT, LinkState
 from fleet.scene.model import LEAST_FLIGHT_S, MOST_FLIGHT_S, STOPS, TRAIL_S, LegendRow
 from fleet.scene.primitives import (
     NED,
@@ -37,7 +36,7 @@ from fleet.scene.primitives import (
     points_of,
     vehicle_frame,
 )
-from fleet.scene.styles import FAULT, NO_AGENT, PACKET, PRINT
+from fleet.scene.styles import CUT, FAULT, NO_AGENT, PACKET, PRINT, LinkState
 from fleet.view.view_state import SAMPLE_S, Row, ViewState
 
 SCENE_PT = (432.0, 226.0)  # width and height of what is seen of the fleet

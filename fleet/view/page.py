@@ -16,7 +16,7 @@ from nicegui.events import GenericEventArguments
 
 from fleet.errors import FleetError
 from fleet.execution.directory import in_use
-from fleet.execution.fault_request import checked_fault
+from fleet.execution.operator import checked_fault
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.fault_words import read_fault
 from fleet.scene.styles import PAGE

@@ -16,8 +16,6 @@ from fleet.logs.payload_kinds import DAMAGED, kind_of
 from fleet.quantities import QuantityError, vehicle_numbers
 from fleet.scenario.scenario import Scenario, timeline
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED, VehicleEvents, is_fault, vehicle_events
-from fleet.scene.belief import NewestBeliefs
-from fleet.scene.link_state import ARRIVED, BEHIND, LinkHistory, LinkState, fate_of, stale_after
 from fleet.scene.model import (
     CROWD,
     LEAST_FLIGHT_S,
@@ -27,11 +25,12 @@ from fleet.scene.model import (
     STOPS,
     TRAIL_S,
     WORST,
+    NewestBeliefs,
     SceneModel,
     depth_text,
 )
 from fleet.scene.primitives import Primitive, plain
-from fleet.scene.styles import LINK_MEANINGS, NO_AGENT
+from fleet.scene.styles import ARRIVED, BEHIND, LINK_MEANINGS, NO_AGENT, LinkHistory, LinkState, fate_of, stale_after
 from netem.condition import Link
 from world.vectors import Vec3
 

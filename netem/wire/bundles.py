@@ -6,11 +6,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from netem.errors import MalformedMessage
 from netem.wire.access import Members, host_role
-from netem.wire.bus import Bus
+from netem.wire.bus import PART_BYTES, Bus, split
 from netem.wire.codec import encode
-from netem.wire.host_messages import Bundle, BundlePart
 from netem.wire.keys import Keys
-from netem.wire.parts import PART_BYTES, split
+from netem.wire.messages import Bundle, BundlePart
 
 _PART_BYTES = 12  # of a part, besides its message
 

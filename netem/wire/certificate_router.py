@@ -14,11 +14,9 @@ import zenoh
 
 from netem.errors import BusError
 from netem.wire.access import Listener, agent_role, certificate_control
-from netem.wire.bus import Bus, Respond
+from netem.wire.bus import Bus, Respond, never_linger
 from netem.wire.keys import Keys
-from netem.wire.linger import never_linger
-from netem.wire.session import open_session, reason
-from netem.wire.settings import UNIVERSAL, listening, router_settings, server_tls
+from netem.wire.session import UNIVERSAL, listening, open_session, reason, router_settings, server_tls
 
 
 class CertificateRouter:

@@ -15,8 +15,7 @@ import zenoh.ext
 
 from netem.errors import BusError
 from netem.wire.open_bus import OpenBus, OpenPublication
-from netem.wire.session import reason
-from netem.wire.settings import OTHERS, UNIVERSAL, client_settings, listening
+from netem.wire.session import OTHERS, UNIVERSAL, client_settings, listening, reason
 
 # Of rmw_zenoh: a file of zenoh's settings, and single ones as "key=value;key=value".
 SESSION_FILE, SETTINGS = "ZENOH_SESSION_CONFIG_URI", "ZENOH_CONFIG_OVERRIDE"

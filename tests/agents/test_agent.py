@@ -19,18 +19,14 @@ from repository import GOLDEN
 
 from agents.agent import Agent
 from agents.api import NeighbourState, Sample, VelocityCommand
-from agents.config import AgentConfig, Neighbour
+from agents.config import AgentConfig, Neighbour, Offset
 from agents.controllers import CONTROLLERS
 from agents.errors import AgentError, ControllerError, PayloadError
 from agents.laws import gain_qp
-from agents.laws.backstepping import NeurodynamicTracking
-from agents.laws.consensus import consensus_error
-from agents.laws.filters import RateFilter, wrap
-from agents.laws.kinematics import earth_velocity, flow_angles
-from agents.laws.shunting import shunting_step
-from agents.laws.velocity_command import clip, direction_command, floor_speed, slew, virtual_control
+from agents.laws.backstepping import NeurodynamicTracking, shunting_step
+from agents.laws.kinematics import RateFilter, earth_velocity, flow_angles, wrap
+from agents.laws.velocity_command import clip, consensus_error, direction_command, floor_speed, slew, virtual_control
 from agents.neighbours import NeighbourTable
-from agents.offset import Offset
 from agents.payload import SIZE, StateMessage, decode, encode
 from agents.profiles import PROFILES, profile
 from agents.trajectory import Motion

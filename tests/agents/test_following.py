@@ -9,11 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.agent import Agent
+from agents.agent import Agent, followed
 from agents.api import NeighbourState
-from agents.config import AgentConfig
-from agents.following import followed
-from agents.offset import Offset, OffsetChange
+from agents.config import AgentConfig, Offset, OffsetChange
 from agents.payload import StateMessage, encode
 from fleet.analysis.seed import seeded
 from fleet.errors import ScenarioError

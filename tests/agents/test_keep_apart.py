@@ -11,11 +11,10 @@ from hypothesis import strategies as st
 from small_scenario import SMALL, only_problem, small
 
 from agents.api import Sample
-from agents.config import AgentConfig, Cylinder, KeepApartParams
+from agents.config import AgentConfig, Cylinder, KeepApartParams, Offset
 from agents.controllers import layout
 from agents.laws.keep_apart import SLACK, Bound, KeepApart, Seen, apart, bounds, margin
 from agents.neighbours import NeighbourTable
-from agents.offset import Offset
 from agents.payload import StateMessage, encode
 from agents.trajectory import Motion
 from fleet.analysis.preflight import warnings

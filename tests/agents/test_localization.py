@@ -18,8 +18,7 @@ from agents.api import FormationAgent
 from agents.config import AgentConfig, LocalizationParams, Method
 from agents.errors import PayloadError
 from agents.localization import payload
-from agents.localization.fusion import fused, grown
-from agents.localization.localizer import Localizer
+from agents.localization.localizer import Localizer, fused, grown
 from agents.payload import StateMessage
 from fleet.errors import ScenarioError
 from netem.wire.messages import Delivery, Nav

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.localization.fusion import Covariance, Fused, fused
-from agents.localization.mirror import MirrorImage, PlaceEstimate, distance
+from agents.localization.localizer import Covariance, Fused, MirrorImage, PlaceEstimate, distance, fused
 
 TRUE, NAVIGATOR = (3.0, 25.0), PlaceEstimate((0.0, -22.0), (625.0, 0.0, 625.0))
 SURE: Covariance = (0.25, 0.0, 0.25)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from realtime import nav
 
-from agents.decision import Decision
 from agents.realtime_loop import RealtimeLoop
+from agents.sample import Decision
 from netem.errors import OutOfPlace
 from netem.wire.messages import (
     Arrival,

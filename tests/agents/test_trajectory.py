@@ -9,13 +9,12 @@ from typing import Any
 
 import msgpack
 import pytest
-from hypothesis import assume, example, given, settings
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from loops import agent_config
 
-from agents.config import AgentConfig, Neighbour
+from agents.config import AgentConfig, Neighbour, Offset, OffsetChange
 from agents.neighbours import NeighbourTable
-from agents.offset import Offset, OffsetChange
 from agents.payload import StateMessage, encode
 from agents.trajectory import Circle, Path, PathError, Reference, StraightLine
 from netem.wire.messages import Delivery
@@ -57,7 +56,6 @@ offsets = st.builds(
 
 
 @given(references(), st.floats(0.0, 500.0))
-@settings(max_examples=200, deadline=None)
 def test_velocity_is_the_derivative_and_acceleration_is_bounded(reference: Reference, t: float) -> None:
     """Assumption 2: position, velocity and acceleration are bounded, position and velocity continuous."""
     h = 1e-4
@@ -70,7 +68,6 @@ def test_velocity_is_the_derivative_and_acceleration_is_bounded(reference: Refer
 
 
 @given(references(), st.floats(0.0, 500.0))
-@settings(max_examples=200, deadline=None)
 def test_velocity_stays_within_its_bounds(reference: Reference, t: float) -> None:
     """The QP's bounds are checked against these; sampled to a degree, so to 0.02 % of the speed."""
     low, high = reference.velocity_bounds()
@@ -80,7 +77,6 @@ def test_velocity_stays_within_its_bounds(reference: Reference, t: float) -> Non
 
 
 @given(references(), st.floats(0.0, 500.0))
-@settings(max_examples=100, deadline=None)
 def test_speed_along_a_path_is_constant(reference: Reference, t: float) -> None:
     if isinstance(reference, Path):
         assert math.hypot(*reference.at(t).velocity) == pytest.approx(reference.speed)
@@ -91,14 +87,12 @@ def test_speed_along_a_path_is_constant(reference: Reference, t: float) -> None:
 
 
 @given(references(), st.floats(0.0, 200.0), st.floats(0.0, 50.0))
-@settings(max_examples=100, deadline=None)
 def test_displacement_is_the_way_between(reference: Reference, begin: float, span: float) -> None:
     way = minus(reference.at(begin + span).position, reference.at(begin).position)
     assert reference.displacement(begin, span) == pytest.approx(way, abs=1e-9)
 
 
 @given(references(), st.floats(0.0, 200.0), st.floats(0.0, 50.0))
-@settings(max_examples=100, deadline=None)
 def test_no_chord_is_longer_than_the_way(reference: Reference, begin: float, span: float) -> None:
     """No jump anywhere, also where a piece of a path or a lap ends: nothing gets further than its speed allows."""
     speed = math.hypot(*reference.at(begin).velocity)  # constant on every reference
@@ -119,7 +113,6 @@ def roomy_paths(draw: st.DrawFn) -> Path:
 
 
 @given(roomy_paths())
-@settings(max_examples=40, deadline=None)
 def test_a_path_is_made_of_its_legs_and_arcs(path: Path) -> None:
     """Of each leg an arc takes radius tan(turn / 2) at its end; the middle of what is left is passed on the leg, in
     its direction, after the way that the legs and arcs before it have."""
@@ -146,7 +139,6 @@ def test_a_path_is_made_of_its_legs_and_arcs(path: Path) -> None:
 
 
 @given(roomy_paths(), st.floats(0.0, 300.0), st.integers(1, 5))
-@settings(max_examples=60, deadline=None)
 def test_a_closed_path_comes_round(path: Path, t: float, laps: int) -> None:
     """However often, with the velocity that it had."""
     path = replace(path, closed=True)
@@ -161,7 +153,6 @@ def test_a_closed_path_comes_round(path: Path, t: float, laps: int) -> None:
 
 @given(points, st.tuples(*[st.floats(-1.0, 1.0)] * 3), st.lists(st.floats(1.0, 50.0), min_size=2, max_size=5))
 @example((7.0, -17.0, 10.0), (-0.1, 0.7, 0.7), [10.0, 15.0])
-@settings(max_examples=300, deadline=None)
 def test_points_on_one_line_need_no_arc(start: Any, ahead: Any, steps: list[float]) -> None:
     """However their coordinates are rounded. An arc of 1e-8 rad between them once had no direction to turn to."""
     assume(math.hypot(*ahead) > 0.1)
@@ -172,7 +163,6 @@ def test_points_on_one_line_need_no_arc(start: Any, ahead: Any, steps: list[floa
 
 
 @given(references().filter(lambda reference: not isinstance(reference, Path)) | roomy_paths())
-@settings(max_examples=40, deadline=None)
 def test_velocity_bounds_are_tight(reference: Reference) -> None:
     """To a percent: wider ones would refuse scenarios that can be flown. Sampled to 0.02 rad of a turn."""
     low, high = reference.velocity_bounds()
@@ -216,7 +206,6 @@ def test_what_no_arc_can_follow(corners: Any, closed: bool, leg: int, words: str
 
 
 @given(offsets, st.floats(0.0, 100.0))
-@settings(max_examples=200, deadline=None)
 def test_a_blend_is_smooth(offset: Offset, t: float) -> None:
     """The rate is the derivative, bounded by 1.875 of an even pace, and zero where nothing changes; it changes no
     faster than 10 x^3 - 15 x^4 + 6 x^5 does, whose second derivative is at most 10 / sqrt(3)."""
@@ -239,7 +228,6 @@ def test_a_blend_is_smooth(offset: Offset, t: float) -> None:
 
 
 @given(references(), offsets, offsets)
-@settings(max_examples=50, deadline=None)
 def test_configuration_travels(reference: Reference, own: Offset, other: Offset) -> None:
     """to_values is plain MessagePack, from_values its inverse."""
     config = replace(agent_config(1), reference=reference, offset=own, neighbours=(Neighbour(2, 0.8, other),))
@@ -249,7 +237,6 @@ def test_configuration_travels(reference: Reference, own: Offset, other: Offset)
 
 
 @given(references(), st.data())
-@settings(max_examples=100, deadline=None)
 def test_reference_extrapolation_is_exact_in_formation(reference: Reference, data: st.DataObject) -> None:
     """A neighbour that is exactly where it should be is known exactly, however old the news is: also in a turn, and
     while the formation changes."""

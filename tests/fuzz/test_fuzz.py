@@ -51,10 +51,11 @@ from netem.config import NetemConfig
 from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values, read_faults
 from netem.grammar import parse_condition
+from netem.main import RealtimeNetemProcess
 from netem.process import NetemProcess
-from netem.realtime_process import RealtimeNetemProcess
 from netem.realtime_rounds import RealtimeRounds
 from netem.rounds import Rounds
+from netem.wire.bus import PART_BYTES
 from netem.wire.codec import decode, encode
 from netem.wire.keys import Keys
 from netem.wire.messages import (
@@ -72,17 +73,14 @@ from netem.wire.messages import (
     Transmission,
 )
 from netem.wire.messages import Pace as Begins
-from netem.wire.parts import PART_BYTES
-from netem.wire.settings import MAX_BYTES
+from netem.wire.session import MAX_BYTES
 from netem.wire.shell import Item
 from world.lockstep import Lockstep
 from world.process import WorldProcess
 from world.realtime_process import RealtimeWorldProcess
 
-EXAMPLES = int(os.environ.get("FUZZ_EXAMPLES", "40"))
 fuzz = settings(
-    max_examples=EXAMPLES,
-    deadline=None,
+    max_examples=int(os.environ.get("FUZZ_EXAMPLES", settings.default.max_examples)),
     suppress_health_check=list(HealthCheck),
 )
 KEYS = Keys("f0220000")

@@ -31,11 +31,11 @@ from fleet.pictures.report import page
 from fleet.pictures.runs import Run, View, load
 from fleet.result.file import ResultError, read_result
 from fleet.scenario.loading import load_scenario, parse_scenario
+from fleet.scenario.sections.link_conditions import read_trace
 from fleet.scenario.sections.modem_files import load_modem
-from fleet.scenario.sections.trace_files import read_trace
-from fleet.scenario.sections.vehicle_files import load_vehicle
+from fleet.scenario.sections.per_vehicle import load_vehicle
 from netem.lives import Absence, Lives
-from netem.whole_file import read_file
+from netem.private_file import read_file
 
 PAPER = (ROOT / "fleet" / "scenario" / "shipped" / "paper.yaml").read_text("utf-8")
 

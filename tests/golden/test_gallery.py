@@ -43,14 +43,17 @@ EARLY = {
     "formation-no-fixes": ["faults.1.at=2 s"],
 }
 PAGE = ROOT / "docs" / "guide" / "scenarios.md"
-LONG = 10  # [s]; a distributed run of more is one of the slow tests
-
-
+# Distributed, one scenario per mechanism is quick: a link condition, a death, a disturbance, a channel, another plant,
+# a protocol, localisation, navigation. The others are slow tests.
+MECHANISMS = (
+    *("lossy", "kill-restart", "gauss-markov-current", "acoustic-s2c"),
+    *("mixed", "event-triggered-loss", "locate-naive", "formation-on-belief"),
+)
 # Slow, since there is a quick one of the same kind: another leader, another disturbance, another channel.
 LONGEST = (
     *("leader-lost", "leader-lost-standby", "follow-the-leader", "nemesis", "gauss-markov-current"),
     *("partition-heal", "rough-sea", "remus", "mixed"),
-    *("acoustic-noise", "acoustic-80bps", "acoustic-s2c"),
+    *("acoustic-noise", "acoustic-80bps", "acoustic-s2c", "burst", "event-triggered-loss", "election-slow"),
     *("average", "election", "event-triggered", "auction-partition"),
     *("navigation-aid", "navigation-aid-clock", "locate-naive", "locate-naive-loop"),
     *("locate-consistent", "locate-compass"),
@@ -70,7 +73,7 @@ def test_a_scenario_keeps_its_promise(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "seconds"),
     [
-        pytest.param(name, seconds, marks=[pytest.mark.slow] if seconds > LONG else [])
+        pytest.param(name, seconds, marks=[] if name in MECHANISMS else [pytest.mark.slow])
         for name, seconds in GALLERY.items()
     ],
 )

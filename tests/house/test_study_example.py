@@ -17,7 +17,7 @@ from study_engine import Here
 PAGE = ROOT / "docs" / "guide" / "study-example.md"
 
 
-@pytest.mark.timeout(400)  # 10 s of one core, on a machine that is busy
+@pytest.mark.slow
 def test_the_notebook_page_shows_what_its_code_prints_and_draws(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -14,14 +14,13 @@ from hypothesis import strategies as st
 from msgspec.structs import astuple
 
 from netem.acoustic import AcousticChannel
-from netem.causes import LOSSES, Cause
 from netem.condition import Condition, Link
 from netem.config import NetemConfig
-from netem.curve import Curve
+from netem.fault_kinds import LOSSES, Cause
 from netem.faults import NetFault
 from netem.ledger import Ledger
-from netem.links import Links
-from netem.modem import AcousticConfig, Modem
+from netem.medium import Links
+from netem.modem import AcousticConfig, Curve, Modem
 from netem.network import Netem, fate_order
 from netem.rounds import Rounds
 from netem.transit import Transit
@@ -460,7 +459,6 @@ def history(netem: Netem, sent: list[Traffic], where: list[Places], first: int =
 
 
 @given(channels, conditions, faults(), traffic, places)
-@settings(max_examples=150, deadline=None)
 def test_ledger_balances_and_every_fate_is_told_once_in_its_round(
     acoustic: AcousticConfig,
     per_link: dict[Link, Condition],
@@ -493,7 +491,6 @@ def test_ledger_balances_and_every_fate_is_told_once_in_its_round(
 
 
 @given(channels, conditions, faults(("clock",)), traffic, places, st.integers(0, 8))
-@settings(max_examples=150, deadline=None)
 def test_state_and_restore_continue_as_if_uninterrupted(
     acoustic: AcousticConfig,
     per_link: dict[Link, Condition],
@@ -620,7 +617,7 @@ def test_a_run_that_ends_within_a_transfer_accounts_for_everything() -> None:
 
 
 @given(st.integers(0, 2**32), st.integers(1, 7))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_transfers_and_listening_resume(seed: int, split: int) -> None:
     both = replace(ARQ, mac="csma", backoff_ticks=40, buffer=2, shadowing=6.0, shadowing_ns=10**9, rician=1.0)
     traffic: list[Traffic] = [{i: (bytes(8),) for i in (1, 2, 3)} for _ in range(8)]

@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 
 from netem.condition import Condition, FourState, GilbertElliott
 from netem.errors import NetemError, TextError
-from netem.grammar import REFUSED, parse_condition, print_condition, with_word
+from netem.grammar import REFUSED, Selector, parse_condition, parse_selector, print_condition, select, with_word
 from netem.parsing import exact_number
-from netem.selectors import Selector, parse_selector, select
 
 
 @given(conditions())

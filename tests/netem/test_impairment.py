@@ -10,7 +10,7 @@ import msgpack
 import numpy as np
 import pytest
 from any_condition import conditions
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from netem.condition import Condition, FourState, GilbertElliott, condition_from_values, condition_values
@@ -284,7 +284,6 @@ def test_corruption_reaches_every_bit() -> None:
 
 
 @given(conditions(), conditions(), st.integers(0, 20))
-@settings(max_examples=80, deadline=None)
 def test_any_change_keeps_what_is_on_its_way(before: Condition, after: Condition, seq: int) -> None:
     """Back to perfect included: what was sent keeps its due tick, and every packet still has one final fate."""
     netem = Netem(NetemConfig(1, 10 * MS, 10, (1, 2), ((1, 2),), {(1, 2): before}))
@@ -314,7 +313,6 @@ def test_a_value_that_changes_and_comes_back_shifts_no_draw() -> None:
 
 
 @given(conditions(), st.integers(0, 2**31))
-@settings(max_examples=60, deadline=None)
 def test_a_link_goes_on_from_its_plain_values(condition: Condition, seed: int) -> None:
     one = link(condition, seed)
     for k in range(20):

@@ -11,14 +11,13 @@ from any_condition import link_states
 from hypothesis import given
 from hypothesis import strategies as st
 
-from netem.condition import Condition, FourState, GilbertElliott
+from netem.condition import Condition, FourState, GilbertElliott, lost_share
 from netem.config import NetemConfig
-from netem.correlation import lost_share
 from netem.faults import NO_FAULTS, NetFault, active_faults
 from netem.impairment import LinkModel
 from netem.link_states import LinkStates, StateProcess, stationary
 from netem.link_trace import DOWN, LinkTrace, TraceProcess
-from netem.links import make_links
+from netem.medium import make_links
 
 SECOND = 10**9
 PACKETS = 100_000

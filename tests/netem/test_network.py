@@ -23,8 +23,8 @@ from netem.link_states import LinkStates
 from netem.link_trace import LinkTrace
 from netem.network import Netem
 from netem.rounds import Rounds
+from netem.wire.bus import split
 from netem.wire.messages import Fate, Round, Transmission
-from netem.wire.parts import split
 
 TICK_NS = 10_000_000
 ALL_LINKS: tuple[Link, ...] = tuple((j, i) for j in (1, 2, 3) for i in (1, 2, 3) if i != j)

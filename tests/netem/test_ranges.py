@@ -9,9 +9,8 @@ import msgpack
 import pytest
 
 from netem.config import NetemConfig
-from netem.modem import AcousticConfig, Modem
+from netem.modem import AcousticConfig, Modem, RangingConfig
 from netem.network import Netem
-from netem.ranging import RangingConfig
 from netem.vehicle_clock import VehicleClock
 from netem.wire.codec import decode, encode
 from netem.wire.messages import Delivery, Inbox, LinkReport

@@ -16,10 +16,9 @@ from realtime import PERIOD_NS, SHORT
 from fleet.scenario.loading import load_scenario
 from netem.errors import OutOfPlace
 from netem.histogram import Histogram
-from netem.realtime_process import RealtimeNetemProcess
+from netem.main import RealtimeNetemProcess
 from netem.realtime_rounds import RealtimeRounds
 from netem.wire.codec import decode, encode
-from netem.wire.control import request
 from netem.wire.keys import Keys
 from netem.wire.messages import (
     Arrival,
@@ -30,7 +29,7 @@ from netem.wire.messages import (
     Round,
     Transmission,
 )
-from netem.wire.shell import Item
+from netem.wire.shell import Item, request
 
 KEYS = Keys("5ea")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from netem.access import Access
@@ -84,7 +84,6 @@ def test_a_slot_starts_when_the_own_clock_says_so(
 
 
 @given(st.integers(-60, 60), st.integers(-60, 60), st.booleans())
-@settings(max_examples=60)
 def test_slots_collide_only_if_clocks_differ_by_more_than_the_guard(one: int, other: int, stepped: bool) -> None:
     """Slots of 250 ms, 200 ms of them on the air: who is ahead of the slot before by more than 50 ms comes into it."""
     ahead = {1: one, 2: other, 3: 0}

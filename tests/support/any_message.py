@@ -8,8 +8,8 @@ from typing import Any
 from hypothesis import strategies as st
 from hypothesis.strategies import SearchStrategy
 
+from fleet.protocol.page import declared, fields_of, records, texts
 from netem.wire.messages import Message
-from netem.wire.wire_types import declared, fields_of, records, texts
 
 RECORDS = records()
 KINDS = sorted(declared())

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from fleet.logs.decoder import Decoder
-from fleet.logs.first_difference import besides_messages, framing
-from fleet.logs.first_difference import first_difference as first
+from fleet.logs.deviation import besides_messages, framing
+from fleet.logs.deviation import first_difference as first
 from fleet.logs.reader import LogReader, Record
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from netem.errors import BusError
 from netem.process import NetworkProcess
-from netem.wire.settings import MAX_BYTES
+from netem.wire.session import MAX_BYTES
 from world.process import WorldProcess
 
 

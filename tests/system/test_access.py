@@ -23,14 +23,14 @@ from free_ports import free_port
 from live import LiveRun
 from waiting import wait_for
 
-import fleet.execution.launch
+import fleet.execution.supervisor
 import netem.wire.access
 import netem.wire.bus
 from fleet.execution.directory import RunDirectory
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.reader import LogReader
-from fleet.processes.run_folder import RunFolder
+from fleet.processes.children import RunFolder
 from fleet.result.result import Status
 from fleet.scenario.loading import load_scenario
 from netem.errors import BusError
@@ -453,7 +453,7 @@ def test_no_secret_is_left_lying_about(tmp_path: Path, monkeypatch: pytest.Monke
             exposed.extend(f"{path}: {text!r}" for secret in secrets if secret in text)
 
     monkeypatch.setattr(tempfile, "mkdtemp", make_and_remember)
-    monkeypatch.setattr(fleet.execution.launch, "generate", remember)
+    monkeypatch.setattr(fleet.execution.supervisor, "generate", remember)
     monkeypatch.setattr(RunDirectory, "write_connection", look_round)
     out = tmp_path / "runs"
     result = execute(load_scenario("paper", ["duration=1 s", "checks={}"]), Options(out, quiet=True))

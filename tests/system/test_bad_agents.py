@@ -21,7 +21,7 @@ from live import LiveRun
 
 import agents.make_agent
 import fleet.execution.in_process
-import fleet.execution.launch
+import fleet.execution.supervisor
 from agents.controllers import TRACKING
 from agents.errors import ControllerError
 from fleet.execution.directory import RunDirectory
@@ -137,7 +137,7 @@ class Intruder:
         self._over = Event()
         self._thread: Thread | None = None
         self.rounds = 0
-        generate, write = fleet.execution.launch.generate, RunDirectory.write_connection
+        generate, write = fleet.execution.supervisor.generate, RunDirectory.write_connection
 
         def generate_and_leak(vehicles: tuple[int, ...], **more: Any) -> dict[str, Credentials]:
             self._credentials = generate(vehicles, **more)
@@ -148,7 +148,7 @@ class Intruder:
             self._thread = Thread(target=self._talk, args=(values["endpoint"], values["run"]))
             self._thread.start()
 
-        monkeypatch.setattr(fleet.execution.launch, "generate", generate_and_leak)
+        monkeypatch.setattr(fleet.execution.supervisor, "generate", generate_and_leak)
         monkeypatch.setattr(RunDirectory, "write_connection", write_and_join)
 
     def _talk(self, endpoint: str, run: str) -> None:

@@ -27,8 +27,7 @@ from repository import ROOT
 from waiting import wait_for
 
 from fleet.hosts.certificates import KeyPair
-from fleet.hosts.join_folder import JoinFolder
-from fleet.hosts.rendezvous import Rendezvous, listening_for_certificates
+from fleet.hosts.rendezvous import JoinFolder, Rendezvous, listening_for_certificates
 from fleet.protocol.conformance import CHECKS, Examination
 from fleet.scenario.loading import load_scenario
 from netem.wire.keys import Keys

@@ -21,7 +21,7 @@ from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario
-from netem.clock import Clock
+from netem.vehicle_clock import Clock
 
 SHARED = "agents.per_process=3"  # of four: two and two
 

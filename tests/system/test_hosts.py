@@ -34,10 +34,9 @@ from fleet.hosts.rendezvous import (
 )
 from netem.errors import BusError
 from netem.wire.access import Credentials, Listener, generate
-from netem.wire.bus import Bus
+from netem.wire.bus import Bus, never_linger
 from netem.wire.codec import decode
 from netem.wire.keys import Keys
-from netem.wire.linger import never_linger
 from netem.wire.messages import End
 
 pytest.importorskip("cryptography", reason="cryptography is not installed: pip install 'uuv-fleet[hosts]'")

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from fleet.errors import RunBroken
-from fleet.execution.accounts import lost_messages
+from fleet.execution.console import lost_messages
 
 WHOLE: dict[str, Any] = {
     "world": {"sent": {"nav": 400, "round": 10, "frame": 20}, "received": {"cmd": 400}},

@@ -18,14 +18,14 @@ from fleet.errors import FleetError
 from fleet.execution.connection import RemoteError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
+from fleet.pictures.gallery import punctuality
 from fleet.pictures.runs import NothingToDraw, View, load
-from fleet.pictures.timing import punctuality
 from fleet.repeat.verify import verify
 from fleet.repeat.what_if import what_if
 from fleet.result.file import read_result
 from fleet.result.result import Status
 from fleet.scenario.loading import load_scenario
-from netem.clock import Clock
+from netem.vehicle_clock import Clock
 
 SLEEPER = """
     from time import sleep

@@ -21,19 +21,18 @@ from free_ports import free_port
 from live import LiveRun
 from waiting import wait_for
 
-import fleet.execution.launch
+import fleet.execution.supervisor
 from fleet.execution.directory import RunDirectory
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.processes.children import Children, Exit
-from fleet.processes.run_folder import RunFolder
+from fleet.processes.children import Children, Exit, RunFolder
 from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario
 from netem.wire.access import Credentials
 from netem.wire.bus import Bus
 from netem.wire.keys import Keys
 from netem.wire.open_bus import OpenBus
-from netem.wire.settings import PIECE_BYTES
+from netem.wire.session import PIECE_BYTES
 
 HUGE = 150_000_000
 
@@ -49,7 +48,7 @@ def attacked(attack: Callable[[Attack, Keys, str], None], patch: pytest.MonkeyPa
         thief.wait_until_up(keys, values["endpoint"])
         attack(thief, keys, values["endpoint"])
 
-    patch.setattr(fleet.execution.launch, "generate", thief.generate)
+    patch.setattr(fleet.execution.supervisor, "generate", thief.generate)
     patch.setattr(RunDirectory, "write_connection", write_and_attack)
     try:
         return execute(load_scenario("paper", SCENARIO), Options(out, quiet=True))

@@ -12,9 +12,8 @@ from fleet.scenario.loading import load_scenario
 from netem.process import NetemProcess
 from netem.rounds import Rounds
 from netem.wire.codec import decode, encode
-from netem.wire.host_messages import Bundle, BundlePart
 from netem.wire.keys import Keys
-from netem.wire.messages import Command, Grant, Inbox, Nav, Note, Round, Transmission
+from netem.wire.messages import Bundle, BundlePart, Command, Grant, Inbox, Nav, Note, Round, Transmission
 from world.lockstep import Lockstep
 from world.process import WorldProcess
 

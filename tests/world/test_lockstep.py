@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from agents.decision import Decision
 from agents.loop import AgentLoop
+from agents.sample import Decision
 from fleet.execution.clock import GrantPolicy
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile

@@ -32,7 +32,7 @@ from netem.wire.messages import (
 )
 from world.lockstep import NavTo
 from world.realtime import RealtimeRun
-from world.tick_schedule import TickSchedule
+from world.realtime_process import TickSchedule
 
 SIZE = SHORT.layout(1).size
 

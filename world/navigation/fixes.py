@@ -13,9 +13,8 @@ from math import hypot
 from netem.draws import normal, undecided, uniform
 from netem.fault_kinds import WorldFaultKind
 from netem.wire.messages import Fix, WorldFault
-from world.navigation.config import FixSource
+from world.navigation.config import FixSource, jumps, lost
 from world.navigation.filter import NavigationFilter
-from world.navigation.instrument_faults import jumps, lost
 from world.navigation.instruments import PURPOSE, due
 from world.vectors import Vec3
 

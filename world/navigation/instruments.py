@@ -20,9 +20,8 @@ from math import cos, hypot, sin, sqrt
 from netem.draws import normal
 from netem.fault_kinds import WorldFaultKind
 from netem.wire.messages import WorldFault
-from world.navigation.config import DeadReckoning
+from world.navigation.config import DeadReckoning, jumps, lost
 from world.navigation.filter import BOTTOM, LOST, WATER
-from world.navigation.instrument_faults import jumps, lost
 from world.vectors import Vec3
 
 PURPOSE = "navigation"

@@ -10,8 +10,7 @@ from msgspec import Meta, Struct
 from fleet.analysis.border import LinearFleet
 from fleet.analysis.link_shares import effective_loss, written
 from fleet.analysis.seed import seeded
-from fleet.analysis.slots import slack
-from fleet.analysis.stability import Analysis, oldest_s
+from fleet.analysis.stability import Analysis, oldest_s, slack
 from fleet.cli.documents.failure import ProblemRow, problem_rows
 from fleet.cli.documents.listing import Duration, Expect, Name, Title, Vehicles
 from fleet.errors import Problem

@@ -11,8 +11,7 @@ from msgspec import Meta, Struct, convert
 
 from fleet.cli.documents.live import EventCount
 from fleet.logs.decoder import FieldValue
-from fleet.logs.deviation import LogComparison
-from fleet.logs.first_difference import Difference, Side, same
+from fleet.logs.deviation import Difference, LogComparison, Side, same
 from fleet.logs.info import Info
 from fleet.repeat.check_log import JudgedLog
 from fleet.repeat.verify import Verification

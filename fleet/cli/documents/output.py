@@ -29,7 +29,7 @@ def json_is_asked(context: click.Context) -> bool:
 
 def print_document(document: msgspec.Struct) -> None:
     """Print a document as JSON."""
-    from fleet.result.json_text import json_text
+    from fleet.result.result import json_text
 
     text = json_text(document)
     try:

@@ -8,19 +8,67 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from fleet.quantities import show_time
 from fleet.scenario.parts import Parts, UnknownValueError
-from fleet.scenario.rules import (
-    checks,
-    faults,
-    laws,
-    link_conditions,
-    motion,
-    navigation,
-    network,
-    plants,
-    timing,
-)
-from fleet.scenario.rules.report import Report
+from fleet.scenario.rules import checks, faults, laws, motion, network
+from fleet.scenario.rules.report import Report, whole_multiple
+from fleet.scenario.sections.log_rates import snapshot_grid
+from fleet.scenario.sections.per_vehicle import qp_period_ns, used
+
+# --- timing
+# Rules on periods and times: what must be whole ticks.
+
+
+def duration(parts: Parts, report: Report) -> None:
+    spec = parts.spec
+    whole_multiple(report, ("duration",), spec.duration, spec.tick)
+
+
+def network_period(parts: Parts, report: Report) -> None:
+    spec = parts.spec
+    if not spec.network.ideal:
+        whole_multiple(report, ("network", "period"), spec.network.period, spec.tick)
+
+
+def qp_period(parts: Parts, report: Report) -> None:
+    spec = parts.spec
+    for entries, law, section, name in parts.guidance():
+        period = qp_period_ns(name, section, spec.tick)
+        if "qp_period" not in used("guidance", law) or period % spec.tick == 0:
+            continue
+        path = report.origin(entries, "guidance", "qp_period")
+        if path is not None:
+            whole_multiple(report, path, period, spec.tick)
+        else:
+            report.add(
+                ("tick",),
+                f"the QP period of profile {name}, {show_time(period)}, is not a whole number of ticks "
+                f"of {show_time(spec.tick)}",
+                "choose a tick that divides it, or set guidance.qp_period",
+            )
+
+
+def policies(parts: Parts, report: Report) -> None:
+    spec = parts.spec
+    if spec.network.ideal and spec.on_controller_error == "die":
+        message = "the others of an ideal network wait for everybody, also for an agent that is gone"
+        report.add(("on_controller_error",), message, "abort, coast, or give the network a period")
+    if spec.network.ideal and spec.agents.per_process not in ("auto", 1):
+        message = "nobody shares a process on an ideal network, which runs in one"
+        report.add(("agents", "per_process"), message, "leave it out, or give the network a period")
+    for path, external in parts.sections("external"):
+        if external and spec.network.ideal:
+            message = "nobody can join an ideal network, which runs in one process"
+            report.add((*path, "external"), message, "give the network a period")
+
+
+def snapshot(parts: Parts, report: Report) -> None:
+    spec = parts.spec
+    if spec.log.snapshot:
+        every = snapshot_grid(spec)
+        if spec.log.snapshot % (every * spec.tick):
+            message = f"{show_time(spec.log.snapshot)} is no multiple of {show_time(every * spec.tick)}"
+            report.add(("log", "snapshot"), message, "a snapshot is taken at a round whose frame is logged")
 
 
 def check(parts: Parts, report: Report) -> None:
@@ -33,11 +81,11 @@ def check(parts: Parts, report: Report) -> None:
 
 
 RULES: tuple[Callable[[Parts, Report], None], ...] = (
-    timing.duration,
-    timing.network_period,
-    timing.policies,
-    timing.snapshot,
-    timing.qp_period,
+    duration,
+    network_period,
+    policies,
+    snapshot,
+    qp_period,
     motion.reference,
     motion.formation,
     motion.initial,
@@ -46,11 +94,11 @@ RULES: tuple[Callable[[Parts, Report], None], ...] = (
     motion.followers,
     motion.knowledge,
     network.links,
-    link_conditions.link_conditions,
+    network.link_conditions,
     network.acoustic,
     network.talking,
     laws.per_vehicle,
-    navigation.navigation,
+    motion.navigation,
     faults.faults,
     faults.nemesis,
     checks.checks,
@@ -58,14 +106,14 @@ RULES: tuple[Callable[[Parts, Report], None], ...] = (
     checks.connected,
     checks.recovery_time,
     laws.laws,
-    plants.plants,
-    navigation.localization,
-    navigation.faults,
+    laws.plants,
+    motion.localization,
+    motion.faults,
     checks.signal,
     checks.python,
     checks.names,
     laws.effective,
-    plants.rolls,
+    laws.rolls,
     laws.keep_apart,
     laws.vehicles,
     laws.velocity_bounds,

@@ -8,8 +8,7 @@ from typing import NamedTuple, get_args
 from fleet.quantities import show_time
 from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import Report, known_links, no_whole_ticks, vehicles_exist, whole_multiple
-from fleet.scenario.schema.faults import ACTIONS, FaultAction, FaultSection
-from fleet.scenario.schema.nemesis import DrawnKind, NemesisSection
+from fleet.scenario.schema.faults import ACTIONS, DrawnKind, FaultAction, FaultSection, NemesisSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.liveness import healed_at
 from fleet.scenario.sections.nemesis import fault_count
@@ -18,7 +17,7 @@ from fleet.scenario.sections.swarm import span
 from fleet.scenario.sections.timeline import OF_THE_WORLD, does_nothing, vehicles_of
 from netem.condition import Link
 from netem.errors import TextError
-from netem.selectors import parse_selector, select
+from netem.grammar import parse_selector, select
 
 MOST_FAULTS = 5000  # of one scenario, those of its nemesis included: the cores test each in every tick
 MOST_TARGETS = 100_000  # faults times vehicles: each may be about all of them

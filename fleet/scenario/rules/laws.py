@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -12,13 +13,90 @@ from agents.profiles import profile
 from agents.trajectory import PathError
 from fleet.quantities import RATE, SPEED, QuantityError, show, show_vector, vehicle_numbers
 from fleet.scenario.parts import Parts, UnknownValueError
-from fleet.scenario.rules.plugins import plugin
 from fleet.scenario.rules.report import Report, packed
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.data_files import DataFileError
-from fleet.scenario.sections.per_vehicle import Entries, given, law_names, used, wrong_model
-from fleet.scenario.sections.vehicle_files import mass_problems
+from fleet.scenario.sections.per_vehicle import Entries, given, law_names, mass_problems, used, wrong_model
+from netem.parsing import nearest
+from world.errors import PluginError, UntrustedError
+from world.plants.classes import SHIPPED, plant_class
 from world.vectors import Vec3
+
+# --- plugins
+# The rule that every plug-in in a scenario exists, may run, and can be used.
+
+
+def plugin(
+    parts: Parts,
+    report: Report,
+    at: tuple[str, ...],
+    kind: str,
+    name: str,
+    shipped: Sequence[str],
+    load: Callable[[], Any],
+) -> bool:
+    """Report the mistakes of a plug-in. A plug-in that may not be imported now is left out.
+
+    Args:
+        at: its place in the scenario.
+        kind: controller, plant, check, ...
+        shipped: the names of the plug-ins that come with the package.
+        load: loads and checks its class, and raises PluginError.
+
+    Returns:
+        Whether it can be used, as far as that is known.
+    """
+    typed = report.typed(at)
+    if not (name in shipped or typed or report.policy.imports):
+        return True
+    try:
+        if name not in shipped:
+            report.policy.admit(kind, name, parts.folder, typed=typed)
+        load()
+    except UntrustedError as error:
+        report.refuse(at, f"{name}: {error.problem}", error.hint)
+    except PluginError as error:
+        if not typed and report.policy.of_a_log:  # of somebody whose modules are not here
+            report.refuse(at, f"{name}: {error.problem}", error.hint)
+        elif name not in shipped and ":" not in name and "does not load" not in error.problem:
+            close = nearest(name, shipped) if shipped else ""
+            known = f"known: {', '.join(shipped)}, or" if shipped else "write"
+            report.add(at, f'there is no {kind} "{name}"', close or f"{known} package.module:Class")
+        else:
+            report.add(at, f"{name}: {error.problem}", error.hint)
+    else:
+        return True
+    return False
+
+
+# --- plants
+# Rules on the plants of vehicles.
+
+
+def plants(parts: Parts, report: Report) -> None:
+    """Every plant that is named exists, and can be made with its parameters."""
+    for path, section in parts.sections("vehicle"):
+        plant = section.plant
+        if plant is not None:
+            at = (*path, "vehicle", "plant")
+            at = (*at, "name") if report.has((*at, "name")) else at
+            load = partial(plant_class, plant.name, plant.parameters or {})
+            plugin(parts, report, at, "plant", plant.name, list(SHIPPED), load)
+
+
+def rolls(parts: Parts, report: Report) -> None:
+    """Only a vehicle with a plant can begin with a roll."""
+    for index, state in enumerate(parts.spec.initial.vehicles or ()):
+        if index >= parts.spec.vehicles or not (state.roll or state.roll_rate):
+            continue
+        choice = parts.choice(parts.entries(index + 1))
+        assert choice.vehicle is not None
+        if choice.vehicle.plant is None:
+            key = "roll" if state.roll else "roll_rate"
+            hint = "the 5-DOF model has no roll: give it a vehicle.plant"
+            message = f"has no effect on vehicle {index + 1}, which cannot roll"
+            report.add(("initial", index, key), message, hint, key=True)
+
 
 _BLEND_SAMPLES = 40  # of a change of the formation
 

@@ -15,8 +15,16 @@ from pydantic import (
 )
 
 from fleet.quantities import describe_value
-from fleet.scenario.schema.section import Section
-from fleet.scenario.schema.value_types import Count, LinkSelector, Period, PositiveLength, Time, VehicleNumbers, mistake
+from fleet.scenario.schema.value_types import (
+    Count,
+    LinkSelector,
+    Period,
+    PositiveLength,
+    Section,
+    Time,
+    VehicleNumbers,
+    mistake,
+)
 
 
 class Below(Section):

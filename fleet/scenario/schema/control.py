@@ -7,23 +7,97 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, PlainSerializer
 
 from agents.config import Angles, Cost, Extrapolation, Method
-from fleet.scenario.schema.clock import ClockSection
+from fleet.quantities import CLOCK_DRIFT, show, show_time
 from fleet.scenario.schema.navigation import NavigationChoice
-from fleet.scenario.schema.section import Section, named
 from fleet.scenario.schema.value_types import (
     Acceleration,
+    ClockDrift,
+    ClockSpread,
+    ClockTime,
+    ClockTimeSpread,
     Gain,
     Gains,
     Layers,
     Period,
+    PlanPosition,
+    PositiveAcceleration,
+    PositiveLength,
     PositiveNumber,
     PositiveSpeed,
+    Section,
     Speed,
     Time,
     Velocity,
     Weights,
+    named,
 )
 from fleet.scenario.schema.vehicle import ModelErrorSection, VehicleSection
+
+# --- clock
+# The clock of a vehicle: its drift and offset, given or drawn.
+
+
+class DriftSection(Section):
+    """How fast a clock gains: the same for all vehicles, or drawn for each from a normal distribution."""
+
+    mean: ClockDrift = 0.0
+    sigma: ClockSpread = 0.0
+
+
+class OffsetSection(Section):
+    """By how much a clock is ahead at the start, likewise."""
+
+    mean: ClockTime = 0
+    sigma: ClockTimeSpread = 0
+
+
+def _mean(value: Any) -> Any:
+    """A plain value stands for its mean alone."""
+    return {"mean": value} if isinstance(value, str | int | float) and not isinstance(value, bool) else value
+
+
+def _show_drift(drift: DriftSection | None) -> Any:
+    if drift is None or drift.sigma:
+        return None if drift is None else drift.model_dump(exclude_defaults=True)
+    return show(drift.mean, CLOCK_DRIFT)
+
+
+def _show_offset(offset: OffsetSection | None) -> Any:
+    if offset is None or offset.sigma:
+        return None if offset is None else offset.model_dump(exclude_defaults=True)
+    return show_time(offset.mean)
+
+
+class ClockSection(Section):
+    """The clock that an agent and its modem go by; what is left out is 0, or as it is for all vehicles."""
+
+    drift: Annotated[DriftSection | None, BeforeValidator(_mean), PlainSerializer(_show_drift)] = None
+    offset: Annotated[OffsetSection | None, BeforeValidator(_mean), PlainSerializer(_show_offset)] = None
+
+
+# --- keep apart
+# The section for keeping vehicles apart and out of cylinders: agents.laws.keep_apart.
+
+
+class ObstacleSection(Section):
+    """A vertical cylinder, from the surface to the bottom."""
+
+    at: PlanPosition  # of its axis: north, east
+    radius: PositiveLength
+
+
+class KeepApartSection(Section):
+    """A distance that vehicles keep from each other, and cylinders that they do not enter."""
+
+    distance: PositiveLength
+    obstacles: list[ObstacleSection] = []
+    gain: Gain = 0.3  # of the barrier: how fast a distance may shrink for each metre that is left
+    lag: Period = 1_000_000_000  # the longest time in which a velocity follows its command
+    slew: PositiveAcceleration = 0.3  # per axis: how fast the filter changes the command
+    acceleration: PositiveAcceleration = 0.5  # what a neighbour may do since it was heard
+    speed: PositiveSpeed = 1.5  # likewise; and the limit of what the filter commands on each horizontal axis
+    climb: PositiveSpeed = 0.1  # up or down, of any command: a third of the least speed, `tracking.u_floor`
+    age_cap: Period = 2_000_000_000  # what is older is extrapolated no further, and its margin grows no more
 
 
 class LawSection(Section):

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 from fleet.quantities import QuantityError, describe_value, vehicle_numbers
-from fleet.scenario.schema.section import Section
 from fleet.scenario.schema.value_types import (
     Length,
     Period,
@@ -19,6 +18,7 @@ from fleet.scenario.schema.value_types import (
     PositiveNumber,
     PositiveSpeed,
     Probability,
+    Section,
     SignedAngle,
     SignedAngularRate,
     SignedSpeed,
@@ -27,6 +27,50 @@ from fleet.scenario.schema.value_types import (
     Velocity,
     mistake,
 )
+
+# --- shapes
+# Named shapes: which keys each takes, and what it is when they are not given.
+
+
+class ShapeKeys(NamedTuple):
+    """The keys that a shape needs, and further keys that it may have."""
+
+    needed: tuple[str, ...]
+    optional: tuple[str, ...] = ()
+
+    @property
+    def all(self) -> tuple[str, ...]:
+        return self.needed + self.optional
+
+
+REFERENCE: dict[str, ShapeKeys] = {
+    "line": ShapeKeys(("start", "velocity")),
+    "circle": ShapeKeys(("center", "radius", "speed"), ("bearing", "turn")),
+    "helix": ShapeKeys(("center", "radius", "speed", "sink"), ("bearing", "turn")),
+    "lawn-mower": ShapeKeys(("start", "leg", "legs", "spacing", "speed"), ("heading", "turn")),
+    "waypoints": ShapeKeys(("points", "speed", "acceleration"), ("closed",)),
+}
+FORMATION: dict[str, ShapeKeys] = {
+    "offsets": ShapeKeys(("offsets",)),
+    "line": ShapeKeys((), ("spacing", "heading")),
+    "column": ShapeKeys((), ("spacing", "heading")),
+    "wedge": ShapeKeys((), ("spacing", "heading")),
+    "circle": ShapeKeys((), ("spacing", "heading")),
+    "grid": ShapeKeys((), ("spacing", "heading")),
+}
+GRAPH: dict[str, ShapeKeys] = {
+    "edges": ShapeKeys(("edges",)),
+    "path": ShapeKeys((), ("ahead", "behind")),
+    "ring": ShapeKeys((), ("ahead", "behind")),
+    "star": ShapeKeys((), ("hub", "weight")),
+    "complete": ShapeKeys((), ("weight",)),
+    "nearest": ShapeKeys((), ("count", "weight")),
+    "random": ShapeKeys((), ("probability", "weight")),
+}
+
+DEFAULT_SPACING_M = 10.0  # the sides of the paper's square
+DEFAULT_NEAREST = 2
+DEFAULT_PROBABILITY = 0.2
 
 
 class ReferenceSection(Section):

@@ -7,7 +7,6 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, PlainSerializer
 
 from fleet.quantities import describe_value
-from fleet.scenario.schema.section import Section
 from fleet.scenario.schema.value_types import (
     Angle,
     AngleWalk,
@@ -19,6 +18,7 @@ from fleet.scenario.schema.value_types import (
     Probability,
     Ratio,
     SampleRate,
+    Section,
     Speed,
     Time,
     mistake,

@@ -8,7 +8,6 @@ from pydantic import BeforeValidator, Field
 
 from agents.config import Codec
 from fleet.quantities import describe_value, show_time
-from fleet.scenario.schema.section import Section
 from fleet.scenario.schema.value_types import (
     AirtimeCurve,
     BitRate,
@@ -30,6 +29,7 @@ from fleet.scenario.schema.value_types import (
     Probability,
     Salinity,
     Scatter,
+    Section,
     Speed,
     Spreading,
     StateName,
@@ -41,7 +41,7 @@ from fleet.scenario.schema.value_types import (
 )
 from netem.condition import Condition
 from netem.grammar import print_condition
-from netem.ranging import Method
+from netem.modem import Method
 
 
 class WaterSection(Section):

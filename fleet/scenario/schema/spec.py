@@ -12,12 +12,12 @@ from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer
 
 from agents.config import OnError
 from fleet.quantities import describe_value
-from fleet.scenario.schema.agents import AgentsSection
 from fleet.scenario.schema.checks import ChecksSection
 from fleet.scenario.schema.control import (
     AgentChoice,
     GuidanceChoice,
     GuidanceSection,
+    KeepApartSection,
     LawChoice,
     LawSection,
     NeighboursSection,
@@ -26,9 +26,8 @@ from fleet.scenario.schema.control import (
     TrackingSection,
     VehicleOverrides,
 )
-from fleet.scenario.schema.faults import FaultEntry
+from fleet.scenario.schema.faults import FaultEntry, NemesisSection, SeaSection, SensorsSection, read_nemesis
 from fleet.scenario.schema.groups import Group
-from fleet.scenario.schema.keep_apart import KeepApartSection
 from fleet.scenario.schema.motion import (
     FormationSection,
     GraphSection,
@@ -38,14 +37,20 @@ from fleet.scenario.schema.motion import (
     show_initial,
 )
 from fleet.scenario.schema.navigation import NavigationChoice
-from fleet.scenario.schema.nemesis import NemesisSection, read_nemesis
 from fleet.scenario.schema.network import NetworkSection, read_network, show_network
-from fleet.scenario.schema.sea import SeaSection, SensorsSection
-from fleet.scenario.schema.section import Section
-from fleet.scenario.schema.value_types import Period, Ticks, TicksOrNever, Time, VehicleNumbers, mistake
+from fleet.scenario.schema.value_types import Period, Section, Ticks, TicksOrNever, Time, VehicleNumbers, mistake
 from fleet.scenario.schema.vehicle import ModelErrorSection, VehicleSection
 from netem.parsing import nearest
 from world.config import DEFAULT_SUBSTEPS
+
+# --- agents
+# How agents are spread over processes.
+
+
+class AgentsSection(Section):
+    """Which agents share a process; in lockstep it changes no byte of a log."""
+
+    per_process: Literal["auto"] | Annotated[int, Field(ge=1, le=1000)] = "auto"  # by the size of the fleet
 
 
 class LogSection(Section):

@@ -10,20 +10,49 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import radians
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
-from pydantic import Field, GetCoreSchemaHandler, InstanceOf
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, InstanceOf, model_validator
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from fleet import quantities as q
 from fleet.quantities import vehicle_numbers
 from netem.condition import Condition
-from netem.curve import Curve
 from netem.errors import TextError
-from netem.grammar import parse_condition, print_condition
+from netem.grammar import parse_condition, parse_selector, print_condition
+from netem.modem import Curve
 from netem.propagation import decibels, power
-from netem.selectors import parse_selector
 from world.vectors import Vec3
+
+# --- section
+# The common part of all sections.
+
+
+class Section(BaseModel):
+    """A mapping with known keys; with nothing in it, it may also be left empty."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _empty(cls, value: Any) -> Any:
+        return {} if value is None else value
+
+
+def named(value: Any) -> Any:
+    """A law may be given by its name alone."""
+    return {"law": value} if isinstance(value, str) else value
+
+
+def section_of(annotation: Any) -> type[Section] | None:
+    """The section inside an annotation such as `Below | None` or `list[InitialState]`."""
+    if isinstance(annotation, type) and issubclass(annotation, Section):
+        return annotation
+    for argument in get_args(annotation):
+        section = section_of(argument)
+        if section is not None:
+            return section
+    return None
 
 
 def mistake(message: str, column: int = 0, hint: str = "") -> PydanticCustomError:

@@ -6,7 +6,6 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, PlainSerializer
 
-from fleet.scenario.schema.section import Section
 from fleet.scenario.schema.value_types import (
     AnyMoment,
     Damping,
@@ -17,6 +16,7 @@ from fleet.scenario.schema.value_types import (
     PitchLimit,
     Ratio,
     RotationDamping,
+    Section,
     Time,
 )
 

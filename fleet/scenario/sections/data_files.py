@@ -11,9 +11,9 @@ from typing import Any, TypeVar
 
 from fleet import quantities as q
 from fleet.errors import FleetError
-from netem.curve import Curve
+from netem.modem import Curve
 from netem.parsing import nearest
-from netem.whole_file import read_file
+from netem.private_file import read_file
 
 T = TypeVar("T")
 _MAX_BYTES = 100_000

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from math import dist
 
-from fleet.scenario.schema.motion import GraphSection
-from fleet.scenario.schema.shapes import DEFAULT_NEAREST, DEFAULT_PROBABILITY
+from fleet.scenario.schema.motion import DEFAULT_NEAREST, DEFAULT_PROBABILITY, GraphSection
 from netem.condition import Link
 from netem.draws import uniform
 from world.vectors import Vec3

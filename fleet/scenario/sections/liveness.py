@@ -12,8 +12,7 @@ from typing import Any
 
 from fleet.quantities import vehicle_numbers
 from fleet.scenario.schema.checks import ChecksSection, SignalCheck
-from fleet.scenario.schema.faults import FaultSection
-from fleet.scenario.schema.nemesis import NemesisSection
+from fleet.scenario.schema.faults import FaultSection, NemesisSection
 from fleet.scenario.sections import swarm
 from fleet.scenario.sections.ground import Ground
 from netem.draws import bits, uniform

@@ -11,16 +11,14 @@ from collections.abc import Sequence
 from itertools import compress
 from typing import Any
 
-from fleet.scenario.schema.faults import FaultSection
-from fleet.scenario.schema.nemesis import NemesisPick, NemesisSection
+from fleet.scenario.schema.faults import FaultSection, NemesisPick, NemesisSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections import liveness, swarm
-from fleet.scenario.sections.fault_limits import FaultLimits
-from fleet.scenario.sections.ground import Ground
+from fleet.scenario.sections.ground import FaultLimits, Ground
 from fleet.scenario.sections.partitions import DRAWN_PARTITIONS, partition
 from netem.condition import Link
 from netem.draws import bits
-from netem.selectors import Selector
+from netem.grammar import Selector
 
 PURPOSE = "nemesis"  # of the draws
 PARTITIONS = ("halves", *DRAWN_PARTITIONS)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
-from functools import reduce
+from functools import cache, reduce
 from pathlib import Path
 from typing import Any
 
 from agents.config import Extrapolation, GuidanceParams, KeepApartParams, Law, LocalizationParams, TrackingParams
 from agents.controllers import CONTROLLERS, GUIDANCE, TRACKING
 from agents.profiles import profile
+from fleet import quantities as q
 from fleet.scenario.schema.control import (
     AgentSection,
     GuidanceSection,
@@ -20,17 +21,105 @@ from fleet.scenario.schema.control import (
     VehicleOverrides,
 )
 from fleet.scenario.schema.navigation import NavigationSection
-from fleet.scenario.schema.section import Section
 from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.schema.value_types import Section
 from fleet.scenario.schema.vehicle import ModelErrorSection, PlantSection, VehicleSection
-from fleet.scenario.sections import vehicle_files
+from fleet.scenario.sections import data_files
+from fleet.scenario.sections.data_files import DataFileError, table
 from fleet.scenario.sections.navigation import navigation_over
+from world.config import VehicleParams
 from world.navigation.config import Navigation
 from world.plants.classes import model_of, signals_of
 from world.signal import Signal
 from world.tumble import LIMIT_RAD
 from world.vectors import Vec3
-from world.vehicle import VehicleParams
+
+# --- vehicle files
+# Vehicle files: the numbers of a vehicle in TOML, each with its unit and its source, so another one needs no code.
+#
+# ```toml
+# name = "my-glider"
+# [parameters]
+# m = { value = 52.0, unit = "kg", source = "Smith et al. 2001, Table 2" }
+# ...
+# [limits]
+# surge_force = { value = 12.0, unit = "N", source = "thruster data sheet" }
+# ```
+
+
+_PACKAGE = "world.vehicles"
+PARAMETERS: dict[str, q.Dimension] = {
+    "m": q.MASS, "Iy": q.INERTIA, "Iz": q.INERTIA,
+    "beta_udot": q.MASS, "beta_vdot": q.MASS, "beta_wdot": q.MASS,
+    "beta_qdot": q.INERTIA, "beta_rdot": q.INERTIA,
+    "beta_u": q.DAMPING, "beta_v": q.DAMPING, "beta_w": q.DAMPING,
+    "beta_q": q.ROTATION_DAMPING, "beta_r": q.ROTATION_DAMPING, "beta_b": q.MOMENT,
+}  # fmt: skip
+LIMITS: dict[str, q.Dimension] = {"surge_force": q.FORCE, "pitch_moment": q.MOMENT, "yaw_moment": q.MOMENT}
+# As in the schema: the merged scenario holds the numbers of a file as keys.
+NOT_NEGATIVE = frozenset(LIMITS) | {key for key, d in PARAMETERS.items() if d in (q.DAMPING, q.ROTATION_DAMPING)}
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleModel:
+    """The numbers of a vehicle file, in SI units."""
+
+    name: str
+    params: VehicleParams
+    tau_max: Vec3  # N, N m, N m
+    shipped: bool
+
+
+def shipped_vehicles() -> list[str]:
+    """The vehicles that come with the package."""
+    return data_files.shipped(_PACKAGE)
+
+
+def load_vehicle(name: str, folder: Path | None = None) -> VehicleModel:
+    """A shipped vehicle by its name, or that of a file in `folder` (the scenario's) or in the current directory.
+
+    Raises:
+        DataFileError: with every mistake that was found.
+    """
+    if name in shipped_vehicles():
+        return _shipped(name)
+    return parse_vehicle(*data_files.find("vehicle", name, _PACKAGE, folder))
+
+
+@cache
+def _shipped(name: str) -> VehicleModel:
+    return parse_vehicle(*data_files.find("vehicle", name, _PACKAGE, None), shipped=True)
+
+
+def parse_vehicle(data: bytes, name: str, *, shipped: bool = False) -> VehicleModel:
+    """The vehicle in the bytes of a file.
+
+    Raises:
+        DataFileError: with every mistake that was found.
+    """
+    values, problems = data_files.read("vehicle", data, name, ("name", "title", "parameters", "limits"))
+    params = table(values, "parameters", PARAMETERS, problems)
+    limits = table(values, "limits", LIMITS, problems)
+    for section, numbers in (("parameters", params), ("limits", limits)):
+        negative = [key for key in numbers if key in NOT_NEGATIVE and numbers[key] < 0.0]
+        problems += [f"{section}.{key} must be 0 or more" for key in negative]
+    if not problems:
+        problems += mass_problems(VehicleParams(**params))
+    if problems:
+        raise DataFileError("vehicle", name, problems)
+    return VehicleModel(
+        str(values.get("name", name)),
+        VehicleParams(**params),
+        (limits["surge_force"], limits["pitch_moment"], limits["yaw_moment"]),
+        shipped,
+    )
+
+
+def mass_problems(params: VehicleParams) -> list[str]:
+    """A line for each inertia that is not positive. The equations of motion cannot be solved with it."""
+    names = ("m - beta_udot", "m - beta_vdot", "m - beta_wdot", "Iy - beta_qdot", "Iz - beta_rdot")
+    return [f"{name} must be above 0, is {m:g}" for name, m in zip(names, params.inertia, strict=True) if m <= 0.0]
+
 
 # The profiles count the QP's period in ticks of this length; a scenario with another tick keeps the period.
 _PROFILE_TICK_NS = 10_000_000
@@ -186,12 +275,12 @@ def _law(section: LawSection | AgentSection | None) -> Law | None:
 
 def vehicle(section: VehicleSection, folder: Path | None) -> tuple[VehicleParams, Vec3]:
     """The parameters of a vehicle and its limits [N, N m, N m]. Raises DataFileError."""
-    model = vehicle_files.load_vehicle(model_name(section), folder)
+    model = load_vehicle(model_name(section), folder)
     changes = given(section)
-    params = replace(model.params, **{key: changes[key] for key in vehicle_files.PARAMETERS.keys() & changes.keys()})
+    params = replace(model.params, **{key: changes[key] for key in PARAMETERS.keys() & changes.keys()})
     x, y, z = (
         limit if getattr(section, key) is None else getattr(section, key)
-        for key, limit in zip(vehicle_files.LIMITS, model.tau_max, strict=True)
+        for key, limit in zip(LIMITS, model.tau_max, strict=True)
     )
     return params, (x, y, z)
 
@@ -272,7 +361,7 @@ def _only(values: dict[str, Any], keys: frozenset[str]) -> dict[str, Any]:
 def inlined_vehicle(section: VehicleSection, folder: Path | None) -> VehicleSection:
     """The same vehicle with all its numbers in place of the name of its file."""
     params, limits = vehicle(section, folder)
-    values: dict[str, Any] = {key: getattr(params, key) for key in vehicle_files.PARAMETERS}
-    values |= zip(vehicle_files.LIMITS, limits, strict=True)
+    values: dict[str, Any] = {key: getattr(params, key) for key in PARAMETERS}
+    values |= zip(LIMITS, limits, strict=True)
     values |= {"tumble_pitch": section.tumble_pitch, "plant": section.plant}
     return VehicleSection.model_construct(**values)

@@ -19,7 +19,7 @@ from typing import Any, Literal
 from fleet.errors import FleetError
 from fleet.quantities import DIMENSIONS, NUMBER, Dimension, QuantityError, describe_value, show_time, vehicle_numbers
 from fleet.quantities import scalar as quantity
-from fleet.scenario.schema.checks import CONDITIONS, EVERY, SignalCheck
+from fleet.scenario.schema.checks import CONDITIONS, EVERY, SOMETIMES, SignalCheck
 from fleet.scenario.sections.signals import (
     OF_THE_LAWS,
     OF_THE_PLANT,
@@ -30,6 +30,32 @@ from fleet.scenario.sections.signals import (
     parse_name,
     unit_of,
 )
+from world.plugins.checks import check_class
+from world.plugins.loading import load_class
+
+# --- python checks
+# Checks in Python: their classes by name, and with what each is made.
+
+
+NAME = "name"  # of the verdict; it and `sometimes` are the keys beside the parameters of the class
+
+
+def parameters_of(given: Mapping[str, Any]) -> dict[str, Any]:
+    """The parameters of a check as the scenario writes them."""
+    return {key: value for key, value in given.items() if key not in (NAME, SOMETIMES)}
+
+
+def load_check(name: str, parameters: Mapping[str, Any]) -> type[Any]:
+    """The class `package.module:Class` of a check that can be made with these parameters.
+
+    Raises:
+        UntrustedError: its module is not installed, and was not let in with `admit`.
+        PluginError: there is no such class, or it cannot be used.
+    """
+    methods = {"step": ("tick",)}
+    config = "what it may know of the scenario, fleet.checks.api.Facts"
+    return load_class("check", name, lambda found: check_class("check", name, found, methods, parameters, config))
+
 
 Over = Literal["each", "spread", "true"]  # what is compared: each vehicle's value, their spread, how many are true
 

@@ -15,19 +15,251 @@ meanwhile, because with any protocol the vehicle may tumble then.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from math import log
+from collections.abc import Callable, Collection, Iterable, Iterator
+from dataclasses import replace
+from functools import cache
+from math import cos, log, sin, tau
 from typing import Any, NamedTuple
 
-from fleet.scenario.schema.faults import FaultSection
-from fleet.scenario.schema.nemesis import Aim, NemesisPick, NemesisSection
-from fleet.scenario.sections import aims
-from fleet.scenario.sections.fault_limits import HELD, MOST_HELD_NS, SILENT
-from fleet.scenario.sections.ground import Ground, Pair
+from fleet.quantities import show_time
+from fleet.scenario.schema.faults import Aim, FaultSection, NemesisPick, NemesisSection
+from fleet.scenario.sections.ground import HELD, MOST_HELD_NS, SILENT, Ground, Pair
 from fleet.scenario.sections.partitions import DRAWN_PARTITIONS, partition
-from fleet.scenario.sections.strengths import OF_LINKS, gust, link_fault, vehicle_fault
+from netem.condition import Condition, Link
 from netem.draws import bits, uniform
-from netem.selectors import Selector, select
+from netem.grammar import Selector, print_condition, select
+
+# --- aims
+# Whom a fault is aimed at: resolved before the run, from the graph and the faults that are drawn before it.
+#
+# | aim | what it means |
+# |---|---|
+# | any | drawn |
+# | leader | `nemesis.leader`; else the vehicle that alone follows the reference; else the one with the lowest number |
+# | hub | the vehicle with the most links, one of these if there are several |
+# | bridge | a pair of vehicles without whose links the fleet falls apart, while the faults that hold then do |
+# | speaker | the vehicle that spoke last: whose silence ended last; if none was silent, with tdma the last slot's |
+#
+# In every round of a network without slots all vehicles speak at once. So the last vehicle to speak is the one with the
+# latest new beginning: after a fault that made it mute, killed or suspended it, or cut it off.
+
+
+MOST_PAIRS = 20_000  # of a graph in which bridges are looked for
+
+
+def leader(ground: Ground) -> int:
+    """The vehicle that leads as far as the scenario says."""
+    nemesis, followers = ground.spec.nemesis, ground.followers
+    if nemesis is not None and nemesis.leader is not None:
+        return nemesis.leader
+    return followers[0] if len(followers) == 1 else 1
+
+
+def hubs(ground: Ground) -> list[int]:
+    """The vehicles with the most links, both directions counted."""
+    count = dict.fromkeys(range(1, ground.spec.vehicles + 1), 0)
+    for src, dst in ground.links:
+        count[src] += 1
+        count[dst] += 1
+    most = max(count.values())
+    return [i for i, links in count.items() if links == most]
+
+
+def available(ground: Ground) -> list[Aim]:
+    """The aims that make sense for a fleet: alone, a vehicle is all of them."""
+    return ["any", "leader", "hub", "bridge", "speaker"] if ground.links else ["any"]
+
+
+@cache
+def bridges(pairs: frozenset[Pair]) -> tuple[Pair, ...]:
+    """The pairs without which some vehicle is not connected any more with another one, in order.
+
+    Bridges of an undirected graph (R. E. Tarjan, "A note on finding the bridges of a graph", Inf. Proc. Letters 2,
+    1974), without recursion.
+    """
+    if len(pairs) > MOST_PAIRS:
+        return ()
+    beside: dict[int, list[int]] = {}
+    for a, b in sorted(pairs):
+        beside.setdefault(a, []).append(b)
+        beside.setdefault(b, []).append(a)
+    order: dict[int, int] = {}
+    low: dict[int, int] = {}
+    found: list[Pair] = []
+    for root in beside:
+        if root in order:
+            continue
+        order[root] = low[root] = len(order)
+        walk = [(root, 0, iter(beside[root]))]
+        while walk:
+            at, parent, others = walk[-1]
+            for other in others:
+                if other not in order:
+                    order[other] = low[other] = len(order)
+                    walk.append((other, at, iter(beside[other])))
+                    break
+                if other != parent:
+                    low[at] = min(low[at], order[other])
+            else:
+                walk.pop()
+                if walk:
+                    low[parent] = min(low[parent], low[at])
+                    if low[at] > order[parent]:
+                        found.append((min(at, parent), max(at, parent)))
+    return tuple(sorted(found))
+
+
+def side(of: int, pairs: Iterable[Pair]) -> set[int]:
+    """The vehicles that a vehicle is connected with, itself included."""
+    beside: dict[int, list[int]] = {}
+    for a, b in pairs:
+        beside.setdefault(a, []).append(b)
+        beside.setdefault(b, []).append(a)
+    found, left = {of}, [of]
+    while left:
+        new = [j for j in beside.get(left.pop(), ()) if j not in found]
+        found.update(new)
+        left += new
+    return found
+
+
+def last_slot(ground: Ground) -> int | None:
+    """With tdma the vehicle that has the last slot of a frame; None: there are no slots."""
+    acoustic = ground.spec.network.acoustic
+    return ground.spec.vehicles if acoustic is not None and acoustic.mac == "tdma" else None
+
+
+def without(pairs: Iterable[Pair], cut: Collection[Pair], silent: Collection[int]) -> frozenset[Pair]:
+    """The pairs that are left where some are cut and some vehicles silent."""
+    return frozenset(p for p in pairs if p not in cut and p[0] not in silent and p[1] not in silent)
+
+
+# --- strengths
+# How strong a fault of a swarm is: one number from 0 (mild) to 1 (strong) for each kind, on a logarithmic scale.
+#
+# | kind | from | to |
+# |---|---|---|
+# | loss | 5 % | 100 %, over the link's own condition |
+# | delay | a fifth of a round | 50 rounds more, with a quarter of it as jitter |
+# | rate | 20 kbit/s | 200 bit/s |
+# | slow | 1 tick | 5 rounds |
+# | clock | drift 20 ppm, step 1 ms | 2 %, 1 s; either sign |
+# | dvl, compass, fix | 5 % of the samples lost, or bias 2 cm/s, 1 deg, 1 m | all lost, or 0.5 m/s, 30 deg, 50 m |
+# | bias, noise | 0.1 m, 1 cm | 5 m, 1 m of the position |
+# | dropout | 10 % | 100 % |
+# | efficiency | 90 % | 10 % of each command |
+# | gust | 0.1 m/s | 1 m/s |
+
+
+OF_LINKS = frozenset({"loss", "delay", "rate"})
+MOST_CONDITIONS = 16  # links that keep their own condition below a fault; of more links it has one for all
+
+
+def between(low: float, high: float, strength: float) -> float:
+    """The value at `strength` (0 to 1) between `low` and `high` on a logarithmic scale, rounded to three digits."""
+    return float(f"{low * (high / low) ** strength:.3g}")
+
+
+def condition(kind: str, own: Condition, strength: float, ground: Ground) -> Condition:
+    """The condition of a link with a fault of loss, delay or rate over its own."""
+    match kind:
+        case "loss":
+            return replace(own, loss=max(own.loss, between(0.05, 1.0, strength)), loss_model=None)
+        case "delay":
+            tick = ground.spec.tick
+            late = max(tick, round(between(0.2, 50.0, strength) * ground.round_ns) // tick * tick)
+            return replace(own, delay_ns=own.delay_ns + late, jitter_ns=max(own.jitter_ns, late // 4))
+    rate = round(between(200.0, 20_000.0, 1.0 - strength))
+    return replace(own, rate_bit_s=min(own.rate_bit_s or rate, rate))
+
+
+def link_fault(kind: str, selector: str, links: tuple[Link, ...], strength: float, ground: Ground) -> dict[str, Any]:
+    """A fault of links: each over the link's own condition, where that is one and the links are few."""
+    each = {link: condition(kind, ground.conditions.get(link, Condition()), strength, ground) for link in links}
+    if len(set(each.values())) == 1:
+        return {"link": {selector: print_condition(next(iter(each.values())))}}
+    if len(each) <= MOST_CONDITIONS:
+        return {"link": {f"{a}->{b}": print_condition(one) for (a, b), one in each.items()}}
+    return {"link": {selector: print_condition(condition(kind, Condition(), strength, ground))}}
+
+
+def vehicle_fault(kind: str, who: int, strength: float, turn: float, ground: Ground) -> dict[str, Any]:
+    """A fault of one vehicle.
+
+    Args:
+        turn: from 0 to 1, a draw in addition to the strength: a sign, a direction, or one of two forms.
+    """
+    make = _KINDS.get(kind)
+    return {kind: str(who)} if make is None else {kind: make(who, strength, turn, ground)}
+
+
+def _slow(who: int, strength: float, turn: float, ground: Ground) -> dict[str, Any]:
+    most = max(2, 5 * ground.round_ns // ground.spec.tick)
+    return {"vehicles": str(who), "by": f"{round(between(1, most, strength))} ticks"}
+
+
+def _clock(who: int, strength: float, turn: float, ground: Ground) -> dict[str, Any]:
+    sign = "-" if turn < 0.5 else ""
+    step = round(between(1e6, 1e9, strength))
+    return {"vehicles": str(who), "step": f"{sign}{show_time(step)}",
+            "drift": f"{sign}{between(20, 20_000, strength):g} ppm"}  # fmt: skip
+
+
+def _instrument(bias: Callable[[float, float], str], name: str = "bias") -> Callable[..., dict[str, Any]]:
+    def make(who: int, strength: float, turn: float, ground: Ground) -> dict[str, Any]:
+        if turn < 0.5:
+            return {"vehicles": str(who), "lost": f"{between(5, 100, strength):g} %"}
+        return {"vehicles": str(who), name: bias(strength, tau * 2.0 * (turn - 0.5))}
+
+    return make
+
+
+def _plane(low: float, high: float, unit: str, depth: str = " 0") -> Callable[[float, float], str]:
+    def make(strength: float, angle: float) -> str:
+        size = between(low, high, strength)
+        return f"{size * cos(angle):.3f} {size * sin(angle):.3f}{depth} {unit}"
+
+    return make
+
+
+def _heading(strength: float, angle: float) -> str:
+    return f"{'-' if angle < tau / 2 else ''}{between(1, 30, strength):g} deg"
+
+
+def _bias(who: int, strength: float, turn: float, ground: Ground) -> dict[str, Any]:
+    return {"vehicles": str(who), "position": _plane(0.1, 5.0, "m")(strength, tau * turn)}
+
+
+def _noise(who: int, strength: float, turn: float, ground: Ground) -> dict[str, Any]:
+    return {"vehicles": str(who), "position_noise": f"{between(0.01, 1.0, strength):g} m"}
+
+
+def _dropout(who: int, strength: float, turn: float, ground: Ground) -> dict[str, Any]:
+    return {"vehicles": str(who), "probability": f"{between(10, 100, strength):g} %"}
+
+
+def _efficiency(who: int, strength: float, turn: float, ground: Ground) -> dict[str, Any]:
+    share = f"{between(0.1, 0.9, 1.0 - strength):g}"
+    return {"vehicles": str(who), "surge": share, "pitch": share, "yaw": share}
+
+
+_KINDS: dict[str, Callable[[int, float, float, Ground], dict[str, Any]]] = {
+    "slow": _slow,
+    "clock": _clock,
+    "dvl": _instrument(_plane(0.02, 0.5, "m/s")),
+    "compass": _instrument(_heading),
+    "fix": _instrument(_plane(1.0, 50.0, "m", "")),
+    "bias": _bias,
+    "noise": _noise,
+    "dropout": _dropout,
+    "efficiency": _efficiency,
+}
+
+
+def gust(strength: float, turn: float, lasts_ns: int) -> dict[str, Any]:
+    """A current that rises and falls within the time of the fault, for all vehicles."""
+    return {"gust": {"velocity": _plane(0.1, 1.0, "m/s")(strength, tau * turn), "over": show_time(lasts_ns)}}
+
 
 PURPOSE = "nemesis swarm"  # of the draws
 MOST = 5000  # faults that are drawn
@@ -91,7 +323,7 @@ def draw(nemesis: NemesisSection, ground: Ground, until: int | None = None) -> l
     start, end = span(nemesis, ground)
     end = end if until is None else until
     mean = nemesis.mean or (end - start) / 20.0 * 10.0 ** uniform(seed, PURPOSE, 0, _MEAN)
-    wanted, offered = nemesis.aims, aims.available(ground)
+    wanted, offered = nemesis.aims, available(ground)
     aimed = [aim for aim in offered if wanted is None or aim in wanted] or ["any"]
     faults: list[DrawnFault] = []
     at, number = float(start), 0
@@ -168,7 +400,7 @@ class _Past:
     def left(self, at: int) -> frozenset[Pair]:
         """The pairs that no fault cuts or silences at a time."""
         cut = {pair for end, pairs in self._cut if end > at for pair in pairs}
-        return aims.without(self._pairs, cut, {i for end, i in self._silent if end > at})
+        return without(self._pairs, cut, {i for end, i in self._silent if end > at})
 
     def speaker(self, at: int) -> int | None:
         """The vehicle that began to speak last after a silence; None: no vehicle was silent."""
@@ -214,17 +446,17 @@ def _aimed(one: DrawnFault, ground: Ground, past: _Past) -> int | None:
     """The vehicle that a fault is aimed at; None: any."""
     match one.aim:
         case "leader":
-            return aims.leader(ground)
+            return leader(ground)
         case "hub":
-            hubs = aims.hubs(ground)
-            return hubs[_among(one, ground, _TARGET, len(hubs))]
+            most = hubs(ground)
+            return most[_among(one, ground, _TARGET, len(most))]
         case "speaker":
-            return past.speaker(one.at) or aims.last_slot(ground)
+            return past.speaker(one.at) or last_slot(ground)
     return None
 
 
 def _bridge(one: DrawnFault, ground: Ground, past: _Past) -> Pair | None:
-    found = aims.bridges(past.left(one.at)) if one.aim == "bridge" else ()
+    found = bridges(past.left(one.at)) if one.aim == "bridge" else ()
     return found[_among(one, ground, _TARGET, len(found))] if found else None
 
 
@@ -262,7 +494,7 @@ def _partition(one: DrawnFault, ground: Ground, past: _Past) -> str:
     if who is not None and any(who in link for link in ground.links):
         return f"isolate:{who}"
     if (pair := _bridge(one, ground, past)) is not None:
-        there = aims.side(pair[0], past.left(one.at) - {pair})
+        there = side(pair[0], past.left(one.at) - {pair})
         rest = [i for i in range(1, spec.vehicles + 1) if i not in there]
         if rest:
             return f"{_numbers(sorted(there))} / {_numbers(rest)}"

@@ -29,9 +29,8 @@ from fleet.scenario.sections.vehicle_events import is_fault
 from netem.condition import Link
 from netem.fault_kinds import FaultKind, WorldFaultKind
 from netem.faults import NetFault
-from netem.grammar import print_condition
+from netem.grammar import parse_selector, print_condition, select
 from netem.lives import Absence
-from netem.selectors import parse_selector, select
 from netem.wire.messages import TimedFault, WorldFault
 
 OF_THE_NETWORK: tuple[str, ...] = get_args(FaultKind)

@@ -11,6 +11,7 @@ from typing import Any
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.schema.vehicle import VehicleSection
 from fleet.scenario.sections.per_vehicle import (
+    LIMITS,
     control,
     given,
     guidance_section,
@@ -20,8 +21,7 @@ from fleet.scenario.sections.per_vehicle import (
     tracking_section,
     vehicle,
 )
-from fleet.scenario.sections.vehicle_files import LIMITS
-from fleet.scenario.text.plain_yaml import entry, scalar
+from fleet.scenario.text.yaml_reader import entry, scalar
 
 
 def scenario_yaml(spec: ScenarioSpec) -> str:

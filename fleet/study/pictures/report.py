@@ -14,9 +14,9 @@ from typing import Any
 
 from fleet.errors import printable
 from fleet.logs.reader import Tell
-from fleet.logs.run_name import STAMP
+from fleet.logs.topic_names import STAMP
 from fleet.pictures.page import PageImage, SectionImages, png, render, write_page
-from fleet.pictures.report_tables import Mark, Table, rest
+from fleet.pictures.report import Mark, Table, rest
 from fleet.pictures.style import COLUMN_IN
 from fleet.study.one_run import FAILED
 from fleet.study.pictures.gallery import draw

@@ -10,10 +10,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from repository import ROOT
 
-from fleet.analysis.border import FINE, SLOW, LinearFleet, linear_fleet
+from fleet.analysis.border import FINE, SLOW, LinearFleet, Link, Member, VehicleRound, linear_fleet
 from fleet.analysis.linear import Linear, NotLinear
 from fleet.analysis.stability import analyse, report
-from fleet.analysis.vehicle_round import Link, Member, VehicleRound
 from fleet.scenario.loading import load_scenario
 
 sys.path.insert(0, str(ROOT / "docs" / "examples"))
@@ -75,7 +74,6 @@ def fleets(draw: st.DrawFn) -> LinearFleet:
 
 @pytest.mark.filterwarnings("ignore:Generating overly large repr")  # of a large matrix
 @given(fleets(), st.floats(0.2, 5.0))
-@settings(max_examples=30, deadline=None)
 def test_as_many_modes_grow_as_the_matrix_has_eigenvalues_outside(fleet: LinearFleet, gain: float) -> None:
     """The turns of the determinant count the eigenvalues: hold, rounds, delays, caps and double zeros included."""
     sizes = np.abs(eigenvalues(fleet, gain))
@@ -94,7 +92,7 @@ def test_equal_vehicles_have_multiple_zeros() -> None:
 
 @pytest.mark.filterwarnings("ignore:Generating overly large repr")
 @given(fleets())
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_the_mode_at_the_border_is_the_eigenvalue_that_leaves_the_circle(fleet: LinearFleet) -> None:
     """Whether vehicles excite each other, or one of them grows by itself."""
     gain = fleet.gain_border(1.0)

@@ -12,12 +12,11 @@ from click.testing import CliRunner
 from small_scenario import small
 
 from fleet.analysis import link_fit
-from fleet.analysis.hidden_markov import _expect, fit_losses
+from fleet.analysis.link_fit import _expect, fit_losses
 from fleet.cli.main import cli
 from fleet.errors import FleetError
 from fleet.scenario.sections.trace_table import TraceRow, TraceTable, read_csv
-from fleet.scenario.text.plain_yaml import inline
-from fleet.scenario.text.yaml_reader import Source, plain, read
+from fleet.scenario.text.yaml_reader import Source, inline, plain, read
 from netem.condition import Condition
 from netem.link_states import LinkStates, StateProcess
 

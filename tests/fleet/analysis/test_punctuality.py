@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from fleet.analysis import punctuality as timing
-from fleet.result.timing import Timing
+from fleet.result.result import Timing
 
 TIMES = {"count": 100, "negative": 0, "p50_ms": 1.0, "p95_ms": 1.0, "p99_ms": 1.0, "max_ms": 1.0, "histogram_ms": []}
 KEPT_UP = {

@@ -74,7 +74,7 @@ def changes(parts: dict[str, str]) -> list[str]:
 @example([("nemesis", NEMESIS.format("kill, down"))])
 @example([("network.links", "{'*': loss 40%}"), ("faults", "[{at: 200 ms, link: {'*': loss 50% seed 3}}]")])
 @example([("network.links", "{'*': loss 40% seed 7}"), ("faults", "[{at: 200 ms, link: {'*': loss 50%}}]")])
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(CASES)
 def test_the_seed_decides_if_and_only_if_it_is_said_to(case: list[tuple[str, str]]) -> None:
     scenario = small(*changes(CALM | dict(case)))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fleet.analysis.spectrum import eigenvalues
+from fleet.analysis.stability import eigenvalues
 
 RNG = np.random.default_rng(3)
 

@@ -50,7 +50,7 @@ def test_only_the_first_follows() -> None:
 
 
 @given(st.integers(2, 12), st.integers(0, 2**31), st.floats(0.0, 1.0))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_rows_of_the_laplacian_sum_to_zero(n: int, seed: int, probability: float) -> None:
     """(L + B) 1 = b, for any graph: a fleet that is displaced as a whole sees only its references."""
     scenario = fleet(f"{{shape: random, probability: {probability!r}, reference: [1]}}", n, f"seed={seed}")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from small_scenario import SMALL, WILD, small
 
@@ -20,8 +20,7 @@ from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.recorder.journal import Journal
 from fleet.repeat.recorded_run import script
-from fleet.result.json_text import json_text
-from fleet.result.result import Result, Status
+from fleet.result.result import Result, Status, json_text
 from fleet.result.verdict import Verdict
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario, frame_every
@@ -496,7 +495,6 @@ GOOD = st.sampled_from(
 
 
 @given(st.lists(st.tuples(st.sampled_from(KEYS), WILD | GOOD).map("=".join), min_size=1, max_size=8), NEMESES)
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_any_check_is_accepted_or_a_scenario_error(overrides: list[str], drawn: list[str]) -> None:
     """Wrong values at every key, also of an entry without its list; what is accepted prints back."""
     full = "checks={recovery_time: [{fault: split, below: 1 s, within: 1 m}], max_age: {below: 1 s}}"
@@ -605,9 +603,9 @@ def test_what_was_replaced_is_not_called_lost(tmp_path: Path, capsys: pytest.Cap
     """Payloads that news overtook in the modem have a column of their own, and do not count on the progress line."""
     from rich.console import Console
 
-    from fleet.execution.progress import ProgressLine
-    from fleet.terminal.fitting import fit
+    from fleet.execution.execute import ProgressLine
     from fleet.terminal.status_line import StatusLine
+    from fleet.terminal.table import fit
 
     water = "network={period: 1 s, payload: compact, acoustic: {modem: mfsk-1066, mac: tdma, slot: 1500 ms}}"
     scenario = small("duration=8 s", water)

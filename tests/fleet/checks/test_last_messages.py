@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from agents.message import pack
 from agents.payload import StateMessage, encode
-from fleet.checks.last_messages import LastMessages
+from fleet.checks.own_checks import LastMessages
 
 LINKS = [(1, 2), (2, 1), (2, 3), (3, 2)]
 MINE = ["control.leads"]

@@ -18,7 +18,7 @@ from fleet.execution.in_process import InProcess
 from fleet.execution.judged import judged
 from fleet.execution.options import Options
 from fleet.recorder.journal import Journal
-from fleet.recorder.no_log import NoLog
+from fleet.recorder.log_file import NoLog
 from fleet.recorder.writer import LogWriter
 from fleet.repeat.verify import verify
 from fleet.scenario.loading import load_scenario, parse_scenario

@@ -9,8 +9,8 @@ import pytest
 from fed_checks import FAULTS, fate, fed
 from small_scenario import SMALL, small
 
-import fleet.checks.python_check
-from fleet.checks.python_check import CheckError
+import fleet.checks.own_checks
+from fleet.checks.own_checks import CheckError
 from fleet.errors import ScenarioError
 from fleet.execution.judged import judged
 from fleet.result.verdict import Verdict
@@ -139,7 +139,7 @@ STEP = "class Check:\n    def __init__(self, facts): self.n = 0\n    def step(se
     ],
 )
 def test_a_broken_check_is_no_pass(module: Path, monkeypatch: pytest.MonkeyPatch, body: str, words: str) -> None:
-    monkeypatch.setattr(fleet.checks.python_check, "BUDGET_S", 0.05)
+    monkeypatch.setattr(fleet.checks.own_checks, "BUDGET_S", 0.05)
     found = verdict(module, STEP + body + "\n")
     assert not found.passed and found.moment is not None and found.moment.tick == 0 and found.value is None
     assert found.found.startswith("the check is broken, so nothing is known: ") and words in found.found
@@ -147,10 +147,10 @@ def test_a_broken_check_is_no_pass(module: Path, monkeypatch: pytest.MonkeyPatch
 
 def test_a_check_whose_process_is_suspended_is_not_broken(module: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As if it had been slow it was broken, and its verdict depended on what else the machine did."""
-    monkeypatch.setattr(fleet.checks.python_check, "BUDGET_S", 0.1)
+    monkeypatch.setattr(fleet.checks.own_checks, "BUDGET_S", 0.1)
     body = "self.n += 1; import time; time.sleep(0.25 if self.n == 1 else 0.0)"
     assert verdict(module, STEP + body + "\n").passed
-    monkeypatch.setattr(fleet.checks.python_check, "PATIENCE", 2)
+    monkeypatch.setattr(fleet.checks.own_checks, "PATIENCE", 2)
     assert "longer than its budget" in verdict(module, STEP + body + "\n").found
 
 

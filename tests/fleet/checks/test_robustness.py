@@ -30,7 +30,7 @@ def eventually(steps: Steps) -> float:
     return max(min(6.0 - z for z in steps[first // EVERY : (first + 50) // EVERY + 1]) for first in range(201))
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(st.lists(st.integers(0, 120).map(lambda n: n / 10), min_size=21, max_size=21))
 @pytest.mark.parametrize(
     ("check", "formula"),

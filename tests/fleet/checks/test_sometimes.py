@@ -40,7 +40,7 @@ def test_a_signal_reaches_it_or_not_and_the_run_passes(check: str, reached: bool
 
 
 def test_what_fails_a_check_in_python_is_what_is_reached() -> None:
-    within = "fleet.protocols.auction_checks:AllVisited: {places: [[0, 0, 900]], sometimes: true, name: left-out}}"
+    within = "fleet.protocols.checks:AllVisited: {places: [[0, 0, 900]], sometimes: true, name: left-out}}"
     scenario = small(PYTHON % "3 m" + within)
     verdicts = {verdict.check: verdict for verdict in judged(scenario).checks}
     assert verdicts["left-out"].reached and verdicts["left-out"].passed

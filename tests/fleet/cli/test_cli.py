@@ -527,7 +527,7 @@ def test_quiet_prints_the_directory_alone(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("where", "error", "words"),
     [
-        ("fleet.execution.publication.LivePublisher.open", FleetError("no port is free", status=3), "no port is free"),
+        ("fleet.execution.execute.LivePublisher.open", FleetError("no port is free", status=3), "no port is free"),
         (
             "fleet.execution.execute.LogFile",
             LogError("cannot write the log: No space left on device"),

@@ -11,8 +11,7 @@ from small_scenario import small
 
 from fleet.execution import operator as module
 from fleet.execution.clock import GrantPolicy, LiveClock
-from fleet.execution.fleet import Fleet
-from fleet.execution.operator import Operator
+from fleet.execution.operator import Fleet, Operator
 from fleet.recorder.journal import Journal
 
 

@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 from live_directory import live_directory
 
 from fleet.errors import FleetError
-from fleet.execution.directory import RunDirectory
-from fleet.execution.past_runs import (
+from fleet.execution.directory import (
     BROKE,
     FAIL,
     FINISHED,
@@ -26,6 +25,7 @@ from fleet.execution.past_runs import (
     STOPPED,
     VERDICTS,
     PastRun,
+    RunDirectory,
     newest_run,
     past_runs,
     remove,

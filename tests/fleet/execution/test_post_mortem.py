@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from fleet.execution.notes import folded, without_agent
-from fleet.execution.post_mortem import explain
+from fleet.execution.supervisor import explain
 from fleet.processes.children import Child, Exit
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from fleet.execution.readiness import readiness
+from fleet.execution.console import readiness
 
 VEHICLES = range(1, 4)
 ALL = {"ready": [[1, 0], [2, 0], [3, 0]], "grant": True}

@@ -15,8 +15,7 @@ from fleet.cli.main import cli
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.explanation.no_return import HealingSearch, healed, remake, with_moments
-from fleet.explanation.why import Explanation, Question, Why
-from fleet.explanation.words import lines
+from fleet.explanation.why import Explanation, Question, Why, lines
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.study.modules import NO_MODULES
 from world.plugins.trust import NOTHING

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from fleet.execution.directory import remove_secrets
 from fleet.hosts.certificates import KeyPair
-from fleet.hosts.join_folder import JoinFolder
+from fleet.hosts.rendezvous import JoinFolder
 from netem.wire.keys import Keys
 
 FOLDER = JoinFolder(3, ("tls/sea:1", "tls/192.0.2.7:1"), 20_000, "the CA\n", KeyPair("the certificate\n", "the key\n"))

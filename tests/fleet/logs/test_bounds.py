@@ -32,7 +32,7 @@ from fleet.pictures.gallery import draw
 from fleet.pictures.runs import View, load
 from fleet.pictures.whole_file import whole_file
 from fleet.scenario.loading import load_scenario
-from fleet.terminal import progress
+from fleet.terminal import status_line
 
 MIB = 1 << 20
 LIMIT_S = 60.0
@@ -321,7 +321,7 @@ def test_equal_logs_are_compared_in_blocks(long: Path, monkeypatch: pytest.Monke
 @pytest.mark.slow
 @pytest.mark.parametrize("command", ["info", "script", "diff", "recover", "export", "plot", "report"])
 def test_progress_is_told_on_stderr(command: str, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(progress, "FIRST_S", 0.0)
+    monkeypatch.setattr(status_line, "FIRST_S", 0.0)
     out = {
         "recover": ["-o", tmp_path / "a"], "export": ["--csv", tmp_path / "t", "--topics", "faults"],
         "plot": ["-o", tmp_path, "--what", "error"], "report": ["-o", tmp_path / "r.html"], "diff": [run],

@@ -15,11 +15,11 @@ from mcap.writer import Writer
 import fleet
 import fleet.logs.topic as held
 from fleet.errors import FleetError
+from fleet.logs.dataset import columns
 from fleet.logs.export import export
 from fleet.logs.open_log import Log
 from fleet.logs.reader import LogReadError
 from fleet.logs.schemas import UINT32, MessageField, flat_schema
-from fleet.logs.table import columns
 
 pd = pytest.importorskip("pandas")
 xr = pytest.importorskip("xarray")
@@ -132,7 +132,7 @@ def test_what_is_too_large_is_refused(log: Log, tmp_path: Path, monkeypatch: pyt
 def test_without_the_packages_a_line_says_what_to_install(
     what: str, log: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fleet.logs.table.find_spec", lambda name: None)
+    monkeypatch.setattr("fleet.logs.dataset.find_spec", lambda name: None)
     calls: dict[str, Any] = {
         "to_xarray": log.to_xarray,
         "to_pandas": lambda: log.to_pandas("uuv/1/state"),

@@ -8,7 +8,7 @@ import struct
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.logs.digest import Digest
+from fleet.logs.records import Digest
 
 TIMES = st.integers(0, 2**64 - 1)
 MESSAGES = st.lists(st.tuples(st.binary(max_size=5), TIMES, TIMES, st.integers(0, 2**32 - 1), st.binary(max_size=9)))

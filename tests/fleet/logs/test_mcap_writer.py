@@ -7,14 +7,13 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.records import Attachment
 from mcap.writer import CompressionType, Writer
 
-from fleet.logs.batch import HEAD, MESSAGE, STAMP_BYTES, Batch
-from fleet.logs.mcap_writer import CHUNK_BYTES, McapWriter
+from fleet.logs.mcap_writer import CHUNK_BYTES, HEAD, MESSAGE, STAMP_BYTES, Batch, McapWriter
 
 TIMES = st.integers(0, 2**63 - 1)
 NAMES = st.text(max_size=12)
@@ -94,7 +93,6 @@ def written(make: Callable[..., Any], steps: list[tuple[Any, ...]]) -> bytes:
     return target.getvalue()
 
 
-@settings(max_examples=300, deadline=None)
 @given(STEPS)
 def test_the_same_bytes_as_the_library(steps: list[tuple[Any, ...]]) -> None:
     assert written(McapWriter, steps) == written(Library, steps)

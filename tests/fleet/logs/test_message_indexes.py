@@ -7,7 +7,7 @@ from struct import pack, unpack_from
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.logs.message_indexes import read_indexes
+from fleet.logs.salvage import read_indexes
 
 RUNS = st.lists(st.tuples(st.integers(0, 3), st.integers(1, 60)), max_size=8)  # entries of an index, how many such
 

@@ -21,11 +21,11 @@ import fleet
 from fleet.errors import ScenarioError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.logs.digest import Digest
 from fleet.logs.export import export
 from fleet.logs.fault_intervals import FaultInterval
 from fleet.logs.open_log import LogKeyError, open_drawn
 from fleet.logs.reader import LogReader, LogReadError, digest
+from fleet.logs.records import Digest
 from fleet.scenario.loading import load_scenario
 
 

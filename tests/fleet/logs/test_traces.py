@@ -10,13 +10,12 @@ from click.testing import CliRunner
 from fleet.cli.main import cli
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
+from fleet.logs.export import link_trace, write_traces
 from fleet.logs.open_log import Log, open_log
-from fleet.logs.traces import link_trace, write_traces
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.trace_files import read_trace
-from fleet.scenario.text.plain_yaml import inline
-from fleet.scenario.text.yaml_reader import Source, plain, read
+from fleet.scenario.sections.link_conditions import read_trace
+from fleet.scenario.text.yaml_reader import Source, inline, plain, read
 
 COMMON = ["checks={}", "log.snapshot=0 s"]
 EVENTS = (

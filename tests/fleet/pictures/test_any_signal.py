@@ -15,12 +15,11 @@ from fleet.cli.main import cli
 from fleet.errors import FleetError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.logs.signal_names import signal_names
+from fleet.logs.topic_names import signal_names
 from fleet.pictures.any_signal import signals_of_checks
 from fleet.pictures.gallery import WHAT, check_signals, draw
-from fleet.pictures.report import page
+from fleet.pictures.report import page, telling
 from fleet.pictures.runs import Run, View, load
-from fleet.pictures.telling import telling
 from fleet.scenario.loading import load_scenario
 
 CHECKS = (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fleet.pictures.bands import outliers, spread
+from fleet.pictures.axes import outliers, spread
 
 T = np.linspace(0.0, 10.0, 11)
 

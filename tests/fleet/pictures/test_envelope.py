@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.pictures.envelope import COLUMNS, enveloped, reach
+from fleet.pictures.axes import COLUMNS, enveloped, reach
 
 SPAN = (0.0, 60.0)
 T = np.arange(0.0, 60.0, 0.01)

@@ -12,7 +12,7 @@ from small_scenario import small
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.pictures import time_series
-from fleet.pictures.failures import MOST_MARKS
+from fleet.pictures.axes import MOST_MARKS
 from fleet.pictures.runs import View, load
 
 CHECKS = [

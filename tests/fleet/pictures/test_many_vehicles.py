@@ -12,9 +12,8 @@ from matplotlib.figure import Figure
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.info import info_text, read_info
-from fleet.pictures import exchange, shares, track
-from fleet.pictures.report import _tables
-from fleet.pictures.report_tables import MOST_ROWS
+from fleet.pictures import exchange, gallery, track
+from fleet.pictures.report import MOST_ROWS, _tables
 from fleet.pictures.runs import Run, View, load
 from fleet.scenario.loading import load_scenario
 
@@ -69,7 +68,7 @@ def test_the_oldest_links_have_a_row(run: Run) -> None:
 
 def test_links_without_a_loss_are_not_the_worst(run: Run) -> None:
     """At the end of a run something is in flight on every link."""
-    figure = shares.timeline([run], WHOLE)
+    figure = gallery.timeline([run], WHOLE)
     names = [label.get_text() for label in figure.axes[0].get_yticklabels()]
     assert names == [BAD.replace("->", "→"), f"{LINKS - 1} others"]
 

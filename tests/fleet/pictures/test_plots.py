@@ -27,20 +27,19 @@ from fleet.cli.main import cli
 from fleet.errors import FleetError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
+from fleet.logs.dataset import columns
 from fleet.logs.export import export
 from fleet.logs.open_log import open_log
-from fleet.logs.run_name import run_name
-from fleet.logs.table import columns
+from fleet.logs.topic_names import run_name
 from fleet.pictures import exchange, time_series
 from fleet.pictures.gallery import PER_RUN, WHAT, draw
-from fleet.pictures.report import _from_log, page
+from fleet.pictures.report import _from_log, links_table, page
 from fleet.pictures.report import write as write_report
-from fleet.pictures.report_tables import links_table
 from fleet.pictures.runs import NothingToDraw, Run, View, load, with_gaps
 from fleet.pictures.style import panels, plain_decades
 from fleet.result.file import read_result
 from fleet.scenario.loading import load_scenario
-from netem.causes import LOSSES, Cause
+from netem.fault_kinds import LOSSES, Cause
 from netem.ledger import Account
 
 

@@ -14,8 +14,7 @@ from fleet.cli.main import cli
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.pictures.gallery import WHAT
-from fleet.pictures.report import page
-from fleet.pictures.report_scenario import network_facts
+from fleet.pictures.report import network_facts, page
 from fleet.pictures.runs import View, load
 from fleet.scenario.loading import load_scenario
 

@@ -9,10 +9,10 @@ from matplotlib.colors import to_hex
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.pictures.exchange import FATES
+from fleet.pictures.gallery import LATE, MOST_ROWS, Row, fold, strips, time_bins, timeline
 from fleet.pictures.runs import Run, View, load
-from fleet.pictures.shares import LATE, MOST_ROWS, Row, fold, strips, time_bins, timeline
 from fleet.scenario.loading import load_scenario
-from netem.causes import Cause
+from netem.fault_kinds import Cause
 
 BEGIN_S, END_S = 2.53, 3.17  # of the partition: no edge of an even bin
 

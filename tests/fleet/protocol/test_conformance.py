@@ -23,11 +23,9 @@ from waiting import wait_for
 from fleet.cli.main import cli
 from fleet.errors import FleetError
 from fleet.hosts.certificates import KeyPair
-from fleet.hosts.join_folder import JoinFolder
-from fleet.hosts.rendezvous import Rendezvous
-from fleet.protocol import checks, conformance
-from fleet.protocol.checks import CHECKS, ProtocolCheck
-from fleet.protocol.conformance import Examination
+from fleet.hosts.rendezvous import JoinFolder, Rendezvous
+from fleet.protocol import conformance
+from fleet.protocol.conformance import CHECKS, Examination, ProtocolCheck
 from fleet.repeat.verify import verification_lines, verify
 from fleet.scenario.loading import load_scenario
 
@@ -83,34 +81,34 @@ def test_the_example_and_our_agent_pass(tmp_path: Path) -> None:
 
 # What is changed in the example, and the check that must notice.
 BROKEN = {
-    "answers before its inbox is there": ("nav <= known", "True", checks.LATE),
-    "takes a part for the whole": ("known if more else until", "until", checks.PARTS),
-    "sends nothing": ('if tick % own["round_ticks"] == 0:', "if False:", checks.TRANSMITS),
-    "sends at every tick": ('if tick % own["round_ticks"] == 0:', "if True:", checks.TRANSMITS),
+    "answers before its inbox is there": ("nav <= known", "True", conformance.LATE),
+    "takes a part for the whole": ("known if more else until", "until", conformance.PARTS),
+    "sends nothing": ('if tick % own["round_ticks"] == 0:', "if False:", conformance.TRANSMITS),
+    "sends at every tick": ('if tick % own["round_ticks"] == 0:', "if True:", conformance.TRANSMITS),
     "transmits after its command": (
         "            if tick %",
         '            cmd(msgpack.packb(["cmd", life, tick, tau, []]))\n            if tick %',
-        checks.TRANSMITS,
+        conformance.TRANSMITS,
     ),
     "answers twice": (
         "            nav = None",
         '            nav = None\n            cmd(msgpack.packb(["cmd", life, tick, tau, []]))',
-        checks.UNASKED,
+        conformance.UNASKED,
     ),
     "does not look for damage": (
         'if len(data) == 63 and zlib.crc32(data[:-4]) == int.from_bytes(data[-4:], "little"):',
         "if True:",
-        checks.DAMAGED,
+        conformance.DAMAGED,
     ),
-    "dies of junk": ("    except Exception as error:", "    except ImportError as error:", checks.MALFORMED),
-    "answers for an earlier life": ("fields[0] == life and", "", checks.EARLIER),
-    "says hello without end": ("in (cmd, tx):", "in (cmd, tx) * 100:", checks.HELLO),
-    "is of another life": ('told["incarnation"]', "0", checks.HELLO),
-    "commands one number less": ("tau, velocity = law", "(*tau, _), velocity = law", checks.FORM),
-    "commands a life that it has not": ('["cmd", life,', '["cmd", life + 1,', checks.COMMANDS),
-    "has no token": ("token = session.liveliness", "token = lambda *_: session.liveliness", checks.TOKEN),
-    "does not see the echoes": ('{"world", "netem"}:', '{"somebody else"}:', checks.READY),
-    "stays": ("session.close()\nprint", "import time; time.sleep(100)\nprint", checks.ENDS),
+    "dies of junk": ("    except Exception as error:", "    except ImportError as error:", conformance.MALFORMED),
+    "answers for an earlier life": ("fields[0] == life and", "", conformance.EARLIER),
+    "says hello without end": ("in (cmd, tx):", "in (cmd, tx) * 100:", conformance.HELLO),
+    "is of another life": ('told["incarnation"]', "0", conformance.HELLO),
+    "commands one number less": ("tau, velocity = law", "(*tau, _), velocity = law", conformance.FORM),
+    "commands a life that it has not": ('["cmd", life,', '["cmd", life + 1,', conformance.COMMANDS),
+    "has no token": ("token = session.liveliness", "token = lambda *_: session.liveliness", conformance.TOKEN),
+    "does not see the echoes": ('{"world", "netem"}:', '{"somebody else"}:', conformance.READY),
+    "stays": ("session.close()\nprint", "import time; time.sleep(100)\nprint", conformance.ENDS),
 }
 
 
@@ -182,8 +180,8 @@ def test_the_example_completes_a_run(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_example_takes_part_on_a_wall_clock_and_leaves_on_ctrl_c(tmp_path: Path) -> None:
     arguments = ["--set", "per_vehicle={3: {external: true}}", "--duration", "8 s", "--max-missed", "1"]
-    checks = "checks={tumbled: waived, deaths: {at_most: 1}}"  # its own
-    arguments += ["--set", checks, "--clock", "real", "--speed", "2", "--set", "on_death=continue"]
+    conformance = "checks={tumbled: waived, deaths: {at_most: 1}}"  # its own
+    arguments += ["--set", conformance, "--clock", "real", "--speed", "2", "--set", "on_death=continue"]
     with LiveRun(tmp_path / "runs", "paper", *arguments) as run:
         path = run.out / "latest" / "join-3.json"
         wait_for(lambda: run.over or path.exists(), LIMIT_S, "the join file")

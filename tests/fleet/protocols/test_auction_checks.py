@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from fleet.checks.api import Facts, Failure, Tick
-from fleet.protocols.auction_checks import AllVisited, NoConflict
+from fleet.protocols.checks import AllVisited, NoConflict
 
 LINE = ((1, 2), (2, 1), (2, 3), (3, 2))
 FACTS = Facts("three", 1, 3, 10.0, 0.1, 0.0, LINE, {})

@@ -6,7 +6,7 @@ from math import dist
 from random import Random
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from fleet.protocols.bidder import NOBODY, Bidder, News, rounds_needed
@@ -59,7 +59,6 @@ class Auction:
 PLACES = st.lists(st.tuples(st.integers(0, 60), st.integers(0, 60)), min_size=1, max_size=9)
 
 
-@settings(max_examples=150, deadline=None)
 @given(places=PLACES, vehicles=st.lists(st.tuples(st.integers(0, 60), st.integers(0, 60)), min_size=2, max_size=5),
        size=st.integers(1, 4))  # fmt: skip
 def test_no_conflict_within_the_published_bound(
@@ -82,7 +81,6 @@ def test_no_conflict_within_the_published_bound(
     assert [bidder.path for bidder in auction.bidders.values()] == before  # nothing changes any more
 
 
-@settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10**6), loss=st.sampled_from([0.3, 0.7]))
 def test_with_loss_it_takes_longer_and_comes_to_the_same(seed: int, loss: float) -> None:
     draw = Random(seed)

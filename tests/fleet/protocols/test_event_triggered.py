@@ -7,7 +7,7 @@ from math import dist, nan
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from protocol_network import delivery
 from small_scenario import small
@@ -85,7 +85,6 @@ def test_what_it_compares_is_what_it_tells_also_where_there_is_roll() -> None:
     assert agent.state()["told"] == [0, *told.position, *told.velocity]
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     extrapolate=st.sampled_from(["neighbour", "hold", "reference"]),
     more=st.sampled_from([(), ("neighbours.age_cap=200 ms",), TURNING]),

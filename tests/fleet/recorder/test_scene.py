@@ -27,10 +27,9 @@ from fleet.recorder.transforms import quaternion
 from fleet.repeat.resume import continuation
 from fleet.result.result import Result
 from fleet.scenario.loading import load_scenario
-from fleet.scene.link_state import CUTS, HISTORY
 from fleet.scene.model import diameter
-from fleet.scene.styles import FOXGLOVE
-from netem.causes import LOSSES, Cause
+from fleet.scene.styles import CUTS, FOXGLOVE, HISTORY
+from netem.fault_kinds import LOSSES, Cause
 from netem.wire.messages import Command, Fate, Frame, VehicleFrame
 
 FAULTS = "faults=[{at: 1.5 s, for: 1 s, partition: halves}, {at: 2 s, for: 600 ms, kill: 4}, {at: 2.2 s, pause: 1}]"

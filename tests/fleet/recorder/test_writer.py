@@ -13,7 +13,7 @@ import pytest
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from plain_messages import Copy, Entry, encoded
 from small_scenario import small
@@ -23,9 +23,8 @@ from benchmarks.recorder import Calls
 from fleet.logs.reader import LogReader
 from fleet.logs.schemas import COMMAND, ERROR, FAULT, PACKET, ROLL, STATE, flat_schema, signal_columns, stamp_of
 from fleet.recorder import tick_messages
-from fleet.recorder.log_file import LogFile
+from fleet.recorder.log_file import LogFile, NoLog
 from fleet.recorder.metrics import VehicleError
-from fleet.recorder.no_log import NoLog
 from fleet.recorder.snapshot import Snapshot
 from fleet.recorder.transforms import quaternion
 from fleet.recorder.writer import LogWriter
@@ -33,7 +32,7 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.log_rates import LOG_GROUPS
 from fleet.scenario.sections.signals import OF_THE_PLANT
 from fleet.scenario.sections.timeline import Event
-from netem.causes import Cause
+from netem.fault_kinds import Cause
 from netem.wire.messages import Command, Fate, Frame, VehicleFrame
 from world.signal import width_of
 
@@ -180,7 +179,6 @@ def pose(at_ns: int, row: VehicleFrame) -> bytes:
     return before + b"\x1a" + bytes([len(places)]) + places
 
 
-@settings(max_examples=40, deadline=None)
 @given(scenarios(), st.integers(0, 2**32), st.sampled_from([300, 5000, 1024 * 1024]))
 def test_the_log_of_any_journal_is_the_one_written_message_by_message(
     scenario: Scenario, seed: int, chunk_bytes: int

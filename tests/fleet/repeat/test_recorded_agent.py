@@ -20,8 +20,7 @@ from fleet.cli.main import cli
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.schemas import Doubles, MessageField
-from fleet.repeat.recorded_agent import NotRecordedError
-from fleet.repeat.verify import verification_lines, verify
+from fleet.repeat.verify import NotRecordedError, verification_lines, verify
 from fleet.result.result import Status
 from fleet.scenario.loading import load_scenario
 

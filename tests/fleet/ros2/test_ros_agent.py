@@ -24,7 +24,7 @@ from fleet.logs.reader import digest
 from fleet.ros2.agent import ODOMETRY, PACKET, WRENCH, RosAgent
 from fleet.ros2.node import RosNode
 from fleet.ros2.types import types_of
-from netem.clock import Clock
+from netem.vehicle_clock import Clock
 from netem.wire.messages import Delivery, Nav
 from netem.wire.ros_bus import SETTINGS
 

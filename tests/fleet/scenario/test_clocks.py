@@ -8,7 +8,7 @@ import pytest
 from small_scenario import only_problem, small
 
 from fleet.analysis.preflight import warnings
-from fleet.analysis.slots import describe_slack, slack
+from fleet.analysis.stability import describe_slack, slack
 from fleet.execution.judged import run
 from fleet.scenario.loading import load_scenario, parse_scenario
 from netem.vehicle_clock import VehicleClock

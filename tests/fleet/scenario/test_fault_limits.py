@@ -11,7 +11,7 @@ from small_scenario import only_problem, small
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultSection
-from fleet.scenario.sections.fault_limits import FaultLimits
+from fleet.scenario.sections.ground import FaultLimits
 from fleet.scenario.sections.timeline import action, vehicles_of
 from fleet.study.moves import Draws, Mutator
 from fleet.study.shrink import tree_of

@@ -23,8 +23,7 @@ from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario, parse_scenario
-from fleet.scenario.schema.faults import ACTIONS
-from fleet.scenario.schema.nemesis import DrawnKind
+from fleet.scenario.schema.faults import ACTIONS, DrawnKind
 from fleet.scenario.sections.partitions import partition
 from netem.condition import Condition
 from netem.config import NetemConfig

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from small_scenario import SMALL, only_problem, small
 
@@ -20,7 +20,7 @@ from fleet.errors import ScenarioError
 from fleet.scenario.loading import changed, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.data_files import DataFileError
-from fleet.scenario.sections.trace_files import load_trace, read_trace
+from fleet.scenario.sections.link_conditions import load_trace, read_trace
 from fleet.scenario.sections.trace_table import MOST_ROWS, TraceRow, TraceTable, read_csv
 from netem.condition import Condition
 from netem.link_states import LinkStates
@@ -240,7 +240,6 @@ ODD = st.sampled_from(["0", "1", "", "nan", "1e999", "-3", '"', "time [s]", "del
 
 
 @given(st.lists(st.lists(ODD, max_size=4), max_size=5) | st.text(max_size=40))
-@settings(max_examples=200, deadline=None)
 def test_any_text_is_a_trace_or_says_why_not(text: Any) -> None:
     if not isinstance(text, str):
         text = "time [s],delivered\n" + "\n".join(map(",".join, text))

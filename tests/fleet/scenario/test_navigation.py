@@ -10,15 +10,14 @@ from math import radians
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from small_scenario import SMALL, only_problem, small
 
 from fleet.errors import ScenarioError
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.sections.data_files import DataFileError
-from fleet.scenario.sections.navigation import NUMBERS, load_grade, shipped_grades
-from fleet.scenario.sections.navigation_trace import parse_trace
+from fleet.scenario.sections.navigation import NUMBERS, load_grade, parse_trace, shipped_grades
 from netem.fault_kinds import WorldFaultKind
 from world.navigation.config import DeadReckoning, NavigationTrace, TracePoint
 
@@ -138,7 +137,6 @@ def test_mistakes_in_a_trace_have_their_line(text: str, words: str) -> None:
 
 
 @given(st.text(max_size=60) | st.text("0123456789.,-e \n", max_size=80).map(TRACE.__add__))
-@settings(max_examples=60)
 def test_any_text_is_a_trace_or_is_refused_in_words(text: str) -> None:
     try:
         points = parse_trace(text, "nav.csv")

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from repository import ROOT
@@ -23,11 +23,10 @@ from fleet.execution.options import Options
 from fleet.result.result import Status
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.schema.motion import FormationShape, GraphSection
-from fleet.scenario.schema.shapes import GRAPH
+from fleet.scenario.schema.motion import GRAPH, FormationShape, GraphSection
 from fleet.scenario.sections.formation import SHAPES, offsets
 from fleet.scenario.sections.graph import build
-from fleet.scenario.sections.vehicle_files import load_vehicle
+from fleet.scenario.sections.per_vehicle import load_vehicle
 
 # --- formations ------------------------------------------------------------
 
@@ -67,7 +66,6 @@ def test_on_which_side_they_are() -> None:
 
 
 @given(st.sampled_from(sorted(SHAPES)), st.integers(1, 50), st.floats(-720.0, 720.0))
-@settings(max_examples=60)
 def test_heading_is_a_rotation(shape: str, n: int, heading: float) -> None:
     """Clockwise seen from above: what is ahead in the shape lies on that course, and all distances stay."""
     section = {"shape": shape, "spacing": "4 m"}
@@ -157,7 +155,6 @@ def test_every_graph_is_what_its_name_says(shape: str, n: int) -> None:
 
 
 @given(st.integers(1, 30), st.integers(1, 30), st.integers(0, 2**63 - 1), st.floats(0.0, 100.0))
-@settings(max_examples=80)
 def test_random_graphs_are_connected_and_order_free(n: int, m: int, seed: int, percent: float) -> None:
     """A draw per pair: another vehicle adds pairs and changes none; so does a larger probability."""
     few, many = sorted((n, m))

@@ -13,9 +13,9 @@ from fleet.execution.judged import judged
 from fleet.quantities import vehicle_numbers
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.schema.nemesis import WORDS, NemesisPick
-from fleet.scenario.sections import aims, liveness, swarm
-from fleet.scenario.sections.fault_limits import HELD
+from fleet.scenario.schema.faults import WORDS, NemesisPick
+from fleet.scenario.sections import liveness, swarm
+from fleet.scenario.sections.ground import HELD
 from fleet.scenario.sections.swarm import DrawnFault
 from fleet.scenario.sections.timeline import action, vehicles_of
 from netem.fault_kinds import WorldFaultKind
@@ -87,7 +87,7 @@ def test_aims_go_by_the_graph_and_by_what_was_before() -> None:
     line = small(*LONG, "graph={shape: path}", "vehicles=3")
     assert aimed(line, ("partition", "bridge", 1, 1))[0] in ("1 / 2,3", "1,2 / 3")
     ring = small(*LONG)
-    assert aims.bridges(frozenset(ring.ground.pairs)) == ()
+    assert swarm.bridges(frozenset(ring.ground.pairs)) == ()
     # A ring has no bridge; while one pair is cut every other one is.
     (text,) = {t for t in aimed(ring, ("down", "any", 1, 9), ("partition", "bridge", 2, 1)) if "/" in t}
     assert all(vehicle_numbers(part) for part in text.split("/"))
@@ -102,9 +102,9 @@ def test_bridges_are_the_pairs_without_which_more_parts_are() -> None:
         pairs = frozenset(s.ground.pairs)
 
         def parts(some: frozenset[tuple[int, int]]) -> int:
-            return len({min(aims.side(i, some)) for i in range(1, 9)})
+            return len({min(swarm.side(i, some)) for i in range(1, 9)})
 
-        assert aims.bridges(pairs) == tuple(sorted(p for p in pairs if parts(pairs - {p}) > parts(pairs)))
+        assert swarm.bridges(pairs) == tuple(sorted(p for p in pairs if parts(pairs - {p}) > parts(pairs)))
 
 
 CHECKS = (
@@ -119,7 +119,7 @@ def test_liveness_heals_a_core_and_leaves_the_others_broken() -> None:
         assert s.undrawn.nemesis is not None
         core = set(liveness.core(s.undrawn.nemesis, s.ground))
         inside = [pair for pair in s.ground.pairs if set(pair) <= core]
-        assert len(core) == 4 and aims.side(min(core), inside) == core
+        assert len(core) == 4 and swarm.side(min(core), inside) == core
         lasting = [fault for fault in s.spec.faults if fault.for_ is None]
         hit = {int(str(getattr(fault, action(fault))).removeprefix("isolate:")) for fault in lasting}
         assert hit == {1, 2, 3, 4, 5, 6} - core

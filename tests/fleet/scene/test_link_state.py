@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.scene.link_state import (
+from fleet.scene.styles import (
     ARRIVED,
     BEHIND,
     CUT,
@@ -20,7 +20,7 @@ from fleet.scene.link_state import (
     stale_after,
     state_of,
 )
-from netem.causes import Cause
+from netem.fault_kinds import Cause
 
 ROUND_S = 0.1
 STALE_S = stale_after(ROUND_S)

@@ -19,8 +19,7 @@ from fleet.cli.study_options import given as given_options
 from fleet.cli.study_options import spec_options
 from fleet.errors import printable
 from fleet.scenario.text.overrides import FAULT, NET, SET, Override
-from fleet.scenario.text.plain_yaml import yaml_text
-from fleet.scenario.text.yaml_reader import Source
+from fleet.scenario.text.yaml_reader import Source, yaml_text
 from fleet.study.errors import StudyError
 from fleet.study.given import keywords, seeds_text, set_values, varied
 from fleet.study.plan import plan_of

@@ -8,8 +8,7 @@ import pytest
 from rich.console import Console as Terminal
 
 from fleet.terminal import status_line
-from fleet.terminal.progress import showing_jobs
-from fleet.terminal.status_line import BAR, StatusLine, bar
+from fleet.terminal.status_line import BAR, StatusLine, bar, showing_jobs
 
 
 def terminal(*, live: bool) -> tuple[Terminal, io.StringIO]:

@@ -17,8 +17,7 @@ from small_scenario import small
 
 from fleet.errors import FleetError
 from fleet.scenario.loading import load_scenario
-from fleet.scene.link_state import LinkState
-from fleet.scene.styles import PRINT
+from fleet.scene.styles import PRINT, LinkState
 from fleet.view.log_feed import LogFeed
 from fleet.view.movie import write
 from fleet.view.movie_scene import SCENE_PT, Camera, MovieScene

@@ -14,14 +14,13 @@ from waiting import wait_for
 
 import netem.wire.certificate_router as certificate_router
 from fleet.hosts import certificates
-from fleet.processes.run_folder import RunFolder
+from fleet.processes.children import RunFolder
 from netem.errors import BusError
 from netem.wire.access import CONSOLE, NETEM, Credentials, Listener, agent_role, generate
 from netem.wire.bus import Bus
 from netem.wire.certificate_router import CertificateRouter
 from netem.wire.keys import Keys
-from netem.wire.session import open_session
-from netem.wire.settings import MAX_BYTES, UNIVERSAL, client_settings, client_tls
+from netem.wire.session import MAX_BYTES, UNIVERSAL, client_settings, client_tls, open_session
 
 pytest.importorskip("cryptography", reason="cryptography is not installed: pip install 'uuv-fleet[hosts]'")
 

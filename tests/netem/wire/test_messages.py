@@ -13,14 +13,14 @@ from typing import Any
 import msgpack
 import pytest
 from any_message import ANY_MESSAGE, ARRAY, KINDS, OR_NIL, RECORDS, messages
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
+from fleet.protocol.page import declared, fields_of, records, texts
 from netem.errors import MalformedMessage
 from netem.wire.codec import decode, encode, expect
-from netem.wire.control import read_map
 from netem.wire.messages import Command, Grant, Hello, Message, Nav
-from netem.wire.wire_types import declared, fields_of, records, texts
+from netem.wire.shell import read_map
 
 
 def plainest(wire: str) -> Any:
@@ -263,7 +263,6 @@ def test_arbitrary_values_under_a_known_kind(fields: list[Any], kind: str) -> No
     taken_or_refused(msgpack.packb([kind, *fields]))
 
 
-@settings(max_examples=300)
 @given(ANY_MESSAGE, st.data())
 def test_mutated_bytes(message: Message, data: st.DataObject) -> None:
     """Flips, cuts and insertions in valid messages, which get further than noise does."""

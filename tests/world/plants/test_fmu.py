@@ -16,15 +16,13 @@ from repository import ROOT
 from waiting import wait_for
 
 from world.api import PlantConfig, Vec3, Vec6, Water
-from world.config import PlantSetup
+from world.config import PlantSetup, VehicleParams
 from world.errors import FmuError, PlantError, PluginError, UntrustedError
 from world.plants import fmu
 from world.plants.classes import plant_class
 from world.plants.fenced_plant import FencedPlant
 from world.plants.fmu import FmuPlant, fmu_class
-from world.plants.fmu_description import Description, UnitVariable
-from world.plants.fmu_variables import _Reader
-from world.vehicle import VehicleParams
+from world.plants.fmu_variables import Description, UnitVariable, _Reader
 
 CONFIG = PlantConfig(2, 0.01, 1, VehicleParams(*[1.0] * 14))
 REST: Vec6 = (0.0,) * 6

@@ -11,9 +11,9 @@ import pytest
 from repository import ROOT
 
 from world.errors import FmuError
-from world.plants import fmu_archive, fmu_description
+from world.plants import fmu_archive, fmu_variables
 from world.plants.fmu_archive import archive
-from world.plants.fmu_description import BaseUnit, UnitVariable, parse
+from world.plants.fmu_variables import BaseUnit, UnitVariable, parse
 
 SIMULATION = '<CoSimulation modelIdentifier="m"/>'
 
@@ -115,10 +115,10 @@ def test_one_that_is_wrong_says_what(data: bytes, words: str) -> None:
 
 
 def test_too_many_variables_or_elements(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fmu_description, "MAX_VARIABLES", 2)
+    monkeypatch.setattr(fmu_variables, "MAX_VARIABLES", 2)
     with pytest.raises(FmuError, match="has more than 2 variables; export it with fewer"):
         parse(text("".join(map(scalar, "abc"))))
-    monkeypatch.setattr(fmu_description, "MAX_ELEMENTS", 5)
+    monkeypatch.setattr(fmu_variables, "MAX_ELEMENTS", 5)
     with pytest.raises(FmuError, match="of more than 5 elements"):
         parse(text(scalar("a", "<b/>" * 5)))
 
@@ -127,13 +127,13 @@ def test_too_many_variables_or_elements(monkeypatch: pytest.MonkeyPatch) -> None
 def test_mistakes_without_end_take_no_longer_than_one(variable: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """100,000 of them took minutes, because each was described with its place among the others."""
     seen: list[str] = []
-    start = fmu_description._Reader.start
+    start = fmu_variables._Description.start
 
-    def counted(reader: fmu_description._Reader, tag: str, attributes: dict[str, str]) -> None:
+    def counted(reader: fmu_variables._Description, tag: str, attributes: dict[str, str]) -> None:
         seen.append(tag)
         start(reader, tag, attributes)
 
-    monkeypatch.setattr(fmu_description._Reader, "start", counted)
+    monkeypatch.setattr(fmu_variables._Description, "start", counted)
     with pytest.raises(FmuError):
         parse(text(variable * 100_000))
     assert len(seen) < 10
@@ -153,16 +153,16 @@ def test_a_signal_ends_the_reading() -> None:
     """While the XML is parsed, which is native code that calls back."""
     code = """
 import os, signal
-from world.plants import fmu_description
-first = fmu_description._Reader.start
+from world.plants import fmu_variables
+first = fmu_variables._Description.start
 def start(self, *args):
     first(self, *args)
     os.kill(os.getpid(), signal.SIGTERM)  # as an operator does, who waits
-fmu_description._Reader.start = start
+fmu_variables._Description.start = start
 def ended(*_):
     raise SystemExit(7)
 signal.signal(signal.SIGTERM, ended)
-fmu_description.parse(b'<fmiModelDescription fmiVersion="2.0"><a/></fmiModelDescription>')
+fmu_variables.parse(b'<fmiModelDescription fmiVersion="2.0"><a/></fmiModelDescription>')
 """
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False, timeout=120)
     assert done.returncode == 7

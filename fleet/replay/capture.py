@@ -1,6 +1,10 @@
 """`fleet record`: zenoh traffic of any kind into an MCAP file, as it comes.
 
-`fleet.replay.capture_format` describes its layout.
+One channel per key, zenoh encoding and kind, without a schema. The topic is the key; the channel's metadata hold
+`zenoh.kind` (put, delete or attachment) and `zenoh.encoding`. `log_time` is when the recorder received the sample,
+`publish_time` zenoh's timestamp if the sample has one, both ns since 1970; `sequence` numbers the samples from 0. A
+sample with an attachment is two messages with the same sequence: the attachment, on a channel of that kind, then the
+payload. So payloads stay what they are, and any viewer that knows their encoding reads them.
 """
 
 from __future__ import annotations
@@ -13,9 +17,34 @@ from typing import IO, Any, Protocol
 
 from fleet.errors import FleetError
 from fleet.logs.mcap_writer import McapWriter
-from fleet.replay.capture_format import ATTACHMENT, DELETE, ENCODING, KIND, PROFILE, PUT, message_encoding
 from fleet.terminal.status_line import StatusLine
 from netem.wire.open_bus import ZenohSample, sample_of
+
+PROFILE = "zenoh"
+KIND, ENCODING = "zenoh.kind", "zenoh.encoding"
+PUT, DELETE, ATTACHMENT = "put", "delete", "attachment"
+
+# https://mcap.dev/spec/registry#message-encodings against zenoh's predefined encodings
+_WELL_KNOWN = {
+    "json": "application/json",
+    "protobuf": "application/protobuf",
+    "cbor": "application/cbor",
+    "cdr": "application/cdr",
+}
+_OF_ZENOH = {zenoh: mcap for mcap, zenoh in _WELL_KNOWN.items()} | {"text/json": "json"}
+
+
+def message_encoding(encoding: str) -> str:
+    """MCAP's name of a zenoh encoding, or zenoh's own where MCAP has none, or where it would ask for a schema."""
+    name = _OF_ZENOH.get(encoding.split(";")[0], encoding)
+    return encoding if name in ("protobuf", "cdr") else name
+
+
+def zenoh_encoding(name: str, schema: str) -> str:
+    """Zenoh's encoding for a message encoding and the name of its schema: `application/protobuf;foxglove.Log`."""
+    encoding = _WELL_KNOWN.get(name, name or "zenoh/bytes")
+    return f"{encoding};{schema}" if schema and ";" not in encoding else encoding
+
 
 FLUSH_NS = 1_000_000_000  # a recorder that is killed loses so much at most
 POLL_S = 0.1

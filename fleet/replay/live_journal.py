@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import msgpack
 
 from fleet.errors import FleetError
-from fleet.replay.attachment import unpack
 from fleet.replay.observed import Observed
+from fleet.replay.topics import unpack
 from netem.errors import BusError
 from netem.wire.access import Credentials
 from netem.wire.keys import Keys
@@ -23,7 +23,11 @@ from netem.wire.open_bus import OpenBus, place_of
 
 
 class Missing:
-    """Counts what did not come of the topics that are subscribed to, from the first message of each that came."""
+    """Counts what did not come of the topics that are subscribed to, from the first message of each that came.
+
+    Each sample says which place its message has in its topic (zenoh's source information), and at the end the
+    publisher says on a key of its own how many messages each topic had: a MessagePack map.
+    """
 
     def __init__(self) -> None:
         self._next: dict[str, int] = {}  # the place that comes next, by topic

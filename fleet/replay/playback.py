@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from fleet.errors import FleetError
 from fleet.logs.decoder import UNITS
 from fleet.logs.tape import Tape, Track
-from fleet.replay.attachment import Stamp, pack
-from fleet.replay.capture_format import ATTACHMENT, DELETE, ENCODING, KIND, zenoh_encoding
+from fleet.replay.capture import ATTACHMENT, DELETE, ENCODING, KIND, zenoh_encoding
 from fleet.replay.player import RATE_STEP, SEEK_NS, MeasuredRate, Player
-from fleet.replay.topics import hand_out
+from fleet.replay.topics import Stamp, hand_out, pack
 from fleet.terminal.keyboard import Key, Keyboard
 from fleet.terminal.status_line import StatusLine
 from fleet.terminal.table import Piece

@@ -2,6 +2,10 @@
 
 Every threshold stands here. Where the paper compares "with the other approaches", each of the others counts, and
 every vehicle; where it speaks of errors, what is meant is both the root mean square and the largest.
+
+A check belongs to a reading (the printed cost, the corrected cost, ...), says what it asks, and has the numbers of
+the runs beside it. It asks once per vehicle, or per vehicle and controller compared with: *yes* if every answer is,
+*no* if none is, else *partly*. So is a claim: reproduced if every check is a yes, not if every one is a no.
 """
 
 from __future__ import annotations

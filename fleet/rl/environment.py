@@ -1,4 +1,7 @@
-"""A fleet as a `ParallelEnv`: one episode is one run, which goes on by a decision period when all have decided."""
+"""A fleet as a `ParallelEnv`: one episode is one run, which goes on by a decision period when all have decided.
+
+In arrays of observations and actions -1 stands for an unknown one.
+"""
 
 from __future__ import annotations
 

@@ -2,6 +2,18 @@
 
 Positions are in `map` (east, north, up), what a vehicle has of its own in its `base_link` (forward, port, up). The
 frames of the log stay in the tree, as `ned` and `uuv-<i>` (forward, starboard, down), so /tf needs no change of axes.
+
+Axes change from ours to those of ROS (REP 103, 105): north, east, down to east, north, up; forward, starboard, down
+to forward, port, up.
+
+| symbol | meaning | unit | frame |
+|---|---|---|---|
+| eta | x, y, z, theta, psi | m, rad | north, east, down |
+| nu | u, v, w, q, r over ground | m/s, rad/s | body: forward, starboard, down |
+| P | covariance of x, y, z, psi: upper triangle, row by row | m^2, m rad, rad^2 | north, east, down |
+
+Both changes of axes are half turns, about the line north-east and about the forward axis. With R = Rz(psi) Ry(theta)
+Rx(phi) from body to north, east, down, the same attitude in the axes of ROS is Rz(pi/2 - psi) Ry(-theta) Rx(phi).
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterable
 
 from fleet.logs.tape import Tape, Track
-from fleet.replay.capture_format import ATTACHMENT, DELETE, KIND
+from fleet.replay.capture import ATTACHMENT, DELETE, KIND
 from fleet.replay.playback import obey
 from fleet.replay.player import SEEK_NS, Player
 from fleet.terminal.keyboard import Key, Keyboard

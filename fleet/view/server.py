@@ -43,7 +43,13 @@ _POLICY = (
 
 
 class Guard:
-    """Lets users that know the token reach an application."""
+    """Lets users that know the token reach an application.
+
+    Others on the machine reach the port as well, and a page of anybody's in the same browser can send requests to it.
+    So the guard exchanges the token once for a cookie that no script and no other site can use. Every request and
+    websocket needs the cookie. The guard refuses names of hosts that are not ours (DNS rebinding), and websockets that
+    another page opens. Plain ASGI: Starlette's own middleware does not see websockets.
+    """
 
     def __init__(self, app: App, token: str, port: int, hosts: Collection[str]) -> None:
         """Guard an application.

@@ -22,9 +22,8 @@ from waiting import wait_for
 from fleet.logs.info import info_text, read_info
 from fleet.logs.reader import LogReader
 from fleet.logs.tape import Tape
-from fleet.replay.attachment import Stamp, pack, unpack
-from fleet.replay.capture import PublisherGone, TrafficWriter
-from fleet.replay.capture_format import ATTACHMENT, KIND, message_encoding, zenoh_encoding
+from fleet.replay.capture import ATTACHMENT, KIND, PublisherGone, TrafficWriter, message_encoding, zenoh_encoding
+from fleet.replay.topics import Stamp, pack, unpack
 from netem.wire.open_bus import OpenBus, ZenohSample
 
 

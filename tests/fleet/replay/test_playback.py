@@ -25,10 +25,9 @@ from fleet.errors import FleetError
 from fleet.logs.reader import Record
 from fleet.logs.tape import Tape
 from fleet.processes.interrupts import holding_interrupts
-from fleet.replay.attachment import Stamp, pack, unpack
-from fleet.replay.capture_format import ENCODING, zenoh_encoding
+from fleet.replay.capture import ENCODING, zenoh_encoding
 from fleet.replay.playback import PlaybackOptions, Replay
-from fleet.replay.topics import ask_topics
+from fleet.replay.topics import Stamp, ask_topics, pack, unpack
 from netem.wire.keys import Keys
 from netem.wire.open_bus import OpenBus
 

@@ -22,10 +22,10 @@ from fleet.errors import FleetError
 from fleet.logs.open_log import open_log
 from fleet.logs.reader import LogReader
 from fleet.logs.tape import Tape
-from fleet.replay.attachment import Stamp, pack
 from fleet.replay.live_journal import LiveJournal, pack_counts
 from fleet.replay.observed import Observed, host_observed, new_observed
 from fleet.replay.playback import PlaybackOptions, Replay
+from fleet.replay.topics import Stamp, pack
 from fleet.terminal.status_line import StatusLine
 from fleet.view.foxglove_live import OVER, LiveBridge
 from fleet.view.source import LiveSource, find_source

@@ -17,7 +17,6 @@ from netem.errors import MalformedMessage, OutOfPlace
 from netem.lives import Absence
 from netem.wire.access import WORLD as WORLD
 from netem.wire.access import Members, agent_role, host_role
-from netem.wire.audit import Refusals
 from netem.wire.bundles import Hosts
 from netem.wire.bus import PART_BYTES, Bus, Respond, pieces, split
 from netem.wire.codec import encode, expect
@@ -41,6 +40,7 @@ from netem.wire.messages import (
     WorldFault,
     WorldFaults,
 )
+from netem.wire.refusals import Refusals
 from netem.wire.shell import Probes, Shell, read_map
 from world.errors import IntegrationError
 from world.lockstep import Lockstep, NavTo, Out

@@ -6,11 +6,11 @@ from time import monotonic_ns
 from typing import Any
 
 from netem.histogram import Histogram
-from netem.wire.audit import Refusals
 from netem.wire.bus import Bus
 from netem.wire.codec import encode
 from netem.wire.keys import Keys, tail
 from netem.wire.messages import Command, Nav, Pace
+from netem.wire.refusals import Refusals
 from world.config import WorldConfig
 from world.lockstep import Out
 from world.process import WorldProcess

@@ -35,11 +35,11 @@ def judge_run(scenario: Scenario, journal: Journal, result: Result, *, lost: int
     """
     if result.status is not Status.PASS:
         return
-    result.verdicts = [*judge(scenario, journal, middleware_lost=lost), *more]
-    expected = judge_expected(scenario, result.verdicts)
+    result.checks = [*judge(scenario, journal, middleware_lost=lost), *more]
+    expected = judge_expected(scenario, result.checks)
     if expected is not None:
-        result.verdicts.append(expected)
-    deciding = result.verdicts if expected is None else [expected]
+        result.checks.append(expected)
+    deciding = result.checks if expected is None else [expected]
     if not all(verdict.passed for verdict in deciding):
         result.status = Status.CHECK_FAILED
     if lost:

@@ -165,7 +165,7 @@ class Launch:
         if self.joins_router:
             return world.main.join, (self.endpoint, self._keys.run, self.credentials[WORLD], *sea)
         clients = {role: known for role, known in self.credentials.items() if role != WORLD}
-        listening = self._listener, self._rendezvous.certified, self._options.audit, self._hosting.members
+        listening = self._listener, self._rendezvous.certified, self._hosting.members
         return world.main.run, (self.endpoint, self._keys.run, clients, self._private.path, *sea, *listening)
 
     def _netem(self) -> Target:

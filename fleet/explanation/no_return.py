@@ -170,7 +170,7 @@ def remake(scenario: Scenario, progress: Callable[[float], None]) -> Remade:
         return Remade(scenario, broken=str(error))
     settle(journal, log, runner, result)
     judge_run(scenario, journal, result, lost=0)
-    return Remade(scenario, result.verdicts, watch.moments)
+    return Remade(scenario, result.checks, watch.moments)
 
 
 class HealingSearch:

@@ -101,10 +101,10 @@ def side_by_side(runs: Sequence[Run], results: Sequence[Result | None]) -> Table
         if result is None:
             rows.append([*row, *["-"] * (len(headings) - len(row))])
             continue
-        good = sum(verdict.passed for verdict in result.verdicts)
+        good = sum(verdict.passed for verdict in result.checks)
         row += [
             Mark(result.passed, result.status.replace("_", " ")),
-            f"{good} of {len(result.verdicts)}" if result.verdicts else "-",
+            f"{good} of {len(result.checks)}" if result.checks else "-",
         ]
         vehicles = list(result.vehicles.values())
         row += [
@@ -413,7 +413,7 @@ def _section(number: int, run: Run, found: RunResult, kinds: Sequence[str], view
         status=None if result is None else Mark(result.passed, result.words),
         reason="" if result is None else result.reason,
         first=first,
-        checks=checks_table([] if result is None else result.verdicts),
+        checks=checks_table([] if result is None else result.checks),
         faults=Table(("fault", "from [s]", "to [s]", "what"), faults),
         events=Table(("event", "times", "first at [s]"), [(e.what, e.times, f"{e.first_s:.10g}") for e in events]),
         tables=_tables(run, result),

@@ -31,7 +31,7 @@ from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.private_folder import PrivateFolder
 from netem.wire.access import Credentials, Listener, agent_role, generate
 from netem.wire.bus import Bus, Respond
-from netem.wire.certificate_router import CertificateRouter, new_session_id
+from netem.wire.certificate_router import CertificateRouter
 from netem.wire.codec import decode, encode
 from netem.wire.keys import Keys
 from netem.wire.messages import (
@@ -159,7 +159,7 @@ class EmulatedFleet:
             BusError: the endpoint is taken.
         """
         bus = self._bus = Bus.host(endpoint, keys, (vehicle,), {user.user: user}, private)
-        self._second = CertificateRouter(bus, keys, (vehicle,), certified, new_session_id()) if certified else None
+        self._second = CertificateRouter(bus, keys, (vehicle,), certified) if certified else None
         self._vehicle, self._probes = vehicle, {"cmd": Probes(), "tx": Probes()}
         came: SimpleQueue[tuple[str, bytes]] = SimpleQueue()
         put = came.put

@@ -138,9 +138,9 @@ def certificate_control(keys: Keys, vehicles: tuple[int, ...]) -> dict[str, Any]
 
 
 def observer_control(keys: Keys) -> dict[str, Any]:
-    """The list for the router of a published run or of a replay: the observer may listen to the journal and to the
-    clock and ask for topics, schemas, units and the scenario, and put nothing."""
-    heard = [keys.log("**"), keys.log_end, keys.clock]
+    """The list for the router of a published run: the observer may listen to the journal, ask for topics, schemas,
+    units and the scenario, and put nothing."""
+    heard = [keys.log("**"), keys.log_end]
     asked = [keys.topics, keys.schema("**"), keys.units, keys.scenario]
     listed = _List()
     listed.allow(

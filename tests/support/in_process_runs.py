@@ -24,7 +24,7 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> Alone:
         if (name, *overrides) not in made:
             out = tmp_path_factory.mktemp("alone")
             result = execute(load_scenario(name, overrides), Options(out, in_process=True, quiet=True))
-            assert result.status is Status.PASS, (result.reason, result.lines, result.verdicts)
+            assert result.status is Status.PASS, (result.reason, result.lines, result.checks)
             made[name, *overrides] = result
         return made[name, *overrides]
 

@@ -20,8 +20,7 @@ from fleet.scenario.loading import load_scenario
 from fleet.scene.styles import PRINT, LinkState
 from fleet.view.log_feed import LogFeed
 from fleet.view.movie import write
-from fleet.view.movie_camera import SCENE_PT, Camera
-from fleet.view.movie_scene import MovieScene
+from fleet.view.movie_scene import SCENE_PT, Camera, MovieScene
 from fleet.view.view_state import ViewState
 
 CUT = PRINT.links[LinkState.CUT].colour

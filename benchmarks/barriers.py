@@ -1,23 +1,22 @@
-"""Baselines: the same pattern of messages with nothing in it, over bare zenoh and over pipes."""
+"""Baselines that know nothing of fleets: the pattern of messages over bare zenoh, and a loop of plain Python."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
-from multiprocessing.connection import Connection, Pipe
-from pathlib import Path
+from contextlib import closing
+from statistics import median
 
-from fleet.bench.echo import echo_bus, echo_pipe
 from fleet.errors import FleetError
 from fleet.processes.children import Children, RunFolder
 from netem.private_folder import PrivateFolder
-from netem.wire.access import agent_role, generate
+from netem.wire.access import Credentials, agent_role, generate
 from netem.wire.bus import Bus
 from netem.wire.keys import Keys
 
 MESSAGE = b"x" * 100
 READY_S = 60.0
+ZENOH, LOOP = "a zenoh barrier", "plain Python loop"
+_ROUNDS, _PASSES = 5, 20_000
 
 
 def zenoh_barrier(n: int, ticks: int) -> float:
@@ -28,14 +27,16 @@ def zenoh_barrier(n: int, ticks: int) -> float:
     """
     ids = tuple(range(1, n + 1))
     keys, credentials = Keys("bench"), generate(ids)
-    with closing(RunFolder()) as private, _children() as (children, log):
+    children = Children(lambda _: None)
+    with PrivateFolder("bench") as folder, closing(RunFolder()) as private:
         endpoint = private.endpoint  # as in a run
         bus = Bus.host(endpoint, keys, ids, credentials, private.path)
         try:
             channel = bus.channel(keys.cmd("*"))
             for i in ids:
                 role = agent_role(i)
-                children.start(role, f"fleet bench {i}", log, echo_bus, endpoint, keys.run, i, credentials[role])
+                arguments = (endpoint, keys.run, i, credentials[role])
+                children.start(role, f"benchmark {i}", folder / "log", _echo, *arguments)
             waiting = set(ids)
             puts = {i: bus.publisher(keys.nav(i)) for i in ids}
             deadline = time.monotonic() + READY_S
@@ -59,35 +60,38 @@ def zenoh_barrier(n: int, ticks: int) -> float:
             return ticks / (time.perf_counter() - began)
         finally:
             bus.close()
-
-
-def pipe_barrier(n: int, ticks: int) -> float:
-    """The same over OS pipes."""
-    ends: list[Connection[bytes, bytes]] = []
-    with _children() as (children, log):
-        for i in range(1, n + 1):
-            ours, theirs = Pipe()
-            children.start(agent_role(i), f"fleet bench {i}", log, echo_pipe, theirs)
-            theirs.close()
-            ends.append(ours)
-        for end in ends:
-            end.send_bytes(MESSAGE)
-        for end in ends:
-            end.recv_bytes()
-        began = time.perf_counter()
-        for _ in range(ticks):
-            for end in ends:
-                end.send_bytes(MESSAGE)
-            for end in ends:
-                end.recv_bytes()
-        return ticks / (time.perf_counter() - began)
-
-
-@contextmanager
-def _children() -> Iterator[tuple[Children, Path]]:
-    with PrivateFolder("bench") as folder:
-        children = Children(lambda _: None)
-        try:
-            yield children, folder / "log"
-        finally:
             children.stop()
+
+
+def _echo(endpoint: str, run_id: str, vehicle: int, credentials: Credentials) -> None:
+    keys = Keys(run_id)
+    bus = Bus.connect(endpoint, credentials)
+    put = bus.publisher(keys.cmd(vehicle))
+    channel = bus.channel(keys.nav(vehicle))
+    while True:
+        put(channel.get()[1])
+
+
+class _Point:
+    __slots__ = ("x", "y")
+
+    def __init__(self, x: float, y: float) -> None:
+        self.x, self.y = x, y
+
+
+def _turned(point: _Point, by: float) -> _Point:
+    return _Point(point.x - by * point.y, point.y + by * point.x)
+
+
+def loops_per_s() -> float:
+    """Passes per second of CPU time of a loop with calls, objects and floats; the median of some rounds of some ms.
+
+    The loop stays as it is: files of earlier versions are compared by it.
+    """
+    found = []
+    for _ in range(_ROUNDS):
+        began, point = time.process_time(), _Point(1.0, 0.0)
+        for _ in range(_PASSES):
+            point = _turned(point, 1e-4)
+        found.append(_PASSES / (time.process_time() - began))
+    return median(found)

@@ -18,7 +18,7 @@ from click.testing import CliRunner
 from study_engine import Here
 from waiting import wait_for
 
-from fleet.cli.main import cli
+from benchmarks.__main__ import main
 
 
 class _Workers:
@@ -42,9 +42,9 @@ def no_workers(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 def test_each_way_is_measured_beside_the_bare_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fleet.bench.studies.REPEATS", 1)
-    arguments = ["bench", "study", "--runs", "1", "--duration", "0.5", "--workers", "1", "--json"]
-    result = CliRunner().invoke(cli, arguments, catch_exceptions=False)
+    monkeypatch.setattr("benchmarks.studies.REPEATS", 1)
+    arguments = ["study", "--runs", "1", "--duration", "0.5", "--workers", "1", "--json"]
+    result = CliRunner().invoke(main, arguments, catch_exceptions=False)
     assert result.exit_code == 0, result.output
     document = json.loads(result.stdout)
     assert [way["way"] for way in document["ways"]] == ["concurrent.futures", "fleet search, shrink", "fleet sweep"]
@@ -53,18 +53,18 @@ def test_each_way_is_measured_beside_the_bare_run(monkeypatch: pytest.MonkeyPatc
 
 
 def test_memory_is_looked_at_along_the_way() -> None:
-    result = CliRunner().invoke(cli, ["bench", "study", "--memory", "20", "--json"], catch_exceptions=False)
+    result = CliRunner().invoke(main, ["study", "--memory", "20", "--json"], catch_exceptions=False)
     rows = json.loads(result.stdout)["memory"]
     assert [row["runs"] for row in rows] == list(range(2, 21, 2))
     assert all(row["worker_mb"] > 1 and row["here_mb"] > 1 for row in rows)
-    shown = CliRunner().invoke(cli, ["bench", "study", "--memory", "10"], catch_exceptions=False)
+    shown = CliRunner().invoke(main, ["study", "--memory", "10"], catch_exceptions=False)
     assert "[MB]" in shown.stdout and shown.stdout.count("\n") > 10
 
 
 @pytest.mark.slow
 def test_ctrl_c_prints_no_traceback(tmp_path: Path) -> None:
     """All processes of the terminal get it, a worker that waits for a run, too."""
-    command = [sys.executable, "-m", "fleet", "bench", "study", "--runs", "5", "--duration", "90", "--workers", "1"]
+    command = [sys.executable, "-m", "benchmarks", "study", "--runs", "5", "--duration", "90", "--workers", "1"]
     printed = tmp_path / "printed"
     with printed.open("wb") as file:
         measured = subprocess.Popen(command, stdout=file, stderr=file, start_new_session=True)

@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-from fleet.bench import start_up
-from fleet.bench.start_up import COMMANDS, cpu_times
+from benchmarks import start_up
+from benchmarks.start_up import COMMANDS, cpu_times
 from fleet.errors import FleetError
 
 

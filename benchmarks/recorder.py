@@ -5,12 +5,12 @@ from __future__ import annotations
 import gc
 import time
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
-from fleet.bench.plain_log import PlainLog
+from benchmarks.plain_log import PlainLog
 from fleet.execution.clock import GrantPolicy
 from fleet.execution.in_process import InProcess
+from fleet.logs.reader import LogReader
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile
 from fleet.recorder.metrics import VehicleError
@@ -18,6 +18,7 @@ from fleet.recorder.snapshot import Snapshot
 from fleet.recorder.writer import LogWriter
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.timeline import Event
+from netem.private_folder import PrivateFolder
 from netem.wire.messages import Command, Fate, Frame
 
 _REPEATS = 3
@@ -55,23 +56,31 @@ class Calls:
             methods[name](*arguments)
 
 
-def recorder_figures(scenario: Scenario, path: Path) -> dict[str, float]:
-    """Messages per second of CPU time: ours, the library's, and how many times faster ours is.
+def recorder_figures(scenario: Scenario) -> dict[str, tuple[float, str]]:
+    """What a log costs, each with its unit: written by us and by the library, read, and its size.
 
-    From the first call to the end of the file, the best of several, in turn. Both encode by the same code; the library
-    frames, indexes and hashes message by message.
-
-    Args:
-        path: of a log, which is written.
+    Writing counts CPU time from the first call to the end of the file, the best of several, in turn. Both encode by
+    the same code; the library frames, indexes and hashes message by message.
     """
-    calls = Calls.of(scenario)
-    speeds: dict[type[LogFile | PlainLog], list[float]] = {PlainLog: [], LogFile: []}
-    for _ in range(_REPEATS):
-        for log, found in speeds.items():
-            path.unlink(missing_ok=True)
-            found.append(_speed(calls, scenario, log(path)))
-    ours, plain = max(speeds[LogFile]), max(speeds[PlainLog])
-    return {"written": ours, "written_mcap": plain, "times_mcap": ours / plain}
+    with PrivateFolder("bench") as folder:
+        path, calls = folder / "run.mcap", Calls.of(scenario)
+        speeds: dict[type[LogFile | PlainLog], list[float]] = {PlainLog: [], LogFile: []}
+        for _ in range(_REPEATS):
+            for log, found in speeds.items():
+                path.unlink(missing_ok=True)
+                found.append(_speed(calls, scenario, log(path)))
+        began = time.perf_counter()
+        count = sum(1 for _ in LogReader(path))
+        read_s = time.perf_counter() - began
+        size = path.stat().st_size / 1e6 / (scenario.duration_ns / 60e9)
+        return {
+            "messages": (count, "messages"),
+            "written": (max(speeds[LogFile]), "messages/s"),
+            "written_mcap": (max(speeds[PlainLog]), "messages/s"),
+            "read": (count / read_s, "messages/s"),
+            "mb_per_minute": (size, "MB/min"),
+            "mb_per_vehicle_minute": (size / scenario.vehicles, "MB/min of a vehicle"),
+        }
 
 
 def _speed(calls: Calls, scenario: Scenario, log: LogFile | PlainLog) -> float:

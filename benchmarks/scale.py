@@ -1,4 +1,4 @@
-"""`fleet bench scale`: the CPU time that a tick of an agent takes, by the size of the fleet."""
+"""`python -m benchmarks scale`: the CPU time that a tick of an agent takes, by the size of the fleet."""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
-from typing import Annotated
 
 import psutil
-from msgspec import Meta, Struct
+from msgspec import Struct
 
-from fleet.bench.memory import pss_mb
+from benchmarks.soak import pss_mb
 from fleet.errors import FleetError, RunBroken
 from fleet.execution.clock import GrantPolicy
 from fleet.execution.console import Console
@@ -39,19 +38,17 @@ BEGINNINGS = {
 
 
 class ScaleRow(Struct, frozen=True):
-    """One fleet size, with a log of every tick."""
+    """One fleet size, with a log of every tick; CPU times are per agent and tick."""
 
-    vehicles: Annotated[int, Meta(description="Vehicles.")]
-    tick_ms: Annotated[float, Meta(description="Length of a tick [ms].")]
-    in_process_us: Annotated[float, Meta(description="CPU time per agent and tick of a run in one process [us].")]
-    distributed_us: Annotated[
-        dict[str, float], Meta(description="The same of a distributed run, by role; agents: all of them together [us].")
-    ]
-    ready_s: Annotated[float, Meta(description="Wall time until every process was ready [s].")]
-    x_real_time: Annotated[float, Meta(description="Simulated time by wall time of the distributed run.")]
-    agent_mb: Annotated[float, Meta(description="Memory of the agents' processes: PSS, per agent, mean [MB].")]
-    all_mb: Annotated[float, Meta(description="Memory of all processes: PSS [MB].")]
-    per_process: Annotated[int, Meta(description="Agents in a process, at most.")] = 1
+    vehicles: int
+    tick_ms: float
+    in_process_us: float
+    distributed_us: dict[str, float]  # by role; all agents together
+    ready_s: float  # wall time until every process was ready
+    x_real_time: float  # of the distributed run
+    agent_mb: float  # PSS of the agents' processes, per agent
+    all_mb: float  # PSS of all processes
+    per_process: int  # agents in a process, at most
 
     @property
     def total_us(self) -> float:
@@ -59,10 +56,21 @@ class ScaleRow(Struct, frozen=True):
         return sum(self.distributed_us.values())
 
 
-class Scaled(Struct):
-    """`fleet bench scale --json`: what a tick of an agent costs by the size of the fleet."""
+HEADING = (
+    "CPU time per agent and tick [us]; tick and ready on the wall clock; PSS\n"
+    "   N  per  tick  in-process  distributed  agents  world  netem  console  x real  ready  agent   all\n"
+    "     proc. [ms]                                                           time    [s]   [MB]  [MB]"
+)
 
-    rows: Annotated[list[ScaleRow], Meta(description="Each size.")]
+
+def line(row: ScaleRow) -> str:
+    """A row below `HEADING`."""
+    us = row.distributed_us
+    return (
+        f"{row.vehicles:4d} {row.per_process:4d} {row.tick_ms:5g} {row.in_process_us:11.0f} {row.total_us:12.0f} "
+        f"{us['agents']:7.0f} {us['world']:6.0f} {us['netem']:6.0f} {us['console']:8.0f} {row.x_real_time:7.2f} "
+        f"{row.ready_s:6.1f} {row.agent_mb:6.1f} {row.all_mb:5.0f}"
+    )
 
 
 @dataclass(slots=True)

@@ -1,4 +1,4 @@
-"""`fleet bench study`: what a run of a study costs beside the bare run, and what memory many runs take.
+"""`python -m benchmarks study`: what a run of a study costs beside the bare run, and what memory many runs take.
 
 Each way of making runs is measured in turn with the bare run: the same work in this process, without workers.
 """
@@ -12,22 +12,21 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import replace
 from math import inf
 from statistics import median
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import psutil
-from msgspec import Meta, Struct
+from msgspec import Struct
 from rich.console import Console as Terminal
 
+from benchmarks.figures import show_rows
 from fleet.execution.judged import judged
 from fleet.processes.workers import Workers
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.text.overrides import SET, Override
 from fleet.study.engine import LocalEngine
 from fleet.study.one_run import Task, make_run, scenario_of
-from fleet.terminal.table import columns, show
 from netem.private_folder import PrivateFolder
 
 if TYPE_CHECKING:
@@ -43,15 +42,15 @@ Make = Callable[[int], None]  # makes so many runs
 
 
 class WayRow(Struct, frozen=True):
-    """One way of making the runs of a study."""
+    """One way of making the runs of a study, and how many at a time."""
 
-    way: Annotated[str, Meta(description="What makes the runs.")]
-    workers: Annotated[int, Meta(description="Runs at a time.")]
-    ready_s: Annotated[float, Meta(description="Wall time until each worker had made a run; not counted below [s].")]
-    cpu_s: Annotated[float, Meta(description="CPU time of all processes per run, median of the repeats [s].")]
-    cpu_ratios: Annotated[list[float], Meta(description="The same by that of the bare run beside it, each repeat.")]
-    wall_s: Annotated[float, Meta(description="Wall time per run, median of the repeats [s].")]
-    speed_ups: Annotated[list[float], Meta(description="Runs per wall time by that of the bare run, each repeat.")]
+    way: str
+    workers: int
+    ready_s: float  # wall time until each worker had made a run; not counted below
+    cpu_s: float  # of all processes per run, median of the repeats
+    cpu_ratios: list[float]  # the same by that of the bare run beside it, each repeat
+    wall_s: float  # per run, median of the repeats
+    speed_ups: list[float]  # runs per wall time by that of the bare run, each repeat
 
     @property
     def overhead(self) -> float:
@@ -60,21 +59,21 @@ class WayRow(Struct, frozen=True):
 
 
 class MemoryRow(Struct, frozen=True):
-    """Memory after some runs of a study."""
+    """Resident memory of the worker, and of the process that gives out the runs, after some of them."""
 
-    runs: Annotated[int, Meta(description="Runs that were made.")]
-    worker_mb: Annotated[float, Meta(description="Resident memory of the worker [MB].")]
-    here_mb: Annotated[float, Meta(description="The same of the process that gives out the runs [MB].")]
+    runs: int
+    worker_mb: float
+    here_mb: float
 
 
 class StudyMeasured(Struct):
-    """`fleet bench study --json`: what a run of a study costs beside the bare run, or what memory many runs take."""
+    """What a run of a study costs beside the bare run, or what memory many runs take."""
 
-    runs: Annotated[int, Meta(description="Runs of each repeat; with `--memory` all runs.")]
-    duration_s: Annotated[float, Meta(description="Simulated time of a run [s].")]
-    bare_cpu_s: Annotated[float | None, Meta(description="CPU time of the bare run: the median of all [s].")]
-    ways: Annotated[list[WayRow], Meta(description="Each way of making the runs; none with `--memory`.")]
-    memory: Annotated[list[MemoryRow], Meta(description="With `--memory`: after some runs each; else none.")]
+    runs: int  # of each repeat; with `--memory` all
+    duration_s: float  # of a run, simulated
+    bare_cpu_s: float | None  # the median of all bare runs
+    ways: list[WayRow]
+    memory: list[MemoryRow]
 
 
 class Cost(NamedTuple):
@@ -167,15 +166,14 @@ def show_study(measured: StudyMeasured, terminal: Terminal) -> None:
         f"{SCENARIO}, {measured.duration_s:g} s: {REPEATS} x {measured.runs} runs, "
         f"bare run {measured.bare_cpu_s or 0.0:.3f} s of CPU time"
     )
-    found = columns(headings, cells)
-    show([replace(found[0], justify="left"), *found[1:]], title, terminal, "-o FILE")
+    show_rows(headings, cells, title, terminal)
 
 
 def show_memory(measured: StudyMeasured, terminal: Terminal) -> None:
     """Print how memory grows."""
     cells = [(str(row.runs), f"{row.worker_mb:.1f}", f"{row.here_mb:.1f}") for row in measured.memory]
     headings = {"runs": 0, "worker\n[MB]": 0, "this process\n[MB]": 0}
-    show(columns(headings, cells), "resident memory of a study with one worker", terminal, "-o FILE")
+    show_rows(headings, cells, "resident memory of a study with one worker", terminal)
 
 
 def _cost(make: Make, runs: int) -> Cost:

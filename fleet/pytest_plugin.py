@@ -68,7 +68,7 @@ def fleet_runs(request: pytest.FixtureRequest) -> FleetRuns:
 def _run(name: str, seeds: list[int], changes: Any, trust: Trust | None, directory: Path) -> list[Result]:
     from fleet.execution.judged import run as run_once
     from fleet.execution.stepped_run import override_texts
-    from fleet.study.sometimes import Reached
+    from fleet.study.row import Reached
     from world.plugins.trust import NOTHING
 
     texts, trusted = override_texts(changes), NOTHING if trust is None else trust

@@ -12,7 +12,7 @@ import click
 from fleet.cli import completion
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument, newest_log
-from fleet.cli.study_pictures import check_options, is_study, measure_option, plot_study, report_study
+from fleet.cli.study_pictures import check_options, export_study, is_study, measure_option, plot_study, report_study
 from fleet.cli.types import FORCE, PictureWords, Vehicles, Window, Words
 from fleet.terminal.table import say
 
@@ -95,9 +95,8 @@ def plot(
     inputs, commands and gains with their limits, shares of packets by fate, messages in space and time, ages of
     information, the signals that the checks name, and any other signal. Faults are shaded. Prints the files.
 
-    For the directory of a study it draws the pass rate and measures with intervals, as heat maps, curves or boxes, a
-    sample as parallel coordinates, and differences in pairs of runs with the same seed. Hatched areas have runs
-    without the number.
+    For the directory of a study it draws the pass rate and measures with intervals, as heat maps, curves or boxes,
+    and differences in pairs of runs with the same seed. Hatched areas have runs without the number.
 
     \b
     Examples:
@@ -174,7 +173,7 @@ def export(
     topics: tuple[str, ...],
     force: bool,
 ) -> None:
-    """Write LOG (an MCAP file, or a run directory) as tables, one file per topic.
+    """Write LOG (an MCAP file, or a run directory) as tables, one file per topic; or a study as one table of its runs.
 
     Times are in s. Units are in CSV's header, and in the metadata of the other formats; export.json describes each
     table. Numbers read back exactly; bytes are hexadecimal in CSV, and left out in NetCDF. Data that only 3D viewers
@@ -187,6 +186,7 @@ def export(
       fleet export --netcdf states --topics 'uuv/*/state'
       fleet export runs/latest --traces links
       fleet export runs/latest --ros2 bag
+      fleet export studies/rough-sea-20261122-101500 --csv tables
     """
     from fleet.logs.dataset import fits
     from fleet.logs.export import export as write
@@ -199,6 +199,11 @@ def export(
         raise click.UsageError(
             "no folder for the tables: give --csv DIR, --parquet DIR, --netcdf DIR, --traces DIR or --ros2 DIR"
         )
+    if is_study(log):
+        check_options(log, {"netcdf": "--netcdf", "traces": "--traces", "ros2": "--ros2", "topics": "--topics"}, "logs")
+        for form, folder in tables:
+            click.echo(export_study(log, folder, form, force=force))
+        return
     if topics and not tables:
         raise click.UsageError("--topics chooses tables, and --traces and --ros2 write none")
     if len(set(folders)) < len(folders):

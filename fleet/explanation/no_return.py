@@ -38,11 +38,12 @@ from fleet.scenario.schema.checks import EVERY
 from fleet.scenario.sections.log_rates import snapshot_grid
 from fleet.scenario.sections.timeline import Event
 from fleet.study.branches import Branch, checks_over_time
-from fleet.study.engine import Engine, Row
+from fleet.study.engine import Engine
 from fleet.study.errors import StudyError
 from fleet.study.modules import NO_MODULES, Modules
-from fleet.study.one_run import JUDGED, Task, scenario_of
+from fleet.study.one_run import Task, scenario_of
 from fleet.study.plan import run_key
+from fleet.study.row import Row
 from fleet.study.shrink import Tree, tree_of
 from netem.lives import Lives
 from netem.wire.messages import Command, Fate, Frame
@@ -232,7 +233,7 @@ class HealingSearch:
         rows: dict[str, Row] = {}
 
         def take(more: list[Row]) -> None:
-            rows.update((row["key"], row) for row in more)
+            rows.update((row.key, row) for row in more)
             self._tell(RUNS, len(self._known) + len(rows))
 
         made = [task for task in tasks.values() if task is not None]
@@ -257,16 +258,16 @@ class HealingSearch:
         return task._replace(branch=Branch(self._check, 0, moment.state))
 
     def _passed(self, row: Row, task: Task) -> bool | None:
-        if row["status"] not in JUDGED:
-            raise StudyError(f"a healed run does not come to its end: {row['reason']}")
-        if task.branch is not None:
-            return bool(row["best"] >= 0.0)
-        passed = row.get(f"check.{self._check}")
-        if passed is None:  # it was about a fault that never began
+        if not row.judged:
+            raise StudyError(f"a healed run does not come to its end: {row.reason}")
+        if row.part is not None:
+            return row.part.best >= 0.0
+        check = row.checks.get(self._check)
+        if check is None:  # it was about a fault that never began
             return True
-        if not passed and row.get(f"value.{self._check}") is None:  # there was nothing to judge, or no time for it
+        if not check.passed and check.value is None:  # there was nothing to judge, or no time for it
             return None if json.loads(task.text).get("faults") else True
-        return bool(passed)
+        return check.passed
 
     def _bounds(self) -> tuple[int | None, int | None]:
         """Indices of the last moment that passes, and of the next moment that was tried and fails."""

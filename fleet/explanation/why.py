@@ -103,7 +103,7 @@ class Explanation:
 
     def without_runs(self) -> Why:
         """Explain it without any healed run."""
-        why = self._why_not or "it was not looked for: --most-runs is 0"
+        why = self._why_not or "it was not looked for: --budget is 0"
         return self._explained(NoReturn("not possible", why))
 
     @property

@@ -12,8 +12,7 @@ from msgspec.structs import astuple
 from fleet.cli.documents.study import Less, SometimesReached, less
 
 if TYPE_CHECKING:
-    from fleet.study.failures import FoundFailure
-    from fleet.study.regress import Regressed
+    from fleet.study.failures import FoundFailure, Regressed
     from fleet.study.search import Searched
     from fleet.study.shrink import Shrunk
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
+from msgspec import structs
 from small_scenario import SMALL
 from study_engine import Here
 
@@ -133,8 +134,8 @@ def test_where_passing_has_no_order_that_is_said(small_log: Path) -> None:
     class Unordered(Here):
         def rows(self, task):  # type: ignore[no-untyped-def]
             row = super().rows(task)[0]
-            if row.get("best") is not None:
-                row["best"] = 1.0 if len(self.tasks) % 2 else -1.0
+            if row.part is not None:
+                row.part = structs.replace(row.part, best=1.0 if len(self.tasks) % 2 else -1.0)
             return [row]
 
     explanation = Explanation(Question(small_log, None, 24), lambda doing, runs: None)
@@ -160,14 +161,14 @@ def test_what_healing_leaves_of_a_scenario() -> None:
 
 
 def test_the_command(small_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fleet.study.local_engine.engine_of", lambda *_: nullcontext(Here()))
+    monkeypatch.setattr("fleet.study.engine.engine_of", lambda *_: nullcontext(Here()))
     picture = tmp_path / "why.png"
     result = call(small_log, "--picture", picture)
     assert result.exit_code == 0, result.output
     assert "small, seed 1: formation_error failed" in result.stdout
     assert "the point of no return" in result.stdout
     assert picture.read_bytes().startswith(b"\x89PNG")
-    document = json.loads(call(small_log, "--json", "--most-runs", "0").stdout)
+    document = json.loads(call(small_log, "--json", "--budget", "0").stdout)
     assert (document["check"], document["no_return"]["how"]) == ("formation_error", "not possible")
 
 

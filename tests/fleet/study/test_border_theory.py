@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from fleet.scenario.text.overrides import NET, Override
-from fleet.study.border_theory import theory
-from fleet.study.borders import Borders, parse_along, prepare_borders
+from fleet.study.borders import Borders, parse_along, prepare_borders, theory
 from fleet.study.plan import Plan
 from fleet.study.spec import BoundarySpec
 from fleet.study.values import parse_axis

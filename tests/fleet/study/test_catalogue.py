@@ -9,9 +9,9 @@ import pytest
 from fleet.quantities import time_ns
 from fleet.scenario.catalogue import shipped_scenarios
 from fleet.study.catalogue import list_studies, shipped_studies
-from fleet.study.load_points import load_points
 from fleet.study.plan import Plan, plan_of
 from fleet.study.study_file import study_named
+from fleet.study.sweep import load_points
 
 
 def thinned(plan: Plan) -> Plan:

@@ -12,10 +12,9 @@ from study_engine import Here, Rows
 
 from fleet.execution.judged import judged, run
 from fleet.study.errors import StudyError
-from fleet.study.failures import INDEX, FailureFolder, FoundFailure
+from fleet.study.failures import INDEX, FailureFolder, FoundFailure, Regression, make_least
 from fleet.study.modules import NO_MODULES
 from fleet.study.one_run import Task
-from fleet.study.regress import Regression, make_least
 from fleet.study.search import Searched, search
 from world.plugins.trust import NOTHING
 

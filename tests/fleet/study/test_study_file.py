@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from fleet.errors import ScenarioError
 from fleet.scenario.text.yaml_reader import Source
 from fleet.study.errors import StudyError
-from fleet.study.load_points import load_points
 from fleet.study.plan import plan_of
 from fleet.study.spec import StudySpec
 from fleet.study.study_file import is_study, parse_study, study_named
+from fleet.study.sweep import load_points
 from world.plugins.trust import Trust
 
 

@@ -96,6 +96,7 @@ def test_an_interrupted_study_goes_on_where_it_was(small_file: str, tmp_path: Pa
         run_study(store, first, lambda progress: None)  # type: ignore[arg-type]
     again = Store.open(tmp_path / "study")
     assert again.missing == 5
+    assert [(task.point, task.seed) for task in first.tasks] == [(0, 1), (1, 1), (2, 1)]  # all points before seed 2
     seen: list[tuple[int, int]] = []
 
     def tell(progress: Progress) -> None:

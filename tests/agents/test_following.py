@@ -14,7 +14,6 @@ from agents.api import NeighbourState
 from agents.config import AgentConfig, Offset, OffsetChange
 from agents.payload import StateMessage, encode
 from fleet.analysis.seed import seeded
-from fleet.errors import ScenarioError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.repeat.resume import continuation
@@ -71,20 +70,6 @@ def test_the_slice_of_such_an_agent_does_not_hold_the_trajectory() -> None:
         scenario.agent_config(3).desired(0.0)
     informed = load_scenario("follow-the-leader", ["per_vehicle={3: {knows_reference: true}}"])
     assert informed.agent_config(3).reference is not None
-
-
-@pytest.mark.parametrize(
-    ("overrides", "says"),
-    [
-        (["neighbours.extrapolate=reference"], "does not know the reference"),
-        (["graph.standby={vehicles: 7, after: 3 s}"], "there is no vehicle 7"),
-        (["graph.standby={vehicles: 1, after: 3 s}"], "vehicle 1 follows the reference itself"),
-        (["graph.standby={vehicles: 3, after: 3 s}"], "hears none of those that follow the reference"),
-    ],
-)
-def test_who_cannot_be_meant(overrides: list[str], says: str) -> None:
-    with pytest.raises(ScenarioError, match=says):
-        load_scenario("follow-the-leader", overrides)
 
 
 def standby_agent() -> tuple[Agent, Scenario]:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from small_scenario import SMALL, only_problem, small
+from small_scenario import SMALL, small
 
 from agents.api import Sample
 from agents.config import AgentConfig, Cylinder, KeepApartParams, Offset
@@ -216,21 +216,6 @@ def test_a_law_in_place_of_guidance_and_tracking_leaves_no_place_for_it() -> Non
     assert "if the agent of vehicles 1, 2, 3 has none" in told
     some = parse_scenario(text + "per_vehicle: {'3': {controller: elsewhere:Law}}\n", "small.yaml")
     assert any("vehicle 3 with a law in place of both does not keep apart" in line for line in warnings(some))
-
-
-@pytest.mark.parametrize(
-    ("section", "words"),
-    [
-        ("{distance: 0 m}", "keep_apart.distance: must be above 0"),
-        ("{distance: 3}", "keep_apart.distance: expected a length"),
-        ("{obstacles: []}", '"distance" is missing in "keep_apart"'),
-        ("{distance: 3 m, obstacles: [{at: 1 2 3 m, radius: 1 m}]}", "expected a length for x and y such as"),
-        ("{distance: 3 m, obstacles: [{at: 1 2 m, radius: 0 m}]}", "radius: must be above 0"),
-        ("{distance: 3 m, gian: 1 1/s}", 'did you mean "gain"'),
-    ],
-)
-def test_mistakes_are_told(section: str, words: str) -> None:
-    assert words in only_problem(f"keep_apart={section}")
 
 
 def test_the_filter_changes_the_command_slowly_and_goes_on_from_its_memory() -> None:

@@ -20,7 +20,6 @@ from agents.errors import PayloadError
 from agents.localization import payload
 from agents.localization.localizer import Localizer, fused, grown
 from agents.payload import StateMessage
-from fleet.errors import ScenarioError
 from netem.wire.messages import Delivery, Nav
 
 TICK_S, ROUND = 0.01, 10
@@ -189,19 +188,6 @@ def test_naive_becomes_overconfident_and_intersection_stays_consistent(hardship:
     for v in variances if hardship.dead else []:
         back = v[hardship.dead.start // ROUND :]  # without memory it knows what its navigator knows
         assert v[99] < 0.9 * back[0] and back[0] == pytest.approx(2 * SIGMA[1] ** 2) and v[-1] < 0.9 * back[0]
-
-
-@pytest.mark.parametrize(
-    ("overrides", "words"),
-    [
-        (["network={payload: located}"], "modems measure no ranges"),
-        (["network={acoustic: {modem: s2c, ranging: one-way}}"], "messages do not say how sure their sender is"),
-        (["agent.localization=by-heart"], "expected aid or naive or consistent"),
-    ],
-)
-def test_localisation_needs_ranges_and_messages(overrides: list[str], words: str) -> None:
-    with pytest.raises(ScenarioError, match=words):
-        small("agent.localization=aid", *overrides)
 
 
 @pytest.mark.parametrize("fixes", [True, False])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from statistics import mean, stdev
 
 import pytest
-from small_scenario import only_problem, small
+from small_scenario import small
 
 from fleet.analysis.preflight import warnings
 from fleet.analysis.stability import describe_slack, slack
@@ -50,26 +50,6 @@ def test_drawn_clocks_are_normal_and_each_vehicle_has_its_own() -> None:
     assert abs(mean(offsets)) < 1 and abs(stdev(offsets) - 5) < 0.7
     few, other = (load_scenario("paper", [drawn, f"seed={seed}"]).clocks for seed in (1, 2))
     assert few == {i: fleet[i] for i in (1, 2, 3, 4)} and few != other
-
-
-@pytest.mark.parametrize(
-    ("override", "words"),
-    [
-        ("agent.clock.drift=20", "expected a clock drift such as \"20 ppm\", got \"20\" without a unit"),
-        ("agent.clock.drift=20 ms", "got a time"),
-        ("agent.clock.drift=20 %", "got a relative error"),
-        ("agent.clock.drift=200000 ppm", "must be between -100000 and 100000 ppm"),
-        ("agent.clock.drift={sigma: -1 ppm}", "must be between 0 and 100000 ppm"),
-        ("agent.clock.offset=25 h", "must be between -24 h and 24 h"),
-        ("agent.clock.offset={std: 1 ms}", "unknown key"),
-        ("agent.clock=5 ms", "expected keys with values"),
-        ("faults=[{at: 0 s, clock: {vehicles: 9, step: 1 s}}]", "there is no vehicle 9"),
-        ("faults=[{at: 0 s, clock: {vehicles: 2}}]", "changes nothing"),
-        ("faults=[{at: 0 s, clock: {vehicles: 2, step: 1}}]", "without a unit"),
-    ],
-)  # fmt: skip
-def test_mistakes(override: str, words: str) -> None:
-    assert words in only_problem(override)
 
 
 def test_what_slots_bear_is_their_guard_less_sound_and_a_tick() -> None:

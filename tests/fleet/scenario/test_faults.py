@@ -228,32 +228,6 @@ def test_a_timeline_compiles_and_prints_back() -> None:
     assert s.netem_config.faults[0].links == ((1, 2),)
 
 
-@pytest.mark.parametrize(
-    ("entry", "words"),
-    [
-        ("{at: 0 s, mute: 4}", "there is no vehicle 4: the vehicles are 1 to 3"),
-        ("{at: 0 s}", "does exactly one thing, got none"),
-        ("{at: 0 s, mute: 1, deaf: 2}", "got mute and deaf"),
-        ("{at: 5 ms, mute: 1}", "is not a whole number of ticks"),
-        ("{at: 0 s, link 1->3: loss 30%}", "the graph has no link 1->3"),
-        ("{at: 0 s, link: {}}", "names no link"),
-        ("{at: 0 s, link: 1->2}", 'such as link: {"1->2": loss 30% delay 2s}, got "1->2"'),
-        ("{at: 0 s, link 1->2: lss 30%}", 'did you mean "loss"?'),
-        ("{at: 0 s, partition: halfs}", "is no partition of vehicles 1 to 3"),
-        ("{at: 0 s, noise: {}}", "changes nothing"),
-        ("{at: 0 s, efficiency: {vehicles: 1}}", "changes nothing"),
-        ("{at: 0 s, saturate: {}}", "changes nothing"),
-        ("{at: 0 s, current: 0 0 0 m/s}", "changes nothing"),
-        ("{at: 0 s, gust: {velocity: 0 0 0 m/s, over: 1 s}}", "changes nothing"),
-        ("{at: 0 s, dropout: {probability: 0 %}}", "changes nothing"),
-        ("{at: 0 s, four: 1 s, mute: 1}", 'did you mean "for"?'),
-        ("{mute: 1}", '"at" is missing'),
-    ],
-)
-def test_each_rule_of_faults_speaks(entry: str, words: str) -> None:
-    assert words in only_problem(f"faults=[{entry}]")
-
-
 def test_every_kind_of_fault_has_a_core() -> None:
     """The schema lists the kinds; what no core knows would be accepted and do nothing."""
     assert set(ACTIONS) == {*get_args(FaultKind), "kill", *WorldFaultKind}

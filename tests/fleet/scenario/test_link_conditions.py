@@ -82,39 +82,6 @@ def test_every_number_can_be_set() -> None:
     )
 
 
-@pytest.mark.parametrize(
-    ("override", "words"),
-    [
-        (f"{BAD}.mean=2", "without a unit"),
-        (f"{BAD}.mean=5 ms", "5 ms is less than a tick, 10 ms"),
-        (f"{BAD}.loss=120%", "between 0% and 100%"),
-        (f"{BAD}.seed=3", "a state has no seed of its own"),
-        (f"{BAD}.next={{good: 50 %}}", "sum up to 100 %, got 50 %"),
-        (f"{BAD}.next={{bad: 100 %}}", "bad does not follow on itself"),
-        (f"{BAD}.next={{goood: 100 %}}", 'there is no state "goood"'),
-        ("network.links.*.states.worse={mean: 1 s, next: {bad: 100 %}}", None),
-        ("network.links.*.states={a: {mean: 1 s}, b: {mean: 1 s, next: {c: 1}}, c: {mean: 1 s, next: {b: 1}}}",
-         "b never leads to a"),
-        ("network.links.*.states={good: {mean: 1 s}}", "expected 2 to 16 states, got 1"),
-        ("network.links.*.loss=3 %", "have the states good, bad: say which"),
-        ("network.links.1->2.states.bad.loss=3 %", 'no condition for "1->2"'),
-        ("network.links.*.loop=true", "has no effect without a trace"),
-        ("network.links.*.condition=loss 3%", "got condition and states"),
-        ("network.links={'*': {together: true}}", "expected one of condition, states and trace, got none"),
-        ("network.links={'*': {condition: loss 3%, together: true}}", "has no effect without states"),
-        ("network.links={'*': {stats: {}}}", 'did you mean "states"'),
-        ("network.links.*.states.1bad={mean: 1 s}", "expected a name of letters"),
-    ],
-)  # fmt: skip
-def test_mistakes_in_states(override: str, words: str | None) -> None:
-    if words is None:
-        small(STATES, override)
-        return
-    with pytest.raises(ScenarioError) as caught:
-        small(STATES, override)
-    assert words in str(caught.value)
-
-
 # --- traces -----------------------------------------------------------------
 
 

@@ -184,65 +184,6 @@ def test_a_modem_file_lies_beside_the_scenario_and_is_not_needed_afterwards(tmp_
         small("network.acoustic=other.toml", folder=tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("override", "words"),
-    [
-        ("network.acoustic.modem=fsk80", 'did you mean "fsk-80"?'),
-        ("network.acoustic.mac=fdma", "expected aloha or csma or tdma"),
-        ("network.acoustic.mac=tdma", '"slot" is missing in "network.acoustic", which mac tdma needs'),
-        ("network.acoustic.slot=4 s", "slot: has no effect on mac aloha: it belongs to tdma"),
-        ("network.acoustic.guard=4 s", "guard: has no effect on mac aloha: it belongs to tdma"),
-        ("network.acoustic={mac: tdma, slot: 4 s, backoff: 1 s}", "has no effect on mac tdma: it belongs to aloha"),
-        ("network.acoustic.backoff=5 ms", "5 ms is not a whole number of ticks of 10 ms"),
-        (
-            "network.acoustic={modem: fsk-80, mac: tdma, slot: 2 s}",
-            "2 s are too short: 15 bytes are 2.5 s on the air, and the guard is 100 ms",
-        ),
-        ("network.acoustic={modem: fsk-80, mac: tdma, slot: 2.59 s}", "at least 2.6 s"),
-        (
-            "network.acoustic={modem: fsk-80, mac: tdma, slot: 4 s, guard: 1 ms}",
-            "1 ms are too short: sound takes 0.004714 s over the 7.071 m of the formation",
-        ),
-        ("network.payload=full", "the full payload of 63 bytes is longer than its mtu, 32 bytes"),
-        ("network.payload=full", "network.payload: compact has 15 bytes"),
-        ("network.payload=small", "expected full or compact"),
-        ("network.acoustic.mtu=14 bytes", "the compact payload of 15 bytes is longer than its mtu, 14 bytes"),
-        ("network.acoustic.mtu=1.5 bytes", "is not a whole number of bytes"),
-        ("network.acoustic.lost_below=20 dB", "lost_below 20 dB is above clear_above 10 dB"),
-        ("network.acoustic.bit_rate=80", 'expected a bit rate such as "80 bit/s"'),
-        ("network.acoustic.bit_rate=80 Hz", "got a frequency"),
-        ("network.acoustic.buffer=0", "must be 1 or more"),
-        ("network.acoustic.spreading=3", "between 1 (cylindrical) and 2 (spherical)"),
-        ("network.acoustic.shipping=2", "must be between 0 and 1"),
-        ("network.acoustic.water={temperature: 40 degC, depth: 5 m}", "40 degC is outside 2 to 30 degC"),
-        ("network.acoustic.water={temperature: 10 degC, depth: 5 m, salinity: 3}", "3 ppt is outside 25 to 40 ppt"),
-        (
-            "network.acoustic={sound_speed: 1 m/s, water: {temperature: 9 degC, depth: 5 m}}",
-            "either a speed or the water",
-        ),
-        ("network.acoustic.wind=400 kn", "must be at most 100 m/s, is 205.778"),
-        ("network.acoustic.sound_speed=1 m/s", "must be between 100 and 10000 m/s"),
-        ("network.acoustic.carrier=1 Hz", "carrier must be between 0.1 kHz and 1000 kHz, is 0.001 kHz"),
-        ("network.acoustic.wnd=3 m/s", 'did you mean "wind"?'),
-        ("network.acoustic.ranging=by-sight", "expected one-way or two-way"),
-        ("network.acoustic.ranging.noise=0 m", "must be"),
-        ("network.acoustic.ranging.turn=1 s", "has no effect on method one-way: it belongs to two-way"),
-        ("network.acoustic.ranging={method: two-way, request: 33 bytes}", "longer than the mtu of a modem, 32 bytes"),
-        ("network.acoustic={tries: 3, timeout: 9 s, acknowledgement: 1 byte, ranging: two-way}", "do not acknowledge"),
-        (
-            "network.acoustic={modem: fsk-80, mac: tdma, slot: 3 s, ranging: two-way}",
-            "receivers take turns to measure their range",
-        ),
-        ("network={ideal: true, acoustic: s2c}", 'write "network: ideal" for the network without latency'),
-        ("network=akustic", '"ideal", or "acoustic", got "akustic"'),
-    ],
-)
-def test_each_rule_speaks(override: str, words: str) -> None:
-    with pytest.raises(ScenarioError) as caught:
-        small(override)
-    assert words in str(caught.value)
-
-
 CHOICES: dict[str, st.SearchStrategy[str]] = {
     "network.acoustic": st.sampled_from(
         [

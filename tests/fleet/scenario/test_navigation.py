@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import tomllib
 from importlib import resources
@@ -12,7 +11,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from small_scenario import SMALL, only_problem, small
+from small_scenario import SMALL, small
 
 from fleet.errors import ScenarioError
 from fleet.scenario.loading import parse_scenario
@@ -78,44 +77,6 @@ def test_a_log_needs_no_file(tmp_path: Path) -> None:
     again = parse_scenario(s.to_yaml(), "again.yaml")
     assert [control.navigation for control in again.controls] == [control.navigation for control in s.controls]
     assert again == s
-
-
-@pytest.mark.parametrize(
-    ("overrides", "words"),
-    [
-        (["navigation=mesm"], 'there is no such grade; there are mems, tactical (did you mean "mems"?)'),
-        (["navigation=none.toml"], "there is no such file"),
-        (["navigation=3"], 'expected a mapping, or "ideal", "dead-reckoning", a grade, got 3'),
-        (["navigation={ideal: true}"], 'write "navigation: ideal"'),
-        (["navigation={dvl_scale: 50 %}"], "dvl_scale must be between 0 % and 30 %, is 50 %"),
-        (["navigation={dvl_rate: 1 MHz}"], "unknown unit"),
-        (["navigation={dvl_rate: 20 kHz}"], "dvl_rate must be between 0.001 Hz and 10000 Hz, is 20000 Hz"),
-        (["navigation={usbl: {}}"], '"at" is missing in "navigation.usbl": where the beacon is'),
-        (['per_vehicle={"2": {navigation: {lbl: {loss: 1 %}}}}'], '"at" is missing in "per_vehicle.2.navigation.lbl"'),
-        (["navigation={gps: {at: 0 0 0 m}}"], "navigation.gps.at: has no effect on gps"),
-        (["navigation={lbl: {at: 0 0 0 m, depth: 1 m}}"], "navigation.lbl.depth: has no effect on lbl"),
-        (["navigation={gps: {period: 1 ms}}"], "1 ms is shorter than a tick of 10 ms"),
-        (["navigation={gps: {delay: 1 h}}"], "3600 s is more than 20 periods of 1 s"),
-        (["navigation={trace: none.csv}"], "there is no such file"),
-        (["navigation={trace: none.csv, gps: {}}"], "navigation.gps: has no effect beside trace"),
-        (['navigation={trace: "time\\n0, 0, 0, 0\\n"}'], "line 1: expected the columns"),
-        (["faults=[{at: 0 s, dvl: {lost: 10 %}}]"], "has no effect: none of these vehicles has dead reckoning"),
-        (["navigation=mems", "faults=[{at: 0 s, fix: {lost: 10 %}}]"], "none of these vehicles has fixes"),
-        (["navigation=mems", "faults=[{at: 0 s, dvl: {chance: 10 %}}]"], "changes nothing: give it a value"),
-        (["checks={signal: [{topic: belief.nees, below: 9}]}"], "there is no signal belief.nees"),
-        (
-            [f"navigation={{trace: {json.dumps(TRACE)}}}", "checks={signal: [{topic: belief.sd_0, below: 9 m}]}"],
-            "vehicles with dead reckoning have it, and those with a trace do not know how sure they are",
-        ),
-    ],
-)
-def test_mistakes_are_told(overrides: list[str], words: str) -> None:
-    if "trace: none.csv, gps" in overrides[0]:
-        with pytest.raises(ScenarioError) as caught:
-            small(*overrides)
-        assert words in str(caught.value)
-    else:
-        assert words in only_problem(*overrides)
 
 
 @pytest.mark.parametrize(

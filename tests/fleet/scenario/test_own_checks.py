@@ -16,52 +16,6 @@ from fleet.scenario.schema.checks import SignalCheck
 CUT = "faults=[{id: cut, at: 100 ms, for: 100 ms, down: 1->2}, {id: off, at: 300 ms, down: 2->3}]"
 
 
-@pytest.mark.parametrize(
-    ("check", "words"),
-    [
-        ("topic: state.zz, below: 3 m", 'checks.signal.topic: there is no signal state.zz'),
-        ("topic: statee.z, below: 3 m", 'did you mean "state.z"?'),
-        ("topic: control.nothing, below: 3 m", "control has"),
-        ("topic: z, below: 3 m", '"z" names no signal'),
-        ("topic: '|state.z', below: 3 m", "names no signal"),
-        ("topic: uuv/3/state.z, below: 3 m", 'write topic: state.z and vehicles: "3"'),
-        ("topic: error.e, below: 3 m", "error.e has 3 values: choose error.e_0 to error.e_2, or |error.e|"),
-        ("topic: '|command.tau|', below: 3 N", "command.tau has several units, N, N m, N m: choose one"),
-        ("topic: state.z", "the check has no condition"),
-        ("topic: state.z, below: 3", 'expected a length such as "0.1 m", got "3" without a unit'),
-        ("topic: state.z, below: 3 s", 'got a time, "3 s"'),
-        ("topic: state.theta, below: 3 degrees", 'got the unknown unit "degrees"'),
-        ("topic: guidance.neighbours_heard, below: 3 m", 'expected a number such as "0.8", got "3 m"'),
-        ("topic: state.z, below: [3]", "expected a value with its unit, got a list"),
-        ("topic: state.z, below: .nan", "every number must be finite"),
-        ("topic: state.z, below: 3 m, above: 1 m", 'checks.signal.above: cannot be combined with "below"'),
-        ("topic: state.z, within: 3 m", "expected a range such as"),
-        ("topic: state.z, within: [3 m]", "expected a range of two values"),
-        ("topic: state.z, within: [3 m, 1 m]", "the low end, 3 m, is above the high end, 1 m"),
-        ("topic: state.z, equals: 3 m, within: [1 m, 2 m]", 'with "equals" expected one value, got a list'),
-        ("topic: state.z, below: 3 m, never: false", "checks.signal.never: expected true, got false"),
-        (
-            "topic: state.z, below: 3 m, never: true, eventually_within: 1 s",
-            'never: cannot be combined with "eventually_within"',
-        ),
-        ("topic: state.z, below: 3 m, for_at_least: 1 s", 'needs "never", "sometimes" or "eventually_within"'),
-        ("topic: state.z, agree_within: 3 s, never: true", 'cannot be combined with "agree_within"'),
-        ("topic: state.z, below: 3 m, fault: every", 'fault: needs "eventually_within"'),
-        ("topic: state.z, below: 3 m, eventually_within: 1 s, fault: cat", 'there is no fault "cat"'),
-        ("topic: state.z, below: 3 m, eventually_within: 1 s, fault: off", '"off" lasts to the end of the run'),
-        ("topic: state.z, spread_below: 3 m, vehicles: 2", "compares vehicles, but there is only one"),
-        ("topic: state.z, below: 3 m, vehicles: 2-4", "there is no vehicle 4: the vehicles are 1 to 3"),
-        ("topic: state.z, below: 3 m, vehicles: some", "expected vehicle numbers"),
-        ("topic: state.z, below: 3 m, name: ledger", 'another check is called "ledger"'),
-        ("topic: state.z, below: 3 m, name: a b", "expected letters, digits, _, . and -"),
-        ("topic: state.z, below: 3 m, wihtin: 3", 'unknown key "checks.signal.wihtin"'),
-        ("below: 3 m", '"topic" is missing in "checks.signal"'),
-    ],
-)  # fmt: skip
-def test_what_makes_no_sense_is_refused(check: str, words: str) -> None:
-    assert words in only_problem(f"checks={{signal: {{{check}}}}}", CUT)
-
-
 def test_a_vehicle_that_is_named_has_the_signal() -> None:
     checks = "checks={{signal: {{topic: state.phi, below: 1 rad{}}}}}"
     plant = "per_vehicle={2: {vehicle: {plant: remus100}}}"

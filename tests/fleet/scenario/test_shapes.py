@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from repository import ROOT
-from small_scenario import SMALL, only_problem, places, small
+from small_scenario import SMALL, places, small
 
 from fleet.analysis.stability import analyse
 from fleet.errors import ScenarioError
@@ -339,64 +339,6 @@ def test_a_controller_per_vehicle_replaces_laws_below_it() -> None:
     s = small("guidance=fixed", "per_vehicle.2.controller=boc", "per_vehicle.3={controller: boc, guidance: fixed}")
     assert [c.guidance_law.name for c in s.controls] == ["fixed", "optimal", "fixed"]
     assert [c.tracking_law.name for c in s.controls] == ["neurodynamic", "backstepping", "backstepping"]
-
-
-@pytest.mark.parametrize(
-    ("override", "words"),
-    [
-        (
-            "reference={shape: circle, center: 0 0 5 m, speed: 1 m/s}",
-            '"radius" is missing in "reference", which shape circle needs',
-        ),
-        ("reference.radius=3 m", "has no effect on line: it belongs to circle or helix"),
-        (
-            "reference={shape: lawn-mower, start: 0 0 5 m, leg: 9 m, legs: 3, spacing: 10 m, speed: 0.5 m/s}",
-            "a leg of 9 m is shorter",
-        ),
-        (
-            "reference={shape: waypoints, points: [0 0 5 m, 9 0 5 m, 9 1 5 m], speed: 1 m/s, acceleration: 0.1 m/s^2}",
-            "the arcs at its ends, of radius 10 m",
-        ),
-        (
-            "reference={shape: helix, center: 0 0 5 m, radius: 20 m, speed: 0.5 m/s, sink: 0.1 m/s}",
-            "must be below the least reference velocity -0.5 -0.5 0.1 m/s",
-        ),
-        ("formation.offsets=[0 0 0 m]", "either offsets or a shape, not both"),
-        ("formation.changes=[{at: 0 s, over: 1 s}]", "formation.changes.1: needs offsets, one per vehicle, or a shape"),
-        (
-            "formation.changes=[{at: 0 s, over: 400 ms, shape: grid, spacing: 5 m}, "
-            "{at: 300 ms, over: 1 s, shape: grid, spacing: 5 m}]",
-            "before the change before it is complete at 400 ms",
-        ),
-        (
-            "formation.changes=[{at: 0 s, over: 30 s, shape: column, spacing: 20 m}]",
-            "must be below the least reference velocity",
-        ),
-        ("graph={shape: star, hub: 9}", "there is no vehicle 9: the vehicles are 1 to 3"),
-        ("graph={shape: nearest, count: 3}", "a vehicle has 2 others to hear, not 3"),
-        ("graph.hub=1", "has no effect on path: it belongs to star"),
-        ("graph={shape: random, probability: 120 %}", "must be between 0 and 100 %"),
-        ("per_vehicle.4.controller=bc", "there is no vehicle 4: the vehicles are 1 to 3"),
-        ("per_vehicle.x.controller=bc", 'expected vehicle numbers such as "3" or "2-4, 7"'),
-        ("per_vehicle.3-2.controller=bc", "names no vehicle"),
-        ("controller=pid", 'there is no controller "pid"'),
-        ("guidance=optimum", 'did you mean "optimal"?'),
-        ("guidance.parameters={a: 1}", "have no effect without a law"),
-        ("controller={law: bc, parameters: {a: 1}}", "the law bc takes no parameters"),
-        ("tracking.phi=1 1 1", "has no effect on tracking law neurodynamic"),
-        ("per_vehicle.2.guidance.law=fixed", ""),
-        ("per_vehicle.2={controller: bc, guidance: {k_max: 1 1/s}}", "has no effect on guidance law fixed"),
-        ("model_error.m=-50 %", "with it, m - beta_udot must be above 0"),
-        ("vehicle.m=5 kg", "m - beta_udot must be above 0, is -1"),
-        ("vehicle.model=papper", 'did you mean "paper"?'),
-        ("vehicle.model=nowhere.toml", "there is no such file"),
-    ],
-)  # fmt: skip
-def test_each_rule_speaks(override: str, words: str) -> None:
-    if not words:
-        small(override)
-        return
-    assert words in only_problem(override)
 
 
 # --- runs ------------------------------------------------------------------

@@ -63,24 +63,6 @@ def test_roll_at_the_start() -> None:
     assert "initial.1.roll: has no effect on vehicle 1, which cannot roll" in said
 
 
-@pytest.mark.parametrize(
-    ("plant", "said"),
-    [
-        ("remus10", 'there is no plant "remus10"'),
-        ("own_plants:Nothing", "module 'own_plants' has no 'Nothing'"),
-        ("no_such_module_at_all:Plant", "there is no module 'no_such_module_at_all'"),
-        ("own_plants:Lacking", "own_plants:Lacking: it has no method pose"),
-        ("{name: 'own_plants:Rolling', parameters: {mass: 3}}", "cannot be made with these parameters"),
-        ("{name: remus100, parameters: {wings: 2}}", "remus100: cannot be made with these parameters"),
-        ("{name: 'own_plants:Rolling', budget: -1 s}", "vehicle.plant.budget"),
-        ("{parameters: {mass: 3}}", '"name" is missing in "vehicle.plant"'),
-        ("3", "vehicle.plant: expected keys with values"),
-    ],
-)
-def test_what_is_wrong_stands_at_its_place(plant: str, said: str) -> None:
-    assert said in only_problem(f"vehicle.plant={plant}")
-
-
 PLANT = """\
 import pathlib
 pathlib.Path(__file__).with_suffix(".mark").touch()

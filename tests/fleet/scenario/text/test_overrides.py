@@ -69,29 +69,6 @@ def test_links_of_an_acoustic_network() -> None:
     assert small("network=acoustic", Override(NET, "1->2 down")) == small("network={acoustic: {}, links: {1->2: down}}")
 
 
-@pytest.mark.parametrize(
-    ("overrides", "said"),
-    [
-        (["network=ideal", Override(NET, "* down")], "--net * down: the network of this scenario is ideal"),
-        (["network=ideal", HALVES], f"{HALVES.name}: faults.1: partition needs a network, and this one is ideal"),
-        ([Override(NET, "1->3 down")], "--net 1->3 down: network.links.1->3: the graph has no such link"),
-        ([Override(NET, "1->2 lss 3%")], '--net 1->2 lss 3%: network.links.1->2: unknown link condition "lss"'),
-        ([Override(NET, "1->2")], '--net 1->2: expected links and their condition, got only the links "1->2"'),
-        ([Override(NET, "")], "--net : expected links and their condition, got nothing"),
-        ([Override(FAULT, "kill 3")], "--fault kill 3: when does it begin?"),
-        ([Override(FAULT, "at 1s kil 3")], '--fault at 1s kil 3: no fault is called "kil"'),
-        ([Override(FAULT, "at 100 kill 3")], '--fault at 100 kill 3: faults.1.at: expected a time such as "50 ms"'),
-        ([Override(FAULT, "at 5ms mute 1")], "--fault at 5ms mute 1: faults.1.at: 5 ms is not a whole number of ticks"),
-        ([Override(FAULT, "at 1s kill 9")], "--fault at 1s kill 9: faults.1.kill: there is no vehicle 9"),
-        (["faults=3", KILL], '--set faults=3: faults: expected a list, got 3'),
-        (["network=3", Override(NET, "* down")], "--set network=3: network: expected a mapping"),
-        (["network.links=3", Override(NET, "* down")], "--set network.links=3: network.links: expected keys"),
-    ],
-)  # fmt: skip
-def test_a_mistake_names_the_option_and_the_text(overrides: list[str | Override], said: str) -> None:
-    assert refused(*overrides).startswith(said)
-
-
 def test_every_mistake_is_reported_and_those_of_the_file_come_first() -> None:
     text = refused(Override(FAULT, "at 1s kill 9"), Override(NET, "9->8 down"), "seed=x", Override(FAULT, "kill"))
     lines = [line for line in text.splitlines() if not line.startswith(" ")]
@@ -113,22 +90,6 @@ def test_one_word_of_a_links_condition_keeps_the_others_and_the_order() -> None:
         == small("network.links={2->1: delay 7ms loss 1%, '*': delay 2ms loss 50%, 1->2: loss 3%}").to_yaml()
     )
     assert small("network.links.*.loss=5%") == small("network.links={'*': loss 5%}")  # of links without a condition
-
-
-@pytest.mark.parametrize(
-    ("text", "message", "column"),
-    [
-        ("network.links.*.loss=0.3", 'takes a percentage such as "30%", got "0.3"', 22),
-        ("network.links.*.lose=3%", 'no value "lose"', 17),
-        ("network.links.1->2.loss=3%", 'network.links has no condition for "1->2"', 15),
-    ],
-)
-def test_a_word_that_cannot_be_changed_is_pointed_at(text: str, message: str, column: int) -> None:
-    with pytest.raises(ScenarioError) as caught:
-        small("network.links={'*': delay 2ms}", text)
-    (problem,) = caught.value.problems
-    assert (problem.file, problem.line, problem.column) == (f"--set {text}", 1, column)
-    assert message in problem.message
 
 
 def test_an_ideal_network_has_no_word_to_change() -> None:

@@ -1,0 +1,119 @@
+"""What users are told of their mistakes: the mistakes and what comes of them stand in one golden file per room.
+
+An entry of `tests/expected/messages-ROOM.txt` is the mistake (lines that begin with `>`), the class of its error with
+every field (of a scenario: every place and key; of a command: the exit status), and the words. A new mistake is a line
+with `>` in the file, or an item of the test. `WRITE_MESSAGES=1 pytest -n 0 FILE` then writes what comes of it, and new
+words of the others. It never writes another class, place or field: who means that deletes those lines first.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from click.testing import CliRunner
+from repository import EXPECTED
+
+from fleet.cli.main import cli
+
+Entries = dict[tuple[str, ...], tuple[str, list[str]]]  # mistake: class with fields, words
+_FIELDS_IN_WORDS = {"message", "hint", "reason", "lines", "problem", "problems"}
+_LONG = 160  # characters of a mistake that are shown
+
+
+class CommandRefused(Exception):
+    """A command of `fleet` that ended with a status other than 0."""
+
+    def __init__(self, status: int, said: str) -> None:
+        super().__init__(said)
+        self.status = status
+
+
+def command(*arguments: str) -> None:
+    """Call `fleet` in this process. What it says on standard error becomes one line.
+
+    Raises:
+        CommandRefused: It ended with a status other than 0.
+    """
+    done = CliRunner().invoke(cli, list(arguments))
+    assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
+    if done.exit_code:
+        raise CommandRefused(done.exit_code, " ".join(done.stderr.split()))
+
+
+def check_refusals(
+    section: str,
+    call: Callable[..., object],
+    cases: Iterable[Any] | None = None,
+    hide: Mapping[str, str] | None = None,
+) -> None:
+    """Each mistake is refused as the golden file says, and its section has no others.
+
+    Args:
+        section: `room/what`, as in `scenario/small`.
+        call: Called with each mistake; with its items if it is a tuple or a list.
+        cases: The mistakes; by default the lines of the section, each with its items as texts.
+        hide: Texts that are another on each machine or in each run, by what stands in their place.
+    """
+    room, _, what = section.partition("/")
+    path = EXPECTED / f"messages-{room}.txt"
+    sections = _read(path)
+    known = sections.get(what, {})
+    found = dict(_refusal(call, case, hide or {}) for case in (known if cases is None else cases))
+    if os.environ.get("WRITE_MESSAGES"):
+        known = {case: (known.get(case, ("",))[0] or head, words) for case, (head, words) in found.items()}
+        sections[what] = known
+        path.write_text("\n".join(_printed(name, sections[name]) for name in sorted(sections)), "utf-8")
+    assert {case: head for case, (head, _) in found.items()} == {case: head for case, (head, _) in known.items()}
+    assert found == known, "if these words are meant: WRITE_MESSAGES=1 pytest -n 0 and this file"
+
+
+def _refusal(
+    call: Callable[..., object], case: Any, hide: Mapping[str, str]
+) -> tuple[tuple[str, ...], tuple[str, list[str]]]:
+    parts = case if isinstance(case, tuple | list) else (case,)
+    try:
+        call(*parts)
+    except Exception as error:
+        problems = getattr(error, "problems", None) or [p for p in (getattr(error, "problem", None),) if p]
+        whose = [f"of {p.file}" for p in problems if len(parts) > 1]
+        places = [f"{p.key or p.file}:{p.line}:{p.column}" for p in problems]
+        fields = {name: v for name, v in vars(error).items() if name not in _FIELDS_IN_WORDS and v != ""}
+        head = " ".join(
+            [type(error).__name__, *places, *whose, *(f"{name}={v!s:.60}" for name, v in sorted(fields.items()))]
+        )
+        words = "\n".join(" ".join(filter(None, (p.message, p.hint))) for p in problems) or str(error)
+        shown = [*map(_shown, parts), " ".join(head.split()), words]
+        for before, after in hide.items():
+            shown = [text.replace(before, after) for text in shown]
+        return tuple(shown[:-2]), (shown[-2], [line for line in shown[-1].splitlines() if line.strip()])
+    raise AssertionError(f"nobody refused {case!s:.200}")
+
+
+def _shown(part: Any) -> str:
+    """A part of a mistake on one line, the middle of a long one left out."""
+    text = part if isinstance(part, str) and part.isprintable() and part == part.strip() else repr(part)
+    return text if len(text) <= _LONG else f"{text[: _LONG // 2]} ... {text[-_LONG // 2 :]} ({len(text)})"
+
+
+def _read(path: Path) -> dict[str, Entries]:
+    sections: dict[str, Entries] = {}
+    for block in path.read_text("utf-8").strip("\n").split("\n\n") if path.exists() else ():
+        lines = block.strip("\n").split("\n")
+        if lines[0].startswith("## "):
+            entries = sections.setdefault(lines[0][3:], {})
+            continue
+        mistake = tuple(line[2:] for line in lines if line.startswith(">"))
+        head, *words = [*lines[len(mistake) :], ""]
+        entries[mistake] = head, [line[2:] for line in words if line]
+    return sections
+
+
+def _printed(name: str, entries: Entries) -> str:
+    blocks = [
+        "\n".join([*(f"> {part}" for part in mistake), head, *(f"  {line}" for line in words)])
+        for mistake, (head, words) in entries.items()
+    ]
+    return "\n\n".join([f"## {name}", *blocks]) + "\n"

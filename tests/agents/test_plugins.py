@@ -254,11 +254,6 @@ def test_every_place_that_names_a_law_is_checked(
     assert hint in result.stderr
 
 
-def test_a_misspelt_name_finds_the_nearest() -> None:
-    misspelt = CliRunner().invoke(cli, ["check", "paper", "--set", "controller=nbco"])
-    assert 'did you mean "nbc"?' in misspelt.output
-
-
 @pytest.mark.parametrize(
     ("code", "attribute", "problem"),
     [
@@ -682,14 +677,6 @@ def test_a_whole_agent_that_fails_coasts(
     taus = [tuple(m.tau) for _, m in logged(result, "uuv/2/command")]
     assert taus == [(1.0, 2.0, 3.0)] * 20 + [(0.0, 0.0, 0.0)] * 30
     assert len(logged(result, "link/2-1")) == rounds
-
-
-@pytest.mark.parametrize("name", ["3d", "a-b", "class", "", "ü"])
-def test_a_template_needs_a_module_name(name: str, tmp_path: Path) -> None:
-    result = CliRunner().invoke(cli, ["new", "controller", name, "--dir", str(tmp_path)])
-    assert result.exit_code == 2
-    assert "cannot name a Python module" in result.output
-    assert not os.listdir(tmp_path)
 
 
 @pytest.mark.parametrize("name", ["json", "numpy", "fleet"])

@@ -37,7 +37,7 @@ def command(*arguments: str) -> None:
     Raises:
         CommandRefused: It ended with a status other than 0.
     """
-    done = CliRunner().invoke(cli, list(arguments))
+    done = CliRunner().invoke(cli, list(arguments), prog_name="fleet")
     assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
     if done.exit_code:
         raise CommandRefused(done.exit_code, " ".join(done.stderr.split()))

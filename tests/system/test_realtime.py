@@ -9,11 +9,9 @@ from pathlib import Path
 from textwrap import dedent
 
 import pytest
-from click.testing import CliRunner
 from hand import Hand
 from live import LiveRun
 
-from fleet.cli.main import cli
 from fleet.errors import FleetError
 from fleet.execution.connection import RemoteError
 from fleet.execution.execute import execute
@@ -86,21 +84,6 @@ def test_an_agent_too_slow_for_its_ticks_is_named(tmp_path: Path, monkeypatch: p
     assert row.missed >= 20 * 3
     assert row.response.max_ms >= 80.0
     assert "agent 2 missed" in found.checks[-1].found
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["--in-process"], "not with --in-process"),
-        (["--speed", "max"], "has no --speed max"),
-        (["--clock", "lockstep", "--max-missed", "2%"], "is for --clock real"),
-        (["--set", "network=ideal"], "not with network: ideal"),
-        (["--max-missed", "2"], "expected a share"),
-    ],
-)
-def test_what_makes_no_sense_on_a_wall_clock_is_refused(arguments: list[str], said: str) -> None:
-    result = CliRunner().invoke(cli, ["run", "paper", "--clock", "real", *arguments])
-    assert (result.exit_code, said in result.output) == (2, True)
 
 
 @pytest.mark.slow

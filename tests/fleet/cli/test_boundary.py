@@ -95,28 +95,3 @@ def test_the_time_of_a_run_is_kept_and_may_be_given_anew(monkeypatch: pytest.Mon
     boundary(directory)
     boundary(directory, "--timeout", "5 s")
     assert limits == [90.0, 5.0]
-
-
-@pytest.mark.parametrize(
-    ("args", "message"),
-    [
-        (["small.yaml"], "no key to search along: give --along"),
-        (["small.yaml", "--along", "loss=0 %..9 %"], '--along loss=0 %: unknown key "loss"'),
-        (["small.yaml", "--along", "loss=0..5x"], "Invalid value for '--along': loss=0..5x: expected a range"),
-        ([*ARGS, "--per", "dley=1, 2"], '--per dley=1: unknown key "dley"'),
-        (["small.yaml", "--along", "loss=0 %..9 %", "--per", "delay"], "--per: expected KEY=VALUES"),
-        (["small.yaml", "--along", "loss=0 %..9 % latin 3", "--net", "* loss {loss}"], "needs given values"),
-        (["small.yaml", "--along", "loss=0 %..9 %", "--net", "* loss {loss}", "--level", "2"], "between 0 and 1"),
-        (["."], "is no study: it has no study.json"),
-        ([".", "--level", "0.9"], "a study with settings of its own"),
-        (
-            ["loss-delay", "--along", "loss=0 %..9 %"],
-            "loss-delay is a study, not a scenario: fleet sweep loss-delay runs it",
-        ),
-    ],
-)
-def test_mistakes_are_usage(args: list[str], message: str) -> None:
-    result = boundary(*args)
-    assert result.exit_code == 2
-    assert message in result.stderr
-    assert not Path("studies").exists()

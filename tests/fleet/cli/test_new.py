@@ -77,30 +77,6 @@ def test_a_name_that_yaml_has_another_use_for(name: str, tmp_path: Path) -> None
     assert load_scenario(write_scenario(name, None, tmp_path)).name == name
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["Harbour"], "'Harbour' cannot name a scenario: lower-case letters"),
-        (["a/b"], "cannot name a scenario"),
-        ([""], "cannot name a scenario"),
-        (["a" * 65], "cannot name a scenario"),
-        (
-            ["x", "--from", "rough-see"],
-            '--from rough-see: there is no such shipped scenario; did you mean "rough-sea"?',
-        ),
-        (["x", "--from", "qqqq"], "fleet list shows them all"),
-        (["there"], "there.yaml is there already; choose another name or --dir"),
-    ],
-)
-def test_what_is_refused(arguments: list[str], words: str, tmp_path: Path) -> None:
-    (tmp_path / "there.yaml").write_text("mine")
-    refused = new(*arguments, "--dir", str(tmp_path))
-    assert refused.exit_code == 2
-    assert words in refused.stderr
-    assert [path.name for path in tmp_path.iterdir()] == ["there.yaml"]
-    assert (tmp_path / "there.yaml").read_text() == "mine"
-
-
 def test_a_plant_is_checked_and_runs_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))

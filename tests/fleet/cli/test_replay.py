@@ -59,28 +59,6 @@ def test_bad_options_of_replay(arguments: list[str], words: str, log: Path) -> N
     assert code == 2 and words in said and "playing" not in said
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ([], "--key 'robot/**'"),
-        (["--key", "a//b"], "no key expression"),
-        (
-            ["--run", "/nowhere"],
-            "is no live run: there is no observe.json; the run must have been started with --publish",
-        ),
-        (["--key", "x", "-o", "/nowhere/x.mcap"], "No such file"),
-        (["--key", "x", "-o", __file__], "exists already"),
-    ],
-)
-def test_bad_options_of_record(
-    arguments: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    code, said = invoke("record", *arguments)
-    assert code == 2 and words in said
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_nobody_there(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         "netem.wire.open_bus.OpenBus.connect.__func__.__kwdefaults__", {"timeout_ms": 200}, raising=False

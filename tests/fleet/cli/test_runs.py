@@ -91,23 +91,3 @@ def test_prune(options: list[str], stay: set[str], out: Path) -> None:
         result = invoke("ls", "--prune", *options, "--yes")
         assert result.exit_code == 0 and names(out) == stay | {"live"}
         assert result.stdout == (f"removed {size}\n" if gone else "")
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ([], "no runs chosen: give --keep N"),
-        (["--keep", "1", "--json"], "--prune has no --json"),
-        (["--yes"], "no runs chosen: give --keep N"),
-        (["--keep", "-1"], "--keep"),
-        (["--older-than", "7"], "without a unit"),
-        (["--older-than", "-7 days"], "0 or more"),
-        (["--older-than", "7 furlongs"], "furlongs"),
-        (["--verdict", "live"], "'live' is unknown"),
-    ],
-)
-def test_what_prune_does_not_take(options: list[str], words: str, out: Path) -> None:
-    assert "--prune" in invoke("ls", "--yes").stderr
-    result = invoke("ls", "--prune", *options)
-    assert result.exit_code == 2 and words in result.stderr
-    assert names(out) == set(HOURS)

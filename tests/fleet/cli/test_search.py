@@ -89,26 +89,6 @@ def test_with_a_folder_it_goes_on_and_regress_runs_what_is_kept() -> None:
 
 
 @pytest.mark.parametrize(
-    ("args", "message"),
-    [
-        (["paper"], "paper has no random faults, so all seeds have the same: --nemesis adds some"),
-        (["small.yaml", "--nemesis"], "small already has a nemesis: change that one"),
-        (["small.yaml", "--check", "ledger"], "small has no check ledger"),
-        (["small.yaml", "--budget", "0"], "expected a number of runs such as 200, or a time such as '10 min', got '0'"),
-        (["small.yaml", "--budget", "5 quarks"], "expected a number of runs"),
-        (["small.yaml", "--out", "nowhere/x.yaml"], "there is no folder nowhere"),
-        (["small.yaml", "--budget", "1 ns"], "no run came to its end"),
-        (["loss-delay"], "loss-delay is a study, not a scenario: fleet sweep loss-delay runs it"),
-    ],
-)
-def test_mistakes_are_usage(args: list[str], message: str) -> None:
-    result = call(*args)
-    assert result.exit_code == 2
-    assert message in result.stderr
-    assert not list(Path().glob("*-least.yaml"))
-
-
-@pytest.mark.parametrize(
     ("interrupted", "asked", "message"),
     [
         ("fleet.study.search.search", (), "no check had failed; fleet search small.yaml --keep DIR can be stopped and"),

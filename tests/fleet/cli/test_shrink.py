@@ -83,22 +83,6 @@ def test_a_log_is_shrunk_as_it_happened() -> None:
     assert "1 of 2 faults are needed" in result.stdout
 
 
-@pytest.mark.parametrize(
-    ("args", "message"),
-    [
-        (["paper", "--set", "duration=1 s", "--set", "checks={}"], "every check passes: there is nothing to shrink"),
-        (["small.yaml", "--check", "ledger"], "the check ledger does not fail"),
-        (["nosuch.yaml"], "nosuch.yaml"),
-        (["no-such-run"], "no-such-run"),
-    ],
-)
-def test_mistakes_are_usage(args: list[str], message: str) -> None:
-    result = call("shrink", *args)
-    assert result.exit_code == 2
-    assert message in result.stderr
-    assert not list(Path().glob("*-least.yaml"))
-
-
 def test_ctrl_c_leaves_no_file_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt

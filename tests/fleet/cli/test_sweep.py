@@ -106,29 +106,6 @@ def test_a_study_of_a_border_is_refused_before_a_worker_starts(engines: list[Her
     assert len(engines) == 1
 
 
-@pytest.mark.parametrize(
-    ("args", "message"),
-    [
-        (["small.yaml", "--vary", "loss"], "expected KEY=VALUES"),
-        (["small.yaml", "--vary", "loss=0 %..9 %/1 %"], '--vary loss=0 %: unknown key "loss"'),
-        (["small.yaml", *VARY, "--net", "* loss 1%"], "two points are the same scenario, network.links.*.loss=0 % and"),
-        (["small.yaml", "--set", "per_vehicle={3: {external: true}}"], "agents that are started elsewhere"),
-        (["small.yaml", "--vary", "status=0 %,9 %", "--net", "* loss {status}"], "status is a column of every study"),
-        (["small.yaml", "--seeds", "none"], "expected a number of seeds"),
-        (["small.yaml", "--measure", "e_rms"], 'did you mean "e_rms_m"?'),
-        (["nosuch", "--seeds", "1"], "there is no such shipped scenario"),
-        (["."], "is no study: it has no study.json"),
-        ([".", "--seeds", "1"], "a study with settings of its own"),
-        ([".", "--vary", "a=1,2"], "a study with settings of its own"),
-    ],
-)
-def test_mistakes_are_usage(args: list[str], message: str) -> None:
-    result = sweep(*args)
-    assert result.exit_code == 2
-    assert message in result.stderr
-    assert not Path("studies").exists()
-
-
 def test_checks_that_cannot_pass_are_told_as_fleet_check_does() -> None:
     late = ["--set", "checks={formation_error: {below: 1 m, after: 900 ms}}"]
     vary = ["--vary", "duration=500 ms, 1 s", "--seeds", "1"]

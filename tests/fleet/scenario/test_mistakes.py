@@ -13,6 +13,7 @@ from small_scenario import SMALL
 
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.text.fault_words import read_fault
 from fleet.scenario.text.overrides import FAULT, NET, Override
 
 ACOUSTIC = SMALL.replace("{period: 50 ms}", "{period: 2 s, payload: compact, acoustic: {modem: fsk-80}}")
@@ -44,3 +45,7 @@ def test_a_mistake_is_told_with_its_place(name: str) -> None:
 @pytest.mark.parametrize("name", ["follow-the-leader"])
 def test_a_mistake_in_a_shipped_scenario_too(name: str) -> None:
     check_refusals(f"scenario/{name}", lambda *overrides: load_scenario(name, overrides))
+
+
+def test_a_mistake_in_a_fault_in_words_is_told_with_its_place() -> None:
+    check_refusals("scenario/faults in words", read_fault)

@@ -139,22 +139,6 @@ def test_a_row_is_a_run() -> None:
     assert rows["passed"][1] == direct.passed
 
 
-@pytest.mark.parametrize(
-    ("along", "message"),
-    [
-        ("loss=0 %..50 % random 9", "needs given values"),
-        ("controller=nboc, bc", "expected a range such as"),
-        ("loss=0 %", "expected a range such as"),
-        ("loss=10 %, 5 %", "or two or more rising numbers"),
-        ("loss", "expected KEY=VALUES"),
-        ("loss=0 %..90 %/0.01 %", "9001 values are too many: at most 1000 are possible"),
-    ],
-)
-def test_what_no_border_can_lie_along(along: str, message: str) -> None:
-    with pytest.raises(StudyError, match=message):
-        parse_along(along, 0.1)
-
-
 def test_levels_and_widths_are_checked() -> None:
     plan = Plan("small.yaml", (Override(NET, "* loss {loss}"),), (parse_along("loss=0 %..9 %", 0.1),))
     with pytest.raises(StudyError, match="level must be between 0 and 1"):

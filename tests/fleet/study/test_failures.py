@@ -92,25 +92,6 @@ def test_what_is_kept_is_the_least_that_fails_and_regress_compares_it(tmp_path: 
     assert all(one.same for one in Regression(folder).run(Here(), lambda runs: None, NO_MODULES))
 
 
-@pytest.mark.parametrize(
-    ("index", "words"),
-    [
-        ("{", "is damaged"),
-        ('{"format": 2, "failures": []}', "has format 2, expected 1"),
-        ('{"format": 1, "failures": []}', "holds no failures: fleet search SCENARIO --keep"),
-        ('{"format": 1, "failures": [{"file": "../x.yaml", "check": "a", "seed": 1, "digest": ""}]}', "is damaged"),
-        (
-            '{"format": 1, "failures": [{"file": "x.yaml", "check": "a", "seed": 1, "digest": ""}]}',
-            "x.yaml cannot be read",
-        ),
-    ],
-)
-def test_a_folder_may_come_from_anybody(index: str, words: str, tmp_path: Path) -> None:
-    (tmp_path / INDEX).write_text(index, "utf-8")
-    with pytest.raises(StudyError, match=words):
-        Regression(FailureFolder(tmp_path))
-
-
 def test_a_search_of_another_scenario_is_not_gone_on_with(tmp_path: Path) -> None:
     folder = FailureFolder(tmp_path)
     folder.save(small(NEMESIS, CHECKS), folder.tried(small(), "one"))

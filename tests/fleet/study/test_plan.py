@@ -52,28 +52,6 @@ def test_seeds(text: str, seeds: tuple[int, ...]) -> None:
 
 
 @pytest.mark.parametrize(
-    "text",
-    [
-        "0",
-        "-1",
-        "",
-        "x",
-        "7..5",
-        "1..2..3",
-        "99999999999999",
-        "9" * 30,
-        f"0..{'9' * 30}",
-        "3,-7",
-        "99999999999999999999,2",
-        "1,2..3",
-    ],
-)
-def test_what_are_no_seeds(text: str) -> None:
-    with pytest.raises(StudyError, match="expected a number of seeds"):
-        parse_seeds(text)
-
-
-@pytest.mark.parametrize(
     ("axes", "changes", "zipped", "message"),
     [
         ((LOSS, LOSS), (), False, "loss is varied twice"),

@@ -83,28 +83,6 @@ def test_a_dead_agent_reports_nothing() -> None:
     assert not isnan(found["max guidance.u_cmd"])
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("p95 error.e_nrm", 'no signal error.e_nrm; did you mean "error.e_norm"'),
-        ("p95 error.zzz", "error has e, e_0, e_1, e_2, e_norm"),
-        ("p95 weather.wind", "there are state, nav, command, error, guidance, control"),
-        ("max command.tau", r"3 values: choose command.tau_0 to command.tau_2, or \|command.tau\|"),
-        ("max |command.tau|", "several units, N, N m, N m"),
-        ("max uuv/4/error.e_norm", "there is no vehicle 4: the vehicles are 1 to 3"),
-        ("median error.e_norm", 'or a percentile such as p95, got "median"'),
-        ("p101 error.e_norm", "or a percentile"),
-        ("max error.e_norm after 20", "without a unit"),
-        ("max error", "no measure of a signal"),
-        ("max |error.e_norm", "no measure of a signal"),
-        (f"max {200 * ' '} error.e_norm", "no measure of a signal"),  # long texts of a stranger took hours
-    ],
-)
-def test_what_is_no_signal_is_said(text: str, said: str) -> None:
-    with pytest.raises(StudyError, match=said):
-        signal_columns_of([text], [small()])
-
-
 def test_a_measure_that_the_study_does_not_have_is_said() -> None:
     with pytest.raises(StudyError, match="is named when the study is made"):
         find_columns(["max error.e_norm"])

@@ -6,10 +6,10 @@ import shlex
 
 import pytest
 from click.testing import CliRunner
+from refusals import check_refusals
 from small_scenario import small
 
 from fleet.cli.main import cli
-from fleet.errors import FleetError
 from fleet.scenario.text.fault_words import read_fault
 from fleet.view import page as words
 
@@ -19,24 +19,6 @@ def test_every_suggestion_is_a_fault(kind: str, target: str) -> None:
     scenario = small("duration=60 s")
     for name, text in words.suggestions(kind, target).items():
         assert words.entry(text, "5s", scenario, 100)["for"] == "5s", name
-
-
-@pytest.mark.parametrize(
-    ("text", "lasts", "says"),
-    [
-        ("", "", "expected a fault"),
-        ("kil 3", "", 'no fault is called "kil"'),
-        ("kill 9", "", "9"),
-        ("link 1->2 delay 500", "", "unit"),
-        ("link 1->3 delay 500ms", "", "1->3"),
-        ("kill 3", "5", "for"),
-        ("kill 3 for 5s", "5s", "already"),
-        ("link 1->2 loss 10% seed 3", "", "seed"),
-    ],
-)
-def test_what_is_no_fault_of_this_run_is_refused_as_it_is_typed(text: str, lasts: str, says: str) -> None:
-    with pytest.raises(FleetError, match=says):
-        words.entry(text, lasts, small("duration=60 s"), 100)
 
 
 def test_the_command_to_copy_says_the_same() -> None:
@@ -69,3 +51,7 @@ def test_each_is_a_command_of_the_command_line(command: str) -> None:
 def test_a_line_through_the_fleet_is_a_partition() -> None:
     assert words.partition([[1, 2], [3]]) == "partition 1,2 / 3"
     assert words.entry(words.partition([[1, 2], [3]]), "", small("duration=60 s"), 100)
+
+
+def test_what_is_no_fault_of_this_run_is_refused_as_it_is_typed() -> None:
+    check_refusals("view/faults that are typed", lambda *typed: words.entry(*typed, small("duration=60 s"), 100))

@@ -56,34 +56,6 @@ def test_the_example_of_every_kind_is_a_fault(kind: str) -> None:
     assert words(ENTRY.validate_python({"at": "1 s", **read_fault(example(kind))})).split()[0] == kind
 
 
-@pytest.mark.parametrize(
-    ("text", "said", "column"),
-    [
-        ("", "expected a fault, got nothing; as in partition 1,2 / 3,4", 1),
-        ("at 5s", "expected a fault, got nothing", 1),
-        ("at 5s partitoin halves", 'no fault is called "partitoin"; did you mean "partition"?', 7),
-        ("kill at", 'expected a time behind "at", got nothing', 6),
-        ("kill 3 id", 'expected a name behind "id", got nothing', 8),
-        ("at 5s kill 3 at 6s", '"at" is given twice', 14),
-        ("for 5s kill", "kill of what?; as in kill 3", 8),
-        ("current", "current of what?; as in current 0.2 0 0 m/s", 1),
-        ("slow 3", "a slow fault is: slow KEY=VALUE ...; as in slow vehicles=2 by=5 ticks", 6),
-        ("slow", "a slow fault is: slow KEY=VALUE ...", 1),
-        ("slow vehicles=2 by=", 'expected a value behind "by=", got nothing', 17),
-        ("slow by=1 tick by=2 ticks", '"by" is given twice', 16),
-        ("link", "expected links and their condition, got nothing; as in link 1->2 loss 30%", 1),
-        ("link 1->2", 'expected links and their condition, got only the links "1->2"', 6),
-        ("link 1->2 down, 1->2 loss 3%", '"1->2" is given twice', 17),
-    ],
-)
-def test_a_mistake_is_told_with_its_place(text: str, said: str, column: int) -> None:
-    with pytest.raises(FaultWordsError) as caught:
-        read_fault(text)
-    assert str(caught.value).startswith(said)
-    assert caught.value.problem.column == column
-    assert caught.value.status == 2
-
-
 def shipped_faults() -> list[FaultSection]:
     """Those of the timelines, and those that the nemesis draws."""
     return [fault for name in shipped_scenarios() for fault in load_scenario(name).spec.faults]

@@ -1,0 +1,53 @@
+"""Mistakes in what a study is given, in words: the class and words of each, as `messages-study.txt` says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from refusals import check_refusals
+from small_scenario import small
+
+from fleet.errors import FleetError
+from fleet.study.borders import parse_along
+from fleet.study.failures import INDEX, FailureFolder, Regression
+from fleet.study.measures import signal_columns_of
+from fleet.study.plan import parse_seeds
+from fleet.study.stopping import check_until
+from fleet.study.values import parse_axis
+
+READERS: dict[str, Callable[[str], object]] = {
+    "axes": parse_axis,
+    "borders": lambda text: parse_along(text, 0.1),
+    "measures of signals": lambda text: signal_columns_of([text], [small()]),
+    "rules of stopping": check_until,
+    "seeds": parse_seeds,
+}
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_what_is_wrong_is_said(name: str) -> None:
+    check_refusals(f"study/{name}", READERS[name])
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("axes", f"loss=0 %..90 %{200 * ' '}/10 %"),
+        ("axes", f"x=0..1 lin {'9' * 5000}"),
+        ("measures of signals", f"max {200 * ' '} error.e_norm"),
+        ("rules of stopping", f"pass {200 * ' '} ±5 %"),
+    ],
+)
+def test_long_texts_of_a_stranger_take_no_hours(name: str, text: str) -> None:
+    with pytest.raises(FleetError, match=r"expected|no measure of a signal"):
+        READERS[name](text)
+
+
+def test_a_folder_of_failures_may_come_from_anybody(tmp_path: Path) -> None:
+    def read(index: str) -> None:
+        (tmp_path / INDEX).write_text(index, "utf-8")
+        Regression(FailureFolder(tmp_path))
+
+    check_refusals("study/folders of failures", read, hide={str(tmp_path): "FOLDER"})

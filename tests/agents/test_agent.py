@@ -198,12 +198,7 @@ def test_a_neighbour_not_heard_counts_in_neither_sum() -> None:
 # --------------------------------------------------------------------------------------------- payload
 
 
-@given(
-    st.integers(0, 2**16 - 1),
-    st.integers(0, 2**64 - 1),
-    st.tuples(*[st.floats(-1e8, 1e8)] * 3),
-    vec3,
-)
+@given(st.integers(0, 2**16 - 1), st.integers(0, 2**64 - 1), st.tuples(*[st.floats(-1e8, 1e8)] * 3), vec3)
 def test_payload_reads_back(sender: int, tick: int, position: Any, velocity: Any) -> None:
     message = StateMessage(sender, tick, position, velocity)
     assert decode(encode(message)) == message

@@ -73,8 +73,7 @@ def test_every_one_or_two_flipped_bits_are_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("data", "cause"),
-    [(b"", "length"), (bytes(14), "length"), (bytes(63), "length"), (bytes(15), "checksum")],
+    ("data", "cause"), [(b"", "length"), (bytes(14), "length"), (bytes(63), "length"), (bytes(15), "checksum")]
 )
 def test_a_bad_payload_says_what_is_wrong(data: bytes, cause: str) -> None:
     with pytest.raises(PayloadError) as caught:

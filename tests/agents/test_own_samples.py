@@ -40,9 +40,4 @@ def test_stamps_ages_and_time_are_those_of_the_clock() -> None:
         sample = samples[-1]
         seen.append((sample.tick, round(sample.t, 9), sample.dt, [n.age for n in sample.neighbours]))
     # Of the last sample the newest state is too old by its clock; a state of a clock that is ahead is new, not younger.
-    assert seen == [
-        (100, 1.37, 0.01, [0.4]),
-        (101, 0.51, 0.01, [0.0]),
-        (102, 0.52, 0.01, [0.0]),
-        (103, 3.03, 0.01, []),
-    ]
+    assert seen == [(100, 1.37, 0.01, [0.4]), (101, 0.51, 0.01, [0.0]), (102, 0.52, 0.01, [0.0]), (103, 3.03, 0.01, [])]

@@ -8,15 +8,7 @@ from realtime import nav
 from agents.realtime_loop import RealtimeLoop
 from agents.sample import Decision
 from netem.errors import OutOfPlace
-from netem.wire.messages import (
-    Arrival,
-    Command,
-    Delivery,
-    Inbox,
-    Nav,
-    Receipt,
-    Transmission,
-)
+from netem.wire.messages import Arrival, Command, Delivery, Inbox, Nav, Receipt, Transmission
 
 
 class Core:

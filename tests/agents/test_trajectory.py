@@ -45,8 +45,7 @@ def references(draw: st.DrawFn) -> Reference:
 
 offsets = st.builds(
     lambda start, ends, times, blends: Offset(
-        start,
-        tuple(OffsetChange(sum(times[: n + 1]) + sum(blends[:n]), blends[n], end) for n, end in enumerate(ends)),
+        start, tuple(OffsetChange(sum(times[: n + 1]) + sum(blends[:n]), blends[n], end) for n, end in enumerate(ends))
     ),
     points,
     st.lists(points, max_size=3),

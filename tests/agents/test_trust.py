@@ -194,7 +194,7 @@ def test_nothing_is_unpickled() -> None:
                 found |= {(str(file.relative_to(ROOT)), name) for name in unsafe.intersection(names)}
     assert found == {
         # Its pipes join this process with its own children, and have no name that others could open.
-        ("fleet/processes/workers.py", "pickle"),
+        ("fleet/processes/workers.py", "pickle")
     }
 
 

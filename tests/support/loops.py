@@ -90,11 +90,7 @@ class Link:
 
 
 def agent_config(
-    i: int,
-    name: str = "paper",
-    extrapolation: Extrapolation = "hold",
-    round_ticks: int = 1,
-    controller: str = "nboc",
+    i: int, name: str = "paper", extrapolation: Extrapolation = "hold", round_ticks: int = 1, controller: str = "nboc"
 ) -> AgentConfig:
     """Vehicle i of the paper's simulation with a named tuning and controller."""
     pair = CONTROLLERS[controller]

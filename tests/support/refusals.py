@@ -44,10 +44,7 @@ def command(*arguments: str) -> None:
 
 
 def check_refusals(
-    section: str,
-    call: Callable[..., object],
-    cases: Iterable[Any] | None = None,
-    hide: Mapping[str, str] | None = None,
+    section: str, call: Callable[..., object], cases: Iterable[Any] | None = None, hide: Mapping[str, str] | None = None
 ) -> None:
     """Each mistake is refused as the golden file says, and its section has no others.
 

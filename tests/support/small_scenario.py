@@ -40,22 +40,7 @@ def only_problem(*overrides: str) -> str:
 WILD = st.one_of(
     st.text(max_size=20),
     st.sampled_from(
-        [
-            "3",
-            "3 m",
-            "[1, 2]",
-            "{}",
-            "{a: 1}",
-            "[]",
-            "null",
-            ".nan",
-            "-1",
-            "1e400",
-            "true",
-            "0 0 0 m",
-            "5 s",
-            "*",
-        ]
+        ["3", "3 m", "[1, 2]", "{}", "{a: 1}", "[]", "null", ".nan", "-1", "1e400", "true", "0 0 0 m", "5 s", "*"]
     ),
     st.sampled_from(
         ["{position: 1}", "[{}]", "{scatter: {}}", "{1->2: {}}", "{edges: 3}", "{links: []}", "[[[]]]", "999"]

@@ -13,10 +13,7 @@ from world.sea import World
 
 def state_values(world: World) -> dict[str, Any]:
     """Everything that changes in a world, as plain MessagePack values."""
-    return {
-        "vehicles": [[i, world.memory(i)] for i in world.ids],
-        "faults": msgspec.to_builtins(world.faults),
-    }
+    return {"vehicles": [[i, world.memory(i)] for i in world.ids], "faults": msgspec.to_builtins(world.faults)}
 
 
 def restore(world: World, values: dict[str, Any]) -> None:

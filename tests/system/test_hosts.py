@@ -27,11 +27,7 @@ from fleet.cli.main import cli
 from fleet.errors import FleetError
 from fleet.execution.connection import ask, find
 from fleet.hosts import certificates, router_config
-from fleet.hosts.rendezvous import (
-    read_credentials,
-    run_id,
-    through_router,
-)
+from fleet.hosts.rendezvous import read_credentials, run_id, through_router
 from netem.errors import BusError
 from netem.wire.access import Credentials, Listener, generate
 from netem.wire.bus import Bus, never_linger

@@ -13,12 +13,7 @@ from fleet.scenario.loading import load_scenario
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
-FLEET = [
-    "vehicles=200",
-    "tick=100 ms",
-    "duration=2 s",
-    "checks={ledger: balanced, tumbled: waived}",
-]
+FLEET = ["vehicles=200", "tick=100 ms", "duration=2 s", "checks={ledger: balanced, tumbled: waived}"]
 
 
 def test_two_hundred_vehicles(tmp_path: Path) -> None:

@@ -22,13 +22,7 @@ def test_nothing_is_lost_when_all_counts_agree() -> None:
 
 
 @pytest.mark.parametrize(
-    "path",
-    [
-        ("world", "received", "cmd"),
-        ("netem", "received", "round"),
-        ("console", "frame"),
-        ("console", "links"),
-    ],
+    "path", [("world", "received", "cmd"), ("netem", "received", "round"), ("console", "frame"), ("console", "links")]
 )
 def test_a_message_missing_anywhere_is_counted(path: tuple[str, ...]) -> None:
     counts = deepcopy(WHOLE)

@@ -86,8 +86,7 @@ def test_as_fast_as_possible(times: list[int], most: int) -> None:
 
 acts_ = st.lists(
     st.tuples(
-        st.sampled_from(["wait", "toggle", "step", "forward", "back", "faster", "slower", "due"]),
-        st.integers(0, 3 * S),
+        st.sampled_from(["wait", "toggle", "step", "forward", "back", "faster", "slower", "due"]), st.integers(0, 3 * S)
     ),
     max_size=40,
 )

@@ -496,10 +496,7 @@ def test_anchors_work() -> None:
         ("a: " + "{a: " * 50, "nested more than 30 deep"),
         ("a" * 1_000_001, "longer than"),
         ("[" + "1," * 30_000 + "]", "more than 20000 values"),
-        (
-            "\n".join(["a0: &a0 [1, 1]"] + [f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]" for i in range(1, 40)]),
-            "values",
-        ),
+        ("\n".join(["a0: &a0 [1, 1]"] + [f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]" for i in range(1, 40)]), "values"),
     ],
 )
 def test_hostile_yaml_is_refused_at_once(text: str, words: str) -> None:

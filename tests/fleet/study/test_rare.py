@@ -182,13 +182,7 @@ def test_it_finds_the_known_probability_and_goes_on() -> None:
     ("args", "said"),
     [
         (("--check", "max_age", "--effort", "4", "--net", "* loss 0%"), "so splitting cannot help"),
-        (
-            (
-                "--check",
-                "deaths",
-            ),
-            "You can use: max_age",
-        ),
+        (("--check", "deaths"), "You can use: max_age"),
         (("--check", "max_age", "--set", "log.snapshot=0 s"), "seldom has no snapshots"),
         (
             ("--check", "max_age", "--set", "sea.current={sigma: 0.1 0 0 m/s, time_constant: 10 s}"),

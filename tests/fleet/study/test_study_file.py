@@ -172,8 +172,7 @@ def test_what_is_no_study_is_left_to_others(tmp_path: Path, monkeypatch: pytest.
 
 
 @pytest.mark.parametrize(
-    ("file", "runs"),
-    [("here.yaml", True), ("below/it.yaml", False), ("../stranger/it.yaml", False)],
+    ("file", "runs"), [("here.yaml", True), ("below/it.yaml", False), ("../stranger/it.yaml", False)]
 )
 def test_laws_of_a_study_obey_the_rules_of_scenarios(
     file: str, runs: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -8,16 +8,7 @@ from math import cos, isfinite, pi, sin
 import pytest
 
 from agents.laws.kinematics import earth_velocity
-from world.plants.rigid_body import (
-    RigidBody,
-    added_coriolis,
-    euler_rates,
-    flow,
-    rk4,
-    rotation,
-    to_body,
-    to_earth,
-)
+from world.plants.rigid_body import RigidBody, added_coriolis, euler_rates, flow, rk4, rotation, to_body, to_earth
 
 BODY = RigidBody(30.0, 0.2, 4.0, 3.9, 0.05, (1.0, 28.0, 31.0, 0.1, 3.0, 3.5), 300.0, 290.0, -0.01)
 

@@ -136,15 +136,15 @@ def test_a_run_goes_on_from_its_log(name: str, tmp_path: Path) -> None:
         ("paper", [], []),
         ("ideal", [], []),
         ("paper", ["network.links={'*': delay 200ms}", "faults=[{at: 1 s, partition: halves}]"], []),
-        ("paper", ["network.links={'*': loss 0%}"], []),
+        pytest.param("paper", ["network.links={'*': loss 0%}"], [], marks=pytest.mark.slow),
         ("paper", ["network.links={'1->2': loss 1%}"], ["link conditions"]),
-        ("paper", ["network.links={'1->2': delay 20ms 5ms}"], ["link conditions"]),
+        pytest.param("paper", ["network.links={'1->2': delay 20ms 5ms}"], ["link conditions"], marks=pytest.mark.slow),
         ("paper", ["faults=[{at: 1 s, partition: ring}]"], ["faults"]),
-        ("paper", ["faults=[{at: 1 s, dropout: {probability: 10%}}]"], ["faults"]),
-        ("paper", ["faults=[{at: 1 s, current: {sigma: 1 1 0 cm/s}}]"], ["faults"]),
-        ("paper", ["sensors.position_noise=1 cm"], ["sensor noise"]),
+        pytest.param("paper", ["faults=[{at: 1 s, dropout: {probability: 10%}}]"], ["faults"], marks=pytest.mark.slow),
+        pytest.param("paper", ["faults=[{at: 1 s, current: {sigma: 1 1 0 cm/s}}]"], ["faults"], marks=pytest.mark.slow),
+        pytest.param("paper", ["sensors.position_noise=1 cm"], ["sensor noise"], marks=pytest.mark.slow),
         ("paper", ["initial={scatter: 1 m, surge: 0.1 m/s}"], ["initial scatter"]),
-        ("paper", ["sea.current={sigma: 5 5 0 cm/s}"], ["current"]),
+        pytest.param("paper", ["sea.current={sigma: 5 5 0 cm/s}"], ["current"], marks=pytest.mark.slow),
         ("acoustic-s2c", ["initial={scatter: 0 m, surge: 0.1 m/s}"], ["backoff of aloha"]),
     ],
 )
@@ -155,6 +155,6 @@ def test_what_the_seed_decides(name: str, overrides: list[str], drawn: list[str]
     if name == "paper":
         finals = []
         for seed in (1, 2, 3, 4) if drawn else (1, 2):
-            s = load_scenario(name, [*overrides, f"seed={seed}", "duration=4 s", "log.every=10 ticks"])
+            s = load_scenario(name, [*overrides, f"seed={seed}", "duration=3 s", "log.every=10 ticks"])
             finals.append(execute(s, Options(tmp_path, in_process=True, quiet=True)).values["vehicles"])
         assert all(final == finals[0] for final in finals) is not bool(drawn)

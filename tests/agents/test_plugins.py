@@ -402,7 +402,10 @@ def test_failures_name_vehicle_tick_and_line(
     assert result.reason.endswith(f"({name}.py:{number})")
 
 
-@pytest.mark.parametrize("kind", ["raises", "exits", "nan", "two numbers", "unknown"])
+@pytest.mark.parametrize(
+    "kind",
+    ["exits", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("raises", "nan", "two numbers", "unknown"))],
+)
 def test_failures_abort_a_distributed_run(kind: str, module: Callable[[str], str], tmp_path: Path) -> None:
     """Whatever a law does, `sys.exit(0)` too: a run whose controller failed has not passed."""
     line, words, number = FAILURES[kind]
@@ -417,7 +420,7 @@ def test_failures_abort_a_distributed_run(kind: str, module: Callable[[str], str
     assert json.loads((result.directory / "result.json").read_text("utf-8"))["exit"] == 3
 
 
-@pytest.mark.parametrize("in_process", [True, False])
+@pytest.mark.parametrize("in_process", [True, pytest.param(False, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("line", "words"),
     [
@@ -508,7 +511,9 @@ def test_a_print_from_a_library_is_where_it_was_called(module: Callable[[str], s
     assert f"{name}.py:10)" in note
 
 
-@pytest.mark.parametrize(("line", "policy"), [("time.sleep(30)", "abort"), ("while True: pass", "coast")])
+@pytest.mark.parametrize(
+    ("line", "policy"), [("time.sleep(30)", "abort"), pytest.param("while True: pass", "coast", marks=pytest.mark.slow)]
+)
 def test_a_law_over_its_budget(line: str, policy: str, module: Callable[[str], str], tmp_path: Path) -> None:
     """Also one that would never return: the message has the line at which it was."""
     name = module(failing(20, line))
@@ -580,7 +585,7 @@ def test_a_law_that_cannot_be_made(module: Callable[[str], str], tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    "kind", [pytest.param(kind, marks=[] if kind in ("controller", "agent") else [pytest.mark.slow]) for kind in KINDS]
+    "kind", [pytest.param(kind, marks=[] if kind == "controller" else [pytest.mark.slow]) for kind in KINDS]
 )
 def test_templates_run(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What `fleet new` writes runs as it is, does what its check asks, and is resumable."""
@@ -599,7 +604,7 @@ def test_templates_run(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert metadata_of(result)["resumable"] == "yes"
 
 
-@pytest.mark.parametrize("kind", ["guidance", "tracking"])
+@pytest.mark.parametrize("kind", ["guidance", pytest.param("tracking", marks=pytest.mark.slow)])
 def test_half_of_ours_and_half_of_yours(kind: str, module: Callable[[str], str], tmp_path: Path) -> None:
     """A guidance law with a tracking law of ours, and the other way round; distributed as in one process."""
     code = GOOD.replace("sample):", "sample, command):") if kind == "tracking" else GOOD
@@ -723,6 +728,7 @@ def test_the_worked_example_against_nboc(tmp_path: Path) -> None:
         assert nboc["effort_Ns"] > follower["effort_Ns"]  # what the page says it costs
 
 
+@pytest.mark.slow
 def test_the_worked_example_in_processes(tmp_path: Path) -> None:
     s = load_scenario(EXAMPLE, ["duration=1 s", "checks={}"])
     assert same_bytes(run(s, tmp_path), run(s, tmp_path, in_process=False))

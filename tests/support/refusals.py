@@ -8,6 +8,7 @@ words of the others. It never writes another class, place or field: who means th
 
 from __future__ import annotations
 
+import ast
 import os
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -58,7 +59,8 @@ def check_refusals(
     path = EXPECTED / f"messages-{room}.txt"
     sections = _read(path)
     known = sections.get(what, {})
-    found = dict(_refusal(call, case, hide or {}) for case in (known if cases is None else cases))
+    replayed = (tuple(map(_literal, mistake)) for mistake in known)
+    found = dict(_refusal(call, case, hide or {}) for case in (replayed if cases is None else cases))
     if os.environ.get("WRITE_MESSAGES"):
         known = {case: (known.get(case, ("",))[0] or head, words) for case, (head, words) in found.items()}
         sections[what] = known
@@ -74,7 +76,8 @@ def _refusal(
     try:
         call(*parts)
     except Exception as error:
-        problems = getattr(error, "problems", None) or [p for p in (getattr(error, "problem", None),) if p]
+        told = [*getattr(error, "problems", ()), getattr(error, "problem", None)]
+        problems = [problem for problem in told if hasattr(problem, "message")]
         whose = [f"of {p.file}" for p in problems if len(parts) > 1]
         places = [f"{p.key or p.file}:{p.line}:{p.column}" for p in problems]
         fields = {name: v for name, v in vars(error).items() if name not in _FIELDS_IN_WORDS and v != ""}
@@ -95,6 +98,12 @@ def _shown(part: Any) -> str:
     return text if len(text) <= _LONG else f"{text[: _LONG // 2]} ... {text[-_LONG // 2 :]} ({len(text)})"
 
 
+def _literal(part: str) -> str:
+    """What was shown, where a text stands in quotes because it has line breaks, or blanks at its ends."""
+    quoted = len(part) > 1 and part[0] == part[-1] and part[0] in "\"'"
+    return str(ast.literal_eval(part)) if quoted and _shown(ast.literal_eval(part)) == part else part
+
+
 def _read(path: Path) -> dict[str, Entries]:
     sections: dict[str, Entries] = {}
     for block in path.read_text("utf-8").strip("\n").split("\n\n") if path.exists() else ():
@@ -110,7 +119,7 @@ def _read(path: Path) -> dict[str, Entries]:
 
 def _printed(name: str, entries: Entries) -> str:
     blocks = [
-        "\n".join([*(f"> {part}" for part in mistake), head, *(f"  {line}" for line in words)])
+        "\n".join([*(f"> {part}".rstrip() for part in mistake), head, *(f"  {line}" for line in words)])
         for mistake, (head, words) in entries.items()
     ]
     return "\n\n".join([f"## {name}", *blocks]) + "\n"

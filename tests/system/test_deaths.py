@@ -16,12 +16,14 @@ from pathlib import Path
 
 import psutil
 import pytest
+from click.testing import CliRunner
 from ended_runs import CHECKS, LONG
 from first_difference import assert_same_bytes
 from in_process_runs import Alone, log_of
 from live import FORKSERVER, LiveRun, Stopwatch
 from waiting import wait_for
 
+from fleet.cli.main import cli
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.reader import LogReader
@@ -36,14 +38,8 @@ def assert_readable(run: LiveRun, least_s: float = 1.0) -> None:
     reader = LogReader(run.log)
     last = max(record.log_ns for record in reader) / 1e9
     assert last >= least_s
-    info = subprocess.run(
-        [sys.executable, "-m", "fleet", "info", str(run.directory), "--json"],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
-    assert (info.returncode, info.stderr) == (0, "")
+    info = CliRunner().invoke(cli, ["info", str(run.directory), "--json"])
+    assert (info.exit_code, info.stderr) == (0, "")
     assert json.loads(info.stdout)["end_s"] == last
     assert json.loads(info.stdout)["run"]["scenario"] == "paper"
 
@@ -51,7 +47,9 @@ def assert_readable(run: LiveRun, least_s: float = 1.0) -> None:
 # --- kill -9 ---------------------------------------------------------------
 
 
-@pytest.mark.parametrize("victim", ["agent 3", "world", "netem", FORKSERVER])
+@pytest.mark.parametrize(
+    "victim", ["agent 3", FORKSERVER, *(pytest.param(role, marks=pytest.mark.slow) for role in ("world", "netem"))]
+)
 def test_death_of_a_process_ends_the_run_and_is_explained(victim: str, tmp_path: Path) -> None:
     """Of each kind of process: status 3, a sentence with role, pid, signal and sim time, what it printed last."""
     with LiveRun(tmp_path / "runs", "paper", *LONG) as run:

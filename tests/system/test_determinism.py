@@ -79,6 +79,11 @@ ORDERS: dict[str, Callable[[list[str]], list[str]]] = {
 }
 
 
+def marked(*quick: str) -> list[Any]:
+    """All cases, those that are not named as slow ones: each adds something, and the first of them show the law."""
+    return [pytest.param(case, marks=[] if case in quick else [pytest.mark.slow]) for case in CASES]
+
+
 def run(out: Path, case: str, *more: str, **options: Any) -> Path:
     """The log of one run of a case."""
     scenario, overrides = CASES[case]
@@ -93,13 +98,14 @@ def once(alone: Alone, case: str, *more: str) -> Path:
     return log_of(alone(scenario, CHECKS, *overrides, *more))
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", marked("rough-sea", "clocks of a protocol"))
 def test_same_seed_same_bytes(case: str, tmp_path: Path, alone: Alone) -> None:
     """Two runs in one process: nothing is left over from the first, or from one between them, that the second sees."""
     assert_same_bytes(once(alone, case), run(tmp_path, case, in_process=True))
 
 
-@pytest.mark.parametrize(("case", "order"), [*((case, "world last") for case in CASES), ("rough-sea", "agents first")])
+@pytest.mark.parametrize("order", ["world last", pytest.param("agents first", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("case", marked("rough-sea", "thinned log", "dead reckoning", "clocks and slots", "kept apart"))
 def test_distributed_is_in_process(case: str, order: str, tmp_path: Path, alone: Alone) -> None:
     """Processes over zenoh and a plain loop write the same file, so no scheduling, no order of arrival and no
     start order reaches a result. Every distributed run schedules differently, so each is a new sample of that."""

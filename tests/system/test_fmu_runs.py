@@ -58,6 +58,7 @@ def test_a_fleet_of_units_gives_the_same_bytes_alone_and_distributed(folder: Pat
     assert log["uuv/2/state"].x[-1] > log["uuv/2/state"].x[0]
 
 
+@pytest.mark.slow
 def test_units_that_report_nothing_are_recorded(folder: Path) -> None:
     log = open_log(run('vehicle={plant: "fmu:two.fmu"}', "per_vehicle={}").directory)
     assert not [topic for topic in log.topics if topic.endswith("/plant")]
@@ -74,6 +75,7 @@ def test_a_run_goes_on_from_its_log_bit_for_bit(folder: Path) -> None:
     assert one["uuv/2/state"].u[-1] == other["uuv/2/state"].u[-1]
 
 
+@pytest.mark.slow
 def test_a_run_whose_unit_cannot_save_its_state_is_not_resumed(folder: Path) -> None:
     build(folder / "two.fmu", 2, description(2, saves=False))
     whole = run("log.snapshot=500 ms", "per_vehicle={}")
@@ -94,6 +96,7 @@ def test_a_unit_that_hangs_ends_its_vehicle_and_nothing_else(folder: Path) -> No
     assert log["uuv/2/state"].x[-1] > log["uuv/2/state"].x[len(log["uuv/2/state"].x) // 2]
 
 
+@pytest.mark.slow
 def test_snapshots_go_on_after_a_unit_crashed_and_a_run_goes_on_from_them(folder: Path) -> None:
     plant = 'vehicle={plant: {name: "fmu:two.fmu", parameters: {start: {crash_at: 0.5}}}}'
     _, said = call("run", "units.yaml", "--set", plant, "--set", "log.snapshot=200 ms", "--in-process", "--out", "runs")
@@ -108,7 +111,7 @@ def test_snapshots_go_on_after_a_unit_crashed_and_a_run_goes_on_from_them(folder
     assert again["uuv/2/state"].x[-1] == log["uuv/2/state"].x[-1]
 
 
-@pytest.mark.parametrize("command", ["run", "check"])
+@pytest.mark.parametrize("command", ["check", pytest.param("run", marks=pytest.mark.slow)])
 def test_a_strangers_unit_does_not_run_unasked(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     elsewhere = folder / "elsewhere"
     elsewhere.mkdir()

@@ -36,9 +36,10 @@ keep_apart: {distance: 3 m, obstacles: [{at: 20 0 m, radius: 2 m}]}
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
-    [{}, *(pytest.param(each, marks=pytest.mark.slow) for each in ({"network.links": "{}"}, {"keep_apart": "null"}))],
+    [{}, {"network.links": "{}"}, {"keep_apart": "null"}],
     ids=["lossy", "good", "off"],
 )
 def test_columns_cross_and_keep_their_distance(changes: dict[str, str]) -> None:

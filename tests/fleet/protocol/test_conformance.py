@@ -112,7 +112,9 @@ BROKEN = {
 }
 
 
-@pytest.mark.parametrize("how", BROKEN)
+@pytest.mark.parametrize(
+    "how", [pytest.param(how, marks=[pytest.mark.slow] if "echoes" in how else []) for how in BROKEN]
+)
 def test_a_broken_agent_fails_the_right_check(how: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(conformance, "ANSWER_S", 2.0)  # for those that never answer
     monkeypatch.setattr(conformance, "SILENCE_S", 0.1)

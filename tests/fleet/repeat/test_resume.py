@@ -63,7 +63,7 @@ def since(directory: Path, ns: int) -> list[Record]:
     [
         ("paper", ["duration=2.4 s", LINKS, EVERYTHING]),
         ("paper", ["duration=2.4 s", CHANGING, "faults=[{at: 1 s, for: 500 ms, link: {1->2: loss 50%}}]"]),
-        ("ideal", ["duration=1.5 s"]),
+        pytest.param("ideal", ["duration=1.5 s"], marks=pytest.mark.slow),
         pytest.param(
             "acoustic-s2c",
             [
@@ -72,21 +72,30 @@ def since(directory: Path, ns: int) -> list[Record]:
             ],
             marks=pytest.mark.slow,
         ),
-        ("nemesis", ["duration=4 s", NEMESIS, "sea.current={sigma: 5 5 0 cm/s, time_constant: 2 s}"]),
+        ("nemesis", ["duration=3 s", NEMESIS, "sea.current={sigma: 5 5 0 cm/s, time_constant: 2 s}"]),
         (
             "dead-reckoning",
-            ["duration=4 s", "per_vehicle.1.navigation.usbl={at: 0 0 0 m, period: 400 ms, delay: 1 s}", INSTRUMENTS],
+            ["duration=2 s", "per_vehicle.1.navigation.usbl={at: 0 0 0 m, period: 400 ms, delay: 1 s}", INSTRUMENTS],
         ),
         ("locate-consistent", ["duration=9 s", "log.snapshot=3 s", *DYING]),
-        ("crossing", ["duration=2 s", "keep_apart.distance=25 m"]),
+        pytest.param("crossing", ["duration=2 s", "keep_apart.distance=25 m"], marks=pytest.mark.slow),
         pytest.param("helix", ["duration=2 s", "sensors.position_noise=5 cm"], marks=pytest.mark.slow),
-        ("rough-sea", ["duration=2 s", "per_vehicle={'2': {controller: bsmc}}", "network.payload=compact"]),
-        (
+        pytest.param(
+            "rough-sea",
+            ["duration=2 s", "per_vehicle={'2': {controller: bsmc}}", "network.payload=compact"],
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
             "average",
             ["duration=2.4 s", "faults=[{at: 800 ms, for: 1 s, kill: 3}]", "agent.parameters.forget_after_s=1"],
+            marks=pytest.mark.slow,
         ),
         pytest.param("average-naive", ["duration=1 s", "expect=pass"], marks=pytest.mark.slow),
-        ("election", ["duration=3 s", "faults=[{at: 1.5 s, for: 1 s, kill: 1}]", "agent.parameters.lease_s=1"]),
+        pytest.param(
+            "election",
+            ["duration=3 s", "faults=[{at: 1.5 s, for: 1 s, kill: 1}]", "agent.parameters.lease_s=1"],
+            marks=pytest.mark.slow,
+        ),
         (
             "election",
             [
@@ -97,7 +106,11 @@ def since(directory: Path, ns: int) -> list[Record]:
             ],
         ),
         ("event-triggered", ["duration=2 s", "agent.parameters.silence_s=0.5", "agent.parameters.threshold_m=0.02"]),
-        ("auction", ["duration=3 s", "faults=[{at: 1 s, kill: 3}]", "agent.parameters.silence_s=0.5"]),
+        pytest.param(
+            "auction",
+            ["duration=3 s", "faults=[{at: 1 s, kill: 3}]", "agent.parameters.silence_s=0.5"],
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
@@ -220,7 +233,7 @@ def test_on_the_command_line(tmp_path: Path) -> None:
 
 
 def test_times_and_speed_count_from_its_start(tmp_path: Path) -> None:
-    first = recorded(tmp_path, "paper", "duration=12 s", "log.snapshot=1 s")
+    first = recorded(tmp_path, "paper", "duration=12 s", "log.snapshot=1 s", "log.every=5 ticks")
     scenario, start = continuation(first.directory, 2_000_000_000)
     again = run(scenario, tmp_path, start)
     assert (first.values["from_s"], again.values["from_s"], again.values["sim_s"]) == (0.0, 2.0, 12.0)

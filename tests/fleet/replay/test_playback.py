@@ -66,7 +66,7 @@ def test_the_first_line_has_the_pace(log: Path) -> None:
     assert 0.2 < pace < 1.2, line.shown[0]
 
 
-@pytest.mark.parametrize("topics", [[], ["uuv/*/pose", "link/**"]])
+@pytest.mark.parametrize("topics", [["uuv/*/pose", "link/**"], pytest.param([], marks=pytest.mark.slow)])
 def test_replay_gives_a_recorder_the_log(topics: list[str], log: Path, records: list[Record], tmp_path: Path) -> None:
     """Played as fast as possible and recorded: the same messages in the same order, with their times and encoding;
     and the recording, played again, is the same to a subscriber."""

@@ -15,6 +15,7 @@ from fault_histories import drive, told, world
 from hypothesis import given
 from hypothesis import strategies as st
 from live import LiveRun
+from refusals import check_refusals
 from small_scenario import only_problem, small
 
 from fleet.analysis.stability import analyse
@@ -27,7 +28,6 @@ from fleet.scenario.schema.faults import ACTIONS, DrawnKind
 from fleet.scenario.sections.partitions import partition
 from netem.condition import Condition
 from netem.config import NetemConfig
-from netem.errors import TextError
 from netem.fault_kinds import FaultKind, WorldFaultKind
 from netem.faults import NO_FAULTS, NetFault, active_faults
 from netem.lives import Absence
@@ -88,15 +88,9 @@ def test_bridge_leaves_one_that_both_halves_see() -> None:
     assert sorted(len(group) for group in components(7, without)) == [1, 3, 3]
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [("halve", "is no partition"), ("one:3", "is no partition"), ("isolate:\u00b2", "is no partition"),
-     ("1,2 / 2,3", "vehicle 2 is in two groups"), ("1 / 9", "there is no vehicle 9"),
-     ("isolate:9", "is no partition"), ("a / b", "expected vehicle numbers"), ("", "is no partition")],
-)  # fmt: skip
-def test_bad_partitions(text: str, words: str) -> None:
-    with pytest.raises(TextError, match=words):
-        partition(text, 4, 1, 1)
+def test_bad_partitions() -> None:
+    cases = ["halve", "one:3", "isolate:\u00b2", "1,2 / 2,3", "1 / 9", "isolate:9", "a / b", ""]
+    check_refusals("scenario/partitions", lambda text: partition(text, 4, 1, 1), cases)
 
 
 def test_those_in_no_group_are_alone() -> None:

@@ -150,7 +150,12 @@ def test_a_trace_of_ratios_and_one_that_ends_early(tmp_path: Path) -> None:
         (["by: packet", "time_scale: 2"], LOG, "has no effect by packet"),
         ([], 'time [s],delivered\n0,"1\n', "not CSV"),
         ([], "time [s],delivered\n" + "0,1\n" * (MOST_ROWS + 1), f"more than {MOST_ROWS} rows"),
-        ([], "time [s],delay [ns]\n" + "".join(f"{n},{n:09}\n" for n in range(90_000)), "900000 is the most"),
+        pytest.param(
+            [],
+            "time [s],delay [ns]\n" + "".join(f"{n},{n:09}\n" for n in range(90_000)),
+            "900000 is the most",
+            marks=pytest.mark.slow,
+        ),
         ([], "x" * 10_000_001, "larger than 10 MB"),
     ],
 )  # fmt: skip

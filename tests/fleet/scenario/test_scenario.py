@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import fields, replace
-from itertools import pairwise
+from itertools import pairwise, product
 from math import pi
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from refusals import check_refusals
 from repository import EXPECTED
 from small_scenario import SMALL, WILD, only_problem, places, small
 
@@ -89,13 +90,13 @@ def test_rough_sea_and_ideal() -> None:
     assert ideal.round_ticks == 1
 
 
-@pytest.mark.parametrize("name", SHIPPED)
-def test_shipped_scenarios_carry_their_file_name_and_checks(name: str) -> None:
-    s = load_scenario(name)
-    assert s.name == name
-    checks = s.spec.checks
-    assert checks.formation_error is not None or checks.min_separation is not None or checks.python
-    assert checks.formation_error is None or checks.formation_error.after < s.duration_ns
+def test_shipped_scenarios_carry_their_file_name_and_checks() -> None:
+    for name in SHIPPED:
+        s = load_scenario(name)
+        checks = s.spec.checks
+        assert s.name == name
+        assert checks.formation_error is not None or checks.min_separation is not None or checks.python, name
+        assert checks.formation_error is None or checks.formation_error.after < s.duration_ns, name
 
 
 def test_neighbours_offsets_cancel() -> None:
@@ -199,13 +200,12 @@ def test_scatter_is_order_free() -> None:
 # --- the merged scenario ---------------------------------------------------
 
 
-@pytest.mark.parametrize("name", SHIPPED)
-@pytest.mark.parametrize("overrides", [[], ["vehicles=20", "seed=9"], ["duration=5 s"]])
-def test_show_config_loads_to_an_equal_scenario(name: str, overrides: list[str]) -> None:
-    s = load_scenario(name, overrides)
-    again = parse_scenario(s.to_yaml(), "again.yaml")
-    assert again == s
-    assert again.to_yaml() == s.to_yaml()
+def test_show_config_loads_to_an_equal_scenario() -> None:
+    for name, overrides in product(SHIPPED, ([], ["vehicles=20", "seed=9", "duration=5 s"])):
+        s = load_scenario(name, overrides)
+        again = parse_scenario(s.to_yaml(), "again.yaml")
+        assert again == s
+        assert again.to_yaml() == s.to_yaml()
 
 
 def test_show_config_golden() -> None:
@@ -301,24 +301,20 @@ SHAPES = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", SHAPES)
-@pytest.mark.parametrize("vehicles", [1, 2, 3, 20])
-def test_shapes_scale_by_themselves(name: str, vehicles: int) -> None:
+@pytest.mark.parametrize("vehicles", [1, 2, 20])
+def test_all_that_ships_scales_by_itself(vehicles: int) -> None:
     """What is said of vehicles that are gone goes with them; a shape fits any number."""
-    s = load_scenario(name, [f"vehicles={vehicles}", *(["graph={shape: path}"] if vehicles < 3 else [])])
-    assert s.vehicles == len(s.plans) == len(s.controls) == vehicles
-    assert all(1 <= i <= vehicles for link in s.graph.links for i in link)
-
-
-@pytest.mark.parametrize("name", sorted(set(SHIPPED) - set(SHAPES)))
-@pytest.mark.parametrize("vehicles", [1, 2, 20, 100])
-def test_scaling(name: str, vehicles: int) -> None:
-    s = load_scenario(name, [f"vehicles={vehicles}"])
-    assert s.vehicles == len(s.plans) == len(s.initial) == len(s.world_config.vehicles) == vehicles
-    assert places(s) == grid(vehicles, 10.0)
-    assert len(s.graph.links) == (1 if name in CHAINS else 2) * (vehicles - 1)
-    assert {nu0[0] for _, nu0 in s.initial} == {load_scenario(name).initial[0][1][0]}
-    assert set(s.graph.weights.values()) <= {1.0, 0.8}
+    for name in SHIPPED:
+        ring = name in SHAPES and vehicles < 3
+        s = load_scenario(name, [f"vehicles={vehicles}", *(["graph={shape: path}"] if ring else [])])
+        assert s.vehicles == len(s.plans) == len(s.controls) == vehicles, name
+        assert all(1 <= i <= vehicles for link in s.graph.links for i in link), name
+        if name not in SHAPES:
+            assert len(s.initial) == len(s.world_config.vehicles) == vehicles, name
+            assert places(s) == grid(vehicles, 10.0), name
+            assert len(s.graph.links) == (1 if name in CHAINS else 2) * (vehicles - 1), name
+            assert {nu0[0] for _, nu0 in s.initial} == {load_scenario(name).initial[0][1][0]}, name
+            assert set(s.graph.weights.values()) <= {1.0, 0.8}, name
 
 
 @pytest.mark.parametrize("name", CHAINS)
@@ -477,34 +473,19 @@ def test_anchors_work() -> None:
     assert not found
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("", "the text is empty"),
-        ("# only a comment\n", "the text is empty"),
-        ("- 1\n", "expected keys with values"),
-        ("a: 1\n---\nb: 2\n", "a second document"),
-        ("a: !!python/object x\n", "tags"),
-        ("? [1]\n: 2\n", "a key must be a text"),
-        ("a: &x [*x]\n", "contains it"),
-        ("a: *x\n", "stands for nothing"),
-        ("*->2: down\n", "needs quotes"),
-        ("a:\n\tb: 1\n", "tabs cannot indent"),
-        ("a: \x00\n", "not YAML"),
-        ("a: \ud800\n", "not YAML"),
-        ("[" * 100_000, "nested more than 30 deep"),
-        ("a: " + "{a: " * 50, "nested more than 30 deep"),
-        ("a" * 1_000_001, "longer than"),
-        ("[" + "1," * 30_000 + "]", "more than 20000 values"),
-        ("\n".join(["a0: &a0 [1, 1]"] + [f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]" for i in range(1, 40)]), "values"),
-    ],
-)
-def test_hostile_yaml_is_refused_at_once(text: str, words: str) -> None:
+def test_hostile_yaml_is_refused_at_once() -> None:
+    """What is read is bounded in depth and size before it is understood: ten lines may stand for 10^10 values."""
+    aliases = ["a0: &a0 [1, 1]"] + [f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]" for i in range(1, 40)]
+    cases = [
+        *("", "# only a comment\n", "- 1\n", "a: 1\n---\nb: 2\n", "a: !!python/object x\n", "? [1]\n: 2\n"),
+        *("a: &x [*x]\n", "a: *x\n", "*->2: down\n", "a:\n\tb: 1\n", "a: \x00\n", "a: \ud800\n", "\n".join(aliases)),
+        *("[" * 100_000, "{a: " * 100_000, "- " * 100_000, "? " * 50_000, "a: " + "{a: " * 50),
+        *("a" * 1_000_001, "&" + "a" * 1_000_000, "x: " + "9" * 1_000_000, "[" + "1," * 30_000 + "]"),
+        *("vehicles: 999999999999999999", "duration: " + "9" * 300 + " s", "vehicles: 100000\nduration: 1000000 s"),
+    ]
     start = time.process_time()
-    with pytest.raises(ScenarioError) as caught:
-        parse_scenario(text, "t.yaml")
-    assert words in str(caught.value)
-    assert time.process_time() - start < 2.0
+    check_refusals("scenario/hostile YAML", lambda text: parse_scenario(text, "t.yaml"), cases)
+    assert time.process_time() - start < 10.0
 
 
 def test_marks_count_characters() -> None:

@@ -93,7 +93,7 @@ def test_a_worker_that_is_killed_costs_no_run(engine: LocalEngine) -> None:
             killed.append(min(engine.workers.pids))
             os.kill(killed[0], signal.SIGKILL)
 
-    rows = made(engine, tasks(12, "8 s"), wait=kill_one)
+    rows = made(engine, tasks(12, "3 s"), wait=kill_one)
     assert killed
     assert sorted(row.seed for row in rows) == list(range(12))
     assert {row.status for row in rows} <= DONE
@@ -132,7 +132,11 @@ def test_a_law_of_the_users_runs_there_and_one_that_kills_its_workers_costs_its_
 
 
 @pytest.mark.parametrize(
-    "line", ["__import__('re').match('(a+)+b', 'a' * 60)", "while True: pass", "time.sleep(3600.0)"]
+    "line",
+    [
+        "__import__('re').match('(a+)+b', 'a' * 60)",
+        *(pytest.param(line, marks=pytest.mark.slow) for line in ("while True: pass", "time.sleep(3600.0)")),
+    ],
 )
 def test_a_law_that_hangs_within_a_tick_costs_its_run_and_its_worker_once(
     line: str, engine: LocalEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

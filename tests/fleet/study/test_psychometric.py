@@ -42,6 +42,7 @@ def test_a_sharp_border_is_found_between_two_places() -> None:
     assert 0.38 < found.low < found.border < found.high < 0.42
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("best", "worst"), [(0.7, 0.0), (1.0, 0.2)])
 def test_a_curve_that_does_not_fall_from_1_to_0_moves_the_border_little(best: float, worst: float) -> None:
     """With curves from 1 to 0 alone the border was 7 % of the range too low where the best pass rate is 0.7."""

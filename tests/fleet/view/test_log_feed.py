@@ -153,7 +153,10 @@ def copied(log: Path, out: Path, schema: str = "", *, late: bool = False) -> Pat
     return out
 
 
-@pytest.mark.parametrize("schema", ["uuv_fleet.State", "uuv_fleet.Error", "uuv_fleet.Packet"])
+@pytest.mark.parametrize(
+    "schema",
+    ["uuv_fleet.State", *(pytest.param(f"uuv_fleet.{name}", marks=pytest.mark.slow) for name in ("Error", "Packet"))],
+)
 def test_a_damaged_schema_leaves_out_its_signals_and_no_more(log: Path, tmp_path: Path, schema: str) -> None:
     feed = LogFeed(copied(log, tmp_path / "run.mcap", schema))
     assert ("uuv/1/state.z" in feed.signals.by_name) == (schema != "uuv_fleet.State")

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
-import pytest
 from failing_laws import module as module
+from refusals import check_refusals
 
-from world.errors import PluginError
 from world.plants.classes import SHIPPED, model_of, module_of, plant_class, signals_of
 
 CLASS = """\
@@ -35,21 +35,23 @@ def test_those_that_ship_need_no_module_of_the_user() -> None:
         assert plant_class(name, {}).__module__.startswith("world.plants.")
 
 
-@pytest.mark.parametrize(
-    ("more", "parameters", "said"),
-    [
-        ("", {"length": 2.0}, "cannot be made with these parameters: got an unexpected keyword argument 'length'"),
-        ("signals = ('rpm',)", {}, "expected signals as a tuple of Signal"),
-        ("from world.api import Signal; signals = (Signal('rpm', '1/s', 'turns'),)", {}, "and no method report"),
-        ("from world.api import Signal; signals = (Signal('phi', 'rad', 'roll'),)", {}, "signal 'phi' is reported"),
-        ("model = 3", {}, "its model is 3"),
-    ],
-)
-def test_a_class_that_is_no_plant(
-    more: str, parameters: dict[str, float], said: str, module: Callable[[str], str]
-) -> None:
-    with pytest.raises(PluginError, match=said):
-        plant_class(module(CLASS.format(more=more)) + ":Mine", parameters)
+def test_a_class_that_is_no_plant(module: Callable[[str], str], tmp_path: Path) -> None:
+    cases = [
+        ("", {"length": 2.0}),
+        ("signals = ('rpm',)", {}),
+        ("from world.api import Signal; signals = (Signal('rpm', '1/s', 'turns'),)", {}),
+        ("from world.api import Signal; signals = (Signal('phi', 'rad', 'roll'),)", {}),
+        ("model = 3", {}),
+    ]
+
+    def load(more: str, parameters: dict[str, float]) -> None:
+        name = module(CLASS.format(more=more))
+        hide[name] = "mine"
+        plant_class(f"{name}:Mine", parameters)
+
+    hide = {str(tmp_path): "HERE"}
+
+    check_refusals("plants/classes", load, cases, hide=hide)
 
 
 def test_a_plant_that_cannot_be_used_brings_no_model() -> None:

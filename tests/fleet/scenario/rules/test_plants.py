@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 from random import getrandbits
 
 import pytest
+from one_child import in_one_child
 from small_scenario import SMALL, only_problem, small
 
 from fleet.scenario.loading import parse_scenario
@@ -70,13 +69,7 @@ from own_plants import Rolling
 """
 
 
-def fleet(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """A command as a user types it: with the test's plants on no path but that of Python."""
-    command = [sys.executable, "-P", "-m", "fleet", *arguments]
-    support = str(Path(__file__).parents[3] / "support")
-    return subprocess.run(
-        command, cwd=folder, capture_output=True, text=True, timeout=120, env={"PYTHONPATH": support, "PATH": ""}
-    )
+SUPPORT = Path(__file__).parents[3] / "support"  # the test's plants are on no path but that of Python
 
 
 def test_a_stranger_s_plant_does_not_run(tmp_path: Path) -> None:
@@ -87,23 +80,21 @@ def test_a_stranger_s_plant_does_not_run(tmp_path: Path) -> None:
     (there / f"{name}.py").write_text(PLANT)
     (there / "s.yaml").write_text(f"{SMALL}vehicle: {{plant: '{name}:Rolling'}}\n")
     mark = there / f"{name}.mark"
-    ran = fleet(there, "run", "s.yaml", "--in-process", "-q")
-    assert ran.returncode == 0, ran.stderr
+    (ran,) = in_one_child([(there, ["run", "s.yaml", "--in-process", "-q"])], SUPPORT)
+    assert ran.status == 0, ran.stderr
     assert mark.exists()
     mark.unlink()
     log = str(next((there / "runs").glob("s-1-*")) / "run.mcap")
-    refused = fleet(here, "run", "../there/s.yaml", "--in-process", "-q")
-    assert (refused.returncode, mark.exists()) == (2, False)
-    assert f"vehicle.plant: {name}:Rolling: would run" in refused.stderr
-    for command in (["info", log], ["export", log, "--scenario"], ["export", log, "--csv", "tables"]):
-        read = fleet(here, *command)
-        assert (read.returncode, mark.exists()) == (0, False), read.stderr
     (here / f"{name}.py").write_text(PLANT)
-    refused = fleet(here, "verify", log)
-    assert refused.returncode == 2 and "would run" in refused.stderr
-    assert not (here / f"{name}.mark").exists()
-    trusted = fleet(here, "verify", log, "--trust")
-    assert trusted.returncode == 0, trusted.stderr
+    reading = ["info", log], ["export", log, "--scenario"], ["export", log, "--csv", "tables"]
+    running = ["run", "../there/s.yaml", "--in-process", "-q"], ["verify", log]
+    refused, verified, *read = in_one_child([(here, arguments) for arguments in (*running, *reading)], SUPPORT)
+    assert (refused.status, verified.status) == (2, 2)
+    assert f"vehicle.plant: {name}:Rolling: would run" in refused.stderr and "would run" in verified.stderr
+    assert [done.status for done in read] == [0, 0, 0], read
+    assert not mark.exists() and not (here / f"{name}.mark").exists()
+    (trusted,) = in_one_child([(here, ["verify", log, "--trust"])], SUPPORT)
+    assert trusted.status == 0, trusted.stderr
     assert (here / f"{name}.mark").exists()
 
 
@@ -124,6 +115,6 @@ def test_a_signal_of_a_plant_beside_the_scenario_is_known_to_its_checks(
     text = f"{SMALL}vehicle: {{plant: '{name}:Rolling'}}\nchecks: {{signal: {{topic: plant.rol, above: 1}}}}\n"
     (tmp_path / "s.yaml").write_text(text)
     monkeypatch.chdir(tmp_path)
-    checked = fleet(tmp_path, "check", "s.yaml")
-    assert checked.returncode == 2, checked.stderr
+    (checked,) = in_one_child([(tmp_path, ["check", "s.yaml"])], SUPPORT)
+    assert checked.status == 2, checked.stderr
     assert "checks.signal.topic: there is no signal plant.rol" in checked.stderr

@@ -9,6 +9,7 @@ import shlex
 import signal
 import sys
 import threading
+import token
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib.metadata import EntryPoint
@@ -25,6 +26,7 @@ from failing_laws import module as module
 from loops import agent_config
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from refusals import check_refusals
 from repository import ROOT
 
 from agents.agent import Agent
@@ -143,78 +145,42 @@ def test_import_path_and_entry_point(module: Callable[[str], str], monkeypatch: 
         laws.load("controller", Law("other"))
 
 
-def without(line: str, text: str = GOOD) -> str:
-    assert line in text
-    return text.replace(line, "")
+def changed(change: str) -> str:
+    """The good law, parts of it replaced, or other code in its place."""
+    text = change.removeprefix("code: ") if change.startswith("code: ") else GOOD
+    for edit in [] if text is not GOOD or change == "as it is" else change.split(" ;; "):
+        old, _, new = edit.partition(" =>")
+        assert old in text, edit
+        text = text.replace(old, new[1:])
+    return text.replace("\\n", "\n")
 
 
-STEP = "def step(self, sample):"
-MISTAKES = [
-    (GOOD, "nowhere_at_all:Law", {}, "there is no module 'nowhere_at_all'", "beside the scenario"),
-    ("import nowhere_at_all", "{}:Law", {}, "importing it failed: No module named 'nowhere_at_all'", ".py:1"),
-    ("x = (", "{}:Law", {}, "importing it failed: SyntaxError: '(' was never closed", ".py:1"),
-    ("\n1 / 0", "{}:Law", {}, "importing it failed: ZeroDivisionError: division by zero", ".py:2"),
-    ("import json\njson.loads('')", "{}:Law", {}, "JSONDecodeError", ".py:2"),  # ours, not json's
-    ("import sys\nsys.exit(0)", "{}:Law", {}, "importing it failed: SystemExit: 0", ".py:2"),
-    (GOOD, "{}:Lwa", {}, "has no 'Lwa'", "it has Law ("),
-    (GOOD, "json:Law", {}, "module 'json' has no 'Law'", "json/__init__.py"),  # the one that was found
-    (GOOD, "token:Law", {}, "module 'token' has no 'Law'", "call your file my_token.py"),  # Python's own is found first
-    ("Law = 3", "{}:Law", {}, "expected a class, got int", ""),
-    ("class Law: pass", "{}:Law", {}, "it has no method step", "a controller needs step"),
-    (GOOD.replace(STEP, "def step(self):"), "{}:Law", {}, "cannot be called as step(sample): too many", ".py:10"),
-    (GOOD.replace(STEP, "def step(self, sample, command):"), "{}:Law", {}, "a required argument: 'command'", ".py:10"),
-    (GOOD.replace(STEP, "async def step(self, sample):"), "{}:Law", {}, "must return its answer, not await", ".py:10"),
-    (GOOD.replace("class Law:", "import abc\nclass Law(abc.ABC):\n    @abc.abstractmethod\n    def more(self): ...\n"),
-     "{}:Law", {}, "it is abstract: it lacks more", ""),
-    (GOOD.replace("config, *, force=1.0", "").replace("= force, 0", "= 1.0, 0"),
-     "{}:Law", {}, "it is made with its configuration, and takes none", "def __init__(self, config, ...)"),
-    (GOOD.replace("def state", "def sate"), "{}:Law", {}, "only one of state and restore", "write both"),
-    (GOOD.replace("signals = (", "signals = 3 #"), "{}:Law", {}, "expected signals as a tuple", "() reports nothing"),
-    (GOOD.replace('"drawn", "m"', '"count", "m"'), "{}:Law", {}, "declared twice", ""),
-    (GOOD.replace('"drawn", "m"', '"coun_t", "m"').replace('"count", "1"', '"counT", "1"'),
-     "{}:Law", {}, "signals 'counT' and 'coun_t' are both 'counT' in JSON", "rename one"),
-    (GOOD.replace('"drawn", "m"', '"Länge", "m"'), "{}:Law", {}, "signal 'Länge' is not a name", "a-z, A-Z"),
-    (GOOD.replace('"count", "1"', '"count", ""'), "{}:Law", {}, "has no unit", 'write "1"'),
-    (GOOD.replace('"two draws"', "2"), "{}:Law", {}, "has meaning 2, not a text", ""),
-    (without(', "two draws", 2'), "{}:Law", {}, "missing 1 required positional argument: 'meaning'", ".py:5"),
-    (GOOD.replace(', 2)', ', 0)'), "{}:Law", {}, "has width 0", "1 to 1000"),
-    (GOOD, "{}:Law", {"froce": 2.0}, "unexpected keyword argument 'froce'", "its parameters: force=1.0"),
-    (GOOD.replace("*, force=1.0", "force"), "{}:Law", {}, "missing a required argument: 'force'", "parameters: force"),
-    (GOOD, "{}", {}, "there is none of this name", "package.module:Class"),
-    (GOOD, "a b:Law", {}, "expected package.module:Class", ""),
-    (GOOD, "größe:Law", {}, "expected package.module:Class", "a-z, A-Z"),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("code", "name", "parameters", "problem", "hint"), MISTAKES)
-def test_what_cannot_be_used_says_why_and_where(
-    module: Callable[[str], str],
-    code: str,
-    name: str,
-    parameters: dict[str, Any],
-    problem: str,
-    hint: str,
-    tmp_path: Path,
-) -> None:
+def test_what_cannot_be_used_says_why_and_where(module: Callable[[str], str], tmp_path: Path) -> None:
     """Before anything runs, with the line of the scenario that names the law."""
-    name = name.format(module(code))
-    with pytest.raises(PluginError) as caught:
-        laws.load("controller", Law(name, parameters))
-    assert problem in caught.value.problem
-    assert hint in caught.value.hint
-    path = tmp_path / "s.yaml"
-    choice = json.dumps({"law": name, "parameters": parameters}, ensure_ascii=False)
-    path.write_text(SCENARIO.format(f"controller: {choice}"), "utf-8")
-    with pytest.raises(ScenarioError) as refused:
-        load_scenario(path)
-    (found,) = refused.value.problems
-    assert (found.file, found.line) == (str(path), CHOICE_LINE)
-    assert found.source_line == f"controller: {choice}"
-    if ":" in name:
-        assert found.message == f"controller.law: {name}: {caught.value.problem}"
-        assert found.hint == caught.value.hint
-    else:
-        assert found.message == f'controller.law: there is no controller "{name}"'
+    hide = {f"{tmp_path}/": ""}
+    hide |= {str(found.__file__): f"lib/{found.__name__}.py" for found in (json, token)}
+
+    def load(name: str, change: str, parameters: str = "{}") -> None:
+        written = module(changed(change))
+        hide[written] = "mine"
+        law = Law(name.format(written), json.loads(parameters))
+        with pytest.raises(PluginError) as caught:
+            laws.load("controller", law)
+        path = tmp_path / "s.yaml"
+        choice = json.dumps({"law": law.name, "parameters": law.parameters}, ensure_ascii=False)
+        path.write_text(SCENARIO.format(f"controller: {choice}"), "utf-8")
+        with pytest.raises(ScenarioError) as refused:
+            load_scenario(path)
+        (found,) = refused.value.problems
+        assert (found.file, found.line, found.source_line) == (str(path), CHOICE_LINE, f"controller: {choice}")
+        if ":" in law.name:
+            assert found.message == f"controller.law: {law.name}: {caught.value.problem}"
+            assert found.hint == caught.value.hint
+        else:
+            assert found.message == f'controller.law: there is no controller "{law.name}"'
+        raise caught.value
+
+    check_refusals("agents/laws", load, hide=hide)
 
 
 def test_the_page_shows_what_one_sees(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

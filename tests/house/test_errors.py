@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import builtins
+from functools import cache
 
 from repository import ROOT
 
@@ -12,6 +13,7 @@ import fleet.errors
 PACKAGES = ("netem", "world", "agents", "fleet")
 
 
+@cache
 def bases() -> dict[str, str]:
     """Base of each exception class of the packages that is not private to its module, in order of module and line."""
     found: dict[str, str] = {}

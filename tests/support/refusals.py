@@ -32,7 +32,7 @@ class CommandRefused(Exception):
         self.status = status
 
 
-def command(*arguments: str) -> None:
+def type_command(*arguments: str) -> None:
     """Call `fleet` in this process. What it says on standard error becomes one line.
 
     Raises:
@@ -100,8 +100,11 @@ def _shown(part: Any) -> str:
 
 def _literal(part: str) -> str:
     """What was shown, where a text stands in quotes because it has line breaks, or blanks at its ends."""
-    quoted = len(part) > 1 and part[0] == part[-1] and part[0] in "\"'"
-    return str(ast.literal_eval(part)) if quoted and _shown(ast.literal_eval(part)) == part else part
+    try:
+        text = ast.literal_eval(part)
+    except (ValueError, SyntaxError):
+        return part
+    return text if isinstance(text, str) and _shown(text) == part else part
 
 
 def _read(path: Path) -> dict[str, Entries]:

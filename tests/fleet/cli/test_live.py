@@ -11,6 +11,7 @@ import msgspec
 import pytest
 from click.testing import CliRunner, Result
 from live_directory import live_directory
+from refusals import check_refusals, type_command
 
 from fleet.cli.documents.logs import Runs
 from fleet.cli.main import cli
@@ -159,24 +160,11 @@ def test_a_kind_of_fault_in_front_is_a_run_only_before_another_kind(asked: list[
         ]
 
 
-@pytest.mark.parametrize(
-    ("typed", "said"),
-    [
-        (("inject", "mut", "3"), ('did you mean "mute"?', "too: fleet inject mut kill 3")),
-        (("inject", "paper"), ("If it is a run, name the fault, too: fleet inject paper kill 3",)),
-        (("clock", "puase"), ('did you mean "pause"?', "what its clock does: fleet clock puase pause")),
-        (("clock", "paper", "2"), ("expected pause, resume, step [TICKS], speed X", "got 2")),
-        (("clock", "pause", "3"), ("expected pause, resume", "got pause 3")),
-        (("heal", "a", "b", "c"), ("expected a run and the id of a fault at most, got a b c",)),
-    ],
-)
-def test_a_first_word_that_is_nothing_has_both_readings(
-    typed: tuple[str, ...], said: tuple[str, ...], asked: list[Any], tmp_path: Path
-) -> None:
-    with live_directory(tmp_path):
-        result = invoke(*typed)
-    assert (result.exit_code, asked) == (2, [])
-    assert all(words in result.stderr for words in said), result.stderr
+def test_a_first_word_that_is_nothing_has_both_readings(asked: list[Any], tmp_path: Path) -> None:
+    with live_directory(tmp_path) as run:
+        hide = {run.name: "RUN", str(tmp_path): "HERE"}
+        check_refusals("cli/first words", lambda line: type_command(*line.split()), hide=hide)
+    assert asked == []
 
 
 def test_a_fault_that_has_the_name_of_its_run_is_not_guessed(

@@ -11,7 +11,7 @@ from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
-from refusals import check_refusals, command
+from refusals import check_refusals, type_command
 from small_scenario import SMALL
 from study_engine import Here
 
@@ -40,7 +40,7 @@ def test_a_mistake_is_told_with_its_remedy_and_changes_nothing(tmp_path: Path, m
 
     def typed(line: str) -> None:
         try:
-            command(*shlex.split(line))
+            type_command(*shlex.split(line))
         finally:
             assert files(tmp_path) == FILES, line
 

@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner, Result
 from made_up_study import LOSS, made_up, usual, with_holes
 from pandas.testing import assert_frame_equal
+from refusals import check_refusals, type_command
 
 from fleet.cli.main import cli
 from fleet.study.study import open_study
@@ -47,24 +48,14 @@ def test_the_page_replaces_nothing_without_force(study: Path, tmp_path: Path) ->
     assert refused.exit_code == 2 and "replace it with --force" in refused.stderr
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["plot", "{study}", "--what", "error", "--window", "1s..2s"], "--what, --window: only for logs"),
-        (["plot", "{tmp}", "--measure", "e_rms_m"], "--measure: only for studies; {tmp} is none"),
-        (["report", "{study}", "{study}"], "{study} is a study: a page is about one study, or about logs"),
-        (["report", "{study}", "--vehicles", "1"], "--vehicles: only for logs; {study} is none"),
-        (["plot", "{study}", "--measure", "e_rms"], 'there is no measure "e_rms"; did you mean "e_rms_m"?'),
-    ],
-)  # fmt: skip
-def test_what_does_not_belong_together_is_said(
-    study: Path, tmp_path: Path, arguments: list[str], said: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_does_not_belong_together_is_said(study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    places = {"study": str(study), "tmp": str(tmp_path)}
-    found = called(*(argument.format(**places) for argument in arguments))
-    assert found.exit_code == 2
-    assert said.format(**places) in found.stderr
+    places = {"STUDY": str(study), "HERE": str(tmp_path)}
+
+    def typed(line: str) -> None:
+        type_command(*(places.get(word, word) for word in line.split()))
+
+    check_refusals("cli/pictures of studies", typed, hide={place: name for name, place in places.items()})
     assert list(tmp_path.iterdir()) == []
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from small_scenario import only_problem, small
+from small_scenario import small
 
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultSection
@@ -46,7 +46,3 @@ def test_a_seed_keeps_to_it() -> None:
     free = [small(*SWARM, ONE, "nemesis.most_silent=5", f"seed={n}") for n in range(1, 10)]
     kept = [small(*SWARM, ONE, f"seed={n}") for n in range(1, 10)]
     assert max(map(silent_at_once, free)) > 1 and max(map(silent_at_once, kept)) == 1
-
-
-def test_liveness_has_limits_of_its_own() -> None:
-    assert "name a core" in only_problem(*SWARM, "nemesis={mode: liveness, most_silent: 1}")

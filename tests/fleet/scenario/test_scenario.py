@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from refusals import check_refusals
 from repository import EXPECTED
-from small_scenario import SMALL, WILD, only_problem, places, small
+from small_scenario import SMALL, WILD, places, small
 
 from agents.config import GuidanceParams, Neighbour, Offset, TrackingParams
 from agents.profiles import PROFILES, profile
@@ -149,10 +149,8 @@ def test_the_qp_period_is_a_time() -> None:
 
 
 def test_a_tick_longer_than_the_qp_period_of_the_profile_is_the_period() -> None:
-    """Otherwise a longer tick would need two settings; one that is given still has to be whole ticks."""
+    """Otherwise a longer tick would need two settings."""
     assert small("tick=100 ms", "network.period=100 ms").controls[0].guidance.qp_ticks == 1
-    assert "30 ms" in only_problem("tick=30 ms", "duration=900 ms", "network.period=90 ms")
-    assert "qp_period" in only_problem("tick=100 ms", "network.period=100 ms", "guidance.qp_period=50 ms")
 
 
 def test_log_groups() -> None:
@@ -170,8 +168,6 @@ def test_no_log() -> None:
     assert "\nlog: none\n" in none.to_yaml()
     assert parse_scenario(none.to_yaml(), "again.yaml") == none
     assert "none" not in small("log={}").to_yaml().split("\nlog:")[1].split("\nchecks:")[0]
-    assert 'did you mean "none"?' in only_problem("log=nne")
-    assert 'write "log: none"' in only_problem("log={none: true}")
 
 
 @pytest.mark.parametrize("vehicles", [1, 2, 3, 4, 5, 9, 10, 100])
@@ -390,15 +386,6 @@ def test_ten_mistakes_in_one_pass(monkeypatch: pytest.MonkeyPatch) -> None:
     assert isinstance(caught.value, FleetError)
 
 
-def test_pitch_must_not_be_vertical() -> None:
-    with pytest.raises(ScenarioError, match="between -90 deg and 90 deg"):
-        load_scenario("paper", ["initial.2.pitch=90 deg"])
-
-
-def test_a_ring_needs_three() -> None:
-    assert "a ring needs 3 vehicles" in only_problem("vehicles=2", "graph.shape=ring")
-
-
 def test_missing_keys_are_all_named() -> None:
     found = problems("title: x\nreference: {start: 0 0 0 m}\n")
     missing = [message for _, _, message in found]
@@ -528,20 +515,6 @@ def test_any_override_is_accepted_or_a_scenario_error(overrides: list[str]) -> N
         assert str(error)  # noqa: PT017
     else:
         assert parse_scenario(s.to_yaml(), "small.yaml") == s
-
-
-@given(st.data())
-def test_any_damage_to_a_scenario_is_accepted_or_a_scenario_error(data: st.DataObject) -> None:
-    lines = load_scenario("rough-sea").to_yaml().splitlines()
-    for _ in range(data.draw(st.integers(1, 4))):
-        at = data.draw(st.integers(0, len(lines) - 1))
-        key = lines[at].partition(":")[0]
-        value = data.draw(WILD)
-        lines[at] = data.draw(st.sampled_from(["", value, f"{key}: {value}"]))
-    try:
-        parse_scenario("\n".join(lines), "t.yaml")
-    except ScenarioError as error:
-        assert str(error)  # noqa: PT017
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from random import getrandbits
 
 import pytest
 from one_child import in_one_child
-from small_scenario import SMALL, only_problem, small
+from small_scenario import SMALL, small
 
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
@@ -58,8 +58,6 @@ def test_roll_at_the_start() -> None:
     setup = plants(small(ROLLING, STATES))[0]
     assert setup is not None
     assert (setup.phi0, setup.p0) == (pytest.approx(0.17453292519943295), 1.0)
-    said = only_problem(STATES, "per_vehicle={'2-3': {vehicle: {plant: 'own_plants:Rolling'}}}")
-    assert "initial.1.roll: has no effect on vehicle 1, which cannot roll" in said
 
 
 PLANT = """\

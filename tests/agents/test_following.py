@@ -8,6 +8,7 @@ import msgpack
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from marks import slow
 
 from agents.agent import Agent, followed
 from agents.api import NeighbourState
@@ -135,15 +136,17 @@ def test_a_run_goes_on_from_its_log(tmp_path: Path) -> None:
         ("paper", [], []),
         ("ideal", [], []),
         ("paper", ["network.links={'*': delay 200ms}", "faults=[{at: 1 s, partition: halves}]"], []),
-        pytest.param("paper", ["network.links={'*': loss 0%}"], [], marks=pytest.mark.slow),
+        *slow(("paper", ["network.links={'*': loss 0%}"], [])),
         ("paper", ["network.links={'1->2': loss 1%}"], ["link conditions"]),
-        pytest.param("paper", ["network.links={'1->2': delay 20ms 5ms}"], ["link conditions"], marks=pytest.mark.slow),
+        *slow(("paper", ["network.links={'1->2': delay 20ms 5ms}"], ["link conditions"])),
         ("paper", ["faults=[{at: 1 s, partition: ring}]"], ["faults"]),
-        pytest.param("paper", ["faults=[{at: 1 s, dropout: {probability: 10%}}]"], ["faults"], marks=pytest.mark.slow),
-        pytest.param("paper", ["faults=[{at: 1 s, current: {sigma: 1 1 0 cm/s}}]"], ["faults"], marks=pytest.mark.slow),
-        pytest.param("paper", ["sensors.position_noise=1 cm"], ["sensor noise"], marks=pytest.mark.slow),
+        *slow(
+            ("paper", ["faults=[{at: 1 s, dropout: {probability: 10%}}]"], ["faults"]),
+            ("paper", ["faults=[{at: 1 s, current: {sigma: 1 1 0 cm/s}}]"], ["faults"]),
+            ("paper", ["sensors.position_noise=1 cm"], ["sensor noise"]),
+        ),
         ("paper", ["initial={scatter: 1 m, surge: 0.1 m/s}"], ["initial scatter"]),
-        pytest.param("paper", ["sea.current={sigma: 5 5 0 cm/s}"], ["current"], marks=pytest.mark.slow),
+        *slow(("paper", ["sea.current={sigma: 5 5 0 cm/s}"], ["current"])),
         ("acoustic-s2c", ["initial={scatter: 0 m, surge: 0.1 m/s}"], ["backoff of aloha"]),
     ],
 )

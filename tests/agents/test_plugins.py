@@ -24,6 +24,7 @@ from click.testing import CliRunner
 from failing_laws import failing
 from failing_laws import module as module
 from loops import agent_config
+from marks import slow
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from refusals import check_refusals
@@ -368,10 +369,7 @@ def test_failures_name_vehicle_tick_and_line(
     assert result.reason.endswith(f"({name}.py:{number})")
 
 
-@pytest.mark.parametrize(
-    "kind",
-    ["exits", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("raises", "nan", "two numbers", "unknown"))],
-)
+@pytest.mark.parametrize("kind", ["exits", *slow("raises", "nan", "two numbers", "unknown")])
 def test_failures_abort_a_distributed_run(kind: str, module: Callable[[str], str], tmp_path: Path) -> None:
     """Whatever a law does, `sys.exit(0)` too: a run whose controller failed has not passed."""
     line, words, number = FAILURES[kind]
@@ -386,7 +384,7 @@ def test_failures_abort_a_distributed_run(kind: str, module: Callable[[str], str
     assert json.loads((result.directory / "result.json").read_text("utf-8"))["exit"] == 3
 
 
-@pytest.mark.parametrize("in_process", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("in_process", [True, *slow(False)])
 @pytest.mark.parametrize(
     ("line", "words"),
     [
@@ -477,9 +475,7 @@ def test_a_print_from_a_library_is_where_it_was_called(module: Callable[[str], s
     assert f"{name}.py:10)" in note
 
 
-@pytest.mark.parametrize(
-    ("line", "policy"), [("time.sleep(30)", "abort"), pytest.param("while True: pass", "coast", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("line", "policy"), [("time.sleep(30)", "abort"), *slow(("while True: pass", "coast"))])
 def test_a_law_over_its_budget(line: str, policy: str, module: Callable[[str], str], tmp_path: Path) -> None:
     """Also one that would never return: the message has the line at which it was."""
     name = module(failing(20, line))
@@ -570,7 +566,7 @@ def test_templates_run(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert metadata_of(result)["resumable"] == "yes"
 
 
-@pytest.mark.parametrize("kind", ["guidance", pytest.param("tracking", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", ["guidance", *slow("tracking")])
 def test_half_of_ours_and_half_of_yours(kind: str, module: Callable[[str], str], tmp_path: Path) -> None:
     """A guidance law with a tracking law of ours, and the other way round; distributed as in one process."""
     code = GOOD.replace("sample):", "sample, command):") if kind == "tracking" else GOOD
@@ -703,6 +699,7 @@ def test_the_worked_example_in_processes(tmp_path: Path) -> None:
 def test_the_worked_example_is_short(monkeypatch: pytest.MonkeyPatch) -> None:
     """The page promises some thirty lines."""
     monkeypatch.syspath_prepend(str(Path(EXAMPLE).parent))
+    load_scenario(EXAMPLE)  # which lets in what lies beside it
     found = laws.load("controller", Law("leader_follower:LeaderFollower"))
     source = inspect.getsource(found.step)
     assert len([line for line in source.splitlines() if line.strip() and not line.strip().startswith("#")]) <= 30

@@ -15,7 +15,8 @@ from textwrap import dedent
 
 import pytest
 from click.testing import CliRunner, Result
-from repository import ROOT
+from marks import slow
+from repository import MODULES, ROOT, tree
 
 import fleet
 from agents.config import Law
@@ -132,7 +133,7 @@ READING = (
 )
 
 
-@pytest.mark.parametrize("where", ["here", pytest.param("installed", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("where", ["here", *slow("installed")])
 def test_reading_runs_nothing(where: str, victim: tuple[str, Path, str], monkeypatch: pytest.MonkeyPatch) -> None:
     """All that a reader shows stands in the log, the signals of laws that it never sees, too."""
     log, mark, name = victim
@@ -183,17 +184,14 @@ def test_nothing_is_unpickled() -> None:
     """Snapshots and start states are MessagePack, results and join files JSON, scenarios YAML events: plain values."""
     unsafe = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib"}
     found = set()
-    for package in ("netem", "world", "agents", "fleet"):
-        for file in (ROOT / package).rglob("*.py"):
-            text = file.read_text("utf-8")
-            if not any(word in text for word in (*unsafe, "eval", "exec")):
-                continue
-            for node in ast.walk(ast.parse(text)):
-                names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-                names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-                if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-                    assert node.func.id not in ("eval", "exec"), file
-                found |= {(str(file.relative_to(ROOT)), name) for name in unsafe.intersection(names)}
+    words = (*unsafe, "eval", "exec")
+    for file in (file for file in MODULES if any(word in file.read_text("utf-8") for word in words)):
+        for node in ast.walk(tree(file)):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                assert node.func.id not in ("eval", "exec"), file
+            found |= {(str(file.relative_to(ROOT)), name) for name in unsafe.intersection(names)}
     assert found == {
         # Its pipes join this process with its own children, and have no name that others could open.
         ("fleet/processes/workers.py", "pickle")

@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 from live_directory import live_directory
+from marks import slow
 from repository import ROOT
 
 from agents.join_file import JoinError, JoinFile
@@ -254,7 +255,7 @@ def _places(values: Any) -> Iterator[tuple[Any, Any]]:
             yield from _places(values[key])
 
 
-@pytest.mark.parametrize("seeds", [range(100), pytest.param(range(100, 250), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seeds", [range(100), *slow(range(100, 250))])
 def test_no_result_stops_a_report(seeds: range, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of every variant: the page is made, with the verdicts or with what is wrong where; and tables from the log."""
     monkeypatch.setattr("fleet.pictures.report.WHAT", {})

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 from counted_calls import by_room, counted_apart
+from marks import slow
 from repository import EXPECTED
 
 from fleet.cores import cores
@@ -45,7 +46,7 @@ def judged(name: str, budget: dict[str, float], found: dict[str, float]) -> list
 
 
 @pytest.mark.skipif(cores() == "compiled", reason="calls of compiled functions are not seen")
-@pytest.mark.parametrize("vehicles", [4, pytest.param(20, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("vehicles", [4, *slow(20)])
 def test_a_tick_takes_no_more_calls_and_messages_than_it_did(vehicles: int, tmp_path: Path) -> None:
     calls, messages = counted_apart(vehicles, tmp_path)
     name = f"N = {vehicles}"

@@ -7,9 +7,8 @@ import re
 from collections.abc import Iterator
 
 import pytest
-from repository import ROOT
+from repository import MODULES, ROOT, tree
 
-MODULES = sorted(path for package in ("netem", "world", "agents", "fleet") for path in (ROOT / package).rglob("*.py"))
 _ENTRY = re.compile(r"    (\*{0,2}\w+(?:, \*{0,2}\w+)*): \S")
 _REST = re.compile(r" {8}\S")
 
@@ -41,10 +40,10 @@ def names_of(node: ast.AST) -> set[str]:
     return names
 
 
-def wrong(source: str) -> list[str]:
+def wrong(module: ast.Module) -> list[str]:
     """`line name: entry` for each entry that is out of place or names nothing."""
     found = []
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(module):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
             known = names_of(node)
             stray = [entry for entry in entries(ast.get_docstring(node) or "") if entry not in known]
@@ -53,7 +52,7 @@ def wrong(source: str) -> list[str]:
 
 
 def test_entries_name_arguments_and_have_their_place() -> None:
-    found = [f"{path.relative_to(ROOT)}:{entry}" for path in MODULES for entry in wrong(path.read_text("utf-8"))]
+    found = [f"{path.relative_to(ROOT)}:{entry}" for path in MODULES for entry in wrong(tree(path))]
     assert found == []
 
 
@@ -68,4 +67,4 @@ def test_entries_name_arguments_and_have_their_place() -> None:
     ],
 )
 def test_a_stray_entry_is_found(docstring: str, expected: list[str]) -> None:
-    assert wrong(f'def do(a, b):\n    """{docstring}    """\n') == expected
+    assert wrong(ast.parse(f'def do(a, b):\n    """{docstring}    """\n')) == expected

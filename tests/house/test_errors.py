@@ -6,22 +6,17 @@ import ast
 import builtins
 from functools import cache
 
-from repository import ROOT
+from repository import MODULES, tree
 
 import fleet.errors
-
-PACKAGES = ("netem", "world", "agents", "fleet")
 
 
 @cache
 def bases() -> dict[str, str]:
     """Base of each exception class of the packages that is not private to its module, in order of module and line."""
     found: dict[str, str] = {}
-    paths = [
-        path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py")) if "templates" not in path.parts
-    ]
-    for path in paths:
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+    for path in (path for path in MODULES if "templates" not in path.parts):
+        for node in ast.walk(tree(path)):
             if isinstance(node, ast.ClassDef) and node.bases and isinstance(node.bases[0], ast.Name):
                 found[node.name] = node.bases[0].id
     return {name: base for name, base in found.items() if is_exception(name, found) and not name.startswith("_")}

@@ -6,10 +6,8 @@ import ast
 from pathlib import Path
 
 import grimp
-from repository import ROOT
+from repository import MODULES, PACKAGES, ROOT, tree
 
-PACKAGES = ("netem", "world", "agents", "fleet")
-MODULES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 LIMIT = 600  # lines
 
 # Longer ones, each with its reason.
@@ -23,11 +21,10 @@ def name_of(path: Path) -> str:
 def test_a_room_says_what_it_holds_in_one_sentence() -> None:
     """And imports nothing: `fleet --help` and the fork server pay for every line here."""
     for path in (path for path in MODULES if path.name == "__init__.py"):
-        tree = ast.parse(path.read_text("utf-8"))
-        sentence = ast.get_docstring(tree) or ""
+        sentence = ast.get_docstring(tree(path)) or ""
         assert sentence.endswith(".") and sentence.count(". ") == sentence.count("\n") == 0, (path, sentence)
         if name_of(path) != "fleet/__init__.py":  # which gives `Log` and `open_log`, when they are asked for
-            assert len(tree.body) == 1, f"{path}: only the sentence"
+            assert len(tree(path).body) == 1, f"{path}: only the sentence"
 
 
 def test_modules_are_short() -> None:

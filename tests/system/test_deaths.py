@@ -21,6 +21,7 @@ from ended_runs import CHECKS, LONG
 from first_difference import assert_same_bytes
 from in_process_runs import Alone, log_of
 from live import FORKSERVER, LiveRun, Stopwatch
+from marks import slow
 from waiting import wait_for
 
 from fleet.cli.main import cli
@@ -47,9 +48,7 @@ def assert_readable(run: LiveRun, least_s: float = 1.0) -> None:
 # --- kill -9 ---------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "victim", ["agent 3", FORKSERVER, *(pytest.param(role, marks=pytest.mark.slow) for role in ("world", "netem"))]
-)
+@pytest.mark.parametrize("victim", ["agent 3", FORKSERVER, *slow("world", "netem")])
 def test_death_of_a_process_ends_the_run_and_is_explained(victim: str, tmp_path: Path) -> None:
     """Of each kind of process: status 3, a sentence with role, pid, signal and sim time, what it printed last."""
     with LiveRun(tmp_path / "runs", "paper", *LONG) as run:

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 from first_difference import assert_same_bytes, decode, first_difference
 from in_process_runs import Alone, log_of
+from marks import slow
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
@@ -104,7 +105,7 @@ def test_same_seed_same_bytes(case: str, tmp_path: Path, alone: Alone) -> None:
     assert_same_bytes(once(alone, case), run(tmp_path, case, in_process=True))
 
 
-@pytest.mark.parametrize("order", ["world last", pytest.param("agents first", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("order", ["world last", *slow("agents first")])
 @pytest.mark.parametrize("case", marked("rough-sea", "thinned log", "dead reckoning", "clocks and slots", "kept apart"))
 def test_distributed_is_in_process(case: str, order: str, tmp_path: Path, alone: Alone) -> None:
     """Processes over zenoh and a plain loop write the same file, so no scheduling, no order of arrival and no

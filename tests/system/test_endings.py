@@ -18,6 +18,7 @@ from pathlib import Path
 import psutil
 import pytest
 from live import FORKSERVER, LiveRun, Stopwatch, gone
+from marks import slow
 from waiting import wait_for
 
 from fleet.execution.execute import execute
@@ -158,7 +159,7 @@ def test_ctrl_c_while_a_run_ends_its_processes(tmp_path: Path, monkeypatch: pyte
 # --- a terminal that closes ---------------------------------------------------
 
 
-@pytest.mark.parametrize("group", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("group", [True, *slow(False)])
 def test_a_hang_up_ends_a_run_as_ctrl_c_does(group: bool, tmp_path: Path) -> None:
     """A shell sends it to the whole group, agents and all; the console alone decides what it means."""
     with LiveRun(tmp_path / "runs", "paper", *LONG) as run:

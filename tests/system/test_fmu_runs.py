@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 from fmu_units import VARIABLES, build, description
+from marks import slow
 from repository import ROOT
 from small_scenario import SMALL
 
@@ -111,7 +112,7 @@ def test_snapshots_go_on_after_a_unit_crashed_and_a_run_goes_on_from_them(folder
     assert again["uuv/2/state"].x[-1] == log["uuv/2/state"].x[-1]
 
 
-@pytest.mark.parametrize("command", ["check", pytest.param("run", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("command", ["check", *slow("run")])
 def test_a_strangers_unit_does_not_run_unasked(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     elsewhere = folder / "elsewhere"
     elsewhere.mkdir()

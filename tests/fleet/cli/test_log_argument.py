@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 from in_process_runs import Alone
+from marks import slow
 
 from fleet.cli.main import cli
 
@@ -36,14 +37,14 @@ LOG_COMMANDS = [
     ["verify", "-q"],
     ["export", "--scenario"],
     ["plot", "--what", "error"],
-    ["report"],
+    *slow(["report"]),
     ["export", "--csv", "tables", "--topics", "faults"],
     ["whatif", "--agent", "1"],
     ["recover"],
 ]
 
 
-@pytest.mark.parametrize("arguments", LOG_COMMANDS, ids=lambda arguments: arguments[0])
+@pytest.mark.parametrize("arguments", LOG_COMMANDS)
 def test_without_a_log_the_newest_run_is_taken(arguments: list[str], two: tuple[Path, Path]) -> None:
     """And named on stderr, so that stdout stays data."""
     result = invoke(*arguments)
@@ -54,9 +55,7 @@ def test_without_a_log_the_newest_run_is_taken(arguments: list[str], two: tuple[
     assert "newest" not in named.output
 
 
-@pytest.mark.parametrize(
-    "arguments", [*LOG_COMMANDS, ["replay"], ["diff", __file__]], ids=lambda arguments: arguments[0]
-)
+@pytest.mark.parametrize("arguments", [*LOG_COMMANDS, ["replay"], ["diff", __file__]])
 def test_without_a_log_and_without_runs(arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     result = invoke(*arguments)

@@ -11,6 +11,7 @@ from fleet.study.engine import NEEDED
 
 # piqp brings scipy.
 WITHOUT = f"import sys; sys.modules.update(dict.fromkeys({tuple(name for name in NEEDED if name != 'scipy')}))"
+ONE = ["--workers", "1"]
 SHORT = ["--set", "duration=2 s", "--set", "checks={}"]
 FAILS = """
 title: Two vehicles, one of which dies
@@ -31,13 +32,13 @@ def test_search_regress_rare_shrink_and_why_need_no_table_of_runs(tmp_path: Path
     (tmp_path / "fails.yaml").write_text(FAILS)
     rare = ["--check", "max_age", "--set", "duration=2 s", "--set", "checks={max_age: {below: 1 s}}"]
     commands = {
-        "passes": (0, ["search", "election", "--nemesis", "--budget", "1", *SHORT]),
-        "fails": (1, ["search", "fails.yaml", "--nemesis", "--budget", "1", "--keep", "kept"]),
-        "again": (0, ["regress", "kept"]),
-        "rare": (0, ["rare", "lossy", "--repeats", "1", "--effort", "4", *rare]),
-        "less": (0, ["shrink", "fails.yaml", "--budget", "2"]),
+        "passes": (0, ["search", "election", "--nemesis", "--budget", "1", *ONE, *SHORT]),
+        "fails": (1, ["search", "fails.yaml", "--nemesis", "--budget", "1", "--keep", "kept", *ONE]),
+        "again": (0, ["regress", "kept", *ONE]),
+        "rare": (0, ["rare", "lossy", "--repeats", "1", "--effort", "4", *ONE, *rare]),
+        "less": (0, ["shrink", "fails.yaml", "--budget", "2", *ONE]),
         "run": (1, ["run", "fails.yaml", "--in-process"]),
-        "why": (0, ["why", "--budget", "2"]),
+        "why": (0, ["why", "--budget", "2", *ONE]),
         "a study needs it": (2, ["sweep", "fails.yaml"]),
     }
     found = in_one_child([(tmp_path, arguments) for _, arguments in commands.values()], before=WITHOUT)

@@ -160,6 +160,7 @@ def test_what_the_check_needs(tmp_path: Path) -> None:
         Examination(load_scenario("paper"), 3, file, meeting=meeting)
 
 
+@pytest.mark.slow
 def test_the_example_completes_a_run(tmp_path: Path) -> None:
     """A fleet with a stranger in it: it forms, every packet is accounted for, and its topics without telemetry stay
     empty."""

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
+from marks import slow
 from repository import ROOT
 
 from fleet.execution.judged import run
@@ -54,7 +55,7 @@ def test_hello() -> None:
     assert failed(run("greeting.yaml")) == {}
 
 
-@pytest.mark.parametrize("changes", [{}, {"network.links": "{}", "faults": []}])
+@pytest.mark.parametrize("changes", [{}, *slow({"network.links": "{}", "faults": []})])
 def test_the_average_of_the_page_is_wrong(changes: dict[str, object]) -> None:
     """Also without loss, as the page says; the scenario's own agent passes: tests/golden/test_gallery.py."""
     result = run(

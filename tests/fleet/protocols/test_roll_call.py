@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from marks import slow
 
 from fleet.execution.judged import run
 
@@ -20,8 +21,7 @@ SHORT = [
 @pytest.mark.parametrize(
     ("mode", "quorum", "seed", "passes"),
     [
-        ("swarm", "all", 1, True),
-        ("swarm", "all", 2, True),
+        *slow(("swarm", "all", 1, True), ("swarm", "all", 2, True)),
         ("liveness", "all", 1, False),
         ("liveness", "majority", 1, True),
     ],

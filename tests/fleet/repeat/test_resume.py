@@ -11,6 +11,7 @@ from click.testing import CliRunner
 from failing_laws import failing
 from failing_laws import module as module
 from fault_histories import EVERYTHING
+from marks import slow
 from ranged import DYING
 from small_scenario import small
 
@@ -57,20 +58,21 @@ def since(directory: Path, ns: int) -> list[Record]:
     return [record for record in LogReader(directory / "run.mcap") if record.log_ns >= ns]
 
 
-@pytest.mark.parametrize("part", [0.5, *(pytest.param(part, marks=pytest.mark.slow) for part in (0.0, 1.0))])
+@pytest.mark.parametrize("part", [0.5, *slow(0.0, 1.0)])
 @pytest.mark.parametrize(
     ("name", "overrides"),
     [
         ("paper", ["duration=2.4 s", LINKS, EVERYTHING]),
         ("paper", ["duration=2.4 s", CHANGING, "faults=[{at: 1 s, for: 500 ms, link: {1->2: loss 50%}}]"]),
-        pytest.param("ideal", ["duration=1.5 s"], marks=pytest.mark.slow),
-        pytest.param(
-            "acoustic-s2c",
-            [
-                *("duration=20 s", "log.snapshot=10 s", "faults=[{at: 8 s, for: 6 s, kill: 2}]"),
-                "network.acoustic.ranging=two-way",
-            ],
-            marks=pytest.mark.slow,
+        *slow(("ideal", ["duration=1.5 s"])),
+        *slow(
+            (
+                "acoustic-s2c",
+                [
+                    *("duration=20 s", "log.snapshot=10 s", "faults=[{at: 8 s, for: 6 s, kill: 2}]"),
+                    "network.acoustic.ranging=two-way",
+                ],
+            )
         ),
         ("nemesis", ["duration=3 s", NEMESIS, "sea.current={sigma: 5 5 0 cm/s, time_constant: 2 s}"]),
         (
@@ -78,23 +80,20 @@ def since(directory: Path, ns: int) -> list[Record]:
             ["duration=2 s", "per_vehicle.1.navigation.usbl={at: 0 0 0 m, period: 400 ms, delay: 1 s}", INSTRUMENTS],
         ),
         ("locate-consistent", ["duration=9 s", "log.snapshot=3 s", *DYING]),
-        pytest.param("crossing", ["duration=2 s", "keep_apart.distance=25 m"], marks=pytest.mark.slow),
-        pytest.param("helix", ["duration=2 s", "sensors.position_noise=5 cm"], marks=pytest.mark.slow),
-        pytest.param(
-            "rough-sea",
-            ["duration=2 s", "per_vehicle={'2': {controller: bsmc}}", "network.payload=compact"],
-            marks=pytest.mark.slow,
+        *slow(
+            ("crossing", ["duration=2 s", "keep_apart.distance=25 m"]),
+            ("helix", ["duration=2 s", "sensors.position_noise=5 cm"]),
+            ("rough-sea", ["duration=2 s", "per_vehicle={'2': {controller: bsmc}}", "network.payload=compact"]),
         ),
-        pytest.param(
-            "average",
-            ["duration=2.4 s", "faults=[{at: 800 ms, for: 1 s, kill: 3}]", "agent.parameters.forget_after_s=1"],
-            marks=pytest.mark.slow,
+        *slow(
+            (
+                "average",
+                ["duration=2.4 s", "faults=[{at: 800 ms, for: 1 s, kill: 3}]", "agent.parameters.forget_after_s=1"],
+            )
         ),
-        pytest.param("average-naive", ["duration=1 s", "expect=pass"], marks=pytest.mark.slow),
-        pytest.param(
-            "election",
-            ["duration=3 s", "faults=[{at: 1.5 s, for: 1 s, kill: 1}]", "agent.parameters.lease_s=1"],
-            marks=pytest.mark.slow,
+        *slow(
+            ("average-naive", ["duration=1 s", "expect=pass"]),
+            ("election", ["duration=3 s", "faults=[{at: 1.5 s, for: 1 s, kill: 1}]", "agent.parameters.lease_s=1"]),
         ),
         (
             "election",
@@ -106,11 +105,7 @@ def since(directory: Path, ns: int) -> list[Record]:
             ],
         ),
         ("event-triggered", ["duration=2 s", "agent.parameters.silence_s=0.5", "agent.parameters.threshold_m=0.02"]),
-        pytest.param(
-            "auction",
-            ["duration=3 s", "faults=[{at: 1 s, kill: 3}]", "agent.parameters.silence_s=0.5"],
-            marks=pytest.mark.slow,
-        ),
+        *slow(("auction", ["duration=3 s", "faults=[{at: 1 s, kill: 3}]", "agent.parameters.silence_s=0.5"])),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )

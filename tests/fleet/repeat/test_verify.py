@@ -15,6 +15,7 @@ import pytest
 from click.testing import CliRunner, Result
 from failing_laws import NAN_IN_THE_CORE
 from live import LiveRun
+from marks import slow
 from mcap.records import Attachment, Metadata
 from tool import tool as op
 from waiting import wait_for
@@ -147,7 +148,7 @@ def test_everything_that_happened_to_a_live_run(tmp_path: Path) -> None:
         assert result.stdout.endswith(f"up to t = {run.logged_s():g} s of 600 s, where the run was ended\n")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("number", [signal.SIGINT, *slow(signal.SIGTERM)])
 def test_an_interrupt_in_the_middle_of_a_message(number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It waits for the end of what is written just then: the log is whole, up to a whole tick."""
     from fleet.logs.mcap_writer import McapWriter
@@ -155,7 +156,7 @@ def test_an_interrupt_in_the_middle_of_a_message(number: int, tmp_path: Path, mo
     add, messages = McapWriter.message, count()
 
     def interrupted(self: McapWriter, *message: Any) -> None:
-        if next(messages) == 2000:
+        if next(messages) == 600:
             signal.raise_signal(number)
         add(self, *message)
 
@@ -165,7 +166,7 @@ def test_an_interrupt_in_the_middle_of_a_message(number: int, tmp_path: Path, mo
         result = execute(load_scenario("paper", ["checks={}"]), Options(tmp_path, in_process=True, quiet=True))
     finally:
         signal.signal(signal.SIGTERM, before)
-    assert result.status is Status.INTERRUPTED and next(messages) > 2000
+    assert result.status is Status.INTERRUPTED and next(messages) > 600
     found = verify(result.directory)
     assert found.reproduced and verification_lines(found)[0].endswith("where the run was ended"), verification_lines(
         found

@@ -11,6 +11,7 @@ from click.testing import CliRunner
 from failing_laws import failing
 from failing_laws import module as module
 from fault_histories import EVERYTHING
+from marks import slow
 
 from fleet.cli.main import cli
 from fleet.errors import FleetError, ScenarioError
@@ -36,13 +37,19 @@ def run(folder: Path, name: str, *overrides: str) -> Path:
     ("name", "overrides"),
     [
         ("paper", ["duration=3 s", LINKS, EVERYTHING]),
-        ("ideal", ["duration=1 s"]),
+        *slow(("ideal", ["duration=1 s"])),
         pytest.param(
             *("acoustic-80bps", ["duration=20 s", "log.every=1 tick", "faults=[{at: 8 s, for: 6 s, kill: 2}]"]),
             marks=pytest.mark.slow,
         ),
-        ("paper", ["duration=1 s", "on_death=continue", "sensors.position_noise=5 cm", "neighbours.drop_after=200 ms"]),
-        ("dead-reckoning", ["duration=2 s"]),
+        pytest.param(
+            *(
+                "paper",
+                ["duration=1 s", "on_death=continue", "sensors.position_noise=5 cm", "neighbours.drop_after=200 ms"],
+            ),
+            marks=pytest.mark.slow,
+        ),
+        *slow(("dead-reckoning", ["duration=2 s"])),
         (
             "election",
             ["duration=2 s", "log.every=1 tick", "agent.clock={drift: {sigma: 900 ppm}, offset: -40 ms}", EVERYTHING],

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from marks import slow
 from traffic import LIMIT_S, PAGE, Command, Ear, endpoint, len_of, schemas_of, session
 from traffic import log as log
 from traffic import records as records
@@ -66,7 +67,7 @@ def test_the_first_line_has_the_pace(log: Path) -> None:
     assert 0.2 < pace < 1.2, line.shown[0]
 
 
-@pytest.mark.parametrize("topics", [["uuv/*/pose", "link/**"], pytest.param([], marks=pytest.mark.slow)])
+@pytest.mark.parametrize("topics", [["uuv/*/pose", "link/**"], *slow([])])
 def test_replay_gives_a_recorder_the_log(topics: list[str], log: Path, records: list[Record], tmp_path: Path) -> None:
     """Played as fast as possible and recorded: the same messages in the same order, with their times and encoding;
     and the recording, played again, is the same to a subscriber."""
@@ -211,7 +212,7 @@ main()
 """
 
 
-@pytest.mark.parametrize("how", ["ctrl-c", "sigterm"])
+@pytest.mark.parametrize("how", ["ctrl-c", *slow("sigterm")])
 def test_keys_on_a_terminal(how: str, log: Path) -> None:
     """Pause, step, rate and seek, as the line shows them; the terminal is restored, however it ends."""
     player = Typist("replay", log, "--step", "--loop", "--topics", "uuv/1/pose")

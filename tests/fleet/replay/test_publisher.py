@@ -14,6 +14,7 @@ from threading import Timer
 
 import pytest
 from live import LiveRun
+from marks import slow
 from traffic import LIMIT_S, Command, Ear, schemas_of, session
 from traffic import log as log
 from traffic import records as records
@@ -43,7 +44,7 @@ def missing_to(ear: Ear, end: Ear, prefix: str) -> Missing:
     return missing
 
 
-@pytest.mark.parametrize("where", ["distributed", pytest.param("in-process", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("where", ["distributed", *slow("in-process")])
 def test_live_publishing_equals_the_log(where: str, log: Path, records: list[Record], tmp_path: Path) -> None:
     """From the first sample heard on, every message of the log comes once, in order, with what a replay would say, or
     is counted as missing; the log is the same as without; and the way in is private, read-only and gone afterwards."""

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from marks import slow
 from refusals import check_refusals
 from repository import ROOT
 from small_scenario import small
@@ -49,7 +50,7 @@ def test_the_tests_of_pettingzoo_pass(kind: dict[str, Any]) -> None:
     [
         ("paper", {"duration": "12 s"}),  # with a snapshot at 10 s
         ("paper", {"duration": "3 s", "network.payload": "compact", "network.links.*.loss": "30 %"}),
-        ("dead-reckoning", {"duration": "3 s", "checks": {}}),
+        *slow(("dead-reckoning", {"duration": "3 s", "checks": {}})),
     ],
 )
 def test_a_policy_that_copies_the_resident_law_makes_the_same_log(name: str, changes: dict[str, Any]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
+from marks import slow
 
 from fleet.scenario.sections.acoustic import talking
 from netem.config import NetemConfig
@@ -39,10 +40,9 @@ def measured(round_ticks: int, airtime: int, backoff: int, vehicles: int, rounds
     ("round_ticks", "airtime", "backoff", "vehicles"),
     [
         (10, 14, 84, 2),  # always news, two vehicles: 0.537, where e^(-1/2) = 0.607 was said
-        pytest.param(10, 14, 308, 6, marks=pytest.mark.slow),
+        *slow((10, 14, 308, 6)),
         (100, 14, 190, 4),  # the scenario acoustic-s2c: news is waited for
-        pytest.param(60, 14, 190, 4, marks=pytest.mark.slow),
-        pytest.param(100, 50, 300, 2, marks=pytest.mark.slow),
+        *slow((60, 14, 190, 4), (100, 50, 300, 2)),
         (500, 14, 190, 4),  # everybody begins with the round
         (100, 14, 20, 3),
         (300, 14, 0, 2),  # all at once

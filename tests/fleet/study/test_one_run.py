@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from failing_laws import failing
 from in_process_runs import Alone, log_of
+from marks import slow
 from ranged import DYING
 from small_scenario import SMALL
 from waiting import wait_for
@@ -37,7 +38,7 @@ def test_a_law_that_hangs_within_a_tick_costs_its_run(
         wait_for(lambda: set(threading.enumerate()) <= before, 60, "the thread to be ended")
 
 
-@pytest.mark.parametrize("name", ["navigation-aid", "locate-naive", "locate-naive-loop", "locate-consistent"])
+@pytest.mark.parametrize("name", ["locate-consistent", *slow("navigation-aid", "locate-naive", "locate-naive-loop")])
 def test_a_run_with_ranges_has_the_same_bytes_in_a_study(name: str, alone: Alone) -> None:
     """Distributed it has them by `tests/golden/test_gallery.py`, and resumed by `tests/fleet/repeat/test_resume.py`."""
     dying = name == "locate-consistent"

@@ -10,6 +10,7 @@ from statistics import fmean
 import msgpack
 import pytest
 from click.testing import CliRunner, Result
+from marks import slow
 from study_engine import Here
 
 from fleet.cli.main import cli
@@ -86,7 +87,7 @@ def waits(scenario: Scenario, seed: int) -> list[list[int]]:
     ]
 
 
-@pytest.mark.parametrize("link", ["loss 40%", "delay 250 ms loss 40%", "delay 250 ms 40 ms loss 40%"])
+@pytest.mark.parametrize("link", ["delay 250 ms 40 ms loss 40%", *slow("loss 40%", "delay 250 ms loss 40%")])
 def test_the_fate_of_the_next_packet_is_still_open_in_a_branch(link: str) -> None:
     """It was drawn before the snapshot: news got older at the next tick in all branches of a place, or in none."""
     scenario = seldom("checks.max_age.below=9 s", "duration=2 s", f"network.links.*={link}")

@@ -44,7 +44,8 @@ def test_what_is_not_needed_goes_and_what_is_left_fails() -> None:
 def test_a_check_without_anything_to_judge_does_not_count() -> None:
     """Without a fault there is no recovery that could be too slow."""
     every = "checks={recovery_time: [{fault: every, within: 1 mm, below: 100 ms, error: formation}], tumbled: waived}"
-    found = shrinker(FAULTS, every).shrink("recovery_time")
+    faults = "faults=[{at: 200 ms, for: 300 ms, mute: 3}, {at: 500 ms, for: 100 ms, link: {'*': loss 40%}}]"
+    found = shrinker(faults, every).shrink("recovery_time")
     assert len(found.scenario.spec.faults) == 1
 
 

@@ -7,6 +7,7 @@ from math import comb
 from random import Random
 
 import pytest
+from marks import slow
 
 from fleet.study.rare import Ask, SplitPath, Splitting, interval
 
@@ -40,7 +41,7 @@ def known(height: int) -> float:
     return ends(height) + ends(height + 1)
 
 
-@pytest.mark.parametrize(("height", "repeats"), [(8, 20), (24, 20), (32, 25)])
+@pytest.mark.parametrize(("height", "repeats"), [(8, 20), (24, 20), *slow((32, 25))])
 def test_it_estimates_what_is_known(height: int, repeats: int) -> None:
     splitting = Splitting(effort=100)
     levels, _, spread = splitting.levels(lambda asks: walk(asks, height), 1)

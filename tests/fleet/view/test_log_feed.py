@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from in_process_runs import Alone, log_of
+from marks import slow
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
@@ -153,10 +154,7 @@ def copied(log: Path, out: Path, schema: str = "", *, late: bool = False) -> Pat
     return out
 
 
-@pytest.mark.parametrize(
-    "schema",
-    ["uuv_fleet.State", *(pytest.param(f"uuv_fleet.{name}", marks=pytest.mark.slow) for name in ("Error", "Packet"))],
-)
+@pytest.mark.parametrize("schema", ["uuv_fleet.State", *slow("uuv_fleet.Error", "uuv_fleet.Packet")])
 def test_a_damaged_schema_leaves_out_its_signals_and_no_more(log: Path, tmp_path: Path, schema: str) -> None:
     feed = LogFeed(copied(log, tmp_path / "run.mcap", schema))
     assert ("uuv/1/state.z" in feed.signals.by_name) == (schema != "uuv_fleet.State")
@@ -220,7 +218,7 @@ def test_a_log_opens_at_its_first_failed_moment(alone: Alone, feed: LogFeed) -> 
     assert failed.checks["verdict"] == {"passed": True, "text": "failed as expected"}
 
 
-@pytest.mark.parametrize("vehicles", ["", ", vehicles: 4"])
+@pytest.mark.parametrize("vehicles", [", vehicles: 4", *slow("")])
 def test_a_formation_error_failed_when_a_judged_vehicle_was_too_far_away(alone: Alone, vehicles: str) -> None:
     checks = f"checks={{tumbled: waived, formation_error: {{below: 1.2 m, after: 8 s{vehicles}}}}}"
     path = log_of(alone("paper", "duration=14 s", "faults=[{at: 8 s, kill: 4}]", checks, "expect=fail"))

@@ -12,6 +12,7 @@ import matplotlib
 import numpy as np
 import pytest
 from in_process_runs import Alone, log_of
+from marks import slow
 from PIL import Image, ImageChops
 from refusals import check_refusals
 from small_scenario import small
@@ -40,7 +41,7 @@ def made(log: Path, out: Path, **options: Any) -> list[float]:
     return told
 
 
-@pytest.mark.parametrize("view", ["above", "3d"])
+@pytest.mark.parametrize("view", ["3d", *slow("above")])
 def test_a_gif_has_its_pictures_and_the_same_bytes_again(log: Path, tmp_path: Path, view: str) -> None:
     out = tmp_path / "a.gif"
     assert made(log, out, view=view) == [0.2, 0.4, 0.6, 0.8, 1.0]

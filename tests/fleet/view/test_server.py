@@ -20,6 +20,7 @@ from urllib.request import urlopen
 
 import psutil
 import pytest
+from marks import slow
 from repository import ROOT
 from traffic import Command
 from traffic import log as log
@@ -88,7 +89,7 @@ def test_a_browser_is_led_by_a_file_of_this_user_and_not_by_its_arguments(monkey
     assert not file.exists()
 
 
-@pytest.mark.parametrize("folder", ["there", "gone"])
+@pytest.mark.parametrize("folder", ["there", *slow("gone")])
 def test_the_file_of_a_page_that_was_killed_is_removed_by_the_next_one(
     folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from made_up_study import CONTROLLER, DELAY, EXTRAPOLATE, LOSS, made_up, usual, with_holes
+from marks import slow
 from matplotlib.figure import Figure
 
 from fleet.errors import FleetError
@@ -69,7 +70,7 @@ def legend_of(figure: Figure) -> list[str]:
     return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
 
-@pytest.mark.parametrize("row", [usual, with_holes])
+@pytest.mark.parametrize("row", [usual, *slow(with_holes)])
 @pytest.mark.parametrize("kind", STUDIES)
 def test_no_text_is_cut_off_and_every_picture_fits_a_column_or_a_page(
     kind: str, row: Callable[..., Any], made: Made
@@ -129,7 +130,10 @@ def test_where_the_interval_finds_no_room_its_width_is_a_map_of_its_own() -> Non
     assert len([ax for ax in few.axes if ax.images]) == 1  # there is no interval
 
 
-@pytest.mark.parametrize("kind", STUDIES)
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param(kind, marks=[] if kind in ("heat", "curve", "sample") else [pytest.mark.slow]) for kind in STUDIES],
+)
 def test_runs_without_a_number_are_hatched_and_explained(kind: str, made: Made) -> None:
     name = "compare-controller-formation_final_m" if kind == "sample" else "formation_final_m"
     assert not artists(made(kind, usual)[name], "lack")

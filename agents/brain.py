@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from math import isfinite
 
 from agents.config import AgentConfig
@@ -27,7 +27,7 @@ class Brain:
         x, y, z = config.tau_max
         self._tau_limits: tuple[Vec3, Vec3] = ((-x, -y, -z), (x, y, z))
 
-    def step(self, nav: Nav, deliveries: Iterable[Delivery]) -> Step:
+    def step(self, nav: Nav, deliveries: Sequence[Delivery]) -> Step:
         """Answer one sample: payloads on round ticks, what was received is absorbed, tau is decided.
 
         Args:
@@ -42,20 +42,11 @@ class Brain:
         return Step(tau, telemetry, payloads)
 
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:
-        """The payloads to every neighbour.
-
-        Args:
-            nav: own state at this tick.
-        """
+        """The payloads to every neighbour."""
         raise NotImplementedError
 
-    def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> Decision:
-        """The same as `step` without the payloads.
-
-        Args:
-            nav: own state at this tick.
-            deliveries: as for `step`.
-        """
+    def decide(self, nav: Nav, deliveries: Sequence[Delivery]) -> Decision:
+        """The same as `step` without the payloads."""
         raise NotImplementedError
 
     def take_notes(self) -> list[tuple[int, str]]:

@@ -72,9 +72,8 @@ class FormationAgent:
         Raises:
             ControllerError: the measurement is not finite, time went back, or a law failed.
         """
-        self._agent.course = None if course is None else _motion(course)
         states = [d for d in deliveries if d.payload[:1] != _OWN]
-        tau, telemetry = self._agent.decide(by_simulated_time(nav), states)
+        tau, telemetry = self._agent.decide(by_simulated_time(nav), states, None if course is None else _motion(course))
         return tau, {
             name: telemetry[place.start] if width == 1 else telemetry[place]
             for name, (width, place) in self._where.items()

@@ -9,6 +9,7 @@ from time import thread_time_ns
 from typing import Any
 
 from agents.agent import Agent
+from agents.codecs import FullCodec
 from agents.config import AgentConfig
 from agents.controllers import CONTROLLERS, Cascade
 from agents.laws.gain_qp import build_qp, solve
@@ -91,7 +92,7 @@ def _tape(ticks: int) -> tuple[AgentConfig, list[tuple[Nav, list[Delivery]]]]:
 
 
 def _samples(config: AgentConfig, tape: list[tuple[Nav, list[Delivery]]]) -> list[tuple[Sample, Cascade]]:
-    table = NeighbourTable(config.neighbours, config.extrapolation, config.reference, config.offset, 0.01)
+    table = NeighbourTable(config, FullCodec())
     cascade = Cascade(config, [])
     found = []
     for nav, deliveries in tape:
@@ -106,7 +107,7 @@ def _samples(config: AgentConfig, tape: list[tuple[Nav, list[Delivery]]]) -> lis
 
 
 def _stages(config: AgentConfig, tape: list[tuple[Nav, list[Delivery]]], costs: _Costs) -> None:
-    table = NeighbourTable(config.neighbours, config.extrapolation, config.reference, config.offset, 0.01)
+    table = NeighbourTable(config, FullCodec())
     cascade = Cascade(config, [])
     guidance, tracking = cascade.guidance, cascade.tracking
     held = (0.0, 0.0)

@@ -259,7 +259,6 @@ def remove(out: Path, runs: Sequence[PastRun]) -> Iterator[PastRun]:
 
 
 def _mend_latest(out: Path) -> None:
-    """Let `latest` lead to the newest run that is left, if it leads nowhere."""
     link = out / LATEST
     if not link.is_symlink() or link.exists():
         return
@@ -309,7 +308,6 @@ def _read(path: Path, began: datetime) -> PastRun:
 
 
 def _size(path: Path) -> int:
-    """The sizes of all files below a directory [bytes], without the targets of links."""
     total = 0
     for folder, _, files in os.walk(path):
         for file in files:

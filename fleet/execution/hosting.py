@@ -79,7 +79,6 @@ def hosting(scenario: Scenario, options: Options) -> Hosting:
 
 
 def _plugged(control: Control) -> bool:
-    """Whether a vehicle runs a law that is not built in."""
     return any(law.name not in BUILT_IN[kind] for kind, law in laws(control).items())
 
 

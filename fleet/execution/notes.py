@@ -105,7 +105,6 @@ class Notes:
 
 
 def _read(role: str, data: bytes) -> Note | Ended:
-    """Raises MalformedMessage: it is no note, or `role` speaks for another."""
     if role.startswith("host-"):
         ended = expect(data, Ended)
         assert isinstance(ended, Ended)

@@ -83,7 +83,6 @@ def registered() -> list[Path]:
 
 
 def _check(place: Path) -> None:
-    """Raise RegistryError if other users can enter the folder."""
     found = place.lstat()
     if not stat.S_ISDIR(found.st_mode):
         raise RegistryError(f"{place} is no folder; remove it")

@@ -75,7 +75,6 @@ class Brain:
         return (tick - last) * self._tick_s
 
     def _coast(self, error: ControllerError) -> None:
-        """Let the vehicle coast from now on if `on_error` says so; otherwise raise the error."""
         if self.config.on_error != "coast":
             raise error
         self._failed = True
@@ -83,7 +82,6 @@ class Brain:
         self._notes.append((error.tick, f"{error.problem}{where}; it is not called again, the vehicle coasts"))
 
     def _check(self, tick: int, demand: Vec3, telemetry: tuple[float, ...]) -> None:
-        """Raise for the first value that is not finite, if there is one."""
         if isfinite(sum(telemetry, 0.0) + sum(demand, 0.0)):
             return
         for group, signal, place in self.layout.signals():

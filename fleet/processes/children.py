@@ -247,7 +247,6 @@ def _set_preload() -> None:
 
 @contextlib.contextmanager
 def _forkserver_starting() -> Iterator[None]:
-    """The conditions of starting the fork server."""
     own_folder_for_multiprocessing()
     with without_main(), out_of_reach(), _named_console():
         yield
@@ -347,7 +346,6 @@ def ended(pid: int) -> bool:
 
 
 def _status(pid: int) -> str:
-    """The state of a process as psutil names it; empty: there is no such process."""
     import psutil  # only when a run stands still
 
     try:

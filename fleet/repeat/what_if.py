@@ -178,7 +178,6 @@ class _OtherAgent:
             )
 
     def step(self, tick: int, measured: tuple[float, ...]) -> None:
-        """One sample. Raises FleetError."""
         try:
             life = self._lives.incarnation(self._agent, tick)
             if self._core is None or life != self._life:
@@ -217,7 +216,6 @@ class _OtherAgent:
         return due
 
     def found(self) -> WhatIf:
-        """What both commanded."""
         return WhatIf(
             self._agent,
             self._scenario,

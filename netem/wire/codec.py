@@ -77,11 +77,6 @@ def expect(data: bytes, *kinds: type) -> Message:
 
 
 def _kind_of(data: bytes) -> str:
-    """The kind of a message that cannot be decoded.
-
-    Raises:
-        MalformedMessage: it has none.
-    """
     try:
         values = msgspec.msgpack.decode(data)
     except Exception as error:  # bytes that are no MessagePack, in one of many ways

@@ -68,11 +68,7 @@ class RunningLaw(Protocol):
 
 
 def law_class(kind: str, law: Law) -> type[Any]:
-    """The class of a law, ours or a user's.
-
-    Raises:
-        PluginError: there is none, or it cannot be used.
-    """
+    """The class of a law, ours or a user's. Raises PluginError: there is none, or it cannot be used."""
     ours = BUILT_IN[kind].get(law.name)
     return ours if ours is not None else load(kind, law)
 
@@ -104,11 +100,7 @@ def laws(config: LawChoice) -> dict[str, Law]:
 
 
 def layout(config: LawChoice) -> SignalLayout:
-    """The values that an agent with these laws reports.
-
-    Raises:
-        PluginError: one of its laws cannot be used.
-    """
+    """The values that an agent with these laws reports. Raises PluginError: one of its laws cannot be used."""
     signals = {kind: law_class(kind, law).signals for kind, law in laws(config).items()}
     if "agent" in signals:
         return SignalLayout((), signals["agent"])

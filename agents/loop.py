@@ -108,11 +108,7 @@ class AgentLoop:
         return self._advance()
 
     def inbox(self, inbox: Inbox) -> list[Answer]:
-        """Take the next round's deliveries.
-
-        Raises:
-            OutOfPlace: a later incarnation's, or not the next round.
-        """
+        """Take the next round's deliveries. Raises OutOfPlace: a later incarnation's, or not the next round."""
         if not self._is_mine(inbox.incarnation):
             return []
         expected = max(0, self._known + self.round_ticks)

@@ -67,11 +67,7 @@ _SELECTOR = re.compile(r"\s*(\*|\d{1,9})\s*(<?->)\s*(\*|\d{1,9})\s*", re.ASCII)
 
 
 def parse_selector(text: str) -> Selector:
-    """The links that `text` names.
-
-    Raises:
-        TextError: the text is no selector.
-    """
+    """The links that `text` names. Raises TextError: the text is no selector."""
     if text.strip() == "*":
         return Selector(None, None)
     match = _SELECTOR.fullmatch(text)

@@ -61,11 +61,7 @@ class Rounds:
         taken[i] = message.payloads
 
     def round(self, message: Round) -> None:
-        """Take from the world who is alive at a round tick.
-
-        Raises:
-            OutOfPlace: not the next round.
-        """
+        """Take from the world who is alive at a round tick. Raises OutOfPlace: not the next round."""
         if message.tick != self._next:
             raise OutOfPlace("round", self._next, message.tick)
         self._alive[message.tick] = message

@@ -138,11 +138,7 @@ class Launch:
         return running(self._private.path / role)
 
     def start(self, role: str, target: Target) -> None:
-        """Start a process, named in `ps` after its role and the scenario.
-
-        Raises:
-            RunBroken: it could not be started.
-        """
+        """Start a process, named in `ps` after its role and the scenario. Raises RunBroken: it could not be started."""
         function, arguments = target
         title = f"fleet {role.replace('-', ' ')} [{self._scenario.name}]"
         try:

@@ -49,11 +49,7 @@ class RunFolder(PrivateFolder):
     """The folder of one run, from its beginning to its end."""
 
     def __init__(self) -> None:
-        """Make the folder.
-
-        Raises:
-            RunBroken: no folder can be made for it.
-        """
+        """Make the folder. Raises RunBroken: no folder can be made for it."""
         place = _place()
         try:
             super().__init__(place=place)

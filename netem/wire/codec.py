@@ -63,11 +63,7 @@ def decode(data: bytes) -> Message:
 
 
 def expect(data: bytes, *kinds: type) -> Message:
-    """Decode a message that must be of one of the given kinds.
-
-    Raises:
-        MalformedMessage: it is not.
-    """
+    """Decode a message that must be of one of the given kinds. Raises MalformedMessage: it is not."""
     message = decode(data)
     if not isinstance(message, kinds):
         raise MalformedMessage(

@@ -166,11 +166,7 @@ class FmuPlant:
         return saved
 
     def restore(self, values: bytes) -> None:
-        """Go on from what `state` gave.
-
-        Raises:
-            FmuError: the unit could not give its state, or does not take it.
-        """
+        """Go on from what `state` gave. Raises FmuError: the unit could not give its state, or does not take it."""
         if not values or not self.facts.saves:
             problem = "cannot save its state (canGetAndSetFMUstate, canSerializeFMUstate): its run cannot be resumed"
             raise FmuError(problem, "run it from the start")

@@ -28,15 +28,7 @@ class Brain:
         self._tau_limits: tuple[Vec3, Vec3] = ((-x, -y, -z), (x, y, z))
 
     def step(self, nav: Nav, deliveries: Sequence[Delivery]) -> Step:
-        """Answer one sample: payloads on round ticks, what was received is absorbed, tau is decided.
-
-        Args:
-            nav: own state at this tick.
-            deliveries: what became due at this tick, ordered by (due_tick, sent_tick, src, seq).
-
-        Raises:
-            ControllerError: the measurement is not finite, time went back, or a law failed and `on_error` is not coast.
-        """
+        """Answer one sample: payloads on round ticks, and the decision. Raises as `decide`."""
         payloads = self.transmit(nav) if nav.tick % self.config.round_ticks == 0 else ()
         tau, telemetry = self.decide(nav, deliveries)
         return Step(tau, telemetry, payloads)

@@ -135,12 +135,7 @@ class Cascade:
     """A guidance law followed by a tracking law, and by what keeps vehicles apart between them."""
 
     def __init__(self, config: AgentConfig, notes: Notes, neighbours: NeighbourTable | None = None) -> None:
-        """
-        Args:
-            config: the agent's slice of the scenario.
-            notes: takes (tick, text) of what a person should know about the laws.
-            neighbours: what is kept apart from; without them nothing is.
-        """
+        """Make both laws; `notes` as for `build`. Without `neighbours` nothing is kept apart."""
         self._params = config.tracking
         self.guidance = _make("guidance", config, config.guidance_law, "velocity", notes)
         self.tracking = _make("tracking", config, config.tracking_law, "(tau1, tau2, tau3)", notes)
@@ -187,12 +182,7 @@ class Cascade:
 
 
 def build(config: AgentConfig, notes: Notes, neighbours: NeighbourTable) -> Cascade | FencedController:
-    """The controller of one agent.
-
-    Args:
-        config: the agent's slice of the scenario.
-        notes: takes (tick, text) of what a person should know about the laws.
-        neighbours: what it knows of them.
+    """The controller of one agent; `notes` takes (tick, text) of what a person should know about the laws.
 
     Raises:
         PluginError: one of its laws cannot be used.

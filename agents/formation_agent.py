@@ -42,11 +42,7 @@ class FormationAgent:
     """The agent that a vehicle has if the user gives it no whole agent: it keeps the formation."""
 
     def __init__(self, config: AgentConfig) -> None:
-        """Make it.
-
-        Args:
-            config: the agent's own slice of the scenario.
-        """
+        """Make it of the agent's own slice of the scenario."""
         self._agent = Agent(replace(config, agent=None))
         layout: SignalLayout = self._agent.layout
         self._where = {signal.name: (signal.width, place) for _, signal, place in layout.signals()}

@@ -66,13 +66,7 @@ class NeighbourTable:
         self.rejected = 0  # payloads that were refused so far: damaged, not ours, or not from who the network names
 
     def absorb(self, deliveries: Iterable[Delivery], now: int, ahead: int = 0) -> None:
-        """Take the packets that are due. Payloads that cannot be used are counted and dropped.
-
-        Args:
-            deliveries: the packets that are due.
-            now: the present tick by the own clock.
-            ahead: a neighbour's clock may be ahead of the own one by this many ticks. 0: all clocks are right.
-        """
+        """Take the packets that are due; those that cannot be used are counted. `now` and `ahead`: see `own_time`."""
         for delivery in deliveries:
             became = self._absorb(delivery, now, ahead)
             self.counters[became] += 1

@@ -40,12 +40,7 @@ from netem.wire.shell import read_map
 
 
 def closing(world: dict[str, Any], network: dict[str, Any], rejected: dict[str, int]) -> Closing:
-    """The final reports of a completed run's processes.
-
-    Args:
-        world, network: what they answered to `close`.
-        rejected: notes that were not kept, by key.
-    """
+    """The final reports of a run's processes: their answers to `close`, and the notes that were not kept."""
     return Closing(
         entered={(src, dst): (sent, copies) for src, dst, sent, copies in network.get("entered", ())},
         rejected={**world.get("rejected", {}), **network.get("rejected", {}), **rejected},
@@ -104,11 +99,9 @@ def readiness(
     A liveliness token only shows that a process lives. These answers show that messages arrive.
 
     Args:
-        world: the world's answer. `ready` has (vehicle, incarnation) of each agent that greeted the world. `grant`
-            says that the world hears grants. Empty: no answer.
-        network: netem's answer. `round` says that netem hears the world. Empty: no answer.
-        vehicles: all vehicles of the fleet, ascending.
-        awaited: vehicles with an external agent that has not joined, ascending.
+        world: `ready` has (vehicle, incarnation) of each agent that greeted the world; `grant`: it hears grants.
+        network: `round` says that netem hears the world. As in `world`, empty: no answer.
+        awaited: vehicles with an external agent that has not joined, ascending as `vehicles`.
         silent: keys on which the console has heard no greeting.
     """
     ready = {i for i, _ in world.get("ready", ())}.difference(awaited)
@@ -147,7 +140,6 @@ class Console:
         """Prepare a run; nothing is started.
 
         Args:
-            hosting: which agents share a process.
             run: its id; its keys begin with fleet/<run>/.
             print_line: shows the operator a line that stays.
         """

@@ -41,16 +41,7 @@ class RunDirectory:
     """`<out>/<scenario>-<seed>-<UTC time>/` with scenario.yaml, run.mcap, result.json and log/<process>.log."""
 
     def __init__(self, out: Path, scenario: str, seed: int) -> None:
-        """Make the directory.
-
-        Args:
-            out: where; it is made as well.
-            scenario: its name.
-            seed: of the scenario.
-
-        Raises:
-            FleetError: no directory can be made there.
-        """
+        """Make the directory in `out`, which is made as well. Raises FleetError: none can be made there."""
         stamp = time.strftime(STAMP, time.gmtime())
         base = f"{scenario}-{seed}-{stamp}"
         try:

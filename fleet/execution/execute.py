@@ -51,11 +51,7 @@ class ProgressLine:
     """Shows how a run goes on a status line; call it as often as you like."""
 
     def __init__(self, scenario: Scenario, journal: Journal, line: StatusLine, waiting: Callable[[], str]) -> None:
-        """Prepare it.
-
-        Args:
-            waiting: the waiting process and its cause, in words; empty: the run moves.
-        """
+        """Prepare it; `waiting` says in words who is waited for and why, or nothing while the run moves."""
         self._journal, self._waiting, self._line = journal, waiting, line
         self._tick_s = scenario.tick_ns / 1e9
         self._ticks = scenario.ticks

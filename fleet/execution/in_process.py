@@ -75,11 +75,9 @@ class InProcess:
         agents: Mapping[int, MakeLife] | None = None,
         salt: int = 0,
     ) -> None:
-        """Prepare a run; `in_process` also makes its journal.
+        """Prepare a run.
 
         Args:
-            scenario: the scenario of the run.
-            journal: receives everything that happens.
             start: the snapshot of another run to go on from. None: the run begins at its beginning.
             agents: by vehicle, functions that make an agent in place of the scenario's.
             salt: changes all further draws of world and network. 0: the draws of every run with this seed.
@@ -141,11 +139,7 @@ class InProcess:
             self._resume(self._begin)
 
     def advance(self, until: int) -> bool:
-        """Grant ticks below `until`, and let the fleet go so far. Raises as `serve` does.
-
-        Returns:
-            Whether an agent had something to do.
-        """
+        """Grant ticks below `until`, and go so far; returns whether an agent was asked. Raises as `serve`."""
         self._granted = max(self._granted, until)
         try:
             self._from_world(self._world.grant(until))
@@ -344,11 +338,9 @@ def in_process(
     salt: int = 0,
     judged: bool = True,
 ) -> InProcess:
-    """Make a run in this process, and its journal.
+    """Make a run in this process, and its journal, which writes to `log`. The rest is as for `InProcess`.
 
     Args:
-        log: receives what the journal writes.
-        start, agents, salt: as for `InProcess`.
         judged: the user's own checks see everything, too.
 
     Raises:

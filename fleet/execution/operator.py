@@ -118,11 +118,7 @@ MOST_ROWS = 500  # of each kind in one answer, also when all are asked for
 def vehicle_rows(
     scenario: Scenario, journal: Journal, dead: Collection[int], *, every: bool = False
 ) -> list[dict[str, Any]]:
-    """A row for each vehicle; of many, those with the greatest formation errors. In the order of their numbers.
-
-    Args:
-        dead: vehicles without an agent.
-    """
+    """A row for each vehicle; of many, those with the greatest formation errors. In the order of their numbers."""
     series = journal.metrics.series
     worst = sorted((i for i in series if series[i].formation), key=lambda i: -badness(series[i].formation[-1]))
     ages = _oldest(scenario, journal)

@@ -35,10 +35,7 @@ def folder() -> Path:
 
 
 def register(run: RunDirectory) -> Path:
-    """Add a run that lives.
-
-    Returns:
-        Its link, to be removed when the run is over.
+    """Add a run that lives; returns its link, to be removed when the run is over.
 
     Raises:
         RegistryError: the folder cannot be made, written or trusted, or the run could not be told from a dead one.

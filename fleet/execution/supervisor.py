@@ -191,13 +191,11 @@ def explain(
     at: str,
     computing: Callable[[str], int] = lambda _: 0,
 ) -> RunBroken:
-    """The error for processes that ended: which one ended first, how, and its last lines.
+    """The error for processes that ended at about the same time: which one ended first, how, and its last lines.
 
     Args:
-        exits: all processes that ended at about the same time, at least one.
         children: the processes by role. If an agent shares a process, its role has that process.
-        notes: the notes of the run. The error repeats the notes about the agent that ended, and names other agents with
-            the same note.
+        notes: of the run. The error repeats those about the agent that ended, and names other agents with the same.
         at: the time in the run, in words.
         computing: returns the agent that a host was computing when it ended. 0: none, or the process is no host.
     """
@@ -238,10 +236,9 @@ def who_waits(
 
     Args:
         world, network: the answers of the world and netem to `waiting`. Empty: no answer.
-        children: the processes by role. If an agent shares a process, its role has that process.
-        external: vehicles with an external agent. Such an agent is no child process.
+        external: vehicles with an external agent, which is no child process.
         log_is_behind: the journal has received more than the log holds.
-        computing: returns the agent that a host is computing. 0: none, or the process is no host.
+        children, computing: as for `explain`.
     """
     if not world:
         return "waiting for the world" + _condition(WORLD, children[WORLD])

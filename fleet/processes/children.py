@@ -304,11 +304,7 @@ def _forkserver_pid() -> int | None:
 
 
 def forkserver_death(patience_s: float = 0.0) -> str | None:
-    """How the fork server ended, or None while it lives.
-
-    Args:
-        patience_s: how long to wait for it, because its sockets close a moment before it can be reaped.
-    """
+    """How the fork server ended; None: it lives. Its sockets close a moment before it can be reaped."""
     pid = _forkserver_pid()
     if pid is None:
         return None

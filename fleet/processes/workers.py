@@ -48,12 +48,7 @@ class Workers:
     """Some worker processes, which end with the context; they leave Ctrl-C to us and never outlive us."""
 
     def __init__(self, count: int, begin: Callable[[], None] | None = None) -> None:
-        """Prepare them; a process starts when there is an item for it.
-
-        Args:
-            count: how many.
-            begin: called first in each process. It takes things that only a starting
-                process can take, such as an array in shared memory.
+        """Prepare so many; a process starts when there is an item for it, and calls `begin` first.
 
         Raises:
             RunBroken: too few files may be open for so many.

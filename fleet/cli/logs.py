@@ -190,7 +190,7 @@ def export(
     """
     from fleet.logs.dataset import fits
     from fleet.logs.export import export as write
-    from fleet.logs.open_log import list_topics
+    from fleet.logs.open_log import Opening
     from fleet.terminal.status_line import showing
 
     tables = [(form, folder) for form, folder in (("csv", csv), ("parquet", parquet), ("netcdf", netcdf)) if folder]
@@ -210,7 +210,7 @@ def export(
     if not tables:
         return
     with showing(f"reading {log}") as tell:
-        found = list_topics(log, topics or None, tell)
+        found = Opening(log, topics or None, tell, hold_all=False).read()
     if topics and not len(found):
         raise click.BadParameter(f"no topic of {log} is like {', '.join(topics)}", param_hint="--topics")
     if found.missing:

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from fleet.errors import FleetError
 from fleet.pictures.style import DPI
-from fleet.pictures.whole_file import whole_file
+from netem.private_file import whole_file
 
 _SHARED = ("page.html", "parts.html")
 

@@ -11,10 +11,10 @@ from subprocess import CalledProcessError
 from matplotlib.animation import FFMpegWriter
 
 from fleet.errors import FleetError
-from fleet.pictures.whole_file import whole_file
 from fleet.view.gif_writer import GifWriter
 from fleet.view.log_feed import LogFeed
 from fleet.view.movie_scene import DRAWN_COLOURS, WIDTH_IN, MovieScene
+from netem.private_file import whole_file
 
 LASTS_S = 12.0  # by default, unless the log is shorter
 MOST_BYTES = 1_000_000_000  # of the pictures of a GIF, which are all held until it is written

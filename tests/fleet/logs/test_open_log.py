@@ -23,7 +23,7 @@ from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.export import export
 from fleet.logs.fault_intervals import FaultInterval
-from fleet.logs.open_log import LogKeyError, open_drawn
+from fleet.logs.open_log import LogKeyError, Opening
 from fleet.logs.reader import LogReader, LogReadError, digest
 from fleet.logs.records import Digest
 from fleet.scenario.loading import load_scenario
@@ -126,7 +126,7 @@ def test_the_digest_is_that_of_the_messages(run: Path, tmp_path: Path, cut: int)
     total = Digest()
     for one in LogReader(log):
         total.add(one.topic.encode(), one.log_ns, one.publish_ns, one.sequence, one.data)
-    drawn = open_drawn(log, ["uuv/1/*"], lambda _: None, {})
+    drawn = Opening(log, ["uuv/1/*"], drawn={}).read()
     assert fleet.open_log(log).digest == digest(log) == drawn.digest == total.hexdigest()
 
 

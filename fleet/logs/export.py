@@ -166,7 +166,6 @@ def export(log: Log, folder: Path, form: str, *, force: bool = False, share: Tel
 
 
 def _stream(path: Path, sheets: Iterable[Sheet], share: Tell) -> None:
-    """Fill tables while the log is read."""
     by_topic = {sheet.topic.name: sheet for sheet in sheets}
     reader = LogReader(path, share)
     held = 0

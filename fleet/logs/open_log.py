@@ -215,7 +215,6 @@ class Log:
 
     @cached_property
     def _intervals(self) -> list[FaultInterval]:
-        """Faults and events, as the topic `faults` has them."""
         return fault_intervals(self["faults"], self.end) if "faults" in self else []
 
 
@@ -310,7 +309,6 @@ class Opening:
         return log
 
     def _take(self, reader: LogReader, block: Block) -> None:
-        """Count the messages of a block that are kept, and hold them."""
         for name, some in self._of(reader, block):
             topic = self._topic(reader, name)
             if topic is None:

@@ -205,7 +205,6 @@ def inside(offset: int, data: bytes) -> Iterator[Block | Schema | Channel]:
 
 
 def _items(offset: int, data: bytes, begin: Array, end: Array) -> Iterator[Block | Schema | Channel]:
-    """The records that begin and end at these places."""
     opcode = np.frombuffer(data, np.uint8)[begin]
     message = opcode == int(Opcode.MESSAGE)
     first = 0

@@ -262,7 +262,6 @@ class Salvage:
                 return at
 
     def _behind(self, at: int, size: int) -> int | None:
-        """Where to go on behind a damaged record."""
         head = self._read(at, HEAD.size)
         if len(head) == HEAD.size:
             length: int = HEAD.unpack(head)[1]

@@ -225,7 +225,6 @@ def enveloped(
 
 
 def _seen(values: Array, log: bool) -> Array:
-    """Values as the axis shows them."""
     return np.log10(np.maximum(np.abs(values), SMALLEST)) if log else values
 
 
@@ -366,7 +365,6 @@ def _draw_line(ax: Axes, gid: str, series: Series, whole: float, log: bool, styl
 
 
 def _series(run: Run, view: View, get: Get) -> dict[int, Series]:
-    """A signal of each vehicle that reports it, in the window."""
     found = {i: get(run, i) for i in run.vehicles(view)}
     return {i: within(*one, view.window) for i, one in found.items() if one is not None}
 

@@ -338,7 +338,6 @@ def draw(
 def _each(
     what: Sequence[str], runs: Sequence[Run], view: View, share: Tell
 ) -> Iterator[tuple[str, str, Sequence[Run], Figure | str]]:
-    """As `draw`, with the runs that a picture shows."""
     asked_for_all = set(what) == set(WHAT)
     begun: set[str] = set()
     single = {picture[0]: (picture,) for pictures in WHAT.values() for picture in pictures}
@@ -364,7 +363,6 @@ def _each(
 
 
 def _pictures(kind: str, runs: Sequence[Run], single: Mapping[str, tuple[_Picture, ...]]) -> Sequence[_Picture]:
-    """The pictures of a kind, or of a signal."""
     if kind in WHAT or kind in single:
         named = any_signal.signals_of_checks(runs) if kind == "checks" else []
         found = WHAT.get(kind, ()) or single.get(kind, ())

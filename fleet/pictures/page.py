@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from importlib.metadata import version
 from importlib.resources import files
 from io import BytesIO
@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from matplotlib.figure import Figure
 
 from fleet.errors import FleetError
-from fleet.pictures.style import DPI
+from fleet.pictures.style import COLUMN_IN, DPI
 from netem.private_file import whole_file
 
 _SHARED = ("page.html", "parts.html")
@@ -78,6 +78,24 @@ def render(room: str, template: str, **values: Any) -> str:
         keep_trailing_newline=True,
     )
     return environment.get_template(template).render(version=version("uuv-fleet"), **values)
+
+
+def images(
+    drawn: Iterable[tuple[str, str, Figure | str]], first: Sequence[str] | None = None
+) -> tuple[PageImage | None, SectionImages]:
+    """The first picture of those names that is drawn, of any name if None, and all others with what is missing.
+
+    Args:
+        drawn: name, title, and the picture or why there is none.
+    """
+    found, missing = dict[str, PageImage](), []
+    for name, title, figure in drawn:
+        if isinstance(figure, str):
+            missing.append(f"{name}: {figure}")
+        else:
+            found[name] = PageImage(title, png(figure), figure.get_figwidth() > COLUMN_IN)
+    top = next((found.pop(name) for name in (list(found) if first is None else first) if name in found), None)
+    return top, SectionImages(list(found.values()), missing)
 
 
 def png(figure: Figure) -> str:

@@ -18,7 +18,7 @@ from fleet.logs.topic_names import begun_at, link_topic, run_name
 from fleet.pictures.any_signal import file_name
 from fleet.pictures.beliefs import beliefs
 from fleet.pictures.gallery import PER_RUN, WHAT, draw
-from fleet.pictures.page import PageImage, SectionImages, png, render, write_page
+from fleet.pictures.page import PageImage, SectionImages, images, render, write_page
 from fleet.pictures.runs import Run, View, first_words
 from fleet.quantities import vehicle_numbers
 from fleet.result.file import ResultError, read_result
@@ -439,7 +439,6 @@ def _result(run: Run) -> RunResult:
 
 
 def _tables(run: Run, result: Result | None) -> list[tuple[str, Table]]:
-    """Tables of vehicles and of links, each with its heading."""
     tables: list[tuple[str, Table]] = []
     reported = [i for i in run.log.vehicles if f"uuv/{i}/error" in run.log]
     if result and result.vehicles:
@@ -514,11 +513,6 @@ def _pictures(
     kinds: Sequence[str], runs: Sequence[Run], view: View, share: Tell, first: Sequence[str] = ()
 ) -> tuple[PageImage | None, SectionImages]:
     """The first picture of those names that is drawn, and all others."""
-    drawn, missing = dict[str, PageImage](), []
-    for name, title, figure in draw(kinds, runs, view, share):
-        if isinstance(figure, str):
-            missing.append(f"{name}: {figure}")
-        else:
-            drawn[name] = PageImage(title, png(figure))
-    top = next((drawn.pop(name) for name in first if name in drawn), None)
-    return top, SectionImages(list(drawn.values()), missing + [note for run in runs for note in run.notes])
+    top, pictures = images(draw(kinds, runs, view, share), first)
+    pictures.missing.extend(note for run in runs for note in run.notes)
+    return top, pictures

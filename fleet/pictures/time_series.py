@@ -52,7 +52,6 @@ def formation(runs: Sequence[Run], view: View) -> Figure:
 
 
 def _believed_formation(run: Run, i: int) -> tuple[Array, Array] | None:
-    """The formation error of a vehicle as it believes it."""
     known = beliefs(run.log, i)
     if known is None:
         return None
@@ -172,7 +171,6 @@ def _keep_inside(ax: Axes, most: dict[str, float]) -> None:
 
 
 def _largest(artist: Line2D | Collection) -> float:
-    """The largest magnitude of what an artist draws."""
     if isinstance(artist, Line2D):
         heights = np.asarray(artist.get_ydata(), float)
     else:

@@ -15,9 +15,8 @@ from typing import Any
 from fleet.errors import printable
 from fleet.logs.reader import Tell
 from fleet.logs.topic_names import STAMP
-from fleet.pictures.page import PageImage, SectionImages, png, render, write_page
+from fleet.pictures.page import images, render, write_page
 from fleet.pictures.report import Mark, Table, rest
-from fleet.pictures.style import COLUMN_IN
 from fleet.study.one_run import FAILED
 from fleet.study.pictures.gallery import draw
 from fleet.study.pictures.points import NOT_MADE, NOT_NEEDED, PASSED, Points, Quantity, VariedKey, factors, load, minus
@@ -59,13 +58,13 @@ def page(store: Store, points: Points, log_scale: bool | None = None, share: Tel
     rows = store.table([*_COLUMNS, *checks]).to_pylist()
     directory = store.directory.resolve()
     scenarios = store.points()
-    pictures = _pictures(points, log_scale, share)
+    first, pictures = images(draw(points, log_scale, share))
     return render(
         "fleet.study.pictures",
         TEMPLATE,
         title=f"uuv-fleet: study {directory.name}",
         verdict=_verdict(rows),
-        first=pictures.drawn[0] if pictures.drawn else None,
+        first=first,
         failed=_failed(rows, store.record.checks),
         facts=Table((), _facts(store, points, rows)),
         axes=Table(("what varies", "unit", "values"), [_axis(each) for each in points.dimensions]),
@@ -74,7 +73,7 @@ def page(store: Store, points: Points, log_scale: bool | None = None, share: Tel
         place=shlex.quote(str(directory)),
         results=_results(points),
         comparisons=_comparisons(points),
-        pictures=pictures._replace(drawn=pictures.drawn[1:]),
+        pictures=pictures,
         reasons=_reasons(rows),
         again=_again(directory, rows),
         scenario=scenarios[0]["scenario"] if scenarios else "",
@@ -217,16 +216,6 @@ def _comparisons(points: Points) -> list[tuple[str, Table]]:
 
 
 _COMPARED = ("values", "of what", "pairs", "median difference, interval (level)", "difference below 0", "p (Wilcoxon)")
-
-
-def _pictures(points: Points, log_scale: bool | None, share: Tell) -> SectionImages:
-    drawn, missing = [], []
-    for name, title, figure in draw(points, log_scale, share):
-        if isinstance(figure, str):
-            missing.append(f"{name}: {figure}")
-        else:
-            drawn.append(PageImage(title, png(figure), figure.get_figwidth() > COLUMN_IN))
-    return SectionImages(drawn, missing)
 
 
 def _reasons(rows: Sequence[dict[str, Any]]) -> Table:

@@ -18,20 +18,18 @@ from google.protobuf import struct_pb2
 from huge_log import again, blobs, bomb, chunk, record, text, write
 from hypothesis import given
 from hypothesis import strategies as st
+from in_process_runs import Alone, log_of
 from mcap.opcode import Opcode
 from waiting import wait_for
 
 import fleet
 from fleet.cli.main import cli
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.logs import columns, decoder, deviation, export, open_log, reader, records, tape, topic
 from fleet.logs.info import info_text, read_info
 from fleet.logs.open_log import Opening, Part
 from fleet.logs.reader import LogReader, LogReadError
 from fleet.pictures.gallery import draw
 from fleet.pictures.runs import View, load
-from fleet.scenario.loading import load_scenario
 from fleet.terminal import status_line
 from netem.private_file import whole_file
 
@@ -40,11 +38,8 @@ LIMIT_S = 60.0
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("runs")
-    faults = "faults=[{at: 1 s, for: 500 ms, id: crash, kill: 2}]"
-    scenario = load_scenario("paper", ["duration=3 s", "checks={}", faults])
-    return execute(scenario, Options(out, in_process=True, quiet=True)).directory / "run.mcap"
+def run(made: Alone) -> Path:
+    return log_of(made("paper", "duration=3 s", "checks={}", "faults=[{at: 1 s, for: 500 ms, id: crash, kill: 2}]"))
 
 
 @pytest.fixture(scope="module")

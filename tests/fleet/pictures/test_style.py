@@ -8,22 +8,19 @@ from pathlib import Path
 
 import matplotlib
 import pytest
+from in_process_runs import Alone
 from PIL import Image
 from repository import ROOT
 
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.logs.reader import digest
 from fleet.pictures.gallery import write
 from fleet.pictures.runs import View, load
 from fleet.pictures.style import COLUMN_IN, LABEL_PT, LEGEND_PT, TEXT_PT
-from fleet.scenario.loading import load_scenario
 
 
 @pytest.fixture(scope="module")
-def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    options = Options(tmp_path_factory.mktemp("runs"), in_process=True, quiet=True)
-    return execute(load_scenario("ideal", ["duration=1 s", "checks={}", "seed=7"]), options).directory
+def directory(made: Alone) -> Path:
+    return made("ideal", "duration=1 s", "checks={}", "seed=7").directory
 
 
 def test_a_file_says_scenario_seed_and_digest(directory: Path, tmp_path: Path) -> None:

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from in_process_runs import Alone
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.logs.fault_intervals import FaultInterval
 from fleet.pictures import time_series
 from fleet.pictures.runs import Run, View, load
 from fleet.pictures.style import panels
 from fleet.pictures.thresholds import Threshold, draw_thresholds, thresholds
-from fleet.scenario.loading import load_scenario
 
 CHECKS = (
     "checks={formation_error: {below: 50 cm, after: 3 s}, "
@@ -27,10 +24,10 @@ CHECKS = (
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    changes = ["duration=5 s", "faults=[{at: 1 s, for: 1 s, id: crash, kill: 2}]", CHECKS]
-    options = Options(tmp_path_factory.mktemp("runs"), in_process=True, quiet=True)
-    return load([execute(load_scenario("paper", changes), options).directory])[0]
+def run(made: Alone) -> Run:
+    return load([made("paper", "duration=5 s", "faults=[{at: 1 s, for: 1 s, id: crash, kill: 2}]", CHECKS).directory])[
+        0
+    ]
 
 
 def lines(ax: Axes, gid: str) -> list[Any]:
@@ -136,11 +133,10 @@ def test_the_reason_for_a_low_gain_is_true(run: Run) -> None:
     assert chosen > 10
 
 
-def test_a_fixed_gain_has_no_k_min(tmp_path: Path) -> None:
+def test_a_fixed_gain_has_no_k_min(made: Alone) -> None:
     """One vehicle with a fixed gain below the k_min of the others, whose own gains are above it."""
     fixed = "per_vehicle={'1': {controller: nbc, guidance: {K0: 0.05 0.05 0.05 1/s}}}"
-    options = Options(tmp_path, in_process=True, quiet=True)
-    mixed = load([execute(load_scenario("paper", ["duration=10 s", "checks={}", fixed]), options).directory])[0]
+    mixed = load([made("paper", "duration=10 s", "checks={}", fixed).directory])[0]
     assert (mixed.log["uuv/1/guidance"]["K"] == 0.05).all()
     figure = time_series.gains([mixed], View(window=(9.0, 10.0)))
     assert not [text for ax in figure.axes for text in ax.texts if text.get_gid() == "below-k_min"]
@@ -176,10 +172,9 @@ def test_checks_of_one_value_are_one_line() -> None:
     assert [list(line.get_xdata()) for line in lines(ax, "check")] == [[10.0, 20.0], [65.0, 90.0]]
 
 
-def test_no_heavy_line_joins_the_two_limits(tmp_path: Path) -> None:
+def test_no_heavy_line_joins_the_two_limits(made: Alone) -> None:
     """A command that goes from one limit to the other between two samples of a thin log."""
-    scenario = load_scenario("paper", ["checks={}", "vehicles=20", "duration=1 s", "log={every: 20 ticks}"])
-    run = load([execute(scenario, Options(tmp_path, in_process=True, quiet=True)).directory])[0]
+    run = load([made("paper", "checks={}", "vehicles=20", "duration=1 s", "log={every: 20 ticks}").directory])[0]
     figure = time_series.inputs([run], View(vehicles=(14,)))
     heavy = [
         line for ax in figure.axes for line in ax.get_lines() if str(line.get_gid()).endswith(time_series.HEAVY_SUFFIX)

@@ -26,7 +26,7 @@ from netem.wire.messages import End
 from netem.wire.shell import read_map
 from world.errors import PluginError
 from world.plugins.loading import admit
-from world.plugins.trust import NOTHING, Permission, Trust
+from world.plugins.trust import Permission
 
 MakeCore = Callable[[AgentConfig, Clock], AgentCore]
 CONNECT_MS = 3000
@@ -34,16 +34,12 @@ ASK_S = 10.0
 WATCH_S = 0.2  # how often to look whether the run is still there
 
 
-def serve(
-    joining: JoinFile, notify: Callable[[str], None], trust: Trust = NOTHING, make: MakeCore | None = None
-) -> End:
+def serve(joining: JoinFile, notify: Callable[[str], None], make: MakeCore | None = None) -> End:
     """Serve as the agent of a join file until the world ends its life.
 
     Args:
         joining: the content of the join file.
         notify: called with one line of text when the agent has joined.
-        trust: modules of laws that may run although they are not installed. The run names the laws, and the user of
-            this machine allows them.
         make: takes the agent's configuration and the clock of the run, and makes the core that answers samples.
             None: our agent.
 
@@ -64,7 +60,7 @@ def serve(
         config, incarnation, begin, clock = _ask(bus, keys, joining.vehicle)
         core = None if make is None else make(config, clock)
         if core is None:
-            _admit(config, trust)
+            _admit(config)
         ended: SimpleQueue[End | BaseException] = SimpleQueue()
 
         def live() -> None:
@@ -82,9 +78,9 @@ def serve(
         bus.close()
 
 
-def _admit(config: AgentConfig, trust: Trust) -> None:
+def _admit(config: AgentConfig) -> None:
     try:
-        permission = Permission(trust, elsewhere=(Path(),), because="the run names it")
+        permission = Permission(elsewhere=(Path(),), because="the run names it")
         for kind, law in laws(config).items():
             if law.name not in BUILT_IN[kind]:
                 admit(kind, law.name, permission)

@@ -1,4 +1,4 @@
-"""How many runs a search needs to find a defect that was planted on purpose, with and without a guide.
+"""How many runs a search needs to find a defect that was planted on purpose.
 
     python benchmarks/planted_bugs.py --most 100 --workers 2 >> planted.jsonl
     python benchmarks/planted_bugs.py --table planted.jsonl
@@ -25,8 +25,7 @@ from typing import Any
 
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario, timeline_lines
-from fleet.study.guided import GuidedSearch
-from fleet.study.local_engine import local_engine
+from fleet.study.engine import local_engine
 from fleet.study.modules import modules_of
 from fleet.study.search import search
 from fleet.study.shrink import Shrinker
@@ -84,8 +83,7 @@ class FormationAgent:
         pass
 '''
 # Each bench has faults that its protocol survives without a defect. Long one-way silence, two deaths at a time in an
-# auction, and faults that leave no time to recover make the sound ones fail, too. No fault has a number that a guide
-# could strengthen beyond that.
+# auction, and faults that leave no time to recover make the sound ones fail, too.
 _SWARM = "nemesis={mode: swarm, until: 45 s, pick: [%s]}"
 _GRID = "nemesis={every: %s, for: %s, until: %s, pick: [%s]}"
 _COMMON = ("duration=60 s", "tick=100 ms", "log={every: 1 tick, snapshot: 0 s}", "faults=[]", "expect=pass")
@@ -208,7 +206,7 @@ BUGS = (
 
 
 def main() -> None:
-    """Search for each defect, both ways, or print the table of what was found."""
+    """Search for each defect, or print the table of what was found."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--most", type=int, default=2000, help="runs of a search")
     parser.add_argument("--workers", type=int, default=2)
@@ -222,20 +220,19 @@ def main() -> None:
     if given.table:
         print("\n".join(table(_lines(given.table))))
         return
-    done = {(line["bug"], line["guide"], line["seed"]) for line in _lines(given.done)} if given.done else set()
+    done = {(line["bug"], line["seed"]) for line in _lines(given.done)} if given.done else set()
     sound = [Bug(f"sound-{name}", name, (bench.module,), "", "", "no defect") for name, bench in BENCHES.items()]
     with tempfile.TemporaryDirectory() as folder:
         sys.path.insert(0, folder)
         os.chdir(folder)  # where laws are looked for
         for bug in sound if given.sound else BUGS:
-            for guide in (False, True):
-                wanted = not given.only or {bug.name, bug.bench} & set(given.only)
-                if wanted and (bug.name, guide, given.seed) not in done:
-                    least = 0 if given.no_shrink else SHRINK_RUNS
-                    print(json.dumps(searched(bug, guide, given.most, given.workers, given.seed, least)), flush=True)
+            wanted = not given.only or {bug.name, bug.bench} & set(given.only)
+            if wanted and (bug.name, given.seed) not in done:
+                least = 0 if given.no_shrink else SHRINK_RUNS
+                print(json.dumps(searched(bug, given.most, given.workers, given.seed, least)), flush=True)
 
 
-def searched(bug: Bug, guide: bool, most: int, workers: int, seed: int = 1, least: int = 0) -> dict[str, Any]:
+def searched(bug: Bug, most: int, workers: int, seed: int = 1, least: int = 0) -> dict[str, Any]:
     """One search for a defect, which is planted in the current folder; `least`: runs for making it smaller."""
     bench, folder = BENCHES[bug.bench], Path.cwd()
     law = plant(bug, folder)
@@ -244,15 +241,12 @@ def searched(bug: Bug, guide: bool, most: int, workers: int, seed: int = 1, leas
         given = json.dumps({"law": law, "parameters": (parameters and parameters.parameters) or {}})
         scenario = load_scenario(bench.scenario, [*bench.changes, f"agent={given}", f"seed={seed}"])
         modules = modules_of([scenario], folder)
-        if guide:
-            found = GuidedSearch(scenario, modules=modules).run(engine, lambda _: None, most)
-        else:
-            found = search(scenario, engine, lambda _: None, most_runs=most, modules=modules)
+        found = search(scenario, engine, lambda _: None, most_runs=most, modules=modules)
         runs = found.runs + found.without
-        if found.seed is not None and not guide:
+        if found.seed is not None:
             runs = found.seed - found.first_seed + 1  # others were under way
         shown = _shrunk(found.scenario, found.check, engine, modules, least) if found.scenario else []
-    return {"bug": bug.name, "protocol": bug.bench, "what": bug.what, "guide": guide, "seed": seed, "most": most,
+    return {"bug": bug.name, "protocol": bug.bench, "what": bug.what, "seed": seed, "most": most,
             "found": found.seed is not None, "check": found.check, "runs": runs, "without": found.without,
             "reason": found.reason, "least": shown}  # fmt: skip
 
@@ -303,28 +297,21 @@ def _lines(path: Path) -> list[dict[str, Any]]:
 
 
 def table(lines: list[dict[str, Any]]) -> Iterator[str]:
-    """The table as Markdown: each defect with the median of the runs that both ways needed, and the least scenario."""
-    yield "| protocol | defect | plain | guided | fails | the least that shows it |"
-    yield "|---|---|---|---|---|---|"
-    medians: dict[bool, list[float]] = {False: [], True: []}
+    """The table as Markdown: each defect with the median of the runs that it needed, and the least scenario."""
+    yield "| protocol | defect | runs | fails | the least that shows it |"
+    yield "|---|---|---|---|---|"
+    medians = list[float]()
     for name in dict.fromkeys(line["bug"] for line in lines):
         mine = [line for line in lines if line["bug"] == name]
-        cells = []
-        for guide in (False, True):
-            some = [line for line in mine if line["guide"] == guide]
-            runs = [line["runs"] if line["found"] else inf for line in some]
-            middle = statistics.median(runs) if runs else inf
-            medians[guide].append(middle)
-            most = max((line["most"] for line in some), default=0)
-            cells.append(f"{middle:g}" if middle < inf else f"not in {most}")
+        middle = statistics.median(line["runs"] if line["found"] else inf for line in mine)
+        medians.append(middle)
+        cell = f"{middle:g}" if middle < inf else f"not in {max(line['most'] for line in mine)}"
         found = min((line for line in mine if line["found"]), key=lambda line: len(line["least"]), default=None)
         least = "; ".join(found["least"]) if found else ""
         fails = found["check"] if found else ""
-        yield f"| {' | '.join((mine[0]['protocol'], mine[0]['what'], *cells, fails, least))} |"
+        yield f"| {' | '.join((mine[0]['protocol'], mine[0]['what'], cell, fails, least))} |"
     yield ""
-    for guide, each in medians.items():
-        found_by, middle = sum(one < inf for one in each), statistics.median(each)
-        yield f"{'With' if guide else 'Without'} a guide: found {found_by} of {len(each)}, median {middle:g} runs."
+    yield f"Found {sum(one < inf for one in medians)} of {len(medians)}, median {statistics.median(medians):g} runs."
 
 
 if __name__ == "__main__":

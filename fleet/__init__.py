@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from fleet.logs.open_log import open_log as open_log
     from fleet.result.result import Result as Result
     from fleet.rl.offered import parallel_env as parallel_env
-    from fleet.study.boundary import Boundary as Boundary
-    from fleet.study.boundary import boundary as boundary
+    from fleet.study.study import Boundary as Boundary
     from fleet.study.study import Study as Study
+    from fleet.study.study import boundary as boundary
     from fleet.study.study import open_study as open_study
     from fleet.study.study import sweep as sweep
 
@@ -30,8 +30,8 @@ _OFFERED = {
     "stepping": "fleet.execution.judged",
     "Log": "fleet.logs.open_log",
     "open_log": "fleet.logs.open_log",
-    "Boundary": "fleet.study.boundary",
-    "boundary": "fleet.study.boundary",
+    "Boundary": "fleet.study.study",
+    "boundary": "fleet.study.study",
     "Study": "fleet.study.study",
     "open_study": "fleet.study.study",
     "parallel_env": "fleet.rl.offered",

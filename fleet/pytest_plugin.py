@@ -15,7 +15,6 @@ import pytest
 
 if TYPE_CHECKING:
     from fleet.result.result import Result
-    from world.plugins.trust import Trust
 
 FleetRuns = Callable[..., "list[Result]"]
 
@@ -41,7 +40,7 @@ def fleet_runs(request: pytest.FixtureRequest) -> FleetRuns:
         seeds: int | Iterable[int] = 10,
         *,
         set: Mapping[str, Any] | Iterable[str] = (),
-        trust: Trust | None = None,
+        trust: bool = False,
     ) -> list[Result]:
         """Run a scenario with each seed in turn.
 
@@ -49,7 +48,7 @@ def fleet_runs(request: pytest.FixtureRequest) -> FleetRuns:
             scenario: a shipped name, or a file. If the file is in the folder of the test, its name is enough.
             seeds: how many, from 1 on, or a list of them.
             set: changes to the scenario, as for `fleet.run`.
-            trust: modules that may run, in addition to installed ones and those in the current directory.
+            trust: run modules, too, that are neither installed nor in the current directory.
 
         Returns:
             The results; all of them passed.
@@ -65,19 +64,18 @@ def fleet_runs(request: pytest.FixtureRequest) -> FleetRuns:
     return run
 
 
-def _run(name: str, seeds: list[int], changes: Any, trust: Trust | None, directory: Path) -> list[Result]:
+def _run(name: str, seeds: list[int], changes: Any, trust: bool, directory: Path) -> list[Result]:
     from fleet.execution.judged import override_texts
     from fleet.execution.judged import run as run_once
-    from fleet.study.sometimes import Reached
-    from world.plugins.trust import NOTHING
+    from fleet.study.row import Reached
 
-    texts, trusted = override_texts(changes), NOTHING if trust is None else trust
+    texts = override_texts(changes)
     found: list[Result] = []
     reached: dict[str, Reached] = {}
     for seed in seeds:
-        result = run_once(name, set=texts, seed=seed, trust=trusted)
+        result = run_once(name, set=texts, seed=seed, trust=trust)
         if not result.passed:
-            log = _kept(name, [*texts, f"seed={seed}"], trusted, directory.with_name(f"{directory.name}-seed-{seed}"))
+            log = _kept(name, [*texts, f"seed={seed}"], trust, directory.with_name(f"{directory.name}-seed-{seed}"))
             pytest.fail(_words(name, texts, result, len(seeds), log), pytrace=False)
         found.append(result)
         for verdict in result.verdicts:
@@ -89,13 +87,15 @@ def _run(name: str, seeds: list[int], changes: Any, trust: Trust | None, directo
     return found
 
 
-def _kept(name: str, changes: list[str], trust: Trust, directory: Path) -> str:
+def _kept(name: str, changes: list[str], trust: bool, directory: Path) -> str:
     """Make a run once more, with its directory; returns where that is, or why there is none."""
     from fleet.scenario.loading import load_scenario
     from fleet.study.one_run import recorded
+    from world.plugins.trust import trusting
 
     try:
-        recorded(load_scenario(name, changes, trust), directory)
+        with trusting(trust):
+            recorded(load_scenario(name, changes), directory)
     except OSError as error:
         return f"its log is not kept: {error}"
     return f"its log: {directory} (fleet view {directory})"

@@ -21,9 +21,9 @@ Count = Annotated[int, Meta(ge=0, le=2**53)]
 class Account(msgspec.Struct):
     """Fates of the packets of one directed link."""
 
-    sent: Annotated[Count, Meta(description="Packets that were sent.")] = 0
-    duplicated: Annotated[Count, Meta(description="Copies that the network made.")] = 0
-    delivered: Annotated[Count, Meta(description="Packets and copies that were delivered.")] = 0
+    sent: Count = 0
+    duplicated: Count = 0
+    delivered: Count = 0
     lost: Annotated[dict[str, Count], Meta(description="By cause, those that were lost.")] = {}
     in_flight: Annotated[Count, Meta(description="Those that were on their way at the end.")] = 0
     corrupted: Annotated[Count, Meta(description="Those of the delivered ones that were damaged.")] = 0

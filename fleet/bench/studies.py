@@ -25,7 +25,7 @@ from fleet.execution.judged import judged
 from fleet.processes.workers import Workers
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.text.overrides import SET, Override
-from fleet.study.local_engine import LocalEngine
+from fleet.study.engine import LocalEngine
 from fleet.study.one_run import Task, make_run, scenario_of
 from fleet.terminal.table import columns, show
 from netem.private_folder import PrivateFolder
@@ -218,7 +218,7 @@ def _study(
     pools: list[Workers] | None = None,
 ) -> Iterator[Make]:
     """Whole studies with their rows, by the same workers, which go to `pools`."""
-    from fleet.study.local_engine import local_engine
+    from fleet.study.engine import local_engine
     from fleet.study.plan import Plan
     from fleet.study.sweep import prepare, run_study
 

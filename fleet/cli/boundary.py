@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from fleet.cli.completion import scenarios
-from fleet.cli.documents.output import json_option, print_document
-from fleet.cli.study_options import OUT, SCHEDULER, WORKERS, given, spec_options, study_directory, warning
-from fleet.cli.trust import TrustingCommand, trust_option
+from fleet.cli.documents.output import print_document
+from fleet.cli.study_options import OUT, Asked, Making, making_options, spec_options, study_directory
 from fleet.study.spec import BoundarySpec
 from fleet.terminal.table import say, stdout
 
@@ -21,28 +20,16 @@ if TYPE_CHECKING:
     from fleet.study.sweep import Progress
     from fleet.terminal.status_line import StatusLine
     from fleet.terminal.table import Piece
-    from world.plugins.trust import Trust
 
 OUTSIDE = ("below", "above")
 
 
-@click.command(cls=TrustingCommand)
+@click.command()
 @click.argument("scenario", metavar="SCENARIO|DIR", shell_complete=scenarios)
 @spec_options(BoundarySpec)
 @OUT
-@WORKERS
-@SCHEDULER
-@trust_option
-@json_option
-def boundary(
-    scenario: str,
-    out: Path,
-    workers: int | None,
-    scheduler: str | None,
-    trust: Trust,
-    as_json: bool,
-    **options: Any,
-) -> None:
+@making_options("Print only the study's directory; failures go to stderr.")
+def boundary(scenario: str, asked: Asked[BoundarySpec], out: Path, how: Making) -> None:
     """Find where the pass rate of SCENARIO falls through a level, with few runs.
 
     Each run is placed where it tells most about the border, until the 95 % interval is narrow. With the directory of
@@ -63,23 +50,22 @@ def boundary(
     from fleet.study.engine import need_extra
 
     need_extra()
-    asked = given(BoundarySpec, options)
-    borders, modules, timeout_s = _opened(scenario, asked, trust) or _prepared(scenario, asked, out, trust)
+    borders, modules, timeout_s = _opened(scenario, asked) or _prepared(scenario, asked, out, how)
     if borders.open():
-        _run(borders, modules, timeout_s, (workers, scheduler))
+        _run(borders, modules, timeout_s, how)
     found = borders.found()
-    if not as_json:
+    if not (how.as_json or how.quiet):
         _show(borders, found)
-    picture = _picture(borders, trust)
-    if as_json:
-        from fleet.cli.documents.boundary import boundary_document
+    picture = _picture(borders, how)
+    if how.as_json:
+        from fleet.cli.documents.studies import boundary_document
 
         print_document(boundary_document(borders, found, None if picture is None else str(picture)))
     else:
         click.echo(borders.store.directory)
 
 
-def _opened(name: str, asked: dict[str, Any], trust: Trust) -> tuple[Borders, Modules, float] | None:
+def _opened(name: str, asked: Asked[BoundarySpec]) -> tuple[Borders, Modules, float] | None:
     """The study of a directory, the modules that its runs need and the time that a run may take; None: it is none."""
     from fleet.study.borders import Borders
     from fleet.study.spec import seconds
@@ -88,35 +74,33 @@ def _opened(name: str, asked: dict[str, Any], trust: Trust) -> tuple[Borders, Mo
     from fleet.study.sweep import modules_again
 
     refuse_study(name)
-    if (directory := study_directory(name, BoundarySpec, asked)) is None:
+    if (directory := study_directory(name, asked)) is None:
         return None
     borders = Borders(Store.open(directory))
-    return borders, modules_again(borders.store, trust), seconds(asked.get("timeout", borders.record.timeout))
+    timeout = asked.spec.timeout if "timeout" in asked.names else borders.record.timeout
+    return borders, modules_again(borders.store), seconds(timeout)
 
 
-def _prepared(name: str, asked: dict[str, Any], out: Path, trust: Trust) -> tuple[Borders, Modules, float]:
-    """The same of a new study."""
+def _prepared(name: str, asked: Asked[BoundarySpec], out: Path, how: Making) -> tuple[Borders, Modules, float]:
     from fleet.study.borders import Borders, border_plan, prepare_borders
     from fleet.study.study import new_directory
 
-    if "along" not in asked:
+    spec = asked.spec
+    if not spec.along:
         raise click.UsageError(
             "no key to search along: give --along KEY=LOW..HIGH, such as 'network.links.*.loss=0 %..95 %'"
         )
-    spec = BoundarySpec(**asked)
-    store, modules = prepare_borders(border_plan(name, spec), spec, new_directory(name, out), trust, warning())
+    store, modules = prepare_borders(border_plan(name, spec), spec, new_directory(name, out), how.warn)
     return Borders(store), modules, spec.timeout_s
 
 
-def _run(borders: Borders, modules: Modules, timeout_s: float, engine: tuple[int | None, str | None]) -> None:
-    """Make runs until every border is known; `engine`: the workers and the scheduler that the user asked for."""
-    from fleet.cli.study_output import showing
+def _run(borders: Borders, modules: Modules, timeout_s: float, how: Making) -> None:
     from fleet.study.borders import find_borders
-    from fleet.study.local_engine import engine_of
 
     directory, most = borders.store.directory, len(borders.store.record.seeds)
-    say(f"{directory}: borders: {borders.count}, each with {most} runs at most", err=True)
-    with showing(_pieces) as tell, engine_of(*engine) as workers:
+    if not how.quiet:
+        say(f"{directory}: borders: {borders.count}, each with {most} runs at most", err=True)
+    with how.showing(_pieces) as tell, how.engine() as workers:
         try:
             find_borders(borders, workers, tell, modules=modules, timeout_s=timeout_s)
         except KeyboardInterrupt:
@@ -124,23 +108,23 @@ def _run(borders: Borders, modules: Modules, timeout_s: float, engine: tuple[int
             raise
 
 
-def _picture(borders: Borders, trust: Trust) -> Path | None:
+def _picture(borders: Borders, how: Making) -> Path | None:
     """Draw the borders; None if that fails, with a message."""
-    from fleet.study.border_theory import theory
+    from fleet.study.borders import theory
     from fleet.study.errors import StudyError
     from fleet.study.pictures.border import write_borders
 
     try:
-        picture = write_borders(borders, theory(borders, trust))
+        picture = write_borders(borders, theory(borders))
     except StudyError as error:  # the answer is there without it
         say(f"there is no picture: {error}", err=True)
         return None
-    say(str(picture), err=True)
+    if not how.quiet:
+        say(str(picture), err=True)
     return picture
 
 
 def _pieces(line: StatusLine, progress: Progress, *, known: int, of: int) -> list[Piece]:
-    """How many borders are found."""
     from fleet.cli.study_output import progress_pieces
     from fleet.terminal.table import Piece
 
@@ -149,7 +133,6 @@ def _pieces(line: StatusLine, progress: Progress, *, known: int, of: int) -> lis
 
 
 def _show(borders: Borders, found: list[Border]) -> None:
-    """The table of the borders, and what is to be said of them."""
     from fleet.cli.study_output import axis_columns, cell, show_reached
     from fleet.terminal.table import TerminalColumn, show
 

@@ -1,50 +1,61 @@
-"""The command `fleet check`."""
+"""The command `fleet check`: a scenario without running it, or a log by checks."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
 
 import click
 
 from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
-from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES, disturbances
+from fleet.cli.types import NO_PROGRESS, OVERRIDES, TRUST, disturbances
 from fleet.terminal.table import say
-from world.plugins.trust import Trust
 
 if TYPE_CHECKING:
     from fleet.errors import Problem
     from fleet.scenario.scenario import Scenario
     from fleet.scenario.text.overrides import Override
 
+_CHECK = "Exit status: 0 valid, or every check of a log passes; 1 one does not; 2 a mistake, or no log of ours."
 
-@click.command(cls=TrustingCommand)
-@click.argument("scenario", shell_complete=scenarios)
+
+@click.command(epilog=_CHECK)
+@click.argument("scenario", metavar="SCENARIO|LOG", shell_complete=scenarios)
 @OVERRIDES
 @disturbances
-@trust_option
+@TRUST
 @json_option
+@NO_PROGRESS
 def check(
     scenario: str,
     overrides: tuple[str, ...],
     fault: tuple[Override, ...],
     net: tuple[Override, ...],
-    trust: Trust,
     as_json: bool,
 ) -> None:
-    """Check SCENARIO without running it, and report all mistakes at once.
+    """Check SCENARIO without running it, and report all mistakes at once; or judge LOG by checks.
 
     It then prints what theory predicts: whether the graph is connected and the reference reaches every vehicle, the
     eigenvalues of L+B, and whether the gains stay within the limits of the control loops. It also gives your own
     laws a first sample, and your plants a first step, as in a run.
+
+    A LOG, which is an MCAP file or a run directory, is judged by the checks of its scenario on signals and in Python,
+    or by those of --set, without running it again. If it was cut, it is judged up to where it is whole. Checks of other
+    kinds, such as formation_error, are judged by the run.
 
     \b
     Examples:
       fleet check my.yaml
       fleet check paper --set vehicles=20
       fleet check paper --net '* delay 200ms' --fault 'at 20s kill 3'
+      fleet check runs/latest --set 'checks={signal: {topic: state.z, below: 30 m}}'
     """
+    if is_log(scenario):
+        if fault or net:
+            raise click.UsageError(f"{scenario} is a log: --net and --fault are for a scenario")
+        _check_log(Path(scenario), overrides, as_json=as_json)
     from fleet.analysis.first_sample import try_laws, try_plants
     from fleet.analysis.preflight import warnings
     from fleet.analysis.stability import analyse, report
@@ -52,7 +63,7 @@ def check(
     from fleet.terminal.status_line import showing_steps
 
     refused: list[Problem] = []
-    loaded = load_scenario(scenario, [*overrides, *net, *fault], trust, refused=refused)
+    loaded = load_scenario(scenario, [*overrides, *net, *fault], refused=refused)
     try_laws(loaded)
     try_plants(loaded)
     with showing_steps("limits of the linear loop") as step:
@@ -60,7 +71,7 @@ def check(
         told = [*found.warnings, *warnings(loaded)]
         lines = [] if as_json else report(loaded, found)
     if as_json:
-        from fleet.cli.documents.check import checked
+        from fleet.cli.documents.logs import checked
 
         print_document(checked(loaded, found, told, refused))
     else:
@@ -69,8 +80,30 @@ def check(
         say(f"warning: {warning}", err=True)
 
 
+def is_log(name: str) -> bool:
+    """Whether an argument means a log: an MCAP file, or a directory that is no shipped scenario's name."""
+    from fleet.scenario.catalogue import shipped_scenarios
+
+    return name.endswith(".mcap") or (Path(name).is_dir() and name not in shipped_scenarios())
+
+
+def _check_log(log: Path, overrides: tuple[str, ...], *, as_json: bool) -> NoReturn:
+    from fleet.repeat.check_log import check_log
+    from fleet.terminal.status_line import showing
+
+    with showing(f"reading {log}") as reading:
+        found = check_log(log, overrides, reading)
+    if as_json:
+        print_document(found)
+    else:
+        for verdict in sorted(found.verdicts, key=lambda verdict: verdict.passed):  # failed ones on top
+            say(f"{'pass' if verdict.passed else 'FAIL'}  {verdict.check}: {verdict.asked}; found {verdict.words}")
+        how_far = f"judged up to t = {found.until_s:g} s of {found.end_s:g} s"
+        say(f"{how_far}, as far as the file goes: {found.missing}" if found.missing else how_far)
+    sys.exit(0 if found.passed else 1)
+
+
 def _say_what_is_expected(loaded: Scenario, lines: list[str], refused: list[Problem]) -> None:
-    """A valid scenario in words, and what theory expects of it, which is `lines`."""
     from fleet.analysis.link_shares import link_lines
     from fleet.analysis.seed import HINT, NOTHING, seeded
     from fleet.scenario.scenario import timeline_lines

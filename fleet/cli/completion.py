@@ -15,6 +15,7 @@ import click
 from click.shell_completion import CompletionItem, get_completion_class
 
 Words = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
+RUNS = Path("runs")  # where `fleet run` puts them
 CLOCK_WORDS = ("pause", "resume", "step", "speed")
 _CONDITIONS = ("delay", "loss", "duplicate", "corrupt", "reorder", "rate", "limit", "down")
 
@@ -116,7 +117,6 @@ def pictures(context: click.Context, parameter: click.Parameter, typed: str) -> 
 
 
 def _newest_log() -> Any:
-    from fleet.cli.log_argument import RUNS
     from fleet.execution.directory import newest_run
 
     return newest_run(RUNS)

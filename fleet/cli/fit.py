@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fleet.cli.types import Duration
+from fleet.cli.types import NO_PROGRESS, Duration
 from fleet.terminal.table import say
 
 if TYPE_CHECKING:
@@ -24,8 +24,9 @@ if TYPE_CHECKING:
     "--picture", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
     help="Draw the lengths of bursts, of TRACE and of the fit, into this file (png, svg, pdf).",
 )  # fmt: skip
+@NO_PROGRESS
 def fit(trace: Path, states: str, interval: int | None, picture: Path | None) -> None:
-    """Fit link states to what TRACE (CSV or Parquet) says was delivered, and print them for a scenario.
+    """Fit link states to what TRACE (CSV) says was delivered, and print them for a scenario.
 
     The states are those of a hidden Markov model (Gilbert and Elliott), fitted by expectation maximisation. So a long
     study need not repeat one afternoon. The entry of network.links is printed on stdout, all else on stderr.
@@ -42,8 +43,8 @@ def fit(trace: Path, states: str, interval: int | None, picture: Path | None) ->
     from fleet.scenario.text.yaml_reader import yaml_text
     from fleet.terminal.status_line import showing_steps
 
-    if trace.suffix not in (".csv", ".parquet"):
-        raise click.BadParameter(f"expected a file that ends in .csv or .parquet, got {trace}", param_hint="TRACE")
+    if trace.suffix != ".csv":
+        raise click.BadParameter(f"expected a file that ends in .csv, got {trace}", param_hint="TRACE")
     if interval == 0:
         raise click.BadParameter("must be above 0", param_hint="--interval")
     with showing_steps(f"{states} states"):

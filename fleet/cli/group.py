@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from fleet.cli.documents.output import json_is_asked, print_document
-from fleet.cli.verbs import ELSEWHERE, GROUPS, VERBS
+from fleet.cli.verbs import ELSEWHERE, FORMER, GROUPS, VERBS
 from fleet.errors import FleetError
 from fleet.terminal.table import say
 from netem.errors import NetemError
@@ -67,6 +67,8 @@ class FleetGroup(click.Group):
         if args and not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
             from netem.parsing import nearest, quoted  # here, for commands start without it
 
+            if now := FORMER.get(args[0]):
+                raise click.UsageError(f"fleet {args[0]} is now: {now}", ctx)
             ours = ELSEWHERE.get(args[0])
             hint = f"; here it is {ours}" if ours else f"; {nearest(args[0], VERBS) or 'fleet --help lists them'}"
             raise click.UsageError(f"there is no command {quoted(args[0])}{hint}", ctx)
@@ -122,7 +124,6 @@ def _words(error: Exception) -> str:
 
 
 def _document(ctx: click.Context, error: Exception, message: str, status: int) -> None:
-    """Print an error as the document of a command with `--json`."""
     if json_is_asked(ctx):
         from fleet.cli.documents.failure import failure
 

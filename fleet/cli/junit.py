@@ -11,8 +11,7 @@ import click
 if TYPE_CHECKING:
     from fleet.result.junit import JUnitCase
     from fleet.result.result import Result
-    from fleet.study.failures import FoundFailure
-    from fleet.study.regress import Regressed
+    from fleet.study.failures import FoundFailure, Regressed
     from fleet.study.search import Searched
     from fleet.study.store import Store
 

@@ -1,47 +1,160 @@
-"""The commands for live runs: ps, inject, heal, clock, stop. `fleet status` has a module of its own."""
+"""The commands for live runs: status, inject, heal, clock, stop, and which run they mean."""
 
 from __future__ import annotations
 
-from typing import Any
+import re
+import time
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from functools import wraps
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import click
 
 from fleet.cli import completion
+from fleet.cli.completion import CLOCK_WORDS
 from fleet.cli.documents.output import json_option, print_document
-from fleet.cli.run_argument import answer, clock_words, fault_words, heal_words, run_argument, run_option
+from fleet.cli.group import USAGE
+from fleet.terminal.table import stdout
+
+if TYPE_CHECKING:
+    from rich.console import Console, Group
+    from rich.table import Table
+
+    from fleet.execution.answers import FaultRow, LinkRow, RunStatus, VehicleRow
+    from fleet.execution.connection import LiveRun
 
 
-@click.command()
-@json_option
-def ps(as_json: bool) -> None:
-    """List the live runs of this user, wherever they were started.
+F = TypeVar("F", bound=Callable[..., Any])
+D = TypeVar("D")
+_HELP = "The run: its name or the beginning of it, its scenario, or its directory. Needed if several live."
+_TIMES = ("at", "for", "id")  # which may stand before the kind of a fault
+_PACE = re.compile(r"max|[\d.]+x", re.ASCII)
 
-    fleet ls lists all runs below a directory, also those that are over. fleet list shows the scenarios.
 
-    \b
-    Examples:
-      fleet ps
+def run_option(command: F) -> F:
+    """Add the option that chooses a run."""
+    return click.option("--run", "run", metavar="NAME", shell_complete=completion.runs, help=_HELP)(command)
+
+
+def run_argument(command: F) -> F:
+    """Add the option and an argument that choose a run."""
+
+    @wraps(command)
+    def with_run(*arguments: Any, name: str | None, run: str | None, **options: Any) -> Any:
+        return command(*arguments, run=_one(name, run), **options)
+
+    argument = click.argument("name", metavar="[RUN]", required=False, shell_complete=completion.runs, help=_HELP)
+    return argument(run_option(with_run))  # type: ignore[return-value]
+
+
+def _one(name: str | None, run: str | None) -> str | None:
+    """The run by position and that of --run. Raises UsageError: they are two."""
+    if name is not None and run is not None and name != run:
+        raise click.UsageError(f"which run? {name}, or --run {run}: give one of them")
+    return name if run is None else run
+
+
+def answer(kind: type[D], found: LiveRun, op: str, **fields: Any) -> D:
+    """The answer of a run as a document of this kind.
+
+    Raises:
+        RemoteError: it does not answer in time, refuses, or answers something else.
     """
-    from fleet.cli.documents.live import LiveRunRow, LiveRuns
-    from fleet.execution.connection import RemoteError, ask, live_runs
+    import msgspec
 
-    rows = []
-    for found in live_runs():
-        row = LiveRunRow(found.name, str(found.directory), found.scenario, found.pid, found.endpoint)
-        try:
-            values = ask(found, "status")
-            row.at_s, row.end_s, row.clock = values["at_s"], values["end_s"], values["clock"]
-        except RemoteError as error:
-            row.error = str(error)
-        rows.append(row)
-    if as_json:
-        print_document(LiveRuns(rows))
-        return
-    if not rows:
-        click.echo("no live run", err=True)
-    for row in rows:
-        click.echo(row.error or f"{row.run}: t = {row.at_s:.1f} of {row.end_s:g} s, {row.clock}")
-        click.echo(f"  {row.directory}, pid {row.pid}")
+    from fleet.execution.connection import RemoteError, ask
+
+    values = {"run": found.name, "directory": str(found.directory), **ask(found, op, **fields)}
+    try:
+        return msgspec.convert(values, kind)
+    except msgspec.ValidationError as error:
+        raise RemoteError(f"{found.name} answers as another version of uuv-fleet does: {error}") from None
+
+
+def fault_words(words: tuple[str, ...], run: str | None) -> tuple[str | None, str]:
+    """The run that stands in front of a fault, if one does, and the fault.
+
+    A kind of fault in front is no run, unless another kind stands behind it: `partition kill 3` kills an agent of the
+    run `partition`.
+
+    Args:
+        words: as they were typed; the shell may have made one of several.
+        run: that of --run.
+
+    Raises:
+        UsageError: the first word begins no fault, and no fault stands behind it.
+    """
+    from fleet.scenario.schema.faults import ACTIONS
+
+    text = " ".join(words)
+    first, second, *_ = [*re.findall(r"[^\s'\"{}]+", text), "", ""]
+    if first in _TIMES or not first or (first in ACTIONS and second not in ACTIONS):
+        return run, text
+    if second in ACTIONS or second in _TIMES:
+        return _one(first, run), text.split(None, 1)[1]
+    if run is None:
+        _refuse(first, ACTIONS, "no fault", f"name the fault, too: fleet inject {first} kill 3")
+    return run, text  # whose mistake is told when it is read
+
+
+def clock_words(words: tuple[str, ...], run: str | None) -> tuple[str | None, str, str | None]:
+    """The run, what its clock is to do, and how many ticks or how fast; `2x` is short for `speed 2`.
+
+    Raises:
+        UsageError: nothing of that.
+    """
+    first, second, *_ = [*words, "", ""]
+    rest = list(words)
+    if second in CLOCK_WORDS or (first and first not in CLOCK_WORDS and not _PACE.fullmatch(first)):
+        run = _one(rest.pop(0), run)
+    do, *values = rest or [""]
+    if _PACE.fullmatch(do):
+        do, values = "speed", [do, *values]
+    if not do and first:
+        _refuse(first, CLOCK_WORDS, "nothing that a clock does", f"say what its clock does: fleet clock {first} pause")
+    if do not in CLOCK_WORDS or len(values) > (do in ("step", "speed")):
+        expected = "pause, resume, step [TICKS], speed X, or a speed such as 2x or max"
+        raise click.UsageError(f"expected {expected}; got {' '.join([do, *values]) or 'nothing'}")
+    return run, do, values[0] if values else None
+
+
+def _refuse(word: str, known: Sequence[str], no: str, otherwise: str) -> NoReturn:
+    """Raise UsageError about a word that is either mistyped or a run, with what to do in both cases."""
+    from netem.parsing import nearest, quoted
+
+    hint = nearest(word, known) or f"there are {', '.join(known)}"
+    raise click.UsageError(f"{quoted(word)} is {no}: {hint}\nIf it is a run, {otherwise}")
+
+
+def heal_words(words: tuple[str, ...], run: str | None) -> tuple[LiveRun, str | None]:
+    """The run and the id of the fault to heal; None: all of them.
+
+    One word is the name of a run if there is such a run, and else the id of a fault.
+
+    Raises:
+        UsageError: more than two words, or two runs.
+        RemoteError: there is no such run, or the word is the name of a run and a fault of the only one, too.
+    """
+    from fleet.execution.connection import RemoteError, ask, find, live_runs
+
+    if len(words) > 2:
+        raise click.UsageError(f"expected a run and the id of a fault at most, got {' '.join(words)}")
+    if run is not None or len(words) != 1:
+        name = _one(words[0], run) if len(words) == 2 else run
+        return find(name), words[-1] if words else None
+    (word,) = words
+    try:
+        named = find(word)
+    except RemoteError as error:
+        if error.status == USAGE or "/" in word:
+            raise
+        return find(), word
+    if len(live_runs()) == 1 and any(fault["id"] == word for fault in ask(named, "faults")["faults"]):
+        name = named.name
+        both = f"fleet heal {name} (all its faults) or fleet heal {name} {word} (that one)"
+        raise RemoteError(f"{word} is the run {name}, and a fault of it: say {both}", USAGE)
+    return named, None
 
 
 @click.command()
@@ -73,7 +186,7 @@ def inject(what: tuple[str, ...], run: str | None, lasts: str | None, name: str 
       fleet inject gust velocity='0 0.5 0 m/s' over=10s
       fleet inject efficiency vehicles=2 surge='50 %' --for 20s
     """
-    from fleet.cli.documents.live import Injected
+    from fleet.execution.answers import Injected
     from fleet.execution.connection import find
     from fleet.scenario.text.fault_words import read_fault
 
@@ -107,7 +220,7 @@ def heal(words: tuple[str, ...], run: str | None, as_json: bool) -> None:
       fleet heal paper live-1
       fleet heal
     """
-    from fleet.cli.documents.live import Healed
+    from fleet.execution.answers import Healed
     from fleet.execution.connection import RemoteError
 
     meant, name = heal_words(words, run)
@@ -139,7 +252,7 @@ def clock(words: tuple[str, ...], run: str | None, as_json: bool) -> None:
       fleet clock paper 2x      the same of the run paper, if several live
       fleet clock resume
     """
-    from fleet.cli.documents.live import ClockSet
+    from fleet.execution.answers import ClockSet
     from fleet.execution.connection import find
 
     run, do, value = clock_words(words, run)
@@ -174,7 +287,7 @@ def stop(run: str | None, as_json: bool) -> None:
       fleet stop
       fleet stop paper
     """
-    from fleet.cli.documents.live import Stopping
+    from fleet.execution.answers import Stopping
     from fleet.execution.connection import find
 
     found = answer(Stopping, find(run), "stop")
@@ -184,4 +297,167 @@ def stop(run: str | None, as_json: bool) -> None:
     click.echo(f"{found.run}: stopping at t = {found.at_s:.2f} s")
 
 
-COMMANDS = (ps, inject, heal, clock, stop)
+EVERY_S = 1.0
+MOST_FAULTS = 5
+MOST_EVENTS = 3
+
+
+@click.command()
+@run_argument
+@click.option("-w", "--watch", is_flag=True, help="Repeat every second, until the run is over or Ctrl-C.")
+@click.option("--all", "every", is_flag=True, help="All vehicles, links and faults, not only the worst and active.")
+@json_option
+def status(run: str | None, watch: bool, every: bool, as_json: bool) -> None:
+    """Show the state of a live run.
+
+    It prints the time, the processes that the run waits for, active faults with their ids, the fate of vehicles, and
+    the worst vehicles and links. "oldest news" is the greatest age of a vehicle's last message from a neighbour. e is
+    the consensus error. fleet info shows the log of a run.
+
+    \b
+    Examples:
+      fleet status
+      fleet status paper --all
+      fleet status -w paper-1-20261121-120000
+    """
+    if watch and as_json:
+        raise click.UsageError("--json prints one document, and --watch many: give one of them")
+    from fleet.execution.connection import find
+
+    found = find(run)
+    if as_json:
+        print_document(_status(found, every))
+        return
+    terminal = stdout()
+    if watch:
+        watch_run(found, every, terminal)
+    else:
+        terminal.print(screen(_status(found, every), every))
+
+
+def _status(found: LiveRun, every: bool) -> RunStatus:
+    from fleet.execution.answers import RunStatus
+
+    return answer(RunStatus, found, "status", all=every)
+
+
+def watch_run(found: LiveRun, every: bool, terminal: Console) -> None:
+    """Show it again and again: on a terminal in place, on a screen of its own; elsewhere one block after the other."""
+    from rich.live import Live
+
+    from fleet.execution.connection import RemoteError, is_live
+    from fleet.terminal.status_line import rewritable
+
+    in_place = rewritable(terminal) and not terminal.is_dumb_terminal
+    values = _status(found, every)
+    try:
+        with Live(console=terminal, screen=True, auto_refresh=False) if in_place else nullcontext() as live:
+            while True:
+                if live is None:
+                    terminal.print(screen(values, every), "")
+                else:
+                    live.update(screen(values, every, terminal.height), refresh=True)
+                time.sleep(EVERY_S)
+                try:
+                    values = _status(found, every)
+                except RemoteError:
+                    if is_live(found):
+                        raise
+                    break
+    finally:
+        if in_place:
+            terminal.print(screen(values, every))  # the screen of its own is gone; what it showed last stays
+    click.echo(f"{found.name}: the run is over; its results are in {found.directory}")
+
+
+def screen(status: RunStatus, every: bool, height: int | None = None) -> Group:
+    """A status as a terminal shows it, in 80 columns.
+
+    Args:
+        every: the user asked for all vehicles and links.
+        height: of the screen that the text must fit [lines]; None: any length.
+    """
+    from rich.console import Group
+    from rich.text import Text
+
+    lines = [
+        f"{status.run}: t = {status.at_s:.2f} of {status.end_s:g} s, {status.clock}",
+        f"formation error {status.formation}",
+        f"packets {status.delivered} delivered, {status.lost} lost",
+    ]
+    if status.waiting not in ("", status.clock):
+        lines.append(status.waiting)
+    whole = every and height is None
+    faults, events = (None, None) if whole else (MOST_FAULTS, MOST_EVENTS)
+    lines += [_fault(fault, status) for fault in status.faults[:faults]]
+    if faults is not None and len(status.faults) > faults:
+        lines.append(f"and {_more(len(status.faults) - faults, 'fault')}: fleet status --all")
+    lines += [f"event {event}" for event in status.events[:events]]
+    if events is not None and len(status.events) > events:
+        lines.append(f"and events of {_more(len(status.events) - events, 'vehicle')}: fleet status --all")
+    vehicles, links = status.vehicles, status.links
+    if height is not None:
+        room = height - len(lines) - 3  # two headings, and a line on what is left out
+        links = links[: max(room // 3, room - len(vehicles), 1)]
+        vehicles = _worst(vehicles, max(room - len(links), 1))
+    parts = [Text(line, overflow="ellipsis", no_wrap=height is not None) for line in lines]
+    left_out = [
+        _more(total - shown, what)
+        for what, shown, total in (
+            ("vehicle", len(vehicles), status.vehicles_total),
+            ("link", len(links), status.links_total),
+        )
+        if shown < total
+    ]
+    tail = [Text(f"and {' and '.join(left_out)}{'' if every else ': --all'}")] if left_out else []
+    return Group(*parts, _vehicles(vehicles), _links(links), *tail)
+
+
+def _more(count: int, what: str) -> str:
+    return f"{count} more {what}{'' if count == 1 else 's'}"
+
+
+def _worst(vehicles: list[VehicleRow], most: int) -> list[VehicleRow]:
+    from fleet.execution.operator import badness
+
+    worst = sorted(vehicles, key=lambda row: -badness(row.formation_m))[:most]
+    return sorted(worst, key=lambda row: row.vehicle)
+
+
+def _fault(fault: FaultRow, status: RunStatus) -> str:
+    if fault.state != "active":
+        return f"fault {fault.id}: {fault.state}, {fault.from_s:.2f} s to {fault.to_s:.2f} s: {fault.what}"
+    left = f"{max(0.0, fault.to_s - status.at_s):.1f} s left"
+    if fault.to_s >= status.end_s:
+        left = "until healed" if fault.until_healed else "to the end"
+    return f"fault {fault.id}: {left}: {fault.what}"
+
+
+def _vehicles(rows: list[VehicleRow]) -> Table:
+    table = _table("UUV", "state", "formation error", "e", "settled", "oldest news")
+    for row in rows:
+        news = "-" if row.oldest_s is None else f"{row.oldest_s:.2f} s, of {row.oldest_of}"
+        errors = ("-" if value is None else f"{value:.3f} m" for value in (row.formation_m, row.e_m))
+        table.add_row(str(row.vehicle), row.state, *errors, "yes" if row.settled else "no", news)
+    return table
+
+
+def _links(rows: list[LinkRow]) -> Table:
+    table = _table("link", "delivered", "lost", "share", "age")
+    for row in rows:
+        counts = str(row.delivered), str(row.lost), f"{100 * row.lost_share:.1f} %"
+        table.add_row(f"{row.src}->{row.dst}", *counts, f"{row.age_s:.2f} s")
+    return table
+
+
+def _table(first: str, *others: str) -> Table:
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 2, 0, 0))
+    table.add_column(first, no_wrap=True)
+    for heading in others:
+        table.add_column(heading, justify="left" if heading == "state" else "right", no_wrap=True)
+    return table
+
+
+COMMANDS = (inject, heal, clock, stop, status)

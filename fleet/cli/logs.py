@@ -1,4 +1,4 @@
-"""The commands that read a log and show or convert it: plot, export, report, info."""
+"""The commands that show a log: plot, export, report, info, movie."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import click
 from fleet.cli import completion
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument, newest_log
-from fleet.cli.study_pictures import check_options, is_study, measure_option, plot_study, report_study
-from fleet.cli.types import FORCE, PictureWords, Vehicles, Window, Words
+from fleet.cli.study_pictures import check_options, export_study, is_study, measure_option, plot_study, report_study
+from fleet.cli.types import FORCE, NO_PROGRESS, Duration, PictureWords, Vehicles, Whole, Window, Words
 from fleet.terminal.table import say
 
 KINDS = (
@@ -78,6 +78,7 @@ def _folder(_: click.Context, __: click.Parameter, value: Path | None) -> Path |
 @_vehicles
 @_log_scale
 @_window
+@NO_PROGRESS
 def plot(
     log: Path,
     out: Path | None,
@@ -95,9 +96,8 @@ def plot(
     inputs, commands and gains with their limits, shares of packets by fate, messages in space and time, ages of
     information, the signals that the checks name, and any other signal. Faults are shaded. Prints the files.
 
-    For the directory of a study it draws the pass rate and measures with intervals, as heat maps, curves or boxes, a
-    sample as parallel coordinates, and differences in pairs of runs with the same seed. Hatched areas have runs
-    without the number.
+    For the directory of a study it draws the pass rate and measures with intervals, as heat maps, curves or boxes,
+    and differences in pairs of runs with the same seed. Hatched areas have runs without the number.
 
     \b
     Examples:
@@ -162,8 +162,11 @@ def _notes(runs: Sequence[Any]) -> Iterator[str]:
     "--ros2", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
     help="Write a bag of ROS 2 here; needs uuv-fleet[ros2].",
 )  # fmt: skip
+@click.option("--scenario", is_flag=True,
+              help="Print the scenario that runs LOG again, with all that was injected while it was made.")  # fmt: skip
 @click.option("--topics", metavar="PATTERN", multiple=True, help="Only topics such as 'uuv/*/state'; repeatable.")
 @FORCE
+@NO_PROGRESS
 def export(
     log: Path,
     csv: Path | None,
@@ -171,10 +174,12 @@ def export(
     netcdf: Path | None,
     traces: Path | None,
     ros2: Path | None,
+    scenario: bool,
     topics: tuple[str, ...],
     force: bool,
 ) -> None:
-    """Write LOG (an MCAP file, or a run directory) as tables, one file per topic.
+    """Write LOG (an MCAP file, or a run directory) as tables, one file per topic, or print its scenario;
+    or a study as one table of its runs.
 
     Times are in s. Units are in CSV's header, and in the metadata of the other formats; export.json describes each
     table. Numbers read back exactly; bytes are hexadecimal in CSV, and left out in NetCDF. Data that only 3D viewers
@@ -187,6 +192,8 @@ def export(
       fleet export --netcdf states --topics 'uuv/*/state'
       fleet export runs/latest --traces links
       fleet export runs/latest --ros2 bag
+      fleet export studies/rough-sea-20261122-101500 --csv tables
+      fleet export --scenario > again.yaml && fleet run again.yaml
     """
     from fleet.logs.dataset import fits
     from fleet.logs.export import export as write
@@ -195,10 +202,19 @@ def export(
 
     tables = [(form, folder) for form, folder in (("csv", csv), ("parquet", parquet), ("netcdf", netcdf)) if folder]
     folders = [folder.absolute() for folder in (*(folder for _, folder in tables), traces, ros2) if folder is not None]
+    if scenario:
+        if folders or topics:
+            raise click.UsageError("--scenario prints the scenario only, and writes no tables")
+        _print_scenario(log)
+        return
     if not folders:
-        raise click.UsageError(
-            "no folder for the tables: give --csv DIR, --parquet DIR, --netcdf DIR, --traces DIR or --ros2 DIR"
-        )
+        forms = "--csv DIR, --parquet DIR, --netcdf DIR, --traces DIR or --ros2 DIR"
+        raise click.UsageError(f"no folder for the tables: give {forms}; or --scenario")
+    if is_study(log):
+        check_options(log, {"netcdf": "--netcdf", "traces": "--traces", "ros2": "--ros2", "topics": "--topics"}, "logs")
+        for form, folder in tables:
+            click.echo(export_study(log, folder, form, force=force))
+        return
     if topics and not tables:
         raise click.UsageError("--topics chooses tables, and --traces and --ros2 write none")
     if len(set(folders)) < len(folders):
@@ -222,6 +238,15 @@ def export(
             paths = write(found, folder, form, force=force, share=tell)
         for path in paths:
             click.echo(path)
+
+
+def _print_scenario(log: Path) -> None:
+    from fleet.repeat.recorded_run import script
+    from fleet.terminal.status_line import showing
+
+    with showing(f"reading {log}") as tell:
+        made = script(log, tell)
+    click.echo(made.to_yaml(), nl=False)
 
 
 def _export_bag(log: Path, folder: Path) -> None:
@@ -264,6 +289,7 @@ def _export_traces(log: Path, folder: Path, *, force: bool) -> None:
 @_vehicles
 @_log_scale
 @_window
+@NO_PROGRESS
 def report(
     logs: tuple[Path, ...],
     out: Path,
@@ -317,6 +343,7 @@ def report(
 @click.command()
 @log_argument
 @json_option
+@NO_PROGRESS
 def info(log: Path, as_json: bool) -> None:
     """Summarise LOG (an MCAP file, or a run directory), also if it was cut short.
 
@@ -331,11 +358,71 @@ def info(log: Path, as_json: bool) -> None:
     with showing(f"reading {log}") as tell:
         found = read_info(log, tell)
     if as_json:
-        from fleet.cli.documents.logs import contents
-
-        print_document(contents(found))
+        print_document(found)
     else:
         say(info_text(found))
 
 
-COMMANDS = (plot, export, report, info)
+@click.command()
+@log_argument
+@click.option(
+    "-o", "--out", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), default=Path("movie.gif"),
+    show_default=True, help="The movie: a .gif, or an .mp4 if ffmpeg is installed.",
+)  # fmt: skip
+@click.option("--force", is_flag=True, help="Replace what is there.")
+@click.option("--view", type=click.Choice(["above", "3d"]), default="above", show_default=True, help="From where.")
+@click.option("--from", "begin", metavar="TIME", type=Duration(), default="0s", help="Begin at this time, e.g. 20s.")
+@click.option(
+    "--to", "end", metavar="TIME", type=Duration(), help="End at this time; by default at the end of the log."
+)
+@click.option(
+    "--speed", metavar="X", type=click.FloatRange(0.001, 1000.0),
+    help="Times real time; by default so that the movie lasts 12 s, but never slower than real time.",
+)  # fmt: skip
+@click.option("--fps", metavar="N", type=Whole(1, 50), default=10, show_default=True,
+              help="Pictures per second.")  # fmt: skip
+@click.option(
+    "--width", metavar="PX", type=Whole(320, 1920), default=800, show_default=True,
+    help="In pixels, rounded down to a multiple of 8; the height is three quarters of it.",
+)  # fmt: skip
+@NO_PROGRESS
+def movie(
+    log: Path,
+    out: Path,
+    force: bool,
+    view: str,
+    begin: int,
+    end: int | None,
+    speed: float | None,
+    fps: int,
+    width: int,
+) -> None:
+    """Make a movie of LOG (an MCAP file, or a run directory) as fleet view shows it, as a GIF or an MP4.
+
+    It shows hulls, their ways and desired places; links by their arrivals, packets, and faults with their remaining
+    time. Below are the formation errors so far. The same log gives the same bytes of a GIF. Prints the file.
+
+    \b
+    Examples:
+      fleet movie
+      fleet movie runs/latest -o heal.gif --view 3d
+      fleet movie runs/latest -o cut.mp4 --from 5s --to 40s --speed 2 --fps 25
+    """
+    from fleet.logs.reader import log_path
+    from fleet.pictures.page import check_place
+    from fleet.terminal.status_line import showing
+    from fleet.terminal.table import say
+    from fleet.view.movie import write
+
+    check_place(out, force=force)
+    window = begin / 1e9, None if end is None else end / 1e9
+    with showing(f"drawing {out}") as tell:
+        missing = write(
+            log_path(log), out, tell, view=view, window=window, speed=speed, fps=fps, width=width - width % 8
+        )
+    if missing:
+        say(f"fleet: {log}: {missing}", err=True)
+    click.echo(out)
+
+
+COMMANDS = (plot, export, report, info, movie)

@@ -252,7 +252,6 @@ def _refuse_existing(paths: Iterable[Path]) -> None:
 
 
 def _write(folder: Path, texts: Mapping[Path, str]) -> None:
-    """Write new files into a folder, which is made if it is not there."""
     _refuse_existing(texts)
     try:
         folder.mkdir(parents=True, exist_ok=True)

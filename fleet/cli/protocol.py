@@ -1,17 +1,27 @@
-"""The commands for authors of agents in other languages: `fleet protocol` and `fleet protocol check`."""
+"""The commands for external agents: `fleet agent` runs one, `fleet protocol` is for authors in other languages."""
 
 from __future__ import annotations
 
+import os
 import sys
+import time
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn, TypeVar
 
 import click
 
 from fleet.cli.completion import scenarios
-from fleet.cli.group import ListingGroup
-from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import Duration, Whole
-from world.plugins.trust import Trust
+from fleet.cli.group import ListingGroup, report
+from fleet.cli.types import TRUST, Duration, Whole
+from fleet.errors import FleetError
+from fleet.processes.interrupts import ending_status
+
+if TYPE_CHECKING:
+    from agents.join import MakeCore
+    from fleet.terminal.status_line import StatusLine
+
 
 _CHECK = "Exit status: 0 every check passed, 1 one did not, 2 usage, or nobody came, 129 terminal closed, 130 Ctrl-C."
 
@@ -32,11 +42,11 @@ def protocol(context: click.Context) -> None:
         click.echo(page(), nl=False)
 
 
-@protocol.command(cls=TrustingCommand, epilog=_CHECK)
+@protocol.command(epilog=_CHECK)
 @click.option("--id", "vehicle", metavar="I", type=Whole(min=1), required=True, help="The agent's number.")
 @click.option("--scenario", default="paper", show_default=True, shell_complete=scenarios,
               help="The scenario of the agent's slice.")  # fmt: skip
-@trust_option
+@TRUST
 @click.option("--join-file", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
               help="Where to write the join file; by default join-<i>.json here.")  # fmt: skip
 @click.option("--timeout", type=Duration(), default="300 s", show_default=True, help="How long to wait for the agent.")
@@ -44,11 +54,10 @@ def protocol(context: click.Context) -> None:
 @click.option("--listen-certified", metavar="ENDPOINT",
               help="Also listen here for an agent with a certificate and no password (zenoh-pico).")  # fmt: skip
 @click.option("--certs", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
-              help="With --listen-certified: certificates, made by fleet certs.")  # fmt: skip
+              help="With --listen-certified: certificates, made by fleet hosts certs.")  # fmt: skip
 def check(
     vehicle: int,
     scenario: str,
-    trust: Trust,
     join_file: Path | None,
     timeout: int,
     port: int | None,
@@ -80,7 +89,7 @@ def check(
         place = listening_for_certificates(Rendezvous(), listen_certified, certs, external=(vehicle,))
         check_free(listen_certified, CERTIFIED)
     file = join_file or Path(f"join-{vehicle}.json")
-    examination = Examination(load_scenario(scenario, trust=trust), vehicle, file, port=port, meeting=place)
+    examination = Examination(load_scenario(scenario), vehicle, file, port=port, meeting=place)
     found = examination.run(timeout / 1e9, lambda text: click.echo(text, err=True))
     for text in examination.notes:
         click.echo(f"note  the agent says: {printable(text)}")
@@ -92,4 +101,155 @@ def check(
     sys.exit(0 if passed == len(found) else 1)
 
 
-COMMANDS = (protocol,)
+T = TypeVar("T")
+_POLL_S = 0.5
+
+_AGENT = (
+    "Exit status: 0 the run is over; 2 it cannot join; 3 it had joined and its life ended before the run: a fault "
+    "killed it, its link ended, its law failed; 129 terminal closed, 130 Ctrl-C."
+)
+
+
+@click.command(epilog=_AGENT)
+@click.option(
+    "--join",
+    "path",
+    metavar="FILE",
+    required=True,
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="The join-<i>.json that fleet run wrote for an external vehicle.",
+)
+@click.option(
+    "--wait",
+    metavar="[TIME]",
+    type=Duration(1, 86_400),
+    is_flag=False,
+    flag_value="300 s",
+    help="Wait for the file, and for a run that takes this agent, up to this time; 300 s without a time.",
+)
+@click.option(
+    "--ros2",
+    metavar="[DISTRO]",
+    type=click.Choice(("humble", "jazzy", "kilted")),
+    is_flag=False,
+    flag_value="jazzy",
+    help="A node of ROS 2 is the agent: it gets the vehicle's measurements and messages, and answers with a wrench.",
+)
+@TRUST
+@click.option("-q", "--quiet", is_flag=True, help="Print only errors.")
+def agent(path: Path, wait: int | None, ros2: str | None, quiet: bool) -> None:
+    """Run the agent of an external vehicle here, in this terminal, until the run is over.
+
+    It behaves like the agent that fleet run would start: the scenario determines its laws, and the log is the same.
+
+    \b
+    Examples:
+      fleet run paper --set "per_vehicle={3: {external: true}}"     in one terminal; in another:
+      fleet agent --join runs/latest/join-3.json
+      fleet agent --join runs/latest/join-3.json --wait       also before the run is started
+      fleet agent --join runs/latest/join-3.json --ros2       a node of ROS 2 commands vehicle 3
+    """
+    import setproctitle
+    from rich.console import Console as Terminal
+
+    from agents.join import serve
+    from agents.join_file import JoinError, JoinFile
+    from fleet.terminal.status_line import StatusLine
+    from netem.wire.messages import RUN_OVER, End
+    from netem.wire.session import quiet_zenoh
+
+    line = StatusLine(Terminal(stderr=True), quiet=quiet)
+    tell = line.print
+    joined = False
+
+    def begun(text: str) -> None:
+        nonlocal joined
+        joined = True
+        tell(f"{text}; Ctrl-C leaves it")
+
+    def join() -> tuple[int, End]:
+        joining = JoinFile.read(path)
+        setproctitle.setproctitle(f"fleet agent {joining.vehicle} [{joining.scenario}]")
+        quiet_zenoh()
+        make = None if ros2 is None else _node(ros2, joining.vehicle, line)
+        return joining.vehicle, serve(joining, begun, make)
+
+    try:
+        with line:
+            vehicle, end = join() if wait is None else patiently(join, wait / 1e9, path, line)
+    except JoinError as error:
+        report(error)
+        _leave(3 if joined else 2)
+    except KeyboardInterrupt as error:
+        tell("left the run" if joined else f"not waiting for {path} any longer" if wait else "no run was joined")
+        _leave(ending_status(error))
+    except FleetError as error:
+        _leave(report(error))
+    except SystemExit:
+        _leave(3)  # the law failed, and what it raised has been printed
+    except Exception as error:
+        click.echo(f"fleet: the law failed: {type(error).__name__}: {error}", err=True)
+        _leave(3)
+    tell(f"agent {vehicle}: {end.reason}")
+    _leave(0 if end.reason == RUN_OVER else 3)
+
+
+@cache
+def _node(distribution: str, vehicle: int, line: StatusLine) -> MakeCore:
+    """A function that makes a node of ROS 2, when there is one, the agent of a vehicle.
+
+    Raises FleetError: nodes cannot meet.
+    """
+    from fleet.ros2.agent import RosAgent
+    from fleet.ros2.node import RosNode
+    from fleet.ros2.rmw import domain_of
+    from fleet.ros2.session import open_ros_session
+    from fleet.ros2.types import types_of
+
+    types, domain = types_of(distribution), domain_of(None)
+    bus, words = open_ros_session(None, None)
+    line.print(f"ROS 2: domain {domain}, {words}")
+    adapter = RosAgent(RosNode(bus, types, domain, f"uuv_{vehicle}_agent"), vehicle, line.print)
+    adapter.wait_for_node()
+    return adapter.begin
+
+
+def patiently(join: Callable[[], T], wait_s: float, path: Path, line: StatusLine) -> T:
+    """Try to join until it is possible, and tell each new reason why it is not.
+
+    A file of a run that is over is no reason to end: the next run may write another one there.
+
+    Args:
+        join: joins, serves, and returns what came of it.
+        wait_s: how long.
+        path: of the join file.
+
+    Raises:
+        NotYetError: it was not possible in that time.
+        JoinError: it is no use to wait.
+    """
+    from agents.join_file import NotYetError
+
+    began, told = time.monotonic(), ""
+    while True:
+        try:
+            return join()
+        except NotYetError as error:
+            waited = time.monotonic() - began
+            if waited >= wait_s:
+                raise NotYetError(f"waited {wait_s:g} s: {error}") from None
+            if str(error) != told:
+                told = str(error)
+                line.print(f"waiting, at most {wait_s:g} s: {told}")
+        line.show(f"waiting for {path} and its run, {waited:.0f} of {wait_s:g} s; Ctrl-C ends it")
+        time.sleep(_POLL_S)
+
+
+def _leave(status: int) -> NoReturn:
+    # The interpreter's normal exit would wait for the thread that waits for a nav.
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)
+
+
+COMMANDS = (protocol, agent)

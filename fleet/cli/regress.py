@@ -10,35 +10,22 @@ from typing import TYPE_CHECKING
 import click
 
 from fleet.cli import junit as cli_junit
-from fleet.cli.documents.output import json_option, print_document
-from fleet.cli.study_options import SCHEDULER, WORKERS
-from fleet.cli.trust import TrustingCommand, trust_option
+from fleet.cli.documents.output import print_document
+from fleet.cli.study_options import Making, making_options
 from fleet.terminal.table import say
 
 if TYPE_CHECKING:
-    from fleet.study.regress import Regressed
+    from fleet.study.failures import Regressed
     from fleet.terminal.status_line import StatusLine
     from fleet.terminal.table import Piece
-    from world.plugins.trust import Trust
 
 
-@click.command(cls=TrustingCommand)
+@click.command()
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path, file_okay=False))
 @click.option("--accept", is_flag=True, help="Expect the present verdicts from now on.")
 @cli_junit.JUNIT
-@WORKERS
-@SCHEDULER
-@trust_option
-@json_option
-def regress(
-    folder: Path,
-    accept: bool,
-    junit: Path | None,
-    workers: int | None,
-    scheduler: str | None,
-    trust: Trust,
-    as_json: bool,
-) -> None:
+@making_options()
+def regress(folder: Path, accept: bool, junit: Path | None, how: Making) -> None:
     """Repeat the failures that a search has kept, and compare their verdicts with the expected ones.
 
     The exit status is 0 if all are as expected, 1 if one is not, 3 if one has no result. After you mend a failure, it
@@ -50,19 +37,16 @@ def regress(
       fleet regress failures
       fleet regress failures --junit junit.xml
     """
-    from fleet.cli.study_output import showing
-    from fleet.study.failures import FailureFolder
-    from fleet.study.local_engine import engine_of
-    from fleet.study.regress import Regression
+    from fleet.study.failures import FailureFolder, Regression
 
-    regression = Regression(FailureFolder(folder), trust)
+    regression = Regression(FailureFolder(folder))
     of = len(regression.failures)
-    with showing(_pieces) as tell, engine_of(workers, scheduler) as engine:
+    with how.showing(_pieces) as tell, how.engine() as engine:
         found = regression.run(engine, lambda made: tell(made, of), engine.carry(regression.modules))
     changed = regression.accept(found) if accept else 0
     cli_junit.write(junit, folder.name, cli_junit.of_regress(found))
-    if as_json:
-        from fleet.cli.documents.search import regressed
+    if how.as_json:
+        from fleet.cli.documents.studies import regressed
 
         print_document(regressed(folder, found))
     else:
@@ -82,7 +66,6 @@ def _pieces(line: StatusLine, made: int, of: int) -> list[Piece]:
 
 
 def _show(found: Sequence[Regressed]) -> None:
-    """A line for each scenario, and what helps where one is not as expected."""
     for one in found:
         failure = one.failure
         wanted = f"fails {failure.check}" if failure.expected == "fail" else "passes"

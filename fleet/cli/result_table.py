@@ -88,7 +88,6 @@ def _show_events(rows: list[FaultEvent], say: Say) -> None:
 
 
 def _show_vehicles(rows: dict[str, VehicleResult], from_s: float, terminal: Terminal, say: Say) -> None:
-    """The vehicles: all, or those with the largest formation error at the end."""
     shown = _farthest(rows)
 
     def cells(of: Callable[[VehicleResult], float | None], form: str, none: str = "-") -> list[str]:
@@ -210,13 +209,11 @@ def _alike(rows: Mapping[str, Account], ages: Mapping[str, LinkAge]) -> dict[str
 
 
 def _lost_share(row: Account) -> float:
-    """Lost packets of a link among those whose fate is known."""
     lost = sum(row.lost.values()) - row.replaced
     return lost / known if (known := lost + row.delivered) else 0.0
 
 
 def _losses(*causes: str) -> Callable[[Account], int]:
-    """How many packets of a link, given its row of the ledger, were lost by these causes."""
     return lambda row: sum(row.lost.get(cause, 0) for cause in causes)
 
 

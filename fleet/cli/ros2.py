@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import click
 
 from fleet.cli.group import exit_status
+from fleet.cli.log_argument import SHOWN, find_shown
 from fleet.cli.sessions import ending
-from fleet.cli.shown_argument import SHOWN, find_shown
 from fleet.cli.types import EndpointText, Whole
 from fleet.errors import FleetError
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,12 +17,10 @@ from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.group import EPILOG
 from fleet.cli.junit import JUNIT
-from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES, Duration, Share, Speed, Whole, disturbances, is_given, key_options
+from fleet.cli.types import OVERRIDES, TRUST, Duration, Share, Speed, Whole, disturbances, is_given, key_options
 from fleet.terminal.output import OutputError, give_up_output
 from fleet.terminal.table import say, stdout
 from netem.vehicle_clock import Clock
-from world.plugins.trust import Trust
 
 if TYPE_CHECKING:
     from rich.console import Console as Terminal
@@ -36,10 +34,30 @@ if TYPE_CHECKING:
 MOST_FAULTS = 20  # of the scenario, said before it runs
 
 
-@click.command(cls=TrustingCommand, epilog=EPILOG)
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RunOptions(cli_hosts.HostsOptions):
+    """How the command line asks for a run."""
+
+    out: Path
+    speed: float | None
+    clock: str
+    max_missed: float
+    in_process: bool
+    port: int | None
+    publish: bool
+    view: bool
+    ros2: bool
+    audit: bool
+    wait_for_subscribers: bool
+    join_timeout: int  # ns
+    start_order: int | None
+
+
+@click.command(epilog=EPILOG)
 @click.argument("scenario", required=False, shell_complete=scenarios)
 @click.option("--from", "begin", metavar="LOG[@TIME]", help="Continue from a snapshot in a log, in one process.")
 @click.option(
+    "-o",
     "--out",
     metavar="DIR",
     type=click.Path(path_type=Path),
@@ -74,7 +92,7 @@ MOST_FAULTS = 20  # of the scenario, said before it runs
 @click.option("--in-process", is_flag=True, help="One process, no zenoh; the same log, byte for byte.")
 @OVERRIDES
 @disturbances
-@trust_option
+@TRUST
 @click.option("--show-config", is_flag=True, help="Print the merged scenario and stop.")
 @click.option(
     "--port",
@@ -111,12 +129,11 @@ def run(
     overrides: tuple[str, ...],
     fault: tuple[Override, ...],
     net: tuple[Override, ...],
-    trust: Trust,
     show_config: bool,
     as_json: bool,
     junit: Path | None,
     quiet: bool,
-    **how: Any,
+    **options: Any,
 ) -> None:
     """Run SCENARIO (a shipped name or a YAML file) and judge it.
 
@@ -132,14 +149,15 @@ def run(
       fleet run paper --speed 1 --view
       fleet run --from runs/latest@20s --set controller=bsmc
     """
+    how = RunOptions(**options)
     _check_output(how, as_json=as_json, show_config=show_config)
     changes: list[str | Override] = [*overrides, *net, *fault]
     changes += key_options(seed=seed, duration=duration)
-    if scenario is not None and begin is None and not how["in_process"] and not show_config:
+    if scenario is not None and begin is None and not how.in_process and not show_config:
         from fleet.processes.children import start_forkserver
 
         start_forkserver()  # now: it imports for as long as reading a scenario takes
-    loaded, start = _load(scenario, begin, changes, trust, quiet=quiet, only_shown=show_config)
+    loaded, start = _load(scenario, begin, changes, quiet=quiet, only_shown=show_config)
     if show_config:
         click.echo(loaded.to_yaml(), nl=False)
         return
@@ -149,22 +167,17 @@ def run(
     if not quiet:
         for warning in _warnings(loaded, seed_given=seed is not None):
             say(f"warning: {warning}", err=True)
-    options = replace(_options(loaded, start, how, terminal), quiet=quiet)
+    asked = replace(_options(loaded, start, how, terminal), quiet=quiet)
     if not quiet:
-        _tell_plan(loaded, start, in_process=options.in_process)
-    result = _execute(loaded, options, terminal, view=how["view"], ros2=how["ros2"], as_json=as_json)
+        _tell_plan(loaded, start, in_process=asked.in_process)
+    result = _execute(loaded, asked, terminal, view=how.view, ros2=how.ros2, as_json=as_json)
     if junit is not None:
         cli_junit.write(junit, result.scenario, cli_junit.of_run(result))
     sys.exit(result.status.exit)
 
 
-def _check_output(how: dict[str, Any], *, as_json: bool, show_config: bool) -> None:
-    """Refuse options of the output that exclude each other.
-
-    Args:
-        how: options of the command line by name.
-    """
-    if how["wait_for_subscribers"] and not (how["publish"] or how["view"] or how["ros2"]):
+def _check_output(how: RunOptions, *, as_json: bool, show_config: bool) -> None:
+    if how.wait_for_subscribers and not (how.publish or how.view or how.ros2):
         raise click.UsageError(
             "--wait-for-subscribers needs --publish, --view or --ros2: without them there is nothing to subscribe to"
         )
@@ -196,12 +209,11 @@ def _execute(
     return result
 
 
-def _options(scenario: Scenario, start: Start | None, how: dict[str, Any], terminal: Terminal) -> Options:
+def _options(scenario: Scenario, start: Start | None, how: RunOptions, terminal: Terminal) -> Options:
     """How to run a scenario.
 
     Args:
         start: where in a log it begins; None: at its beginning.
-        how: options of the command line by name, those of `hosts_options` among them.
         terminal: where warnings go.
 
     Raises:
@@ -210,41 +222,40 @@ def _options(scenario: Scenario, start: Start | None, how: dict[str, Any], termi
     from fleet.execution.options import Options
 
     one_process = (
-        "--in-process" if how["in_process"] else "--from" if start else "network: ideal" if scenario.ideal else ""
+        "--in-process" if how.in_process else "--from" if start else "network: ideal" if scenario.ideal else ""
     )
     place = cli_hosts.rendezvous(scenario, how, in_process=bool(one_process))
     for warning in place.warnings if place else ():
         terminal.print(f"warning: {warning}", style="bold red", highlight=False, markup=False, soft_wrap=True)
-    _check_clock(how["speed"], how["clock"], one_process)
-    if how["audit"] and (one_process or (place and place.router)):
+    _check_clock(how.speed, how.clock, one_process)
+    if how.audit and (one_process or (place and place.router)):
         raise click.UsageError(f"--audit needs a run with a router of its own, so not with {one_process or '--router'}")
-    if how["ros2"] and one_process:
+    if how.ros2 and one_process:
         raise click.UsageError(
             f"--ros2 needs a run with processes, so not with {one_process}; fleet ros2 plays its log afterwards"
         )
-    if how["view"] and one_process:
+    if how.view and one_process:
         raise click.UsageError(
             f"--view needs a run with processes, so not with {one_process}; fleet view shows its log afterwards"
         )
     return Options(
-        how["out"],
-        in_process=how["in_process"],
-        clock=Clock(how["clock"]),
-        speed=how["speed"],
-        publish=how["publish"] or how["view"] or how["ros2"],
-        wait=how["wait_for_subscribers"],
-        port=how["port"],
+        how.out,
+        in_process=how.in_process,
+        clock=Clock(how.clock),
+        speed=how.speed,
+        publish=how.publish or how.view or how.ros2,
+        wait=how.wait_for_subscribers,
+        port=how.port,
         start=start,
-        most_missed=how["max_missed"],
-        start_order=_shuffle(how["start_order"]),
-        join_timeout_s=how["join_timeout"] / 1e9,
+        most_missed=how.max_missed,
+        start_order=_shuffle(how.start_order),
+        join_timeout_s=how.join_timeout / 1e9,
         rendezvous=place,
-        audit=how["audit"],
+        audit=how.audit,
     )
 
 
 def _tell_plan(scenario: Scenario, start: Start | None, *, in_process: bool) -> None:
-    """Say on stderr what will happen in a run."""
     from fleet.scenario.scenario import timeline_lines
 
     for line in [*(start.notes if start else ()), *timeline_lines(scenario, MOST_FAULTS)]:
@@ -278,7 +289,6 @@ def _load(
     scenario: str | None,
     begin: str | None,
     changes: list[str | Override],
-    trust: Trust,
     *,
     quiet: bool,
     only_shown: bool,
@@ -291,15 +301,14 @@ def _load(
         from fleet.terminal.status_line import showing
 
         with showing(f"reading {begin}", quiet=quiet) as tell:
-            return continuation(*parse_from(begin), changes, scenario, trust, tell)
+            return continuation(*parse_from(begin), changes, scenario, tell)
     if scenario is None:
         raise click.UsageError("no scenario given: name one (see fleet list), or give --from LOG")
     # A scenario that is only shown may name laws that may not run.
-    return load_scenario(scenario, changes, trust, refused=[] if only_shown else None), None
+    return load_scenario(scenario, changes, refused=[] if only_shown else None), None
 
 
 def _warnings(scenario: Scenario, *, seed_given: bool) -> list[str]:
-    """The warnings about the scenario before it runs."""
     from fleet.analysis.preflight import warnings
     from fleet.analysis.seed import HINT, NOTHING, seeded
     from fleet.analysis.stability import analyse

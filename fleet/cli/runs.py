@@ -1,9 +1,8 @@
-"""The commands for the runs below a directory: ls and prune."""
+"""The commands that list: `fleet list` the scenarios, `fleet ls` the runs, which it also removes."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,89 +13,100 @@ from fleet.cli.types import AgeText, Whole, Words
 from fleet.terminal.table import stdout
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
+    from fleet.execution.answers import LiveRunRow
     from fleet.execution.directory import PastRun
+
 
 WIDE = 100  # columns from which on there is room for what the name says already
 VERDICTS = ("pass", "fail", "broke", "stopped")
-_out = click.option(
-    "--out", metavar="DIR", type=click.Path(path_type=Path), default=Path("runs"), show_default=True,
-    help="The folder with run directories.",
-)  # fmt: skip
 
 
 @click.command()
-@_out
+@click.option("-o", "--out", metavar="DIR", type=click.Path(path_type=Path), default=Path("runs"), show_default=True,
+              help="The folder with run directories.")  # fmt: skip
+@click.option("--prune", is_flag=True, help="Remove runs that are over: those that fit every option below.")
+@click.option("--keep", metavar="N", type=Whole(min=0), help="Keep the newest N of the runs that are over.")
+@click.option(
+    "--older-than", metavar="AGE", type=AgeText(), help="Only runs that began at least this long ago, e.g. '7 days'."
+)
+@click.option("--verdict", "verdicts", metavar="LIST", type=Words(VERDICTS),
+              help=f"Only runs with these verdicts: {', '.join(VERDICTS)}.")  # fmt: skip
+@click.option("--yes", is_flag=True, help="Remove them. Without it they are only listed.")
 @json_option
-def ls(out: Path, as_json: bool) -> None:
-    """List the runs below a directory, the newest first.
+def ls(
+    out: Path,
+    prune: bool,
+    keep: int | None,
+    older_than: float | None,
+    verdicts: tuple[str, ...] | None,
+    yes: bool,
+    as_json: bool,
+) -> None:
+    """List the live runs of this user, then the runs below a directory, the newest first.
 
     Each row has the verdict, the simulated time, the size and the age of a run. The verdict is pass, FAIL, stopped,
     live, or broke; a run that is over without a result counts as broke. A directory that you renamed is not
-    listed. fleet ps lists live runs in any folder. fleet list shows the scenarios.
+    listed, and --prune leaves it and live runs alone. fleet list shows the scenarios.
 
     \b
     Examples:
       fleet ls
       fleet ls --out /data/runs --json
+      fleet ls --prune --keep 20
+      fleet ls --prune --older-than '7 days' --verdict fail,broke --yes
     """
-    from fleet.cli.documents.listing import RunRow, Runs
+    chosen = keep is not None or older_than is not None or verdicts is not None
+    if prune:
+        if as_json:
+            raise click.UsageError("--prune has no --json")
+        if not chosen:
+            wanted = "give --keep N, --older-than AGE or --verdict LIST; --keep 0 means all of them"
+            raise click.UsageError(f"no runs chosen: {wanted}")
+        _prune(out, keep or 0, older_than or 0.0, verdicts, yes=yes)
+        return
+    if chosen or yes:
+        raise click.UsageError("--keep, --older-than, --verdict and --yes say what --prune removes: give it, too")
+    from fleet.cli.documents.logs import Runs
     from fleet.execution.directory import LIVE, past_runs
 
-    found, now = past_runs(out), _now()
+    live, found = _live(), past_runs(out)
     size = sum(run.size for run in found)
     if as_json:
-        rows = [
-            RunRow(run.name, str(run.path), run.scenario, run.verdict, run.sim_s, run.size, run.began.isoformat(),
-                   (now - run.began).total_seconds())
-            for run in found
-        ]  # fmt: skip
-        print_document(Runs(rows, size))
+        print_document(Runs(live, found, size))
         return
+    for row in live:
+        click.echo(row.error or f"{row.run}: t = {row.at_s:.1f} of {row.end_s:g} s, {row.clock}")
+        click.echo(f"  {row.directory}, pid {row.pid}")
     if not found:
         click.echo(f"no run below {out}", err=True)
         return
-    terminal = stdout()
-    terminal.print(_table(found, now, wide=terminal.width >= WIDE))
-    live = sum(run.verdict == LIVE for run in found)
-    click.echo(f"{_runs(len(found))}, {_size(size)}{f', {live} live' if live else ''}")
+    _show(found)
+    alive = sum(run.verdict == LIVE for run in found)
+    click.echo(f"{_runs(len(found))}, {_size(size)}{f', {alive} live' if alive else ''}")
 
 
-@click.command()
-@_out
-@click.option("--keep", metavar="N", type=Whole(min=0), help="Keep the newest N of the runs that are over.")
-@click.option(
-    "--older-than", metavar="AGE", type=AgeText(), help="Only runs that began at least this long ago, e.g. '7 days'."
-)
-@click.option(
-    "--verdict",
-    "verdicts",
-    metavar="LIST",
-    type=Words(VERDICTS),
-    help=f"Only runs with these verdicts: {', '.join(VERDICTS)}.",
-)
-@click.option("--yes", is_flag=True, help="Remove them. Without it they are only listed.")
-def prune(out: Path, keep: int | None, older_than: float | None, verdicts: tuple[str, ...] | None, yes: bool) -> None:
-    """Remove runs that are over, with their directories.
+def _live() -> list[LiveRunRow]:
+    from fleet.execution.answers import LiveRunRow
+    from fleet.execution.connection import RemoteError, ask, live_runs
 
-    The command removes the runs that fit every given option. Without --yes it only lists them. Live runs and renamed
-    directories stay: rename a run to keep it.
+    rows = []
+    for found in live_runs():
+        row = LiveRunRow(found.name, str(found.directory), found.scenario, found.pid, found.endpoint)
+        try:
+            values = ask(found, "status")
+            row.at_s, row.end_s, row.clock = values["at_s"], values["end_s"], values["clock"]
+        except RemoteError as error:
+            row.error = str(error)
+        rows.append(row)
+    return rows
 
-    \b
-    Examples:
-      fleet prune --keep 20
-      fleet prune --older-than '7 days' --verdict fail,broke --yes
-    """
+
+def _prune(out: Path, keep: int, older_than_s: float, verdicts: tuple[str, ...] | None, *, yes: bool) -> None:
+    """Remove the runs that fit every given option. Without --yes they are only listed."""
     from fleet.execution.directory import FINISHED, past_runs, remove, to_prune
 
-    if keep is None and older_than is None and verdicts is None:
-        raise click.UsageError(
-            "no runs chosen: give --keep N, --older-than AGE or --verdict LIST; --keep 0 means all of them"
-        )
-    now = _now()
     chosen = [verdict for verdict in FINISHED if verdicts is None or verdict.lower() in verdicts]
-    going = to_prune(past_runs(out), keep=keep or 0, older_than_s=older_than or 0.0, verdicts=chosen, now=now)
+    going = to_prune(past_runs(out), keep=keep, older_than_s=older_than_s, verdicts=chosen)
     if not going:
         click.echo(f"no run below {out} is to go", err=True)
         return
@@ -104,14 +114,15 @@ def prune(out: Path, keep: int | None, older_than: float | None, verdicts: tuple
         gone = list(remove(out, going))
         click.echo(f"removed {_runs(len(gone))}, {_size(sum(run.size for run in gone))}")
         return
-    terminal = stdout()
-    terminal.print(_table(going, now, wide=terminal.width >= WIDE))
+    _show(going)
     click.echo(f"would remove {_runs(len(going))}, {_size(sum(run.size for run in going))}; --yes does it")
 
 
-def _table(runs: Sequence[PastRun], now: datetime, *, wide: bool) -> Table:
+def _show(runs: Sequence[PastRun]) -> None:
     from rich.table import Table
 
+    terminal = stdout()
+    wide = terminal.width >= WIDE
     table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 2, 0, 0))
     table.add_column("run", overflow="fold")
     if wide:
@@ -122,12 +133,8 @@ def _table(runs: Sequence[PastRun], now: datetime, *, wide: bool) -> Table:
     for run in runs:
         time = "-" if run.sim_s is None else f"{run.sim_s:g} s"
         name = [run.name, run.scenario] if wide else [run.name]
-        table.add_row(*name, run.verdict, time, _size(run.size), _age((now - run.began).total_seconds()))
-    return table
-
-
-def _now() -> datetime:
-    return datetime.now(UTC)  # noqa: TID251 (the ages of files, by the clock that gave them their names)
+        table.add_row(*name, run.verdict, time, _size(run.size), _age(run.age_s))
+    terminal.print(table)
 
 
 def _runs(count: int) -> str:
@@ -146,4 +153,44 @@ def _age(seconds: float) -> str:
     return f"{max(0, int(seconds))} s"
 
 
-COMMANDS = (ls, prune)
+@click.command(name="list")
+@json_option
+def list_(as_json: bool) -> None:
+    """List the scenarios that ship with the package, by group, and the studies.
+
+    fleet ls lists the runs made of them. The cost of a study is the approximate time of all
+    its runs on one processor core, with compiled code.
+    """
+    from fleet.scenario.catalogue import list_scenarios
+    from fleet.study.catalogue import list_studies
+
+    scenarios, studies = list_scenarios(), list_studies()
+    if as_json:
+        from fleet.cli.documents.logs import Scenarios
+
+        print_document(Scenarios(scenarios, studies))
+        return
+    from rich.table import Table
+    from rich.text import Text
+
+    from fleet.scenario.schema.groups import GROUPS
+
+    terminal = stdout()
+    table = Table(box=None, pad_edge=False)
+    for heading in ("scenario", "UUVs", "time", "expect", "what one learns"):
+        table.add_column(heading, no_wrap=heading != "what one learns")
+    for group in GROUPS:
+        table.add_row(Text(group, "bold"))
+        for row in (row for row in scenarios if row.group == group):
+            table.add_row(f"  {row.name}", str(row.vehicles), f"{row.duration_s:g} s", row.expect, row.title)
+    terminal.print(table)
+    terminal.print()
+    table = Table(box=None, pad_edge=False)
+    for heading in ("study", "runs", "cost", "what it asks"):
+        table.add_column(heading, no_wrap=heading != "what it asks")
+    for study in studies:
+        table.add_row(study.name, str(study.runs), f"{study.core_s / 60:.0f} min", study.title)
+    terminal.print(table)
+
+
+COMMANDS = (ls, list_)

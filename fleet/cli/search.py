@@ -12,12 +12,11 @@ import click
 
 from fleet.cli import junit as cli_junit
 from fleet.cli.completion import scenarios
-from fleet.cli.documents.output import json_option, print_document
+from fleet.cli.documents.output import print_document
 from fleet.cli.junit import JUNIT
 from fleet.cli.shrink import MOST_RUNS, pieces, place_of, show_least, write_least
-from fleet.cli.study_options import SCHEDULER, WORKERS, least_options
-from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES, Budget, disturbances
+from fleet.cli.study_options import Making, changing_options, least_options, making_options
+from fleet.cli.types import Budget
 from fleet.terminal.table import say
 
 if TYPE_CHECKING:
@@ -28,13 +27,12 @@ if TYPE_CHECKING:
     from fleet.study.modules import Modules
     from fleet.study.search import Searched
     from fleet.study.shrink import Shrunk
-    from world.plugins.trust import Trust
 
 
 NemesisMode = Literal["swarm", "liveness"] | None
 
 
-@click.command(cls=TrustingCommand)
+@click.command()
 @click.argument("scenario", shell_complete=scenarios)
 @click.option("--budget", metavar="RUNS|TIME", type=Budget(), default="200", show_default=True,
               help="The number of seeds to try, or the time in which new ones begin, e.g. '10 min'.")  # fmt: skip
@@ -42,75 +40,59 @@ NemesisMode = Literal["swarm", "liveness"] | None
 @click.option("--liveness", is_flag=True,
               help="Like --nemesis, but in the middle of the run a core of vehicles is healed; the others stay "
                    "broken.")  # fmt: skip
-@click.option("--guide", is_flag=True, help="Change the faults of runs that nearly failed or did something new.")
 @click.option("--check", metavar="NAME", help="The check that must fail; by default any.")
-@OVERRIDES
-@disturbances
+@changing_options
 @least_options
 @click.option("--keep", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
               help="Continue after a failure; keep the smallest scenario of each kind of failure in DIR.")  # fmt: skip
 @JUNIT
-@WORKERS
-@SCHEDULER
-@trust_option
-@json_option
+@making_options()
 def search(
     scenario: str,
     budget: tuple[float, float],
     nemesis: bool,
     liveness: bool,
-    guide: bool,
     check: str | None,
-    overrides: tuple[str, ...],
-    fault: tuple[Override, ...],
-    net: tuple[Override, ...],
+    changes: list[str | Override],
     out: Path | None,
     force: bool,
     keep: Path | None,
     junit: Path | None,
-    workers: int | None,
-    scheduler: str | None,
-    trust: Trust,
-    as_json: bool,
+    how: Making,
 ) -> None:
     """Try seeds of a nemesis until a check fails, and make that run as small as possible.
 
     The first seed is that of the scenario; --set seed=201 goes on after 200. Any number of workers finds the same seed:
-    the first one that fails. With --guide most runs have the faults of earlier runs, changed; the result is then a list
-    of faults and a seed. The exit status is 1 if a check failed, as with fleet run, and 0 if none did in the whole
+    the first one that fails. The exit status is 1 if a check failed, as with fleet run, and 0 if none did in the whole
     budget. With --keep the search uses the whole budget, and the same command goes on with a greater one; fleet regress
     DIR repeats the failures that it kept.
 
     \b
     Examples:
       fleet search nemesis --budget 200
-      fleet search election --nemesis --budget '10 min' --guide
+      fleet search election --nemesis --budget '10 min'
       fleet search election --liveness
       fleet search my.yaml --set seed=201 --check formation_error
       fleet search election --nemesis --budget 1000 --keep failures
     """
-    from fleet.cli.study_output import showing
     from fleet.study.errors import StudyError
-    from fleet.study.local_engine import engine_of
 
-    if guide and liveness:
-        raise StudyError("--guide changes the times of faults, and --liveness fixes them: give one of the two")
     if keep is not None and (out is not None or force):
         said = "--keep writes a file for each kind of failure"
         raise click.UsageError(f"{said}, so it cannot be used together with --out or --force")
     mode: NemesisMode = "liveness" if liveness else "swarm" if nemesis else None
-    tried, modules = _tried(scenario, [*overrides, *net, *fault], trust, mode)
-    hunt = _Hunt(tried, check, guide, keep, keep or place_of(tried, out, force=force))
-    with showing(pieces) as tell, engine_of(workers, scheduler) as engine:
+    tried, modules = _tried(scenario, changes, mode)
+    hunt = _Hunt(tried, check, keep, keep or place_of(tried, out, force=force))
+    with how.showing(pieces) as tell, how.engine() as engine:
         try:
             hunt.run(engine, tell, engine.carry(modules), budget)
         except KeyboardInterrupt:
             say(hunt.stopped(scenario), err=True)
             raise
     found = hunt.found
-    again = f"fleet run {hunt.path}" if guide else f"fleet run {scenario} --seed {found.seed}"
+    again = f"fleet run {scenario} --seed {found.seed}"
     cli_junit.write(junit, found.name, cli_junit.of_search(found, hunt.kept, again))
-    _print(found, hunt.least, check, hunt.path, hunt.kept, as_json=as_json)
+    _print(found, hunt.least, check, hunt.path, hunt.kept, as_json=how.as_json)
     if found.scenario is not None:
         sys.exit(1)
     if not found.runs:
@@ -120,12 +102,12 @@ def search(
 class _Hunt:
     """A search, and the least scenarios of what it found."""
 
-    def __init__(self, tried: Scenario, check: str | None, guide: bool, keep: Path | None, path: Path) -> None:
+    def __init__(self, tried: Scenario, check: str | None, keep: Path | None, path: Path) -> None:
         """Prepare it; `path`: of the least scenario, or of the folder that keeps several."""
         from fleet.study.failures import FailureFolder, FoundFailure
         from fleet.study.search import Searched
 
-        self._tried, self._check, self._guide, self.path = tried, check, guide, path
+        self._tried, self._check, self.path = tried, check, path
         self._folder = None if keep is None else FailureFolder(keep)
         self.found = Searched(tried.name, tried.seed)
         self.least: Shrunk | None = None
@@ -143,17 +125,12 @@ class _Hunt:
         self, engine: Engine, tell: Callable[[str, int], None], modules: Modules, budget: tuple[float, float]
     ) -> None:
         """Search, and make what was found as small as it can be."""
-        from fleet.study.guided import GuidedSearch
-        from fleet.study.regress import make_least
-        from fleet.study.search import search as in_order
+        from fleet.study.failures import make_least
+        from fleet.study.search import search
 
         most_runs, budget_s = budget
-        if self._guide:
-            guided = GuidedSearch(self._tried, self._check, modules)
-            found = guided.run(engine, partial(tell, "fault lists"), most_runs, budget_s, self._folder)
-        else:
-            found = in_order(self._tried, engine, partial(tell, "seeds"), check=self._check, most_runs=most_runs,
-                             budget_s=budget_s, modules=modules, keep=self._folder)  # fmt: skip
+        found = search(self._tried, engine, partial(tell, "seeds"), check=self._check, most_runs=most_runs,
+                       budget_s=budget_s, modules=modules, keep=self._folder)  # fmt: skip
         self.found = found
         if found.without:
             say(f"{found.without} runs have no result, the first one because of: {found.reason}", err=True)
@@ -168,14 +145,12 @@ class _Hunt:
     ) -> None:
         from fleet.study.shrink import Shrinker
 
-        what = f"run {found.runs + found.without}" if self._guide else f"seed {found.seed}"
-        since = "" if self._guide else f", the first one from {found.first_seed} on"
-        say(f"{what} fails {found.check}{since}", err=True)
+        say(f"seed {found.seed} fails {found.check}, the first one from {found.first_seed} on", err=True)
         self.least = Shrinker(failing, engine, tell, modules).shrink(found.check, MOST_RUNS)
         write_least(self.least.scenario, self.path)
 
 
-def _tried(name: str, changes: list[str | Override], trust: Trust, mode: NemesisMode) -> tuple[Scenario, Modules]:
+def _tried(name: str, changes: list[str | Override], mode: NemesisMode) -> tuple[Scenario, Modules]:
     """The scenario of the search, and the modules that its runs need; `mode`: of the nemesis that the scenario gets."""
     from fleet.scenario.loading import load_scenario
     from fleet.study.modules import modules_of
@@ -183,18 +158,17 @@ def _tried(name: str, changes: list[str | Override], trust: Trust, mode: Nemesis
     from fleet.study.study_file import refuse_study
 
     refuse_study(name)
-    tried = load_scenario(name, changes, trust)
+    tried = load_scenario(name, changes)
     if mode is not None:
-        tried = load_scenario(name, [*changes, nemesis_of(tried, mode)], trust)
+        tried = load_scenario(name, [*changes, nemesis_of(tried, mode)])
     return tried, modules_of([tried], Path(name).parent if Path(name).exists() else None)
 
 
 def _print(
     found: Searched, least: Shrunk | None, check: str | None, path: Path, kept: list[FoundFailure], *, as_json: bool
 ) -> None:
-    """Print the result of the search."""
     if as_json:
-        from fleet.cli.documents.search import first_failing
+        from fleet.cli.documents.studies import first_failing
 
         print_document(first_failing(found, least, path, kept))
     elif found.scenario is not None and least is not None:
@@ -206,12 +180,6 @@ def _print(
             say(f"{failure.check}: {since}{failure.found}")
             click.echo(failure.paste)  # whole, however narrow the terminal is
         click.echo(path)
-    elif not found.sample:
-        which = f"the check {check}" if check else "a check"
-        say(
-            f"none of {found.runs} runs fails {which}. This gives no bound, because a guided search draws no "
-            "random sample"
-        )
     elif found.runs and found.most_failures is None:
         missed = "; ".join(one.words for one in found.reached if not one.hits)
         say(f"no failure found, but the runs did not get everywhere: {missed}")

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 import click
 
 from fleet.cli.completion import scenarios
-from fleet.cli.documents.output import json_option, print_document
-from fleet.cli.study_options import SCHEDULER, WORKERS, least_options
-from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES, Whole, disturbances
+from fleet.cli.documents.output import print_document
+from fleet.cli.study_options import Making, changing_options, least_options, making_options
+from fleet.cli.types import Whole
 from fleet.terminal.table import say
 
 if TYPE_CHECKING:
@@ -20,36 +19,26 @@ if TYPE_CHECKING:
     from fleet.study.shrink import Shrunk
     from fleet.terminal.status_line import StatusLine
     from fleet.terminal.table import Piece
-    from world.plugins.trust import Trust
 
 MOST_RUNS = 2000
 
 
-@click.command(cls=TrustingCommand)
+@click.command()
 @click.argument("failing", metavar="LOG|SCENARIO", shell_complete=scenarios)
-@OVERRIDES
-@disturbances
+@changing_options
 @click.option("--check", metavar="NAME", help="The check that must still fail; by default the first that fails.")
 @least_options
-@click.option("--most-runs", metavar="N", type=Whole(1), default=MOST_RUNS, show_default=True,
+@click.option("--budget", metavar="RUNS", type=Whole(1), default=MOST_RUNS, show_default=True,
               help="Stop after this number of runs.")  # fmt: skip
-@WORKERS
-@SCHEDULER
-@trust_option
-@json_option
+@making_options()
 def shrink(
     failing: str,
-    overrides: tuple[str, ...],
-    fault: tuple[Override, ...],
-    net: tuple[Override, ...],
+    changes: list[str | Override],
     check: str | None,
     out: Path | None,
     force: bool,
-    most_runs: int,
-    workers: int | None,
-    scheduler: str | None,
-    trust: Trust,
-    as_json: bool,
+    budget: int,
+    how: Making,
 ) -> None:
     """Make a run that fails a check as small as possible.
 
@@ -63,23 +52,21 @@ def shrink(
       fleet shrink nemesis --set seed=3 --check formation_error
       fleet shrink my.yaml --out least.yaml
     """
-    from fleet.cli.study_output import showing
-    from fleet.study.local_engine import engine_of
     from fleet.study.modules import modules_of
     from fleet.study.shrink import Shrinker
 
-    scenario, folder = _scenario(failing, [*overrides, *net, *fault], trust)
+    scenario, folder = _scenario(failing, changes)
     path = place_of(scenario, out, force=force)
     modules = modules_of([scenario], folder)
-    with showing(pieces) as tell, engine_of(workers, scheduler) as engine:
+    with how.showing(pieces) as tell, how.engine() as engine:
         try:
-            found = Shrinker(scenario, engine, tell, engine.carry(modules)).shrink(check, most_runs)
+            found = Shrinker(scenario, engine, tell, engine.carry(modules)).shrink(check, budget)
         except KeyboardInterrupt:
-            say(f"stopped, so {path} is not written; --most-runs N ends with the least scenario after N runs", err=True)
+            say(f"stopped, so {path} is not written; --budget N ends with the least scenario after N runs", err=True)
             raise
     write_least(found.scenario, path)
-    if as_json:
-        from fleet.cli.documents.study import less
+    if how.as_json:
+        from fleet.cli.documents.studies import less
 
         print_document(less(found, scenario, path))
     else:
@@ -136,18 +123,17 @@ def show_least(scenario: Scenario, found: Shrunk, path: Path) -> None:
     click.echo(path)
 
 
-def _scenario(name: str, changes: list[str | Override], trust: Trust) -> tuple[Scenario, Path | None]:
-    """The scenario of a log or a file, and the folder of that file."""
+def _scenario(name: str, changes: list[str | Override]) -> tuple[Scenario, Path | None]:
     from fleet.scenario.catalogue import shipped_scenarios
     from fleet.scenario.loading import load_scenario
 
     path = Path(name)
     if name in shipped_scenarios() or path.suffix in (".yaml", ".yml"):
-        return load_scenario(name, changes, trust), path.parent if path.exists() else None
+        return load_scenario(name, changes), path.parent if path.exists() else None
     from fleet.repeat.recorded_run import recorded
     from fleet.scenario.trust import Policy
 
-    return recorded(path).script(changes, Policy(trust)), None
+    return recorded(path).script(changes, Policy()), None
 
 
 COMMANDS = (shrink,)

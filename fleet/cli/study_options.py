@@ -1,20 +1,32 @@
-"""Options of the commands that make many runs: the options that a spec declares, and those that the commands share."""
+"""Options of the commands that make many runs, as values with types: what is asked for, and how runs are made."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
 import click
 
-from fleet.cli.types import FORCE, OVERRIDES, Whole, disturbances, is_given
-from fleet.study.spec import Kind, Spec, SpecField, fields
+from fleet.cli.documents.output import json_option
+from fleet.cli.types import FORCE, OVERRIDES, TRUST, Whole, disturbances, is_given
+from fleet.study.spec import BoundarySpec, Kind, Spec, SpecField, StudySpec, fields
 from fleet.terminal.table import say
 
+if TYPE_CHECKING:
+    from fleet.scenario.text.overrides import Override
+    from fleet.study.engine import Engine
+    from fleet.terminal.table import Piece
+
 F = TypeVar("F", bound=Callable[..., Any])
-OUT = click.option("--out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False), default=Path("studies"),
-                   show_default=True, help="The folder for studies; each gets a directory of its own.")  # fmt: skip
+S = TypeVar("S", StudySpec, BoundarySpec)
+OUT = click.option(
+    "-o", "--out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False), default=Path("studies"),
+    show_default=True, help="The folder for studies; each gets a directory of its own.",
+)  # fmt: skip
 WORKERS = click.option("--workers", metavar="N", type=Whole(1, 1024), help="Runs at a time; by default one per core.")
 SCHEDULER = click.option("--scheduler", metavar="ADDRESS", help="Use an existing Dask cluster, e.g. tls://host:8786.")
 _LEAST = click.option("-o", "--out", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
@@ -26,29 +38,134 @@ def least_options(command: F) -> F:
     return _LEAST(FORCE(command))
 
 
-def spec_options(spec: Spec) -> Callable[[F], F]:
-    """Add an option for each field of a spec; `given` reads what a command gets for them."""
+@dataclass(frozen=True, slots=True)
+class Making:
+    """How a command makes its runs, and what it prints.
+
+    Attributes:
+        workers: of this machine; None: one per core.
+        scheduler: address of a Dask cluster, to be used instead.
+        as_json: print one document.
+        quiet: show no progress.
+    """
+
+    workers: int | None
+    scheduler: str | None
+    as_json: bool
+    quiet: bool
+
+    def engine(self) -> AbstractContextManager[Engine]:
+        """The workers that were asked for. Raises RunBroken or StudyError: they cannot be had."""
+        from fleet.study.engine import engine_of
+
+        return engine_of(self.workers, self.scheduler)
+
+    @contextmanager
+    def showing(self, pieces: Callable[..., list[Piece]]) -> Iterator[Callable[..., None]]:
+        """A function that shows how the work goes; call it as often as you like.
+
+        Args:
+            pieces: makes the status line of the line itself and of what the function is called with.
+        """
+        from rich.console import Console as Terminal
+
+        from fleet.terminal.status_line import StatusLine
+
+        with StatusLine(Terminal(stderr=True), quiet=self.quiet) as line:
+
+            def tell(*what: object, **more: object) -> None:
+                if line.due():
+                    line.show(pieces(line, *what, **more))
+
+            yield tell
+
+    def warn(self, text: str) -> None:
+        """Print a warning on stderr, unless it is to be quiet."""
+        if not self.quiet:
+            say(f"warning: {text}", err=True)
+
+
+def making_options(quiet: str = "No progress.") -> Callable[[F], F]:
+    """Add the options of `Making`, which the command gets as `how`; `quiet`: the help of that option."""
 
     def add(command: F) -> F:
-        for field in reversed(fields(spec).values()):
-            if field.kind is Kind.VALUE:  # of --set, which other commands have, too, as well as the next two
-                command = OVERRIDES(disturbances(command))
-            elif field.flag is not None and field.name not in ("net", "fault"):
-                command = _click_option(field)(command)
-        return command
+        @wraps(command)
+        def with_how(
+            *arguments: Any, workers: int | None, scheduler: str | None, as_json: bool, quiet: bool,
+            **options: Any,
+        ) -> Any:  # fmt: skip
+            return command(*arguments, how=Making(workers, scheduler, as_json, quiet), **options)
+
+        made = click.option("-q", "--quiet", is_flag=True, help=quiet)(with_how)
+        return WORKERS(SCHEDULER(TRUST(json_option(made))))  # type: ignore[return-value]
 
     return add
 
 
-def given(spec: Spec, options: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of a spec that stand on the command line.
+def changing_options(command: F) -> F:
+    """Add --set, --net and --fault, which the command gets as `changes`."""
 
-    Args:
-        options: of the command, as `spec_options` added them.
+    @wraps(command)
+    def with_changes(
+        *arguments: Any, overrides: tuple[str, ...], fault: tuple[Override, ...], net: tuple[Override, ...],
+        **options: Any,
+    ) -> Any:  # fmt: skip
+        return command(*arguments, changes=[*overrides, *net, *fault], **options)
 
-    Raises:
-        StudyError: a value that belongs to a key has none, or a key is there twice.
+    return OVERRIDES(disturbances(with_changes))  # type: ignore[return-value]
+
+
+@dataclass(frozen=True, slots=True)
+class Asked(Generic[S]):
+    """What stands on the command line of a spec.
+
+    Attributes:
+        spec: the spec, with defaults where nothing is given.
+        names: the fields that are given.
     """
+
+    spec: S
+    names: frozenset[str]
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """The values that are given."""
+        return {name: getattr(self.spec, name) for name in self.names}
+
+
+def spec_options(spec: type[S]) -> Callable[[F], F]:
+    """Add an option for each field of a spec, which the command gets as `asked`.
+
+    StudyError: a value that belongs to a key has none, or a key is there twice.
+    """
+
+    def add(command: F) -> F:
+        known = fields(spec)
+        names = [name for name, field in known.items() if field.flag is not None]
+        taken = ["overrides" if name == "set" else name for name in names]
+
+        @wraps(command)
+        def with_asked(*arguments: Any, **options: Any) -> Any:
+            found = _given(spec, {name: options.pop(name) for name in taken})
+            needed: dict[str, Any] = {"scenario": ""} if "scenario" in known else {}
+            asked = Asked(spec(**needed, **found), frozenset(found))
+            return command(*arguments, asked=asked, **options)
+
+        return _with_options(with_asked, spec)  # type: ignore[return-value]
+
+    return add
+
+
+def _with_options(command: F, spec: Spec) -> F:
+    for field in reversed(fields(spec).values()):
+        if field.kind is Kind.VALUE:  # of --set, which other commands have, too, as well as the next two
+            command = OVERRIDES(disturbances(command))
+        elif field.flag is not None and field.name not in ("net", "fault"):
+            command = _click_option(field)(command)
+    return command
+
+
+def _given(spec: Spec, options: Mapping[str, Any]) -> dict[str, Any]:
     from fleet.study.given import set_values, varied
 
     found: dict[str, Any] = {}
@@ -66,11 +183,8 @@ def given(spec: Spec, options: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def study_directory(name: str, spec: Spec, asked: Mapping[str, Any]) -> Path | None:
+def study_directory(name: str, asked: Asked[Any]) -> Path | None:
     """The directory of the study that goes on; None: the name is that of something new.
-
-    Args:
-        asked: what stands on the command line, see `given`.
 
     Raises:
         click.UsageError: an option would change what the study runs.
@@ -80,15 +194,10 @@ def study_directory(name: str, spec: Spec, asked: Mapping[str, Any]) -> Path | N
 
     if not Path(name).is_dir() or name in (*shipped_scenarios(), *shipped_studies()):
         return None
-    known = fields(spec)
-    if is_given("out") or not all(known[key].option.later for key in asked):
+    known = fields(type(asked.spec))
+    if is_given("out") or not all(known[key].option.later for key in asked.names):
         raise click.UsageError(f"{name} is a study with settings of its own: only its missing runs are made")
     return Path(name)
-
-
-def warning(*, quiet: bool = False) -> Callable[[str], None]:
-    """A function that prints a warning on stderr; if quiet, it prints none."""
-    return lambda text: None if quiet else say(f"warning: {text}", err=True)
 
 
 def _click_option(field: SpecField) -> Callable[[F], F]:

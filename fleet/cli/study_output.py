@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
-
-from rich.console import Console as Terminal
 
 from fleet.terminal.status_line import BAR, StatusLine, bar
 from fleet.terminal.table import Piece, TerminalColumn, say
 
-if TYPE_CHECKING:  # they import pyarrow, which commands without a table of runs do not need
+if TYPE_CHECKING:
     from fleet.study.record import AxisRecord
     from fleet.study.store import Store
     from fleet.study.sweep import Progress
@@ -34,22 +31,6 @@ def axis_columns(axes: Sequence[AxisRecord], rows: Sequence[Mapping[str, float |
 def cell(value: float | str) -> str:
     """A value of a key that is varied."""
     return value if isinstance(value, str) else f"{value:g}"
-
-
-@contextmanager
-def showing(pieces: Callable[..., list[Piece]], *, quiet: bool = False) -> Iterator[Callable[..., None]]:
-    """A function that shows how the work goes; call it as often as you like.
-
-    Args:
-        pieces: makes the status line of the line itself and of what the function is called with.
-    """
-    with StatusLine(Terminal(stderr=True), quiet=quiet) as line:
-
-        def tell(*what: object, **more: object) -> None:
-            if line.due():
-                line.show(pieces(line, *what, **more))
-
-        yield tell
 
 
 def progress_pieces(line: StatusLine, share: float, progress: Progress) -> list[Piece]:

@@ -1,4 +1,4 @@
-"""Pictures and reports of a study, for the commands that take a log or a study."""
+"""Pictures, reports and tables of a study, for the commands that take a log or a study."""
 
 from __future__ import annotations
 
@@ -76,6 +76,34 @@ def report_study(directory: Path, out: Path, measures: Sequence[str], log_scale:
 
     with showing("drawing and adding up") as tell:
         write(out, store, measures, log_scale, tell)
+
+
+def export_study(directory: Path, folder: Path, form: str, *, force: bool) -> Path:
+    """Write the rows of a study as `csv` or `parquet`; returns the file.
+
+    Raises:
+        StudyError: it is damaged, or an extra is not installed.
+        FleetError: something is in the way, or the place cannot be written.
+    """
+    from fleet.errors import FleetError
+    from fleet.study.engine import need
+
+    if form == "parquet":
+        need(["pyarrow"], "Parquet needs", "parquet")
+    frame, path = _open(directory).frame(), folder / f"{directory.resolve().name}.{form}"
+    if path.exists() and not force:
+        raise FleetError(f"{path} is there already: choose another place, or replace it with --force")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if form == "parquet":
+            frame.to_parquet(path, index=False)
+        else:
+            units = frame.attrs["units"]
+            header = [f"{name} [{units[name]}]" if name in units else name for name in frame.columns]
+            frame.to_csv(path, index=False, header=header)
+    except OSError as error:
+        raise FleetError(f"cannot write {path}: {error.strerror}; choose another place") from error
+    return path
 
 
 def _open(directory: Path) -> Store:

@@ -5,16 +5,15 @@ from __future__ import annotations
 from datetime import timedelta
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from fleet.cli import junit as cli_junit
 from fleet.cli.completion import studies
-from fleet.cli.documents.output import json_option, print_document
+from fleet.cli.documents.output import print_document
 from fleet.cli.junit import JUNIT
-from fleet.cli.study_options import OUT, SCHEDULER, WORKERS, given, spec_options, study_directory, warning
-from fleet.cli.trust import TrustingCommand, trust_option
+from fleet.cli.study_options import OUT, Asked, Making, making_options, spec_options, study_directory
 from fleet.study.spec import KeepLogs, StudySpec
 from fleet.terminal.table import say, stdout
 
@@ -28,33 +27,24 @@ if TYPE_CHECKING:
     from fleet.study.sweep import Progress
     from fleet.terminal.status_line import StatusLine
     from fleet.terminal.table import Piece
-    from world.plugins.trust import Trust
 
 _MOST_TOLD = 10  # logs that are not kept
 
 
-@click.command(cls=TrustingCommand)
+@click.command()
 @click.argument("scenario", metavar="SCENARIO|STUDY|DIR", shell_complete=studies)
 @spec_options(StudySpec)
 @OUT
-@WORKERS
-@SCHEDULER
-@trust_option
 @JUNIT
 @click.option("--show-config", is_flag=True, help="Print the study as a file, with the options in it, and stop.")
-@json_option
-@click.option("-q", "--quiet", is_flag=True, help="Print only the study's directory; failures go to stderr.")
+@making_options("Print only the study's directory; failures go to stderr.")
 def sweep(
     scenario: str,
+    asked: Asked[StudySpec],
     out: Path,
-    workers: int | None,
-    scheduler: str | None,
-    trust: Trust,
     junit: Path | None,
     show_config: bool,
-    as_json: bool,
-    quiet: bool,
-    **options: Any,
+    how: Making,
 ) -> None:
     """Run SCENARIO at every combination of some values, with several seeds each, and print results with intervals.
 
@@ -77,77 +67,66 @@ def sweep(
       fleet sweep paper --vary 'network.period=100 ms,1 s' --show-config > my-study.yaml
       fleet sweep studies/rough-sea-20261122-101500
     """
-    if as_json and show_config:
+    if how.as_json and show_config:
         raise click.UsageError("--show-config prints YAML, so it cannot be used together with --json")
     from fleet.study.engine import need_extra
 
     need_extra()
-    asked = given(StudySpec, options)
-    directory = study_directory(scenario, StudySpec, asked)
+    directory = study_directory(scenario, asked)
     if show_config:
-        click.echo(_as_file(scenario, directory, asked, trust), nl=False)
+        click.echo(_as_file(scenario, directory, asked), nl=False)
         return
     if directory is None:
-        store, spec, modules = _prepared(scenario, asked, out, trust, quiet=quiet)
+        store, spec, modules = _prepared(scenario, asked, out, how)
     else:
         store, spec, modules = *_opened(directory, asked), None
     shown = _columns(store, spec)
-    _run(store, spec, modules, trust, (workers, scheduler), quiet=quiet)
+    _run(store, spec, modules, how)
     if junit is not None:
         cli_junit.write(junit, store.record.scenario, cli_junit.of_study(store))
-    if as_json:
-        from fleet.cli.documents.study import swept
+    if how.as_json:
+        from fleet.cli.documents.studies import swept
 
         print_document(swept(store, shown))
-    elif quiet:
+    elif how.quiet:
         click.echo(store.directory)
     else:
         _show(store, shown)
 
 
-def _as_file(name: str, directory: Path | None, asked: dict[str, Any], trust: Trust) -> str:
-    """The study as a file, with the options in it. Raises what would be raised before the first run."""
-    from fleet.study.errors import StudyError
-    from fleet.study.load_points import load_points
+def _as_file(name: str, directory: Path | None, asked: Asked[StudySpec]) -> str:
     from fleet.study.plan import plan_of
     from fleet.study.study_file import study_yaml
-    from fleet.study.sweep import declared
+    from fleet.study.sweep import declared, load_points
 
     if directory is None:
         study = _asked_for(name, asked)
-        declared(study.spec, load_points(plan_of(*study), trust, refused=[]))  # laws that may not run are no mistake
+        declared(study.spec, load_points(plan_of(*study), refused=[]))  # laws that may not run are no mistake
         return study_yaml(study.spec)
-    store, spec = _opened(directory, asked)
-    if store.record.spec is None:
-        raise StudyError(f"{directory}: an older version made this study, and did not save its settings")
-    return study_yaml(spec)
+    return study_yaml(_opened(directory, asked)[1])
 
 
-def _opened(directory: Path, asked: dict[str, Any]) -> tuple[Store, StudySpec]:
+def _opened(directory: Path, asked: Asked[StudySpec]) -> tuple[Store, StudySpec]:
     """The study of a directory, and its spec with what was asked now; a budget is that of one command."""
     from fleet.study.store import Store
     from fleet.study.sweep import refuse_border
 
     store = Store.open(directory)
     refuse_border(store)
-    return store, store.record.rules.changed(**{"budget": "", **asked})
+    return store, store.record.rules.changed(**{"budget": "", **asked.values})
 
 
-def _asked_for(name: str, asked: dict[str, Any]) -> NamedStudy:
-    """The study of a name, or of a scenario, with the options of the command line."""
+def _asked_for(name: str, asked: Asked[StudySpec]) -> NamedStudy:
     from fleet.study.study_file import NamedStudy, study_named
 
     study = study_named(name) or NamedStudy(StudySpec(name))
-    spec = study.spec.changed(**asked)
-    if "most_seeds" in asked and not spec.until:
+    spec = study.spec.changed(**asked.values)
+    if "most_seeds" in asked.names and not spec.until:
         raise click.UsageError("--most-seeds is for studies that add seeds: give --until, too")
     return study._replace(spec=spec)
 
 
-def _prepared(
-    name: str, asked: dict[str, Any], out: Path, trust: Trust, *, quiet: bool
-) -> tuple[Store, StudySpec, Modules]:
-    """A new study in a directory of its own."""
+def _prepared(name: str, asked: Asked[StudySpec], out: Path, how: Making) -> tuple[Store, StudySpec, Modules]:
     from fleet.study.plan import plan_of
     from fleet.study.study import new_directory
     from fleet.study.sweep import prepare
@@ -155,50 +134,37 @@ def _prepared(
     study = _asked_for(name, asked)
     plan = plan_of(*study)
     if not study.spec.vary:
-        _nothing_varied(plan, trust, quiet=quiet)
-    store, modules = prepare(plan, new_directory(name, out), trust, study.spec, warn=warning(quiet=quiet))
+        _nothing_varied(plan, how)
+    store, modules = prepare(plan, new_directory(name, out), study.spec, warn=how.warn)
     return store, study.spec, modules
 
 
 def _columns(store: Store, spec: StudySpec) -> list[MeasureColumn]:
     """The measures that the table shows. Raises StudyError: the study does not have one."""
-    from fleet.study.signal_measures import find_columns
+    from fleet.study.measures import find_columns
     from fleet.study.summary import DEFAULT
 
     return find_columns(spec.measures or store.record.measures or DEFAULT, store.record.columns)
 
 
-def _run(
-    store: Store,
-    spec: StudySpec,
-    modules: Modules | None,
-    trust: Trust,
-    engine: tuple[int | None, str | None],
-    *,
-    quiet: bool,
-) -> None:
+def _run(store: Store, spec: StudySpec, modules: Modules | None, how: Making) -> None:
     """Make the runs that are missing, then the logs.
 
     Args:
         store: the study.
         spec: its settings.
         modules: the modules that the runs need. None: they are looked for if a run is missing.
-        trust: modules that may run although they are not installed.
-        engine: the options --workers and --scheduler.
-        quiet: show no progress.
     """
-    from fleet.cli.study_output import showing
-    from fleet.study.local_engine import engine_of
     from fleet.study.sweep import logs_to_make, modules_again, run_study
 
     missing = store.missing
-    if not quiet:
+    if not how.quiet:
         say(_announced(store, missing), err=True)
     if not missing and not logs_to_make(store, spec.keep_logs):
         return
     if modules is None:
-        modules = modules_again(store, trust)
-    with showing(_pieces, quiet=quiet) as tell, engine_of(*engine) as workers:
+        modules = modules_again(store)
+    with how.showing(_pieces) as tell, how.engine() as workers:
         try:
             progress = run_study(
                 store, workers, tell, modules=modules, timeout_s=spec.timeout_s, budget_s=spec.budget_s,
@@ -210,29 +176,28 @@ def _run(
     _tell_what_is_missing(store, spec.keep_logs, progress.not_kept)
 
 
-def _nothing_varied(plan: Plan, trust: Trust, *, quiet: bool) -> None:
+def _nothing_varied(plan: Plan, how: Making) -> None:
     """Say that runs differ by their seeds alone.
 
     Raises:
         click.UsageError: they do not even differ by these.
     """
     from fleet.analysis.seed import seeded
-    from fleet.study.load_points import load_points
+    from fleet.study.sweep import load_points
 
-    how = "--vary varies a key: --vary 'loss=0 %..60 %/20 %' --net '* loss {loss}' varies the loss of all links"
-    (scenario,) = load_points(plan, trust)
+    hint = "--vary varies a key: --vary 'loss=0 %..60 %/20 %' --net '* loss {loss}' varies the loss of all links"
+    (scenario,) = load_points(plan)
     if len(plan.seeds) > 1 and not seeded(scenario):
         raise click.UsageError(
             f"nothing is varied, and nothing in {scenario.name} depends on the seed: all {len(plan.seeds)} runs would "
-            f"be the same. {how}"
+            f"be the same. {hint}"
         )
-    if not quiet:
-        say(f"fleet: nothing is varied, so the runs differ only in their seeds; {how}", err=True)
+    if not how.quiet:
+        say(f"fleet: nothing is varied, so the runs differ only in their seeds; {hint}", err=True)
 
 
 def _announced(store: Store, missing: int) -> str:
-    """Announce the runs before they begin."""
-    points, seeds, until = store.point_count, len(store.record.seeds), store.record.rules.until
+    points, seeds, until = len(store.points), len(store.record.seeds), store.record.rules.until
     made = sum(store.needed().values()) - missing
     runs = f"at first, until {until}" if until else f"= {points * seeds} runs"
     return f"{store.directory}: {points} points x {seeds} seeds {runs}" + (f", {made} of them made" if made else "")
@@ -253,7 +218,6 @@ def _tell_what_is_missing(store: Store, logs: KeepLogs, not_kept: list[str]) -> 
 
 
 def _pieces(line: StatusLine, progress: Progress) -> list[Piece]:
-    """Where a study is."""
     from fleet.cli.study_output import progress_pieces
     from fleet.terminal.table import Piece
 
@@ -265,7 +229,6 @@ def _pieces(line: StatusLine, progress: Progress) -> list[Piece]:
 
 
 def _show(store: Store, measures: list[MeasureColumn]) -> None:
-    """The table of a study, and where it is."""
     from fleet.cli.study_output import axis_columns, show_reached
     from fleet.study.statistics import LEAST, levels
     from fleet.study.summary import summarise

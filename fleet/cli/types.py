@@ -16,8 +16,34 @@ OVERRIDES = click.option(
     multiple=True,
     help="Override one scenario key, e.g. network.period='200 ms'.",
 )
+
+
+def _trust(context: click.Context, option: click.Parameter, value: bool) -> None:
+    """What --trust allows holds until the command ends."""
+    if value:
+        from world.plugins.trust import Trust, trusting
+
+        say = Trust(everything=True, notify=lambda text: click.echo(f"fleet: {text}", err=True))
+        context.with_resource(trusting(say))
+
+
+TRUST = click.option(
+    "--trust", is_flag=True, expose_value=False, callback=_trust,
+    help="Also run laws, plants and checks that are neither installed nor your own.",
+)  # fmt: skip
 FORCE = click.option("--force", is_flag=True, help="Replace what is there.")
-NO_PROGRESS = click.option("-q", "--quiet", is_flag=True, help="No progress.")
+
+
+def _hush(context: click.Context, option: click.Parameter, value: bool) -> None:
+    if value:
+        from fleet.terminal.status_line import hushed
+
+        context.with_resource(hushed())
+
+
+NO_PROGRESS = click.option(
+    "-q", "--quiet", is_flag=True, expose_value=False, callback=_hush, help="No progress."
+)  # fmt: skip
 
 
 def is_given(name: str) -> bool:

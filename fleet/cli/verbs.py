@@ -17,15 +17,14 @@ class Verb(NamedTuple):
 
 GROUPS: dict[str, dict[str, Verb]] = {
     "Start": {
-        "list": Verb("listing", "List the scenarios and studies that ship (runs: ls, ps)."),
+        "list": Verb("runs", "List the scenarios and studies that ship (runs: ls)."),
         "new": Verb("new", "Write a scenario, law, protocol, check or vehicle."),
-        "check": Verb("check", "Check a scenario without running it."),
+        "check": Verb("check", "Check a scenario without running it, or judge a log."),
         "run": Verb("run", "Run a scenario and judge it."),
         "reproduce": Verb("reproduce", "Run the paper's simulations again and judge its claims."),
     },
     "Live runs": {
-        "ps": Verb("live", "List the live runs of this user (all runs: ls)."),
-        "status": Verb("status", "Show how a run is doing, and its faults."),
+        "status": Verb("live", "Show how a run is doing, and its faults."),
         "view": Verb("view", "Show a live run or a log in the browser."),
         "inject": Verb("live", "Inject a fault."),
         "heal": Verb("live", "End a fault, or all of them."),
@@ -33,24 +32,21 @@ GROUPS: dict[str, dict[str, Verb]] = {
         "stop": Verb("live", "Stop a run; its log stays."),
     },
     "After a run": {
-        "ls": Verb("runs", "List the runs below a directory (live ones: ps)."),
+        "ls": Verb("runs", "List the live runs, and the runs below a directory."),
         "info": Verb("logs", "Summarise a log."),
         "plot": Verb("logs", "Draw pictures of logs or of a study."),
         "report": Verb("logs", "Write one HTML page about logs or a study."),
-        "movie": Verb("movie", "Make a GIF or an MP4 of a log."),
-        "export": Verb("logs", "Write a log as tables."),
+        "movie": Verb("logs", "Make a GIF or an MP4 of a log."),
+        "export": Verb("logs", "Write a log as tables, or as a scenario."),
         "fit": Verb("fit", "Fit link states to a trace of a link."),
     },
     "Prove and change": {
         "verify": Verb("verify", "Run a log's scenario again and compare every byte."),
         "diff": Verb("verify", "Compare two logs."),
-        "check-log": Verb("verify", "Judge a log by its own or by other checks."),
-        "script": Verb("verify", "Print the scenario that makes a log again."),
         "why": Verb("why", "Explain why a check failed."),
-        "whatif": Verb("what_if", "Compare another agent's commands with the log's."),
+        "whatif": Verb("verify", "Compare another agent's commands with the log's."),
         "replay": Verb("replay", "Publish a log on zenoh again."),
         "recover": Verb("verify", "Save what is left of a damaged log."),
-        "prune": Verb("runs", "Remove runs that are over."),
     },
     "Many runs": {
         "sweep": Verb("sweep", "Run a scenario at many values and seeds."),
@@ -61,9 +57,8 @@ GROUPS: dict[str, dict[str, Verb]] = {
         "shrink": Verb("shrink", "Make a failing run as small as possible."),
     },
     "Other hosts and programs": {
-        "agent": Verb("join", "Run an external vehicle's agent in this terminal."),
-        "acl": Verb("hosts", "Print the configuration for a zenoh router of yours."),
-        "certs": Verb("hosts", "Make certificates for runs over several hosts."),
+        "agent": Verb("protocol", "Run an external vehicle's agent in this terminal."),
+        "hosts": Verb("hosts", "Prepare a run over several hosts: certificates, a router."),
         "protocol": Verb("protocol", "Print the wire protocol, or check an agent."),
         "record": Verb("replay", "Record zenoh traffic to an MCAP file."),
         "ros2": Verb("ros2", "Show a live run or a log to ROS 2."),
@@ -72,13 +67,22 @@ GROUPS: dict[str, dict[str, Verb]] = {
         "about": Verb("about", "Print everything that a bug report needs."),
         "bench": Verb("bench", "Measure this machine."),
         "completion": Verb("completion", "Print the script for completion in your shell."),
-        "schema": Verb("schema", "Print the JSON Schemas of the --json outputs."),
     },
+}
+# What commands of earlier versions became.
+FORMER = {
+    "ps": "fleet ls",
+    "prune": "fleet ls --prune",
+    "check-log": "fleet check LOG",
+    "script": "fleet export LOG --scenario",
+    "schema": "fleet about --schemas",
+    "acl": "fleet hosts acl",
+    "certs": "fleet hosts certs",
 }
 VERBS: dict[str, Verb] = {name: verb for group in GROUPS.values() for name, verb in group.items()}
 # What users of other tools type, and what it is called here.
 ELSEWHERE = {
-    **dict.fromkeys(("rm", "remove", "delete", "clean"), "fleet prune"),
+    **dict.fromkeys(("rm", "remove", "delete", "clean"), "fleet ls --prune"),
     **dict.fromkeys(("logs", "runs", "history"), "fleet ls (all runs) or fleet info (what one log holds)"),
     **dict.fromkeys(("init", "create"), "fleet new"),
     "faults": "fleet status (those that are active; --all: every one)",

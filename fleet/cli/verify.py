@@ -1,32 +1,34 @@
-"""The commands that prove a log right or make it usable: verify, check-log, diff, script, recover."""
+"""The commands that prove a log right, compare it or make it usable: verify, diff, whatif, recover."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument, newest_log
-from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import NO_PROGRESS
+from fleet.cli.types import NO_PROGRESS, OVERRIDES, TRUST, Whole, key_options
 from fleet.terminal.table import say
-from world.plugins.trust import Trust
+
+if TYPE_CHECKING:
+    from fleet.repeat.what_if import WhatIf
+
 
 _VERIFY = "Exit status: 0 reproduced, 1 not, 2 no log of ours or it cannot be run here, 3 no message is left in it."
-_CHECK_LOG = "Exit status: 0 every check passes, 1 one does not, 2 no log of ours, or a check makes no sense."
 _DIFF = "Exit status: 0 the same (or within the tolerance), 1 different, 2 one of them is no log."
 _RECOVER = "Exit status: 0 whole, 1 nothing can be recovered, 2 usage, 3 something is lost."
 _log = click.Path(path_type=Path)
 
 
-@click.command(cls=TrustingCommand, epilog=_VERIFY)
+@click.command(epilog=_VERIFY)
 @log_argument
-@trust_option
+@TRUST
 @json_option
 @NO_PROGRESS
-def verify(log: Path, trust: Trust, as_json: bool, quiet: bool) -> None:
+def verify(log: Path, as_json: bool) -> None:
     """Run LOG again and compare: every message, bit for bit.
 
     It repeats the log's scenario and seed with all injected faults and deaths, in this process, up to the end of the
@@ -41,52 +43,15 @@ def verify(log: Path, trust: Trust, as_json: bool, quiet: bool) -> None:
     from fleet.terminal.status_line import showing, showing_time
 
     with (
-        showing(f"reading {log}", quiet=quiet) as reading,
-        showing_time("verified", quiet=quiet) as tell,
+        showing(f"reading {log}") as reading,
+        showing_time("verified") as tell,
     ):
-        found = check(log, tell, trust, reading)
+        found = check(log, tell, reading)
     if as_json:
-        from fleet.cli.documents.logs import verified
-
-        print_document(verified(found))
+        print_document(found)
     else:
         say("\n".join(verification_lines(found)))
     sys.exit(0 if found.reproduced else 1)
-
-
-@click.command(cls=TrustingCommand, epilog=_CHECK_LOG)
-@log_argument
-@click.option("--set", "overrides", metavar="checks=...", multiple=True,
-              help="Other checks than those of the run, as in a scenario; repeatable.")  # fmt: skip
-@trust_option
-@json_option
-@NO_PROGRESS
-def check_log(log: Path, overrides: tuple[str, ...], trust: Trust, as_json: bool, quiet: bool) -> None:
-    """Judge LOG by your own checks, on signals and in Python, without running it again.
-
-    Those of its scenario, or others. A log that was cut is judged up to where it is whole. Checks of other kinds,
-    such as formation_error, are judged by the run.
-
-    \b
-    Examples:
-      fleet check-log --set 'checks={signal: {topic: state.z, below: 30 m}}'
-      fleet check-log runs/latest --set 'checks={"my_checks:OneLeader": {grace: 2 s}}'
-    """
-    from fleet.repeat.check_log import check_log as check
-    from fleet.terminal.status_line import showing
-
-    with showing(f"reading {log}", quiet=quiet) as reading:
-        found = check(log, overrides, trust, reading)
-    if as_json:
-        from fleet.cli.documents.logs import judged
-
-        print_document(judged(found))
-    else:
-        for verdict in sorted(found.verdicts, key=lambda verdict: verdict.passed):  # failed ones on top
-            say(f"{'pass' if verdict.passed else 'FAIL'}  {verdict.check}: {verdict.asked}; found {verdict.words}")
-        how_far = f"judged up to t = {found.until_s:g} s of {found.end_s:g} s"
-        say(f"{how_far}, as far as the file goes: {found.missing}" if found.missing else how_far)
-    sys.exit(0 if found.passed else 1)
 
 
 @click.command(epilog=_DIFF)
@@ -97,7 +62,7 @@ def check_log(log: Path, overrides: tuple[str, ...], trust: Trust, as_json: bool
 @click.option("--all", "everything", is_flag=True, help="Every signal that differs, not only the first twenty.")
 @json_option
 @NO_PROGRESS
-def diff(a: Path, b: Path | None, tolerance: float, everything: bool, as_json: bool, quiet: bool) -> None:
+def diff(a: Path, b: Path | None, tolerance: float, everything: bool, as_json: bool) -> None:
     """Compare the messages of logs A and B: whether they are the same, where they part, and how far signals differ.
 
     If one run continues another (fleet run --from), the comparison begins where the later one begins.
@@ -115,7 +80,7 @@ def diff(a: Path, b: Path | None, tolerance: float, everything: bool, as_json: b
     second = newest_log() if b is None else b
     if b is None and log_path(a).exists() and log_path(a).samefile(log_path(second)):
         raise click.UsageError("A is the newest run itself: name the log to compare it with")
-    with showing(f"comparing {a} and {second}", quiet=quiet) as tell:
+    with showing(f"comparing {a} and {second}") as tell:
         left, right = LogReader(log_path(a), tell), LogReader(log_path(second))
         found = compare(left, right)
     status = 0 if found.first is None or (tolerance and found.within(tolerance)) else 1
@@ -135,7 +100,7 @@ def diff(a: Path, b: Path | None, tolerance: float, everything: bool, as_json: b
     if found.first is None:
         say(f"the same bit for bit ({found.same} messages)")
     else:
-        say(f"they part at {found.first}")
+        say(f"they part at {found.first.words}")
         say("\n".join(deviation_lines(found, None if everything else 20)))
     for other in besides_messages(left, right):
         say(f"besides, not the same: {other}")
@@ -144,25 +109,9 @@ def diff(a: Path, b: Path | None, tolerance: float, everything: bool, as_json: b
     sys.exit(status)
 
 
-@click.command()
-@log_argument
-def script(log: Path) -> None:
-    """Print the scenario that runs LOG again, with everything that was injected while it was made.
-
-    \b
-    Examples:
-      fleet script > again.yaml && fleet run again.yaml
-    """
-    from fleet.repeat.recorded_run import script as make
-    from fleet.terminal.status_line import showing
-
-    with showing(f"reading {log}") as tell:
-        made = make(log, tell)
-    click.echo(made.to_yaml(), nl=False)
-
-
 @click.command(epilog=_RECOVER)
 @log_argument
+@NO_PROGRESS
 @click.option(
     "-o", "--out", metavar="OUT", type=_log, help="The file to write; by default LOG.recovered.mcap next to it."
 )
@@ -189,4 +138,70 @@ def recover(log: Path, out: Path | None) -> None:
     sys.exit(1 if found.nothing else 3 if found.lost else 0)
 
 
-COMMANDS = (verify, check_log, diff, script, recover)
+@click.command(name="whatif")
+@log_argument
+@click.option("--agent", type=Whole(min=1), required=True, help="The number of the vehicle.")
+@click.option("--controller", metavar="LAW", help="Short for --set controller=LAW: a name, or package.module:Class.")
+@OVERRIDES
+@TRUST
+@click.option("--plot", type=click.Path(path_type=Path), help="Draw both commands into this file (png, svg, pdf).")
+@json_option
+@NO_PROGRESS
+def command(
+    log: Path,
+    agent: int,
+    controller: str | None,
+    overrides: tuple[str, ...],
+    plot: Path | None,
+    as_json: bool,
+) -> None:
+    """Give another agent the navigation and messages of one in LOG, and compare their commands.
+
+    This is open loop: the vehicle still moves by the recorded commands. Without a change the commands are identical.
+
+    \b
+    Examples:
+      fleet whatif --agent 3
+      fleet whatif --agent 3 --controller bsmc --plot 3.png
+      fleet whatif --agent 1 --set 'tracking.k_u=2 1/s' --set profile=hardened
+      fleet whatif --agent 2 --controller my_module:MyController
+    """
+    from fleet.repeat.what_if import what_if
+    from fleet.terminal.status_line import showing
+
+    changes = [*overrides, *key_options(controller=controller)]
+    with showing(f"agent {agent}") as tell:
+        found = what_if(log, agent, changes, tell)
+    if plot is not None:
+        from fleet.logs.reader import digest, log_path
+        from fleet.repeat.what_if_picture import draw
+
+        draw(found, plot, digest(log_path(log)))
+    if as_json:
+        print_document(found.compared)
+        return
+    for note in found.notes:
+        say(f"note  {note}", err=True)
+    say("\n".join([*what_if_lines(found), *([str(plot)] if plot is not None else [])]))
+
+
+def what_if_lines(found: WhatIf) -> list[str]:
+    """The comparison in words."""
+    shown = found.compared
+    if not len(found.t):
+        return [f"agent {found.agent} commanded nothing in this log"]
+    lines = [
+        f"agent {found.agent}: {shown.samples} samples from t = {found.t[0]:g} to {found.t[-1]:g} s, "
+        f"{found.heard} messages heard, {found.lives} {'life' if found.lives == 1 else 'lives'}"
+    ]
+    if found.identical:
+        return [*lines, "identical: every command is that of the log, to the last bit"]
+    lines.append(f"the commands differ from t = {found.first_s:g} s on")
+    lines += [
+        f"  {name:<13} at most {c.max:.4g} {c.unit} away (t = {c.at_s:g} s), RMS {c.rms:.4g} {c.unit}"
+        for name, c in shown.components.items()
+    ]
+    return lines
+
+
+COMMANDS = (verify, diff, recover, command)

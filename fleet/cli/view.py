@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fleet.cli.shown_argument import SHOWN, find_shown
+from fleet.cli.log_argument import SHOWN, find_shown
 from fleet.cli.types import Whole
 
 if TYPE_CHECKING:

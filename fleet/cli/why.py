@@ -7,13 +7,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fleet.cli.documents.output import json_option, print_document
+from fleet.cli.documents.output import print_document
 from fleet.cli.log_argument import log_argument
-from fleet.cli.study_options import SCHEDULER, WORKERS
-from fleet.cli.trust import TrustingCommand, trust_option
+from fleet.cli.study_options import Making, making_options
 from fleet.cli.types import Whole
 from fleet.terminal.table import say
-from world.plugins.trust import Trust
 
 if TYPE_CHECKING:
     from fleet.terminal.status_line import StatusLine
@@ -22,27 +20,15 @@ if TYPE_CHECKING:
 MOST_RUNS = 24
 
 
-@click.command(cls=TrustingCommand)
+@click.command()
 @log_argument
 @click.option("--check", metavar="NAME", help="The check that failed; by default the first one that did.")
 @click.option("--picture", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
               help="Draw it into this file (png, svg, pdf).")  # fmt: skip
-@click.option("--most-runs", metavar="N", type=Whole(0, 10_000), default=MOST_RUNS, show_default=True,
+@click.option("--budget", metavar="RUNS", type=Whole(0, 10_000), default=MOST_RUNS, show_default=True,
               help="Healed runs that are tried; 0: only what the log says.")  # fmt: skip
-@WORKERS
-@SCHEDULER
-@trust_option
-@json_option
-def why(
-    log: Path,
-    check: str | None,
-    picture: Path | None,
-    most_runs: int,
-    workers: int | None,
-    scheduler: str | None,
-    trust: Trust,
-    as_json: bool,
-) -> None:
+@making_options()
+def why(log: Path, check: str | None, picture: Path | None, budget: int, how: Making) -> None:
     """Explain why a check failed in LOG: faults, messages that did not arrive, and what each vehicle knew.
 
     It also finds the point of no return: the last moment from which the run still passes if all faults are healed. For
@@ -52,27 +38,25 @@ def why(
     Examples:
       fleet why
       fleet why runs/latest --check formation_error --picture why.png
-      fleet why runs/latest --most-runs 0
+      fleet why runs/latest --budget 0
       fleet why runs/latest --json
     """
-    from fleet.cli.study_output import showing
     from fleet.explanation.why import Explanation, Question
-    from fleet.study.local_engine import engine_of
 
     if picture is not None:
         from fleet.explanation.picture import draw, format_of
 
         format_of(picture)
-    with showing(_pieces) as tell:
-        explanation = Explanation(Question(log, check, most_runs, trust), tell)
+    with how.showing(_pieces) as tell:
+        explanation = Explanation(Question(log, check, budget), tell)
         if explanation.searches:
-            with engine_of(workers, scheduler) as engine:
+            with how.engine() as engine:
                 found = explanation.find(engine, engine.carry(explanation.modules))
         else:
             found = explanation.without_runs()
     if picture is not None:
         draw(found, explanation.path, explanation.scenario, picture)
-    if as_json:
+    if how.as_json:
         print_document(found)
         return
     from fleet.explanation.why import lines
@@ -81,7 +65,6 @@ def why(
 
 
 def _pieces(line: StatusLine, doing: str, runs: int) -> list[Piece]:
-    """What is being done, and how many healed runs were made."""
     from fleet.explanation.no_return import RUNS
     from fleet.terminal.table import Piece
 

@@ -15,10 +15,11 @@ import shutil
 import time
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Annotated, Any
+
+from msgspec import Meta, Struct, field
 
 from fleet.errors import FleetError
 from fleet.logs.topic_names import RUN_NAME, STAMP, begun_at
@@ -181,20 +182,17 @@ _OF_STATUS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class PastRun:
+class PastRun(Struct, frozen=True):
     """One run directory, of a run that goes on or is over."""
 
-    path: Path
+    name: str = field(name="run")
+    path: Path = field(name="directory")
     scenario: str
-    verdict: str  # one of VERDICTS; a run without a result broke
-    sim_s: float | None  # None: there is no result
-    size: int  # of all its files [bytes]
-    began: datetime
-
-    @property
-    def name(self) -> str:
-        return self.path.name
+    verdict: Annotated[str, Meta(description="pass, FAIL, broke (also: left no result), stopped or live.")]
+    sim_s: Annotated[float | None, Meta(description="Simulated time that was reached; null: there is no result.")]
+    size: Annotated[int, Meta(description="Size of all files in the directory [bytes].")] = field(name="size_bytes")
+    began: Annotated[datetime, Meta(description="When it began, UTC, as ISO 8601 writes it.")]
+    age_s: float
 
 
 def past_runs(out: Path) -> list[PastRun]:
@@ -220,9 +218,7 @@ def newest_run(out: Path) -> Path | None:
     return _began_last(out)
 
 
-def to_prune(
-    runs: Sequence[PastRun], *, keep: int, older_than_s: float, verdicts: Collection[str], now: datetime
-) -> list[PastRun]:
+def to_prune(runs: Sequence[PastRun], *, keep: int, older_than_s: float, verdicts: Collection[str]) -> list[PastRun]:
     """Choose runs to remove. Live runs always stay.
 
     Args:
@@ -230,10 +226,9 @@ def to_prune(
         keep: this number of newest runs stays in any case.
         older_than_s: younger runs stay [s].
         verdicts: runs with another verdict stay.
-        now: the present time.
     """
     over = [run for run in runs if run.verdict != LIVE]
-    return [run for run in over[keep:] if run.verdict in verdicts and (now - run.began).total_seconds() >= older_than_s]
+    return [run for run in over[keep:] if run.verdict in verdicts and run.age_s >= older_than_s]
 
 
 def remove(out: Path, runs: Sequence[PastRun]) -> Iterator[PastRun]:
@@ -305,7 +300,9 @@ def _read(path: Path, began: datetime) -> PastRun:
         with suppress(OSError, ResultError):
             result = read_result(path)
             verdict, sim_s = _OF_STATUS[result.status], result.sim_s
-    return PastRun(path, name["scenario"], verdict, sim_s, _size(path), began)
+    now = datetime.now(UTC)  # noqa: TID251 (the ages of files, by the clock that gave them their names)
+    age_s = (now - began).total_seconds()
+    return PastRun(path.name, path, name["scenario"], verdict, sim_s, _size(path), began, age_s)
 
 
 def _size(path: Path) -> int:

@@ -15,7 +15,7 @@ from fleet.result.result import Result
 from fleet.scenario.loading import changed, load_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.spec import ScenarioSpec
-from world.plugins.trust import NOTHING, Trust
+from world.plugins.trust import trusting
 
 Changes = Mapping[str, Any] | Iterable[str]
 
@@ -25,7 +25,7 @@ def run(
     *,
     set: Changes = (),
     seed: int | None = None,
-    trust: Trust = NOTHING,
+    trust: bool = False,
     progress: Callable[[float], None] | None = None,
     **unknown: Never,
 ) -> Result:
@@ -38,8 +38,7 @@ def run(
         set: changes, as `--set`: a mapping such as `{"network.links": {"*": "loss 30 %"}, "duration": "20 s"}`,
             or texts such as `"duration=20 s"`.
         seed: replaces the scenario's seed.
-        trust: modules that may run, in addition to installed ones and the user's own. The default for a loaded scenario
-            is the trust that it was loaded with.
+        trust: run modules, too, that are neither installed nor the user's own.
         progress: called with the simulated time [s] during the run.
 
     Returns:
@@ -58,7 +57,7 @@ def stepping(
     *,
     set: Changes = (),
     seed: int | None = None,
-    trust: Trust = NOTHING,
+    trust: bool = False,
     log: str | Path | None = None,
     **unknown: Never,
 ) -> SteppedRun:
@@ -92,7 +91,7 @@ def loaded(
     scenario: str | Path | Scenario,
     set: Changes,
     seed: int | None,
-    trust: Trust,
+    trust: bool,
     unknown: Mapping[str, Any] | None = None,
 ) -> Scenario:
     """The scenario that a function was given, with the changes.
@@ -108,9 +107,10 @@ def loaded(
     changes = override_texts(set)
     if seed is not None:
         changes.append(f"seed={seed}")
-    if not isinstance(scenario, Scenario):
-        return load_scenario(scenario, changes, trust)
-    return changed(scenario, changes, trust) if changes else scenario
+    with trusting(trust):
+        if not isinstance(scenario, Scenario):
+            return load_scenario(scenario, changes)
+        return changed(scenario, changes) if changes else scenario
 
 
 def judged(

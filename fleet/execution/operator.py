@@ -191,7 +191,7 @@ def event_rows(scenario: Scenario, journal: Journal) -> list[dict[str, Any]]:
     last = {event.what: event for event in begun}
     return [
         {
-            **row._asdict(),
+            **asdict(row),
             "id": last[row.what].fault,
             "last_s": last[row.what].tick * scenario.tick_ns / 1e9,
             "lasts": last[row.what].fault not in ended,

@@ -111,7 +111,7 @@ def connect_to_router(endpoint: str, credentials: Credentials, keys: Keys, event
         who = ", ".join(token.rsplit("/", 1)[-1] for token in tokens)
         raise RunBroken(
             f"run {keys.run} is going on at {endpoint} already ({who}): end it, or make credentials for "
-            "another with fleet acl"
+            "another with fleet hosts acl"
         )
     bus.on_lost(partial(events.put, EventKind.ROUTER_LOST, endpoint))
     return bus

@@ -52,10 +52,10 @@ CAUSES: dict[str, str] = {
 class FaultThen(Struct, frozen=True):
     """A fault that had begun when the check failed."""
 
-    id: Annotated[str, Meta(description="Its id.")]
-    what: Annotated[str, Meta(description="In the words of a scenario.")]
-    from_s: Annotated[float, Meta(description="When it began [s].")]
-    to_s: Annotated[float, Meta(description="When it ended, or the log does [s].")]
+    id: str
+    what: str
+    from_s: float
+    to_s: Annotated[float, Meta(description="When it ended, or the log does.")]
     on: Annotated[bool, Meta(description="Whether it was on when the check failed.")]
 
 
@@ -64,9 +64,9 @@ class Gap(Struct, frozen=True):
 
     links: Annotated[list[str], Meta(description="Sender and receiver of each link, such as 1->2.")]
     cause: Annotated[str, Meta(description="Cause of most losses: a fate of the log, `corrupted`, or `on the way`.")]
-    words: Annotated[str, Meta(description="The cause in words.")]
-    from_s: Annotated[float, Meta(description="When the first one was sent [s].")]
-    to_s: Annotated[float, Meta(description="When the last one was sent [s].")]
+    words: str
+    from_s: float
+    to_s: float
     messages: Annotated[int, Meta(description="Number of messages, of all links together.")]
     goes_on: Annotated[bool, Meta(description="Whether the links were still silent when the check failed.")]
 
@@ -74,9 +74,9 @@ class Gap(Struct, frozen=True):
 class Heard(Struct, frozen=True):
     """A vehicle's knowledge of a neighbour."""
 
-    vehicle: Annotated[int, Meta(description="The neighbour.")]
-    sent_s: Annotated[float | None, Meta(description="When the newest message that arrived was sent [s]; null: none.")]
-    age_s: Annotated[float | None, Meta(description="Age of that message [s].")]
+    vehicle: int
+    sent_s: Annotated[float | None, Meta(description="When the newest message that arrived was sent; null: none.")]
+    age_s: float | None
     moved_m: Annotated[
         float | None, Meta(description="How far the neighbour had moved since that message [m]; null: unknown.")
     ]
@@ -85,11 +85,11 @@ class Heard(Struct, frozen=True):
 class VehicleThen(Struct, frozen=True):
     """A vehicle's knowledge when the check failed."""
 
-    vehicle: Annotated[int, Meta(description="Its number.")]
-    silent_s: Annotated[float | None, Meta(description="How long it had reported nothing [s]; null: it did report.")]
+    vehicle: int
+    silent_s: Annotated[float | None, Meta(description="How long it had reported nothing; null: it did report.")]
     heard: Annotated[list[Heard], Meta(description="What it knew of each neighbour that it hears.")]
-    off_m: Annotated[float | None, Meta(description="Believed minus true position [m]; null: it knew its place.")]
-    sd_m: Annotated[float | None, Meta(description="Its own estimate of that error, north and east [m].")]
+    off_m: Annotated[float | None, Meta(description="Believed minus true position; null: it knew its place.")]
+    sd_m: Annotated[float | None, Meta(description="Its own estimate of that error, north and east.")]
     signals: Annotated[dict[str, float | None], Meta(description="Signals of the check and of its protocol.")]
 
 

@@ -38,17 +38,17 @@ from fleet.scenario.schema.checks import EVERY
 from fleet.scenario.sections.log_rates import snapshot_grid
 from fleet.scenario.sections.timeline import Event
 from fleet.study.branches import Branch, checks_over_time
-from fleet.study.engine import Engine, Row
+from fleet.study.engine import Engine
 from fleet.study.errors import StudyError
 from fleet.study.modules import NO_MODULES, Modules
-from fleet.study.one_run import JUDGED, Task, scenario_of
+from fleet.study.one_run import Task, scenario_of
 from fleet.study.plan import run_key
+from fleet.study.row import Row
 from fleet.study.shrink import Tree, tree_of
 from netem.lives import Lives
 from netem.wire.messages import Command, Fate, Frame
 from world.config import vehicle_memories
 from world.errors import WorldError
-from world.plugins.trust import Trust
 
 RUNS = "runs that are healed"  # what is being made, for `tell`
 _FIRST, _THEN = 6, 3  # moments that are tried together
@@ -61,7 +61,7 @@ How = Literal["bisected", "scanned", "not needed", "not possible"]
 class HealedRun(Struct, frozen=True):
     """A run that was healed at a moment."""
 
-    at_s: Annotated[float, Meta(description="No fault was on from this time on [s].")]
+    at_s: Annotated[float, Meta(description="No fault was on from this time on.")]
     passed: Annotated[bool | None, Meta(description="Whether it passed the check; null: it could not be judged.")]
     from_snapshot: Annotated[bool, Meta(description="Whether only the rest of the run was made, from a snapshot.")]
 
@@ -69,10 +69,10 @@ class HealedRun(Struct, frozen=True):
 class NoReturn(Struct, frozen=True):
     """The point of no return, or why there is none."""
 
-    how: Annotated[How, Meta(description="How it was looked for.")]
-    words: Annotated[str, Meta(description="What was found.")]
-    passes_s: Annotated[float | None, Meta(description="The last moment from which it passes [s]; null: none.")] = None
-    fails_s: Annotated[float | None, Meta(description="The next tried moment, from which it fails [s].")] = None
+    how: How
+    words: str
+    passes_s: Annotated[float | None, Meta(description="The last moment from which it passes; null: none.")] = None
+    fails_s: Annotated[float | None, Meta(description="The next tried moment, from which it fails.")] = None
     tried: Annotated[list[HealedRun], Meta(description="The runs that were made, by moment.")] = []
 
 
@@ -135,10 +135,10 @@ class _Watch:
                 moments[-1] = moments[-1]._replace(state=state)
 
 
-def with_moments(scenario: Scenario, trust: Trust) -> Scenario:
+def with_moments(scenario: Scenario) -> Scenario:
     """The scenario with a snapshot at each moment when healing is possible."""
     every_ns = _every(scenario) * scenario.tick_ns
-    return changed(scenario, [f"log.snapshot={show_time(every_ns)}"], trust)
+    return changed(scenario, [f"log.snapshot={show_time(every_ns)}"])
 
 
 def _every(scenario: Scenario) -> int:
@@ -231,7 +231,7 @@ class HealingSearch:
         rows: dict[str, Row] = {}
 
         def take(more: list[Row]) -> None:
-            rows.update((row["key"], row) for row in more)
+            rows.update((row.key, row) for row in more)
             self._tell(RUNS, len(self._known) + len(rows))
 
         made = [task for task in tasks.values() if task is not None]
@@ -256,16 +256,16 @@ class HealingSearch:
         return task._replace(branch=Branch(self._check, 0, moment.state))
 
     def _passed(self, row: Row, task: Task) -> bool | None:
-        if row["status"] not in JUDGED:
-            raise StudyError(f"a healed run does not come to its end: {row['reason']}")
-        if task.branch is not None:
-            return bool(row["best"] >= 0.0)
-        passed = row.get(f"check.{self._check}")
-        if passed is None:  # it was about a fault that never began
+        if not row.judged:
+            raise StudyError(f"a healed run does not come to its end: {row.reason}")
+        if row.part is not None:
+            return row.part.best >= 0.0
+        check = row.checks.get(self._check)
+        if check is None:  # it was about a fault that never began
             return True
-        if not passed and row.get(f"value.{self._check}") is None:  # there was nothing to judge, or no time for it
+        if not check.passed and check.value is None:  # there was nothing to judge, or no time for it
             return None if json.loads(task.text).get("faults") else True
-        return bool(passed)
+        return check.passed
 
     def _bounds(self) -> tuple[int | None, int | None]:
         """Indices of the last moment that passes, and of the next moment that was tried and fails."""

@@ -21,28 +21,27 @@ from fleet.scenario.trust import Policy
 from fleet.study.engine import Engine
 from fleet.study.modules import Modules, modules_of
 from netem.vehicle_clock import Clock
-from world.plugins.trust import NOTHING, Trust
 
 
 class Why(Struct, frozen=True):
     """`fleet why --json`: what made a check fail."""
 
-    scenario: Annotated[str, Meta(description="Name of the scenario.")]
-    seed: Annotated[int, Meta(description="Seed of the run.")]
-    check: Annotated[str, Meta(description="The check that failed.")]
+    scenario: str
+    seed: int
+    check: str
     asked: Annotated[str, Meta(description="What was asked, in words.")]
     found: Annotated[str, Meta(description="What was found, in words.")]
-    others: Annotated[list[str], Meta(description="Other checks that failed.")]
-    held_until_s: Annotated[float, Meta(description="Up to when the check is known to have held [s].")]
-    failed_s: Annotated[float, Meta(description="When it had failed [s].")]
-    at_s: Annotated[float, Meta(description="The same, or the end of the log; everything below is of this time [s].")]
-    faults: Annotated[list[FaultThen], Meta(description="Faults that had begun by then.")]
-    sent: Annotated[int, Meta(description="Messages that were sent by then.")]
+    others: list[str]
+    held_until_s: Annotated[float, Meta(description="Up to when the check is known to have held.")]
+    failed_s: float
+    at_s: Annotated[float, Meta(description="The same, or the end of the log; everything below is of this time.")]
+    faults: list[FaultThen]
+    sent: int
     lost: Annotated[dict[str, int], Meta(description="By cause, how many of these had not arrived.")]
     gaps: Annotated[list[Gap], Meta(description="Messages in a row that did not arrive, the most important first.")]
-    vehicles: Annotated[list[VehicleThen], Meta(description="What each vehicle knew.")]
+    vehicles: list[VehicleThen]
     no_return: Annotated[NoReturn, Meta(description="The last moment at which healing helps.")]
-    notes: Annotated[list[str], Meta(description="What limits all this.")]
+    notes: list[str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +51,6 @@ class Question:
     path: Path
     check: str | None = None  # None: the first one that failed
     most_runs: int = 0  # healed ones; 0: none is made
-    trust: Trust = NOTHING
 
 
 Tell = Callable[[str, int], None]
@@ -73,7 +71,7 @@ class Explanation:
         self.path = source.path
         self._why_not = _why_not(source, question)
         self._whole = not source.reader.missing
-        self.scenario = source.script(policy=Policy(question.trust))
+        self.scenario = source.script(policy=Policy())
         self._remade = None if self._why_not else self._remake()
         if self._remade is not None and self._remade.broken:
             self._why_not, self._remade = f"the run does not come to its end: {self._remade.broken}", None
@@ -103,7 +101,7 @@ class Explanation:
 
     def without_runs(self) -> Why:
         """Explain it without any healed run."""
-        why = self._why_not or "it was not looked for: --most-runs is 0"
+        why = self._why_not or "it was not looked for: --budget is 0"
         return self._explained(NoReturn("not possible", why))
 
     @property
@@ -112,7 +110,7 @@ class Explanation:
         return self._remade is not None and self._question.most_runs > 0
 
     def _remake(self) -> Remade:
-        scenario = with_moments(self.scenario, self._question.trust)
+        scenario = with_moments(self.scenario)
         return remake(scenario, lambda share: self._tell(f"the run once more, {100 * share:.0f} %", 0))
 
     def _recorded_verdicts(self, source: Recorded) -> list[Verdict]:

@@ -248,7 +248,7 @@ def _again(directory: Path, agents: str = "") -> str:
     """The command that makes a directory of certificates, for errors; it mentions --force if there are some already."""
     there = next(directory.glob("*.pem"), None) is not None
     more = " --force, with each --host that it was for and all agents" if there else ""
-    return f"fleet certs {directory} --host NAME{agents}{more}"
+    return f"fleet hosts certs {directory} --host NAME{agents}{more}"
 
 
 def _read(file: Path, *, private: bool = False) -> str:

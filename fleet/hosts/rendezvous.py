@@ -94,7 +94,7 @@ CERTIFIED = "--listen-certified"  # the option, for errors
 RUN_ID = r"^(?=.*[A-Za-z0-9])[A-Za-z0-9_-]{1,64}$"  # one piece of a key expression
 IN_CLEAR = (
     "{endpoint} is not encrypted and is for other hosts: whoever sees the traffic reads every state and can take over "
-    "an agent's connection. Use it on a network that you trust, or make certificates with fleet certs and use tls/"
+    "an agent's connection. Use it on a network that you trust, or fleet hosts certs and tls/"
 )
 
 
@@ -182,7 +182,7 @@ def listening(
 
     Args:
         listen: the endpoint of the router. `0.0.0.0` and `[::]` mean every address of this host.
-        certs: for tls, the directory that `fleet certs` has made.
+        certs: for tls, the directory that `fleet hosts certs` has made.
         advertise: names or addresses that agents on other hosts use. Default: those of the certificate, or this host's
             address.
         external: vehicles with an agent on another host.
@@ -206,7 +206,9 @@ def listening(
             listener=Listener((str(endpoint),), lease_ms), reached=reached, lease_ms=lease_ms, warnings=warnings
         )
     if certs is None:
-        raise FleetError(f"{endpoint} needs certificates: make them with fleet certs DIR --host NAME, then --certs DIR")
+        raise FleetError(
+            f"{endpoint} needs certificates: make them, fleet hosts certs DIR --host NAME, then --certs DIR"
+        )
     server = read_server(certs)
     roles = [agent_role(i) for i in external] if mutual else []
     return Rendezvous(
@@ -244,7 +246,7 @@ def listening_for_certificates(
         raise FleetError(f"{CERTIFIED}: certificates are shown with tls only: {CERTIFIED} {safe}")
     if certs is None:
         raise FleetError(
-            f"{CERTIFIED} needs certificates: make them with fleet certs DIR --host NAME --agents N, then --certs DIR"
+            f"{CERTIFIED} needs certificates: fleet hosts certs DIR --host NAME --agents N, then --certs DIR"
         )
     if rendezvous.listener and any(parse_endpoint(e, "").port == endpoint.port for e in rendezvous.listener.endpoints):
         raise FleetError(f"--listen and {CERTIFIED} are two routers: give them a port each, not both {endpoint.port}")
@@ -296,7 +298,7 @@ def through_router(
 
     Args:
         router: endpoint of the router.
-        credentials: the file that `fleet acl -o` wrote beside the router's configuration.
+        credentials: the file that `fleet hosts acl -o` wrote beside the router's configuration.
         vehicles: number of vehicles of the scenario.
         certs: a directory with the CA of the router. For mutual TLS it also has the clients' certificates.
         external: vehicles with an agent on another host.
@@ -334,7 +336,7 @@ def through_router(
 
 
 class _CredentialsFile(msgspec.Struct):
-    """The file that `fleet acl` writes for `fleet run`."""
+    """The file that `fleet hosts acl` writes for `fleet run`."""
 
     run: Annotated[str, msgspec.Meta(pattern=RUN_ID)]
     vehicles: Annotated[int, msgspec.Meta(ge=1)]
@@ -353,7 +355,7 @@ def read_credentials(file: Path, vehicles: int) -> tuple[str, dict[str, Credenti
     Raises:
         FleetError: no such file, others can read it, it is damaged, or made for another number of vehicles.
     """
-    again = "make it with fleet acl SCENARIO -o DIR"
+    again = "make it with fleet hosts acl SCENARIO -o DIR"
     try:
         found = parse_json(read_private(file, MOST_BYTES), _CredentialsFile)
     except OSError as error:
@@ -402,7 +404,7 @@ def _reached(endpoint: RouterEndpoint, hosts: list[str], server: ServerCertifica
         if host not in named and wild not in named:
             file, known = certificate_path(certs, SERVER), ", ".join(named) or "nobody"
             raise FleetError(
-                f"{file} is for {known}, not for {host}: agents would refuse it. Make another: fleet certs {certs} "
+                f"{file} is for {known}, not for {host}: agents refuse it. Make another: fleet hosts certs {certs} "
                 f"{' '.join(f'--host {name}' for name in (*named, host) if name not in ALWAYS)} --force; "
                 "or --advertise one of those"
             )

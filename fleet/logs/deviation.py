@@ -14,9 +14,10 @@ from dataclasses import dataclass, field
 from itertools import chain, islice, zip_longest
 from math import inf, isfinite, isnan
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta, Struct
 
 from fleet.logs.decoder import Decoder, FieldValue
 from fleet.logs.reader import LogReader, Record
@@ -28,6 +29,7 @@ from fleet.logs.schemas import ANEW, FROM, FROM_TICK, START
 
 
 _MOST_BYTES = 24  # of a payload, shown
+Plain = str | int | float | bool | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,37 +54,76 @@ class Side:
         return f"tick {at / self.tick_ns:g}, t = {at / 1e9:g} s" if self.tick_ns else f"t = {at / 1e9:g} s"
 
 
-@dataclass(frozen=True, slots=True)
-class Difference:
-    """The first message that differs; `number` counts from 0."""
+class MessageRow(Struct, frozen=True):
+    """One message of a log."""
+
+    topic: str
+    at_s: float
+    sent_s: float
+    sequence: Annotated[int, Meta(description="Tick, or number of the packet.")]
+
+
+class FieldRow(Struct, frozen=True):
+    """One field of a message that is not the same; bytes in hexadecimal."""
+
+    field: str
+    unit: str
+    a: Annotated[Plain, Meta(description="Value in the first log, or as recorded; null: none, or not finite.")]
+    b: Annotated[Plain, Meta(description="Value in the second log, or of the re-run; null: none, or not finite.")]
+
+
+class Difference(Struct, frozen=True):
+    """The first message that differs."""
 
     number: int
-    left: Side
-    right: Side
+    a: Annotated[MessageRow | None, Meta(description="In the first log, or as recorded; null: it has ended.")]
+    b: Annotated[MessageRow | None, Meta(description="In the second log, or of the re-run; null: it has ended.")]
+    fields: list[FieldRow]
+    words: Annotated[str, Meta(description="The same in words, with values.")]
 
     def __str__(self) -> str:
-        a, b = self.left, self.right
-        if a.record is None or b.record is None or a.record[:4] != b.record[:4]:
-            return "\n".join([f"message {self.number}", *self._apart(a), *self._apart(b)])
-        lines: list[tuple[str, ...]] = [("field", a.name, b.name, "|a - b|", "unit")]
-        alike = 0
-        for one, other in zip_longest(a.values, b.values):
-            if same(one, other):
-                alike += 1
-                continue
-            path, _, unit = one or other
-            lines.append((path, _shown(one), _shown(other), _gap(one, other), unit))
-        head = f"message {self.number}: {a}"
-        tail = [f"  ({alike} other field{'s' * (alike != 1)} the same)"] if alike else []
-        if len(lines) == 1:  # the same values, written in another way
-            return f"{head}\n  {a.name}: {_bytes(a.record.data)}\n  {b.name}: {_bytes(b.record.data)}"
-        return "\n".join([head, *_table(lines), *tail])
+        return self.words
 
-    @staticmethod
-    def _apart(side: Side) -> Iterator[str]:
-        yield f"  {side.name}: {side}"
-        for value in side.values:
-            yield f"    {value.path} = {_shown(value)} {value.unit}".rstrip()
+
+def difference(number: int, a: Side, b: Side) -> Difference:
+    """Two messages that are not the same; `number` counts from 0."""
+    if a.record is None or b.record is None or a.record[:4] != b.record[:4]:
+        words = "\n".join([f"message {number}", *_all_of(a), *_all_of(b)])
+        return Difference(number, _message(a), _message(b), [], words)
+    pairs = list(zip_longest(a.values, b.values))
+    apart = [pair for pair in pairs if not same(*pair)]
+    lines: list[tuple[str, ...]] = [("field", a.name, b.name, "|a - b|", "unit")]
+    fields = []
+    for one, other in apart:
+        path, _, unit = one or other
+        fields.append(FieldRow(path, unit, _plain(one), _plain(other)))
+        lines.append((path, _shown(one), _shown(other), _gap(one, other), unit))
+    words = f"message {number}: {a}\n"
+    if apart:
+        alike = len(pairs) - len(apart)
+        tail = [f"  ({alike} other field{'s' * (alike != 1)} the same)"] if alike else []
+        words += "\n".join([*_table(lines), *tail])
+    else:  # the same values, written in another way
+        words += f"  {a.name}: {_bytes(a.record.data)}\n  {b.name}: {_bytes(b.record.data)}"
+    return Difference(number, _message(a), _message(b), fields, words)
+
+
+def _all_of(side: Side) -> Iterator[str]:
+    yield f"  {side.name}: {side}"
+    for value in side.values:
+        yield f"    {value.path} = {_shown(value)} {value.unit}".rstrip()
+
+
+def _message(side: Side) -> MessageRow | None:
+    record = side.record
+    return record and MessageRow(record.topic, record.log_ns / 1e9, record.publish_ns / 1e9, record.sequence)
+
+
+def _plain(value: FieldValue | None) -> Plain:
+    if value is None:
+        return None
+    found: Plain = value.value.hex() if isinstance(value.value, bytes) else value.value
+    return found
 
 
 def first_difference(a: LogReader, b: LogReader, names: tuple[str, str] = ("a", "b")) -> Difference | None:
@@ -93,7 +134,7 @@ def first_difference(a: LogReader, b: LogReader, names: tuple[str, str] = ("a", 
     """
     for number, (left, right) in enumerate(zip_longest(a, b)):
         if left != right:
-            return Difference(number, side(names[0], a, left), side(names[1], b, right))
+            return difference(number, side(names[0], a, left), side(names[1], b, right))
     return None
 
 
@@ -272,7 +313,7 @@ def compare(a: LogReader, b: LogReader, names: tuple[str, str] = ("a", "b")) -> 
         else:
             if found.first is None:
                 sides = [side(names[k], readers[k], heads[k]) for k in (0, 1)]
-                found.first = Difference(number, sides[0], sides[1])
+                found.first = difference(number, sides[0], sides[1])
             # The one that is behind in time catches up, so that few messages wait.
             times = [inf if head is None else head.log_ns for head in heads]
             turn = (0, 1) if times[0] == times[1] else (0,) if times[0] < times[1] else (1,)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
+
+from msgspec import Meta, Struct
 
 from fleet.logs.reader import LogReadError
 from fleet.logs.topic import Topic
@@ -21,6 +23,15 @@ class FaultInterval(NamedTuple):
     begin: float  # [s]
     end: float  # [s]
     what: str  # kind and arguments, such as `kill 3`
+
+
+class FaultTime(Struct, frozen=True):
+    """The same fault as `--json` prints it."""
+
+    id: str
+    from_s: float
+    to_s: Annotated[float, Meta(description="When it ends, at the latest with the run or the log.")]
+    what: Annotated[str, Meta(description="What it does, as a scenario writes it.")]
 
 
 def fault_intervals(topic: Topic, end: float) -> list[FaultInterval]:

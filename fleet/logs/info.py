@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta, Struct
 
 from fleet.logs.decoder import Decoder
-from fleet.logs.fault_intervals import MOST_EVENTS, FaultInterval, intervals
+from fleet.logs.fault_intervals import MOST_EVENTS, FaultInterval, FaultTime, intervals
 from fleet.logs.reader import LogReader, Record, Tell, log_path
 from fleet.scenario.sections.vehicle_events import VehicleEvents, is_fault, vehicle_events
 
@@ -19,21 +20,20 @@ MOST_FAULTS = 20
 _MOST_TEXT = 32 << 20  # bytes of the messages about faults
 
 
-@dataclass(frozen=True, slots=True)
-class Info:
-    """The content of a log at a glance."""
+class Info(Struct, frozen=True):
+    """`fleet info --json`: the content of a log at a glance."""
 
     path: str
     bytes: int
     messages: int
     start_s: float
     end_s: float
-    run: dict[str, str]
-    faults: list[FaultInterval]  # in the order in which they began
-    events: list[VehicleEvents]  # what happened to vehicles
-    topics: dict[str, tuple[str, int]]  # topic -> (schema, messages)
-    missing: str
-    unread: int  # messages about faults beyond the limits, of which `faults` and `events` say nothing
+    run: Annotated[dict[str, str], Meta(description="All that determines the run; empty: it is no log of a run.")]
+    faults: Annotated[list[FaultTime], Meta(description="In the order in which they began.")]
+    events: list[VehicleEvents]
+    topics: Annotated[dict[str, tuple[str, int]], Meta(description="Schema and number of messages, by topic.")]
+    missing: Annotated[str, Meta(description="Missing parts of the file; empty: it is whole.")]
+    unread: Annotated[int, Meta(description="Messages about faults that are left out above, as there are too many.")]
 
 
 def read_info(path: Path, tell: Tell = lambda _: None) -> Info:
@@ -77,7 +77,7 @@ def read_info(path: Path, tell: Tell = lambda _: None) -> Info:
         start_s=(first or 0) / 1e9,
         end_s=last / 1e9,
         run=reader.metadata.get("run", {}),
-        faults=[one for one in found if is_fault(one.what)],
+        faults=[FaultTime(*one) for one in found if is_fault(one.what)],
         events=vehicle_events((one.what, one.begin) for one in found),
         topics=topics,
         missing=reader.missing,
@@ -119,7 +119,7 @@ def _happened(info: Info) -> list[str]:
     if info.unread:
         limits = f"the first {MOST_EVENTS}, or {_MOST_TEXT >> 20} MiB, of them"
         lines.insert(0, f"LEFT OUT: {info.unread} messages about faults; only {limits} are read")
-    lines += [f"  {f.id}: {f.begin:.10g} to {f.end:.10g} s: {f.what}" for f in info.faults[:MOST_FAULTS]]
+    lines += [f"  {f.id}: {f.from_s:.10g} to {f.to_s:.10g} s: {f.what}" for f in info.faults[:MOST_FAULTS]]
     if len(info.faults) > MOST_FAULTS:
         lines.append(f"  ... and {len(info.faults) - MOST_FAULTS} more: --json")
     lines += ["events of vehicles"] if info.events else []

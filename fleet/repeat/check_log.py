@@ -1,12 +1,13 @@
-"""`fleet check-log`: a recorded run judged by checks of the user's own, as if they had been asked when it was made."""
+"""`fleet check LOG`: a recorded run judged by checks of the user's own, as if they had been asked when it was made."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from math import nan
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from msgspec import Meta, Struct, field
 
 from fleet.checks.own_checks import OwnChecks, reported
 from fleet.checks.values import LoggedValues, Values
@@ -23,38 +24,30 @@ from fleet.scenario.sections.timeline import Event
 from fleet.scenario.text.overrides import Override
 from fleet.scenario.trust import Policy
 from netem.wire.messages import Fate
-from world.plugins.trust import NOTHING, Trust
 
 FAULTS = "faults"  # topic
 
 
-@dataclass(frozen=True, slots=True)
-class JudgedLog:
-    """A log, and the verdicts of checks on it."""
+class JudgedLog(Struct, frozen=True):
+    """`fleet check LOG --json`: a log judged by checks."""
 
-    path: Path
-    until_s: float  # time up to which it was judged
-    end_s: float  # of the run as planned
-    missing: str  # of the file; "": it is whole
-    verdicts: list[Verdict]
-
-    @property
-    def passed(self) -> bool:
-        """Whether every check passed."""
-        return all(verdict.passed for verdict in self.verdicts)
+    path: Path = field(name="log")
+    passed: bool
+    until_s: Annotated[float, Meta(description="Simulated time up to which it was judged.")]
+    end_s: float
+    missing: Annotated[str, Meta(description="Missing parts of the file; empty: it is whole.")]
+    verdicts: list[Verdict] = field(name="checks")
 
 
 def check_log(
     path: Path,
     overrides: Sequence[str] = (),
-    trust: Trust = NOTHING,
     reading: Callable[[float], None] = lambda share: None,
 ) -> JudgedLog:
     """Judge a log by its scenario's own checks, or by others.
 
     Args:
         overrides: `checks...=...` as for `fleet run --set`.
-        trust: modules of checks that may run, in addition to installed ones and the user's own.
         reading: called with the share of the file that was read, twice from its beginning.
 
     Raises:
@@ -65,7 +58,7 @@ def check_log(
     _insist_on_checks(overrides)
     source = recorded(path, reading)
     refused: list[Problem] = []  # a law that may not run is no mistake here, unless a check is about one of its signals
-    scenario = source.script([Override.of(text) for text in overrides], Policy(trust, refused=refused))
+    scenario = source.script([Override.of(text) for text in overrides], Policy(refused=refused))
     if strangers := [problem for problem in refused if problem.key.partition(".")[0] == "checks"]:
         raise ScenarioError(strangers)
     begin = source.reader.metadata.get("run", {}).get(FROM_TICK, "0")
@@ -88,12 +81,14 @@ def check_log(
     if feed.newest < 0:
         raise FleetError(f"{source.path} holds no sample to judge{f': {reader.missing}' if reader.missing else ''}")
     complete = not reader.missing and feed.newest == scenario.ticks
+    verdicts = checks.verdicts(over=complete)
     return JudgedLog(
         source.path,
+        all(verdict.passed for verdict in verdicts),
         feed.newest * scenario.tick_ns / 1e9,
         scenario.duration_ns / 1e9,
         reader.missing,
-        checks.verdicts(over=complete),
+        verdicts,
     )
 
 

@@ -1,4 +1,4 @@
-"""`fleet script`: a log as a scenario that runs the same again, whatever was injected while it was made."""
+"""`fleet export --scenario`: a log as a scenario that runs the same again, whatever was injected while it was made."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Recorded:
         if self.reader.metadata.get("run", {}).get(CLOCK) == Clock.REAL:
             raise FleetError(
                 f"{self.path} was recorded with --clock real: when each agent answered was the machine's affair, so "
-                f"{what}; the same scenario in lockstep can be repeated: fleet script {self.path} > again.yaml"
+                f"{what}; in lockstep it can be repeated: fleet export {self.path} --scenario > again.yaml"
             )
 
     def script(self, overrides: Sequence[str | Override] = (), policy: Policy = READING) -> Scenario:

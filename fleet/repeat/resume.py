@@ -21,7 +21,6 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.fault_words import read_fault
 from fleet.scenario.text.overrides import FAULT, Override
 from fleet.scenario.trust import Policy
-from world.plugins.trust import NOTHING, Trust
 
 
 def parse_from(text: str) -> tuple[Path, int | None]:
@@ -44,14 +43,12 @@ def continuation(
     at_ns: int | None,
     overrides: Sequence[str | Override] = (),
     name: str | None = None,
-    trust: Trust = NOTHING,
     tell: Tell = lambda _: None,
 ) -> tuple[Scenario, Start]:
     """The scenario that goes on, and where.
 
     Args:
         name: of another scenario than the log's own.
-        trust: modules of laws that may run, in addition to installed ones and the user's own.
         tell: called with the share of the log that was read, three times from its beginning.
 
     Raises:
@@ -60,7 +57,7 @@ def continuation(
     """
     source = read(path, tell)
     recorded = source.script()
-    scenario = source.script(overrides, Policy(trust)) if name is None else load_scenario(name, overrides, trust)
+    scenario = source.script(overrides, Policy()) if name is None else load_scenario(name, overrides)
     if recorded.external:
         vehicles = ", ".join(map(str, recorded.external))
         raise FleetError(

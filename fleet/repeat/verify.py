@@ -12,7 +12,10 @@ from dataclasses import dataclass, field
 from math import inf, nan
 from pathlib import Path
 from struct import error as struct_error
-from typing import Any
+from typing import Annotated, Any
+
+from msgspec import Meta, Struct
+from msgspec import field as entry
 
 from agents.errors import AgentError
 from agents.loop import AgentLoop
@@ -23,7 +26,7 @@ from fleet.execution.clock import GrantPolicy
 from fleet.execution.external_agents import named
 from fleet.execution.in_process import InProcess
 from fleet.logs.decoder import Decoder
-from fleet.logs.deviation import Difference, Side, side
+from fleet.logs.deviation import Difference, Side, difference, side
 from fleet.logs.mcap_writer import Batch
 from fleet.logs.reader import GAPS, RECOVERY, LogReader, Record
 from fleet.logs.schemas import COMMAND, PACKET, SNAPSHOT, Doubles, MessageField, Schema, signal_columns
@@ -41,7 +44,6 @@ from netem.impairment import LinkModel
 from netem.medium import PERFECT
 from netem.wire.messages import Delivery, Nav
 from world.errors import WorldError
-from world.plugins.trust import NOTHING, Trust
 from world.vectors import ZERO, Vec3
 
 # --- recorded agent
@@ -210,26 +212,22 @@ def _transmitted(agent: RecordedAgent, packets: dict[int, tuple[int, bytes]], *,
 _VERSIONS = ("uuv-fleet", "python", "piqp")  # that may change a bit without anybody's mistake
 
 
-@dataclass(slots=True)
-class Verification:
-    """How far a log was reproduced."""
+class Verification(Struct):
+    """`fleet verify --json`: how far a log was reproduced."""
 
-    path: Path
-    until_s: float  # of sim time, recorded
-    end_s: float  # of the run as planned
-    messages: int = 0  # reproduced bit for bit
-    missing: str = ""  # of the file
-    skipped: int = 0  # messages that the re-run gave where the file has gaps
-    difference: Difference | None = None
-    reason: str = ""  # why the re-run ended early, if it did
-    contradictions: list[str] = field(default_factory=list)  # between the log's metadata and its scenario
-    versions: list[str] = field(default_factory=list)  # that are not those of the recording
-    external: tuple[int, ...] = ()  # vehicles whose agents send again what the log holds
-    unknown: str = ""  # why the comparison ended before the recording did
-
-    @property
-    def reproduced(self) -> bool:
-        return self.difference is None and not self.contradictions
+    path: Path = entry(name="log")
+    until_s: Annotated[float, Meta(description="Simulated time of the last recorded message.")]
+    end_s: float
+    reproduced: Annotated[bool, Meta(description="Whether everything that was compared is the same.")] = False
+    messages: int = 0
+    missing: Annotated[str, Meta(description="Missing parts of the file; empty: it is whole.")] = ""
+    skipped: Annotated[int, Meta(description="Messages that the re-run gave where the file has gaps.")] = 0
+    difference: Annotated[Difference | None, Meta(description="The first difference; null: there is none.")] = None
+    reason: Annotated[str, Meta(description="Why the re-run ended early; empty: it did not.")] = ""
+    contradictions: Annotated[list[str], Meta(description="Between the log's metadata and its scenario.")] = []
+    versions: Annotated[list[str], Meta(description="Those that are not as they were when it was recorded.")] = []
+    external: Annotated[tuple[int, ...], Meta(description="Vehicles whose commands were taken from the log.")] = ()
+    unknown: Annotated[str, Meta(description="Why nothing more could be compared; empty: everything was.")] = ""
 
 
 Tell = Callable[[float, float], None]  # sim time that is verified, and up to which there is something to verify [s]
@@ -238,13 +236,11 @@ Tell = Callable[[float, float], None]  # sim time that is verified, and up to wh
 def verify(
     path: Path,
     tell: Tell = lambda at_s, end_s: None,
-    trust: Trust = NOTHING,
     reading: Callable[[float], None] = lambda share: None,
 ) -> Verification:
     """Run a log again and compare.
 
     Args:
-        trust: modules of its laws that may run in addition to installed ones.
 
     Raises:
         LogReadError: there is no log to read.
@@ -259,13 +255,14 @@ def verify(
     if last_ns < 0:
         raise FleetError(f"{path} holds no message{f': {reader.missing}' if reader.missing else ''}", status=3)
     start = start_of(reader)
-    policy = Policy(trust, checks=False)
+    policy = Policy(checks=False)
     scenario = source.script(policy=policy) if start is not None else _scenario(source, policy)
     verification = Verification(path, last_ns / 1e9, scenario.ticks * scenario.tick_ns / 1e9, missing=reader.missing)
     verification.external = scenario.external
     _compare_metadata(verification, reader.metadata.get("run", {}), run_metadata(scenario, start))
     comparison = _Comparison(verification, scenario, reader, last_ns, tell)
     _run_again(comparison, verification, scenario, last_ns, start)
+    verification.reproduced = verification.difference is None and not verification.contradictions
     return verification
 
 
@@ -408,7 +405,7 @@ class _Comparison:
             right = Side("re-run", here, Decoder(self._first)(here), self._tick_ns)
         else:
             right = Side("re-run", None, [], self._tick_ns, self._verification.reason)
-        self._verification.difference = Difference(self._number, recorded, right)
+        self._verification.difference = difference(self._number, recorded, right)
 
 
 def _run_again(
@@ -463,8 +460,8 @@ def verification_lines(verification: Verification) -> list[str]:
             lines.append(f"{verification.skipped} messages are missing in the file and were not compared")
     else:
         lines.append(f"NOT reproduced: {verification.messages} messages are the same, then")
-        lines += str(verification.difference).splitlines()
-        if verification.reason and verification.difference.right.record is not None:
+        lines += verification.difference.words.splitlines()
+        if verification.reason and verification.difference.b is not None:
             lines.append(f"the re-run ended: {verification.reason}")
         lines += [f"likely why: {text}" for text in verification.versions]
     lines += [f"contradiction: {text}" for text in verification.contradictions]

@@ -12,9 +12,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from math import isnan
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta, Struct
 from msgspec.structs import astuple, replace
 
 from agents.agent import Agent
@@ -40,10 +41,31 @@ from netem.vehicle_clock import Clocks
 from netem.wire.messages import Delivery, Nav
 from world.errors import PluginError
 from world.plugins.loading import admit
-from world.plugins.trust import NOTHING, Permission, Trust
+from world.plugins.trust import Permission
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 COMPONENTS = (("surge force", "N"), ("pitch moment", "N m"), ("yaw moment", "N m"))
+
+
+class Component(Struct, frozen=True):
+    """How far one component of the commands is from the recorded one."""
+
+    unit: str
+    max: Annotated[float | None, Meta(description="The most, in the unit; null: it is not finite.")]
+    at_s: float
+    rms: Annotated[float | None, Meta(description="Root mean square, in the unit; null: it is not finite.")]
+
+
+class OtherCommands(Struct, frozen=True):
+    """`fleet whatif --json`: the commands of another agent, compared with the recorded ones."""
+
+    agent: int
+    samples: int
+    messages: int
+    identical: Annotated[bool, Meta(description="Whether every command is the recorded one, to the last bit.")]
+    first_s: Annotated[float | None, Meta(description="Time of the first one that is not; null: there is none.")]
+    components: Annotated[dict[str, Component], Meta(description="By component; none without a command.")]
+    notes: list[str]
 
 
 @dataclass(slots=True)
@@ -70,20 +92,28 @@ class WhatIf:
         different = np.flatnonzero((self.recorded != self.found).any(axis=1))
         return float(self.t[different[0]]) if len(different) else None
 
+    @property
+    def compared(self) -> OtherCommands:
+        """The comparison in numbers."""
+        away = abs(self.found - self.recorded)
+        components = {
+            name: Component(unit, float(far.max()), float(self.t[far.argmax()]), float((far**2).mean() ** 0.5))
+            for (name, unit), far in zip(COMPONENTS if len(self.t) else (), away.T, strict=False)
+        }
+        return OtherCommands(self.agent, len(self.t), self.heard, self.identical, self.first_s, components, self.notes)
+
 
 def what_if(
     path: Path,
     agent: int,
     overrides: Sequence[str | Override] = (),
     progress: Callable[[float], None] = lambda _: None,
-    trust: Trust = NOTHING,
 ) -> WhatIf:
     """Give a fresh agent what a recorded one was given.
 
     Args:
         overrides: `key=value`, as for `fleet run --set`; they apply to this agent alone.
         progress: called with the share of the work that is done: two readings of the log, then the agent.
-        trust: modules of this agent's laws that may run, in addition to installed ones and those in `overrides`.
 
     Raises:
         FleetError: there is no log of ours, the agent is not there, its navigation was thinned, or its law may not run
@@ -93,8 +123,8 @@ def what_if(
     path = log_path(path)
     source = read(path, progress)
     source.insist_on_lockstep("what an agent had heard when is not in it")
-    scenario, recorded = source.script(overrides, Policy(trust, imports=False)), source.script()
-    _check(path, agent, scenario, recorded, trust)
+    scenario, recorded = source.script(overrides, Policy(imports=False)), source.script()
+    _check(path, agent, scenario, recorded)
     given = _read(path, agent, scenario.tick_ns, progress)
     if not given.navs:
         raise FleetError(f"{path} has no navigation of agent {agent}")
@@ -109,7 +139,7 @@ def what_if(
     return found
 
 
-def _check(path: Path, agent: int, scenario: Scenario, recorded: Scenario, trust: Trust) -> None:
+def _check(path: Path, agent: int, scenario: Scenario, recorded: Scenario) -> None:
     """Raises FleetError: the log cannot say what this agent had known, or its laws may not run."""
     if scenario.vehicles != recorded.vehicles or scenario.tick_ns != recorded.tick_ns:
         raise FleetError("another number of vehicles, or another tick, is another run: use fleet run")
@@ -119,7 +149,7 @@ def _check(path: Path, agent: int, scenario: Scenario, recorded: Scenario, trust
         if (every := recorded.log_every[group]) > 1:
             raise FleetError(f"{path} has every {every}th {group} only: an agent needs all (log.{group}: 1 tick)")
     try:
-        permission = Permission(trust, elsewhere=(Path(),), because=A_LOG)
+        permission = Permission(elsewhere=(Path(),), because=A_LOG)
         for kind, law in laws(scenario.controls[agent - 1]).items():
             if law.name not in BUILT_IN[kind]:
                 admit(kind, law.name, permission)

@@ -29,12 +29,12 @@ Bucket = tuple[Annotated[float, Meta(gt=0, le=1e15)], Count]
 class Spread(Struct):
     """The distribution of a time."""
 
-    count: Annotated[Count, Meta(description="How many were measured.")]
+    count: Count
     negative: Annotated[Count, Meta(description="How many of them are below 0.")]
-    p50_ms: Annotated[float, Meta(description="Median [ms].")]
-    p95_ms: Annotated[float, Meta(description="95th percentile [ms].")]
-    p99_ms: Annotated[float, Meta(description="99th percentile [ms].")]
-    max_ms: Annotated[float, Meta(description="The largest [ms].")]
+    p50_ms: float
+    p95_ms: Annotated[float, Meta(description="95th percentile.")]
+    p99_ms: Annotated[float, Meta(description="99th percentile.")]
+    max_ms: float
     histogram_ms: Annotated[
         list[Bucket], Meta(description="Upper edge and count of every bucket that is not empty [ms].")
     ]
@@ -44,24 +44,24 @@ class WorldTiming(Struct):
     """How the world kept to the wall clock."""
 
     period_ms: Annotated[float, Meta(description="Wall time of a tick [ms].", gt=0, le=1e9)]
-    run_s: Annotated[float, Meta(description="Wall time of the ticks that began [s].")]
-    held_s: Annotated[float, Meta(description="How long the clock stood still [s].")]
-    slipped_s: Annotated[float, Meta(description="How far the world, being late, moved the clock [s].")]
-    lag: Annotated[Spread, Meta(description="How late ticks began.")]
-    gap: Annotated[Spread, Meta(description="From one tick to the next.")]
+    run_s: Annotated[float, Meta(description="Wall time of the ticks that began.")]
+    held_s: float
+    slipped_s: Annotated[float, Meta(description="How far the world, being late, moved the clock.")]
+    lag: Spread
+    gap: Spread
 
 
 class VehicleTiming(Struct):
     """How one agent kept up."""
 
     asked: Annotated[Count, Meta(description="Ticks at which it was to answer.")]
-    missed: Annotated[Count, Meta(description="Those that it missed.")]
-    late: Annotated[Count, Meta(description="Answers that came late.")]
+    missed: Count
+    late: Count
     stale: Annotated[Count, Meta(description="Ticks with a command of an earlier tick.")]
     longest: Annotated[Count, Meta(description="Ticks missed in a row, at most.")]
     silent: Annotated[Count, Meta(description="Ticks in which it was taken for silent.")]
-    response: Annotated[Spread, Meta(description="From the measurement to its answer.")]
-    gap: Annotated[Spread, Meta(description="From one measurement to the next.")]
+    response: Spread
+    gap: Spread
 
     @property
     def missed_share(self) -> float:
@@ -72,15 +72,15 @@ class VehicleTiming(Struct):
 class LinkTiming(Struct):
     """The delay of one directed link."""
 
-    injected: Annotated[Spread, Meta(description="As the scenario asks for it.")]
-    measured: Annotated[Spread, Meta(description="As it was.")]
+    injected: Spread
+    measured: Spread
 
 
 class NetworkTiming(Struct):
     """How the network kept to the wall clock."""
 
     links: Annotated[dict[str, LinkTiming], Meta(description="By link, as `1->2`.")]
-    hop: Annotated[Spread, Meta(description="From the network to the agent.")]
+    hop: Spread
     margin: Annotated[Spread, Meta(description="From the arrival to its due tick; below 0: too late.")]
     overdue: Annotated[Count, Meta(description="Deliveries that were used after their due tick.")]
     unread: Annotated[Count, Meta(description="Deliveries that no agent had confirmed at the end.")]
@@ -91,13 +91,13 @@ class NetworkTiming(Struct):
 class Timing(Struct, kw_only=True):
     """How everybody kept up with `--clock real`."""
 
-    clock: Annotated[Clock, Meta(description="real.")] = Clock.REAL
+    clock: Clock = Clock.REAL
     speed: Annotated[float, Meta(description="Times real time [1].")] = 1.0
     label: Annotated[str, Meta(description="on time, or degraded.")] = ""
     reasons: Annotated[list[str], Meta(description="Why it is degraded, in words.")] = []
-    world: Annotated[WorldTiming, Meta(description="The world.")]
-    vehicles: Annotated[dict[str, VehicleTiming], Meta(description="By vehicle.")]
-    netem: Annotated[NetworkTiming, Meta(description="The network.")]
+    world: WorldTiming
+    vehicles: dict[str, VehicleTiming]
+    netem: NetworkTiming
 
 
 # --- json text
@@ -155,14 +155,14 @@ class VehicleResult(Struct):
         Number,
         Meta(description="How long after its start e stays below 10 % of its first value [s]; null: not settled."),
     ]
-    settle_5cm_s: Annotated[Number, Meta(description="From when on e stays below 5 cm [s]; null: not settled.")]
-    e_rms_m: Annotated[Number, Meta(description="Root mean square of e over the last 10 s [m]; null: not finite.")]
-    e_final_m: Annotated[Number, Meta(description="Consensus error e at the end [m]; null: not finite.")]
-    formation_final_m: Annotated[Number, Meta(description="Formation error at the end [m]; null: not finite.")]
+    settle_5cm_s: Annotated[Number, Meta(description="From when on e stays below 5 cm; null: not settled.")]
+    e_rms_m: Annotated[Number, Meta(description="Root mean square of e over the last 10 s; null: not finite.")]
+    e_final_m: Annotated[Number, Meta(description="Consensus error e at the end; null: not finite.")]
+    formation_final_m: Annotated[Number, Meta(description="Formation error at the end; null: not finite.")]
     effort_Ns: Annotated[Number, Meta(description="Integral of the magnitude of the surge force [N s].")]
     u_cmd_max_mps: Annotated[Number, Meta(description="Greatest commanded speed [m/s]; null: not reported.")]
     qp_failures: Annotated[Count, Meta(description="How often the optimisation of the gain failed.")]
-    payloads_rejected: Annotated[Count, Meta(description="Damaged payloads that the agent refused.")]
+    payloads_rejected: Count
     agent: Annotated[str, Meta(description="The whole agent that it runs; empty: the laws of a controller.")] = ""
     signals: Annotated[
         dict[str, SignalValue],
@@ -173,10 +173,10 @@ class VehicleResult(Struct):
 class Formation(Struct, frozen=True):
     """Formation errors of the fleet at one time."""
 
-    worst_m: Annotated[Number, Meta(description="The largest [m]; null: not finite.")] = 0.0
+    worst_m: Annotated[Number, Meta(description="The largest; null: not finite.")] = 0.0
     vehicle: Annotated[int, Meta(description="Whose it is; 0: nothing is known yet.")] = 0
-    median_m: Annotated[Number, Meta(description="Of the median vehicle [m]; null: not finite.")] = 0.0
-    vehicles: Annotated[int, Meta(description="Number of vehicles.")] = 1
+    median_m: Annotated[Number, Meta(description="Of the median vehicle; null: not finite.")] = 0.0
+    vehicles: int = 1
 
     def __str__(self) -> str:
         if self.vehicles < 2:
@@ -187,36 +187,36 @@ class Formation(Struct, frozen=True):
 class TumbleSpell(Struct):
     """A period of a tumbled vehicle."""
 
-    vehicle: Annotated[int, Meta(description="Its number.")]
-    from_s: Annotated[float, Meta(description="When it began [s].")]
-    to_s: Annotated[Number, Meta(description="When it ended [s]; null: it lasted to the end of the run.")]
+    vehicle: int
+    from_s: float
+    to_s: Annotated[Number, Meta(description="When it ended; null: it lasted to the end of the run.")]
 
 
 class LinkAge(Struct):
     """The age of what a link delivered last."""
 
-    mean_s: Annotated[float, Meta(description="Mean over the ticks of the run [s].")]
-    p95_s: Annotated[float, Meta(description="The least age that 95 % of the ticks did not exceed [s].")]
-    max_s: Annotated[float, Meta(description="The largest [s].")]
+    mean_s: Annotated[float, Meta(description="Mean over the ticks of the run.")]
+    p95_s: Annotated[float, Meta(description="The least age that 95 % of the ticks did not exceed.")]
+    max_s: float
 
 
 class FaultEvent(Struct):
     """The beginning or the end of a fault, or of an event of a vehicle."""
 
-    at_s: Annotated[float, Meta(description="When [s].")]
-    fault: Annotated[str, Meta(description="Its id.")]
-    action: Annotated[str, Meta(description="begins or ends.")]
+    at_s: float
+    fault: str
+    action: str
     what: Annotated[str, Meta(description="What it does, as a scenario writes it.")]
 
 
 class Wall(Struct):
     """Wall times."""
 
-    in_process: Annotated[bool, Meta(description="Whether the run was one process.")] = False
+    in_process: bool = False
     processes: Annotated[int, Meta(description="Processes of agents that the run started; 0: it was one process.")] = 0
     per_process: Annotated[int, Meta(description="Agents that each of them had, at most.")] = 0
-    startup_s: Annotated[float, Meta(description="Until all processes were ready [s].")] = 0.0
-    run_s: Annotated[float, Meta(description="From then to the end [s].")] = 0.0
+    startup_s: float = 0.0
+    run_s: float = 0.0
     cores: Annotated[str, Meta(description="`compiled` or `plain Python`: the cores of world, agents and netem.")] = ""
     x_real_time: Annotated[float, Meta(description="Simulated time per wall time [1].")] = 0.0
 
@@ -224,7 +224,7 @@ class Wall(Struct):
 class Published(Struct):
     """The journal on zenoh, with `--publish`."""
 
-    messages: Annotated[int, Meta(description="Messages that were published.")]
+    messages: int
     dropped: Annotated[int, Meta(description="Messages that were dropped, since nobody took them in time.")]
 
 
@@ -234,19 +234,19 @@ class Result(Struct, kw_only=True):
     run: Annotated[str, Meta(description="Name of the run: of its directory; empty: it has none.")] = ""
     directory: Annotated[Path | None, Meta(description="The run's directory; null: nothing was written.")] = None
     format: Annotated[int, Meta(description="Format of these fields; a file without it has format 1.")] = FORMAT
-    scenario: Annotated[str, Meta(description="Name of the scenario.")] = ""
-    seed: Annotated[int, Meta(description="The seed.")] = 0
-    status: Annotated[Status, Meta(description="How it ended.")]
-    exit: Annotated[int, Meta(description="Exit status of the command.")] = 0
+    scenario: str = ""
+    seed: int = 0
+    status: Status
+    exit: int = 0
     reason: Annotated[str, Meta(description="Why it broke or was ended; empty: it came to its end.")] = ""
-    lines: Annotated[list[str], Meta(description="What explains the reason.")] = []
-    from_s: Annotated[float, Meta(description="Time at which it began [s]; 0, or where it goes on from another.")] = 0.0
-    sim_s: Annotated[float, Meta(description="Time up to which it was recorded [s].")] = 0.0
+    lines: list[str] = []
+    from_s: Annotated[float, Meta(description="Time at which it began; 0, or where it goes on from another.")] = 0.0
+    sim_s: Annotated[float, Meta(description="Time up to which it was recorded.")] = 0.0
     verdicts: Annotated[list[Verdict], Meta(description="The verdicts; none if the run did not come to its end.")] = (
         msgspec.field(default_factory=list, name="checks")
     )
-    vehicles: Annotated[dict[str, VehicleResult], Meta(description="By vehicle.")] = {}
-    formation: Annotated[Formation, Meta(description="Formation errors at the end.")] = Formation()
+    vehicles: dict[str, VehicleResult] = {}
+    formation: Formation = Formation()
     tumbles: Annotated[list[TumbleSpell], Meta(description="In the order in which they began.")] = []
     ledger: Annotated[dict[str, Account], Meta(description="By link, as `1->2`.")] = {}
     ages: Annotated[dict[str, LinkAge], Meta(description="By link, and of all links as `*`.")] = {}
@@ -254,10 +254,10 @@ class Result(Struct, kw_only=True):
     faults: Annotated[list[FaultEvent], Meta(description="Faults, in the order of time.")] = []
     events: Annotated[list[FaultEvent], Meta(description="When vehicles were tumbled or diverged, in that order.")] = []
     messages: Annotated[int, Meta(description="Messages of the log; with `log: none` those it would have.")] = 0
-    log_bytes: Annotated[int, Meta(description="Size of the log [bytes]; 0: there is none.")] = 0
+    log_bytes: Annotated[int, Meta(description="Size of the log; 0: there is none.")] = 0
     digest: Annotated[str, Meta(description="SHA-256 of these messages, in hexadecimal.")] = ""
-    python: Annotated[str, Meta(description="Version of Python.")] = ""
-    wall: Annotated[Wall, Meta(description="Wall times.")] = msgspec.field(default_factory=Wall)
+    python: str = ""
+    wall: Wall = msgspec.field(default_factory=Wall)
     rejected: Annotated[dict[str, int], Meta(description="Messages that were refused, by key.")] = {}
     deaths: Annotated[
         dict[str, list[str]],

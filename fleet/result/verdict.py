@@ -15,10 +15,10 @@ from netem.fault_kinds import Cause
 class LastMessage(Struct, frozen=True):
     """The message that made the difference to a vehicle when a check failed, as far as that can be told."""
 
-    src: Annotated[int, Meta(description="Sending vehicle.")]
-    dst: Annotated[int, Meta(description="Receiving vehicle.")]
-    sent_s: Annotated[float, Meta(description="When it was sent [s].")]
-    at_s: Annotated[float, Meta(description="When its fate became final [s].")]
+    src: int
+    dst: int
+    sent_s: float
+    at_s: float
     fate: Annotated[str, Meta(description="delivered, corrupted, in flight, or the cause of its loss.")]
     heard_s: Annotated[
         float | None, Meta(description="When the newest that arrived on this link had been sent [s]; null: none has.")
@@ -37,7 +37,7 @@ class LastMessage(Struct, frozen=True):
 class Moment(Struct, frozen=True):
     """When a check failed, and what was so then."""
 
-    tick: Annotated[int, Meta(description="Tick.")]
+    tick: int
     at_s: Annotated[float, Meta(description="The same as a time [s].", ge=0.0, le=1e15)]
     vehicles: Annotated[list[int], Meta(description="Vehicles that failed it; none: it is not about single ones.")] = []
     values: Annotated[dict[str, float | None], Meta(description="What failed it, by signal; null: not finite.")] = {}
@@ -56,8 +56,8 @@ class Margin(Struct, frozen=True):
     """By how much a check holds: below 0 it fails, above 0 it passes, and 0 tells nothing."""
 
     value: Annotated[float, Meta(description="How far it is from failing; negative: from passing.")]
-    unit: Annotated[str, Meta(description="Its unit.")] = "1"
-    at_s: Annotated[float | None, Meta(description="When it was least [s]; null: at no one time.")] = None
+    unit: str = "1"
+    at_s: Annotated[float | None, Meta(description="When it was least; null: at no one time.")] = None
 
     @property
     def words(self) -> str:
@@ -68,15 +68,15 @@ class Margin(Struct, frozen=True):
 class Verdict(Struct, frozen=True):
     """One check: what was asked and what was found, in words and as numbers."""
 
-    check: Annotated[str, Meta(description="Its name.")]
-    passed: Annotated[bool, Meta(description="Whether it passed.")]
+    check: str
+    passed: bool
     asked: Annotated[str, Meta(description="What was asked, in words.")]
     found: Annotated[str, Meta(description="What was found, in words.")]
     value: Annotated[
         float | None, Meta(description="The number that is compared; null: nothing was found, or it is not finite.")
     ] = None
     limit: Annotated[float | None, Meta(description="Limit of the comparison; null: it is only reported.")] = None
-    unit: Annotated[str, Meta(description="Unit of both.")] = ""
+    unit: str = ""
     moment: Annotated[
         Moment | None, Meta(description="Of one of your own checks, when it failed; null: it did not.")
     ] = None

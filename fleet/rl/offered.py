@@ -13,7 +13,6 @@ from fleet.logs.dataset import need
 from fleet.quantities import QuantityError, show_time, time_ns
 from fleet.rl.policy_agent import Choices
 from fleet.scenario.scenario import Scenario
-from world.plugins.trust import NOTHING, Trust
 
 if TYPE_CHECKING:
     from fleet.rl.environment import FleetEnv, Reward
@@ -26,7 +25,7 @@ def parallel_env(
     *,
     set: Changes = (),
     seed: int | None = None,
-    trust: Trust = NOTHING,
+    trust: bool = False,
     vehicles: Iterable[int] | None = None,
     move: Literal["velocity", "force"] = "velocity",
     message: Literal["state"] | int = "state",

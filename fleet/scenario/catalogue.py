@@ -7,7 +7,9 @@ who wait. A test compares it with the loaded scenarios.
 from __future__ import annotations
 
 from importlib import resources
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+from msgspec import Meta, Struct
 
 from fleet.quantities import time_ns
 from fleet.scenario.text.yaml_reader import Mapping, Scalar, Source, read
@@ -44,15 +46,15 @@ class ShippedFiles(NamedTuple):
 _FILES = ShippedFiles("fleet.scenario.shipped")
 
 
-class ListedScenario(NamedTuple):
-    """One row of the list."""
+class ListedScenario(Struct, frozen=True):
+    """One scenario that ships."""
 
     name: str
-    group: str  # one of GROUPS; "": the file names none
+    group: Annotated[str, Meta(description="Its group in the list; empty: the file names none.")]
     title: str
     vehicles: int
     duration_s: float
-    expect: str  # the verdict that it is meant to have: pass or fail
+    expect: Annotated[str, Meta(description="pass, or fail: it is meant to fail a check.")]
 
 
 def shipped_scenarios() -> list[str]:

@@ -27,7 +27,6 @@ from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Scalar, Source
 from fleet.scenario.trust import READING, TYPED, OverrideOrigin, Policy, stranger
 from netem.parsing import nearest
 from netem.private_file import read_bounded, read_file
-from world.plugins.trust import NOTHING, Trust
 
 # --- validation
 # A tree of YAML against the schema and the rules: every mistake, each where it was written.
@@ -233,7 +232,6 @@ _MAX_BYTES = 4_000_000  # as many as the characters that yaml_reader takes can h
 def load_scenario(
     name_or_path: str | Path,
     overrides: Sequence[str | Override] = (),
-    trust: Trust = NOTHING,
     *,
     imports: bool = True,
     refused: list[Problem] | None = None,
@@ -244,7 +242,6 @@ def load_scenario(
     Args:
         name_or_path: a shipped name, or the path of a file.
         overrides: changes by options; a text alone is `key.path=value`, as for `--set`.
-        trust: modules that may run, in addition to installed ones and the user's own; see `fleet.scenario.trust`.
         imports: import the laws that the file names, to check that they can be used.
         refused: a list that receives the laws that may not run. None: such a law is an error.
         origin: the source of the overrides.
@@ -254,7 +251,7 @@ def load_scenario(
     """
     shown, text, folder = _text(str(name_or_path))
     why = origin.stranger or ("" if folder is None else stranger(Path(shown)))
-    policy = Policy(trust, why, imports, refused, origin.typed)
+    policy = Policy(why, imports, refused, origin.typed)
     return parse_scenario(text, shown, overrides, folder, policy)
 
 
@@ -295,7 +292,7 @@ def parse_scenario(
     return Scenario.compile(parts, Reading(text, tuple(overrides), folder, policy), source_name)
 
 
-def changed(scenario: Scenario, overrides: Sequence[str | Override], trust: Trust = NOTHING) -> Scenario:
+def changed(scenario: Scenario, overrides: Sequence[str | Override]) -> Scenario:
     """Read the text of a scenario once more, with further overrides.
 
     All values that the seed draws are drawn anew. Problems name the lines of the file.
@@ -303,14 +300,12 @@ def changed(scenario: Scenario, overrides: Sequence[str | Override], trust: Trus
     Args:
         scenario: the scenario.
         overrides: further overrides, after the earlier ones.
-        trust: modules that may run. By default those that the scenario was loaded with.
 
     Raises:
         ScenarioError: with every mistake that was found.
     """
     text, before, folder, policy = scenario.reading
-    policy = replace(policy, refused=None, trust=policy.trust if trust is NOTHING else trust)
-    return parse_scenario(text, scenario.source, [*before, *overrides], folder, policy)
+    return parse_scenario(text, scenario.source, [*before, *overrides], folder, replace(policy, refused=None))
 
 
 def _order(problem: Problem, source: Source, overrides: Sequence[str | Override]) -> tuple[int, int, int]:
@@ -329,7 +324,7 @@ def _text(name_or_path: str) -> tuple[str, str, Path | None]:
         if path.suffix or "/" in name_or_path or path.exists():
             return name_or_path, _content(path).decode("utf-8-sig"), path.parent
     except UnicodeDecodeError as error:
-        hint = "a log? fleet run --from goes on from one, fleet script makes a scenario of one"
+        hint = "a log? fleet run --from goes on from one, fleet export --scenario makes a scenario of one"
         raise _unreadable(name_or_path, f"not UTF-8 text (byte {error.start})", hint) from None
     except IsADirectoryError:
         inside = path / "scenario.yaml"

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from fleet.errors import Problem
 from world.plugins.loading import admit
-from world.plugins.trust import NOTHING, Permission, Trust
+from world.plugins.trust import Permission
 
 A_LOG = "a log names it"
 
@@ -20,7 +20,6 @@ A_LOG = "a log names it"
 class Policy:
     """The modules that may be imported while a scenario is read."""
 
-    trust: Trust = NOTHING
     stranger: str = A_LOG  # why only installed modules may be named; "": the user's own scenario
     imports: bool = True  # False: a law that the text names is taken by its name, and nothing is imported
     # Collects the laws that may not run, and of a log those that are not there; None: they are errors.
@@ -51,7 +50,7 @@ class Policy:
         if typed and self.typed:
             own = (Path(), *own)
         because = self.stranger or "the scenario is not beside it"
-        admit(kind, name, Permission(self.trust, own, (*beside, Path()), because))
+        admit(kind, name, Permission(own, (*beside, Path()), because))
 
 
 READING = Policy(imports=False)

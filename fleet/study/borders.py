@@ -8,33 +8,38 @@ the rows of earlier rounds. So the number of workers or an interruption changes 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from bisect import bisect_left
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import islice, pairwise
 from math import ceil, inf, isfinite, log
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol, cast
 
 from msgspec import structs
 
+from fleet.analysis.link_shares import effective_loss
+from fleet.analysis.stability import analyse, dead_reckoning, oldest_s, shunting_decay
+from fleet.scenario.loading import parse_scenario
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.trust import Policy
 from fleet.study.engine import Engine
 from fleet.study.errors import StudyError
 from fleet.study.modules import NO_MODULES, Modules
-from fleet.study.one_run import Task
+from fleet.study.one_run import A_STUDY, Task
 from fleet.study.plan import Plan, changes_of, parse_seeds
 from fleet.study.psychometric import CONFIDENCE, RISING, PsychometricCurve, Walk, steepest_rise
 from fleet.study.record import BorderRecord
+from fleet.study.row import Row
 from fleet.study.spec import BoundarySpec
 from fleet.study.statistics import Estimate, pass_rate
 from fleet.study.store import Store
-from fleet.study.sweep import Progress, Work, make_runs, prepare, task_of
+from fleet.study.sweep import Progress, Work, prepare, task_of
 from fleet.study.values import Axis, axis, parse_axis
-from world.plugins.trust import NOTHING, Trust
 
 MOST_STEPS = 500  # of a range, where they are chosen for the user
 MOST_PLACES = 1000  # along an axis; each takes 0.3 MB
-Rows = dict[tuple[int, int], dict[str, Any]]  # by point and seed
+Rows = dict[tuple[int, int], Row]  # by point and seed
 Run = tuple[int, bool]  # number of the value along the axis, and whether it passed
 
 
@@ -118,7 +123,6 @@ def prepare_borders(
     plan: Plan,
     spec: BoundarySpec,
     directory: Path,
-    trust: Trust = NOTHING,
     warn: Callable[[str], None] = lambda _: None,
 ) -> tuple[Store, Modules]:
     """Check every point that may be run, and make the directory of the study.
@@ -127,7 +131,6 @@ def prepare_borders(
         plan: the plan. The border is sought along its last axis, see `parse_along`.
         spec: the settings of the study. The directory keeps them.
         directory: directory of the new study.
-        trust: modules that may run, in addition to installed ones and the user's own.
         warn: called with a line of text for each check that cannot pass.
 
     Raises:
@@ -137,7 +140,7 @@ def prepare_borders(
     if not 0.0 < spec.level < 1.0:
         raise StudyError(f"the level must be between 0 and 1, got {spec.level:g}")
     border = BorderRecord(**structs.asdict(spec), log=plan.axes[-1].scale == "log")
-    return prepare(plan, directory, trust, border=border, warn=warn)
+    return prepare(plan, directory, border=border, warn=warn)
 
 
 class Borders:
@@ -154,14 +157,18 @@ class Borders:
             raise StudyError(
                 f"{store.directory} is not a study of borders. To continue it: fleet sweep {store.directory}"
             )
-        self.store, self.record, self.points = store, record, store.points()
+        self.store, self.record, self.points = store, record, store.points
         axes = store.record.axes
         if not axes or not self.points:
             raise StudyError(f"{store.directory} is damaged: it has no axis, or no points")
         self.along = axes[-1]
         self.keys = [axis.key for axis in axes[:-1]]
-        first = [self.points[0][key] for key in self.keys]
-        self.places = [point[self.along.key] for point in self.points if [point[key] for key in self.keys] == first]
+        if self.along.unit is None:
+            raise StudyError(f"{store.directory} is damaged: the values of its border are words")
+        first = [self.points[0].values[key] for key in self.keys]
+        self.places = [
+            self._place(n) for n, p in enumerate(self.points) if [p.values[key] for key in self.keys] == first
+        ]
         self.count = len(self.points) // len(self.places)
         self._check()
         scaled = [_scaled(place, record.log) for place in self.places]
@@ -176,22 +183,23 @@ class Borders:
 
     def _check(self) -> None:
         """Raises StudyError: the points are not those of a study of borders. A study may come from anybody."""
-        expected = enumerate(self.places * self.count)
         if (
-            self.along.unit is None
-            or not 2 <= len(self.places) <= MOST_PLACES
+            not 2 <= len(self.places) <= MOST_PLACES
             or any(high <= low for low, high in pairwise(self.places))
             or (self.record.log and self.places[0] <= 0.0)
             or not 0.0 < self.record.level < 1.0
-            or [(point["point"], point[self.along.key]) for point in self.points] != list(expected)
+            or [self._place(number) for number in range(len(self.points))] != self.places * self.count
         ):
             raise StudyError(f"{self.store.directory} is damaged: its points are not those of a study of borders")
+
+    def _place(self, number: int) -> float:
+        return cast(float, self.points[number].values[self.along.key])
 
     def rows(self) -> list[Rows]:
         """Of each border the rows by point and seed. Raises StudyError."""
         found: list[Rows] = [{} for _ in range(self.count)]
-        for row in self.store.table(["point", "seed", "status", "passed"]).to_pylist():
-            found[row["point"] // len(self.places)][row["point"], row["seed"]] = row
+        for row in self.store.rows():
+            found[row.point // len(self.places)][row.point, row.seed] = row
         return found
 
     def open(self) -> bool:
@@ -203,16 +211,16 @@ class Borders:
         """The present estimate of each border. Raises StudyError."""
         return [self._border(number, list(rows.values())) for number, rows in enumerate(self.rows())]
 
-    def verdicts(self, rows: Iterable[Mapping[str, Any]]) -> list[Run]:
+    def verdicts(self, rows: Iterable[Row]) -> list[Run]:
         """The runs that have a verdict."""
-        return [(row["point"] % len(self.places), row["passed"]) for row in rows if row["passed"] is not None]
+        return [(row.point % len(self.places), row.passed) for row in rows if row.passed is not None]
 
     def value(self, position: float) -> float:
         """The value at a position from 0 to 1."""
         scaled = self._first + position * self._span
         return float(10.0**scaled) if self.record.log else scaled
 
-    def _border(self, number: int, rows: list[dict[str, Any]]) -> Border:
+    def _border(self, number: int, rows: list[Row]) -> Border:
         runs = self.verdicts(rows)
         found = self.curve.belief(self.curve.posterior(runs))
         first, last = (
@@ -229,8 +237,8 @@ class Borders:
         elif found.below > CONFIDENCE:
             high = value = -inf
         return Border(
-            {key: point[key] for key in self.keys}, value, low, high, len(runs), len(rows) - len(runs), first, last,
-            (self.places[rise.near], self.places[rise.far]) if rise.chance <= RISING else None,
+            {key: point.values[key] for key in self.keys}, value, low, high, len(runs), len(rows) - len(runs),
+            first, last, (self.places[rise.near], self.places[rise.far]) if rise.chance <= RISING else None,
         )  # fmt: skip
 
 
@@ -255,7 +263,7 @@ def find_borders(
     work = Work(store, engine, lambda now: tell(now, known=sum(walk.ended for walk in walks), of=len(walks)), inf)
     with store.locked():
         carried = engine.carry(modules)
-        task = partial(Task, name=store.record.scenario, timeout_s=timeout_s, modules=carried)
+        like = Task("", 0, 0, store.record.scenario, "", timeout_s, carried)
         rows = borders.rows()
         work.progress.runs, work.progress.made = borders.count * len(store.record.seeds), sum(map(len, rows))
         while True:
@@ -263,7 +271,7 @@ def find_borders(
             work.wait()
             if not missing:
                 return
-            make_runs(work, borders.points, (task_of(borders.points[point], seed, task) for point, seed in missing))
+            work.make(task_of(borders.points[point], seed, like) for point, seed in missing)
             rows = borders.rows()
 
 
@@ -294,3 +302,62 @@ class _Walk:
 
 def _scaled(value: float, ratios: bool) -> float:
     return log(value, 10.0) if ratios else value
+
+
+# The theory of each border of a study, to be drawn next to the result of the simulations.
+#
+# `fleet check` leaves loss out. Here it enters the rule of dead reckoning as age: of a link that loses the share p,
+# what is heard last is p / (1 - p) rounds older on average.
+
+
+@dataclass(frozen=True, slots=True)
+class Theory:
+    """Theory at the low end of a border's range, and along it.
+
+    Attributes:
+        shunting: K lambda_max(L+B) and a [1/s]. The first must be smaller. None: the rule does not apply.
+        stable: at the low end of the range, whether the linear loop is stable for the final value of K. None: not
+            known.
+        reckoning: index of the first value with K tau rho(A) >= 1, for the mean age under loss. If no value is that
+            large, the number of values. None: the rule does not apply.
+    """
+
+    shunting: tuple[float, float] | None
+    stable: bool | None
+    reckoning: int | None
+
+
+def theory(borders: Borders) -> list[Theory]:
+    """Of each border what theory says.
+
+    Raises:
+        ScenarioError: a law of a scenario may not be loaded here, or a scenario is damaged.
+    """
+    return [_theory(borders, number, Policy(A_STUDY)) for number in range(borders.count)]
+
+
+def _theory(borders: Borders, number: int, policy: Policy) -> Theory:
+    places, store = len(borders.places), borders.store
+
+    def scenario(place: int) -> Scenario:
+        text = borders.points[number * places + place].scenario
+        return parse_scenario(text, store.record.scenario, folder=store.folder, policy=policy)
+
+    first = scenario(0)
+    found = analyse(first)
+    decay, loop = shunting_decay(first), found.at_settled
+    stable = None if loop is None or found.settled is None else not loop.unstable(max(found.settled))
+    reckoning = None
+    if _reckoning(first) is not None:
+        reckoning = bisect_left(range(places), 1.0, key=lambda place: _reckoning(scenario(place)) or 0.0)
+    shunting = None if decay is None or found.gain_max is None else (found.gain_max * found.lambda_max, decay)
+    return Theory(shunting, stable, reckoning)
+
+
+def _reckoning(scenario: Scenario) -> float | None:
+    lost = max((condition.loss for condition in scenario.conditions.values()), default=0.0)
+    lost = max([lost, *map(effective_loss, scenario.changing.values())])
+    if lost >= 1.0:
+        return float("inf")
+    round_s = scenario.round_ticks * scenario.tick_ns / 1e9
+    return dead_reckoning(scenario, analyse(scenario, linear=False), oldest_s(scenario) + round_s * lost / (1.0 - lost))

@@ -6,7 +6,7 @@ of world and network during the run belong to the salt.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from math import inf
 from typing import Any, NamedTuple
 
@@ -21,8 +21,12 @@ from fleet.recorder.metrics import VehicleError
 from fleet.recorder.snapshot import Snapshot, Start
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.timeline import Event
-from fleet.study.certain_ages import certain_margin
 from fleet.study.errors import StudyError
+from fleet.study.row import PartRow, Row
+from netem.condition import Link
+from netem.grammar import parse_selector, select
+from netem.medium import PERFECT
+from netem.transit import PendingPacket
 from netem.wire.messages import Command, Fate, Frame
 
 _FAILED = -1e-300  # the margin of a check that failed at its limit: below 0
@@ -67,7 +71,7 @@ class _Path:
         self, branch: Branch, margin: Callable[[], float], certain: Callable[[Snapshot], float] | None
     ) -> None:
         self.best = branch.best
-        self.places: list[list[Any]] = []  # [margin, snapshot]
+        self.places: list[tuple[float, bytes]] = []  # margin, snapshot
         self._level, self._margin, self._certain = branch.level, margin, certain
         self._of_signal = branch.check not in _OF_THE_TIME
         self._before = inf  # the margin before the frame of a snapshot
@@ -86,13 +90,13 @@ class _Path:
         if margin >= self.best:
             return
         self.best = margin
-        self.places.append([margin, snapshot.to_bytes()])
+        self.places.append((margin, snapshot.to_bytes()))
         if self._level is not None and margin <= self._level:
             raise _ReachedError
 
 
-def run_branch(scenario: Scenario, branch: Branch, progress: Callable[[float], None]) -> dict[str, Any]:
-    """Make a part of a run; returns its row: `best` margin, `places` on the way to it, `ticks` that were simulated."""
+def run_branch(scenario: Scenario, branch: Branch, progress: Callable[[float], None]) -> Row:
+    """Make a part of a run; returns its row with its part."""
     start = None
     if branch.start:
         start = Start(Snapshot.from_bytes(branch.start), "")
@@ -113,7 +117,7 @@ def run_branch(scenario: Scenario, branch: Branch, progress: Callable[[float], N
         best = min(path.best, margin())
     except _ReachedError:
         best = path.best
-    return {"status": "pass", "reason": "", "best": best, "places": path.places, "ticks": journal.framed - begin}
+    return Row(seed=scenario.seed, status="pass", part=PartRow(best, path.places, journal.framed - begin))
 
 
 def refuse_branches(scenario: Scenario, check: str) -> None:
@@ -149,3 +153,61 @@ def checks_over_time(scenario: Scenario) -> Iterator[str]:
         timed = (one.eventually_within, one.for_at_least, one.agree_within, one.at_most_one, one.sometimes)
         if all(value is None for value in timed):
             yield name
+
+
+# The ages of information that a run certainly reaches from a snapshot on, whatever is drawn after it.
+#
+# A snapshot of tick S has the fates of all packets sent before S: they are in it, or lost. A packet sent at S or later
+# arrives L ticks after S at the earliest, so the ages of the ticks S to S + L - 1 are known.
+#
+# A margin that leaves these ages out is late. When it gets smaller, the fate of the next packet is drawn already.
+# All runs that continue from there then share its fate, and new draws do not help.
+
+
+def certain_margin(scenario: Scenario) -> Callable[[Snapshot], float]:
+    """Make a function that computes the margin of `max_age` [s] from a snapshot.
+
+    It covers the ticks for which the snapshot already decides every age. If the margin is below 0, the check fails.
+    """
+    check = scenario.spec.checks.max_age
+    assert check is not None
+    tick_ns, after = scenario.tick_ns, -(-check.after // scenario.tick_ns)
+    limit_s, tick_s = check.below / 1e9, tick_ns / 1e9
+    ahead = {link: _known_ticks(scenario, link) for link in select(parse_selector(check.links), scenario.graph.links)}
+
+    def margin(snapshot: Snapshot) -> float:
+        on_the_way = _on_the_way(snapshot.network)
+        heard = {(src, dst): sent for src, dst, sent in snapshot.heard}
+        oldest = -1
+        for link, ticks in ahead.items():
+            some = range(max(after, snapshot.tick), min(snapshot.tick + ticks, scenario.ticks))
+            oldest = max(oldest, _oldest(heard[link], on_the_way.get(link, ()), some))
+        margin_s = limit_s - oldest * tick_s  # to the last bit that of the verdict: levels are compared with it
+        return margin_s if oldest * tick_ns < check.below else min(margin_s, -1e-9)
+
+    return margin
+
+
+def _oldest(heard: int, packets: Iterable[PendingPacket], ticks: range) -> int:
+    """The largest age in some ticks; -1: there are none."""
+    there = [(packet.due_tick, packet.sent_tick) for packet in packets if not packet.corrupted]
+    return max((t - max([heard, *(sent for due, sent in there if due <= t)]) for t in ticks), default=-1)
+
+
+def _on_the_way(network: dict[str, Any]) -> dict[Link, list[PendingPacket]]:
+    found: dict[Link, list[PendingPacket]] = {}
+    for values in (*network["announced"], *network["pending"]):
+        packet = PendingPacket(*values)
+        found.setdefault((packet.src, packet.dst), []).append(packet)
+    return found
+
+
+def _known_ticks(scenario: Scenario, link: Link) -> int:
+    """The least time from sending to arrival on a link [ticks]; 1 where a packet may overtake others."""
+    config = scenario.netem_config
+    if config.faults or config.changing or config.clocks or config.acoustic is not None:
+        return 1
+    condition = config.conditions.get(link, PERFECT)
+    if condition.reorder or (condition.jitter_ns and condition.distribution != "uniform"):
+        return 1
+    return max(1, -(-(condition.delay_ns - condition.jitter_ns) // scenario.tick_ns))

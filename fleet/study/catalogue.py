@@ -7,7 +7,9 @@ studies.
 from __future__ import annotations
 
 from math import prod
-from typing import Any, NamedTuple
+from typing import Annotated, Any
+
+from msgspec import Meta, Struct
 
 from fleet.quantities import time_ns
 from fleet.scenario.catalogue import ShippedFiles
@@ -17,14 +19,14 @@ from fleet.study.values import axis, values_text
 _FILES = ShippedFiles("fleet.study.shipped")
 
 
-class ListedStudy(NamedTuple):
-    """One row of the list."""
+class ListedStudy(Struct, frozen=True):
+    """One study that ships."""
 
     name: str
-    title: str
+    title: Annotated[str, Meta(description="What it asks.")]
     scenario: str
     runs: int
-    core_s: float  # what all runs take one core, roughly [s]
+    core_s: Annotated[float, Meta(description="Time that all runs take one compiled core, roughly.")]
 
 
 def shipped_studies() -> list[str]:

@@ -9,18 +9,18 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from inspect import Parameter, signature
 from math import inf, isfinite
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypedDict, TypeVar
 
 from fleet.errors import printable
 from fleet.execution.judged import override_texts
 from fleet.quantities import QuantityError, describe_value, show_time, time_ns
 from fleet.scenario.text.yaml_reader import inline
 from fleet.study.errors import StudyError
+from fleet.study.measures import check_name
 from fleet.study.plan import parse_seeds
-from fleet.study.signal_measures import check_name
-from fleet.study.spec import Kind, Spec, SpecField, fields
+from fleet.study.spec import KeepLogs, Kind, Spec, SpecField, fields
 from fleet.study.stopping import check_until
-from fleet.study.values import axis, parse_axis, values_text
+from fleet.study.values import axis, key_and_values, parse_axis, values_text
 from netem.parsing import nearest
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -62,7 +62,6 @@ def _checked(value: object, fits: bool, expected: str) -> Any:
 
 
 def _text(kind: Kind, value: object) -> str:
-    """The text of a value. Raises StudyError."""
     if kind is Kind.SEEDS:
         return seeds_text(value)
     if kind is Kind.VALUES:
@@ -89,6 +88,35 @@ def _check(kind: Kind, key: str, text: str) -> None:
             _checked(text, time_ns(text) >= 0, "a time that is not negative")
         except QuantityError as error:
             raise StudyError(f"{error.message}{f'; {error.hint}' if error.hint else ''}") from None
+
+
+class BoundaryKeywords(TypedDict, total=False):
+    """The keywords of `fleet.boundary` that a spec declares; a test compares them with `BoundarySpec`."""
+
+    level: float | None
+    width: float | None
+    seeds: int | str | Iterable[int] | None
+    set: Mapping[str, object] | Iterable[str] | None
+    net: str | Iterable[str] | None
+    fault: str | Iterable[str] | None
+    timeout_s: float | None
+
+
+class SweepKeywords(TypedDict, total=False):
+    """The same of `fleet.sweep` and `StudySpec`."""
+
+    zipped: bool | None
+    seeds: int | str | Iterable[int] | None
+    draw: int | None
+    set: Mapping[str, object] | Iterable[str] | None
+    net: str | Iterable[str] | None
+    fault: str | Iterable[str] | None
+    measures: str | Iterable[str] | None
+    until: str | None
+    most_seeds: int | None
+    keep_logs: KeepLogs | None
+    timeout_s: float | None
+    budget_s: float | None
 
 
 def keywords(spec: Spec, options: Mapping[str, object]) -> dict[str, Any]:
@@ -175,17 +203,17 @@ def varied(texts: Iterable[str], flag: str = "--vary") -> dict[str, str]:
     """The VALUES of several `--vary KEY=VALUES`, or of another flag, by key.
 
     Raises:
-        StudyError: one has no key or no values, or a key is there twice.
+        StudyError: one has no key, or a key is there twice.
     """
     found: dict[str, str] = {}
     for text in texts:
         try:
-            key = parse_axis(text).key
+            key, values = key_and_values(text)
         except StudyError as error:
             raise StudyError(f"{flag}: {error}") from None
         if key in found:
             raise StudyError(f"{key} is varied twice: give all its values at once")
-        found[key] = text.partition("=")[2].strip()
+        found[key] = values
     return found
 
 

@@ -23,7 +23,7 @@ from fleet.study.errors import StudyError
 from netem.private_folder import PrivateFolder
 from world.plants.classes import file_of, module_of
 from world.plugins.loading import unit_file
-from world.plugins.trust import ModulePlace, Permission, Trust, find, permit
+from world.plugins.trust import ModulePlace, Permission, Trust, find, permit, trusting
 
 MOST_BYTES = 4_000_000  # of all files that travel: they go with each batch of runs
 _writing = threading.Lock()
@@ -152,9 +152,10 @@ def get_ready(modules: Modules) -> None:
     """
     folder = folder_of(modules)
     beside = () if folder is None else (folder,)
-    permission = Permission(Trust(fingerprints=frozenset(modules.fingerprints)), elsewhere=(*beside, Path()))
-    for name in modules.names:
-        permit("law", name, name, permission)
+    permission = Permission(elsewhere=(*beside, Path()))
+    with trusting(Trust(fingerprints=frozenset(modules.fingerprints))):
+        for name in modules.names:
+            permit("law", name, name, permission)
         import_module(name)
 
 

@@ -136,7 +136,6 @@ class Plan:
         return Point(number, values, (*filled, *keys))
 
     def _names(self) -> set[str]:
-        """The names that stand in a template."""
         return {name for change in self.changes for name in _NAME.findall(change.text)}
 
     def _check_names(self, keys: set[str]) -> None:

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 import msgspec
-from msgspec import Meta
 
 from fleet.errors import printable
 from fleet.quantities import QuantityError
 from fleet.study.errors import StudyError
 from fleet.study.measures import MeasureColumn
-from fleet.study.spec import MOST_ALLOWED, BoundarySpec, KeepLogs, StudySpec, texts
+from fleet.study.spec import MOST_ALLOWED, BoundarySpec, StudySpec, texts
 from fleet.study.values import Axis
 from netem.private_file import read_file, write_whole
 
-VERSION = 3
-_WITH_SETTINGS = 2  # the version before
+VERSION = 4
 NAME = "study.json"
 _MOST_BYTES = 32_000_000  # a million seeds
 _MOST_NAMES = 1000  # axes, checks or columns
@@ -34,15 +31,6 @@ class BorderRecord(BoundarySpec, frozen=True, kw_only=True):
     """The settings of a border's study, in the user's words; the border lies along its last axis."""
 
     log: bool  # whether equal ratios are equally far apart
-
-
-class OldSettings(msgspec.Struct, frozen=True):
-    """The settings that version 2 had in addition to the spec."""
-
-    measures: tuple[str, ...] = ()
-    until: str | None = None
-    most_seeds: Annotated[int, Meta(ge=1, le=MOST_ALLOWED)] = 1000
-    keep_logs: KeepLogs = "none"
 
 
 class _Version(msgspec.Struct):
@@ -62,18 +50,13 @@ class StudyRecord(msgspec.Struct, omit_defaults=True):
     made_by: str  # the version of the package
     measures: tuple[str, ...] = ()  # that the table shows, as columns are named
     folder: str | None = None  # of the scenario's file: where laws are looked for, which need trust all the same
-    spec: StudySpec | None = None  # as people write it; older versions of fleet did not keep it
+    spec: StudySpec | None = None  # as people write it; of `fleet boundary` there is none
     border: BorderRecord | None = None  # of `fleet boundary`: not every point is run with every seed
-    settings: OldSettings | None = None  # of version 2 only
-    margins: bool = False  # whether the table has those of the checks; that of an older version of fleet has none
 
     @property
     def rules(self) -> StudySpec:
-        """The spec; of a study without one as much of it as is known."""
-        if self.spec is not None or self.settings is None:
-            return self.spec or StudySpec(self.scenario)
-        old = self.settings
-        return StudySpec(self.scenario, until=old.until or "", most_seeds=old.most_seeds, keep_logs=old.keep_logs)
+        """The spec; of a study without one its defaults."""
+        return self.spec or StudySpec(self.scenario)
 
 
 def write_record(directory: Path, record: StudyRecord) -> None:
@@ -90,12 +73,12 @@ def read_record(directory: Path) -> StudyRecord:
     file = directory / NAME
     try:
         data = read_file(file, _MOST_BYTES)
-        if (found := msgspec.json.decode(data, type=_Version).version) not in (_WITH_SETTINGS, VERSION):
-            known = f"versions {_WITH_SETTINGS} and {VERSION}"
-            raise StudyError(f"{directory}: a study of version {found}; this fleet reads {known}")
+        if (found := msgspec.json.decode(data, type=_Version).version) != VERSION:
+            old = ", whose rows are Parquet files" if found < VERSION else ""
+            raise StudyError(
+                f"{directory} is a study of version {found}{old}; this fleet reads version {VERSION} alone"
+            )
         record = msgspec.json.decode(data, type=StudyRecord)
-        if record.settings is not None:
-            record.measures = record.settings.measures
         _ = record.rules.timeout_s, record.rules.budget_s, record.border and record.border.timeout_s
     except FileNotFoundError:
         raise StudyError(f"{directory} is no study: it has no {NAME}") from None

@@ -17,14 +17,13 @@ from typing import Literal
 from fleet.execution.external_agents import refuse
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.overrides import SET, Override
-from fleet.study.confirmed import compared, repeat_of
-from fleet.study.engine import Engine, Row
+from fleet.study.engine import Engine
 from fleet.study.errors import StudyError
 from fleet.study.failures import FailureFolder, FoundFailure, SearchProgress, file_of
 from fleet.study.modules import NO_MODULES, Modules
-from fleet.study.one_run import JUDGED, Task, failed_checks, scenario_of
+from fleet.study.one_run import Task, scenario_of
 from fleet.study.plan import run_key
-from fleet.study.sometimes import Reached, names_of
+from fleet.study.row import Reached, Row, sometimes_names
 from fleet.study.spec import LARGEST_SEED
 from fleet.study.statistics import most_failures
 
@@ -45,7 +44,6 @@ class Searched:
         reason: why the first of these has no result.
         kinds: by check, the first seed that fails it. Without a folder of failures there is only one.
         reached: the checks that some run must reach.
-        sample: all runs were drawn in the same way, so they allow a statement about other runs.
     """
 
     name: str  # of the scenario
@@ -58,7 +56,6 @@ class Searched:
     reason: str = ""
     kinds: dict[str, int] = field(default_factory=dict)
     reached: list[Reached] = field(default_factory=list)
-    sample: bool = True
 
     @property
     def most_failures(self) -> float | None:
@@ -67,7 +64,7 @@ class Searched:
         If some run must reach a place and none did, they say nothing about runs that would.
         """
         missed = any(not one.hits for one in self.reached)
-        known = self.runs and self.seed is None and self.sample and not missed
+        known = self.runs and self.seed is None and not missed
         return most_failures(self.runs) if known else None
 
 
@@ -146,7 +143,7 @@ class _Search:
     ) -> None:
         self._scenario, self._text, self._check, self._modules, self._keep = scenario, text, check, modules, keep
         self.found = Searched(scenario.name, scenario.seed)
-        self.found.reached = [Reached(name) for name in names_of([scenario])]
+        self.found.reached = [Reached(name) for name in sometimes_names([scenario])]
         self.next_seed = scenario.seed
         self._waiting: dict[int, Row] = {}  # rows behind a seed that has none yet
         self._doubt: int | None = None  # the next seed, if its run fails and is being repeated
@@ -180,16 +177,16 @@ class _Search:
 
     def take(self, row: Row) -> None:
         """Take a row. Count the rows that are next in order, until one fails in a new way: it is repeated first."""
-        seed = row["seed"]
+        seed = row.seed
         if seed == self._doubt:
-            row, self._doubt = compared(self._waiting[seed], row), None
+            row, self._doubt = self._waiting[seed].compared(row), None
             self._sure.add(seed)
         self._waiting[seed] = row
         self.failing = bool(self.found.kinds) or any(self._fails(row) for row in self._waiting.values())
-        while self._doubt is None and (row := self._waiting.get(self.next_seed, {})) != {}:
-            if self._is_new(row):
-                self._doubt = self.next_seed
-                self._repeats.append(repeat_of(self.task(self.next_seed)))
+        while self._doubt is None and (known := self._waiting.get(self.next_seed)) is not None:
+            if self._is_new(known):
+                self._doubt, again = self.next_seed, self.task(self.next_seed)
+                self._repeats.append(again._replace(key=run_key(f"{again.key}\nagain")))
                 break
             self._count(self._waiting.pop(self.next_seed))
             self.next_seed += 1
@@ -198,12 +195,12 @@ class _Search:
 
     def _is_new(self, row: Row) -> bool:
         """Whether a run fails a check that none before has failed; without a folder the first one is enough."""
-        if row["seed"] in self._sure or (self._keep is None and self.found.kinds):
+        if row.seed in self._sure or (self._keep is None and self.found.kinds):
             return False
         return bool(set(self._fails(row)) - self.found.kinds.keys())
 
     def _fails(self, row: Row) -> list[str]:
-        failed = failed_checks(row) if row["status"] in JUDGED else []
+        failed = row.failed_checks if row.judged else []
         return failed if self._check is None else [check for check in failed if check == self._check]
 
     def save(self) -> None:
@@ -249,8 +246,8 @@ class _Search:
             one.runs, one.hits, one.seed = tried.reached.get(one.name, (0, 0, None))
 
     def _count(self, row: Row) -> None:
-        seed = row["seed"]
-        failed = failures_of(self.found, row, self._check)
+        seed = row.seed
+        failed = self._counted(row)
         for one in self.found.reached:
             one.count(row)
         for check in failed if self._keep is not None else failed[:1]:
@@ -261,31 +258,21 @@ class _Search:
                 scenario = self.scenario(seed)
                 file = file_of(scenario, check)
                 if all(one.file != file for one in self._keep.failures()):
-                    value = row.get(f"value.{check}")
+                    value = row.checks[check].value
                     self._keep.add(
-                        FoundFailure(file=file, check=check, seed=seed, digest=row["digest"], from_seed=seed,
-                                found="" if value is None else f"{value:.4g}", version=row["version"]),
+                        FoundFailure(file=file, check=check, seed=seed, digest=row.digest or "", from_seed=seed,
+                                found="" if value is None else f"{value:.4g}", version=row.version),
                         scenario,
                     )  # fmt: skip
 
-
-def failures_of(found: Searched, row: Row, check: str | None) -> list[str]:
-    """Count a run; returns the checks that it fails.
-
-    Args:
-        check: which must fail; None: any.
-
-    Raises:
-        StudyError: the scenario does not have this check.
-    """
-    if row["status"] not in JUDGED:
-        found.without += 1
-        found.reason = found.reason or row["reason"]
-        return []
-    found.runs += 1
-    failed = failed_checks(row)
-    if check is None:
-        return failed
-    if f"check.{check}" not in row:
-        raise StudyError(f"{found.name} has no check {check}")
-    return [check] if check in failed else []
+    def _counted(self, row: Row) -> list[str]:
+        """Count a run; returns the checks that it fails, of those that must. Raises StudyError: there is no such."""
+        found, check = self.found, self._check
+        if not row.judged:
+            found.without += 1
+            found.reason = found.reason or row.reason
+            return []
+        found.runs += 1
+        if check is not None and check not in row.checks:
+            raise StudyError(f"{found.name} has no check {check}")
+        return self._fails(row)

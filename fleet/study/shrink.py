@@ -13,8 +13,9 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from fractions import Fraction
+from itertools import pairwise
 from math import inf, isfinite
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from fleet.errors import ScenarioError
 from fleet.execution.external_agents import refuse
@@ -22,12 +23,12 @@ from fleet.quantities import show_time, time_ns
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.yaml_reader import Source, plain, read
-from fleet.study.ddmin import ddmin
-from fleet.study.engine import Engine, Row
+from fleet.study.engine import Engine
 from fleet.study.errors import StudyError
 from fleet.study.modules import NO_MODULES, Modules
-from fleet.study.one_run import FAILED, JUDGED, Task, failed_checks
+from fleet.study.one_run import Task
 from fleet.study.plan import run_key
+from fleet.study.row import FAILED, Row
 from netem.parsing import NUMBER
 
 MOST_ROUNDS = 5  # over everything, and over each number
@@ -104,13 +105,12 @@ class Shrinker:
                 break
         last = self._run([self._tree])[0]
         return Shrunk(self._scenario(self._tree), self._check, (_found(first, self._check), _found(last, self._check)),
-                      len(self._rows), steps, last.get("digest", ""))  # fmt: skip
+                      len(self._rows), steps, last.digest or "")  # fmt: skip
 
     def _failed(self, row: Row, check: str | None) -> str:
-        """The check that is to fail."""
-        failing = failed_checks(row)
-        if row["status"] not in JUDGED:
-            raise StudyError(f"the run does not come to its end: {row['reason']}")
+        failing = row.failed_checks
+        if not row.judged:
+            raise StudyError(f"the run does not come to its end: {row.reason}")
         if not failing:
             raise StudyError("every check passes: there is nothing to shrink")
         if check is not None and check not in failing:
@@ -189,7 +189,6 @@ class Shrinker:
                 yield f"fault {fault.get('id', k + 1)} is {_words(now[kind])} instead of {_words(fault[kind])}"
 
     def _weaker(self, k: int, kind: str, place: int) -> Iterator[Tree]:
-        """The scenario with one number of one fault made less, the least first."""
         value = self._tree["faults"][k][kind]
         for share in (Fraction(0), *_SHARES):
             less = scaled(value, place, share)
@@ -202,10 +201,8 @@ class Shrinker:
 
     def _fail(self, trees: Sequence[Tree]) -> list[bool]:
         """Whether the run of each comes to its end and fails the check, and not because there was nothing to judge."""
-        rows = self._run(trees)
-        return [
-            row.get(f"check.{self._check}") is False and row.get(f"value.{self._check}") is not None for row in rows
-        ]
+        found = (row.checks.get(self._check) for row in self._run(trees))
+        return [check is not None and not check.passed and check.value is not None for check in found]
 
     def _run(self, trees: Sequence[Tree]) -> list[Row]:
         """The row of each; a candidate that is no valid scenario has the row of a run that failed."""
@@ -217,11 +214,12 @@ class Shrinker:
         tasks = (Task(key, 0, self._tree["seed"], self._name, text, inf, self._modules) for key, text in wanted.items())
 
         def take(rows: list[Row]) -> None:
-            self._rows.update({row["key"]: row for row in rows})
+            self._rows.update({row.key: row for row in rows})
             self._tell(self._doing, len(self._rows))
 
         self._engine.make(tasks, take, lambda: self._tell(self._doing, len(self._rows)))
-        return [self._rows.get(key, {"status": FAILED, "reason": "the runs are used up"}) for key in keys]
+        none = Row(seed=self._tree["seed"], status=FAILED, reason="the runs are used up")
+        return [self._rows.get(key, none) for key in keys]
 
     def _scenario(self, tree: Tree) -> Scenario:
         return parse_scenario(json.dumps(tree), self._name)
@@ -236,7 +234,7 @@ def tree_of(scenario: Scenario) -> Tree:
 
 
 def _found(row: Row, check: str) -> str:
-    value = row.get(f"value.{check}")
+    value = row.checks[check].value
     return "no finite value" if value is None or not isfinite(value) else f"{value:.4g}"
 
 
@@ -270,7 +268,6 @@ def number_places(value: Any) -> list[int]:
 
 
 def _texts(value: Any) -> list[str]:
-    """Every text or number in a value, in order."""
     if isinstance(value, dict):
         return [text for key, inner in value.items() if key != "vehicles" for text in _texts(inner)]
     return [str(value)]
@@ -295,3 +292,46 @@ def scaled(value: Any, place: int, share: Fraction) -> Any:
 
 def _words(value: Any) -> str:
     return json.dumps(value) if isinstance(value, dict) else str(value)
+
+
+# Delta debugging: the least part of a list that still fails.
+#
+# The algorithm ddmin of Zeller and Hildebrandt, "Simplifying and isolating failure-inducing input", IEEE Trans.
+# Software Eng. 28 (2002), section 3.2. It is exact where a test gives the same answer each time, as a run of a
+# scenario does. All parts of one size are tested side by side. Among those that fail it takes the first one, so the
+# speed of workers changes nothing.
+
+
+T = TypeVar("T")
+
+
+def ddmin(items: Sequence[T], fails: Callable[[list[list[T]]], Sequence[bool]]) -> list[T]:
+    """A part of `items`, in their order, that fails and needs each of its items to fail.
+
+    Args:
+        items: a list that fails.
+        fails: says of each of some parts whether it fails. The empty list is asked for first.
+    """
+    if not items or fails([[]])[0]:
+        return []
+    left = list(items)
+    pieces = 2
+    while len(left) > 1:
+        borders = [round(k * len(left) / pieces) for k in range(pieces + 1)]
+        parts = [left[begin:end] for begin, end in pairwise(borders)]
+        rests = [left[:begin] + left[end:] for begin, end in pairwise(borders)]
+        # With two pieces each rest is the other part.
+        found = _first(parts, fails)
+        if found is not None:
+            left, pieces = found, 2
+        elif pieces > 2 and (found := _first(rests, fails)) is not None:
+            left, pieces = found, pieces - 1
+        elif pieces < len(left):
+            pieces = min(2 * pieces, len(left))
+        else:
+            break
+    return left
+
+
+def _first(parts: list[list[T]], fails: Callable[[list[list[T]]], Sequence[bool]]) -> list[T] | None:
+    return next((part for part, failed in zip(parts, fails(parts), strict=True) if failed), None)

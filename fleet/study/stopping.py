@@ -11,19 +11,16 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import count, islice
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from fleet.study.errors import StudyError
-from fleet.study.measures import STANDING, MeasureColumn
-from fleet.study.one_run import FAILED
-from fleet.study.signal_measures import LONGEST_TEXT, find_columns, is_signal, parse_signal
+from fleet.study.measures import LONGEST_TEXT, STANDING, MeasureColumn, find_columns, is_signal, parse_signal
+from fleet.study.row import Row
 from fleet.study.statistics import Estimate, median, pass_rate
 from netem.parsing import NUMBER
 
 _RULE = re.compile(rf"(?P<what>\S.*?)\s*(?:±|\+/?-)\s*(?P<number>{NUMBER.pattern})\s*(?P<unit>\S.*?)?", re.ASCII)
 _PASS = ("pass", "passed")
-
-Row = Mapping[str, Any]
 
 
 class Rule(NamedTuple):
@@ -48,10 +45,10 @@ class Rule(NamedTuple):
 
     def estimate(self, rows: Iterable[Row]) -> Estimate:
         """Of the rows of one point."""
-        judged = [row for row in rows if row["status"] != FAILED]
+        judged = [row for row in rows if row.has_result]
         if self.column is None:
-            return pass_rate(sum(row["passed"] is True for row in judged), len(judged))
-        return median([self.column.number(row[self.column.name]) for row in judged])
+            return pass_rate(sum(row.passed is True for row in judged), len(judged))
+        return median([self.column.number(row.number(self.column.name)) for row in judged])
 
     def met(self, found: Estimate) -> bool:
         """Whether an estimate is narrow enough."""

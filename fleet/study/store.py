@@ -1,35 +1,34 @@
-"""The directory of a study: what is to be run, and one row per run that was made, as Parquet files.
+"""The directory of a study: what is to be run, and one row per run that was made.
 
 ```text
 DIR/study.json         what the study is: scenario, axes with units, seeds, versions
-DIR/points.parquet     one row per point: its values and its whole scenario
-DIR/runs/*.parquet     one row per run, in the order in which they ended
+DIR/study.sqlite       table `points`: the values of each point and its whole scenario; table `runs`: a row per run
 DIR/logs/point-3-seed-7/    with --keep-logs: what `fleet run` would have written
 ```
 
-A file is written beside its name and then renamed, so whatever ends the program, what stands there is whole.
+The key of a run is (point, seed), so each run counts once. Rows are written in transactions, so whatever ends the
+program, the runs of all earlier batches are there.
+
+A study may come from anybody. Its database must be a small enough file with exactly the two tables that study.json
+calls for. It is opened to be read only, and checked before it is used.
 """
 
 from __future__ import annotations
 
 import fcntl
 import os
-import re
+import sqlite3
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from stat import S_ISREG
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import pyarrow as pa
-import pyarrow.compute as pc
-
-from fleet.errors import printable
-from fleet.result.result import Status
 from fleet.study.errors import StudyError
-from fleet.study.one_run import FAILED
-from fleet.study.parquet_file import MOST_BYTES, TEXT, read_table, write_table
 from fleet.study.record import NAME, AxisRecord, StudyRecord, read_record, write_record
+from fleet.study.row import STATUSES, CheckRow, Row
 from fleet.study.spec import LARGEST_SEED
 from fleet.study.stopping import Rule, parse_until, seed_sequence, seeds_needed
 from fleet.study.values import AxisValue
@@ -37,13 +36,32 @@ from fleet.study.values import AxisValue
 if TYPE_CHECKING:
     import pandas as pd
 
-_POINTS, _RUNS, _LOGS = "points.parquet", "runs", "logs"
-_PART = re.compile(r"part-([0-9]{6,9})\.parquet")
-_MOST_PARTS = 100_000  # one is written every ten seconds: eleven days
-_MOST_BYTES = 1_000_000_000  # of all rows in memory: 1.4 million runs with all columns, more where some are read
-_CHECKED = ("point", "seed", "status")  # in each reading
-_STATUSES = (FAILED, *Status)
-_TEXT, _BOOL, _NUMBER, _WHOLE = TEXT, pa.bool_(), pa.float64(), pa.int64()
+FILE, _LOGS = "study.sqlite", "logs"
+MOST_BYTES = 2_000_000_000  # of the database: 3 million runs
+_MOST_POINT_BYTES = 200_000_000  # of the scenarios of all points
+_MOST_TEXT = 16_000_000  # bytes of one value
+_MOST_CELLS = 200_000_000  # that are read at once
+_AT_ONCE = 200  # columns of one condition, which SQLite nests
+_WAIT_S = 60.0  # for a program that writes a batch
+_HEADER = b"SQLite format 3\0"
+_SUPER_JOURNAL = bytes.fromhex("d9d505f920a163d7")  # at the end of a journal that names other files
+_DETAILS = ("key", "reason", "digest", "version", "cores")
+
+
+class StudyPoint(NamedTuple):
+    """A point of a study."""
+
+    number: int
+    values: dict[str, float | str]  # by key of the axis
+    scenario: str  # its whole text
+
+
+class Column(NamedTuple):
+    """A column of the table of runs."""
+
+    name: str
+    kind: str  # of SQLite
+    unit: str = ""
 
 
 class Store:
@@ -51,35 +69,45 @@ class Store:
 
     def __init__(self, directory: Path, record: StudyRecord) -> None:
         self.directory, self.record = directory, record
-        self._parts = 1
+        self._file = directory / FILE
+        self._writer: sqlite3.Connection | None = None
+        self._checked = False
 
     @classmethod
-    def create(cls, directory: Path, record: StudyRecord, points: Sequence[Mapping[str, Any]]) -> Store:
+    def create(
+        cls, directory: Path, record: StudyRecord, points: Sequence[tuple[Mapping[str, AxisValue], str]]
+    ) -> Store:
         """Make the directory of a new study.
 
         Args:
-            points: of each point `values` by key, and `scenario`, its whole text.
+            points: the values of each by key, and its whole scenario.
 
         Raises:
-            StudyError: the directory is there already and not empty, or cannot be written.
+            StudyError: the directory is there already, or cannot be written.
         """
+        store = cls(directory, record)
+        size = sum(len(text) for _, text in points)
+        if size > _MOST_POINT_BYTES:
+            most = f"{size / 1e6:.0f} MB, more than {_MOST_POINT_BYTES / 1e6:g} MB"
+            raise StudyError(f"the points of the study take {most}: choose fewer points")
+        rows = [
+            (number, *(cell(axis, values[axis.key]) for axis in record.axes), text)
+            for number, (values, text) in enumerate(points)
+        ]
         try:
-            (directory / _RUNS).mkdir(parents=True)
-            store = cls(directory, record)
-            columns: dict[str, Any] = {"point": pa.array(range(len(points)), _WHOLE)}
-            for axis in record.axes:
-                columns[axis.key] = _column(axis, [point["values"][axis.key] for point in points])
-            columns["scenario"] = pa.array([point["scenario"] for point in points], _TEXT)
-            table = pa.table(columns, schema=store._point_schema)
-            if table.nbytes > MOST_BYTES:
-                size = f"{table.nbytes / 1e6:.0f} MB, more than {MOST_BYTES / 1e6:g} MB"
-                raise StudyError(f"the points of the study take {size}: choose fewer points")
-            write_table(directory / _POINTS, table)
+            directory.mkdir(parents=True)
+            with closing(sqlite3.connect(store._file)) as file, file:
+                for table in store._tables:
+                    file.execute(table)
+                file.executemany(f"INSERT INTO points VALUES ({_places(2 + len(record.axes))})", rows)
             write_record(directory, record)
         except FileExistsError:
             raise StudyError(f"{directory} is there already: choose another place") from None
         except OSError as error:
             raise StudyError(f"cannot make the study {directory}: {error.strerror}") from None
+        except sqlite3.Error as error:
+            raise StudyError(f"cannot make the study {directory}: {error}") from None
+        store._checked = True
         return store
 
     @classmethod
@@ -96,9 +124,10 @@ class Store:
             raise StudyError(f"{directory / NAME} is damaged: its seeds")
         if store.rule and len(seeds) > record.rules.most_seeds:
             raise StudyError(f"{directory / NAME} is damaged: its seeds are too many")
-        names = Counter([*store.schema.names, "scenario"])  # which is a column of the points
+        names = Counter([*(axis.key for axis in record.axes), *(each.name for each in store.columns), "scenario"])
         if twice := next((name for name, count in names.items() if count > 1), None):
             raise StudyError(f"{directory / NAME} is damaged: it has two columns {twice[:60]}")
+        store._recover()
         return store
 
     @contextmanager
@@ -109,42 +138,167 @@ class Store:
             StudyError: another program has it.
         """
         with ExitStack() as stack:
-            try:
-                file = stack.enter_context((self.directory / NAME).open("rb"))
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise StudyError(f"another fleet runs the study {self.directory}") from None
-            except OSError as error:
-                raise StudyError(f"cannot lock {self.directory}: {error.strerror}") from None
-            self._parts = 1 + max(
-                self._part_files(), default=0
-            )  # another program may have written some since it was opened
-            with suppress(OSError):
-                for left in (self.directory / _RUNS).glob("*.part"):
-                    left.unlink()
+            if not stack.enter_context(self._lock()):
+                raise StudyError(f"another fleet runs the study {self.directory}")
+            self._writer = stack.enter_context(closing(self._connect("rw")))
+            stack.callback(setattr, self, "_writer", None)
             yield
 
-    @property
-    def _point_schema(self) -> pa.Schema:
-        fields = [pa.field("point", _WHOLE), *map(_axis_field, self.record.axes), pa.field("scenario", _TEXT)]
-        return pa.schema(fields)
+    @contextmanager
+    def _lock(self) -> Iterator[bool]:
+        """Try to be the only program that writes."""
+        try:
+            with (self.directory / NAME).open("rb") as file:
+                try:
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    had = True
+                except BlockingIOError:
+                    had = False
+                yield had
+        except OSError as error:
+            raise StudyError(f"cannot lock {self.directory}: {error.strerror}") from None
+
+    def _recover(self) -> None:
+        """Undo the batch in which an earlier program was killed; its journal lies beside the database."""
+        journal = self.directory / f"{FILE}-journal"
+        if not journal.exists():
+            return
+        with self._lock() as alone:
+            if not alone:  # the journal is that of a program that goes on
+                return
+            try:
+                if not S_ISREG(journal.lstat().st_mode):
+                    raise StudyError(f"{journal} is damaged")
+                with journal.open("rb") as end:
+                    end.seek(-min(journal.stat().st_size, len(_SUPER_JOURNAL)), os.SEEK_END)
+                    if end.read() == _SUPER_JOURNAL:  # SQLite would delete a file that it names
+                        raise StudyError(f"{journal} is damaged")
+                with closing(self._connect("rw")) as file:
+                    file.execute("BEGIN IMMEDIATE")
+                    file.rollback()
+            except FileNotFoundError:
+                return
+            except (OSError, sqlite3.Error) as error:
+                raise StudyError(
+                    f"{self._file} was left in the middle of a batch, and cannot be mended: {error}"
+                ) from None
+
+    @cached_property
+    def columns(self) -> list[Column]:
+        """The columns of a run, with their units."""
+        checks = self.record.checks
+        return [
+            Column("point", "INTEGER"), Column("seed", "INTEGER"),
+            Column("key", "TEXT"), Column("status", "TEXT"), Column("reason", "TEXT"), Column("passed", "INTEGER"),
+            *(Column(f"check.{name}", "INTEGER") for name in checks),
+            *(Column(f"value.{name}", "REAL") for name in checks),
+            *(Column(f"margin.{name}", "REAL") for name in checks),
+            *(Column(each.name, "REAL", each.unit) for each in self.record.columns),
+            Column("digest", "TEXT"), Column("version", "TEXT"), Column("cores", "TEXT"),
+        ]  # fmt: skip
 
     @property
-    def schema(self) -> pa.Schema:
-        """Of a row of a run, with the unit of each column."""
-        checks = self.record.checks
-        return pa.schema(
-            [
-                pa.field("key", _TEXT), pa.field("point", _WHOLE), pa.field("seed", _WHOLE),
-                *map(_axis_field, self.record.axes),
-                pa.field("status", _TEXT), pa.field("reason", _TEXT), pa.field("passed", _BOOL),
-                *(pa.field(f"check.{name}", _BOOL) for name in checks),
-                *(pa.field(f"value.{name}", _NUMBER) for name in checks),
-                *(pa.field(f"margin.{name}", _NUMBER) for name in checks if self.record.margins),
-                *(_unit_field(column.name, _NUMBER, column.unit) for column in self.record.columns),
-                pa.field("digest", _TEXT), pa.field("version", _TEXT), pa.field("cores", _TEXT),
-            ]
-        )  # fmt: skip
+    def _axes(self) -> list[Column]:
+        return [Column(axis.key, "TEXT" if axis.unit is None else "REAL", axis.unit or "") for axis in self.record.axes]
+
+    @cached_property
+    def _tables(self) -> tuple[str, str]:
+        """The statements that make both tables; those of the file must be the same."""
+        points = [f'"{self._sql[name]}" {kind} NOT NULL' for name, kind, _ in self._axes]
+        runs = [f'"{self._sql[name]}" {kind}' for name, kind, _ in self.columns]
+        whole = ", ".join(['"point" INTEGER PRIMARY KEY', *points, '"scenario" TEXT NOT NULL'])
+        rows = ", ".join([*runs, "PRIMARY KEY (point, seed)"])
+        return f"CREATE TABLE points ({whole})", f"CREATE TABLE runs ({rows}) WITHOUT ROWID"
+
+    @cached_property
+    def _sql(self) -> dict[str, str]:
+        """The name of each column in SQLite, where names that differ only in their case are the same."""
+        found = {"scenario": "scenario"}
+        taken = {"point", "scenario"}
+        for name in [*(axis.key for axis in self.record.axes), *(column.name for column in self.columns)]:
+            sql = name.replace('"', '""')
+            while sql.lower() in taken and name != "point":
+                sql += "_"
+            taken.add(sql.lower())
+            found[name] = sql
+        return found
+
+    def _connect(self, mode: str) -> sqlite3.Connection:
+        """Open the database with `ro` or `rw`; the first time also check it. Raises StudyError."""
+        try:
+            about = self._file.stat()
+            if not S_ISREG(about.st_mode):
+                raise StudyError(f"{self._file} is no regular file")
+            if about.st_size > MOST_BYTES:
+                raise StudyError(f"{self._file} is larger than {MOST_BYTES / 1e9:g} GB")
+            if not self._checked:
+                with self._file.open("rb") as start:
+                    head = start.read(20)
+                if not head.startswith(_HEADER) or head[18:] != b"\1\1":  # another journal would make more files
+                    raise StudyError(f"{self._file} is damaged: no database of a study")
+            file = sqlite3.connect(f"{self._file.resolve().as_uri()}?mode={mode}", _WAIT_S, uri=True)
+        except FileNotFoundError:
+            raise StudyError(f"{self._file} is missing") from None
+        except (OSError, sqlite3.Error) as error:
+            raise StudyError(f"{self._file} cannot be read: {error}") from None
+        try:
+            file.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MOST_TEXT)
+            with self._errors():
+                file.execute("PRAGMA trusted_schema = OFF")
+                file.execute("PRAGMA cell_size_check = ON")
+                file.execute(f"PRAGMA max_page_count = {MOST_BYTES // 4096}")
+                if not self._checked:
+                    self._check(file)
+                    self._checked = True
+        except BaseException:
+            file.close()
+            raise
+        return file
+
+    def _check(self, file: sqlite3.Connection) -> None:
+        """Raises StudyError: it holds something else than a study writes."""
+        tables = [sql for (sql,) in file.execute("SELECT sql FROM sqlite_master ORDER BY name LIMIT 3")]
+        if tables != list(self._tables):
+            raise StudyError(f"{self._file} is damaged: its tables are not those that {NAME} calls for")
+        ((found,),) = file.execute("PRAGMA quick_check(1)")
+        if found != "ok":
+            raise StudyError(f"{self._file} is damaged: {str(found)[:200]!r}")
+        points = [number for (number,) in file.execute("SELECT point FROM points")]
+        if points != list(range(len(points))):
+            raise StudyError(f"{self._file} is damaged: its points are not numbered")
+        self._check_types(file, "points", [*self._axes, Column("scenario", "TEXT")])
+        self._check_types(file, "runs", self.columns)
+        known, seeds, before = len(points), set(self.seeds), (-1, -1)
+        for run in file.execute("SELECT point, seed FROM runs ORDER BY point, seed"):
+            if run[0] not in range(known) or run[1] not in seeds:
+                raise StudyError(f"{self._file} is damaged: it has runs of points or seeds that are not its own")
+            if run <= before:
+                raise StudyError(f"{self._file} is damaged: point {run[0]} has two rows with seed {run[1]}")
+            before = run
+
+    def _check_types(self, file: sqlite3.Connection, table: str, columns: Sequence[Column]) -> None:
+        """SQLite takes any value in any column, and checks no constraint of a file that it only reads."""
+        for k in range(0, len(columns), _AT_ONCE):
+            some = columns[k : k + _AT_ONCE]
+            wrong = [f"typeof(\"{self._sql[name]}\") NOT IN ('{kind.lower()}', 'null')" for name, kind, _ in some]
+            if table == "runs":
+                wrong.append(f"status IS NULL OR status NOT IN ({', '.join(map(repr, map(str, STATUSES)))})")
+            for (point,) in file.execute(f"SELECT point FROM {table} WHERE {' OR '.join(wrong)} LIMIT 1"):
+                raise StudyError(f"{self._file} is damaged: point {point} has a value of another type in {table}")
+
+    @contextmanager
+    def _errors(self) -> Iterator[None]:
+        try:
+            yield
+        except (sqlite3.Error, UnicodeDecodeError, OverflowError) as error:
+            raise StudyError(f"{self._file} cannot be read: {error!s:.200}") from None
+
+    def _read(self, wanted: str, source: str, order: str) -> list[tuple[Any, ...]]:
+        with closing(self._connect("ro")) as file, self._errors():
+            ((count,),) = file.execute(f"SELECT count(*) FROM {source}")
+            if count * (1 + wanted.count(",")) > _MOST_CELLS:
+                raise StudyError(f"{self.directory} has {count} rows, too many to be read at once")
+            return file.execute(f"SELECT {wanted} FROM {source} ORDER BY {order}").fetchall()
 
     def log_of(self, point: int, seed: int) -> Path:
         """The run directory of one of its runs; it is there only if its log was kept."""
@@ -155,10 +309,12 @@ class Store:
         """Where laws are looked for besides the current directory."""
         return None if self.record.folder is None else Path(self.record.folder)
 
-    @property
-    def point_count(self) -> int:
-        """How many points there are. Raises StudyError."""
-        return int(read_table(self.directory / _POINTS, self._point_schema, ["point"]).num_rows)
+    @cached_property
+    def points(self) -> list[StudyPoint]:
+        """Every point. They are read once. Raises StudyError."""
+        keys = [axis.key for axis in self.record.axes]
+        rows = self._read("*", "points", "point")
+        return [StudyPoint(number, dict(zip(keys, values, strict=True)), text) for number, *values, text in rows]
 
     @property
     def rule(self) -> Rule | None:
@@ -181,7 +337,7 @@ class Store:
         Raises:
             StudyError: the study is damaged.
         """
-        first = dict.fromkeys(range(self.point_count), 0 if self.record.border else len(self.record.seeds))
+        first = dict.fromkeys(range(len(self.points)), 0 if self.record.border else len(self.record.seeds))
         first |= before or {}
         if (rule := self.rule) is None or self.record.border:
             return first
@@ -197,11 +353,11 @@ class Store:
         full = [list(rows.values()) for rows in ended.values() if len(rows) == len(seeds)]
         return sum(not rule.met(rule.estimate(rows)) for rows in full)
 
-    def _rows_of(self, rule: Rule) -> dict[int, dict[int, dict[str, Any]]]:
+    def _rows_of(self, rule: Rule) -> dict[int, dict[int, Row]]:
         """The input of a rule, by point and seed."""
-        by_point: dict[int, dict[int, dict[str, Any]]] = {}
-        for row in self.table(["point", "seed", "status", "passed", *rule.columns]).to_pylist():
-            by_point.setdefault(row["point"], {})[row["seed"]] = row
+        by_point: dict[int, dict[int, Row]] = {}
+        for row in self.rows(rule.columns):
+            by_point.setdefault(row.point, {})[row.seed] = row
         return by_point
 
     @property
@@ -209,108 +365,104 @@ class Store:
         """The number of runs without a row, among those that are known to be needed. Raises StudyError."""
         return 0 if self.record.border else sum(self.needed().values()) - len(self.done())
 
-    def points(self) -> list[dict[str, Any]]:
-        """Every point: `point`, its values by key, and `scenario`. Raises StudyError."""
-        table = read_table(self.directory / _POINTS, self._point_schema)
-        rows: list[dict[str, Any]] = table.to_pylist()
-        if any(None in row.values() for row in rows):
-            raise StudyError(f"{self.directory / _POINTS} has a point without a value")
-        if [row["point"] for row in rows] != list(range(len(rows))):
-            raise StudyError(f"{self.directory} is damaged: its points are not numbered")
-        return rows
-
     def done(self) -> set[tuple[int, int]]:
         """(point, seed) of every run that has a row. Raises StudyError."""
-        table = self.table(["point", "seed"])
-        return set(zip(table["point"].to_pylist(), table["seed"].to_pylist(), strict=True))
+        return {(point, seed) for point, seed in self._read("point, seed", "runs", "point, seed")}
 
-    def add(self, rows: Iterable[Mapping[str, Any]]) -> None:
-        """Write rows of runs as one more file. Raises StudyError."""
-        schema = self.schema
-        table = pa.Table.from_pylist([{name: row.get(name) for name in schema.names} for row in rows], schema=schema)
+    def add(self, rows: Iterable[Row]) -> None:
+        """Write rows of runs, all or none. Raises StudyError."""
+        names = [column.name for column in self.columns]
+        values = [_flat(row, names) for row in rows]
+        if self._writer is None:
+            with closing(self._connect("rw")) as file:
+                self._insert(file, values)
+        else:
+            self._insert(self._writer, values)
+
+    def _insert(self, file: sqlite3.Connection, values: list[list[Any]]) -> None:
         try:
-            write_table(self.directory / _RUNS / f"part-{self._parts:06d}.parquet", table)
-        except OSError as error:
-            why = os.strerror(error.errno) if error.errno else str(error)
+            with file:
+                file.executemany(
+                    f"INSERT INTO runs VALUES ({_places(len(self.columns))}) ON CONFLICT DO NOTHING", values
+                )
+        except (OSError, sqlite3.Error) as error:
             broken = StudyError(
-                f"cannot write the study {self.directory}: {why}; what was written before stays, and the study can be "
-                "gone on with"
+                f"cannot write the study {self.directory}: {error}; what was written before stays, and the study can "
+                "be gone on with"
             )
             broken.status = 3  # nothing else should have been asked for
             raise broken from None
-        self._parts += 1
 
-    def table(self, columns: list[str] | None = None) -> pa.Table:
+    def rows(self, numbers: Sequence[str] = (), *, checks: bool = False, details: bool = False) -> list[Row]:
         """All rows, ordered by point and seed, so that their order does not tell who ran them.
 
         Args:
-            columns: some; None: all.
+            numbers: the measures that the rows have.
+            checks: whether they have the verdicts of the checks.
+            details: whether they have the key, the reason, the digest, and who made them.
 
         Raises:
             StudyError: the study is damaged, or holds more than a study writes.
         """
-        whole = self.schema
-        wanted = whole.names if columns is None else columns
-        schema = pa.schema([whole.field(name) for name in dict.fromkeys([*wanted, *_CHECKED])])
-        points, seeds, size = pa.array(range(self.point_count), _WHOLE), pa.array(self.seeds, _WHOLE), 0
-        parts = [schema.empty_table()]
-        for _, path in sorted(self._part_files().items()):
-            part = read_table(path, whole, schema.names)
-            size += part.nbytes
-            if size > _MOST_BYTES:
-                most = f"{_MOST_BYTES / 1e6:g} MB"
-                raise StudyError(f"{self.directory} holds more than {most} of rows, too much to be read at once")
-            for name, known in (("point", points), ("seed", seeds)):
-                if not pc.all(pc.is_in(part[name], known), min_count=0).as_py():
-                    raise StudyError(f"{path} is damaged: it has runs of points or seeds that are not its own")
-            _check_statuses(path, part["status"])
-            parts.append(part)
-        table = pa.concat_tables(parts).sort_by([("point", "ascending"), ("seed", "ascending")])
-        at, seed = table["point"].to_numpy(), table["seed"].to_numpy()
-        twice = (at[1:] == at[:-1]) & (seed[1:] == seed[:-1])
-        if twice.any():
-            first = int(twice.argmax())
-            raise StudyError(
-                f"{self.directory / _RUNS} is damaged: point {at[first]} has two rows with seed {seed[first]}, and one "
-                f"was expected ({int(twice.sum())} rows too many): was a file copied there?"
-            )
-        return table.select(wanted)
-
-    def _part_files(self) -> dict[int, Path]:
-        """The files of rows, by number. Raises StudyError: there are too many, or two of one number."""
-        found: dict[int, Path] = {}
-        try:
-            with os.scandir(self.directory / _RUNS) as entries:
-                for entry in entries:
-                    if (match := _PART.fullmatch(entry.name)) is None:
-                        continue
-                    if int(match[1]) in found:
-                        raise StudyError(f"{self.directory / _RUNS} has two files with the number of {entry.name}")
-                    if len(found) == _MOST_PARTS:
-                        raise StudyError(f"{self.directory / _RUNS} has more files than a study writes: {_MOST_PARTS}")
-                    found[int(match[1])] = Path(entry.path)
-        except FileNotFoundError:
-            return found
-        except OSError as error:
-            raise StudyError(f"cannot read {self.directory / _RUNS}: {error.strerror}") from None
+        names = self.record.checks if checks else []
+        wanted = ["point", "seed", "status", "passed", *(_DETAILS if details else ())]
+        wanted += [f"{part}.{name}" for name in names for part in ("check", "value", "margin")]
+        first, second = len(wanted) - 3 * len(names), len(wanted)
+        wanted += numbers
+        found = []
+        for values in self._read(self._selected(wanted), "runs", "point, seed"):
+            point, seed, status, passed = values[:4]
+            row = Row(point=point, seed=seed, status=status, passed=None if passed is None else bool(passed))
+            if details:
+                row.key, row.reason, row.digest, row.version, row.cores = values[4] or "", values[5] or "", *values[6:9]
+            if names:
+                row.checks = {
+                    name: CheckRow(bool(values[k]), values[k + 1], values[k + 2])
+                    for name, k in zip(names, range(first, second, 3), strict=True)
+                    if values[k] is not None
+                }
+            if numbers:
+                pairs = zip(numbers, values[second:], strict=True)
+                row.numbers = {name: value for name, value in pairs if value is not None}
+            found.append(row)
         return found
+
+    def _selected(self, names: Iterable[str]) -> str:
+        return ", ".join(f'"{self._sql[name]}"' for name in names)
 
     def frame(self) -> pd.DataFrame:
         """All rows as a pandas DataFrame; `attrs["units"]` has the unit of each column. Raises StudyError."""
-        table = self.table()
-        frame = table.to_pandas()
-        units = {field.name: _unit(field) for field in table.schema if _unit(field)}
-        frame.attrs["units"] = units
+        import numpy as np
+        import pandas as pd
+
+        point, seed, key, *others = self.columns
+        columns = [key, point, seed, *self._axes, *others]
+        wanted = self._selected(column.name for column in columns)
+        rows = self._read(wanted, "runs JOIN points USING (point)", "point, seed")
+        data: dict[str, Any] = {}
+        for column, values in zip(columns, zip(*rows, strict=True) if rows else [()] * len(columns), strict=True):
+            if column.name in ("point", "seed"):
+                data[column.name] = np.array(values, np.int64)
+            elif column.kind == "REAL":
+                data[column.name] = np.array(values, float)
+            elif column.kind == "INTEGER":
+                truths = [None if value is None else bool(value) for value in values]
+                data[column.name] = np.array(truths, object if None in truths else bool)
+            else:
+                data[column.name] = list(values)
+        frame = pd.DataFrame(data, columns=[column.name for column in columns])
+        frame.attrs["units"] = {column.name: column.unit for column in columns if column.unit}
         return frame
 
 
-def _check_statuses(path: Path, statuses: pa.ChunkedArray) -> None:
-    """Raises StudyError: a run has a status that no run has."""
-    known = pc.is_in(statuses, pa.array(_STATUSES, _TEXT))
-    if not pc.all(known, min_count=0).as_py():
-        strange = statuses.filter(pc.invert(known))[0].as_py()
-        shown = "none" if strange is None else printable(strange[:60])
-        raise StudyError(f"{path} is damaged: a run has the status {shown}, expected one of {', '.join(_STATUSES)}")
+def _flat(row: Row, names: Sequence[str]) -> list[Any]:
+    values: dict[str, Any] = {
+        "key": row.key, "point": row.point, "seed": row.seed, "status": row.status, "reason": row.reason,
+        "passed": row.passed, "digest": row.digest, "version": row.version, "cores": row.cores, **row.numbers,
+    }  # fmt: skip
+    for name, check in row.checks.items():
+        values |= {f"check.{name}": check.passed, f"value.{name}": check.value, f"margin.{name}": check.margin}
+    return [values.get(name) for name in names]
 
 
 def cell(axis: AxisRecord, value: AxisValue) -> float | str | None:
@@ -318,18 +470,5 @@ def cell(axis: AxisRecord, value: AxisValue) -> float | str | None:
     return value.text if axis.unit is None else value.number
 
 
-def _column(axis: AxisRecord, values: Sequence[AxisValue]) -> pa.Array:
-    return pa.array([cell(axis, value) for value in values], _TEXT if axis.unit is None else _NUMBER)
-
-
-def _axis_field(axis: AxisRecord) -> pa.Field:
-    return _unit_field(axis.key, _TEXT if axis.unit is None else _NUMBER, axis.unit or "")
-
-
-def _unit_field(name: str, kind: pa.DataType, unit: str) -> pa.Field:
-    return pa.field(name, kind, metadata={"unit": unit} if unit else None)
-
-
-def _unit(field: pa.Field) -> str:
-    unit: bytes = (field.metadata or {}).get(b"unit", b"")
-    return unit.decode()
+def _places(count: int) -> str:
+    return ", ".join(["?"] * count)

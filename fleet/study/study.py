@@ -1,4 +1,4 @@
-"""Studies for scripts: `fleet.sweep` makes one, `fleet.open_study` reads one."""
+"""Studies for scripts: `fleet.sweep` and `fleet.boundary` make one, `fleet.open_study` reads one."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import chain, count
 from math import isnan
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
@@ -15,24 +15,27 @@ from fleet.notebook import html_table
 from fleet.result.result import Result
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.trust import Policy
-from fleet.study.engine import need_extra
+from fleet.study.borders import Border, Borders, Tell, border_plan, find_borders, prepare_borders, theory
+from fleet.study.engine import engine_of, need_extra
 from fleet.study.errors import StudyError
-from fleet.study.given import keywords, takes
-from fleet.study.local_engine import engine_of
-from fleet.study.one_run import A_STUDY, FAILED
+from fleet.study.given import BoundaryKeywords, SweepKeywords, keywords, takes
+from fleet.study.measures import find_columns
+from fleet.study.one_run import A_STUDY
+from fleet.study.pictures.border import write_borders
 from fleet.study.plan import plan_of
-from fleet.study.signal_measures import find_columns
-from fleet.study.spec import StudySpec
+from fleet.study.row import FAILED
+from fleet.study.spec import BoundarySpec, StudySpec
 from fleet.study.statistics import Estimate, PairedComparison, compare
 from fleet.study.store import Store
 from fleet.study.study_file import NamedStudy, study_named
 from fleet.study.summary import PointSummary, summarise
 from fleet.study.sweep import Progress, prepare, run_study
-from world.plugins.trust import NOTHING, Trust
+from world.plugins.trust import trusting
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
+
 
 STAMP = "%Y%m%d-%H%M%S"
 
@@ -165,24 +168,22 @@ class Study:
 
         return write(self._store, measures, self.directory / "plots" if folder is None else Path(folder), formats)
 
-    def rerun(
-        self, point: int | Mapping[str, Any], seed: int, out: Path = Path("runs"), trust: Trust = NOTHING
-    ) -> Result:
+    def rerun(self, point: int | Mapping[str, Any], seed: int, out: Path = Path("runs"), trust: bool = False) -> Result:
         """Make one of its runs again with its log; the digest is that of the row.
 
         Args:
             point: number of the point, or its values by key.
             seed: seed of the run.
             out: the run's directory is made in this folder.
-            trust: modules that may run although they are not installed.
+            trust: run modules, too, that are not installed.
 
         Raises:
             StudyError: there is no such point.
             ScenarioError: a law of the scenario may not run.
         """
-        rows = self._store.points()
+        rows = self._store.points
         if isinstance(point, Mapping):
-            matching = [row for row in rows if all(row.get(key) == value for key, value in point.items())]
+            matching = [row for row in rows if all(row.values.get(key) == value for key, value in point.items())]
             if len(matching) != 1:
                 raise StudyError(f"{len(matching)} points have {dict(point)}; there are {len(rows)} in all")
             row = matching[0]
@@ -191,8 +192,9 @@ class Study:
         else:
             raise StudyError(f"there is no point {point}: they are 0 to {len(rows) - 1}")
         record = self._store.record
-        policy = Policy(trust, A_STUDY)
-        scenario = parse_scenario(row["scenario"], record.scenario, [f"seed={seed}"], self._store.folder, policy)
+        changes = [f"seed={seed}"]
+        with trusting(trust):
+            scenario = parse_scenario(row.scenario, record.scenario, changes, self._store.folder, Policy(A_STUDY))
         return execute(scenario, Options(out, in_process=True, quiet=True))
 
 
@@ -214,9 +216,9 @@ def sweep(
     out: str | Path | None = None,
     workers: int | None = None,
     scheduler: Any = None,
-    trust: Trust = NOTHING,
+    trust: bool = False,
     progress: Callable[[Progress], None] = lambda _: None,
-    **options: Any,
+    **options: Unpack[SweepKeywords],
 ) -> Study:
     """Run a scenario at every combination of some values, each with several seeds.
 
@@ -226,7 +228,7 @@ def sweep(
         out: the directory of the new study; None: one below `studies`.
         workers: processes of this machine; None: one per core.
         scheduler: of an existing Dask cluster: an address or a cluster object; None: workers of this machine.
-        trust: modules that may run, in addition to installed ones and the user's own.
+        trust: run modules, too, that are neither installed nor the user's own.
         progress: called several times a second.
         options: these.
 
@@ -240,7 +242,8 @@ def sweep(
     study = study_named(str(scenario)) or NamedStudy(StudySpec(str(scenario)))
     spec = study.spec.changed(**keywords(StudySpec, {"vary": vary, **options}))
     directory = new_directory(str(scenario)) if out is None else Path(out)
-    store, modules = prepare(plan_of(spec, study.origin), directory, trust, spec)
+    with trusting(trust):
+        store, modules = prepare(plan_of(spec, study.origin), directory, spec)
     with engine_of(workers, scheduler) as engine:
         run_study(store, engine, progress, modules=modules, timeout_s=spec.timeout_s, budget_s=spec.budget_s)
     return Study(store)
@@ -254,7 +257,88 @@ def new_directory(scenario: str, out: Path = Path("studies")) -> Path:
 
 
 def _cell(value: float | str | Estimate) -> str:
-    """A value of a key, or a number with its interval, for a table."""
     if isinstance(value, Estimate):
         return f"{value.value:.3g}" + ("" if isnan(value.low) else f" ({value.low:.3g} to {value.high:.3g})")
     return value if isinstance(value, str) else f"{value:g}"
+
+
+class Boundary:
+    """A study of a border for scripts."""
+
+    def __init__(self, store: Store) -> None:
+        self.study = Study(store)  # its rows
+        self._borders = Borders(store)
+
+    def __repr__(self) -> str:
+        count, scenario = self._borders.count, self._borders.store.record.scenario
+        borders = f"{count} border{'' if count == 1 else 's'} of {scenario} along {self._borders.along.key}"
+        return f"<Boundary {self.study.directory}: {borders}>"
+
+    def _repr_html_(self) -> str:
+        found = self.borders
+        unit = f" [{self._borders.along.unit}]" if self._borders.along.unit else ""
+        headings = [*(found[0].values if found else ()), f"border{unit}", "interval of 95 %", "", "runs"]
+        rows = [
+            [*row.values.values(), f"{row.value:.3g}", f"{row.low:.3g} to {row.high:.3g}", row.where, row.runs]
+            for row in found
+        ]
+        return html_table(repr(self)[1:-1], headings, rows)
+
+    @property
+    def borders(self) -> list[Border]:
+        """One per combination of the other axes. Raises StudyError."""
+        return self._borders.found()
+
+    def write_picture(self, trust: bool = False) -> Path:
+        """Draw the borders, with what theory says of them, as `border.png` in the study's directory.
+
+        Args:
+            trust: load modules, too, that are not installed.
+
+        Raises:
+            ScenarioError: a law may not be loaded.
+            StudyError: there is too much for one picture, or the file cannot be written.
+        """
+        with trusting(trust):
+            return write_borders(self._borders, theory(self._borders))
+
+
+@takes(BoundarySpec)
+def boundary(
+    scenario: str | Path,
+    along: str,
+    per: Mapping[str, str | Iterable[Any]] | None = None,
+    *,
+    out: str | Path | None = None,
+    workers: int | None = None,
+    scheduler: Any = None,
+    trust: bool = False,
+    progress: Tell = lambda *_, **__: None,
+    **options: Unpack[BoundaryKeywords],
+) -> Boundary:
+    """Find where the pass rate of a scenario falls through a level.
+
+    Args:
+        scenario: a shipped name or a file.
+        along: the key and range along which the border is sought, such as `network.links.*.loss=0 %..95 %`.
+        per: values by key, as `fleet.sweep` has them; each combination has a border of its own.
+        out: the directory of the new study; None: one below `studies`.
+        workers: processes of this machine; None: one per core.
+        scheduler: of an existing Dask cluster: an address or a cluster object; None: workers of this machine.
+        trust: run modules, too, that are neither installed nor the user's own.
+        progress: called several times a second.
+        options: these.
+
+    Raises:
+        ScenarioError: with the mistakes of all points.
+        StudyError: the study cannot be made or run.
+        TypeError: there is no such argument.
+    """
+    need_extra()
+    spec = BoundarySpec(**keywords(BoundarySpec, {"along": along, "per": per, **options}))
+    directory = new_directory(str(scenario)) if out is None else Path(out)
+    with trusting(trust):
+        store, modules = prepare_borders(border_plan(str(scenario), spec), spec, directory)
+    with engine_of(workers, scheduler) as engine:
+        find_borders(Borders(store), engine, progress, modules=modules, timeout_s=spec.timeout_s)
+    return Boundary(store)

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
-from fleet.study.measures import MeasureColumn
-from fleet.study.one_run import FAILED
-from fleet.study.signal_measures import find_columns
-from fleet.study.sometimes import PREFIX, Reached, column_of
+from fleet.study.measures import MeasureColumn, find_columns
+from fleet.study.row import PREFIX, Reached, Row
 from fleet.study.statistics import Estimate, median, pass_rate
 from fleet.study.store import Store
 
@@ -37,22 +34,20 @@ def summarise(store: Store, measures: Sequence[MeasureColumn] = ()) -> list[Poin
     Raises:
         StudyError: the study is damaged.
     """
-    keys = [axis.key for axis in store.record.axes]
     chosen = list(measures) or find_columns(store.record.measures or DEFAULT, store.record.columns)
-    table = store.table(["point", "seed", "status", "passed", *keys, *(column.name for column in chosen)])
-    by_point: dict[int, list[dict[str, Any]]] = {}
-    for row in table.to_pylist():
-        by_point.setdefault(row["point"], []).append(row)
+    by_point: dict[int, list[Row]] = {}
+    for row in store.rows([column.name for column in chosen]):
+        by_point.setdefault(row.point, []).append(row)
     found = []
-    for rows in by_point.values():
-        judged = [row for row in rows if row["status"] != FAILED]
+    for number, rows in by_point.items():
+        judged = [row for row in rows if row.has_result]
         found.append(
             PointSummary(
-                {key: rows[0][key] for key in keys},
+                store.points[number].values,
                 len(rows),
                 len(rows) - len(judged),
-                pass_rate(sum(row["passed"] is True for row in judged), len(judged)),
-                {column.name: median([column.number(row[column.name]) for row in judged]) for column in chosen},
+                pass_rate(sum(row.passed is True for row in judged), len(judged)),
+                {column.name: median([column.number(row.number(column.name)) for row in judged]) for column in chosen},
             )
         )
     return found
@@ -62,7 +57,7 @@ def reached(store: Store) -> list[Reached]:
     """How often the runs of a study reached what some run must reach. Raises StudyError."""
     found = [Reached(c.name.removeprefix(PREFIX)) for c in store.record.columns if c.name.startswith(PREFIX)]
     if found:
-        for row in store.table(["seed", *(column_of(one.name) for one in found)]).to_pylist():
+        for row in store.rows([PREFIX + one.name for one in found]):
             for one in found:
                 one.count(row)
     return found

@@ -2,39 +2,39 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from math import inf
 from pathlib import Path
-from typing import Any
 
+from fleet.analysis.preflight import check_warnings
+from fleet.errors import Problem, ScenarioError
 from fleet.execution.external_agents import refuse
-from fleet.scenario.loading import parse_scenario
+from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy
-from fleet.study.engine import Engine, Row
+from fleet.study.engine import Engine, engine_of
 from fleet.study.errors import StudyError
-from fleet.study.load_points import load_points, point_warnings
-from fleet.study.local_engine import engine_of
-from fleet.study.measures import STANDING, MeasureColumn
+from fleet.study.measures import STANDING, MeasureColumn, find_columns, is_signal, measures_of_checks, signal_columns_of
 from fleet.study.modules import NO_MODULES, Modules, modules_of
-from fleet.study.one_run import A_STUDY, FAILED, Task
+from fleet.study.one_run import A_STUDY, Task
 from fleet.study.plan import Plan, Point, run_key
 from fleet.study.record import VERSION, BorderRecord, StudyRecord, axis_record
-from fleet.study.signal_measures import find_columns, is_signal, measures_of_checks, signal_columns_of
-from fleet.study.sometimes import column_of, names_of
+from fleet.study.row import PREFIX, Row, sometimes_names
 from fleet.study.spec import KeepLogs, StudySpec
 from fleet.study.statistics import Estimate, pass_rate
 from fleet.study.stopping import parse_until, watched_by
-from fleet.study.store import Store
+from fleet.study.store import Store, StudyPoint
 from fleet.study.study_file import placed
 from fleet.study.summary import DEFAULT
-from world.plugins.trust import NOTHING, Trust
+from netem.grammar import WORDS
+from netem.parsing import NUMBER
 
 _WRITE_S, _WRITE_ROWS = 10.0, 1000  # rows wait at most so long, or until there are so many
 
@@ -63,10 +63,10 @@ class Progress:
         """The share of all runs so far, of whatever point, that passed."""
         return pass_rate(self.passed, self.judged)
 
-    def count(self, row: Mapping[str, Any]) -> None:
+    def count(self, row: Row) -> None:
         """Count a row whose run is made."""
-        self.judged += row["status"] != FAILED
-        self.passed += row["passed"] is True
+        self.judged += row.has_result
+        self.passed += row.passed is True
 
     @property
     def left_s(self) -> float:
@@ -77,7 +77,6 @@ class Progress:
 def prepare(
     plan: Plan,
     directory: Path,
-    trust: Trust = NOTHING,
     spec: StudySpec | None = None,
     border: BorderRecord | None = None,
     warn: Callable[[str], None] = lambda _: None,
@@ -87,7 +86,6 @@ def prepare(
     Args:
         plan: the runs.
         directory: of the new study.
-        trust: modules that may run, in addition to installed ones and the user's own.
         spec: the source of the plan; the directory keeps it.
         border: the object of the search, if the study is that of a border.
         warn: called with each check that cannot pass, in words.
@@ -99,14 +97,13 @@ def prepare(
         ScenarioError: with the mistakes of all points, each once.
         StudyError: two points are the same, or the directory cannot be made.
     """
-    scenarios = load_points(plan, trust)
+    scenarios = load_points(plan)
     for text in point_warnings(plan, scenarios):
         warn(text)
     first, path = scenarios[0], Path(plan.scenario)
     folder = path.parent.resolve() if path.exists() else None
     measures, columns = declared(spec or StudySpec(plan.scenario), scenarios)
     record = StudyRecord(
-        margins=True,
         version=VERSION,
         scenario=first.name,
         command=" ".join(change.name for change in plan.changes),
@@ -120,17 +117,13 @@ def prepare(
         spec=None if spec is None else placed(spec),
         border=border,
     )
-    rows: list[dict[str, Any]] = [
-        {"values": point.values, "scenario": scenario.to_undrawn_yaml()}
-        for point, scenario in zip(plan.points, scenarios, strict=True)
-    ]
     texts: dict[str, Point] = {}
-    for point, row in zip(plan.points, rows, strict=True):
-        if (other := texts.setdefault(row["scenario"], point)) is not point:
+    for point, scenario in zip(plan.points, scenarios, strict=True):
+        if (other := texts.setdefault(scenario.to_undrawn_yaml(), point)) is not point:
             what = f"{other.shown} and {point.shown}"
             raise StudyError(f"two points are the same scenario, {what}: does another option overrule what varies?")
     modules = _modules(scenarios, folder)
-    return Store.create(directory, record, rows), modules
+    return Store.create(directory, record, [(point.values, text) for text, point in texts.items()]), modules
 
 
 def declared(spec: StudySpec, scenarios: Sequence[Scenario]) -> tuple[tuple[str, ...], list[MeasureColumn]]:
@@ -143,22 +136,22 @@ def declared(spec: StudySpec, scenarios: Sequence[Scenario]) -> tuple[tuple[str,
         measures = (*DEFAULT, *checked)
     watched = watched_by(spec.until) if spec.until else []
     columns = [*STANDING, *signal_columns_of(filter(is_signal, (*measures, *watched)), scenarios)]
-    columns += [MeasureColumn(column_of(name), "") for name in names_of(scenarios)]
+    columns += [MeasureColumn(PREFIX + name, "") for name in sometimes_names(scenarios)]
     if spec.until:
         parse_until(spec.until, columns)
     return tuple(column.name for column in find_columns(measures, columns)), columns
 
 
-def modules_again(store: Store, trust: Trust) -> Modules:
+def modules_again(store: Store) -> Modules:
     """The modules that the runs of a study need that is there. It may come from anybody, so they need trust.
 
     Raises:
         ScenarioError: one of them may not run, or a scenario is damaged.
         StudyError: the study is damaged.
     """
-    policy = Policy(trust, A_STUDY)
+    policy = Policy(A_STUDY)
     name, folder = store.record.scenario, store.folder
-    scenarios = [parse_scenario(row["scenario"], name, folder=folder, policy=policy) for row in store.points()]
+    scenarios = [parse_scenario(point.scenario, name, folder=folder, policy=policy) for point in store.points]
     return _modules(scenarios, folder)
 
 
@@ -210,10 +203,10 @@ def run_study(
     work = Work(store, engine, tell, time.monotonic() + budget_s)
     signals = tuple(column.name for column in store.record.columns if is_signal(column.name))
     with store.locked():
-        task = partial(Task, name=store.record.scenario, timeout_s=timeout_s, signals=signals)
+        like = Task("", 0, 0, store.record.scenario, "", timeout_s, modules, signals)
         with suppress(_BudgetSpent):
-            _make_missing(work, partial(task, modules=engine.carry(modules)))
-            _keep_logs(work, partial(task, modules=modules, timeout_s=inf), kept)
+            _make_missing(work, like._replace(modules=engine.carry(modules)))
+            _keep_logs(work, like._replace(timeout_s=inf), kept)
     return work.progress
 
 
@@ -240,112 +233,101 @@ class Work:
         if time.monotonic() > self.until:
             raise _BudgetSpent
 
+    def make(self, tasks: Iterator[Task]) -> set[tuple[int, int]]:
+        """Make some runs of the study, which is locked, and write their rows as they come.
 
-def _make_missing(work: Work, task: Callable[..., Task]) -> None:
+        Returns:
+            (point, seed) of those that were made.
+        """
+        rows = _Rows(self)
+        try:
+            self.engine.make(tasks, rows.take, rows.wait)
+        finally:
+            rows.flush()
+        return rows.made
+
+
+class _Rows:
+    """Takes rows as they come, and writes many at once."""
+
+    def __init__(self, work: Work) -> None:
+        self.made = set[tuple[int, int]]()
+        self._work, self._waiting, self._written = work, list[Row](), time.monotonic()
+
+    def take(self, rows: list[Row]) -> None:
+        progress = self._work.progress
+        for row in rows:
+            self.made.add((row.point, row.seed))
+            progress.count(row)
+            progress.failed += not row.has_result
+        self._waiting += rows
+        progress.made += len(rows)
+        progress.new += len(rows)
+        self.wait()
+
+    def wait(self) -> None:
+        if len(self._waiting) >= _WRITE_ROWS or time.monotonic() - self._written > _WRITE_S:
+            self.flush()
+        self._work.wait()
+
+    def flush(self) -> None:
+        if self._waiting:
+            self._work.store.add(self._waiting)
+            self._waiting.clear()
+        self._written = time.monotonic()
+
+
+def _make_missing(work: Work, like: Task) -> None:
     """Round by round, until no point needs more seeds."""
     store, progress = work.store, work.progress
-    points, needed, done = store.points(), store.needed(), set[tuple[int, int]]()
-    for row in store.table(["point", "seed", "status", "passed"]).to_pylist():
-        done.add((row["point"], row["seed"]))
+    needed, done = store.needed(), set[tuple[int, int]]()
+    for row in store.rows():
+        done.add((row.point, row.seed))
         progress.count(row)
     progress.runs, progress.made = sum(needed.values()), len(done)
-
-    def made(row: Row) -> None:
-        done.add((row["point"], row["seed"]))
-
     while len(done) < progress.runs:
-        before = len(done)
-        make_runs(work, points, _tasks(store, points, needed, frozenset(done), task), made)
-        if len(done) == before:  # or this would go on for ever
+        made = work.make(_tasks(store, needed, frozenset(done), like))
+        if not made - done:  # or this would go on for ever
             raise StudyError(f"{store.directory} is damaged: runs that were made are missing all the same")
+        done |= made
         needed = store.needed(needed)
         progress.runs = sum(needed.values())
 
 
-def make_runs(
-    work: Work, points: list[dict[str, Any]], tasks: Iterator[Task], tell: Callable[[Row], None] = lambda _: None
-) -> None:
-    """Make some runs of a study that is locked, and write their rows as they come.
-
-    Args:
-        work: the study.
-        points: all of them.
-        tasks: the runs.
-        tell: called with each row.
-    """
-    store, progress = work.store, work.progress
-    values = [{axis.key: point[axis.key] for axis in store.record.axes} for point in points]
-    rows: list[Row] = []
-    written = time.monotonic()
-
-    def write() -> None:
-        nonlocal written
-        if rows:
-            store.add(rows)
-            rows.clear()
-        written = time.monotonic()
-
-    def take(made: list[Row]) -> None:
-        for row in made:
-            tell(row)
-            rows.append(values[row["point"]] | row)
-            progress.count({"passed": None} | row)
-            progress.failed += row["status"] == FAILED
-        progress.made += len(made)
-        progress.new += len(made)
-        wait()
-
-    def wait() -> None:
-        if len(rows) >= _WRITE_ROWS or time.monotonic() - written > _WRITE_S:
-            write()
-        work.wait()
-
-    try:
-        work.engine.make(tasks, take, wait)
-    finally:
-        write()
-
-
-def _tasks(
-    store: Store,
-    points: list[dict[str, Any]],
-    needed: Mapping[int, int],
-    done: frozenset[tuple[int, int]],
-    task: Callable[..., Task],
-) -> Iterator[Task]:
+def _tasks(store: Store, needed: Mapping[int, int], done: Set[tuple[int, int]], like: Task) -> Iterator[Task]:
     for n, seed in enumerate(store.seeds):
-        for point in points:
-            number = point["point"]
-            if n < needed[number] and (number, seed) not in done:
-                yield task_of(point, seed, task)
+        for point in store.points:
+            if n < needed[point.number] and (point.number, seed) not in done:
+                yield task_of(point, seed, like)
 
 
-def task_of(point: Mapping[str, Any], seed: int, task: Callable[..., Task], log: str = "") -> Task:
-    """The run of a point with a seed."""
-    text = point["scenario"]
-    return task(key=run_key(f"{text}\nseed {seed}"), point=point["point"], seed=seed, text=text, log=log)
+def task_of(point: StudyPoint, seed: int, like: Task, log: str = "") -> Task:
+    """The run of a point with a seed; the rest of it is as in another one."""
+    key = run_key(f"{point.scenario}\nseed {seed}")
+    return like._replace(key=key, point=point.number, seed=seed, text=point.scenario, log=log)
 
 
 def logs_to_make(store: Store, kept: KeepLogs) -> dict[tuple[int, int], str]:
     """The digest of each run whose log is to be kept and not there yet, by point and seed. Raises StudyError."""
-    found: dict[tuple[int, int], str] = {}
     if kept == "none":
-        return found
-    for row in store.table(["point", "seed", "passed", "digest"]).to_pylist():
-        wanted = row["digest"] is not None and (kept == "all" or not row["passed"])
-        if wanted and not store.log_of(row["point"], row["seed"]).exists():
-            found[row["point"], row["seed"]] = row["digest"]
-    return found
+        return {}
+    return {
+        (row.point, row.seed): row.digest
+        for row in store.rows(details=True)
+        if row.digest is not None
+        and (kept == "all" or not row.passed)
+        and not store.log_of(row.point, row.seed).exists()
+    }
 
 
-def _keep_logs(work: Work, task: Callable[..., Task], kept: KeepLogs) -> None:
+def _keep_logs(work: Work, like: Task, kept: KeepLogs) -> None:
     """Make the runs again whose logs are kept and not there yet, on this machine, wherever they were made.
 
     A disk that is full meanwhile costs no row. A run that comes out differently is told, and its log is not kept. To
     write all logs at once and to delete those of runs that passed would cost less only where more than a few runs fail.
     """
     store, progress = work.store, work.progress
-    digests, points = logs_to_make(store, kept), store.points()
+    digests = logs_to_make(store, kept)
     if not digests:
         return
     progress.doing, progress.runs, progress.made, progress.new = "logs", len(digests), 0, 0
@@ -353,14 +335,90 @@ def _keep_logs(work: Work, task: Callable[..., Task], kept: KeepLogs) -> None:
 
     def take(made: list[Row]) -> None:
         for row in made:
-            if row.get("digest") != digests[row["point"], row["seed"]]:
-                why = row.get("reason") or "it came out differently: does a law not do the same each time?"
-                shutil.rmtree(store.log_of(row["point"], row["seed"]), ignore_errors=True)
-                progress.not_kept.append(f"the log of point {row['point']} with seed {row['seed']} is not kept: {why}")
+            if row.digest != digests[row.point, row.seed]:
+                why = row.reason or "it came out differently: does a law not do the same each time?"
+                shutil.rmtree(store.log_of(row.point, row.seed), ignore_errors=True)
+                progress.not_kept.append(f"the log of point {row.point} with seed {row.seed} is not kept: {why}")
         progress.made += len(made)
         progress.new += len(made)
         work.wait()
 
     with nullcontext(work.engine) if work.engine.here else engine_of() as engine:
-        again = (task_of(points[n], seed, task, str(store.log_of(n, seed))) for n, seed in digests)
+        again = (task_of(store.points[n], seed, like, str(store.log_of(n, seed))) for n, seed in digests)
         engine.make(again, take, work.wait)
+
+
+# Two points have the same mistake if it differs only in the value that is varied, or in numbers. So a wrong key is
+# reported once, not per value.
+
+
+_NUMBER = re.compile(rf"(?<!\w){NUMBER.pattern}", re.ASCII)
+
+
+def load_points(plan: Plan, *, refused: list[Problem] | None = None) -> list[Scenario]:
+    """The scenario of each point.
+
+    Args:
+        refused: a list that receives the laws that may not run; None: such a law is an error.
+
+    Raises:
+        ScenarioError: with the mistakes of all points, each once.
+    """
+    scenarios: list[Scenario] = []
+    mistakes: dict[tuple[int, str], tuple[Problem, list[Point]]] = {}
+    for point in plan.points:
+        try:
+            scenario = load_scenario(plan.scenario, point.changes, refused=refused, origin=plan.origin)
+            scenarios.append(scenario)
+        except ScenarioError as error:
+            times: Counter[str] = Counter()  # one point may have several that differ only in numbers
+            for problem in error.problems:
+                same = _same(problem, point)
+                times[same] += 1
+                mistakes.setdefault((times[same], same), (problem, []))[1].append(point)
+    if mistakes:
+        raise ScenarioError([_with_points(problem, points, plan) for problem, points in mistakes.values()])
+    return scenarios
+
+
+def point_warnings(plan: Plan, scenarios: Sequence[Scenario]) -> list[str]:
+    """One sentence for each check that cannot pass at some points, as `fleet check` says it."""
+    found: dict[str, tuple[str, list[Point]]] = {}
+    for point, scenario in zip(plan.points, scenarios, strict=True):
+        for text in check_warnings(scenario):
+            found.setdefault(_without_values(text, point), (text, []))[1].append(point)
+    return [text + _of_points(points, plan) for text, points in found.values()]
+
+
+def _same(problem: Problem, point: Point) -> str:
+    """A text that is the same for the same mistake of another point."""
+    words = _without_values(f"{problem.message}\n{problem.hint}", point)
+    if problem.file.startswith("--"):  # its value may be the one that is varied, so columns differ
+        return f"{_without_values(problem.file, point)}\n{words}"
+    return f"{problem.file}:{problem.line}:{problem.column}\n{words}"
+
+
+def _without_values(text: str, point: Point) -> str:
+    """A text without the values of the point, and without other numbers."""
+    for value in sorted((value.text for value in point.values.values()), key=len, reverse=True):
+        text = re.sub(rf"(?<![\w.]){re.escape(value)}(?!\.?\w)", "{}", text)
+    return _NUMBER.sub("{}", text)
+
+
+def _with_points(problem: Problem, points: list[Point], plan: Plan) -> Problem:
+    """The mistake with its points, if not all have it. A wrong word of links gets the two ways to vary it as a hint."""
+    hint = problem.hint
+    key = next((axis.key for axis in plan.axes if problem.file.startswith(f"{axis.option} {axis.key}=")), "")
+    word = key.rpartition(".")[2]
+    if word in WORDS and problem.message.startswith("unknown key"):
+        hint = (
+            f"a condition of links is network.links.*.{word}; or name it in --net '* {word} {{{word}}}' and vary {word}"
+        )
+    return replace(problem, message=problem.message + _of_points(points, plan), hint=hint)
+
+
+def _of_points(points: list[Point], plan: Plan) -> str:
+    """Which points a sentence is about; empty: all."""
+    if len(points) == len(plan.points):
+        return ""
+    return f" (in {len(points)} of {len(plan.points)} points, first {points[0].shown})"

@@ -126,10 +126,15 @@ def parse_axis(text: str, *, fine: int = 0) -> Axis:
     Raises:
         StudyError: it has no key, or its values are none.
     """
+    return axis(*key_and_values(text), fine=fine)
+
+
+def key_and_values(text: str) -> tuple[str, str]:
+    """Both sides of `KEY=VALUES`. Raises StudyError: there is no key."""
     key, equals, values = text.partition("=")
     if not equals or not _KEY.fullmatch(key.strip()):
         raise StudyError(f"expected KEY=VALUES such as 'network.links.*.loss=0 %..90 %/10 %', got '{text[:80]}'")
-    return axis(key.strip(), values, fine=fine)
+    return key.strip(), values.strip()
 
 
 def axis(key: str, text: str, *, fine: int = 0) -> Axis:
@@ -220,7 +225,6 @@ def _step(match: re.Match[str], unit: str, low: Fraction, high: Fraction) -> Fra
 
 
 def _in_steps(drawn: Axis, step: Fraction) -> Axis:
-    """The axis, with each value rounded to whole steps."""
     if not drawn.sampled:
         raise StudyError("what is drawn can be rounded to a step: random or latin; lin and log say where each value is")
     return replace(drawn, step=_float(step))

@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from datetime import timedelta
 from types import TracebackType
 
@@ -16,6 +17,17 @@ from fleet.terminal.table import Piece, fit, shortened
 REFRESH_S = 0.1
 PLAIN_S = 5.0
 BAR = 24  # characters
+_hushed: ContextVar[bool] = ContextVar("hushed", default=False)
+
+
+@contextmanager
+def hushed() -> Iterator[None]:
+    """Show no progress inside, whatever is done there."""
+    token = _hushed.set(True)
+    try:
+        yield
+    finally:
+        _hushed.reset(token)
 
 
 def rewritable(terminal: Terminal) -> bool:
@@ -33,7 +45,7 @@ class StatusLine:
             quiet: show nothing at all.
             first_s: how long nothing is shown at first; by default 0 on a terminal, a while elsewhere.
         """
-        self._terminal, self._quiet = terminal, quiet
+        self._terminal, self._quiet = terminal, quiet or _hushed.get()
         self.live = rewritable(terminal)
         self._next = time.monotonic() + ((0.0 if self.live else PLAIN_S) if first_s is None else first_s)
         self._shown = False
@@ -121,10 +133,10 @@ def showing_steps(doing: str) -> Iterator[Callable[[], None]]:
 
 
 @contextmanager
-def showing_time(doing: str, *, quiet: bool = False) -> Iterator[Callable[[float, float], None]]:
+def showing_time(doing: str) -> Iterator[Callable[[float, float], None]]:
     """A function to call with the simulated time reached and the time at which the work ends [s]."""
     terminal = Terminal(stderr=True)
-    with StatusLine(terminal, quiet=quiet, first_s=REFRESH_S if rewritable(terminal) else PLAIN_S) as line:
+    with StatusLine(terminal, quiet=False, first_s=REFRESH_S if rewritable(terminal) else PLAIN_S) as line:
 
         def report(at_s: float, end_s: float) -> None:
             if line.due():

@@ -28,7 +28,7 @@ def write(
     *,
     view: str = "above",
     window: tuple[float, float | None] = (0.0, None),
-    rate: float | None = None,
+    speed: float | None = None,
     fps: int = 10,
     width: int = 800,
 ) -> str:
@@ -40,7 +40,7 @@ def write(
         tell: called with the share of the work that is done.
         view: `above` or `3d`.
         window: from when to when [s of simulated time]; None: the end of the log.
-        rate: simulated seconds per second of the movie; None: so that it lasts LASTS_S, or 1 for what is shorter.
+        speed: simulated seconds per second of the movie; None: so that it lasts LASTS_S, or 1 for what is shorter.
         fps: pictures per second.
         width: in pixels, a multiple of 8; the height is three quarters of it.
 
@@ -54,20 +54,20 @@ def write(
     writer = _writer(out, fps)
     feed = LogFeed(log)
     begin_s, end_s = _window(feed, window)
-    rate = rate or max(1.0, (end_s - begin_s) / LASTS_S)
-    count = 1 + max(1, round((end_s - begin_s) / rate * fps))
+    speed = speed or max(1.0, (end_s - begin_s) / LASTS_S)
+    count = 1 + max(1, round((end_s - begin_s) / speed * fps))
     if isinstance(writer, GifWriter):
         _check_memory(count, width)
     charted = {name: _charted(feed, name) for name in feed.charted}
     feed.follow([each for _, names in charted.values() for each in names.values()])
     scene = MovieScene(
-        feed.picture, begin_s, end_s, rate, above=view == "above", verdict=feed.checks.get("verdict"), charted=charted
+        feed.picture, begin_s, end_s, speed, above=view == "above", verdict=feed.checks.get("verdict"), charted=charted
     )
     try:
         with whole_file(out) as part:
             part.open("a").close()  # before the pictures, which take a while
             writer.setup(scene.figure, part, dpi=width / WIDTH_IN)
-            _grab(writer, _drawn(feed, scene, begin_s, end_s, rate, fps, count), lambda k: tell((k + 1) / count))
+            _grab(writer, _drawn(feed, scene, begin_s, end_s, speed, fps, count), lambda k: tell((k + 1) / count))
     except CalledProcessError as error:
         said = str(error.stderr).strip().splitlines() or [f"exit status {error.returncode}"]
         raise FleetError(f"ffmpeg could not write {out}: {said[-1]}") from None
@@ -82,7 +82,7 @@ def _check_memory(count: int, width: int) -> None:
     if held > MOST_BYTES:
         raise FleetError(
             f"{count} pictures of this size take {held / 1e9:.1f} GB of memory, and {MOST_BYTES / 1e9:g} GB are "
-            "allowed: choose a higher --rate, a lower --fps or --width, or write an .mp4"
+            "allowed: choose a higher --speed, a lower --fps or --width, or write an .mp4"
         )
 
 
@@ -109,13 +109,13 @@ def _charted(feed: LogFeed, name: str) -> tuple[str, dict[int, str]]:
 
 
 def _drawn(
-    feed: LogFeed, scene: MovieScene, begin_s: float, end_s: float, rate: float, fps: int, count: int
+    feed: LogFeed, scene: MovieScene, begin_s: float, end_s: float, speed: float, fps: int, count: int
 ) -> Iterator[int]:
     """The numbers of the pictures, each when it is drawn."""
     feed.seek(begin_s)
     scene.remember(feed.picture.history())
     for k in range(count):
-        feed.forward(end_s if k == count - 1 else min(end_s, begin_s + k * rate / fps))
+        feed.forward(end_s if k == count - 1 else min(end_s, begin_s + k * speed / fps))
         scene.draw(feed.picture.frame(), k / fps)
         yield k
 

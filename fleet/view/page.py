@@ -307,7 +307,7 @@ class Viewer:
         made = await run.io_bound(script, feed.log)
         with self.element:
             ui.download.content(made.to_yaml() if made else "", f"{feed.scenario.name}-again.yaml")
-        page.note(f"fleet script {shlex.quote(str(feed.log))} > again.yaml")
+        page.note(f"fleet export {shlex.quote(str(feed.log))} --scenario > again.yaml")
 
     def _tell(self, text: str) -> None:
         with self.element:

@@ -124,7 +124,7 @@ def invoke(*arguments: str) -> Result:
 READING = (
     ["plot", "LOG", "--what", "track,error,inputs,commands,gains", "-o", "plots"],
     ["report", "LOG", "-o", "page.html"],
-    ["script", "LOG"],
+    ["export", "LOG", "--scenario"],
     ["export", "LOG", "--csv", "tables"],
     ["info", "LOG"],
     ["diff", "LOG", "LOG"],
@@ -133,7 +133,7 @@ READING = (
 
 
 @pytest.mark.parametrize("where", ["here", "installed"])
-@pytest.mark.parametrize("arguments", READING, ids=lambda arguments: arguments[0])
+@pytest.mark.parametrize("arguments", READING, ids=lambda arguments: " ".join(arguments[::2]))
 def test_reading_runs_nothing(
     arguments: list[str], where: str, victim: tuple[str, Path, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -147,7 +147,7 @@ def test_reading_runs_nothing(
     assert found.exit_code == 0, found.output
     assert not list(mark.parent.rglob("*.mark"))
     assert name not in sys.modules
-    if arguments[0] == "script":
+    if "--scenario" in arguments:
         assert f'controller: "{name}:Main"' in found.stdout
 
 
@@ -212,32 +212,31 @@ def test_why_runs_no_module_of_mine_unasked(victim: tuple[str, Path, str]) -> No
     assert "every check passed" in " ".join(invoke("why", log, "--trust").stderr.split())
 
 
-@pytest.mark.parametrize("arguments", RUNNING, ids=lambda arguments: arguments[0])
+@pytest.mark.parametrize("arguments", RUNNING, ids=lambda arguments: " ".join(arguments[::2]))
 def test_a_log_runs_no_module_of_mine_unasked(arguments: list[str], victim: tuple[str, Path, str]) -> None:
     log, mark, name = victim
     given = [log if argument == "LOG" else argument for argument in arguments]
-    digest = hashlib.sha256(mark.with_suffix(".py").read_bytes()).hexdigest()
     refused = invoke(*given)
     assert refused.exit_code == 2
     assert f"would run {name}.py, which is not installed, and a log names it" in refused.stderr
-    assert f"--trust runs it, --trust sha256:{digest} runs it only as it is now" in refused.stderr
-    wrong = invoke(*given, "--trust", f"sha256:{'0' * 64}")
-    assert wrong.exit_code == 2 and "would run" in wrong.stderr
+    assert "--trust runs it" in refused.stderr
     assert not mark.exists()
-    listed = invoke(*given, "--trust", f"sha256:{digest}")
-    assert listed.exit_code == 0, listed.output
-    assert f"{name}.py (sha256:{digest[:16]}), as --trust allows" in listed.stderr
+    trusted = invoke(given[0], "--trust", *given[1:])
+    assert trusted.exit_code == 0, trusted.output
+    assert f"runs {name}.py, as --trust allows" in trusted.stderr
     assert mark.exists()
 
 
-def test_trust_may_stand_anywhere(victim: tuple[str, Path, str]) -> None:
-    """The existing behaviour with it: the log is reproduced."""
-    log, mark, _ = victim
-    found = invoke("verify", "--trust", log)
-    assert found.exit_code == 0, found.output
-    assert "reproduced bit for bit" in found.stdout
-    assert mark.exists()
-    assert "expected --trust alone" in invoke("verify", log, "--trust=deploy").stderr
+def test_trust_ends_with_what_it_was_given_to(tmp_path: Path) -> None:
+    """With the command, or with the block; and whoever trusts nothing changes nothing."""
+    names = [write_laws(tmp_path) for _ in range(3)]
+    permission = Permission(elsewhere=(tmp_path,))
+    with trust.trusting(True), trust.trusting(False):
+        loading.admit("controller", f"{names[0]}:Main", permission)
+    with pytest.raises(PluginError, match="would run"):
+        loading.admit("controller", f"{names[1]}:Main", permission)
+    with pytest.raises(PluginError, match="would run"), trust.trusting(True), trust.trusting(Trust()):
+        loading.admit("controller", f"{names[2]}:Main", permission)
 
 
 def test_the_fingerprint_in_the_log_is_no_permission(victim: tuple[str, Path, str]) -> None:
@@ -342,7 +341,7 @@ def test_a_scenario_from_elsewhere(where: str, tmp_path: Path, monkeypatch: pyte
         assert f": {key}.law: {name}:" in checked.stderr
     assert checked.stderr.count("warning: not checked: ") == 4
     assert invoke("run", "../there/s.yaml", "--show-config").exit_code == 0
-    assert invoke("acl", "../there/s.yaml", "--listen", "tcp/127.0.0.1:7447").exit_code == 0
+    assert invoke("hosts", "acl", "../there/s.yaml", "--listen", "tcp/127.0.0.1:7447").exit_code == 0
     assert not list(tmp_path.rglob("*.mark"))
     assert invoke("check", "../there/s.yaml", "--trust").exit_code == 0
     assert list(tmp_path.rglob("*.mark"))
@@ -421,10 +420,15 @@ def test_packages_are_found_without_running_them(tmp_path: Path, monkeypatch: py
     assert place == trust.ModulePlace(str(tmp_path), (str(init), str(tmp_path / package / "law.py")), False)
     sums = [hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in place.files]
     arguments = ("controller", f"{package}.law:Main")
-    with pytest.raises(PluginError, match=f"would run {package}/__init__.py and {package}/law.py"):
-        loading.admit(*arguments, Permission(Trust(fingerprints=frozenset(sums[1:])), elsewhere=(tmp_path,)))
+    permission = Permission(elsewhere=(tmp_path,))
+    with (
+        pytest.raises(PluginError, match=f"would run {package}/__init__.py and {package}/law.py"),
+        trust.trusting(Trust(fingerprints=frozenset(sums[1:]))),
+    ):
+        loading.admit(*arguments, permission)
     assert not list(tmp_path.rglob("*.mark"))
-    loading.admit(*arguments, Permission(Trust(fingerprints=frozenset(sums)), elsewhere=(tmp_path,)))
+    with trust.trusting(Trust(fingerprints=frozenset(sums))):
+        loading.admit(*arguments, permission)
     assert laws.load("controller", Law(f"{package}.law:Main")).__name__ == "Main"
 
 
@@ -442,9 +446,10 @@ def test_a_join_file_names_no_module_of_mine(tmp_path: Path, monkeypatch: pytest
     monkeypatch.chdir(tmp_path / "here")
     write_laws(tmp_path / "here", name)
     with pytest.raises(JoinError, match=f"would run {name}.py, which is not installed, and the run names it"):
-        _admit(config, Trust())
+        _admit(config)
     assert not (tmp_path / "here" / f"{name}.mark").exists()
-    _admit(config, Trust(everything=True))
+    with trust.trusting(True):
+        _admit(config)
     assert laws.load("controller", Law(f"{name}:Main"))
     assert (tmp_path / "here" / f"{name}.mark").exists()
 
@@ -464,4 +469,6 @@ def test_the_library_has_the_same_rules(tmp_path: Path) -> None:
     (tmp_path / "s.yaml").write_text(small(name))
     with pytest.raises(ScenarioError, match="lies outside of the current directory"):
         load_scenario(tmp_path / "s.yaml")
-    assert load_scenario(tmp_path / "s.yaml", trust=Trust(everything=True)).layout(1).size
+    with pytest.raises(ScenarioError, match="lies outside of the current directory"):
+        fleet.run(tmp_path / "s.yaml")
+    assert fleet.run(tmp_path / "s.yaml", trust=True).passed

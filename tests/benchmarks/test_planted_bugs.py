@@ -28,8 +28,8 @@ def test_what_they_are_looked_for_with_is_a_scenario(name: str) -> None:
 
 
 def test_the_table_has_the_median_and_what_was_missed() -> None:
-    line = {"bug": "a", "protocol": "p", "what": "w", "guide": False, "seed": 1, "most": 9, "found": True, "check": "C",
+    line = {"bug": "a", "protocol": "p", "what": "w", "seed": 1, "most": 9, "found": True, "check": "C",
             "runs": 4, "without": 0, "reason": "", "least": ["fault"]}  # fmt: skip
-    lines = list(table([line, line | {"seed": 2, "runs": 6}, line | {"guide": True, "found": False}]))
-    assert lines[2] == "| p | w | 5 | not in 9 | C | fault |"
-    assert lines[-1] == "With a guide: found 0 of 1, median inf runs."
+    lines = list(table([line, line | {"seed": 2, "runs": 6}, line | {"bug": "b", "found": False}]))
+    assert lines[2] == "| p | w | 5 | C | fault |" and lines[3] == "| p | w | not in 9 |  |  |"
+    assert lines[-1] == "Found 1 of 2, median inf runs."

@@ -645,10 +645,10 @@ CONNECTIONS = st.one_of(
 @given(CONNECTIONS)
 @fuzz
 def test_no_connection_file_crashes_the_tools(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
-    """`fleet ps` and `fleet status` say in a line what they make of any connection.json, without a traceback."""
+    """`fleet ls` and `fleet status` say in a line what they make of any connection.json, without a traceback."""
     with live_directory(tmp_path_factory.getbasetemp() / "fuzzed-runs") as run:
         (run / "connection.json").write_bytes(text.encode("utf-8", "surrogateescape"))
-        for arguments in (["ps"], ["ps", "--json"], ["status"], ["status", "--run", str(run)]):
+        for arguments in (["ls"], ["ls", "--json"], ["status"], ["status", "--run", str(run)]):
             result = CliRunner().invoke(cli, arguments)
             assert result.exception is None or isinstance(result.exception, SystemExit), repr(result.exception)
             assert result.exit_code in (0, 3), (result.exit_code, result.output)

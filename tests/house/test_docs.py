@@ -17,7 +17,7 @@ TEXTS = ["README.md", "CONTRIBUTING.md"]
 
 def test_the_readme_is_a_front_door() -> None:
     lines = (ROOT / "README.md").read_text("utf-8").splitlines()
-    assert len(lines) <= 120
+    assert len(lines) <= 140  # three screens, one of them on where is what
 
 
 def test_files_that_pages_name_are_there() -> None:

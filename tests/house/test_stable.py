@@ -26,7 +26,7 @@ import agents.api
 import fleet
 import fleet.checks.api
 import world.api
-from fleet.cli.documents.index import DOCUMENTS
+from fleet.cli.documents.page import DOCUMENTS
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.repeat.verify import verify
@@ -89,7 +89,9 @@ def json_fields() -> dict[str, str]:
         for part in schema.get("anyOf", []):
             walk(part, definitions, path, above)
         for name, inner in schema.get("properties", {}).items():
-            types = sorted({part.get("type", "record") for part in inner.get("anyOf", [inner])})
+            types = sorted(
+                {part.get("type", "string" if "enum" in part else "record") for part in inner.get("anyOf", [inner])}
+            )
             found[f"{path}.{name}"] = " or ".join(types)
             walk(inner, definitions, f"{path}.{name}", above)
         for items in (schema.get("items"), schema.get("additionalProperties")):

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 from small_scenario import SMALL
 
 from fleet.scenario.text.overrides import SET, Override
+from fleet.study import row as rows_of
 from fleet.study.plan import Plan
 from fleet.study.store import Store
 from fleet.study.sweep import prepare
@@ -38,15 +41,29 @@ def made_up(
     plan = Plan(str(file), changes, tuple(map(parse_axis, axes)), seeds=tuple(range(1, seeds + 1)))
     store, _ = prepare(plan, directory)
     rows = []
-    for point in store.points():
-        values = {axis.key: point[axis.key] for axis in store.record.axes}
+    for point in store.points:
         for seed in store.record.seeds:
-            said = row(values, seed)
+            said = row(point.values, seed)
             if said is not None:
-                own = {"key": f"{point['point']}-{seed}", "point": point["point"], "seed": seed, "wall_s": 0.5}
-                rows.append(own | {"version": "0", "cores": "plain"} | values | dict(said))
+                own = {"key": f"{point.number}-{seed}", "point": point.number, "seed": seed, "wall_s": 0.5}
+                rows.append(row_of(own | {"version": "0", "cores": "plain"} | dict(said)))
     store.add(rows)
     return store
+
+
+def row_of(said: Row) -> rows_of.Row:
+    """A row of plain values: its fields, `check.NAME`, and numbers."""
+    fields = {key: value for key, value in said.items() if key in rows_of.Row.__struct_fields__}
+    checks = {key[6:]: rows_of.CheckRow(value) for key, value in said.items() if key.startswith("check.")}
+    numbers = {key: value for key, value in said.items() if key not in fields and not key.startswith("check.")}
+    return rows_of.Row(**fields, checks=checks, numbers=numbers)
+
+
+def damage(directory: Path, *statements: str, values: tuple[Any, ...] = ()) -> None:
+    """Change the database of a study behind its back."""
+    with closing(sqlite3.connect(directory / "study.sqlite")) as file, file:
+        for statement in statements:
+            file.execute(statement, values)
 
 
 def usual(values: Row, seed: int) -> Row:

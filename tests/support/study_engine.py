@@ -8,8 +8,9 @@ from typing import Any
 
 from fleet.study.modules import Modules
 from fleet.study.one_run import Task, make_run
+from fleet.study.row import Row
 
-Rows = list[dict[str, Any]]
+Rows = list[Row]
 
 
 class Here:
@@ -51,6 +52,5 @@ class Drawn(Here):
 
     def rows(self, task: Task) -> Rows:
         passed = self._passes(task.text, task.seed)
-        row = {"key": task.key, "point": task.point, "seed": task.seed, "reason": "", "wall_s": 0.1}
         status = "failed" if passed is None else "pass" if passed else "check_failed"
-        return [row | {"status": status, "passed": passed}]
+        return [Row(key=task.key, point=task.point, seed=task.seed, status=status, passed=passed)]

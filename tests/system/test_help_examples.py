@@ -39,7 +39,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_each_works_on_the_newest_run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One after the other in one folder, as a reader tries them; none is in the way of the next."""
     monkeypatch.chdir(folder)
-    for command in ("info", "export", "plot", "whatif", "check-log"):
+    for command in ("info", "export", "plot", "whatif"):
         for line in examples(command):
             done = invoke(line)
             assert done.exit_code == 0, (line, done.output)

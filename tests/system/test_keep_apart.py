@@ -36,7 +36,11 @@ keep_apart: {distance: 3 m, obstacles: [{at: 20 0 m, radius: 2 m}]}
 """
 
 
-@pytest.mark.parametrize("changes", [{}, {"network.links": "{}"}, {"keep_apart": "null"}], ids=["lossy", "good", "off"])
+@pytest.mark.parametrize(
+    "changes",
+    [{}, *(pytest.param(each, marks=pytest.mark.slow) for each in ({"network.links": "{}"}, {"keep_apart": "null"}))],
+    ids=["lossy", "good", "off"],
+)
 def test_columns_cross_and_keep_their_distance(changes: dict[str, str]) -> None:
     """Over 30 % of loss and 300 ms of delay, over a good network; and not without the section."""
     result = run("crossing", set={**changes, "log": "none"})
@@ -74,7 +78,9 @@ def test_a_vehicle_goes_round_a_cylinder_on_its_course(tmp_path: Path) -> None:
     assert guidance.keep_apart_infeasible[-1] == 0.0
 
 
-@pytest.mark.parametrize("changes", [{}, {"keep_apart": "null"}], ids=["on", "off"])
+@pytest.mark.parametrize(
+    "changes", [{}, pytest.param({"keep_apart": "null"}, marks=pytest.mark.slow)], ids=["on", "off"]
+)
 def test_the_page_s_own_scenario_and_check(
     changes: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

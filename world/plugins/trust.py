@@ -12,13 +12,13 @@ import os
 import stat
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 
 from world.errors import PluginError, UntrustedError
-
-SHA256 = "sha256:"  # what begins a fingerprint on the command line
 
 _added: list[str] = []  # folders that are on `sys.path` for the sake of modules that were allowed
 _allowed: set[str] = set()  # modules outside of what is installed that may run
@@ -34,18 +34,31 @@ class Trust:
     """The modules that the user allows in addition to installed ones and those in the user's own folders."""
 
     everything: bool = False
-    fingerprints: frozenset[str] = frozenset()  # SHA-256 of files, hexadecimal
+    fingerprints: frozenset[str] = frozenset()  # SHA-256 of files that the user let another process run, hexadecimal
     notify: Callable[[str], None] = _print_nothing  # called with what runs because of this, before it runs
 
 
 NOTHING = Trust()
+_held: ContextVar[Trust] = ContextVar("trust", default=NOTHING)  # in what is being done
+
+
+@contextmanager
+def trusting(trust: Trust | bool) -> Iterator[None]:
+    """Let more plug-ins be loaded inside: those that are trusted. True: all of them. False: no more than outside."""
+    if trust is False:
+        yield
+        return
+    token = _held.set(Trust(everything=True) if trust is True else trust)
+    try:
+        yield
+    finally:
+        _held.reset(token)
 
 
 @dataclass(frozen=True, slots=True)
 class Permission:
-    """The modules that the plug-ins of one scenario, log or run may import in addition to installed ones."""
+    """The modules that the plug-ins of one scenario, log or run may import besides installed and trusted ones."""
 
-    trust: Trust = NOTHING
     own: tuple[Path, ...] = ()  # folders of the user, whose modules run without a word
     elsewhere: tuple[Path, ...] = ()  # folders to look in besides, whose modules need the user's trust
     because: str = "nobody allowed it"  # why they need it, for the message
@@ -80,7 +93,7 @@ def permit(kind: str, name: str, module: str, permission: Permission) -> None:
     """
     if module in _allowed:
         return
-    trust, own, because = permission.trust, permission.own, permission.because
+    own, because = permission.own, permission.because
     place = find(module, [*own, *permission.elsewhere])
     if module in sys.modules:  # it ran before
         if place is not None and not place.installed:
@@ -95,7 +108,7 @@ def permit(kind: str, name: str, module: str, permission: Permission) -> None:
             _allow(module, place)
             return
         because = f"everybody may write into {place.folder}"
-    _need_trust(kind, name, place.files, place.folder, trust, because)
+    _need_trust(kind, name, place.files, place.folder, because)
     _allow(module, place)
 
 
@@ -122,7 +135,7 @@ def permit_file(kind: str, name: str, file: str, permission: Permission) -> None
     if own and (folder := next((f for f in (str(path), str(path.parent)) if _open_to_all(f)), "")):
         own, because = False, f"everybody may write into {folder}"
     if not own:
-        _need_trust(kind, name, (str(path),), str(path.parent), permission.trust, because)
+        _need_trust(kind, name, (str(path),), str(path.parent), because)
     _files[name] = path
 
 
@@ -138,15 +151,13 @@ def allow_file(name: str, path: Path) -> None:
     _files[name] = path
 
 
-def _need_trust(kind: str, name: str, files: tuple[str, ...], folder: str, trust: Trust, because: str) -> None:
+def _need_trust(kind: str, name: str, files: tuple[str, ...], folder: str, because: str) -> None:
     """Raise UntrustedError unless the user trusts these files, which lie in a folder; say so if they do."""
-    shown, digests = " and ".join(map(_shown, files)) or _shown(folder), _fingerprints(files)
-    if not trust.everything and not (digests and trust.fingerprints.issuperset(digests)):
-        listed = " ".join(f"--trust {SHA256}{digest}" for digest in digests)
-        hint = "read it first; --trust runs it" + (f", {listed} runs it only as it is now" if digests else "")
-        raise UntrustedError(kind, name, f"would run {shown}, which is not installed, and {because}", hint)
-    listed = ", ".join(SHA256 + digest[:16] for digest in digests)
-    trust.notify(f"{kind} {name} runs {shown} ({listed}), as --trust allows")
+    trust, shown = _held.get(), " and ".join(map(_shown, files)) or _shown(folder)
+    if not (trust.everything or _known(files, trust.fingerprints)):
+        problem = f"would run {shown}, which is not installed, and {because}"
+        raise UntrustedError(kind, name, problem, "read it first; --trust runs it")
+    trust.notify(f"{kind} {name} runs {shown}, as --trust allows")
 
 
 def find(module: str, folders: Iterable[Path]) -> ModulePlace | None:
@@ -220,14 +231,15 @@ def _open_to_all(folder: str) -> bool:
         return True
 
 
-def _fingerprints(files: tuple[str, ...]) -> list[str]:
-    """SHA-256 of each file; nothing if one cannot be read."""
+def _known(files: tuple[str, ...], fingerprints: frozenset[str]) -> bool:
     import hashlib  # loads OpenSSL, which --help needs not
 
     try:
-        return [hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in files]
+        return bool(files) and fingerprints.issuperset(
+            hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in files
+        )
     except OSError:
-        return []
+        return False
 
 
 def _shown(file: str) -> str:

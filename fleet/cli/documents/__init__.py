@@ -1,1 +1,1 @@
-"""Documents that `--json` prints: one struct per command, and the page that describes them."""
+"""What `--json` prints where it joins several structs, and the page of all documents."""

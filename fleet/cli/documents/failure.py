@@ -25,7 +25,7 @@ class FailedCommand(Struct):
     """The output with `--json` in place of a document when a command fails. Stderr says the same in words."""
 
     error: Annotated[str, Meta(description="What went wrong, as on stderr.")]
-    exit: Annotated[int, Meta(description="Exit status of the command.")]
+    exit: int
     problems: Annotated[list[ProblemRow], Meta(description="Mistakes in the scenario, the first 200 of them.")]
 
 

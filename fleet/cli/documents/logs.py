@@ -1,95 +1,223 @@
-"""The output with `--json` of the commands that read logs: verify, diff and info."""
+"""What `--json` prints of a scenario, of two logs, and as lists: documents that join several structs."""
 
 from __future__ import annotations
 
-from dataclasses import asdict
-from itertools import zip_longest
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-from msgspec import Meta, Struct, convert
+from msgspec import Meta, Struct
 
-from fleet.cli.documents.live import EventCount
-from fleet.logs.decoder import FieldValue
-from fleet.logs.deviation import Difference, LogComparison, Side, same
-from fleet.logs.info import Info
-from fleet.repeat.check_log import JudgedLog
-from fleet.repeat.verify import Verification
-from fleet.result.verdict import Verdict
-
-Missing = Annotated[str, Meta(description="Missing parts of the file; empty: it is whole.")]
-Plain = str | int | float | bool | None
-
-
-class MessageRow(Struct):
-    """One message of a log."""
-
-    topic: Annotated[str, Meta(description="Its topic.")]
-    at_s: Annotated[float, Meta(description="When it happened [s].")]
-    sent_s: Annotated[float, Meta(description="When it was sent [s].")]
-    sequence: Annotated[int, Meta(description="Tick, or number of the packet.")]
+from fleet.analysis.border import LinearFleet
+from fleet.analysis.link_shares import effective_loss, written
+from fleet.analysis.seed import seeded
+from fleet.analysis.stability import Analysis, oldest_s, slack
+from fleet.cli.documents.failure import ProblemRow, problem_rows
+from fleet.errors import Problem
+from fleet.execution.answers import LiveRunRow
+from fleet.execution.directory import PastRun
+from fleet.logs.deviation import Difference, LogComparison
+from fleet.logs.fault_intervals import FaultTime
+from fleet.scenario.catalogue import ListedScenario
+from fleet.scenario.scenario import Scenario, timeline
+from fleet.study.catalogue import ListedStudy
+from netem.condition import Link
+from netem.link_states import LinkStates
+from netem.link_trace import LinkTrace
 
 
-class FieldRow(Struct):
-    """One field of a message that is not the same."""
+class Scenarios(Struct):
+    """`fleet list --json`: the scenarios and the studies that ship with the package."""
 
-    field: Annotated[str, Meta(description="Its name.")]
-    unit: Annotated[str, Meta(description="Its unit; empty: none.")]
-    a: Annotated[Plain, Meta(description="Value in the first log, or as recorded; null: none, or not finite.")]
-    b: Annotated[Plain, Meta(description="Value in the second log, or of the re-run; null: none, or not finite.")]
+    scenarios: list[ListedScenario]
+    studies: list[ListedStudy]
 
 
-class FirstDifference(Struct):
-    """The first message that differs between two logs."""
+class Runs(Struct):
+    """`fleet ls --json`: the live runs of this user, and the runs below a directory."""
 
-    number: Annotated[int, Meta(description="How many messages are before it.")]
-    a: Annotated[MessageRow | None, Meta(description="In the first log, or as recorded; null: it has ended.")]
-    b: Annotated[MessageRow | None, Meta(description="In the second log, or of the re-run; null: it has ended.")]
-    fields: Annotated[list[FieldRow], Meta(description="Those that are not the same; bytes in hexadecimal.")]
+    live: Annotated[list[LiveRunRow], Meta(description="Wherever they are, by name.")]
+    runs: Annotated[list[PastRun], Meta(description="Below the directory, the newest first.")]
+    size_bytes: int
 
 
-class Verified(Struct):
-    """`fleet verify --json`: how far a log was reproduced."""
+class Eigenvalue(Struct):
+    """An eigenvalue of L + B."""
 
-    log: Annotated[str, Meta(description="Path of the log.")]
-    reproduced: Annotated[bool, Meta(description="Whether everything that was compared is the same.")]
-    messages: Annotated[int, Meta(description="Messages reproduced bit for bit.")]
-    until_s: Annotated[float, Meta(description="Simulated time of the last recorded message [s].")]
-    end_s: Annotated[float, Meta(description="Planned end of the run in simulated time [s].")]
-    missing: Missing
-    skipped: Annotated[int, Meta(description="Messages that the re-run gave where the file has gaps.")]
-    difference: Annotated[FirstDifference | None, Meta(description="The first difference; null: there is none.")]
-    reason: Annotated[str, Meta(description="Why the re-run ended early; empty: it did not.")]
-    contradictions: Annotated[list[str], Meta(description="Between the log's metadata and its scenario.")]
-    versions: Annotated[list[str], Meta(description="Those that are not as they were when it was recorded.")]
-    external: Annotated[list[int], Meta(description="Vehicles whose commands were taken from the log.")]
-    unknown: Annotated[str, Meta(description="Why nothing more could be compared; empty: everything was.")]
+    real: float
+    imag: float
+
+
+class ExpectedByTheory(Struct):
+    """Expectations of theory for a fleet: `docs/background/stability.md` says what the numbers mean."""
+
+    parts: Annotated[list[list[int]], Meta(description="Vehicles that links connect, taken both ways; one: connected.")]
+    followers: list[int]
+    unreached: Annotated[list[int], Meta(description="Vehicles that no chain of links leads to from a follower.")]
+    eigenvalues: Annotated[list[Eigenvalue], Meta(description="Those of L + B, by real part.")]
+    spectral_radius: float
+    oldest_s: Annotated[float, Meta(description="Greatest age of what is heard, without loss.")]
+    gain_per_s: Annotated[float | None, Meta(description="Largest gain K that may occur [1/s]; null: no such law.")]
+    settled_gain_per_s: Annotated[
+        list[float] | None, Meta(description="Gain at which K settles, north, east, down [1/s]; null: no such law.")
+    ]
+    gain_limit_per_s: Annotated[
+        float | None, Meta(description="Gain from which on the linear loop grows [1/s]; null: none, or not computed.")
+    ]
+    delay_limit_s: Annotated[
+        float | None,
+        Meta(description="Longest delay of all links that it bears at the largest gain [s]; null: as above."),
+    ]
+    settled_delay_limit_s: Annotated[
+        float | None, Meta(description="The same at the gain at which K settles [s]; null: as above.")
+    ]
+    clock_difference_s: Annotated[
+        float | None, Meta(description="By how much clocks may differ until time slots overlap [s]; null: no slots.")
+    ]
+    clock_drift: Annotated[
+        float | None,
+        Meta(description="Drift of each clock, right at the start, that slots bear for the run [s/s]; null: no slots."),
+    ]
+    not_computed: Annotated[str, Meta(description="Why there are no limits of the linear loop; empty: there are.")]
+
+
+class ShareOfTime(Struct):
+    """A state of links."""
+
+    name: str
+    share: Annotated[float, Meta(description="Share of the time in the long run.")]
+    mean_s: float
+
+
+class ChangingLinksRow(Struct):
+    """Links whose condition changes by itself."""
+
+    links: Annotated[list[str], Meta(description="Which, such as 1->2.")]
+    states: Annotated[list[ShareOfTime], Meta(description="Their states; empty: they have a trace.")]
+    together: bool
+    rows: Annotated[int, Meta(description="Rows of their trace; 0: they have states.")]
+    effective_loss: Annotated[float, Meta(description="Share of packets lost in the long run, but for queues.")]
+
+
+class Checked(Struct):
+    """`fleet check --json`: a valid scenario. One that is not valid gives a `FailedCommand` with its problems."""
+
+    valid: bool
+    name: str
+    title: str
+    vehicles: int
+    links: int
+    duration_s: float
+    tick_s: float
+    round_ticks: int
+    ideal: bool
+    expect: Annotated[str, Meta(description="pass, or fail: it is meant to fail a check.")]
+    seed: int
+    draws: Annotated[list[str], Meta(description="Draws from the seed; empty: it decides nothing.")]
+    theory: ExpectedByTheory
+    changing_links: list[ChangingLinksRow]
+    faults: Annotated[list[FaultTime], Meta(description="In the order in which they begin.")]
+    warnings: list[str]
+    not_checked: Annotated[list[ProblemRow], Meta(description="Laws that may not run here and were not checked.")]
+
+
+def checked(scenario: Scenario, found: Analysis, warnings: list[str], refused: Sequence[Problem]) -> Checked:
+    """The document of a valid scenario.
+
+    Args:
+        refused: the laws that were not checked.
+    """
+    return Checked(
+        valid=True,
+        name=scenario.name,
+        title=scenario.title,
+        vehicles=scenario.vehicles,
+        links=len(scenario.graph.links),
+        duration_s=scenario.duration_ns / 1e9,
+        tick_s=scenario.tick_ns / 1e9,
+        round_ticks=scenario.round_ticks,
+        ideal=scenario.ideal,
+        expect=scenario.spec.expect,
+        seed=scenario.seed,
+        draws=seeded(scenario),
+        theory=_theory(scenario, found),
+        changing_links=[_changing(its, links) for _, its, links in written(scenario)],
+        faults=[FaultTime(*row) for row in timeline(scenario)],
+        warnings=warnings,
+        not_checked=problem_rows(refused),
+    )
+
+
+def _changing(its: LinkStates | LinkTrace, links: Sequence[Link]) -> ChangingLinksRow:
+    states: list[ShareOfTime] = []
+    rows = 0
+    if isinstance(its, LinkTrace):
+        rows = len(its.conditions)
+    else:
+        states = [ShareOfTime(*of) for of in zip(its.names, its.shares, (m / 1e9 for m in its.mean_ns), strict=True)]
+    together = isinstance(its, LinkStates) and its.shared is not None
+    return ChangingLinksRow([f"{src}->{dst}" for src, dst in links], states, together, rows, effective_loss(its))
+
+
+def _theory(scenario: Scenario, found: Analysis) -> ExpectedByTheory:
+    most, settled, left = found.gain_max, found.settled, slack(scenario)
+    gain_limit: float | None = None
+    delay_limits: tuple[float | None, float | None] = None, None
+    if found.at_most is not None and found.at_settled is not None and most is not None and settled is not None:
+        gain_limit = found.at_most.gain_border(most)
+        delay_limits = (
+            _delay_limit_s(scenario, found.at_most, most),
+            _delay_limit_s(scenario, found.at_settled, max(settled)),
+        )
+    return ExpectedByTheory(
+        parts=found.components,
+        followers=[i for i, b in enumerate(scenario.b, start=1) if b > 0.0],
+        unreached=found.unreached,
+        eigenvalues=[Eigenvalue(value.real, value.imag) for value in found.eigenvalues],
+        spectral_radius=found.spectral_radius_A,
+        oldest_s=oldest_s(scenario),
+        gain_per_s=most,
+        settled_gain_per_s=None if settled is None else list(settled),
+        gain_limit_per_s=gain_limit,
+        delay_limit_s=delay_limits[0],
+        settled_delay_limit_s=delay_limits[1],
+        clock_difference_s=None if left is None else left.difference_s,
+        clock_drift=None if left is None else left.drift,
+        not_computed=found.not_linear,
+    )
+
+
+def _delay_limit_s(scenario: Scenario, fleet: LinearFleet, gain: float) -> float | None:
+    if scenario.ideal or not scenario.graph.links:
+        return None
+    border = fleet.delay_border(gain)
+    return None if border is None else (border - 1) * fleet.tick_s
 
 
 class SignalRow(Struct):
     """A signal that is not the same in two logs."""
 
-    signal: Annotated[str, Meta(description="Topic and field.")]
+    signal: str
     unit: Annotated[str, Meta(description="Its unit; empty: none.")]
     most: Annotated[float | None, Meta(description="Greatest |a - b|; null: it is not finite.")]
-    at_s: Annotated[float, Meta(description="When that is [s].")]
+    at_s: float
     messages: Annotated[int, Meta(description="Messages in which it is not the same.")]
 
 
 class Compared(Struct):
     """`fleet diff --json`: what two logs have in common and what not."""
 
-    a: Annotated[str, Meta(description="Path of the first log.")]
-    b: Annotated[str, Meta(description="Path of the second log.")]
+    a: str
+    b: str
     same: Annotated[bool, Meta(description="Whether all messages are the same, bit for bit.")]
-    from_s: Annotated[float, Meta(description="Compared from then on: where a run goes on from another [s]; else 0.")]
+    from_s: Annotated[float, Meta(description="Compared from then on: where a run goes on from another; else 0.")]
     tolerance: Annotated[float, Meta(description="The most that two numbers may be apart.")]
     within: Annotated[bool, Meta(description="Whether all messages are there in both and within the tolerance.")]
-    missing_a: Missing
-    missing_b: Missing
+    missing_a: Annotated[str, Meta(description="Missing parts of the file; empty: it is whole.")]
+    missing_b: str
     messages_same: Annotated[int, Meta(description="Messages that are the same, bit for bit.")]
     messages_differing: Annotated[int, Meta(description="Messages that are there in both and not the same.")]
-    first: Annotated[FirstDifference | None, Meta(description="Where they part; null: they do not.")]
+    first: Annotated[Difference | None, Meta(description="Where they part; null: they do not.")]
     signals: Annotated[list[SignalRow], Meta(description="All signals that are not the same, the greatest first.")]
     others: Annotated[
         dict[str, int], Meta(description="Messages with other texts, flags or bytes, by topic and field.")
@@ -97,73 +225,6 @@ class Compared(Struct):
     only_a: Annotated[dict[str, int], Meta(description="Messages that only the first log has, by topic.")]
     only_b: Annotated[dict[str, int], Meta(description="Messages that only the second log has, by topic.")]
     besides: Annotated[list[str], Meta(description="Metadata, attachments and declarations that are not the same.")]
-
-
-class FaultTime(Struct):
-    """A fault of a log."""
-
-    id: Annotated[str, Meta(description="Its id.")]
-    from_s: Annotated[float, Meta(description="When it began [s].")]
-    to_s: Annotated[float, Meta(description="When it ended, at the latest with the log [s].")]
-    what: Annotated[str, Meta(description="What it does, as a scenario writes it.")]
-
-
-class LogContents(Struct):
-    """`fleet info --json`: the content of a log at a glance."""
-
-    path: Annotated[str, Meta(description="Path of the log.")]
-    bytes: Annotated[int, Meta(description="Its size [bytes].")]
-    messages: Annotated[int, Meta(description="Number of messages.")]
-    start_s: Annotated[float, Meta(description="Time of the first message [s].")]
-    end_s: Annotated[float, Meta(description="Time of the last message [s].")]
-    run: Annotated[dict[str, str], Meta(description="All that determines the run; empty: it is no log of a run.")]
-    faults: Annotated[list[FaultTime], Meta(description="In the order in which they began.")]
-    events: Annotated[list[EventCount], Meta(description="What happened to vehicles, one row for each.")]
-    topics: Annotated[dict[str, tuple[str, int]], Meta(description="Schema and number of messages, by topic.")]
-    missing: Missing
-    unread: Annotated[int, Meta(description="Messages about faults that are left out above, as there are too many.")]
-
-
-class LogJudged(Struct):
-    """`fleet check-log --json`: a log judged by checks."""
-
-    log: Annotated[str, Meta(description="Path of the log.")]
-    passed: Annotated[bool, Meta(description="Whether every check passed.")]
-    until_s: Annotated[float, Meta(description="Simulated time up to which it was judged [s].")]
-    end_s: Annotated[float, Meta(description="Planned end of the run in simulated time [s].")]
-    missing: Missing
-    checks: Annotated[list[Verdict], Meta(description="The verdicts.")]
-
-
-def judged(found: JudgedLog) -> LogJudged:
-    """The document of a log that was judged."""
-    return LogJudged(
-        log=str(found.path),
-        passed=found.passed,
-        until_s=found.until_s,
-        end_s=found.end_s,
-        missing=found.missing,
-        checks=found.verdicts,
-    )
-
-
-def verified(found: Verification) -> Verified:
-    """The document of a verification."""
-    return Verified(
-        log=str(found.path),
-        reproduced=found.reproduced,
-        messages=found.messages,
-        until_s=found.until_s,
-        end_s=found.end_s,
-        missing=found.missing,
-        skipped=found.skipped,
-        difference=None if found.difference is None else _difference(found.difference),
-        reason=found.reason,
-        contradictions=found.contradictions,
-        versions=found.versions,
-        external=list(found.external),
-        unknown=found.unknown,
-    )
 
 
 def compared(
@@ -182,45 +243,10 @@ def compared(
         missing_b=missing[1],
         messages_same=found.same,
         messages_differing=found.paired,
-        first=None if found.first is None else _difference(found.first),
+        first=found.first,
         signals=[SignalRow(name, d.unit, d.value, d.at_ns / 1e9, d.differing) for name, d in signals],
         others=dict(found.others),
         only_a=dict(found.only_a),
         only_b=dict(found.only_b),
         besides=besides,
     )
-
-
-def contents(found: Info) -> LogContents:
-    """The document of a log's content."""
-    values = asdict(found)
-    values["faults"] = [
-        {"id": fault.id, "from_s": fault.begin, "to_s": fault.end, "what": fault.what} for fault in found.faults
-    ]
-    values["events"] = [event._asdict() for event in found.events]
-    return convert(values, LogContents)
-
-
-def _difference(found: Difference) -> FirstDifference:
-    a, b = found.left, found.right
-    fields = []
-    if a.record is not None and b.record is not None and a.record[:4] == b.record[:4]:
-        for one, other in zip_longest(a.values, b.values):
-            if not same(one, other):
-                path, _, unit = one or other
-                fields.append(FieldRow(path, unit, _plain(one), _plain(other)))
-    return FirstDifference(found.number, _message(a), _message(b), fields)
-
-
-def _message(side: Side) -> MessageRow | None:
-    record = side.record
-    if record is None:
-        return None
-    return MessageRow(record.topic, record.log_ns / 1e9, record.publish_ns / 1e9, record.sequence)
-
-
-def _plain(value: FieldValue | None) -> Plain:
-    if value is None:
-        return None
-    found: Plain = value.value.hex() if isinstance(value.value, bytes) else value.value
-    return found

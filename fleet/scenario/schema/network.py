@@ -150,7 +150,7 @@ class LinkSection(Section):
     condition: LinkCondition | None = None
     states: dict[StateName, LinkStateSection] | None = None
     together: bool | None = None  # states: the links of this selector change at the same times
-    trace: str | None = None  # CSV or Parquet; a text of several lines is the CSV itself
+    trace: str | None = None  # CSV; a text of several lines is the CSV itself
     by: Literal["time", "packet"] | None = None  # time
     start: Time | None = None  # of the trace; by default its first row
     loop: bool | None = None

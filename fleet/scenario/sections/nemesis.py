@@ -8,14 +8,14 @@ The word, and the idea of faults that come and go by themselves, are Jepsen's.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import compress
 from typing import Any
 
 from fleet.scenario.schema.faults import FaultSection, NemesisPick, NemesisSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections import liveness, swarm
-from fleet.scenario.sections.ground import FaultLimits, Ground
+from fleet.scenario.sections.ground import Ground
 from fleet.scenario.sections.partitions import DRAWN_PARTITIONS, partition
+from fleet.scenario.sections.timeline import action, vehicles_of
 from netem.condition import Link
 from netem.draws import bits
 from netem.grammar import Selector
@@ -41,8 +41,35 @@ def explicit(ground: Ground) -> ScenarioSpec:
             drawn = swarm.written(swarm.draw(nemesis, ground), ground)
         case _:
             drawn = _grid(spec, nemesis, ground.links)
-    kept = FaultLimits(nemesis.most_silent).kept(drawn, spec.faults)  # the other limits hold as they are drawn
-    return spec.model_copy(update=changes | {"faults": [*spec.faults, *compress(drawn, kept)]})
+    kept = within_limit(nemesis.most_silent, drawn, spec.faults)
+    return spec.model_copy(update=changes | {"faults": [*spec.faults, *kept]})
+
+
+def within_limit(
+    most_silent: int | None, faults: Sequence[FaultSection], own: Sequence[FaultSection] = ()
+) -> list[FaultSection]:
+    """Leave out faults by which more than `most_silent` vehicles would be dead, suspended or mute at once.
+
+    Args:
+        most_silent: the limit. None: any number.
+        faults: in order of time.
+        own: of the scenario. They are never left out, but the vehicles that they silence count.
+    """
+    silent = [_silence(fault) for fault in own]
+    kept = list[FaultSection]()
+    for fault in faults:
+        begin, end, who = _silence(fault)
+        quiet = {i for at, until, some in silent if at <= begin < until for i in some}
+        if most_silent is None or not who or len(quiet | who) <= most_silent:
+            kept.append(fault)
+            silent.append((begin, end, who))
+    return kept
+
+
+def _silence(fault: FaultSection) -> tuple[int, float, frozenset[int]]:
+    """From when to when a fault silences which vehicles [ns]."""
+    who = vehicles_of(fault) if action(fault) in swarm.SILENT else ()
+    return fault.at, float("inf") if fault.for_ is None else fault.at + fault.for_, frozenset(who)
 
 
 def _grid(spec: ScenarioSpec, nemesis: NemesisSection, links: Sequence[Link]) -> list[FaultSection]:

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 from fleet.quantities import show_time
 from fleet.scenario.schema.faults import Aim, FaultSection, NemesisPick, NemesisSection
-from fleet.scenario.sections.ground import HELD, MOST_HELD_NS, SILENT, Ground, Pair
+from fleet.scenario.sections.ground import Ground, Pair
 from fleet.scenario.sections.partitions import DRAWN_PARTITIONS, partition
 from netem.condition import Condition, Link
 from netem.draws import bits, uniform
@@ -263,6 +263,9 @@ def gust(strength: float, turn: float, lasts_ns: int) -> dict[str, Any]:
 
 PURPOSE = "nemesis swarm"  # of the draws
 MOST = 5000  # faults that are drawn
+SILENT = frozenset({"mute", "kill", "pause"})  # kinds after whose end a vehicle speaks again
+HELD = frozenset({"pause", "stuck"})  # kinds during which a vehicle holds its last command
+_MOST_HELD_NS = 5_000_000_000
 _NETWORK = ("partition", "down", "loss", "delay", "rate", "mute", "deaf", "slow", "pause", "kill")
 _IDEAL = ("freeze", "off", "stuck", "bias", "noise", "dropout")
 _ON, _MEAN, _GAP, _LENGTH, _KIND, _AIM, _STRENGTH, _FLAP, _PIECES, _TARGET, _TURN, _FORM = range(12)  # what is drawn
@@ -337,7 +340,7 @@ def draw(nemesis: NemesisSection, ground: Ground, until: int | None = None) -> l
         longest = max(ground.spec.duration / 2.0, least)
         lasts = least * (longest / least) ** uniform(seed, PURPOSE, number, _LENGTH)
         pick = on[bits(seed, PURPOSE, number, _KIND) % len(on)]
-        most = max(least, MOST_HELD_NS // tick * tick) if pick.drawn in HELD else end - begin
+        most = max(least, _MOST_HELD_NS // tick * tick) if pick.drawn in HELD else end - begin
         faults.append(
             DrawnFault(
                 number,

@@ -1,4 +1,4 @@
-"""Traces of links: what a modem's log says of each packet, or of each time, as CSV or as columns of Parquet.
+"""Traces of links: what a modem's log says of each packet, or of each time, as CSV.
 
 ```csv
 time [s],delivered,delay [ms],rate [bit/s],snr [dB]
@@ -18,7 +18,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from io import StringIO
-from typing import Any
 
 from fleet import quantities as q
 from fleet.scenario.sections.data_files import DataFileError
@@ -231,10 +230,3 @@ def _cell(row: TraceRow, name: str) -> str:
 def _decimal(number: int | None, parts: int) -> str:
     """A whole number of parts, exactly."""
     return "" if number is None else f"{(Decimal(number) / parts).normalize():f}"
-
-
-def bare_cell(value: Any) -> str:
-    """A value of a column of Parquet as the cell of CSV."""
-    if value is None or (isinstance(value, float) and value != value):
-        return ""
-    return str(int(value)) if isinstance(value, bool) else str(value)

@@ -6,7 +6,9 @@ A vehicle that tumbles ten times is one thing to know, not ten; and it is a cons
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Annotated
+
+from msgspec import Meta, Struct
 
 TUMBLED, DIVERGED = "tumbled", "diverged"  # first words of such an event in the log; no scenario asks for one
 
@@ -16,10 +18,10 @@ def is_fault(what: str) -> bool:
     return what.partition(" ")[0] not in (TUMBLED, DIVERGED)
 
 
-class VehicleEvents(NamedTuple):
+class VehicleEvents(Struct):
     """All events of one kind that happened to one vehicle."""
 
-    what: str  # such as `tumbled 3`
+    what: Annotated[str, Meta(description="Which event, and which vehicle: `tumbled 3`.")]
     times: int
     first_s: float
 

@@ -13,11 +13,10 @@ from matplotlib.lines import Line2D
 
 from fleet.palette import COLOURS
 from fleet.pictures.style import LABEL_PT, LEGEND_PT, NORMAL, PAGE_IN, STYLES, Provenance, panels, save
-from fleet.study.border_theory import Theory
-from fleet.study.borders import Border, Borders, Run
+from fleet.study.borders import Border, Borders, Run, Theory
 from fleet.study.errors import StudyError
 from fleet.study.pictures.marks import text
-from fleet.study.pictures.words import key_words, short_words, value_words
+from fleet.study.pictures.points import key_words, short_words, value_words
 from fleet.study.record import AxisRecord
 
 MOST_PANELS = 16
@@ -195,7 +194,6 @@ def _shunting(ones: Sequence[_One]) -> str:
 
 
 def _kinds(every: Sequence[_One], axes: Sequence[AxisRecord]) -> list[dict[str, float | str]]:
-    """The combinations of values of some keys, in their order."""
     found: list[dict[str, float | str]] = []
     for one in every:
         kind = {axis.key: one.border.values[axis.key] for axis in axes}
@@ -224,7 +222,6 @@ def _label(axis: AxisRecord) -> str:
 
 
 def _words(borders: Borders, kind: Mapping[str, float | str]) -> str:
-    """Values of some keys, with units."""
     units = {axis.key: axis.unit for axis in borders.store.record.axes}
     shown = {k: value_words(v) if isinstance(v, str) else f"{v:g} {units[k]}".rstrip() for k, v in kind.items()}
     return ", ".join(f"{text(short_words(key))} {text(value)}" for key, value in shown.items())

@@ -14,12 +14,8 @@ from fleet.errors import FleetError, printable
 from fleet.logs.reader import Tell
 from fleet.pictures.runs import NothingToDraw
 from fleet.pictures.style import Provenance, save
-from fleet.study.pictures.boxes import boxes
-from fleet.study.pictures.curves import curves
-from fleet.study.pictures.heat import heat
-from fleet.study.pictures.layout import MOST_PANELS, layout_of
-from fleet.study.pictures.marks import spans_much
-from fleet.study.pictures.parallel import parallel
+from fleet.study.pictures.kinds import boxes, curves, heat
+from fleet.study.pictures.marks import MOST_PANELS, layout_of, spans_much
 from fleet.study.pictures.points import PASSED, Points, Quantity, factors, load
 from fleet.study.record import StudyRecord
 from fleet.study.store import Store
@@ -47,15 +43,15 @@ def draw(points: Points, log_scale: bool | None = None, share: Tell = lambda _: 
     todo: list[tuple[str, str, Callable[[], Iterator[Figure]]]] = []
     if points.product:
         todo = [(name, points.words(name), _pages(points, name, log_scale)) for name in points.numbers]
-    else:
-        whole = "Every run as a line through what was varied and what came of it"
-        todo.append(("parallel", whole, lambda: iter([parallel(points, measures, log_scale)])))
     for place in factors(points):
         for name in measures:
             key = printable(points.dimensions[place].key)
             title = f"{points.words(name)}, values of {key} in pairs of runs with the same seed"
             todo.append((f"compare-{_slug(key)}-{_slug(name)}", title, _pairs(points, place, name)))
     taken: set[str] = set()
+    if not points.product:
+        reason = "its points are a sample and no grid; fleet.open_study(DIR).to_pandas() has every run"
+        yield Picture("passed", points.words(PASSED), reason)
     for number, (name, title, make) in enumerate(todo):
         share(number / len(todo))
         try:
@@ -130,7 +126,6 @@ def _facts(record: StudyRecord) -> tuple[tuple[str, str], ...]:
 
 
 def _slug(key: str) -> str:
-    """A key, or the name of a measure, as part of a file name."""
     return re.sub(r"[^\w.]+", "-", key, flags=re.ASCII).strip("-.")[:120] or "key"
 
 

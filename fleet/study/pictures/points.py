@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import isfinite, prod
+from math import isfinite, nan, prod
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import pyarrow as pa
+import yaml
 
 from fleet.logs.records import Array
 from fleet.study.errors import StudyError
-from fleet.study.measures import MEASURES
-from fleet.study.one_run import FAILED
-from fleet.study.pictures.words import key_words, value_words
+from fleet.study.measures import MEASURES, find_columns
 from fleet.study.plan import MOST_RUNS
-from fleet.study.signal_measures import find_columns
+from fleet.study.row import Row
 from fleet.study.statistics import Estimate, median, pass_rate
 from fleet.study.store import Store
 from fleet.study.summary import DEFAULT
@@ -171,27 +170,26 @@ def load(store: Store, measures: Sequence[str] = ()) -> Points:
     asked = measures or store.record.measures or DEFAULT
     columns = {column.name: column for column in find_columns(asked, store.record.columns)}
     axes, seeds = store.record.axes, store.seeds
-    rows = store.points()
-    keys = tuple(tuple(row[axis.key] for axis in axes) for row in rows)
+    keys = tuple(tuple(point.values[axis.key] for axis in axes) for point in store.points)
     if len(set(keys)) < len(keys):
         raise StudyError(f"{store.directory} is damaged: one of its points is there twice")
     if not all(isfinite(value) for key in keys for value in key if not isinstance(value, str)):
         raise StudyError(f"{store.directory} is damaged: a value of a point is no number")
-    table = store.table(["point", "seed", "status", PASSED, *columns])
+    rows = store.rows([*columns])
     place = {seed: k for k, seed in enumerate(seeds)}
-    at = np.array([place[seed] for seed in table["seed"].to_pylist()], int)
-    point = np.array(table["point"].to_pylist(), int)
+    at = np.array([place[row.seed] for row in rows], int)
+    point = np.array([row.point for row in rows], int)
     wanted = store.needed()
-    needed = np.array([wanted[k] for k in range(len(rows))], int)
+    needed = np.array([wanted[k] for k in range(len(keys))], int)
     most = max(int(needed.max(initial=0)), int(at.max(initial=0)) + 1)
-    if not rows or len(rows) * most > MOST_RUNS:
-        raise StudyError(f"{store.directory} is damaged: it has {len(rows)} points and {most} seeds")
+    if not keys or len(keys) * most > MOST_RUNS:
+        raise StudyError(f"{store.directory} is damaged: it has {len(keys)} points and {most} seeds")
     state = np.where(np.arange(most) < needed[:, None], NOT_MADE, NOT_NEEDED)
-    state[point, at] = np.where(np.array(table["status"].to_pylist(), object) == FAILED, NO_RESULT, MADE)
+    state[point, at] = [MADE if row.has_result else NO_RESULT for row in rows]
     numbers = {}
     for name in (PASSED, *columns):
         numbers[name] = np.full(state.shape, np.nan)
-        numbers[name][point, at] = table[name].cast(pa.float64()).to_numpy(zero_copy_only=False)
+        numbers[name][point, at] = [_passed(row) if name == PASSED else row.number(name) for row in rows]
         numbers[name][~np.isfinite(numbers[name])] = np.nan
         if name in columns and columns[name].missing_is_largest:
             numbers[name][np.isnan(numbers[name]) & (state == MADE)] = np.inf
@@ -201,6 +199,10 @@ def load(store: Store, measures: Sequence[str] = ()) -> Points:
     )
     units = {name: column.unit for name, column in columns.items()}
     return Points(dimensions, keys, state, numbers, units)
+
+
+def _passed(row: Row) -> float:
+    return nan if row.passed is None else float(row.passed)
 
 
 def _distinct(values: Sequence[Any], ordered: bool) -> Sequence[Any]:
@@ -220,3 +222,61 @@ def _cell(kind: str, state: Array, values: Array) -> Cell:
     if kind == "share":
         return Cell(pass_rate(round(sum(found)), len(found)), found, lack)
     return Cell(median(values[~np.isnan(values)].tolist()), found, lack)
+
+
+# Turns keys and values of a scenario into words for the axes, legends and titles of a study's pictures.
+
+
+_KEYS = {
+    "vehicles": "number of vehicles",
+    "network.period": "time between rounds",
+    "network.acoustic": "acoustic channel",
+    "neighbours.extrapolate": "extrapolation of neighbours",
+    "neighbours.horizon": "horizon of the extrapolation",
+}
+_LINKS = re.compile(r"network\.links\.(?P<links>[^.]+)(?:\.states\.(?P<state>[^.]+))?\.(?P<what>\w+)")
+_MAP = re.compile(r"\{[^{}]*\}")
+_NUMBER = re.compile(r"[-+.]?\d")
+
+
+def key_words(key: str) -> str:
+    """A key in words: `network.links.*.loss` is `loss of every link`."""
+    if key in _KEYS:
+        return _KEYS[key]
+    link = _LINKS.fullmatch(key)
+    if link is not None:
+        links = "every link" if link["links"] == "*" else f"link {link['links']}"
+        state = f" in state {link['state']}" if link["state"] else ""
+        return f"{link['what'].replace('_', ' ')}{state} of {links}"
+    return key.replace(".", " ").replace("_", " ")
+
+
+def short_words(key: str) -> str:
+    """The last word of a key, for titles that have no room for more."""
+    return key.rpartition(".")[2].replace("_", " ")
+
+
+def value_words(value: Any) -> str:
+    """A value in words: `{modem: fsk-80, slot: 3 s}` is `fsk-80, slot 3 s`; also within a difference."""
+    return _MAP.sub(lambda found: _map_words(found[0]), str(value))
+
+
+def _map_words(text: str) -> str:
+    if "&" in text or len(text) > 1000:  # a study may come from anybody, and an anchor may stand for millions of words
+        return text
+    try:
+        values = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return text
+    if not isinstance(values, dict) or not values:
+        return text
+    return ", ".join(_pair(str(key).replace("_", " "), value) for key, value in values.items())
+
+
+def _pair(key: str, value: Any) -> str:
+    """A word stands for itself, a number needs its name."""
+    if isinstance(value, bool):
+        return key if value else f"no {key}"
+    if isinstance(value, str) and not _NUMBER.match(value):
+        return value
+    return f"{key} {value:g}" if isinstance(value, float) else f"{key} {value}"

@@ -17,17 +17,15 @@ from fleet.logs.reader import Tell
 from fleet.logs.topic_names import STAMP
 from fleet.pictures.page import images, render, write_page
 from fleet.pictures.report import Mark, Table, rest
-from fleet.study.one_run import FAILED
 from fleet.study.pictures.gallery import draw
 from fleet.study.pictures.points import NOT_MADE, NOT_NEEDED, PASSED, Points, Quantity, VariedKey, factors, load, minus
+from fleet.study.row import Row
 from fleet.study.statistics import Estimate, compare, levels
 from fleet.study.store import Store
 
 TEMPLATE = "study.html"
 MOST_POINTS, MOST_REASONS, MOST_VALUES = 200, 30, 12
 _LONGEST = 400  # characters of a reason
-_RESULT = ("pass", "check_failed")  # the status of a run that came to its end
-_COLUMNS = ["point", "seed", "status", "reason", "passed", "wall_s", "version", "cores"]
 
 
 def write(
@@ -54,10 +52,8 @@ def write(
 
 def page(store: Store, points: Points, log_scale: bool | None = None, share: Tell = lambda _: None) -> str:
     """The whole page as HTML. Raises StudyError: the study is damaged."""
-    checks = [f"check.{name}" for name in store.record.checks]
-    rows = store.table([*_COLUMNS, *checks]).to_pylist()
+    rows = store.rows(["wall_s"], checks=True, details=True)
     directory = store.directory.resolve()
-    scenarios = store.points()
     first, pictures = images(draw(points, log_scale, share))
     return render(
         "fleet.study.pictures",
@@ -65,7 +61,7 @@ def page(store: Store, points: Points, log_scale: bool | None = None, share: Tel
         title=f"uuv-fleet: study {directory.name}",
         verdict=_verdict(rows),
         first=first,
-        failed=_failed(rows, store.record.checks),
+        failed=_failed(rows),
         facts=Table((), _facts(store, points, rows)),
         axes=Table(("what varies", "unit", "values"), [_axis(each) for each in points.dimensions]),
         missing=int((points.state == NOT_MADE).sum()),
@@ -76,17 +72,17 @@ def page(store: Store, points: Points, log_scale: bool | None = None, share: Tel
         pictures=pictures,
         reasons=_reasons(rows),
         again=_again(directory, rows),
-        scenario=scenarios[0]["scenario"] if scenarios else "",
+        scenario=store.points[0].scenario if store.points else "",
     )
 
 
-def _facts(store: Store, points: Points, rows: Sequence[dict[str, Any]]) -> list[tuple[str, Any]]:
+def _facts(store: Store, points: Points, rows: Sequence[Row]) -> list[tuple[str, Any]]:
     record, planned = store.record, int((points.state != NOT_NEEDED).sum())
     seeds = store.seeds[: points.state.shape[1]]
     whole = seeds == list(range(seeds[0], seeds[0] + len(seeds))) if seeds else False
     listed = f"{seeds[0]} to {seeds[-1]}" if whole and len(seeds) > 1 else _some(list(map(str, seeds)))
-    made = Counter(f"uuv-fleet {row['version']}, {row['cores']} cores" for row in rows)
-    walls = [row["wall_s"] for row in rows if row["wall_s"] is not None and isfinite(row["wall_s"])]
+    made = Counter(f"uuv-fleet {row.version}, {row.cores} cores" for row in rows)
+    walls = [wall_s for row in rows if isfinite(wall_s := row.number("wall_s"))]
     cost = "-"
     if walls:
         cost = f"{_time(sum(walls))} of one core, {sum(walls) / len(walls):.3g} s per run"
@@ -96,7 +92,7 @@ def _facts(store: Store, points: Points, rows: Sequence[dict[str, Any]]) -> list
         ("checks", ", ".join(record.checks)),
         ("points", len(points.keys)),
         ("seeds of each", listed),
-        ("runs", f"{planned}, of which {len(rows)} are made and {sum(row['status'] == FAILED for row in rows)} "
+        ("runs", f"{planned}, of which {len(rows)} are made and {sum(not row.has_result for row in rows)} "
                  "have no result"),
         ("begun", _begun(store.directory)),
         ("wall time of the runs", cost),
@@ -105,12 +101,12 @@ def _facts(store: Store, points: Points, rows: Sequence[dict[str, Any]]) -> list
     ]  # fmt: skip
 
 
-def _verdict(rows: Sequence[dict[str, Any]]) -> str:
+def _verdict(rows: Sequence[Row]) -> str:
     """How many runs passed, and between which shares the points are; an interval of all points would mean nothing."""
     points: dict[int, list[bool]] = {}
     for row in rows:
-        if row["status"] in _RESULT:
-            points.setdefault(row["point"], []).append(row["passed"] is True)
+        if row.judged:
+            points.setdefault(row.point, []).append(row.passed is True)
     if not points:
         return "no run has a result"
     passed, judged = sum(map(sum, points.values())), sum(map(len, points.values()))
@@ -119,10 +115,9 @@ def _verdict(rows: Sequence[dict[str, Any]]) -> str:
     return f"{passed} of {judged} runs passed ({passed / judged:.0%}{spread})"
 
 
-def _failed(rows: Sequence[dict[str, Any]], checks: Sequence[str]) -> Table:
-    """The checks that failed, with the most frequent one on top."""
-    judged = [row for row in rows if row["status"] in _RESULT]
-    counts = Counter({name: sum(row[f"check.{name}"] is False for row in judged) for name in checks})
+def _failed(rows: Sequence[Row]) -> Table:
+    judged = [row for row in rows if row.judged]
+    counts = Counter(name for row in judged for name in row.failed_checks)
     found = [
         (name, Mark(False, str(count)), f"{count / len(judged):.0%}") for name, count in counts.most_common() if count
     ]
@@ -218,15 +213,14 @@ def _comparisons(points: Points) -> list[tuple[str, Table]]:
 _COMPARED = ("values", "of what", "pairs", "median difference, interval (level)", "difference below 0", "p (Wilcoxon)")
 
 
-def _reasons(rows: Sequence[dict[str, Any]]) -> Table:
-    """Why runs came to no end, each reason once."""
-    found: dict[tuple[str, str], list[dict[str, Any]]] = {}
+def _reasons(rows: Sequence[Row]) -> Table:
+    found: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
-        if row["status"] not in _RESULT:
-            found.setdefault((row["status"] or "", row["reason"] or ""), []).append(row)
+        if not row.judged:
+            found.setdefault((row.status, row.reason), []).append(row)
     most = sorted(found.items(), key=lambda item: -len(item[1]))
     table: list[Sequence[Any]] = [
-        (Mark(False, status), len(some), f"point {some[0]['point']}, seed {some[0]['seed']}",
+        (Mark(False, status), len(some), f"point {some[0].point}, seed {some[0].seed}",
          printable(reason[:_LONGEST]))
         for (status, reason), some in most[:MOST_REASONS]
     ]  # fmt: skip
@@ -234,10 +228,10 @@ def _reasons(rows: Sequence[dict[str, Any]]) -> Table:
     return Table(("status", "runs", "the first", "reason"), table)
 
 
-def _again(directory: Path, rows: Sequence[dict[str, Any]]) -> str:
+def _again(directory: Path, rows: Sequence[Row]) -> str:
     """The command that makes a run again with its log: the first that failed, or the first."""
     if not rows:
         return ""
-    row = next((row for row in rows if row["passed"] is not True), rows[0])
-    code = f"import fleet; fleet.open_study({json.dumps(str(directory))}).rerun({row['point']}, seed={row['seed']})"
+    row = next((row for row in rows if row.passed is not True), rows[0])
+    code = f"import fleet; fleet.open_study({json.dumps(str(directory))}).rerun({row.point}, seed={row.seed})"
     return f"python -c {shlex.quote(code)}"

@@ -140,7 +140,7 @@ def test_on_the_command_line(tmp_path: Path) -> None:
     for arguments, words in (
         (["nowhere.csv"], "there is no such file"),
         ([str(trace), "--picture", "x.txt"], "ends in one of"),
-        (["t.txt"], "ends in .csv or .parquet"),
+        (["t.txt"], "ends in .csv"),
     ):
         failed = CliRunner().invoke(cli, ["fit", *arguments])
         assert failed.exit_code != 0

@@ -107,7 +107,7 @@ def test_doubts_about_a_recovery_that_cannot_show_in_time() -> None:
 
 
 def test_nothing_is_doubted_of_what_ships() -> None:
-    assert {name: found for name, *_ in list_scenarios() if (found := warnings(load_scenario(name)))} == {}
+    assert {row.name: found for row in list_scenarios() if (found := warnings(load_scenario(row.name)))} == {}
 
 
 def test_the_size_of_a_log_is_foreseen(made: Alone) -> None:

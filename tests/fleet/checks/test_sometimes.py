@@ -9,9 +9,9 @@ from fed_checks import Depth, fed
 from small_scenario import only_problem, small
 
 from fleet.execution.judged import judged
-from fleet.study.one_run import Task, failed_checks, make_run
+from fleet.study.one_run import Task, make_run
+from fleet.study.row import Reached, Row, sometimes_names
 from fleet.study.search import Searched
-from fleet.study.sometimes import Reached, names_of
 
 PYTHON = "checks={signal: {name: deep, topic: state.z, above: %s, sometimes: true}, "
 
@@ -45,17 +45,17 @@ def test_what_fails_a_check_in_python_is_what_is_reached() -> None:
     verdicts = {verdict.check: verdict for verdict in judged(scenario).verdicts}
     assert verdicts["left-out"].reached and verdicts["left-out"].passed
     assert verdicts["left-out"].found.startswith("reached: 1 of 1 places not visited")
-    assert names_of([scenario]) == ["deep", "left-out"]
+    assert sometimes_names([scenario]) == ["deep", "left-out"]
 
 
 def test_a_row_has_it_beside_the_checks() -> None:
     text = small("checks={signal: [{name: deep, topic: state.z, above: 99 m, sometimes: true}]}").to_undrawn_yaml()
     row = make_run(Task("k", 0, 3, "small", text, inf))
-    assert row["sometimes.deep"] == 0.0 and "check.deep" not in row and "deep" not in failed_checks(row)
+    assert row.numbers["sometimes.deep"] == 0.0 and "deep" not in row.checks
     never = Reached("deep")
     never.count(row)
     assert never.words == "deep was reached in none of 1 runs"
-    never.count({"seed": 7, "sometimes.deep": 1.0})
+    never.count(Row(seed=7, status="pass", numbers={"sometimes.deep": 1.0}))
     assert never.words == "deep was reached in 1 of 2 runs, the first seed is 7"
 
 

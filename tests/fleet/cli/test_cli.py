@@ -34,7 +34,7 @@ from fleet.scenario.loading import load_scenario
 from fleet.scenario.schema.groups import GROUPS
 from fleet.study.catalogue import shipped_studies
 
-SHIPPED = [name for name, *_ in list_scenarios()]
+SHIPPED = [row.name for row in list_scenarios()]
 
 
 def names_below(group: click.Group, prefix: str = "") -> list[str]:
@@ -563,14 +563,14 @@ def test_a_run_is_no_scenario(tmp_path: Path) -> None:
         ("latest/run.mcap", "fleet run --from"),
         ("latest/log", "is a dir"),
     ):
-        result = invoke("check", tmp_path / path)
+        result = invoke("run", tmp_path / path)
         assert result.exit_code == 2 and words in result.stderr
 
 
 def test_list_fits_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     out = StringIO()
     monkeypatch.setattr(
-        "fleet.cli.listing.stdout", lambda: Terminal(file=out, width=80, force_terminal=True, no_color=True)
+        "fleet.cli.runs.stdout", lambda: Terminal(file=out, width=80, force_terminal=True, no_color=True)
     )
     invoke("list")
     text = re.sub(r"\x1b\[\d*m", "", out.getvalue())

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from fleet.cli.group import command_of
 from fleet.cli.main import cli
-from fleet.cli.verbs import ELSEWHERE, GROUPS, VERBS
+from fleet.cli.verbs import ELSEWHERE, FORMER, GROUPS, VERBS
 
 LONG = "x" * 300  # longer than any file system takes
 
@@ -20,7 +20,8 @@ LONG = "x" * 300  # longer than any file system takes
 @pytest.mark.parametrize(
     "arguments",
     [
-        ["info", LONG], ["script", LONG], ["recover", LONG], ["certs", LONG], ["new", "controller", LONG],
+        ["info", LONG], ["export", LONG, "--scenario"], ["recover", LONG],
+        ["hosts", "certs", LONG], ["new", "controller", LONG],
     ],
     ids=lambda arguments: arguments[0],
 )  # fmt: skip
@@ -68,6 +69,15 @@ def test_words_of_other_tools_name_verbs_of_ours() -> None:
     assert not ELSEWHERE.keys() & VERBS.keys()
     for ours in ELSEWHERE.values():
         assert set(re.findall(r"fleet (\S+)", ours)) <= VERBS.keys(), ours
+
+
+def test_a_former_verb_names_the_new_line() -> None:
+    assert not FORMER.keys() & VERBS.keys()
+    for old, now in FORMER.items():
+        result = CliRunner().invoke(cli, [old, "x"], prog_name="fleet")
+        assert (result.exit_code, result.stdout) == (2, "")
+        assert f"fleet {old} is now: {now}\n" in result.stderr
+        assert now.split()[1] in VERBS
 
 
 @pytest.mark.parametrize(

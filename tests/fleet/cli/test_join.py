@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from rich.console import Console as Terminal
 
 from agents.join_file import JoinError, JoinFile, NotYetError
-from fleet.cli import join
+from fleet.cli import protocol
 from fleet.cli.main import cli
 from fleet.terminal.status_line import StatusLine
 
@@ -30,12 +30,12 @@ def patiently(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[object, li
             now += seconds
             next(steps, None)
 
-        monkeypatch.setattr(join.time, "sleep", sleep)
-        monkeypatch.setattr(join.time, "monotonic", lambda: now)
+        monkeypatch.setattr(protocol.time, "sleep", sleep)
+        monkeypatch.setattr(protocol.time, "monotonic", lambda: now)
         said = io.StringIO()
         line = StatusLine(Terminal(file=said, width=80), quiet=False)
         try:
-            result: object = join.patiently(attempt, 10.0, path, line)
+            result: object = protocol.patiently(attempt, 10.0, path, line)
         except JoinError as error:
             result = error
         return result, [text for text in said.getvalue().splitlines() if text.startswith("waiting, ")]

@@ -12,8 +12,9 @@ import pytest
 from click.testing import CliRunner, Result
 from live_directory import live_directory
 
-from fleet.cli.documents.live import ClockSet, Healed, Injected, LiveRuns, Stopping
+from fleet.cli.documents.logs import Runs
 from fleet.cli.main import cli
+from fleet.execution.answers import ClockSet, Healed, Injected, Stopping
 from fleet.execution.connection import RemoteError
 
 
@@ -105,11 +106,11 @@ def test_several_live_runs_need_a_name(answers: dict[str, Any], tmp_path: Path) 
             assert (result.exit_code, result.stdout) == (2, "")
             assert f"2 live runs; say which:\n  --run {paper.name}\n  --run {rough.name}\n" in result.stderr
         assert invoke("stop", "--run", "rough").stdout.startswith(f"{rough.name}: stopping")
-        listed = invoke("ps").stdout.splitlines()
+        listed = invoke("ls").stdout.splitlines()
         assert listed[0] == f"{paper.name}: t = 1.5 of 60 s, paused"
         assert listed[1].startswith(f"  {paper}, pid ")
-        found = msgspec.json.decode(invoke("ps", "--json").stdout, type=LiveRuns)
-        assert [(row.run, row.at_s, row.error) for row in found.runs] == [(paper.name, 1.5, ""), (rough.name, 1.5, "")]
+        found = msgspec.json.decode(invoke("ls", "--json").stdout, type=Runs)
+        assert [(row.run, row.at_s, row.error) for row in found.live] == [(paper.name, 1.5, ""), (rough.name, 1.5, "")]
 
 
 def test_a_run_is_named_by_position_or_by_an_option(answers: dict[str, Any], tmp_path: Path) -> None:
@@ -208,16 +209,15 @@ def test_no_live_run(answers: dict[str, Any]) -> None:
     for command in ("status", "heal", "stop"):
         result = invoke(command)
         assert (result.exit_code, result.stdout) == (3, "") and "fleet: no live run" in result.stderr
-    assert (invoke("ps").exit_code, invoke("ps").stderr) == (0, "no live run\n")
-    assert json.loads(invoke("ps", "--json").stdout) == {"runs": []}
+    assert json.loads(invoke("ls", "--json").stdout)["live"] == []
 
 
 def test_a_run_that_does_not_answer(answers: dict[str, Any], tmp_path: Path) -> None:
     """It is listed, with what is wrong; a command for it ends with 3."""
     answers["status"] = answers["heal"] = RemoteError("paper-1 did not answer within 5 s; is it over?")
     with live_directory(tmp_path):
-        assert invoke("ps").stdout.startswith("paper-1 did not answer within 5 s; is it over?\n  ")
-        row = json.loads(invoke("ps", "--json").stdout)["runs"][0]
+        assert invoke("ls").stdout.startswith("paper-1 did not answer within 5 s; is it over?\n  ")
+        row = json.loads(invoke("ls", "--json").stdout)["live"][0]
         assert (row["at_s"], row["error"]) == (None, "paper-1 did not answer within 5 s; is it over?")
         assert invoke("heal").exit_code == 3
 

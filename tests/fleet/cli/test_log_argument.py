@@ -34,7 +34,7 @@ def two(alone: Alone, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[
 LOG_COMMANDS = [
     ["info"],
     ["verify", "-q"],
-    ["script"],
+    ["export", "--scenario"],
     ["plot", "--what", "error"],
     ["report"],
     ["export", "--csv", "tables", "--topics", "faults"],

@@ -26,7 +26,7 @@ def test_faults_and_links_in_words_become_part_of_the_run(tmp_path: Path) -> Non
     assert invoke("verify", "-q", tmp_path / "latest").stdout.startswith("reproduced bit for bit")
     shown = invoke("run", "paper", *QUICK, *WORDS, "--show-config").stdout
     assert (tmp_path / "latest" / "scenario.yaml").read_text() == shown
-    assert invoke("script", tmp_path / "latest").stdout.count("partition: halves") == 1
+    assert invoke("export", tmp_path / "latest", "--scenario").stdout.count("partition: halves") == 1
 
 
 def test_a_mistake_names_the_option_that_was_typed() -> None:
@@ -74,7 +74,7 @@ def test_what_needs_a_log_says_that_there_is_none(tmp_path: Path) -> None:
     run = Path(invoke("run", "paper", *QUICK, *NO_LOG, "--out", tmp_path).stdout.strip())
     for command in (
         ["info", run], ["verify", run], ["plot", run], ["export", run, "--csv", tmp_path / "csv"], ["recover", run],
-        ["script", run], ["whatif", run, "--agent", "1"], ["run", "--from", run], ["diff", run, run],
+        ["export", run, "--scenario"], ["whatif", run, "--agent", "1"], ["run", "--from", run], ["diff", run, run],
         ["report", run, "-o", tmp_path / "r.html"], ["replay", run], ["info", run / "run.mcap"],
     ):  # fmt: skip
         result = invoke(*command)

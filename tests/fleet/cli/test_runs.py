@@ -10,10 +10,9 @@ import pytest
 from click.testing import CliRunner, Result
 from live_directory import live_directory
 
-from fleet.cli.documents.listing import Runs
+from fleet.cli.documents.logs import Runs
 from fleet.cli.main import cli
 
-NOW = datetime.now(UTC).replace(microsecond=0)  # noqa: TID251 (a name)
 HOURS = {"pass": 1, "check_failed": 50, "broken": 100, "interrupted": 300}
 
 
@@ -26,11 +25,10 @@ def invoke(*arguments: str | Path) -> Result:
 @pytest.fixture
 def out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A run of each kind below `runs`, which began so many hours ago, and a live one."""
-    monkeypatch.setattr("fleet.cli.runs._now", lambda: NOW)
     monkeypatch.chdir(tmp_path)
-    runs = tmp_path / "runs"
+    runs, now = tmp_path / "runs", datetime.now(UTC)  # noqa: TID251 (a name)
     for status, hours in HOURS.items():
-        path = runs / f"{status}-1-{NOW - timedelta(hours=hours):%Y%m%d-%H%M%S}"
+        path = runs / f"{status}-1-{now - timedelta(hours=hours):%Y%m%d-%H%M%S}"
         (path / "log").mkdir(parents=True)
         (path / "scenario.yaml").write_text("")
         (path / "run.mcap").write_bytes(bytes(2_000_000))
@@ -44,7 +42,8 @@ def names(out: Path) -> set[str]:
 
 def test_ls(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with live_directory(out, "rough-sea"):
-        lines = invoke("ls").stdout.splitlines()
+        live, place, *lines = invoke("ls").stdout.splitlines()
+        assert live.startswith("rough-sea-") and " pid " in place
         assert [line.split()[1:3] for line in lines[1:-1]] == [
             ["rough-sea", "live"],
             ["pass", "pass"],
@@ -55,10 +54,10 @@ def test_ls(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         assert [line.split()[-2:] for line in lines[2:-1]] == [["1", "h"], ["2", "days"], ["4", "days"], ["12", "days"]]
         assert lines[2].split()[3:7] == ["60", "s", "2.0", "MB"]
         assert lines[-1] == "5 runs, 8.0 MB, 1 live"
-        document = msgspec.json.decode(invoke("ls", "--json").stdout, type=Runs)
+        document = msgspec.json.decode(invoke("ls", "--json").stdout, type=Runs, dec_hook=lambda kind, text: kind(text))
         assert [row.verdict for row in document.runs] == ["live", "pass", "FAIL", "broke", "stopped"]
-        assert document.size_bytes == sum(row.size_bytes for row in document.runs)
-        assert document.runs[1].age_s == 3600.0
+        assert document.size_bytes == sum(row.size for row in document.runs)
+        assert document.runs[1].age_s == pytest.approx(3600.0, abs=60.0)
 
 
 def test_ls_of_nothing(tmp_path: Path) -> None:
@@ -81,7 +80,7 @@ def test_prune(options: list[str], stay: set[str], out: Path) -> None:
     """First it only says what it would do; a live run stays whatever is asked for."""
     with live_directory(out, "live"):
         before = names(out)
-        result = invoke("prune", *options)
+        result = invoke("ls", "--prune", *options)
         assert result.exit_code == 0 and names(out) == before
         gone = len(HOURS) - len(stay)
         size = f"{gone} run{'' if gone == 1 else 's'}, {gone * 2}.0 MB"
@@ -89,7 +88,7 @@ def test_prune(options: list[str], stay: set[str], out: Path) -> None:
             assert result.stderr == "no run below runs is to go\n"
         else:
             assert result.stdout.splitlines()[-1] == f"would remove {size}; --yes does it"
-        result = invoke("prune", *options, "--yes")
+        result = invoke("ls", "--prune", *options, "--yes")
         assert result.exit_code == 0 and names(out) == stay | {"live"}
         assert result.stdout == (f"removed {size}\n" if gone else "")
 
@@ -98,6 +97,7 @@ def test_prune(options: list[str], stay: set[str], out: Path) -> None:
     ("options", "words"),
     [
         ([], "no runs chosen: give --keep N"),
+        (["--keep", "1", "--json"], "--prune has no --json"),
         (["--yes"], "no runs chosen: give --keep N"),
         (["--keep", "-1"], "--keep"),
         (["--older-than", "7"], "without a unit"),
@@ -107,6 +107,7 @@ def test_prune(options: list[str], stay: set[str], out: Path) -> None:
     ],
 )
 def test_what_prune_does_not_take(options: list[str], words: str, out: Path) -> None:
-    result = invoke("prune", *options)
+    assert "--prune" in invoke("ls", "--yes").stderr
+    result = invoke("ls", "--prune", *options)
     assert result.exit_code == 2 and words in result.stderr
     assert names(out) == set(HOURS)

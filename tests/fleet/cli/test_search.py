@@ -24,7 +24,7 @@ CALM = "checks.formation_error.below=99 m"
 
 @pytest.fixture(autouse=True)
 def random_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fleet.study.local_engine.engine_of", lambda *_: nullcontext(Here()))
+    monkeypatch.setattr("fleet.study.engine.engine_of", lambda *_: nullcontext(Here()))
     monkeypatch.chdir(tmp_path)
     Path("small.yaml").write_text(SMALL + RANDOM, "utf-8")
 
@@ -127,19 +127,6 @@ def test_mistakes_are_usage(args: list[str], message: str) -> None:
     assert result.exit_code == 2
     assert message in result.stderr
     assert not list(Path().glob("*-least.yaml"))
-
-
-def test_with_a_guide_and_a_folder_it_goes_on() -> None:
-    """The same command with a greater budget makes only the runs that are missing, and the folder can be run again."""
-    asked = ["small.yaml", "--guide", "--keep", "kept", "--json"]
-    first = json.loads(call(*asked, "--budget", "6").stdout)
-    result = call(*asked, "--budget", "12")
-    second = json.loads(result.stdout)
-    assert (first["runs"], second["runs"], result.exit_code) == (6, 12, 1)
-    assert {one["check"] for one in first["kept"]} <= {one["check"] for one in second["kept"]} == {"formation_error"}
-    (kept,) = second["kept"]
-    assert not run(Path("kept") / kept["file"], seed=kept["seed"]).passed
-    assert "belongs to another search" in call(*asked, "--budget", "12", "--check", "formation_error").stderr
 
 
 @pytest.mark.parametrize(

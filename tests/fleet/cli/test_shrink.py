@@ -11,7 +11,7 @@ from click.testing import CliRunner, Result
 from small_scenario import SMALL, small
 from study_engine import Here
 
-from fleet.cli.documents.study import Less
+from fleet.cli.documents.studies import Less
 from fleet.cli.main import cli
 from fleet.cli.shrink import write_least
 from fleet.execution.judged import run
@@ -27,7 +27,7 @@ checks: {formation_error: {below: 4.6 m, after: 800 ms}}
 
 @pytest.fixture(autouse=True)
 def failing_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fleet.study.local_engine.engine_of", lambda *_: nullcontext(Here()))
+    monkeypatch.setattr("fleet.study.engine.engine_of", lambda *_: nullcontext(Here()))
     monkeypatch.chdir(tmp_path)
     Path("small.yaml").write_text(SMALL + FAILING, "utf-8")
 
@@ -51,7 +51,7 @@ def test_the_least_scenario_is_written_and_fails(tmp_path: Path) -> None:
 
 
 def test_a_place_that_cannot_be_written_is_said_before_any_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fleet.study.local_engine.engine_of", None)  # no run is made
+    monkeypatch.setattr("fleet.study.engine.engine_of", None)  # no run is made
     result = call("shrink", "small.yaml", "--out", 300 * "x")
     assert result.exit_code == 2
     assert "cannot be written: File name too long; choose another file with --out" in " ".join(result.stderr.split())
@@ -104,5 +104,5 @@ def test_ctrl_c_leaves_no_file_and_says_so(monkeypatch: pytest.MonkeyPatch) -> N
         raise KeyboardInterrupt
 
     monkeypatch.setattr("fleet.study.shrink.Shrinker.shrink", interrupt)
-    assert "so small-least.yaml is not written; --most-runs N" in call("shrink", "small.yaml").stderr
+    assert "so small-least.yaml is not written; --budget N" in call("shrink", "small.yaml").stderr
     assert not Path("small-least.yaml").exists()

@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from live_directory import live_directory
 from rich.console import Console
 
-from fleet.cli.documents.live import RunStatus
+from fleet.cli.live import screen, watch_run
 from fleet.cli.main import cli
-from fleet.cli.status import screen, watch_run
+from fleet.execution.answers import RunStatus
 from fleet.execution.connection import RemoteError, find
 
 
@@ -178,7 +178,7 @@ def test_watching_ends_with_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     """Without a terminal: one block after the other, and no control character."""
     monkeypatch.setattr("fleet.execution.connection.ask", ask := Ends(3))
     monkeypatch.setattr("fleet.execution.connection.is_live", lambda run: False)
-    monkeypatch.setattr("fleet.cli.status.EVERY_S", 0.0)
+    monkeypatch.setattr("fleet.cli.live.EVERY_S", 0.0)
     with live_directory(tmp_path) as run:
         result = CliRunner().invoke(cli, ["status", "-w", "--all"])
     assert result.exit_code == 0
@@ -199,7 +199,7 @@ def test_a_terminal_is_left_as_it_was(tmp_path: Path, monkeypatch: pytest.Monkey
 
     asked: list[str] = []
     monkeypatch.setattr("fleet.execution.connection.ask", ask)
-    monkeypatch.setattr("fleet.cli.status.EVERY_S", 0.0)
+    monkeypatch.setattr("fleet.cli.live.EVERY_S", 0.0)
     monkeypatch.setenv("TERM", "xterm")
     terminal = Console(file=io.StringIO(), force_terminal=True, width=80, height=24, highlight=False)
     with live_directory(tmp_path), pytest.raises(KeyboardInterrupt):
@@ -214,7 +214,7 @@ def test_a_terminal_is_left_as_it_was(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def test_watching_a_run_that_only_does_not_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fleet.execution.connection.ask", Ends(1))
-    monkeypatch.setattr("fleet.cli.status.EVERY_S", 0.0)
+    monkeypatch.setattr("fleet.cli.live.EVERY_S", 0.0)
     with live_directory(tmp_path):
         result = CliRunner().invoke(cli, ["status", "-w"])
     assert (result.exit_code, result.stderr) == (3, "fleet: gone\n")

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from click.testing import CliRunner, Result
 from made_up_study import LOSS, made_up, usual, with_holes
+from pandas.testing import assert_frame_equal
 
 from fleet.cli.main import cli
+from fleet.study.study import open_study
 
 
 @pytest.fixture(scope="module")
@@ -78,10 +81,10 @@ def test_without_the_extra_one_line_says_what_to_install(
 @pytest.mark.parametrize("verb", ["plot", "report"])
 def test_a_damaged_study_is_said_in_a_line(verb: str, tmp_path: Path) -> None:
     directory = made_up(tmp_path / "s", LOSS, row=usual).directory
-    (directory / "points.parquet").write_bytes(b"PAR1")
+    (directory / "study.sqlite").write_bytes(b"SQL")
     found = called(verb, directory, "-o", tmp_path / "out")
     assert found.exit_code == 2
-    assert found.stderr.splitlines()[-1].startswith(f"fleet: {directory / 'points.parquet'} cannot be read: ")
+    assert found.stderr.splitlines()[-1].startswith(f"fleet: {directory / 'study.sqlite'} is damaged: ")
     assert not (tmp_path / "out").exists()
 
 
@@ -91,3 +94,14 @@ def test_a_file_instead_of_a_folder_is_refused_with_the_known_formats(study: Pat
     assert found.exit_code == 2
     assert "expected a folder" in found.output and "png, svg, pdf" in found.output
     assert not list(tmp_path.iterdir())
+
+
+def test_a_study_is_exported_with_units_and_read_back(study: Path, tmp_path: Path) -> None:
+    found = called("export", study, "--csv", tmp_path / "a", "--parquet", tmp_path / "b")
+    assert found.stdout.splitlines() == [str(tmp_path / "a" / "s.csv"), str(tmp_path / "b" / "s.parquet")]
+    frame = open_study(study).to_pandas()
+    assert_frame_equal(pd.read_parquet(tmp_path / "b" / "s.parquet"), frame)
+    table = pd.read_csv(tmp_path / "a" / "s.csv")
+    assert table["network.links.*.loss [%]"].tolist() == frame["network.links.*.loss"].tolist()
+    assert "s.csv is there already" in called("export", study, "--csv", tmp_path / "a").stderr
+    assert "--topics: only for logs" in called("export", study, "--csv", tmp_path, "--topics", "a").stderr

@@ -55,9 +55,9 @@ def test_search_regress_rare_shrink_and_why_need_no_table_of_runs(tmp_path: Path
         (1, ["search", "fails.yaml", "--nemesis", "--budget", "1", "--keep", "kept"]),
         (0, ["regress", "kept"]),
         (0, ["rare", "lossy", "--repeats", "1", "--effort", "4", *rare]),
-        (0, ["shrink", "fails.yaml", "--most-runs", "2"]),
+        (0, ["shrink", "fails.yaml", "--budget", "2"]),
         (1, ["run", "fails.yaml", "--in-process"]),
-        (0, ["why", "--most-runs", "2"]),
+        (0, ["why", "--budget", "2"]),
     ]:
         done = fleet(tmp_path, *arguments)
         assert done.returncode == status, f"{arguments}\n{done.stdout}\n{done.stderr}"

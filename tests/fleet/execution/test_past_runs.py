@@ -6,7 +6,7 @@ import fcntl
 import json
 import os
 from contextlib import closing
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO
 
@@ -84,7 +84,7 @@ def test_what_is_not_ours_is_not_listed(tmp_path: Path) -> None:
 
 
 def a_run(number: int, verdict: str, age_s: float) -> PastRun:
-    return PastRun(Path(f"paper-{number}"), "paper", verdict, None, 0, NOW - timedelta(seconds=age_s))
+    return PastRun(f"paper-{number}", Path(f"paper-{number}"), "paper", verdict, None, 0, NOW, age_s)
 
 
 @given(
@@ -97,10 +97,10 @@ def test_only_what_every_condition_holds_for_goes(
     drawn: list[tuple[str, float]], keep: int, older_than_s: float, verdicts: set[str]
 ) -> None:
     runs = [a_run(k, verdict, age_s) for k, (verdict, age_s) in enumerate(sorted(drawn, key=lambda one: one[1]))]
-    going = to_prune(runs, keep=keep, older_than_s=older_than_s, verdicts=verdicts, now=NOW)
+    going = to_prune(runs, keep=keep, older_than_s=older_than_s, verdicts=verdicts)
     over = [run for run in runs if run.verdict != LIVE]
     for run in runs:
-        goes = run in over[keep:] and run.verdict in verdicts and (NOW - run.began).total_seconds() >= older_than_s
+        goes = run in over[keep:] and run.verdict in verdicts and run.age_s >= older_than_s
         assert (run in going) == goes
 
 
@@ -123,7 +123,7 @@ def test_removal_follows_no_link_and_mends_latest(tmp_path: Path) -> None:
 def test_a_run_that_goes_on_is_not_removed(tmp_path: Path) -> None:
     """Whatever was known of it when the list was made."""
     with live_directory(tmp_path) as live:
-        listed = [PastRun(live, "paper", BROKE, None, 0, NOW)]
+        listed = [PastRun(live.name, live, "paper", BROKE, None, 0, NOW, 0.0)]
         assert list(remove(tmp_path, listed)) == []
         assert live.is_dir()
 
@@ -160,7 +160,7 @@ def test_the_newest_run(tmp_path: Path) -> None:
 def test_a_run_that_begins_is_at_no_moment_taken_for_a_dead_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`fleet prune` would remove it, and who looks holds a lock for a moment."""
+    """`fleet ls --prune` would remove it, and who looks holds a lock for a moment."""
     seen = []
     lock = fcntl.flock
 

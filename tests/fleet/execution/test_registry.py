@@ -164,7 +164,7 @@ def test_a_run_is_found_from_any_folder_and_kill_9_leaves_no_ghost(
         run.send(9)
         run.until_nobody_is_left()
         assert not in_use(run.directory)
-        assert CliRunner().invoke(cli, ["ps"]).stderr == "no live run\n"
+        assert CliRunner().invoke(cli, ["ls"]).stdout == ""
         assert CliRunner().invoke(cli, ["status"]).exit_code == 3
         assert list(place.iterdir()) == []
         assert not (run.directory / "connection.json").exists()

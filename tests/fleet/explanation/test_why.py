@@ -9,6 +9,7 @@ from shutil import copytree
 
 import pytest
 from click.testing import CliRunner, Result
+from msgspec import structs
 from small_scenario import SMALL
 from study_engine import Here
 
@@ -19,7 +20,6 @@ from fleet.explanation.no_return import HealingSearch, healed, remake, with_mome
 from fleet.explanation.why import Explanation, Question, Why, lines
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.study.modules import NO_MODULES
-from world.plugins.trust import NOTHING
 
 LONGER = SMALL.replace("duration: 1 s", "duration: 2 s")
 PUSH = "faults: [{at: 300 ms, for: 1500 ms, id: push, wrench: {vehicles: 1, force: -40 0 0 N}}]\n"
@@ -116,7 +116,7 @@ def test_a_push(why: Why) -> None:
 
 def test_from_a_snapshot_or_from_the_start_is_the_same(small_log: Path) -> None:
     """A run from a snapshot on is that from the start, so both find the same moment."""
-    scenario = with_moments(load_scenario(str(small_log / "scenario.yaml")), NOTHING)
+    scenario = with_moments(load_scenario(str(small_log / "scenario.yaml")))
     remade = remake(scenario, lambda share: None)
     found = []
     for over_time in (True, False):
@@ -140,8 +140,8 @@ def test_where_passing_has_no_order_that_is_said(small_log: Path) -> None:
     class Unordered(Here):
         def rows(self, task):  # type: ignore[no-untyped-def]
             row = super().rows(task)[0]
-            if row.get("best") is not None:
-                row["best"] = 1.0 if len(self.tasks) % 2 else -1.0
+            if row.part is not None:
+                row.part = structs.replace(row.part, best=1.0 if len(self.tasks) % 2 else -1.0)
             return [row]
 
     explanation = Explanation(Question(small_log, None, 24), lambda doing, runs: None)
@@ -167,14 +167,14 @@ def test_what_healing_leaves_of_a_scenario() -> None:
 
 
 def test_the_command(small_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fleet.study.local_engine.engine_of", lambda *_: nullcontext(Here()))
+    monkeypatch.setattr("fleet.study.engine.engine_of", lambda *_: nullcontext(Here()))
     picture = tmp_path / "why.png"
     result = call(small_log, "--picture", picture)
     assert result.exit_code == 0, result.output
     assert "small, seed 1: formation_error failed" in result.stdout
     assert "the point of no return" in result.stdout
     assert picture.read_bytes().startswith(b"\x89PNG")
-    document = json.loads(call(small_log, "--json", "--most-runs", "0").stdout)
+    document = json.loads(call(small_log, "--json", "--budget", "0").stdout)
     assert (document["check"], document["no_return"]["how"]) == ("formation_error", "not possible")
 
 
@@ -221,7 +221,7 @@ def test_the_words_are_of_the_log(small_log: Path) -> None:
 def test_a_fault_that_is_over_changes_nothing_by_its_healing() -> None:
     """Its moments need no run: each is the run itself, which fails."""
     scenario = with_moments(
-        parse_scenario(LONGER + PUSH.replace("1500 ms", "100 ms").replace("-40", "-600") + TIGHT, "small.yaml"), NOTHING
+        parse_scenario(LONGER + PUSH.replace("1500 ms", "100 ms").replace("-40", "-600") + TIGHT, "small.yaml")
     )
     search = HealingSearch(remake(scenario, lambda share: None), "formation_error", Here(), lambda doing, runs: None)
     assert max(one.tick for one in search._moments) * scenario.tick_ns < 400_000_000
@@ -241,7 +241,7 @@ def test_of_a_log_that_ends_before_the_check_fails(small_log: Path, tmp_path: Pa
 def test_an_agent_that_comes_back_by_healing() -> None:
     """Snapshots after its end have no memory of it, so these runs are made from their start."""
     text = LONGER + "faults: [{at: 400 ms, kill: 1}]\nchecks: {max_age: {below: 900 ms}, tumbled: waived}\n"
-    scenario = with_moments(parse_scenario(text, "small.yaml"), NOTHING)
+    scenario = with_moments(parse_scenario(text, "small.yaml"))
     search = HealingSearch(remake(scenario, lambda share: None), "max_age", Here(), lambda doing, runs: None)
     found = search.run(24)
     assert found.passes_s == 1.2  # news of it is older than 900 ms from 1.3 s on

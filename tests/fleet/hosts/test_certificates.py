@@ -53,7 +53,7 @@ def _other_ca(directory: Path) -> None:
 
 
 DAMAGES: dict[str, tuple[Any, str]] = {
-    "no CA": (lambda d: (d / "ca.pem").unlink(), r"ca\.pem is missing; make it: fleet certs"),
+    "no CA": (lambda d: (d / "ca.pem").unlink(), r"ca\.pem is missing; make it: fleet hosts certs"),
     "no key": (lambda d: (d / "server-key.pem").unlink(), r"server-key\.pem is missing"),
     "key for all": (lambda d: (d / "server-key.pem").chmod(0o644), "can be read by others .*chmod 600"),
     "no PEM": (lambda d: (d / "server.pem").write_bytes(b"\xff\x00"), "is not PEM"),
@@ -118,5 +118,5 @@ def test_agents_are_told_what_the_certificate_holds(made: Path) -> None:
     )
     assert listening("tls/192.0.2.7:1", made).reached == "tls/192.0.2.7:1"
     assert listening("tls/0.0.0.0:1", made, ["SEA.example.org"]).reached == "tls/sea.example.org:1"
-    with pytest.raises(FleetError, match=r"not for 192\.0\.2\.8.*fleet certs .* --host 192\.0\.2\.8 --force"):
+    with pytest.raises(FleetError, match=r"not for 192\.0\.2\.8.*fleet hosts certs .* --host 192\.0\.2\.8 --force"):
         listening("tls/0.0.0.0:1", made, ["192.0.2.8"])

@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import click
 import pytest
 from click.testing import CliRunner
 from free_ports import free_port
@@ -20,7 +21,7 @@ from hypothesis import strategies as st
 from repository import ROOT
 
 from fleet.cli.group import command_of
-from fleet.cli.hosts import rendezvous
+from fleet.cli.hosts import HostsOptions, rendezvous
 from fleet.cli.main import cli
 from fleet.errors import FleetError
 from fleet.hosts import router_config
@@ -68,7 +69,7 @@ def test_listening_for_nobody_is_warned_of(made: Path) -> None:
             "lease": 2000,
         }
         others = {"router": None, "credentials": None, "listen_certified": None}
-        found = rendezvous(load_scenario("paper", overrides), options | others, in_process=False)
+        found = rendezvous(load_scenario("paper", overrides), HostsOptions(**(options | others)), in_process=False)
         assert found and ["no vehicle is external" in warning for warning in found.warnings] == [True] * warned
 
 
@@ -76,7 +77,7 @@ def test_mutual_tls_takes_the_external_agents_certificates(made: Path) -> None:
     found = listening("tls/0.0.0.0:1", made, external=[2], mutual=True)
     assert found.listener and found.listener.certified == {"agent-2"}
     assert found.certificates["agent-2"].certificate == (made / "agent-2.pem").read_text()
-    with pytest.raises(FleetError, match=r"agent-3\.pem is missing; make it: fleet certs .* --agents 3"):
+    with pytest.raises(FleetError, match=r"agent-3\.pem is missing; make it: fleet hosts certs .* --agents 3"):
         listening("tls/0.0.0.0:1", made, external=[3], mutual=True)
 
 
@@ -93,7 +94,7 @@ def test_agents_may_come_with_certificates_alone(made: Path) -> None:
     alone = listening_for_certificates(Rendezvous(), "tls/127.0.0.1:2", made, external=[2])
     assert (alone.listener, alone.lease_ms, alone.folders[2].endpoints) == (None, None, ("tls/127.0.0.1:2",))
     assert "PRIVATE KEY" not in repr(alone)
-    with pytest.raises(FleetError, match=r"agent-3\.pem is missing; make it: fleet certs .* --agents 3"):
+    with pytest.raises(FleetError, match=r"agent-3\.pem is missing; make it: fleet hosts certs .* --agents 3"):
         listening_for_certificates(Rendezvous(), "tls/127.0.0.1:2", made, external=[2, 3])
     with pytest.raises(FleetError, match="two routers: give them a port each, not both 1"):
         listening_for_certificates(both, "tls/127.0.0.1:1", made)
@@ -105,12 +106,12 @@ def test_agents_may_come_with_certificates_alone(made: Path) -> None:
     ("arguments", "words"),
     [
         (["--certs", "c"], "--certs needs --listen or --router"),
-        (["--listen", "tls/0.0.0.0:7447"], "needs certificates: make them with fleet certs"),
+        (["--listen", "tls/0.0.0.0:7447"], "needs certificates: make them, fleet hosts certs"),
         (["--listen", "tcp/127.0.0.1:1", "--certs", "c"], "are for tls: --listen tls/127.0.0.1:1"),
         (["--listen", "udp/127.0.0.1:1"], "--listen: expected tls/HOST:PORT"),
         (["--listen", "tcp/127.0.0.1:1", "--router", "tcp/127.0.0.1:2"], "either --listen or --router"),
         (["--listen", "tcp/127.0.0.1:1", "--credentials", "f"], "--credentials is for --router"),
-        (["--router", "tcp/127.0.0.1:2"], "--router needs --credentials FILE, which fleet acl"),
+        (["--router", "tcp/127.0.0.1:2"], "--router needs --credentials FILE, which fleet hosts acl"),
         (["--router", "tcp/127.0.0.1:2", "--credentials", "f"], "f cannot be read: No such file"),
         (["--router", "tcp/0.0.0.0:2", "--credentials", "f"], "is an address to listen on"),
         (["--router", "tcp/a:2", "--credentials", "f", "--advertise", "x"], "--advertise is for --listen"),
@@ -120,7 +121,7 @@ def test_agents_may_come_with_certificates_alone(made: Path) -> None:
         (["--listen", "tcp/127.0.0.1:1", "--lease", "60 s"], "--set stall_timeout"),
         (
             ["--listen-certified", "tls/127.0.0.1:1"],
-            "--listen-certified needs certificates: make them with fleet certs",
+            "--listen-certified needs certificates: fleet hosts certs",
         ),
         (["--listen-certified", "tcp/127.0.0.1:1"], "shown with tls only: --listen-certified tls/127.0.0.1:1"),
         (["--listen-certified", "tls/a:1", "--router", "tcp/a:2"], "the one of --router asks for passwords"),
@@ -138,7 +139,7 @@ def test_options_that_do_not_go_together_are_refused(arguments: list[str], words
 # A router that is there already
 def test_acl_prints_no_password_and_writes_them_for_us_alone(made: Path, tmp_path: Path) -> None:
     out = tmp_path / "acl"
-    arguments = ["acl", "paper", "--certs", str(made), "--run", "trial"]
+    arguments = ["hosts", "acl", "paper", "--certs", str(made), "--run", "trial"]
     printed = CliRunner().invoke(cli, arguments)
     written = CliRunner().invoke(cli, [*arguments, "-o", str(out)])
     assert printed.exit_code == written.exit_code == 0, printed.output + written.output
@@ -157,15 +158,20 @@ def test_acl_prints_no_password_and_writes_them_for_us_alone(made: Path, tmp_pat
     assert read_credentials(out / router_config.CREDENTIALS, 4)[1] == credentials
 
 
+def _command(words: str) -> click.Command:
+    command = command_of(words.split()[0])
+    return command.commands[words.split()[1]] if isinstance(command, click.Group) else command
+
+
 # The page
 def test_the_page_names_options_that_there_are() -> None:
     page = (ROOT / "docs" / "guide" / "hosts.md").read_text()
-    named = {command: set() for command in ("run", "certs", "acl", "agent")}
-    for command, rest in re.findall(r"\bfleet (run|certs|acl|agent) ([^`#\n]*)", page):
+    named = {command: set() for command in ("run", "hosts certs", "hosts acl", "agent")}
+    for command, rest in re.findall(r"\bfleet (run|hosts certs|hosts acl|agent) ([^`#\n]*)", page):
         named[command] |= set(re.findall(r"--[a-z-]+", rest))
     assert {"--listen", "--router", "--certs"} <= named["run"] and named["agent"] == {"--join"}
     for command, options in named.items():
-        known = {option for parameter in command_of(command).params for option in parameter.opts}
+        known = {option for parameter in _command(command).params for option in parameter.opts}
         assert options <= known, command
 
 

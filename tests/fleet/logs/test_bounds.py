@@ -80,7 +80,8 @@ def test_a_bomb_takes_no_memory(tmp_path: Path, says: int) -> None:
 
 
 @pytest.mark.parametrize("command", [
-    ["info"], ["script"], ["verify"], ["recover"], ["replay"], ["plot"], ["report"], ["export", "--csv", "t"],
+    ["info"], ["export", "--scenario"], ["verify"], ["recover"], ["replay"], ["plot"], ["report"],
+    ["export", "--csv", "t"],
 ])  # fmt: skip
 def test_one_scanner_for_all(tmp_path: Path, command: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
@@ -88,7 +89,7 @@ def test_one_scanner_for_all(tmp_path: Path, command: list[str], monkeypatch: py
     result = CliRunner().invoke(cli, [*command, str(path)])
     assert isinstance(result.exception, SystemExit | None), result.exception
     assert result.exit_code in (0, 1, 2, 3)
-    if command != ["script"]:
+    if "--scenario" not in command:
         assert "unpacks to 67108865 bytes" in result.output or command == ["verify"]
     monkeypatch.undo()
 
@@ -312,7 +313,7 @@ def test_equal_logs_are_compared_in_blocks(long: Path, monkeypatch: pytest.Monke
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", ["info", "script", "diff", "recover", "export", "plot", "report"])
+@pytest.mark.parametrize("command", ["info", "export", "diff", "recover", "plot", "report"])
 def test_progress_is_told_on_stderr(command: str, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(status_line, "FIRST_S", 0.0)
     out = {

@@ -106,7 +106,7 @@ def test_what_if_says_which_schema(name: str, damage: Callable[[Schema], bytes],
 
 
 @pytest.mark.parametrize("damage", [garbage, numbers, renamed])
-@pytest.mark.parametrize("command", [["script"], ["check-log"], ["verify", "-q"], ["whatif", "--agent", "3"]])
+@pytest.mark.parametrize("command", [["export", "--scenario"], ["check"], ["verify", "-q"], ["whatif", "--agent", "3"]])
 def test_faults_that_cannot_be_read_are_not_left_out(
     command: list[str], damage: Callable[[Schema], bytes], run: Path, tmp_path: Path
 ) -> None:
@@ -119,7 +119,7 @@ def test_check_log_judges_no_samples_that_it_cannot_read(
     damage: Callable[[Schema], bytes], run: Path, tmp_path: Path
 ) -> None:
     log = changed(tmp_path / "a.mcap", run, other_schema("State", damage))
-    assert "the schema of uuv/1/state cannot be used" in said("check-log", log)
+    assert "the schema of uuv/1/state cannot be used" in said("check", log)
 
 
 @pytest.mark.parametrize("command", [["plot"], ["report", "--force"]])
@@ -131,7 +131,7 @@ def test_a_picture_of_what_are_no_numbers(command: list[str], run: Path, tmp_pat
 
 def test_check_log_says_which_link(run: Path, tmp_path: Path) -> None:
     log = changed(tmp_path / "a.mcap", run, other_schema("Packet", renamed))
-    assert "the schema of link/" in said("check-log", log)
+    assert "the schema of link/" in said("check", log)
 
 
 def test_a_time_of_foxglove_that_is_none(run: Path, tmp_path: Path) -> None:
@@ -203,6 +203,6 @@ def test_a_log_that_seems_to_last_a_year_is_judged_up_to_the_end_of_its_run(run:
     """Not tick by tick for a year."""
     last = sum(1 for _ in LogReader(run)) - 1
     log = changed(tmp_path / "a.mcap", run, stamped(last, 10**16, 10**16))
-    done = CliRunner().invoke(cli, ["check-log", str(log)])
+    done = CliRunner().invoke(cli, ["check", str(log)])
     assert done.exit_code in (0, 1, 2), done.output
     assert done.exception is None or isinstance(done.exception, SystemExit)

@@ -311,8 +311,8 @@ def test_what_is_no_log(kind: str, log: Path, tmp_path: Path) -> None:
     """Each reader of the package: status 2 (or 1, "nothing", of recover), a sentence on stderr, nothing on stdout."""
     path = make(kind, tmp_path)
     said = BAD[kind][1]
-    for command in ("script", "verify"):
-        result = tool(command, path)
+    for command in (("export", "--scenario"), ("verify",)):
+        result = tool(*command, path)
         assert (result.exit_code, result.stdout) == (2, "")
         assert said in result.stderr
     mcap = kind in ("magic", "noise", "zeros")
@@ -331,8 +331,8 @@ def test_an_mcap_that_is_not_ours(tmp_path: Path) -> None:
     path = tmp_path / "foreign.mcap"
     foreign(path)
     assert "not a log of uuv-fleet" in tool("info", path).stdout
-    for command in ("script", "verify"):
-        assert "holds no scenario: it was not written by fleet run" in tool(command, path).stderr
+    for command in (("export", "--scenario"), ("verify",)):
+        assert "holds no scenario: it was not written by fleet run" in tool(*command, path).stderr
     assert tool("diff", path, path).stdout == "the same bit for bit (3 messages)\n"
     assert tool("recover", path, "-o", tmp_path / "out").exit_code == 0
     assert list(LogReader(tmp_path / "out")) == list(LogReader(path))
@@ -342,7 +342,7 @@ def test_a_log_of_which_only_the_head_is_left(log: Path, tmp_path: Path) -> None
     """Killed within its first second a run leaves its scenario: it can be run again, but not compared."""
     path = tmp_path / "a"
     path.write_bytes(head(log))
-    assert tool("script", path).exit_code == 0
+    assert tool("export", path, "--scenario").exit_code == 0
     assert "0 messages" in tool("info", path).stdout
     result = tool("verify", path)
     assert (result.exit_code, result.stdout) == (3, "")

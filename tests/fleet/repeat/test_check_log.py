@@ -169,15 +169,15 @@ def test_what_cannot_be_judged_is_said(folder: Path) -> None:
 def test_the_command(folder: Path) -> None:
     result = run()
     runner = CliRunner()
-    printed = runner.invoke(cli, ["check-log", str(result.directory), "-q"])
+    printed = runner.invoke(cli, ["check", str(result.directory), "-q"])
     assert printed.exit_code == 1
     assert "FAIL  low: state.z below 1 m; found 1.0" in printed.output
     assert "judged up to t = 2 s of 2 s" in printed.output
     both = "checks={signal: [{name: deep, topic: state.z, below: 90 m}, {name: low, topic: state.z, below: 1 m}]}"
-    lines = runner.invoke(cli, ["check-log", str(result.directory), "-q", "--set", both]).output.splitlines()
+    lines = runner.invoke(cli, ["check", str(result.directory), "-q", "--set", both]).output.splitlines()
     assert [line.split(":")[0] for line in lines[:2]] == ["FAIL  low", "pass  deep"]  # failed ones on top
     asked = ["--set", "checks={signal: {name: deep, topic: state.z, below: 90 m}}"]
-    good = runner.invoke(cli, ["check-log", str(result.directory), "-q", "--json", *asked])
+    good = runner.invoke(cli, ["check", str(result.directory), "-q", "--json", *asked])
     assert good.exit_code == 0, good.output
     document = json.loads(good.stdout)
     assert document["passed"] and [row["check"] for row in document["checks"]] == ["deep"]

@@ -57,6 +57,7 @@ def since(directory: Path, ns: int) -> list[Record]:
     return [record for record in LogReader(directory / "run.mcap") if record.log_ns >= ns]
 
 
+@pytest.mark.parametrize("part", [0.5, *(pytest.param(part, marks=pytest.mark.slow) for part in (0.0, 1.0))])
 @pytest.mark.parametrize(
     ("name", "overrides"),
     [
@@ -100,26 +101,25 @@ def since(directory: Path, ns: int) -> list[Record]:
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_the_rest_is_the_same_to_the_last_bit(name: str, overrides: list[str], tmp_path: Path) -> None:
+def test_the_rest_is_the_same_to_the_last_bit(name: str, overrides: list[str], part: float, tmp_path: Path) -> None:
+    """From a snapshot after this part of them."""
     first = recorded(tmp_path, name, "log.snapshot=500 ms", *overrides)
     snapshots = [r.log_ns for r in LogReader(first.directory / "run.mcap") if r.topic == "snapshot"]
     assert snapshots
-    for at in {snapshots[0], snapshots[len(snapshots) // 2], snapshots[-1]}:
-        scenario, start = continuation(first.directory, at)
-        again = run(scenario, tmp_path, start)
-        assert start.snapshot.tick * scenario.tick_ns == at
-        assert since(again.directory, at) == since(first.directory, at)
-        assert again.values["ledger"] == first.values["ledger"]
-        # A log of the rest is a log like any other.
-        assert script(again.directory) == scenario
-        verified = verify(again.directory)
-        assert verified.reproduced, verification_lines(verified)
-        assert verified.messages == again.values["messages"]
-        if at != snapshots[-1]:
-            later, further = continuation(again.directory, snapshots[-1])
-            assert since(run(later, tmp_path, further).directory, snapshots[-1]) == since(
-                first.directory, snapshots[-1]
-            )
+    at, last = snapshots[min(int(part * len(snapshots)), len(snapshots) - 1)], snapshots[-1]
+    scenario, start = continuation(first.directory, at)
+    again = run(scenario, tmp_path, start)
+    assert start.snapshot.tick * scenario.tick_ns == at
+    assert since(again.directory, at) == since(first.directory, at)
+    assert again.values["ledger"] == first.values["ledger"]
+    # A log of the rest is a log like any other.
+    assert script(again.directory) == scenario
+    verified = verify(again.directory)
+    assert verified.reproduced, verification_lines(verified)
+    assert verified.messages == again.values["messages"]
+    if at != last:
+        later, further = continuation(again.directory, last)
+        assert since(run(later, tmp_path, further).directory, last) == since(first.directory, last)
 
 
 def test_a_change_acts_from_there_on(tmp_path: Path) -> None:

@@ -212,7 +212,7 @@ def test_a_message_less_or_more(log: Path, tmp_path: Path) -> None:
         found = verify(altered(log, tmp_path / f"less{number}", at(number, lambda message: None)))
         assert found.difference is not None
         assert (found.messages, found.difference.number) == (number, number)
-    assert found.difference.left.record is None
+    assert found.difference.a is None
     assert "recorded: the log ends here" in "\n".join(verification_lines(found))
     twice = altered(log, tmp_path / "more", lambda n, item: item)
     last = list(LogReader(log))[-1]

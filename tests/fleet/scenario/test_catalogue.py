@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from msgspec.structs import astuple, replace
 
 from fleet.errors import ScenarioError
 from fleet.scenario import catalogue
@@ -13,7 +14,7 @@ from fleet.scenario.schema.groups import GROUPS
 
 def test_the_list_agrees_with_the_loaded_scenarios() -> None:
     loaded = [load_scenario(name) for name in shipped_scenarios()]
-    assert [row._replace(group="") for row in list_scenarios()] == [
+    assert [replace(row, group="") for row in list_scenarios()] == [
         ListedScenario(s.name, "", s.title, s.vehicles, s.duration_ns / 1e9, s.spec.expect) for s in loaded
     ]
     assert {row.expect for row in list_scenarios()} == {"pass", "fail"}
@@ -39,7 +40,7 @@ checks: {tumbled: waived}
         assert scenario.spec.expect == expect
         assert list_scenarios() == [ListedScenario("two", "", "Two: a # in quotes", 2, 90.0, expect)]
         assert (scenario.name, scenario.spec.group, scenario.title, scenario.vehicles) == (
-            "two", None, *list_scenarios()[0][2:4],
+            "two", None, *astuple(list_scenarios()[0])[2:4],
         )  # fmt: skip
         assert scenario.duration_ns == 90 * 10**9
 

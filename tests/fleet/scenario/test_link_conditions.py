@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import os
-from math import nan
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from fleet.errors import ScenarioError
 from fleet.scenario.loading import changed, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.data_files import DataFileError
-from fleet.scenario.sections.link_conditions import load_trace, read_trace
+from fleet.scenario.sections.link_conditions import load_trace
 from fleet.scenario.sections.trace_table import MOST_ROWS, TraceRow, TraceTable, read_csv
 from netem.condition import Condition
 from netem.link_states import LinkStates
@@ -199,25 +198,7 @@ def test_what_is_no_file_is_refused_at_once(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "log.csv")
     with pytest.raises(DataFileError, match="it is a pipe"):
         load_trace("log.csv", tmp_path)
-    assert "ends in .csv or .parquet" in only_problem("network.links={1->2: {trace: log.txt}}")
-
-
-def test_parquet_is_as_good_as_csv(tmp_path: Path) -> None:
-    pa = pytest.importorskip("pyarrow")
-    parquet = pytest.importorskip("pyarrow.parquet")
-    table = pa.table(
-        {"time [s]": [10.0, 12.5, 13.0], "delivered": [True, False, True], "delay": [412.5, nan, 1000.0],
-         "rate [kbit/s]": [0.08, None, 0.16], "snr [dB]": [14.2, None, 9.0]}
-    )  # fmt: skip
-    table = table.cast(table.schema.set(2, table.schema.field("delay").with_metadata({"unit": "ms"})))
-    parquet.write_table(table, tmp_path / "log.parquet")
-    assert read_trace(tmp_path / "log.parquet") == read_csv(LOG, "log.csv")
-    parquet.write_table(table.slice(0, 2).set_column(1, "delivered", pa.array([1, None])), tmp_path / "log.parquet")
-    with pytest.raises(DataFileError, match="row 2: delivered: a hole"):
-        read_trace(tmp_path / "log.parquet")
-    (tmp_path / "log.parquet").write_bytes(b"PAR1" + bytes(40) + b"PAR1")
-    with pytest.raises(DataFileError):
-        read_trace(tmp_path / "log.parquet")
+    assert "ends in .csv" in only_problem("network.links={1->2: {trace: log.txt}}")
 
 
 CELLS = st.builds(

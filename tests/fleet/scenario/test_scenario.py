@@ -32,7 +32,7 @@ from fleet.scenario.sections.log_rates import DRAWN_GROUPS, LOG_GROUPS
 from fleet.scenario.text.yaml_reader import Mapping, Source, plain, read, resolve
 from netem.condition import Condition
 
-SHIPPED = [name for name, *_ in list_scenarios()]
+SHIPPED = [row.name for row in list_scenarios()]
 
 
 def problems(text: str, *overrides: str) -> list[tuple[int, int, str]]:

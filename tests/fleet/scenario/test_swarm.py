@@ -15,8 +15,7 @@ from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import WORDS, NemesisPick
 from fleet.scenario.sections import liveness, swarm
-from fleet.scenario.sections.ground import HELD
-from fleet.scenario.sections.swarm import DrawnFault
+from fleet.scenario.sections.swarm import HELD, DrawnFault
 from fleet.scenario.sections.timeline import action, vehicles_of
 from netem.fault_kinds import WorldFaultKind
 

@@ -7,12 +7,10 @@ from pathlib import Path
 import pytest
 
 from fleet.scenario.text.overrides import NET, Override
-from fleet.study.border_theory import theory
-from fleet.study.borders import Borders, parse_along, prepare_borders
+from fleet.study.borders import Borders, parse_along, prepare_borders, theory
 from fleet.study.plan import Plan
 from fleet.study.spec import BoundarySpec
 from fleet.study.values import parse_axis
-from world.plugins.trust import NOTHING
 
 
 def test_the_rules_of_fleet_check_and_the_age_under_loss(tmp_path: Path) -> None:
@@ -23,7 +21,7 @@ def test_the_rules_of_fleet_check_and_the_age_under_loss(tmp_path: Path) -> None
     )
     plan = Plan("paper", (Override(NET, "* delay {delay} loss {loss}"),), axes)
     store, _ = prepare_borders(plan, BoundarySpec(), tmp_path / "study")
-    found = theory(Borders(store), NOTHING)
+    found = theory(Borders(store))
     assert [one.shunting for one in found] == [(pytest.approx(8.13, abs=0.01), 10.0)] * 6
     assert [one.stable for one in found[:3]] == [True, True, False]  # it bears 0.25 s
     # K tau rho(A) = 2 x tau x 1.447 is 1 at tau = 0.3456 s, which is the delay and 0.1 s / (1 - p), less a tick.

@@ -72,7 +72,7 @@ def test_borders_are_found_with_few_runs() -> None:
     assert first.high - first.low <= 9.5
     assert first.runs <= 40  # of 60
     assert not borders.open()
-    assert {row["seed"] for row in borders.rows()[0].values()} == set(range(1, first.runs + 1))  # each seed once
+    assert {row.seed for row in borders.rows()[0].values()} == set(range(1, first.runs + 1))  # each seed once
 
 
 def test_rows_do_not_depend_on_order_and_interruptions() -> None:
@@ -132,11 +132,11 @@ def test_a_row_is_a_run() -> None:
     )
     store, _ = prepare_borders(plan, BoundarySpec(), Path("a"))
     find_borders(Borders(store), Here(), quiet)  # type: ignore[arg-type]
-    rows = store.table().to_pylist()
-    assert [(row["loss"], row["seed"]) for row in rows] == [(0.0, 3), (80.0, 4)]
+    rows = store.frame()
+    assert [*zip(rows["loss"], rows["seed"], strict=True)] == [(0.0, 3), (80.0, 4)]
     direct = run("small.yaml", set=[changes.text, "network.links={'*': delay 50ms loss 80%}"], seed=4)
-    assert rows[1]["digest"] == direct.digest
-    assert rows[1]["passed"] == direct.passed
+    assert rows["digest"][1] == direct.digest
+    assert rows["passed"][1] == direct.passed
 
 
 @pytest.mark.parametrize(
@@ -214,7 +214,7 @@ def test_a_damaged_study_is_said(record: BorderRecord) -> None:
 def test_scripts_have_borders_rows_and_a_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     from contextlib import nullcontext
 
-    monkeypatch.setattr("fleet.study.boundary.engine_of", lambda *_: nullcontext(Drawn(breaks_at_40)))
+    monkeypatch.setattr("fleet.study.study.engine_of", lambda *_: nullcontext(Drawn(breaks_at_40)))
     made = fleet.boundary("small.yaml", "loss=0 %..95 %", {"delay": ["100 ms", "200 ms"]}, net=[LINKS.text], out="a")
     assert [round(border.value, -1) for border in made.borders] == [40.0, 10.0]
     assert set(made.study.to_pandas()["delay"]) == {100.0, 200.0}

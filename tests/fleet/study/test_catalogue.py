@@ -9,9 +9,9 @@ import pytest
 from fleet.quantities import time_ns
 from fleet.scenario.catalogue import shipped_scenarios
 from fleet.study.catalogue import list_studies, shipped_studies
-from fleet.study.load_points import load_points
 from fleet.study.plan import Plan, plan_of
 from fleet.study.study_file import study_named
+from fleet.study.sweep import load_points
 
 
 def thinned(plan: Plan) -> Plan:
@@ -28,12 +28,16 @@ def test_no_name_is_of_a_scenario_and_of_a_study() -> None:
 def test_the_list_says_what_a_study_is() -> None:
     listed = list_studies()
     assert [study.name for study in listed] == ["acoustic", "controllers", "loss-delay", "rate"]
-    for name, title, scenario, runs, core_s in listed:
-        named = study_named(name)
+    for study in listed:
+        named = study_named(study.name)
         assert named is not None
-        assert (title, scenario, runs) == (named.spec.title, named.spec.scenario, len(plan_of(named.spec)))
-        assert title.endswith("?")
-        assert core_s == pytest.approx(runs * time_ns(named.spec.run_takes) / 1e9)
+        assert (study.title, study.scenario, study.runs) == (
+            named.spec.title,
+            named.spec.scenario,
+            len(plan_of(named.spec)),
+        )
+        assert study.title.endswith("?")
+        assert study.core_s == pytest.approx(study.runs * time_ns(named.spec.run_takes) / 1e9)
 
 
 @pytest.mark.parametrize("name", shipped_studies())

@@ -23,11 +23,11 @@ from waiting import wait_for
 from fleet.cli.main import cli
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.trust import Policy
-from fleet.study.dask_engine import DaskEngine, check_versions, dask_engine, versions
-from fleet.study.engine import LOST, need_extra
+from fleet.study.engine import LOST, DaskEngine, check_versions, dask_engine, need_extra, versions
 from fleet.study.errors import StudyError
 from fleet.study.modules import modules_of
-from fleet.study.one_run import FAILED, Task
+from fleet.study.one_run import Task
+from fleet.study.row import FAILED, Row
 
 LIMIT_S = 60.0
 
@@ -55,9 +55,7 @@ log: {snapshot: 100 ms}
 """
 OF_MANY_RUNS = [
     ["search", "small.yaml", "--budget", "4", "--force"],
-    ["search", "small.yaml", "--budget", "12", "--guide", "--force"],
     ["search", "small.yaml", "--budget", "4", "--keep", "kept"],
-    ["search", "small.yaml", "--budget", "10", "--guide", "--keep", "guided"],
     ["regress", "kept"],
     ["shrink", "small.yaml", "--set", "seed=2", "--force"],
     ["rare", "small.yaml", "--check", "formation_error", "--repeats", "3", "--effort", "4",
@@ -133,24 +131,24 @@ def test_laws_travel_and_a_worker_of_a_cluster_that_is_killed_costs_no_run(
         rows: list[dict[str, object]] = []
         engine.make(tasks, rows.extend, kill_one)
         assert workers[0].poll() == -signal.SIGKILL
-        assert sorted(str(row["key"]) for row in rows) == sorted(f"key-{seed}" for seed in range(10))
-        assert {row["status"] for row in rows} <= {"pass", "check_failed"}
+        assert sorted(row.key for row in rows) == sorted(f"key-{seed}" for seed in range(10))
+        assert {row.status for row in rows} <= {"pass", "check_failed"}
         law = Task("law", 0, 1, "small", scenarios[0].to_yaml(), inf, modules)
         rows.clear()
         engine.make(iter([law]), rows.extend, lambda: None)
-        assert rows[0]["status"] in ("pass", "check_failed"), rows
+        assert rows[0].status in ("pass", "check_failed"), rows
 
 
 def test_no_scheduler_and_no_extra_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fleet.study.dask_engine._CONNECT_S", 0.3)
+    monkeypatch.setattr("fleet.study.engine._CONNECT_S", 0.3)
     with pytest.raises(StudyError, match="no Dask scheduler answers at tcp://127"), dask_engine("tcp://127.0.0.1:1"):
         pass
     with pytest.raises(StudyError, match="needs certificates: set DASK_"), dask_engine("tls://127.0.0.1:1"):
         pass
-    monkeypatch.setattr("fleet.study.engine.NEEDED", ("pyarrow", "no_such_library"))
+    monkeypatch.setattr("fleet.study.engine.NEEDED", ("pandas", "no_such_library"))
     with pytest.raises(StudyError, match=r"studies need no_such_library: pip install 'uuv-fleet\[study\]'"):
         need_extra()
-    monkeypatch.setattr("fleet.study.dask_engine.NEEDED", ("no_such_library",))
+    monkeypatch.setattr("fleet.study.engine._OF_CLUSTERS", ("no_such_library",))
     with pytest.raises(StudyError, match=r"a cluster needs no_such_library: .*\[cluster\]'"), dask_engine("tcp://x:1"):
         pass
 
@@ -187,8 +185,8 @@ class _Future(SimpleNamespace):
     def exception(self) -> Exception | None:
         return self.error  # type: ignore[no-any-return]
 
-    def result(self) -> dict[str, Any]:
-        return {"key": self.task.key, "status": "pass"}
+    def result(self) -> Row:
+        return Row(seed=1, key=self.task.key, status="pass")
 
 
 def test_only_a_run_that_was_alone_with_its_worker_is_blamed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -208,12 +206,12 @@ def test_only_a_run_that_was_alone_with_its_worker_is_blamed(monkeypatch: pytest
             future.error = KilledWorker()
         return ended
 
-    monkeypatch.setattr("fleet.study.dask_engine._finished", finished)
+    monkeypatch.setattr("fleet.study.engine._finished", finished)
     client: Any = SimpleNamespace(submit=submit)
     keys = ["deadly-1", "good-1", "good-2", "good-3", "deadly-2", "good-4", "good-5"]
-    rows: list[dict[str, Any]] = []
+    rows: list[Row] = []
     tasks = (Task(key, 0, 1, "small", "", inf) for key in keys)
     DaskEngine(client, 1).make(tasks, rows.extend, lambda: None)
-    found = {row["key"]: (row["status"], row.get("reason")) for row in rows}
-    assert found == {key: (FAILED, LOST) if key.startswith("deadly") else ("pass", None) for key in keys}
+    found = {row.key: (row.status, row.reason) for row in rows}
+    assert found == {key: (FAILED, LOST) if key.startswith("deadly") else ("pass", "") for key in keys}
     assert len(rows) == len(keys)

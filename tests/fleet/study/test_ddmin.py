@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.study.ddmin import ddmin
+from fleet.study.shrink import ddmin
 
 
 class Asked:

@@ -12,12 +12,10 @@ from study_engine import Here, Rows
 
 from fleet.execution.judged import judged, run
 from fleet.study.errors import StudyError
-from fleet.study.failures import INDEX, FailureFolder, FoundFailure
+from fleet.study.failures import INDEX, FailureFolder, FoundFailure, Regression, make_least
 from fleet.study.modules import NO_MODULES
 from fleet.study.one_run import Task
-from fleet.study.regress import Regression, make_least
 from fleet.study.search import Searched, search
-from world.plugins.trust import NOTHING
 
 NEMESIS = "nemesis={every: 400 ms, for: 300 ms, pick: [mute, deaf, {wrench: {vehicles: 1, force: 400 0 0 N}}]}"
 CHECKS = (
@@ -80,18 +78,18 @@ def test_what_is_kept_is_the_least_that_fails_and_regress_compares_it(tmp_path: 
             kept.paste
             == f"fleet run {tmp_path / kept.file} --seed {kept.seed}  # fails {kept.check}, sha256 {kept.digest[:16]}"
         )
-    regression = Regression(folder, NOTHING)
+    regression = Regression(folder)
     found = regression.run(Here(backwards=True), lambda runs: None, NO_MODULES)
     assert all(one.same and not one.differs for one in found)
     path = tmp_path / folder.failures()[0].file
     path.write_text(
         path.read_text("utf-8").replace("below: 4.6 m", "below: 99 m").replace("below: 8 m", "below: 99 m"), "utf-8"
     )
-    mended = Regression(folder, NOTHING)
+    mended = Regression(folder)
     found = mended.run(Here(), lambda runs: None, NO_MODULES)
     assert [one.same for one in found] == [False] + [True] * (len(found) - 1) and found[0].got == "passes"
     assert mended.accept(found) == 1 and folder.failures()[0].expected == "pass"
-    assert all(one.same for one in Regression(folder, NOTHING).run(Here(), lambda runs: None, NO_MODULES))
+    assert all(one.same for one in Regression(folder).run(Here(), lambda runs: None, NO_MODULES))
 
 
 @pytest.mark.parametrize(
@@ -110,7 +108,7 @@ def test_what_is_kept_is_the_least_that_fails_and_regress_compares_it(tmp_path: 
 def test_a_folder_may_come_from_anybody(index: str, words: str, tmp_path: Path) -> None:
     (tmp_path / INDEX).write_text(index, "utf-8")
     with pytest.raises(StudyError, match=words):
-        Regression(FailureFolder(tmp_path), NOTHING)
+        Regression(FailureFolder(tmp_path))
 
 
 def test_a_search_of_another_scenario_is_not_gone_on_with(tmp_path: Path) -> None:

@@ -8,8 +8,8 @@ import pytest
 
 from fleet.errors import Problem, ScenarioError
 from fleet.scenario.text.overrides import NET, SET, Override
-from fleet.study.load_points import load_points
 from fleet.study.plan import Plan
+from fleet.study.sweep import load_points
 from fleet.study.values import parse_axis
 
 SHORT = Override(SET, "duration=2 s")

@@ -19,10 +19,10 @@ from small_scenario import SMALL, small
 
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.trust import Policy
-from fleet.study.engine import LOST
-from fleet.study.local_engine import LocalEngine, local_engine
+from fleet.study.engine import LOST, LocalEngine, local_engine
 from fleet.study.modules import modules_of
-from fleet.study.one_run import FAILED, Task
+from fleet.study.one_run import Task
+from fleet.study.row import FAILED
 
 NAME = "small"
 DONE = {"pass", "check_failed"}
@@ -30,15 +30,15 @@ DONE = {"pass", "check_failed"}
 WITHOUT = """
 import sys
 from math import inf
-for name in ("dask", "distributed", "pyarrow", "scipy", "pandas", "xarray", "cryptography"):
+for name in ("dask", "distributed", "scipy", "pandas", "xarray", "cryptography"):
     sys.modules[name] = None  # as if it were not installed
-from fleet.study.local_engine import engine_of
+from fleet.study.engine import engine_of
 from fleet.study.one_run import Task
 from fleet.study.search import search
 from fleet.study.shrink import Shrinker
 tasks = [Task(f"key-{seed}", 0, seed, "small", sys.argv[1], inf) for seed in (1, 2)]
 with engine_of(1) as engine:  # a script needs no `if __name__ == "__main__"`
-    engine.make(iter(tasks), lambda rows: print(*[(row["key"], row["status"]) for row in rows]), lambda: None)
+    engine.make(iter(tasks), lambda rows: print(*[(row.key, row.status) for row in rows]), lambda: None)
 """
 
 
@@ -51,7 +51,7 @@ def test_it_needs_no_library_of_the_extra(tmp_path: Path) -> None:
 
 def test_a_study_on_this_machine_does_not_load_what_a_cluster_needs() -> None:
     names = ("dask", "distributed", "cryptography")
-    code = f"import sys; sys.modules.update(dict.fromkeys({names})); import fleet.study.study, fleet.study.boundary"
+    code = f"import sys; sys.modules.update(dict.fromkeys({names})); import fleet.study.study, fleet.study.study"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
@@ -74,8 +74,8 @@ def made(engine: LocalEngine, tasks: Iterator[Task], **options: Any) -> list[dic
 
 def test_every_run_is_made_once(engine: LocalEngine) -> None:
     rows = made(engine, tasks(25))
-    assert sorted(row["seed"] for row in rows) == list(range(25))
-    assert {row["status"] for row in rows} <= DONE
+    assert sorted(row.seed for row in rows) == list(range(25))
+    assert {row.status for row in rows} <= DONE
 
 
 def test_nobody_can_connect_to_the_workers(engine: LocalEngine) -> None:
@@ -95,8 +95,8 @@ def test_a_worker_that_is_killed_costs_no_run(engine: LocalEngine) -> None:
 
     rows = made(engine, tasks(12, "8 s"), wait=kill_one)
     assert killed
-    assert sorted(row["seed"] for row in rows) == list(range(12))
-    assert {row["status"] for row in rows} <= DONE
+    assert sorted(row.seed for row in rows) == list(range(12))
+    assert {row.status for row in rows} <= DONE
     assert len(set(engine.workers.pids) - set(killed)) == 2  # another worker in its place
 
 
@@ -121,13 +121,13 @@ def test_a_law_of_the_users_runs_there_and_one_that_kills_its_workers_costs_its_
         Task("c", 0, 2, NAME, good, inf, modules),
         Task("d", 2, 1, NAME, good.replace("good_law", "strange_law"), inf, modules._replace(folder=str(strange))),
     ]
-    rows = {row["key"]: row for row in made(engine, chain(chosen, tasks(6)))}
-    assert {row["status"] for key, row in rows.items() if key in "ac" or key.startswith("key")} <= DONE
+    rows = {row.key: row for row in made(engine, chain(chosen, tasks(6)))}
+    assert {row.status for key, row in rows.items() if key in "ac" or key.startswith("key")} <= DONE
     for key in ("b1", "b2"):
         row = rows[key]
-        assert (row["point"], row["seed"], row["status"], row["reason"]) == (1, int(key[1]), FAILED, LOST)
-    assert rows["d"]["status"] == FAILED
-    assert "a study names it" in rows["d"]["reason"]
+        assert (row.point, row.seed, row.status, row.reason) == (1, int(key[1]), FAILED, LOST)
+    assert rows["d"].status == FAILED
+    assert "a study names it" in rows["d"].reason
     assert len(rows) == 11
 
 
@@ -137,7 +137,7 @@ def test_a_law_of_the_users_runs_there_and_one_that_kills_its_workers_costs_its_
 def test_a_law_that_hangs_within_a_tick_costs_its_run_and_its_worker_once(
     line: str, engine: LocalEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fleet.study.local_engine.GRACE_S", 0.1)
+    monkeypatch.setattr("fleet.study.engine.GRACE_S", 0.1)
     name = f"stuck_law_{len(line)}"
     (tmp_path / f"{name}.py").write_text(failing(3, line), "utf-8")
     stuck = parse_scenario(
@@ -149,8 +149,8 @@ def test_a_law_that_hangs_within_a_tick_costs_its_run_and_its_worker_once(
     assert len(before) == 2
     task = Task("stuck", 1, 1, NAME, stuck.to_yaml(), 0.2, modules)
     rows = made(engine, chain([task], tasks(4, timeout_s=60.0)))
-    assert [row["reason"] for row in rows if row["key"] == "stuck"] == ["took longer than 0.2 s"]
-    assert {row["status"] for row in rows if row["key"] != "stuck"} <= DONE
+    assert [row.reason for row in rows if row.key == "stuck"] == ["took longer than 0.2 s"]
+    assert {row.status for row in rows if row.key != "stuck"} <= DONE
     assert len(rows) == 5
     made(engine, tasks(4))
     assert len(before - set(engine.workers.pids)) == 1
@@ -160,5 +160,5 @@ def test_a_run_that_ends_between_two_ticks_keeps_its_worker(engine: LocalEngine)
     made(engine, tasks(4))
     before = set(engine.workers.pids)
     (row,) = made(engine, tasks(1, "1 h", 0.2))
-    assert (row["status"], row["reason"]) == (FAILED, "took longer than 0.2 s")
+    assert (row.status, row.reason) == (FAILED, "took longer than 0.2 s")
     assert set(engine.workers.pids) == before

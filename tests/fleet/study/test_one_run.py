@@ -16,7 +16,8 @@ from fleet.logs.open_log import open_log
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.trust import Policy
 from fleet.study.modules import modules_of
-from fleet.study.one_run import FAILED, Task, make_run, make_run_in_time
+from fleet.study.one_run import Task, make_run, make_run_in_time
+from fleet.study.row import FAILED
 
 
 @pytest.mark.parametrize("line", ["while True: pass", "time.sleep(3600.0)"])
@@ -31,7 +32,7 @@ def test_a_law_that_hangs_within_a_tick_costs_its_run(
     before = set(threading.enumerate())
     task = Task("a", 2, 7, "small", scenario.to_yaml(), 0.2, modules_of([scenario], tmp_path))
     row = make_run_in_time(task)
-    assert (row["status"], row["reason"], row["point"], row["seed"]) == (FAILED, "took longer than 0.2 s", 2, 7)
+    assert (row.status, row.reason, row.point, row.seed) == (FAILED, "took longer than 0.2 s", 2, 7)
     if "while" in line:
         wait_for(lambda: set(threading.enumerate()) <= before, 60, "the thread to be ended")
 
@@ -47,12 +48,12 @@ def test_a_run_with_ranges_has_the_same_bytes_in_a_study(name: str, alone: Alone
     assert before == after == 1 if dying else after > 0, "this would prove nothing"
     scenario = load_scenario(name, changes)
     row = make_run(Task("a", 0, scenario.seed, name, scenario.to_yaml(), float("inf")))
-    assert row["digest"] == result.digest
+    assert row.digest == result.digest
 
 
 def test_a_run_in_time_is_the_same_as_without_a_limit() -> None:
     task = Task("a", 0, 1, "small", SMALL, float("inf"))
     rows = [make_run(task), make_run_in_time(task._replace(timeout_s=600.0))]
     for row in rows:
-        del row["wall_s"]
+        del row.numbers["wall_s"]
     assert str(rows[0]) == str(rows[1])

@@ -18,8 +18,9 @@ from fleet.recorder.snapshot import Snapshot
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.study.branches import Branch, run_branch
+from fleet.study.row import PartRow
 from netem.draws import salted
-from world.plugins.trust import Trust
+from world.plugins.trust import trusting
 
 SELDOM = """\
 title: Two vehicles, and how old their news of each other gets
@@ -42,8 +43,7 @@ def seldom(*overrides: str) -> Scenario:
 
 
 def least(scenario: Scenario, branch: Branch) -> float:
-    best: float = run_branch(scenario, branch, lambda t: None)["best"]
-    return best
+    return part_of(scenario, branch).best
 
 
 def streak(rounds: int, length: int, loss: float) -> float:
@@ -57,28 +57,31 @@ def streak(rounds: int, length: int, loss: float) -> float:
     return states[length]
 
 
+def part_of(scenario: Scenario, branch: Branch) -> PartRow:
+    part = run_branch(scenario, branch, lambda t: None).part
+    assert part is not None
+    return part
+
+
 def test_a_part_without_salt_goes_on_as_the_run_did() -> None:
     scenario = seldom()
     whole = next(verdict for verdict in judged(scenario).verdicts if verdict.check == "max_age")
     assert whole.margin is not None
-    row = run_branch(scenario, Branch("max_age", 0), lambda t: None)
-    assert row["best"] == whole.margin.value and row["ticks"] == scenario.ticks
-    margin, state = row["places"][1]
-    assert least(scenario, Branch("max_age", 0, state, margin)) == row["best"]
+    part = part_of(scenario, Branch("max_age", 0))
+    assert part.best == whole.margin.value and part.ticks == scenario.ticks
+    margin, state = part.places[1]
+    assert least(scenario, Branch("max_age", 0, state, margin)) == part.best
     others = {least(scenario, Branch("max_age", salt, state, margin)) for salt in range(1, 9)}
     assert len(others) > 1 and max(others) <= margin
-    reached = run_branch(scenario, Branch("max_age", 0, level=margin), lambda t: None)
-    assert reached["best"] == margin and reached["ticks"] < scenario.ticks
+    reached = part_of(scenario, Branch("max_age", 0, level=margin))
+    assert reached.best == margin and reached.ticks < scenario.ticks
 
 
 def waits(scenario: Scenario, seed: int) -> list[list[int]]:
     """For the first places of a run, how many ticks each of ten branches takes to news that is a tick older."""
-    places = run_branch(scenario, Branch("max_age", seed), lambda t: None)["places"][1:4]
+    places = part_of(scenario, Branch("max_age", seed)).places[1:4]
     return [
-        [
-            run_branch(scenario, Branch("max_age", salt, state, margin, margin - 0.05), lambda t: None)["ticks"]
-            for salt in range(1, 11)
-        ]
+        [part_of(scenario, Branch("max_age", salt, state, margin, margin - 0.05)).ticks for salt in range(1, 11)]
         for margin, state in places
     ]
 
@@ -96,8 +99,8 @@ def test_the_fate_of_the_next_packet_is_still_open_in_a_branch(link: str) -> Non
 def test_the_margin_of_a_snapshot_is_that_of_the_verdict() -> None:
     """To the last bit: a level is one of them, and is compared with the other."""
     scenario = seldom("checks.max_age.below=750 ms", "network.links.*.loss=30%")
-    rows = [run_branch(scenario, Branch("max_age", salt), lambda t: None) for salt in range(1, 30)]
-    found = {margin for row in rows for margin, _ in row["places"]}
+    rows = [part_of(scenario, Branch("max_age", salt)) for salt in range(1, 30)]
+    found = {margin for part in rows for margin, _ in part.places}
     assert len(found) >= 6 and found <= {0.75 - age * 0.1 for age in range(20)}
 
 
@@ -135,10 +138,9 @@ def test_a_signal_counts_once_the_snapshot_has_the_noise_that_made_it(
     monkeypatch.chdir(tmp_path)
     check = "{signal: [{name: high, topic: control.total, vehicles: '1', below: 15.5}], tumbled: waived}"
     changes = ("agent={law: 'drunk:Drunk'}", "sensors={position_noise: 0.1 m}", f"checks={check}")
-    scenario = load_scenario(Path("drunk.yaml"), changes, Trust(everything=True))
-    places = [
-        place for salt in (1, 2, 3) for place in run_branch(scenario, Branch("high", salt), lambda t: None)["places"]
-    ]
+    with trusting(True):
+        scenario = load_scenario(Path("drunk.yaml"), changes)
+    places = [place for salt in (1, 2, 3) for place in part_of(scenario, Branch("high", salt)).places]
     assert len(places) > 6
     for margin, state in places:
         memory = msgpack.unpackb(Snapshot.from_bytes(state).memories[1])
@@ -152,7 +154,7 @@ def test_no_salt_is_the_seed_itself() -> None:
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fleet.study.local_engine.engine_of", lambda *_: nullcontext(Here()))
+    monkeypatch.setattr("fleet.study.engine.engine_of", lambda *_: nullcontext(Here()))
     monkeypatch.chdir(tmp_path)
     Path("seldom.yaml").write_text(SELDOM, "utf-8")
 

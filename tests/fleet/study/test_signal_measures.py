@@ -16,8 +16,8 @@ from fleet.logs.open_log import open_log
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.overrides import SET, Override
 from fleet.study.errors import StudyError
+from fleet.study.measures import Samples, find_columns, measures_of_checks, parse_signal, signal_columns_of
 from fleet.study.plan import Plan
-from fleet.study.signal_measures import Samples, find_columns, measures_of_checks, parse_signal, signal_columns_of
 from fleet.study.spec import StudySpec
 from fleet.study.summary import DEFAULT
 from fleet.study.sweep import prepare

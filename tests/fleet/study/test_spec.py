@@ -15,13 +15,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import fleet
-from fleet.cli.study_options import given as given_options
-from fleet.cli.study_options import spec_options
+from fleet.cli.study_options import Asked, spec_options
 from fleet.errors import printable
 from fleet.scenario.text.overrides import FAULT, NET, SET, Override
 from fleet.scenario.text.yaml_reader import Source, yaml_text
 from fleet.study.errors import StudyError
-from fleet.study.given import keywords, seeds_text, set_values, varied
+from fleet.study.given import BoundaryKeywords, SweepKeywords, keywords, seeds_text, set_values, varied
 from fleet.study.plan import plan_of
 from fleet.study.spec import BoundarySpec, Spec, StudySpec, fields
 from fleet.study.study_file import is_file, parse_study, study_yaml
@@ -168,8 +167,8 @@ def typed(spec: Spec, args: list[str]) -> dict[str, Any]:
 
     @click.command()
     @spec_options(spec)
-    def command(**options: Any) -> None:
-        found.update(given_options(spec, options))
+    def command(asked: Asked[Any]) -> None:
+        found.update(asked.values)
 
     result = CliRunner().invoke(command, args, catch_exceptions=False)
     assert result.exit_code == 0, result.stderr
@@ -210,3 +209,9 @@ def test_scripts_are_told_what_is_wrong_by_keyword() -> None:
     with pytest.raises(TypeError, match="there is no argument 'seds'; did you mean \"seeds\""):
         fleet.sweep("paper", seds=3)
     assert "most_seeds: The most seeds of a point" in (fleet.sweep.__doc__ or "")
+
+
+@pytest.mark.parametrize(("spec", "typed_as"), [(StudySpec, SweepKeywords), (BoundarySpec, BoundaryKeywords)])
+def test_the_types_of_keywords_are_of_the_keywords_that_the_spec_declares(spec: Spec, typed_as: type) -> None:
+    declared = {field.keyword for field in fields(spec).values() if field.flag is not None}
+    assert set(typed_as.__annotations__) == declared - {"vary", "along", "per"}

@@ -8,7 +8,7 @@ from random import Random
 
 import pytest
 
-from fleet.study.splitting import Ask, SplitPath, Splitting, interval
+from fleet.study.rare import Ask, SplitPath, Splitting, interval
 
 STEPS = 60
 

@@ -8,12 +8,13 @@ from hypothesis import strategies as st
 
 from fleet.study.errors import StudyError
 from fleet.study.measures import STANDING
-from fleet.study.stopping import Row, check_until, parse_until, seed_sequence, seeds_needed
+from fleet.study.row import Row
+from fleet.study.stopping import check_until, parse_until, seed_sequence, seeds_needed
 
 
 def rows(passed: list[bool]) -> dict[int, Row]:
     """The rows of the seeds 1, 2, ... of a point."""
-    return {seed: {"status": "pass", "passed": good} for seed, good in enumerate(passed, 1)}
+    return {seed: Row(seed=seed, status="pass", passed=good) for seed, good in enumerate(passed, 1)}
 
 
 def test_rules_are_read() -> None:
@@ -59,7 +60,7 @@ def test_seeds_go_on_behind_the_largest_and_end() -> None:
 
 
 def test_a_point_without_any_result_gets_no_more_seeds() -> None:
-    failed: dict[int, Row] = {seed: {"status": "failed", "passed": None} for seed in range(1, 11)}
+    failed = {seed: Row(seed=seed, status="failed") for seed in range(1, 11)}
     assert seeds_needed(parse_until("pass ±5 %", STANDING), failed, seed_sequence(range(1, 11), 1000), 10) == 10
 
 

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from fleet.errors import ScenarioError
 from fleet.scenario.text.yaml_reader import Source
 from fleet.study.errors import StudyError
-from fleet.study.load_points import load_points
 from fleet.study.plan import plan_of
 from fleet.study.spec import StudySpec
 from fleet.study.study_file import is_study, parse_study, study_named
-from world.plugins.trust import Trust
+from fleet.study.sweep import load_points
+from world.plugins.trust import trusting
 
 
 def parse(text: str, folder: Path | None = None) -> StudySpec:
@@ -193,6 +193,6 @@ def test_laws_of_a_study_obey_the_rules_of_scenarios(
     assert Path("it_ran").exists() is runs
     assert ("has no 'Law'" if runs else f"would run {module}.py, which is not installed") in str(caught.value)
     if not runs:
-        with pytest.raises(ScenarioError, match="has no 'Law'"):
-            load_points(plan_of(*named), Trust(everything=True))
+        with pytest.raises(ScenarioError, match="has no 'Law'"), trusting(True):
+            load_points(plan_of(*named))
         assert Path("it_ran").exists()

@@ -7,10 +7,9 @@ from dataclasses import replace
 from math import inf, isnan
 from pathlib import Path
 
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from failing_laws import failing
+from made_up_study import damage
 from pandas.testing import assert_frame_equal
 from small_scenario import SMALL
 from study_engine import Here
@@ -19,8 +18,8 @@ from fleet.errors import ScenarioError
 from fleet.execution.judged import run
 from fleet.logs.open_log import open_log
 from fleet.scenario.text.overrides import SET, Override
+from fleet.study import store as stores
 from fleet.study.errors import StudyError
-from fleet.study.parquet_file import MOST_ROWS
 from fleet.study.plan import Plan
 from fleet.study.spec import StudySpec
 from fleet.study.store import Store
@@ -28,7 +27,7 @@ from fleet.study.study import Study, open_study
 from fleet.study.summary import summarise
 from fleet.study.sweep import Progress, modules_again, prepare, run_study
 from fleet.study.values import parse_axis
-from world.plugins.trust import Trust
+from world.plugins.trust import trusting
 
 CHECKS = Override(SET, "checks={formation_error: {below: 0.9 m, after: 0.9 s}}")
 LINKS = Override(SET, "network.links={'*': delay 50ms loss 10%}")
@@ -137,24 +136,22 @@ def test_a_run_without_a_frame_is_a_row(small_file: str, tmp_path: Path) -> None
     store, modules = prepare(bad, tmp_path / "study")
     progress = run_study(store, Here(), lambda progress: None, modules=modules)  # type: ignore[arg-type]
     assert progress.new == 2
-    (row, _) = store.table().to_pylist()
-    assert row["status"] == "broken"
-    assert "no" in row["reason"]
-    assert row["wall_s"] > 0
-    assert modules_again(store, Trust(everything=True)).fingerprints == modules.fingerprints
+    (row, _) = store.rows(["wall_s"], details=True)
+    assert row.status == "broken"
+    assert "no" in row.reason
+    assert row.number("wall_s") > 0
+    with trusting(True):
+        assert modules_again(store).fingerprints == modules.fingerprints
 
 
-def test_a_strangers_study_cannot_fill_the_memory_or_the_terminal(small_file: str, tmp_path: Path) -> None:
+def test_a_strangers_study_cannot_fill_the_memory_or_the_terminal(
+    small_file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     store = made(small_file, tmp_path / "study")
-    part = next((store.directory / "runs").glob("*.parquet"))
-    many = pq.read_table(part).slice(0, 1).take([0] * (MOST_ROWS + 1))
-    pq.write_table(many, part)
-    with pytest.raises(StudyError, match="more than a study writes"):
-        Study(store).to_pandas()
-    points = store.directory / "points.parquet"
-    pq.write_table(pq.read_table(points).drop_columns(["scenario"]), points)
-    with pytest.raises(StudyError, match="other columns"):
-        store.points()
+    with monkeypatch.context() as patched:
+        patched.setattr(stores, "_MOST_CELLS", 100)
+        with pytest.raises(StudyError, match="has 8 rows, too many to be read at once"):
+            Study(store).to_pandas()
     file = store.directory / "study.json"
     file.write_text(file.read_text("utf-8").replace('"small"', '"\\u001b]0;x"'), "utf-8")
     with pytest.raises(StudyError, match="control characters"):
@@ -163,8 +160,8 @@ def test_a_strangers_study_cannot_fill_the_memory_or_the_terminal(small_file: st
 
 def test_a_strangers_study_with_rows_or_names_that_cannot_be_is_damaged(small_file: str, tmp_path: Path) -> None:
     store = made(small_file, tmp_path / "study")
-    file, part = store.directory / "study.json", next((store.directory / "runs").glob("*.parquet"))
-    text, whole = file.read_text("utf-8"), pq.read_table(part)
+    file = store.directory / "study.json"
+    text = file.read_text("utf-8")
     record = json.loads(text)
     axes = [record["axes"][0] | {"key": "status"}, record["axes"][1]]
     for change in ({"seeds": [1, 1]}, {"seeds": [1, -2]}, {"seeds": [2**70]}, {"axes": axes}):
@@ -172,11 +169,11 @@ def test_a_strangers_study_with_rows_or_names_that_cannot_be_is_damaged(small_fi
         with pytest.raises(StudyError, match=r"is damaged: (its seeds|it has two columns status)"):
             Store.open(store.directory)
     file.write_text(text, "utf-8")
-    for name, value in (("point", 99), ("point", -1), ("point", None), ("seed", 99), ("seed", None)):
-        column = [value, *whole[name].to_pylist()[1:]]
-        pq.write_table(whole.set_column(whole.schema.get_field_index(name), name, pa.array(column, pa.int64())), part)
+    for name, value in (("point", 99), ("point", -1), ("seed", 99), ("seed", 3)):
+        damage(store.directory, f"UPDATE runs SET {name} = {value} WHERE point = 0 AND seed = 1")
         with pytest.raises(StudyError, match="runs of points or seeds that are not its own"):
-            run_study(store, Here(), lambda progress: None, logs="all")  # type: ignore[arg-type]
+            Store.open(store.directory).done()
+        damage(store.directory, f"UPDATE runs SET point = 0, seed = 1 WHERE {name} = {value}")
 
 
 def test_a_round_in_which_no_run_is_made_is_the_last(small_file: str, tmp_path: Path) -> None:
@@ -190,10 +187,7 @@ def test_the_log_of_a_run_that_comes_out_differently_is_not_kept_and_others_are(
     small_file: str, tmp_path: Path
 ) -> None:
     store = made(small_file, tmp_path / "study")
-    part = next((store.directory / "runs").glob("*.parquet"))
-    whole = pq.read_table(part)
-    digests = pa.array(["0" * 16, *whole["digest"].to_pylist()[1:]])
-    pq.write_table(whole.set_column(whole.schema.get_field_index("digest"), "digest", digests), part)
+    damage(store.directory, "UPDATE runs SET digest = '0000' WHERE point = 0 AND seed = 1")
     progress = run_study(store, Here(), lambda progress: None, logs="all")  # type: ignore[arg-type]
     (sentence,) = progress.not_kept
     assert sentence.startswith("the log of point 0 with seed 1 is not kept: it came out differently")
@@ -221,8 +215,8 @@ def test_a_run_that_fails_is_a_row(small_file: str, tmp_path: Path) -> None:
     store, _ = prepare(plan(small_file, "network.links.*.loss=0 %, 80 %", seeds=(1,)), tmp_path / "study")
     progress = run_study(store, Here(), lambda progress: None, timeout_s=0.0)  # type: ignore[arg-type]
     assert (progress.failed, progress.passed) == (2, 0)
-    rows = store.table().to_pylist()
-    assert {(row["status"], row["reason"]) for row in rows} == {("failed", "took longer than 0 s")}
+    rows = store.rows(details=True)
+    assert {(row.status, row.reason) for row in rows} == {("failed", "took longer than 0 s")}
     (summary, _) = summarise(store)
     assert (summary.runs, summary.failed, summary.passed.runs) == (1, 1, 0)
 
@@ -293,11 +287,11 @@ def test_the_logs_of_runs_that_failed_are_kept(small_file: str, tmp_path: Path) 
     store, _ = prepare(asked, tmp_path / "study", spec=StudySpec(small_file, keep_logs="failed"))
     run_study(store, Here(), lambda progress: None)  # type: ignore[arg-type]
     assert {path.name for path in (store.directory / "logs").iterdir()} == {"point-0-seed-1", "point-0-seed-2"}
-    for row in store.table().slice(0, 2).to_pylist():
-        directory = store.log_of(0, row["seed"])
+    for row in store.rows(details=True)[:2]:
+        directory = store.log_of(0, row.seed)
         log = open_log(directory)
-        assert (log.run["seed"], log.missing) == (str(row["seed"]), "")
-        assert json.loads((directory / "result.json").read_text("utf-8"))["digest"] == row["digest"]
+        assert (log.run["seed"], log.missing) == (str(row.seed), "")
+        assert json.loads((directory / "result.json").read_text("utf-8"))["digest"] == row.digest
     there = Here()
     run_study(store, there, lambda progress: None)  # type: ignore[arg-type]
     assert there.tasks == []
@@ -365,18 +359,13 @@ def test_bad_directories_are_said(small_file: str, tmp_path: Path) -> None:
         prepare(plan(small_file), store.directory)
     with pytest.raises(StudyError, match="it has no study"):
         open_study(tmp_path)
-    part = next((store.directory / "runs").glob("*.parquet"))
-    whole = part.read_bytes()
-    part.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(StudyError, match="cannot be read"):
-        Study(store).to_pandas()
-    pq.write_table(pq.read_table(store.directory / "points.parquet"), part)
-    with pytest.raises(StudyError, match="other columns"):
-        Study(store).to_pandas()
     file = store.directory / "study.json"
     text = file.read_text("utf-8")
-    file.write_text(text.replace('"version": 3', '"version": 99'), "utf-8")
-    with pytest.raises(StudyError, match="version 99; this fleet reads versions 2 and 3"):
+    file.write_text(text.replace('"version": 4', '"version": 99'), "utf-8")
+    with pytest.raises(StudyError, match="is a study of version 99; this fleet reads version 4 alone"):
+        open_study(store.directory)
+    file.write_text(text.replace('"version": 4', '"version": 3'), "utf-8")
+    with pytest.raises(StudyError, match="version 3, whose rows are Parquet files; this fleet reads version 4 alone"):
         open_study(store.directory)
     file.write_text(text[:50], "utf-8")
     with pytest.raises(StudyError, match="is damaged"):

@@ -165,8 +165,8 @@ def test_a_long_fault_is_cut_short() -> None:
 
 
 def test_a_part_of_a_log_at_a_rate(log: Path, tmp_path: Path) -> None:
-    assert len(made(log, tmp_path / "a.gif", window=(0.5, None), rate=0.5)) == 5
-    assert len(made(log, tmp_path / "b.gif", window=(0.5, 0.75), rate=0.5)) == 3
+    assert len(made(log, tmp_path / "a.gif", window=(0.5, None), speed=0.5)) == 5
+    assert len(made(log, tmp_path / "b.gif", window=(0.5, 0.75), speed=0.5)) == 3
 
 
 @pytest.mark.parametrize(
@@ -176,7 +176,7 @@ def test_a_part_of_a_log_at_a_rate(log: Path, tmp_path: Path) -> None:
         ("a", {}, "ends in .gif or .mp4"),
         ("a.gif", {"window": (0.5, 2.0)}, "no time from 0.5 s to 2 s in the log, which lasts from 0 s to 1 s"),
         ("a.gif", {"window": (1.0, None)}, "no time from 1 s to 1 s"),
-        ("a.gif", {"rate": 0.001, "fps": 50}, "3.8 GB of memory, and 1 GB are allowed: choose a higher --rate"),
+        ("a.gif", {"rate": 0.001, "fps": 50}, "3.8 GB of memory, and 1 GB are allowed: choose a higher --speed"),
         ("none/a.gif", {}, "No such file or directory; choose another place with -o FILE"),
     ],
 )

@@ -86,7 +86,7 @@ def test_a_click_on_a_link_cuts_it_and_another_viewer_heals_it(opened: Any, tmp_
             one.page.get_by_role("button", name="Save as scenario").click()
         again = parse_scenario(Path(saved.value.path()).read_text(), "again.yaml")
         assert "1->2" in again.to_yaml()  # the run goes on, so its log says more by now
-        two.page.locator(".fleet-commands").get_by_text("fleet script").wait_for()
+        two.page.locator(".fleet-commands").get_by_text("fleet export").wait_for()
 
         one.page.get_by_role("heading", name="Checks, so far").wait_for()
         one.page.locator(".fleet-checks .pass").get_by_text("deaths").wait_for()

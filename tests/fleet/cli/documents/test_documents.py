@@ -19,17 +19,16 @@ from failing_laws import module as module
 from repository import ROOT
 from small_scenario import SMALL
 
-from fleet.cli.documents.check import Checked
 from fleet.cli.documents.failure import FailedCommand
-from fleet.cli.documents.index import DOCUMENTS
-from fleet.cli.documents.listing import Scenarios
-from fleet.cli.documents.logs import Compared, LogContents, Verified
+from fleet.cli.documents.logs import Checked, Compared, Scenarios
 from fleet.cli.documents.output import print_document
-from fleet.cli.documents.page import page, schema
-from fleet.cli.documents.what_if import OtherCommands
+from fleet.cli.documents.page import DOCUMENTS, page, schema
 from fleet.cli.main import cli
 from fleet.execution.supervisor import Supervisor
+from fleet.logs.info import Info
 from fleet.logs.reader import digest
+from fleet.repeat.verify import Verification
+from fleet.repeat.what_if import OtherCommands
 from fleet.result.result import Result
 from fleet.scenario.catalogue import shipped_scenarios
 from fleet.study.catalogue import shipped_studies
@@ -83,13 +82,13 @@ def commands(group: click.Group) -> dict[str, click.Command]:
 
 def test_every_command_with_json_has_its_struct() -> None:
     asked = {name for name, command in commands(cli).items() if any(p.name == "as_json" for p in command.params)}
-    assert asked == set(DOCUMENTS)
+    assert asked == set(DOCUMENTS) - {"check LOG"}
 
 
 def test_the_page_is_current() -> None:
-    """docs/reference/json.md is what `fleet schema` prints now."""
+    """docs/reference/json.md is what `fleet about --schemas` prints now."""
     shown = (ROOT / "docs" / "reference" / "json.md").read_text("utf-8")
-    assert shown == page() == invoke("schema").stdout
+    assert shown == page() == invoke("about", "--schemas").stdout
 
 
 def records_of(command: str) -> dict[str, Any]:
@@ -98,14 +97,15 @@ def records_of(command: str) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("command", DOCUMENTS)
-def test_every_field_is_explained_and_every_record_has_its_section(command: str) -> None:
+def test_every_record_is_explained_and_has_its_section(command: str) -> None:
     assert f"\n## fleet {command}\n" in page()
     for name, record in records_of(command).items():
         assert record["description"].endswith("."), name
         assert not record["description"].startswith(f"{name}("), f"{name} has no docstring of its own"
         for field, described in record["properties"].items():
-            assert described["description"].endswith("."), f"{name}.{field}"
-        if name not in (DOCUMENTS[command].__name__, "FailedCommand"):
+            assert described.get("description", ".").endswith("."), f"{name}.{field}"
+            assert f"`{field}`" in page()
+        if name not in {document.__name__ for document in [*DOCUMENTS.values(), FailedCommand]}:
             assert f"\n### {name}\n" in page()
 
 
@@ -115,12 +115,12 @@ def test_no_two_records_of_the_page_have_one_name() -> None:
 
 
 def test_the_schema_of_one_command() -> None:
-    result = invoke("schema", "verify")
-    assert json.loads(result.stdout) == schema("verify")
-    assert [option["$ref"] for option in schema("verify")["anyOf"]] == ["#/$defs/Verified", "#/$defs/FailedCommand"]
-    assert json.loads(invoke("schema", "bench", "real").stdout) == schema("bench real")
-    refused = invoke("schema", "script")
-    assert (refused.exit_code, "script has no --json; there are bench, bench compare, " in refused.stderr) == (2, True)
+    result = invoke("about", "--schemas", "verify")
+    assert json.loads(result.stdout) == json.loads(json.dumps(schema("verify")))
+    assert [option["$ref"] for option in schema("verify")["anyOf"]] == ["#/$defs/Verification", "#/$defs/FailedCommand"]
+    assert json.loads(invoke("about", "--schemas", "check", "LOG").stdout)["anyOf"] == schema("check LOG")["anyOf"]
+    refused = invoke("about", "--schemas", "export")
+    assert (refused.exit_code, "export has no --json; there are " in refused.stderr) == (2, True)
 
 
 def test_numbers_that_are_not_finite_and_names_that_are_no_text_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
@@ -278,15 +278,15 @@ def test_run_in_which_an_agent_dies(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 def test_verify(recorded: Path) -> None:
     result = invoke("verify", recorded, "--json")
-    found = printed(Verified, result)
+    found = printed(Verification, result)
     assert (result.exit_code, found.reproduced, found.difference) == (0, True, None)
-    assert (found.log, found.until_s) == (str(recorded / "run.mcap"), 0.3)
+    assert (found.path, found.until_s) == (recorded / "run.mcap", 0.3)
 
 
 def test_verify_of_a_log_that_is_not_reproduced(recorded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fleet.recorder.tick_messages.quaternion", lambda *_: (0.6, 0.0, 0.0, 0.8))
     result = invoke("verify", recorded, "--json")
-    found = printed(Verified, result)
+    found = printed(Verification, result)
     assert (result.exit_code, found.reproduced) == (1, False)
     assert found.difference is not None
     assert found.difference.a == found.difference.b
@@ -317,7 +317,7 @@ def test_whatif(recorded: Path) -> None:
 
 
 def test_info(recorded: Path) -> None:
-    found = printed(LogContents, invoke("info", recorded, "--json"))
+    found = printed(Info, invoke("info", recorded, "--json"))
     assert found.messages == sum(count for _, count in found.topics.values())
     assert found.run["scenario"] == "paper"
 

@@ -113,7 +113,7 @@ def test_a_stranger_s_plant_does_not_run(tmp_path: Path) -> None:
     refused = fleet(here, "run", "../there/s.yaml", "--in-process", "-q")
     assert (refused.returncode, mark.exists()) == (2, False)
     assert f"vehicle.plant: {name}:Rolling: would run" in refused.stderr
-    for command in (["info", log], ["script", log], ["export", log, "--csv", "tables"]):
+    for command in (["info", log], ["export", log, "--scenario"], ["export", log, "--csv", "tables"]):
         read = fleet(here, *command)
         assert (read.returncode, mark.exists()) == (0, False), read.stderr
     (here / f"{name}.py").write_text(PLANT)

@@ -10,8 +10,7 @@ from small_scenario import SMALL
 from study_engine import Drawn
 
 from fleet.scenario.text.overrides import NET, SET, Override
-from fleet.study.border_theory import Theory
-from fleet.study.borders import Borders, find_borders, parse_along, prepare_borders
+from fleet.study.borders import Borders, Theory, find_borders, parse_along, prepare_borders
 from fleet.study.errors import StudyError
 from fleet.study.pictures.border import draw_borders
 from fleet.study.plan import Plan
@@ -82,7 +81,7 @@ def test_keys_and_names_are_text_and_never_formulas() -> None:
     borders.store.record.scenario = "a $\\frac$"
     borders.store.record.axes[0].key = borders.keys[0] = "d$\\frac$"
     for point in borders.points:
-        point["d$\\frac$"] = point["neighbours.extrapolate"]
+        point.values["d$\\frac$"] = point.values["neighbours.extrapolate"]
     borders.along.key = "e$\\frac$"
     draw_borders(borders, said(borders)).draw_without_rendering()
 

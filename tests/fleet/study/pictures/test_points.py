@@ -6,10 +6,8 @@ import json
 from math import inf
 from pathlib import Path
 
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
-from made_up_study import CONTROLLER, DELAY, LOSS, made_up, usual, with_holes
+from made_up_study import CONTROLLER, DELAY, LOSS, damage, made_up, usual, with_holes
 
 from fleet.study.errors import StudyError
 from fleet.study.pictures.points import PASSED, Lack, load
@@ -73,22 +71,22 @@ def test_unknown_measures_are_said(tmp_path: Path) -> None:
 
 def test_a_damaged_study_is_said(tmp_path: Path) -> None:
     store = made_up(tmp_path / "s", LOSS, row=usual)
-    file = store.directory / "points.parquet"
-    whole = pq.read_table(file)
 
-    def damaged(column: int, values: list[object], what: str) -> None:
-        field = whole.schema.field(column)
-        pq.write_table(whole.set_column(column, field, pa.array(values, field.type)), file)
+    def damaged(what: str, *statements: str) -> None:
+        damage(store.directory, *statements)
         with pytest.raises(StudyError, match=f"is damaged: .*{what}"):
             load(Store.open(store.directory))
 
-    damaged(0, [0, 1, 7], "not numbered")
-    damaged(1, [0.0, 0.0, 1.0], "there twice")
-    damaged(1, [0.0, float("nan"), 1.0], "is no number")
-    pq.write_table(whole.slice(0, 2), file)
-    with pytest.raises(StudyError, match="runs of points or seeds that are not its own"):
-        load(store)
-    pq.write_table(whole, file)
+    axis = '"network.links.*.loss"'
+    damaged("there twice", f"UPDATE points SET {axis} = 0.0 WHERE point = 1")
+    damaged("is no number", f"UPDATE points SET {axis} = 9e999 WHERE point = 1")
+    damaged("another type", f"UPDATE points SET {axis} = 'x' WHERE point = 1")
+    damaged(
+        "not numbered",
+        f"UPDATE points SET {axis} = 30.0 WHERE point = 1",
+        "UPDATE points SET point = 7 WHERE point = 2",
+    )
+    damaged("not its own", "DELETE FROM points WHERE point = 7")
     record = json.loads((store.directory / "study.json").read_text("utf-8"))
     record["checks"] *= 2
     (store.directory / "study.json").write_text(json.dumps(record), "utf-8")

@@ -5,19 +5,20 @@ from __future__ import annotations
 import json
 import re
 import shlex
+import sqlite3
+from contextlib import closing
 from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
-import pyarrow.parquet as pq
 import pytest
 from made_up_study import CONTROLLER, LOSS, made_up, usual, with_holes
 
 from fleet.study.pictures import report
 from fleet.study.pictures.report import write
-from fleet.study.record import BorderRecord
-from fleet.study.store import Store
+from fleet.study.record import BorderRecord, read_record
+from fleet.study.store import FILE, Store
 
 
 @pytest.fixture(autouse=True)
@@ -108,16 +109,23 @@ def test_a_strangers_study_cannot_bring_markup_or_fetch_anything(tmp_path: Path)
     record |= {"scenario": evil, "command": evil, "made_by": evil, "checks": [evil]}
     record["axes"][0] |= {"key": evil, "unit": evil}
     file.write_text(json.dumps(record), "utf-8")
-    points = store.directory / "points.parquet"
-    texts = pq.read_table(points).to_pylist()
-    (part,) = (store.directory / "runs").glob("*.parquet")
-    rows = pq.read_table(part).to_pylist()
-    part.unlink()
+    rows, points = store.rows(["wall_s"], details=True), store.points
+    with (
+        closing(sqlite3.connect(store.directory / FILE)) as database,
+        database,
+    ):  # the tables that study.json calls for
+        for statement in (
+            "DROP TABLE points",
+            "DROP TABLE runs",
+            *Store(store.directory, read_record(store.directory))._tables,
+        ):
+            database.execute(statement)
+        values = [(point.number, *point.values.values(), point.scenario) for point in points]
+        database.executemany("INSERT INTO points VALUES (?, ?, ?, ?)", values)
     hostile = Store.open(store.directory)
-    renamed = [{evil if key == "network.links.*.loss" else key: value for key, value in row.items()} for row in texts]
-    table = pq.read_table(points).from_pylist(renamed, schema=hostile._point_schema)
-    pq.write_table(table, points)
-    hostile.add([{**row, evil: row["network.links.*.loss"], "version": evil, "cores": evil} for row in rows])
+    for row in rows:
+        row.version = row.cores = evil
+    hostile.add(rows)
     page = page_of(hostile)
     assert "alert(1)" in words_of(page)
     assert "{{ 7*7 }}" in words_of(page)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.study.pictures.words import key_words, value_words
+from fleet.study.pictures.points import key_words, value_words
 
 
 @pytest.mark.parametrize(

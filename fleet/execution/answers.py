@@ -1,4 +1,4 @@
-"""The output of the commands for a live run with `--json`."""
+"""What a live run answers to the commands for it, as `--json` prints it."""
 
 from __future__ import annotations
 
@@ -28,18 +28,12 @@ class LiveRunRow(Struct):
     run: RunName
     directory: Directory
     scenario: ScenarioName
-    pid: Annotated[int, Meta(description="Process number of its console.")]
+    pid: int
     endpoint: Annotated[str, Meta(description="Endpoint of its router, as zenoh writes it.")]
-    at_s: Annotated[float | None, Meta(description="Simulated time [s]; null: it did not answer.")] = None
-    end_s: Annotated[float | None, Meta(description="Simulated time at which it ends [s]; null: no answer.")] = None
+    at_s: Annotated[float | None, Meta(description="Simulated time; null: it did not answer.")] = None
+    end_s: Annotated[float | None, Meta(description="Simulated time at which it ends; null: no answer.")] = None
     clock: Annotated[str | None, Meta(description="How its clock goes, in words; null: it did not answer.")] = None
     error: Annotated[str, Meta(description="Why there is no answer; empty: there is one.")] = ""
-
-
-class LiveRuns(Struct):
-    """`fleet ps --json`: the live runs of this user."""
-
-    runs: Annotated[list[LiveRunRow], Meta(description="By name.")]
 
 
 class FaultRow(Struct):
@@ -53,47 +47,39 @@ class FaultRow(Struct):
     state: Annotated[str, Meta(description="to come, active or over.")]
 
 
-class EventCount(Struct):
-    """Events of one vehicle, with their number: it tumbled or diverged."""
+class EventRow(VehicleEvents):
+    """Events of one vehicle in a run that goes on."""
 
-    what: Annotated[str, Meta(description="Which event, and which vehicle: `tumbled 3`.")]
-    times: Annotated[int, Meta(description="How often it happened.")]
-    first_s: Annotated[float, Meta(description="When it first began [s].")]
-
-
-class EventRow(EventCount):
-    """The same in a run that goes on."""
-
-    last_s: Annotated[float, Meta(description="When it last began [s].")]
-    lasts: Annotated[bool, Meta(description="Whether it still is so.")]
+    last_s: float
+    lasts: bool
     id: Annotated[str, Meta(description="Id of the last one, as in the log.")]
 
     def __str__(self) -> str:
         """A line such as `tumbled 3: 10 times, first at 12.45 s, and still is`."""
-        return f"{VehicleEvents(self.what, self.times, self.first_s)}{', and still is' if self.lasts else ''}"
+        return f"{super().__str__()}{', and still is' if self.lasts else ''}"
 
 
 class VehicleRow(Struct):
     """How one vehicle is doing."""
 
-    vehicle: Annotated[int, Meta(description="Its number.")]
+    vehicle: int
     state: Annotated[str, Meta(description="alive, diverged, or what of tumbled, no agent is true.")]
-    formation_m: Annotated[float | None, Meta(description="Formation error [m].")]
-    e_m: Annotated[float | None, Meta(description="Consensus error [m].")]
+    formation_m: float | None
+    e_m: float | None
     settled: Annotated[bool, Meta(description="Whether the consensus error has stayed below 5 cm for long enough.")]
-    oldest_s: Annotated[float | None, Meta(description="Greatest age of what it heard last of a neighbour [s].")]
+    oldest_s: Annotated[float | None, Meta(description="Greatest age of what it heard last of a neighbour.")]
     oldest_of: Annotated[int | None, Meta(description="Number of that neighbour; null: it hears of none.")]
 
 
 class LinkRow(Struct):
     """How one directed link is doing, since the beginning of the run."""
 
-    src: Annotated[int, Meta(description="The vehicle that sends.")]
-    dst: Annotated[int, Meta(description="The vehicle that receives.")]
-    delivered: Annotated[int, Meta(description="Packets delivered.")]
-    lost: Annotated[int, Meta(description="Packets lost.")]
+    src: int
+    dst: int
+    delivered: int
+    lost: int
     lost_share: Annotated[float, Meta(description="Lost ones among those whose fate is known, 0 to 1.")]
-    age_s: Annotated[float, Meta(description="Age of what was delivered last [s].")]
+    age_s: float
 
 
 class RunStatus(Struct):
@@ -106,17 +92,17 @@ class RunStatus(Struct):
     end_s: End
     clock: Clock
     waiting: Annotated[str, Meta(description="The waiting process and its cause, in words; empty: the run moves.")]
-    formation: Annotated[Formation, Meta(description="Formation errors.")]
-    delivered: Annotated[int, Meta(description="Packets delivered on all links.")]
-    lost: Annotated[int, Meta(description="Packets lost on all links.")]
+    formation: Formation
+    delivered: int
+    lost: int
     faults: Annotated[
         list[FaultRow],
         Meta(description="The active ones of the scenario, injected, and of agents that died; with --all every one."),
     ]
     events: Annotated[list[EventRow], Meta(description="Events of vehicles so far, one row for each.")]
-    vehicles_total: Annotated[int, Meta(description="Number of vehicles.")]
+    vehicles_total: int
     vehicles: Annotated[list[VehicleRow], Meta(description="The worst ten by formation error; with --all up to 500.")]
-    links_total: Annotated[int, Meta(description="Number of directed links.")]
+    links_total: int
     links: Annotated[list[LinkRow], Meta(description="The worst five, worst first; with --all up to 500.")]
 
 
@@ -135,8 +121,8 @@ class Healed(Struct):
     """`fleet heal --json`: which faults end."""
 
     run: RunName
-    healed: Annotated[list[str], Meta(description="Their ids.")]
-    at_s: Annotated[float, Meta(description="Simulated time at which they end [s].")]
+    healed: list[str]
+    at_s: float
 
 
 class ClockSet(Struct):
@@ -144,7 +130,7 @@ class ClockSet(Struct):
 
     run: RunName
     clock: Clock
-    at_s: Annotated[float, Meta(description="Simulated time that has been granted to the run [s].")]
+    at_s: Annotated[float, Meta(description="Simulated time that has been granted to the run.")]
 
 
 class Stopping(Struct):

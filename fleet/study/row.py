@@ -1,0 +1,132 @@
+"""The row of a run: what it came to, as workers send it and as a study keeps it.
+
+It also has what is made of several rows: whether two runs of the same agree, and how often a check with `sometimes` was
+reached. No single run fails for such a check. If none of many runs reaches it, a search gives no bound: its runs never
+came where a failure could be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from math import nan
+
+from msgspec import Struct, structs
+
+from fleet.result.result import Status
+from fleet.scenario.scenario import Scenario
+
+FAILED = "failed"  # the status of a run that has no result
+STATUSES = (FAILED, *Status)
+_JUDGED = frozenset({"pass", "check_failed"})  # of one that came to its end
+PREFIX = "sometimes."  # of the number that is 1 in runs that reached a check, and 0 in others
+
+
+class CheckRow(Struct, frozen=True):
+    """The verdict of one check; of several of one name the worst."""
+
+    passed: bool
+    value: float | None = None
+    margin: float | None = None
+
+    def and_then(self, other: CheckRow) -> CheckRow:
+        """Both together."""
+        values = [value for value in (self.value, other.value) if value is not None]
+        margins = [margin for margin in (self.margin, other.margin) if margin is not None]
+        passed = self.passed and other.passed
+        return CheckRow(passed, max(values, default=None), min(margins, default=None))
+
+
+class PartRow(Struct, frozen=True):
+    """What a part of a run came to: the least margin, (margin, snapshot) on the way to it, and the ticks it took."""
+
+    best: float
+    places: list[tuple[float, bytes]]
+    ticks: int
+
+
+class Row(Struct, kw_only=True):
+    """The row of a run."""
+
+    point: int = 0
+    seed: int
+    status: str  # one of `STATUSES`
+    key: str = ""  # names the run: see `plan.run_key`
+    reason: str = ""
+    passed: bool | None = None
+    checks: dict[str, CheckRow] = {}
+    numbers: dict[str, float] = {}  # by measure; one that is missing is NaN
+    digest: str | None = None  # of the log
+    version: str = ""  # of fleet
+    cores: str = ""
+    part: PartRow | None = None
+
+    @property
+    def has_result(self) -> bool:
+        return self.status != FAILED
+
+    @property
+    def judged(self) -> bool:
+        """Whether the run came to its end."""
+        return self.status in _JUDGED
+
+    @property
+    def failed_checks(self) -> list[str]:
+        return [name for name, check in self.checks.items() if not check.passed]
+
+    def number(self, name: str) -> float:
+        """A measure; NaN: the run does not have it."""
+        return self.numbers.get(name, nan)
+
+    def compared(self, again: Row) -> Row:
+        """The row of a run that failed and was repeated; if both disagree, a row without a result that says so.
+
+        A run is a function of scenario and seed, so both must agree.
+        """
+        if again.judged and self.failed_checks == again.failed_checks:
+            return self
+        failed = ", ".join(self.failed_checks)
+        if again.judged:
+            got = f"failed {', '.join(again.failed_checks) or 'none'} when it was repeated"
+        else:
+            got = f"had no result when it was repeated: {again.reason}"
+        logs = "the same" if self.digest == again.digest else "different"
+        text = f"not reproduced: the run with seed {self.seed} failed {failed}, and {got}, with {logs} log"
+        why = "One of the scenario's plug-ins depends on more than the seed, or this is a defect of uuv-fleet"
+        return structs.replace(
+            self, status=FAILED, reason=f"{text}. {why}", passed=None, checks={}, numbers={}, digest=None
+        )
+
+
+def sometimes_names(scenarios: Iterable[Scenario]) -> list[str]:
+    """The names of the checks of these scenarios that some run must reach."""
+    checks = (check for scenario in scenarios for check in scenario.spec.checks.own())
+    return list(dict.fromkeys(check.name for check in checks if check.sometimes))
+
+
+@dataclass(slots=True)
+class Reached:
+    """How often a check that some run must reach was reached."""
+
+    name: str
+    runs: int = 0  # in which it was judged
+    hits: int = 0  # of these, that reached it
+    seed: int | None = None  # the least that reached it
+
+    def count(self, row: Row) -> None:
+        reached = row.number(PREFIX + self.name)
+        if reached == reached:
+            self.note(row.seed, reached=bool(reached))
+
+    def note(self, seed: int, *, reached: bool) -> None:
+        """Count a run by its seed."""
+        self.runs += 1
+        if reached:
+            self.hits += 1
+            self.seed = seed if self.seed is None else min(self.seed, seed)
+
+    @property
+    def words(self) -> str:
+        if not self.hits:
+            return f"{self.name} was reached in none of {self.runs} runs"
+        return f"{self.name} was reached in {self.hits} of {self.runs} runs, the first seed is {self.seed}"

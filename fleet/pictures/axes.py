@@ -263,7 +263,6 @@ def draw_lines(
     panel: Sequence[tuple[Axes, Get]],
     runs: Sequence[Run],
     view: View,
-    whose: str = "",
     log: bool = False,
     exact: bool = False,
     **style: Any,
@@ -274,7 +273,6 @@ def draw_lines(
         panel: the axes, each with the function that gets its signal.
         runs: the runs to draw.
         view: the vehicles and the span of time.
-        whose: the laws that report such a signal; for the message if no vehicle reports it.
         log: the signals are errors on a logarithmic axis. Outliers are chosen on this axis.
         exact: the line goes through every sample, also if a signal oscillates too fast to be seen.
         style: style of each vehicle's line.
@@ -290,7 +288,7 @@ def draw_lines(
     if not any(signals for found in each for signals in found):
         if not any(run.vehicles(view) for run in runs):
             raise NothingToDraw("the log has no such vehicle" if view.vehicles else "the log has no vehicles")
-        raise NothingToDraw(f"no vehicle reports it{f': {whose}' if whose else ''}")
+        raise NothingToDraw("no vehicle reports it")
     entries: list[Artist] = []
     notes = []
     too_fast = False

@@ -103,7 +103,7 @@ def test_signals_of_checks_are_drawn_without_asking(run: Run) -> None:
 
 
 def test_the_report_begins_with_the_verdict_a_picture_and_the_reason(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fleet.pictures.report.WHAT", {"checks": WHAT["checks"], "gains": WHAT["gains"]})
+    monkeypatch.setattr("fleet.pictures.report.WHAT", {"checks": WHAT["checks"]})
     text = page([run], View())
     places = [
         text.index(part) for part in ('class="fail">2 of 7 checks failed', "<figure", ">shallow<", ">near<", ">Faults<")

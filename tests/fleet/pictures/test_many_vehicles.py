@@ -47,14 +47,6 @@ def test_tracks_name_the_worst_and_draw_the_others_together(run: Run, draw: obje
     assert len(others._paths if draw is track.top else others._segments3d) == N - 3  # type: ignore[attr-defined]
 
 
-def test_messages_are_those_about_the_worst_link(run: Run) -> None:
-    figure = exchange.spacetime([run], WHOLE)
-    names = [label.get_text() for label in figure.axes[0].get_yticklabels()]
-    assert len(names) == 20
-    assert {"UUV 30", "UUV 31"} <= set(names)
-    assert f"20 of {N} vehicles" in figure.axes[0].get_xlabel()
-
-
 def test_the_oldest_links_have_a_row(run: Run) -> None:
     figure = exchange.ages([run], WHOLE)
     names = [label.get_text() for label in figure.axes[1].get_yticklabels()]

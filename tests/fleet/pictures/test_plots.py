@@ -28,7 +28,6 @@ from fleet.cli.main import cli
 from fleet.errors import FleetError
 from fleet.logs.dataset import columns
 from fleet.logs.export import export
-from fleet.logs.open_log import open_log
 from fleet.logs.topic_names import run_name
 from fleet.pictures import exchange, time_series
 from fleet.pictures.gallery import PER_RUN, WHAT, draw
@@ -87,7 +86,7 @@ def pictures(run: Run | list[Run], what: list[str], view: View = ALL) -> dict[st
 
 
 def figure_of(run: Run | list[Run], what: str, name: str, view: View = ALL) -> Figure:
-    all_of_it = isinstance(run, Run) and run.label in ("faulty", "one", "mixed") and view == ALL
+    all_of_it = what in WHAT and isinstance(run, Run) and run.label in ("faulty", "one", "mixed") and view == ALL
     figure = pictures(run, list(WHAT) if all_of_it else [what], view)[name]
     assert isinstance(figure, Figure), figure
     return figure
@@ -111,7 +110,7 @@ def test_every_picture_of_every_run(name: str, runs: dict[str, Run]) -> None:
     """Drawn, or a sentence; every axis has a unit; a text is never cut off by the picture's edge."""
     for picture, figure in pictures(runs[name], list(WHAT)).items():
         if isinstance(figure, str):
-            assert name == "one" and picture in ("links", "messages", "ages"), (picture, figure)
+            assert name == "one" and picture in ("links", "ages"), (picture, figure)
             continue
         if name in ("faulty", "one", "twenty"):  # the others only differ in what is on the axes
             figure.draw_without_rendering()
@@ -126,7 +125,7 @@ def test_every_picture_of_every_run(name: str, runs: dict[str, Run]) -> None:
 
 def test_faults_are_shaded_and_named_on_every_time_axis(runs: dict[str, Run]) -> None:
     for name, figure in pictures(runs["faulty"], list(WHAT)).items():
-        if name in ("track", "track-3d", "messages"):  # messages are those of a part of the time
+        if name in ("track", "track-3d"):
             continue
         assert isinstance(figure, Figure)
         timed = [ax for ax in figure.axes if ax.get_subplotspec() is not None and ax.get_label() != "<colorbar>"]
@@ -161,28 +160,14 @@ def test_heavy_where_a_command_is_at_its_limit(runs: dict[str, Run]) -> None:
     assert "heavy: the command is at a limit" in figure.axes[-1].get_xlabel()
 
 
-def test_bounds_of_what_the_optimisation_keeps(runs: dict[str, Run]) -> None:
-    figure = figure_of(runs["faulty"], "commands", "commands")
-    guidance = runs["faulty"].log.scenario.controls[0].guidance
-    low, high = guidance.rho_lo, guidance.rho_hi
-    for k, ax in enumerate(figure.axes[:3]):
-        found = {float(line.get_ydata()[0]) for line in lines(ax, "bound")}
-        assert found <= {low[k], high[k]}
-        for value in {low[k], high[k]} - found:
-            assert f"{value:g}" in figure.axes[-1].get_xlabel()
-        assert all(ax.get_ylim()[0] < value < ax.get_ylim()[1] for value in found)
-
-
 def test_logarithmic_errors(runs: dict[str, Run]) -> None:
-    """Errors unless asked otherwise, velocity errors and ages only where asked."""
+    """Errors unless asked otherwise, other signals and ages only where asked."""
     for asked, scales in ((None, ["log", "log", "linear"]), (True, ["log"] * 3), (False, ["linear"] * 3)):
-        drawn = pictures(runs["faulty"], ["error", "velocity"], View(log_scale=asked))
-        assert [drawn[name].axes[0].get_yscale() for name in ("error", "formation", "velocity")] == scales
-    velocity = figure_of(runs["faulty"], "velocity", "velocity", View(log_scale=True))
-    assert all(np.nanmin(line.get_ydata()) >= 0 for ax in velocity.axes for line in lines(ax, ".*vehicle.*"))
+        drawn = pictures(runs["faulty"], ["error", "ages"], View(log_scale=asked))
+        assert [drawn[name].axes[0].get_yscale() for name in ("error", "formation", "ages")] == scales
 
 
-@pytest.mark.parametrize("kind", ["error", "velocity", "inputs", "commands", "gains"])
+@pytest.mark.parametrize("kind", ["error", "inputs"])
 def test_twenty_vehicles_are_a_band_and_three_names(kind: str, runs: dict[str, Run]) -> None:
     for figure in pictures(runs["twenty"], [kind]).values():
         assert isinstance(figure, Figure)
@@ -211,27 +196,12 @@ def test_two_runs_on_one_axis(directories: dict[str, Path]) -> None:
     assert len({run.label for run in same}) == 2
 
 
-def test_attitude_has_roll_where_a_vehicle_has(runs: dict[str, Run], made: Alone) -> None:
-    rolled = made("paper", "duration=200 ms", "per_vehicle.2.vehicle.plant=own_plants:Rolling")
-    (pitch_and_heading,) = pictures(runs["one"], ["attitude"]).values()
-    assert isinstance(pitch_and_heading, Figure) and len(pitch_and_heading.axes) == 2
-    drawn = pictures(*load([rolled.directory]), list(WHAT))["attitude"]
-    assert isinstance(drawn, Figure)
-    roll, _, heading = drawn.axes
-    assert (roll.get_ylabel(), heading.get_ylabel()) == ("roll [deg]", "heading [deg]")
-    (line,) = roll.get_lines()
-    truth = open_log(rolled.directory)["uuv/2/state"].phi
-    assert np.allclose(np.asarray(line.get_ydata()), np.degrees(truth))
-    assert "attitude" not in pictures(runs["one"], list(WHAT))
-
-
 def test_what_is_missing_is_said(runs: dict[str, Run]) -> None:
     """A controller that reports other signals, a log without links, one that was cut, one that is not ours."""
-    figure = figure_of(runs["mixed"], "gains", "gains")
+    figure = figure_of(runs["mixed"], "guidance.K", "guidance.K")
     assert "not reported by UUV 3" in figure.axes[-1].get_xlabel()
-    own = pictures(runs["mixed"], ["gains", "velocity", "commands", "inputs"], View(vehicles=(3,)))
-    assert own["gains"] == "no vehicle reports it: K is a signal of the guidance laws that ship"
-    assert "laws that ship" in str(own["velocity"]) and "laws that ship" in str(own["commands"])
+    own = pictures(runs["mixed"], ["guidance.K", "inputs"], View(vehicles=(3,)))
+    assert "no vehicle reports it" in str(own["guidance.K"])
     assert isinstance(own["inputs"], Figure)
     assert pictures(runs["mixed"], ["error"], View(vehicles=(9,)))["error"] == "the log has no such vehicle"
     assert pictures(runs["one"], ["links"])["links"] == "the log has no links"
@@ -240,7 +210,7 @@ def test_what_is_missing_is_said(runs: dict[str, Run]) -> None:
     foreign = Run(fleet.open_log(runs["faulty"].log.path, ["uuv/*/state"]), "x")
     foreign.log.run = {}
     foreign.log.scenario_text = ""
-    found = pictures(foreign, ["ages", "gains", "track"])
+    found = pictures(foreign, ["ages", "inputs", "track"])
     assert isinstance(found["track"], Figure)
     assert "not a log of uuv-fleet" in str(found["ages"])
     assert foreign.notes and "no limits and bounds" in foreign.notes[0]
@@ -300,26 +270,12 @@ def test_track_shows_the_obstacles_of_the_scenario(made: Alone) -> None:
         assert min(limits) <= min(values) <= max(values) <= max(limits)
 
 
-def test_every_fate_has_a_mark_of_its_own() -> None:
+def test_every_fate_has_a_colour_of_its_own() -> None:
     assert set(exchange.FATES) == {Cause.DELIVERED, Cause.IN_FLIGHT, exchange.CORRUPTED, *LOSSES}
-    assert len({mark for mark, _ in exchange.FATES.values()}) == len(exchange.FATES)
-    assert len({colour for _, colour in exchange.FATES.values()}) == len(exchange.FATES)
+    assert len(set(exchange.FATES.values())) == len(exchange.FATES)
     for fate in LOSSES:  # warm, where what arrives is blue
-        red, _, blue = to_rgb(exchange.FATES[fate][1])
+        red, _, blue = to_rgb(exchange.FATES[fate])
         assert red > blue or fate == Cause.REPLACED
-
-
-def test_messages_in_space_and_time(runs: dict[str, Run]) -> None:
-    (ax,) = figure_of(runs["faulty"], "messages", "messages", View(window=(0.8, 1.4))).axes
-    assert ax.get_xlim() == (0.8, 1.4)
-    assert [label.get_text() for label in ax.get_yticklabels()] == ["UUV 1", "UUV 2", "UUV 3", "UUV 4"]
-    drawn = {collection.get_gid(): collection for collection in ax.collections}
-    for begin, end in drawn["fate-delivered"].get_segments():
-        assert abs(end[1] - begin[1]) == 1.0  # neighbours on the path
-        assert end[0] - begin[0] >= 0.03 - 1e-9  # the delay
-    assert lines(ax, "absent-2") and not lines(ax, "absent-1")
-    late = pictures(runs["faulty"], ["messages"], View(window=(90.0, 91.0)))["messages"]
-    assert late == "no message was under way from 90 to 91 s"
 
 
 @pytest.mark.parametrize("name", ["faulty", "acoustic", "twenty"])
@@ -457,9 +413,9 @@ def test_plot_command(directories: dict[str, Path], tmp_path: Path) -> None:
 
 
 def test_plot_beside_the_log_and_of_a_cut_one(directories: dict[str, Path]) -> None:
-    cut = CliRunner().invoke(cli, ["plot", str(directories["cut"]), "--what", "gains", "--vehicles", "1,3-4"])
+    cut = CliRunner().invoke(cli, ["plot", str(directories["cut"]), "--what", "inputs", "--vehicles", "1,3-4"])
     assert cut.exit_code == 0
-    assert cut.stdout.strip() == str(directories["cut"] / "plots" / "gains.png")
+    assert cut.stdout.strip() == str(directories["cut"] / "plots" / "inputs.png")
     assert "the file is cut" in cut.stderr
     none = CliRunner().invoke(cli, ["plot", str(directories["one"]), "--what", "links"])
     assert (none.exit_code, none.stdout) == (1, "")
@@ -524,7 +480,7 @@ class Page(HTMLParser):
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Reports with few pictures, which take most of the time."""
-    monkeypatch.setattr("fleet.pictures.report.WHAT", {"gains": WHAT["gains"]})
+    monkeypatch.setattr("fleet.pictures.report.WHAT", {"inputs": WHAT["inputs"]})
 
 
 @pytest.mark.usefixtures("few")

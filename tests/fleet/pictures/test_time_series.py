@@ -1,4 +1,4 @@
-"""Errors with what the checks ask, inputs within their limits, gains below their k_min."""
+"""Errors with what the checks ask, inputs within their limits."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import pytest
 from in_process_runs import Alone
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import to_rgb
 
 from fleet.logs.fault_intervals import FaultInterval
 from fleet.pictures import time_series
@@ -85,21 +84,6 @@ def test_no_line_of_an_input_reaches_beyond_its_limit(run: Run) -> None:
         assert coloured(int(limit) - 6, int(limit))
 
 
-def test_a_gain_below_its_k_min_is_explained_there(run: Run) -> None:
-    k_min = run.log.scenario.controls[0].guidance.k_min
-    figure = time_series.gains([run], View())
-    told = 0
-    for k, ax in enumerate(figure.axes):
-        gains = np.concatenate([run.log[f"uuv/{i}/guidance"]["K"][:, k] for i in run.log.vehicles])
-        words = [text.get_text() for text in ax.texts if text.get_gid() == "below-k_min"]
-        shaded = [patch for patch in ax.patches if patch.get_gid() == "below-k_min"]
-        assert bool(words) == bool(shaded) == bool(gains.min() < 0.999 * k_min)
-        told += len(words)
-        assert all("the bounds on $\\rho$ come first" in word for word in words)
-        assert all(to_rgb(patch.get_facecolor()[:3]) == to_rgb("#E69F00") for patch in shaded)
-    assert told >= 1
-
-
 def test_every_recovery_has_a_line_until_the_next_fault(run: Run) -> None:
     text = run.log.scenario_text.replace("fault: crash", "fault: every")
     other = Run(run.log, "other")
@@ -116,30 +100,6 @@ def test_every_recovery_has_a_line_until_the_next_fault(run: Run) -> None:
         other.log.scenario_text = before
         for name in ("_intervals", "scenario"):
             other.log.__dict__.pop(name, None)
-
-
-def test_the_reason_for_a_low_gain_is_true(run: Run) -> None:
-    """Where the optimisation chose a gain below k_min, rho is at one of its bounds."""
-    guidance = run.log.scenario.controls[0].guidance
-    chosen = 0
-    for i in run.log.vehicles:
-        found = run.log[f"uuv/{i}/guidance"]
-        for k in range(3):
-            low = (found["K"][:, k] < 0.999 * guidance.k_min) & (found["qp_status"] == 1)
-            rho = found["rho"][low, k]
-            off = np.minimum(abs(rho - guidance.rho_lo[k]), abs(rho - guidance.rho_hi[k]))
-            assert off.max(initial=0.0) < 1e-6
-            chosen += int(low.sum())
-    assert chosen > 10
-
-
-def test_a_fixed_gain_has_no_k_min(made: Alone) -> None:
-    """One vehicle with a fixed gain below the k_min of the others, whose own gains are above it."""
-    fixed = "per_vehicle={'1': {controller: nbc, guidance: {K0: 0.05 0.05 0.05 1/s}}}"
-    mixed = load([made("paper", "duration=10 s", "checks={}", fixed).directory])[0]
-    assert (mixed.log["uuv/1/guidance"]["K"] == 0.05).all()
-    figure = time_series.gains([mixed], View(window=(9.0, 10.0)))
-    assert not [text for ax in figure.axes for text in ax.texts if text.get_gid() == "below-k_min"]
 
 
 def test_an_input_beyond_the_limit_is_shown(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

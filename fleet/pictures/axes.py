@@ -19,7 +19,18 @@ from fleet.logs.records import Array
 from fleet.palette import COLOURS
 from fleet.pictures.runs import NothingToDraw, Run, View, first_words
 from fleet.pictures.shades import shade
-from fleet.pictures.style import COLUMN_IN, LABEL_PT, LEGEND_PT, NORMAL, STYLE_NAMES, STYLES, TEXT_PT, THIN, panels
+from fleet.pictures.style import (
+    COLUMN_IN,
+    LABEL_PT,
+    LEGEND_PT,
+    NORMAL,
+    STYLE_NAMES,
+    STYLES,
+    TEXT_PT,
+    THIN,
+    limit,
+    panels,
+)
 
 # --- failures
 # The times at which checks failed, marked on the axes over time.
@@ -411,7 +422,7 @@ def bounds(ax: Axes, values: Sequence[tuple[float, float]], what: str, unit: str
     limits = sorted({value for pair in values for value in pair})
     near = [value for value in limits if abs(value) <= 2.5 * reach]
     for value in near:
-        ax.axhline(value, color="0.35", linewidth=0.7, linestyle=(0, (4, 3)), gid="bound")
+        limit(ax, value)
     if near:
         room = 0.06 * (max(high, *near) - min(low, *near))  # so that a bound is not the frame
         ax.set_ylim(min(low, near[0] - room), max(high, near[-1] + room))

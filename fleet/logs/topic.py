@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from array import array
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from functools import cached_property
 
 import numpy as np
 from mcap.records import Channel, Schema
 
 from fleet.logs.columns import Columnizer, Columns, cost, extremes, joined
+from fleet.logs.decoder import declared_by
 from fleet.logs.reader import LogReadError
 from fleet.logs.records import Array, Block
 from netem.parsing import nearest
@@ -65,7 +65,7 @@ class Topic:
         self.step_ns = 0
         self._count = 0
         self._declared = schema if schema is not None and _is_protobuf(channel, schema) else None
-        self._declarations: dict[str, tuple[str, str]] = _units(channel.metadata)
+        self._declarations = declared_by(channel)
         self.fields_kept: frozenset[str] | None = None  # None: all
         self._columnizer: Columnizer | None = None
         self.drop()
@@ -283,10 +283,3 @@ def _refuse(topic: Topic) -> None:
 
 def _is_protobuf(channel: Channel, schema: Schema) -> bool:
     return bool(channel.message_encoding == "protobuf" and schema.encoding == "protobuf")
-
-
-def _units(metadata: Mapping[str, str]) -> dict[str, tuple[str, str]]:
-    try:
-        return {name: (str(unit), str(meaning)) for name, (unit, meaning) in json.loads(metadata["units"]).items()}
-    except (KeyError, ValueError, TypeError, AttributeError):
-        return {}  # a channel that is not ours

@@ -23,7 +23,6 @@ import psutil
 from msgspec import Meta, Struct
 from rich.console import Console as Terminal
 
-from fleet.bench.memory import pss_mb
 from fleet.terminal.table import columns, show, stdout
 
 SAMPLE_S = 0.5
@@ -222,6 +221,14 @@ def of_session(session: int) -> list[int]:
             if os.getsid(pid) == session and psutil.Process(pid).status() not in _DEAD:
                 members.append(pid)
     return members
+
+
+def pss_mb(pid: int) -> float:
+    """A process's own memory and its part of what it shares (PSS); 0 if it has ended."""
+    try:
+        return float(psutil.Process(pid).memory_full_info().pss) / 1e6
+    except psutil.Error:
+        return 0.0
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})

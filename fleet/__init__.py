@@ -11,8 +11,7 @@ from fleet.cores import hidden_cores
 
 if TYPE_CHECKING:
     from fleet.execution.judged import run as run
-    from fleet.execution.judged import stepping as stepping
-    from fleet.execution.stepped_run import SteppedRun as SteppedRun
+    from fleet.execution.stepped_run import Run as Run
     from fleet.logs.open_log import Log as Log
     from fleet.logs.open_log import open_log as open_log
     from fleet.result.result import Result as Result
@@ -26,8 +25,7 @@ if TYPE_CHECKING:
 _OFFERED = {
     "Result": "fleet.result.result",
     "run": "fleet.execution.judged",
-    "SteppedRun": "fleet.execution.stepped_run",
-    "stepping": "fleet.execution.judged",
+    "Run": "fleet.execution.stepped_run",
     "Log": "fleet.logs.open_log",
     "open_log": "fleet.logs.open_log",
     "Boundary": "fleet.study.study",
@@ -41,14 +39,13 @@ __all__ = [
     "Boundary",
     "Log",
     "Result",
-    "SteppedRun",
+    "Run",
     "Study",
     "boundary",
     "open_log",
     "open_study",
     "parallel_env",
     "run",
-    "stepping",
     "sweep",
 ]
 

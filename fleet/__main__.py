@@ -5,13 +5,10 @@ from __future__ import annotations
 import gc
 import signal
 import sys
-import threading
-import time
-from contextlib import suppress
 from types import FrameType
 
 from fleet.packages import damaged, foreign
-from fleet.processes.interrupts import ENDING, HungUp, ending, ending_status
+from fleet.processes.interrupts import ENDING, ending, ending_status
 from fleet.terminal.output import OutputError, give_up_output, open_streams
 
 # Net new objects between two collections. Most of what a command makes at first, modules and classes, stays: Python's
@@ -19,14 +16,12 @@ from fleet.terminal.output import OutputError, give_up_output, open_streams
 COLLECT_EVERY = 200_000
 NOT_OURS = 3  # the exit status when packages of ours were replaced
 READER_GONE = 128 + signal.SIGPIPE  # what a shell shows for `seq 99999 | head -1`
-_AGAIN_S = 0.01
 
 
 def main() -> None:
-    """The console script: the command line, with Ctrl-C, SIGTERM and SIGHUP as a clean end at any moment."""
+    """The console script: the command line, with Ctrl-C, SIGTERM and SIGHUP as a clean end."""
     gc.set_threshold(COLLECT_EVERY)
     open_streams()
-    sys.unraisablehook = _raise_again
     for number in ENDING:
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # as `nohup` leaves it
             signal.signal(number, _interrupt)
@@ -84,36 +79,12 @@ def _not_ours(text: str) -> int:
 _interrupted = False
 
 
-def _interrupt(number: int, frame: FrameType | None) -> None:
+def _interrupt(number: int, _: FrameType | None) -> None:
     global _interrupted
     if _interrupted:  # once is enough: ending the processes takes a moment, and a second one would cut that short
         return
-    while frame is not None:
-        if frame.f_code is _raise_again.__code__:  # what is raised in there is lost; the thread sends it again
-            return
-        frame = frame.f_back
     _interrupted = True
     raise ending(number)
-
-
-def _raise_again(lost: sys.UnraisableHookArgs) -> None:
-    """Let an interrupt come once more that Python could not raise, as in a destructor or between two imports."""
-    global _interrupted
-    if not isinstance(lost.exc_value, KeyboardInterrupt):
-        sys.__unraisablehook__(lost)
-        return
-    _interrupted = False
-    number = signal.SIGHUP if isinstance(lost.exc_value, HungUp) else signal.SIGTERM
-    with suppress(RuntimeError):  # the system has no thread left: the next signal is raised, this one is lost
-        threading.Thread(target=_send_until_raised, args=(number,), daemon=True).start()
-
-
-def _send_until_raised(number: int) -> None:
-    main_thread = threading.main_thread().ident
-    assert main_thread is not None
-    while not _interrupted:
-        time.sleep(_AGAIN_S)
-        signal.pthread_kill(main_thread, number)
 
 
 if __name__ == "__main__":

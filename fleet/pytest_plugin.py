@@ -65,8 +65,8 @@ def fleet_runs(request: pytest.FixtureRequest) -> FleetRuns:
 
 
 def _run(name: str, seeds: list[int], changes: Any, trust: bool, directory: Path) -> list[Result]:
-    from fleet.execution.judged import override_texts
     from fleet.execution.judged import run as run_once
+    from fleet.execution.stepped_run import override_texts
     from fleet.study.row import Reached
 
     texts = override_texts(changes)
@@ -78,7 +78,7 @@ def _run(name: str, seeds: list[int], changes: Any, trust: bool, directory: Path
             log = _kept(name, [*texts, f"seed={seed}"], trust, directory.with_name(f"{directory.name}-seed-{seed}"))
             pytest.fail(_words(name, texts, result, len(seeds), log), pytrace=False)
         found.append(result)
-        for verdict in result.verdicts:
+        for verdict in result.checks:
             if verdict.reached is not None:
                 one = reached.setdefault(verdict.check, Reached(verdict.check))
                 one.note(seed, reached=verdict.reached)
@@ -104,7 +104,7 @@ def _kept(name: str, changes: list[str], trust: bool, directory: Path) -> str:
 def _words(name: str, changes: list[str], result: Result, of: int, log: str) -> str:
     from shlex import quote
 
-    failed = [one for one in result.verdicts if not one.passed]
+    failed = [one for one in result.checks if not one.passed]
     more = "".join(f" --set {quote(text)}" for text in changes)
     names = ", ".join(one.check for one in failed) or str(result.status)
     lines = [

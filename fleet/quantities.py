@@ -70,7 +70,6 @@ BIT_RATE = Dimension("a bit rate", "80 bit/s", {"bit/s": Fraction(1), "kbit/s": 
 FREQUENCY = Dimension("a frequency", "25 kHz", _units(kHz=1000, Hz=1))
 LEVEL = Dimension("a level", "190 dB", _units(dB=1))
 SIZE = Dimension("a size", "32 bytes", _units(bytes=1, byte=1))
-FILE_SIZE = Dimension("a size", "100 MB", _units(MB=10**6, GB=10**9, kB=1000, B=1, MiB=2**20, GiB=2**30, kiB=1024))
 AGE = Dimension(
     "an age", "7 days", _units(days=86_400, day=86_400, d=86_400, weeks=604_800, week=604_800, h=3600, min=60, s=1)
 )

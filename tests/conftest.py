@@ -7,6 +7,10 @@ from collections.abc import Iterator
 
 import pytest
 from hypothesis import HealthCheck, settings
+from repository import ROOT
+
+# The package `benchmarks`. At the end, since an installed `fleet` comes first, which may be compiled.
+sys.path.append(str(ROOT))
 
 pytest_plugins = ["in_process_runs"]
 

@@ -9,10 +9,10 @@ from pathlib import Path
 from netem.vehicle_clock import Clock
 from netem.wire.access import WORLD as WORLD
 from netem.wire.access import Credentials, Listener, Members
-from netem.wire.audit import Refusals, listen
 from netem.wire.bus import Bus
-from netem.wire.certificate_router import CertificateRouter, new_session_id
+from netem.wire.certificate_router import CertificateRouter
 from netem.wire.keys import Keys
+from netem.wire.refusals import Refusals, listen
 from netem.wire.session import quiet_zenoh
 from netem.wire.shell import end_with_link
 from world.config import WorldConfig
@@ -32,7 +32,6 @@ def run(
     most_asked: int,
     listener: Listener | None = None,
     certified: Listener | None = None,
-    audit: bool = False,
     members: Members = (),
 ) -> None:
     """Host the router and serve the sea of a run until the process is ended.
@@ -49,11 +48,10 @@ def run(
         most_asked: in lockstep, the number of processes that have a turn at the same time.
         listener: further addresses of the router. None: it has only `endpoint`.
         certified: address of a second router, for agents without a password. None: no such router.
-        audit: report refused messages as well as refused logins.
         members: the vehicles of each process that hosts several agents.
     """
     keys = Keys(run_id)
-    bus, refusals = host(endpoint, keys, credentials, private, config, listener, certified, members, audit=audit)
+    bus, refusals = host(endpoint, keys, credentials, private, config, listener, certified, members)
     _process(bus, keys, config, frame_every, clock, speed, most_asked, refusals, members).serve_or_give_up()
 
 
@@ -66,21 +64,14 @@ def host(
     listener: Listener | None,
     certified: Listener | None,
     members: Members,
-    *,
-    audit: bool,
 ) -> tuple[Bus, Refusals]:
     """The run's router, with the one for agents without a password if there is one, and what they refuse."""
     refusals = Refusals()
-    listen(refusals, decisions=audit)
+    listen(refusals)
     vehicles = tuple(setup.id for setup in config.vehicles)
     bus = Bus.host(endpoint, keys, vehicles, credentials, private, listener, members)
-    if audit:
-        bus.watch_ends(refusals.end)
     if certified is not None:
-        refusals.expect_universal(session_id := new_session_id())
-        second = CertificateRouter(bus, keys, vehicles, certified, session_id)
-        if audit:
-            second.watch_ends(refusals.end)
+        CertificateRouter(bus, keys, vehicles, certified)
     return bus, refusals
 
 

@@ -115,7 +115,7 @@ def crossed(number: int, changes: Sequence[str] = ()) -> Outcome:
     result = judged(scenario, watcher=seen)
     if result.reason:
         raise RuntimeError(f"crossing {number}: {result.reason}")
-    tumbles = sum(verdict.value for verdict in result.verdicts if verdict.check == "tumbled")
+    tumbles = sum(verdict.value for verdict in result.checks if verdict.check == "tumbled")
     return Outcome(number, scenario.vehicles, seen.least, seen.steepest, int(tumbles))
 
 

@@ -16,12 +16,13 @@ import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from math import atan2, ceil, floor, hypot
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import numpy as np
 
+import fleet
 from fleet.analysis.stability import analyse
-from fleet.execution.in_memory import record
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 
@@ -80,12 +81,20 @@ def scenario(case: Case, duration: float = 10.0, small: float = SMALL) -> Scenar
     return parse_scenario(TEXT.format(**values), "border.yaml")
 
 
+def formations(scenario: Scenario) -> np.ndarray:
+    """How far each vehicle is from its place [m], shape (samples, vehicles, 3)."""
+    with TemporaryDirectory() as folder, fleet.Run(scenario, log=f"{folder}/run.mcap") as run:
+        run.to_end()
+        log = fleet.open_log(f"{folder}/run.mcap")
+        return np.stack([log[f"uuv/{i}/error"]["formation"] for i in range(1, scenario.vehicles + 1)], axis=1)
+
+
 def growth(case: Case, duration: float = 120.0) -> float:
     """The rate [1/s] at which the deviation grows in a simulation; negative: it decays."""
-    run = record(scenario(case, duration))
-    formation = run["formation"]
+    fleet_of_case = scenario(case, duration)
+    formation = formations(fleet_of_case)
     if case.extrapolate == "hold":  # the fleet lags behind its places: what a deviation adds to that
-        other = record(scenario(case, duration, 0.0))["formation"]
+        other = formations(scenario(case, duration, 0.0))
         both = min(len(formation), len(other))
         formation = formation[:both] - other[:both]
     deviation = np.linalg.norm(formation, axis=(1, 2))
@@ -94,7 +103,7 @@ def growth(case: Case, duration: float = 120.0) -> float:
     begin = min(len(deviation) // 4, end // 2)
     blocks = [block.max() for block in np.array_split(deviation[begin:end], 12)]
     slope = np.polyfit(range(12), np.log(blocks), 1)[0]
-    return float(slope * 12 / ((end - begin) * run.scenario.tick_ns / 1e9))
+    return float(slope * 12 / ((end - begin) * fleet_of_case.tick_ns / 1e9))
 
 
 class Row(NamedTuple):

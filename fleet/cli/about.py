@@ -2,11 +2,31 @@
 
 from __future__ import annotations
 
+import os
+import platform
+import re
+import resource
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, distribution, requires, version
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
+import psutil
 
+import fleet
 from fleet.cli.completion import RUNS
+from fleet.cores import cores_and_reason
+
+if TYPE_CHECKING:
+    from fleet.result.result import Result
+
+# Variables of ours and of the libraries that change what a run does. Their values may be private and are left out.
+_VARIABLES = re.compile(r"UUV_|ZENOH_|RUST_LOG|PYTHON|TMPDIR|XDG_RUNTIME_DIR|OMP_|DASK_")
+_MOST_CHECKS = 20
 
 
 @click.command()
@@ -31,7 +51,6 @@ def about(words: tuple[str, ...], schemas: bool) -> None:
     if schemas:
         _schemas(" ".join(words))  # "check LOG" is one of two words
         return
-    from fleet.bench.about import about as report
     from fleet.execution.directory import newest_run
 
     if len(words) > 1 or not all(Path(word).is_dir() for word in words):
@@ -50,6 +69,86 @@ def _schemas(command: str) -> None:
     import json
 
     click.echo(json.dumps(schema(command), indent=2))
+
+
+def report(run: Path | None) -> str:
+    """The report, in lines of a name and a value; a home directory is written `~`.
+
+    Args:
+        run: the directory of the run that it is about; None: of no run.
+    """
+    rows = [*_program(), *_packages(), *_system(), *(() if run is None else _run(run))]
+    text = "\n".join(f"{name:14} {value}" for name, value in rows)
+    return text.replace(str(Path.home()) + os.sep, "~" + os.sep)
+
+
+def _program() -> Iterator[tuple[str, str]]:
+    editable = '"editable": true' in (distribution("uuv-fleet").read_text("direct_url.json") or "")
+    yield "uuv-fleet", f"{version('uuv-fleet')}, cores: {cores_and_reason()}{', editable' if editable else ''}"
+    yield "sources", str(Path(fleet.__file__).parent)
+    yield "python", f"{sys.version.split()[0]}, {sys.executable}"
+
+
+def _packages() -> Iterator[tuple[str, str]]:
+    names = sorted({re.split(r"[^\w.-]", text)[0] for text in requires("uuv-fleet") or () if "test" not in text})
+    found, missing = [], []
+    for name in names:
+        try:
+            found.append(f"{name} {version(name)}")
+        except PackageNotFoundError:
+            missing.append(name)
+    yield "packages", ", ".join(text for text in found if not text.startswith("uuv-fleet "))
+    yield "not installed", ", ".join(missing) or "none"
+
+
+def _system() -> Iterator[tuple[str, str]]:
+    cpus = os.cpu_count() or 1
+    yield "system", platform.platform()
+    yield "processors", f"{cpus} x {processor() or 'unknown'}, load {os.getloadavg()[0] / cpus:.2f} each"
+    memory = psutil.virtual_memory()
+    yield "memory", f"{memory.available / 1e9:.1f} of {memory.total / 1e9:.1f} GB free"
+    limits = (resource.getrlimit(which)[0] for which in (resource.RLIMIT_NOFILE, resource.RLIMIT_NPROC))
+    files, processes = ("unlimited" if value == resource.RLIM_INFINITY else str(value) for value in limits)
+    yield "limits", f"open files {files}, processes {processes}"
+    folder = tempfile.gettempdir()
+    yield "temporary", f"{folder}, {shutil.disk_usage(folder).free / 1e9:.1f} GB free"
+    yield "variables", ", ".join(sorted(name for name in os.environ if _VARIABLES.match(name))) or "none"
+
+
+def processor() -> str:
+    """Name of the processor; empty: the system does not say."""
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
+            lines = [line for line in file if line.startswith("model name")]
+    except OSError:
+        return ""
+    return lines[0].partition(":")[2].strip() if lines else ""
+
+
+def _run(run: Path) -> Iterator[tuple[str, str]]:
+    from fleet.result.file import ResultError, read_result
+
+    yield "run", str(run)
+    try:
+        result = read_result(run)
+    except FileNotFoundError:
+        yield "result", "none: the run goes on, or was killed"
+        return
+    except ResultError as error:
+        yield "result", str(error)
+        return
+    yield "scenario", f"{result.scenario}, seed {result.seed}, {result.sim_s:g} s, digest {result.digest or 'none'}"
+    yield "status", f"{result.status}{f': {result.reason}' if result.reason else ''}"
+    yield from _checks(result)
+    yield "repeat it", f"fleet run {run / 'scenario.yaml'}"
+
+
+def _checks(result: Result) -> Iterator[tuple[str, str]]:
+    failed = [verdict for verdict in result.checks if not verdict.passed]
+    for verdict in failed[:_MOST_CHECKS]:
+        yield "failed", f"{verdict.check}: {verdict.asked}; found {verdict.found}"
+    if len(failed) > _MOST_CHECKS:
+        yield "failed", f"and {len(failed) - _MOST_CHECKS} more"
 
 
 COMMANDS = (about,)

@@ -35,7 +35,7 @@ def of_run(result: Result) -> list[JUnitCase]:
     again = f"fleet run {result.scenario} --seed {result.seed}  # sha256 {result.digest[:16]}"
     cases = [
         JUnitCase(one.check, "" if one.passed or meant else f"{one.asked}; found {one.found}", said=again)
-        for one in result.verdicts
+        for one in result.checks
     ]
     if result.reason:
         cases.append(JUnitCase("run", error=result.reason, said=again))

@@ -201,9 +201,8 @@ def _node(distribution: str, vehicle: int, line: StatusLine) -> MakeCore:
     Raises FleetError: nodes cannot meet.
     """
     from fleet.ros2.agent import RosAgent
-    from fleet.ros2.node import RosNode
+    from fleet.ros2.node import RosNode, open_ros_session
     from fleet.ros2.rmw import domain_of
-    from fleet.ros2.session import open_ros_session
     from fleet.ros2.types import types_of
 
     types, domain = types_of(distribution), domain_of(None)

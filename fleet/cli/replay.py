@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -16,17 +16,16 @@ from fleet.cli import completion
 from fleet.cli.group import exit_status
 from fleet.cli.log_argument import log_argument
 from fleet.cli.sessions import ending
-from fleet.cli.types import Duration, EndpointText, FileSize
+from fleet.cli.types import Duration, EndpointText
 from fleet.errors import FleetError
 
 if TYPE_CHECKING:
-    from fleet.replay.observed import Observed
     from fleet.terminal.status_line import StatusLine
 
 EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or a full disk, 129 terminal closed, 130 Ctrl-C."
 
 
-def _rate(ctx: click.Context, param: click.Parameter, value: float) -> float:
+def _speed(ctx: click.Context, param: click.Parameter, value: float) -> float:
     from fleet.replay.player import FASTEST, SLOWEST
 
     if value and not SLOWEST <= value <= FASTEST:
@@ -50,56 +49,22 @@ _listen = click.option(
 
 @click.command(epilog=EPILOG)
 @log_argument
-@click.option("-r", "--rate", metavar="X", type=float, default=1.0, show_default=True, callback=_rate,
+@click.option("--speed", metavar="X", type=float, default=1.0, show_default=True, callback=_speed,
               help="Times the log's own pace; 0: as fast as possible.")  # fmt: skip
-@click.option("-l", "--loop", is_flag=True, help="Begin again at the end, until Ctrl-C.")
-@click.option(
-    "-s",
-    "--start-offset",
-    "start_ns",
-    metavar="TIME",
-    type=Duration(),
-    default=0,
-    help="Skip this much of the log, e.g. '20 s'.",
-)
-@click.option("--duration", "duration_ns", metavar="TIME", type=Duration(), help="Play this much of the log.")
-@click.option(
-    "--until", "until_ns", metavar="TIME", type=Duration(), help="Play up to this time of the log, from its beginning."
-)
-@click.option("-p", "--start-paused", is_flag=True, help="Begin with a pause; space goes on, right arrow steps.")
-@click.option(
-    "-d", "--delay", "delay_ns", metavar="TIME", type=Duration(), default=0, help="Wait this long before the beginning."
-)
+@click.option("--start", "start_ns", metavar="TIME", type=Duration(), default=0,
+              help="Begin at this time of the log, e.g. '20 s'.")  # fmt: skip
+@click.option("--end", "end_ns", metavar="TIME", type=Duration(), help="End at this time of the log.")
 @click.option("--topics", metavar="TOPIC", multiple=True,
               help="Only this topic, or those that fit: uuv/*/state, link/**; repeatable.")  # fmt: skip
-@click.option(
-    "-e", "--regex", metavar="RE", help="Only topics in which this regular expression is found; adds to --topics."
-)
-@click.option("-m", "--remap", metavar="OLD:=NEW", multiple=True,
-              help="Rename a topic, or the first parts of many: uuv/1:=twin; repeatable.")  # fmt: skip
-@click.option("--clock", "clock_hz", metavar="HZ", type=click.FloatRange(0.001, 1000.0),
-              help="Publish the time of the log at this rate, on fleet/{run}/clock.")  # fmt: skip
+@click.option("--loop", is_flag=True, help="Begin again at the end, until Ctrl-C.")
+@click.option("--step", is_flag=True, help="Begin with a pause; right arrow plays a tick, space goes on.")
 @click.option(
     "--wait-for-subscribers", "wait", is_flag=True, help="Begin when every key that is played has a subscriber."
 )
-@click.option("--run", "run_id", metavar="ID", default="replay", show_default=True,
-              help="Publish under fleet/ID/log/**; a recording of other traffic keeps its keys.")  # fmt: skip
 @_connect
 @_listen
-@click.option("--observe", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
-              help="Write credentials to this file, as a run with --publish writes observe.json, and let in only "
-                   "clients with them. Without it only clients without a password get in.")  # fmt: skip
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no summary.")
-def replay(
-    log: Path,
-    start_paused: bool,
-    run_id: str,
-    connect: str | None,
-    listen: str | None,
-    observe: Path | None,
-    quiet: bool,
-    **how: Any,
-) -> None:
+def replay(log: Path, connect: str | None, listen: str | None, quiet: bool, **how: Any) -> None:
     """Publish LOG (an MCAP file, or a run directory) on zenoh again, at its own pace.
 
     On a terminal: space pauses, right arrow plays one tick, up and down change the rate by 10 %, ] and [ (or shift
@@ -108,43 +73,35 @@ def replay(
     \b
     Examples:
       fleet replay --listen tcp/127.0.0.1:7447
-      fleet replay -r 0 --wait-for-subscribers --topics 'uuv/*/pose'
-      fleet replay robot.mcap --loop --remap robot:=twin --connect tcp/127.0.0.1:7447
-      fleet replay --observe observe.json        for a script that otherwise reads a live run
+      fleet replay --speed 0 --wait-for-subscribers --topics 'uuv/*/pose'
+      fleet replay robot.mcap --loop --start '20 s' --end '30 s' --connect tcp/127.0.0.1:7447
     """
     from rich.console import Console as Terminal
 
     from fleet.logs.reader import log_path
     from fleet.logs.tape import Tape
-    from fleet.replay.observed import new_observed
     from fleet.replay.playback import PlaybackOptions, Replay
     from fleet.terminal.keyboard import Keyboard
     from fleet.terminal.status_line import StatusLine, showing
 
-    if not run_id or set(run_id) & set("/*$?#"):
-        raise click.BadParameter(f"expected one part of a key, without / * $ ? #, got {run_id!r}", param_hint="--run")
-    if start_paused and not Keyboard.possible():
-        raise click.UsageError("--start-paused needs a terminal, because a key press continues it")
-    _check_observe(observe, connect)
-    options = PlaybackOptions(run=run_id, paused=start_paused, **how)
+    options = PlaybackOptions(**how)
+    if options.step and not Keyboard.possible():
+        raise click.UsageError("--step needs a terminal, because a key press continues it")
     terminal = Terminal(stderr=True)
     with showing(f"reading {log}", quiet=quiet) as tell:
         tape = Tape(log_path(log), tell)
     played = Replay(tape, options)
-    if observe is not None and not played.ours:
-        raise click.UsageError(f"--observe is for logs of a run, and {log} is no such log: leave it out")
     with exit_status(3), ending() as sessions, StatusLine(terminal, quiet=quiet) as line:
         if tape.missing:
             line.print(f"warning: {log}: {tape.missing}")
-        observed = None if observe is None else new_observed(listen or _free_endpoint(), run_id)
-        bus = _session(connect, listen, None, observed)
+        bus = _session(connect, listen, None)
         sessions.append(bus)
         began = time.monotonic()
         try:
             played.open(bus)
-            keys = f"fleet/{run_id}/log/**" if played.ours else "its own keys"
+            keys = f"{played.keys.prefix}/log/**" if played.ours else "its own keys"
             line.print(f"playing {played.messages} messages on {keys} at {bus.endpoint}")
-            with _written(observe, observed), Keyboard() as keyboard:
+            with Keyboard() as keyboard:
                 played.play(keyboard, line)
         finally:
             line.print(played.summary(time.monotonic() - began))
@@ -153,10 +110,9 @@ def replay(
 @click.command(epilog=EPILOG)
 @click.option("-k", "--key", "keys", metavar="KEY", multiple=True,
               help="Key expression to record, e.g. 'robot/**'; repeatable.")  # fmt: skip
-@click.option("-o", "--output", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
+@click.option("-o", "--out", "output", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
               help="The file to write; by default record-<UTC time>.mcap.")  # fmt: skip
 @click.option("--duration", metavar="TIME", type=Duration(), help="Stop after this time, e.g. '1 min'.")
-@click.option("--max-size", metavar="SIZE", type=FileSize(), help="Stop at this size of the file, e.g. '100 MB'.")
 @_connect
 @_listen
 @click.option("--run", metavar="NAME", shell_complete=completion.published_runs,
@@ -164,7 +120,7 @@ def replay(
               "beginning of it, its scenario, or its directory.")  # fmt: skip
 @click.option(
     "--ros2", is_flag=True,
-    help="Write the messages of ROS 2 nodes as a bag, over rmw_zenoh with ROS_DOMAIN_ID; --output is its "
+    help="Write the messages of ROS 2 nodes as a bag, over rmw_zenoh with ROS_DOMAIN_ID; --out is its "
          "directory, and --key a topic such as '/uuv_1/*'.",
 )  # fmt: skip
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no summary.")
@@ -172,7 +128,6 @@ def record(
     keys: tuple[str, ...],
     output: Path | None,
     duration: int | None,
-    max_size: int | None,
     connect: str | None,
     listen: str | None,
     run: str | None,
@@ -194,7 +149,7 @@ def record(
     from rich.console import Console as Terminal
 
     from fleet.processes.interrupts import holding_interrupts
-    from fleet.replay.capture import Limits, PublisherGone, Recorder, TrafficWriter
+    from fleet.replay.capture import PublisherGone, Recorder, TrafficWriter
     from fleet.terminal.status_line import StatusLine
 
     connect, credentials, keys = _recorded(keys, connect, listen, run, ros2=ros2)
@@ -212,8 +167,8 @@ def record(
         line.print(f"recording {', '.join(keys)} at {bus.endpoint} to {path}")
         with exit_status(3), holding_interrupts() as interrupted:
             try:
-                limits, over = Limits(duration, max_size), None if run is None else PublisherGone(lambda: bus.connected)
-                if recorder.record(writer, limits, line, interrupted, over):
+                over = None if run is None else PublisherGone(lambda: bus.connected)
+                if recorder.record(writer, duration, line, interrupted, over):
                     line.print("the run is over: nobody publishes it any more")
             except BaseException:
                 with suppress(FleetError):  # a full disk is reported once
@@ -246,9 +201,9 @@ def _ros2(
     connect: str | None, listen: str | None, topics: tuple[str, ...], path: Path, line: StatusLine
 ) -> tuple[Any, Any, tuple[str, ...], Callable[[], Any]]:
     """A session among nodes of ROS 2, a function that subscribes, the keys, and a function that opens the bag."""
+    from fleet.ros2.node import open_ros_session
     from fleet.ros2.record import BagWriter, WithHistory
     from fleet.ros2.rmw import domain_of
-    from fleet.ros2.session import open_ros_session
     from fleet.ros2.types import types_of
     from netem.wire.session import quiet_zenoh
 
@@ -266,8 +221,8 @@ def _finish(recorder: Any, writer: Any, line: Any, path: Path) -> None:
     line.print(f"recorded {writer.samples} messages, {writer.size / 1e6:.2f} MB, to {path}")
 
 
-def _session(connect: str | None, listen: str | None, credentials: Any, observed: Observed | None = None) -> Any:
-    from fleet.replay.observed import host_observed
+def _session(connect: str | None, listen: str | None, credentials: Any) -> Any:
+    from fleet.processes.limits import free_port
     from netem.wire.open_bus import OpenBus
     from netem.wire.session import quiet_zenoh
 
@@ -275,40 +230,9 @@ def _session(connect: str | None, listen: str | None, credentials: Any, observed
         raise click.UsageError("give either --connect or --listen, not both")
     quiet_zenoh()
     with exit_status(3):
-        if observed is not None:
-            return host_observed(observed)
         if connect:
             return OpenBus.connect(connect, credentials)
-        return OpenBus.listen(listen or _free_endpoint())
-
-
-def _free_endpoint() -> str:
-    from fleet.processes.limits import free_port
-
-    return f"tcp/127.0.0.1:{free_port(None)}"
-
-
-def _check_observe(observe: Path | None, connect: str | None) -> None:
-    """Refuse a file for observers that could not be written, or that nobody could use."""
-    if observe is not None and connect is not None:
-        raise click.UsageError("--observe needs a router of our own: give --listen in place of --connect")
-    if observe is not None and observe.exists():
-        raise click.BadParameter(f"{observe} exists already; choose another name", param_hint="--observe")
-
-
-@contextmanager
-def _written(path: Path | None, observed: Observed | None) -> Iterator[None]:
-    """Keep what an observer needs in a file, if there is to be one."""
-    if path is None or observed is None:
-        yield
-        return
-    from fleet.replay.observed import write_observed
-
-    write_observed(path, observed)
-    try:
-        yield
-    finally:
-        path.unlink(missing_ok=True)
+        return OpenBus.listen(listen or f"tcp/127.0.0.1:{free_port(None)}")
 
 
 def _observer(run: str) -> tuple[str, Any, str]:

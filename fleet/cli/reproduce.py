@@ -36,7 +36,7 @@ def reproduce(out: Path, jobs: int | None, cases: tuple[str, ...], formats: tupl
 
     The runs cover five controllers, undisturbed and disturbed, with the printed and the corrected cost, with and
     without a network. The command draws every figure of the paper, and writes a report with a verdict on every claim.
-    That takes 130 s of CPU time: a good minute on two idle cores.
+    That takes 170 s of CPU time: one and a half minutes on two idle cores.
 
     \b
     Examples:

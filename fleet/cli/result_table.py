@@ -41,7 +41,7 @@ def show(result: Result, terminal: Terminal) -> None:
         say(result.reason, "red", "run broke:" if result.status is Status.BROKEN else "stopped:")
         for line in result.lines:
             say(line)
-    for verdict in sorted(result.verdicts, key=lambda verdict: verdict.passed):
+    for verdict in sorted(result.checks, key=lambda verdict: verdict.passed):
         style, mark = ("green", "pass") if verdict.passed else ("red", "FAIL")
         say(f"{verdict.check}: {verdict.asked}; found {verdict.words}", style, mark)
     _show_events(result.events, say)
@@ -74,8 +74,8 @@ def show(result: Result, terminal: Terminal) -> None:
     if words := hidden_cores():
         say(words, mark="note")
     if result.status is Status.CHECK_FAILED:
-        failed = [verdict.check for verdict in result.verdicts if not verdict.passed]
-        say(f"{len(failed)} of {len(result.verdicts)} checks: {', '.join(dict.fromkeys(failed))}", "red", "FAIL")
+        failed = [verdict.check for verdict in result.checks if not verdict.passed]
+        say(f"{len(failed)} of {len(result.checks)} checks: {', '.join(dict.fromkeys(failed))}", "red", "FAIL")
     say(str(result.directory))
 
 

@@ -104,9 +104,8 @@ def _open_bridge(
 ) -> RosBridge:
     """A node with the topics of a journal, and the services that disturb the run `controlled`."""
     from fleet.ros2.bridge import RosBridge, offer_control
-    from fleet.ros2.node import RosNode
+    from fleet.ros2.node import RosNode, open_ros_session
     from fleet.ros2.rmw import domain_of
-    from fleet.ros2.session import open_ros_session
     from fleet.view.source import LiveSource
     from netem.wire.session import quiet_zenoh
 

@@ -47,7 +47,6 @@ class RunOptions(cli_hosts.HostsOptions):
     publish: bool
     view: bool
     ros2: bool
-    audit: bool
     wait_for_subscribers: bool
     join_timeout: int  # ns
     start_order: int | None
@@ -106,9 +105,6 @@ class RunOptions(cli_hosts.HostsOptions):
     "--view", is_flag=True, help="Open a page in the browser that shows the run; there you can also disturb it."
 )
 @click.option("--ros2", is_flag=True, help="Publish the run, and show it to ROS 2 as fleet ros2 does.")
-@click.option(
-    "--audit", is_flag=True, help="Also report each message that the router refuses; the run is a tenth slower."
-)
 @click.option(
     "--wait-for-subscribers",
     is_flag=True,
@@ -228,8 +224,6 @@ def _options(scenario: Scenario, start: Start | None, how: RunOptions, terminal:
     for warning in place.warnings if place else ():
         terminal.print(f"warning: {warning}", style="bold red", highlight=False, markup=False, soft_wrap=True)
     _check_clock(how.speed, how.clock, one_process)
-    if how.audit and (one_process or (place and place.router)):
-        raise click.UsageError(f"--audit needs a run with a router of its own, so not with {one_process or '--router'}")
     if how.ros2 and one_process:
         raise click.UsageError(
             f"--ros2 needs a run with processes, so not with {one_process}; fleet ros2 plays its log afterwards"
@@ -251,7 +245,6 @@ def _options(scenario: Scenario, start: Start | None, how: RunOptions, terminal:
         start_order=_shuffle(how.start_order),
         join_timeout_s=how.join_timeout / 1e9,
         rendezvous=place,
-        audit=how.audit,
     )
 
 
@@ -335,7 +328,7 @@ def _check_clock(speed: float | None, clock: str, one_process: str) -> None:
 
 def _print_failure(result: Result) -> None:
     """Print a failure on stderr, if stdout has no tables. A failure that the scenario expects is not printed."""
-    failed = [f"FAIL  {v.check}: {v.asked}; found {v.found}" for v in result.verdicts if not v.passed]
+    failed = [f"FAIL  {v.check}: {v.asked}; found {v.found}" for v in result.checks if not v.passed]
     if result.reason or (failed and not result.passed):
         lines = [f"fleet: {result.reason}", *result.lines] if result.reason else failed
         say("\n".join(lines), err=True)

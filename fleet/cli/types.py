@@ -276,23 +276,6 @@ class AgeText(click.ParamType[float]):
         return age
 
 
-class FileSize(click.ParamType[int]):
-    """A file size with a unit, in whole bytes."""
-
-    name = "size"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        from fleet.quantities import FILE_SIZE, QuantityError, parse
-
-        try:
-            size = value if isinstance(value, int) else int(parse(value, FILE_SIZE)[0])
-        except QuantityError as error:
-            self.fail(f"{error.message}{f': {error.hint}' if error.hint else ''}", param, ctx)
-        if size <= 0:
-            self.fail(f"expected a size above 0, got {value!r}", param, ctx)
-        return size
-
-
 class EndpointText(click.ParamType[str]):
     """A zenoh endpoint."""
 

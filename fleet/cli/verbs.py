@@ -65,7 +65,6 @@ GROUPS: dict[str, dict[str, Verb]] = {
     },
     "This tool": {
         "about": Verb("about", "Print everything that a bug report needs."),
-        "bench": Verb("bench", "Measure this machine."),
         "completion": Verb("completion", "Print the script for completion in your shell."),
     },
 }
@@ -95,6 +94,7 @@ ELSEWHERE = {
     "pause": "fleet clock pause (a run), or fleet inject pause 3 (an agent)",
     "validate": "fleet check",
     **dict.fromkeys(("bug", "doctor", "env", "version"), "fleet about (versions, machine and a run, for a bug report)"),
+    "bench": "python -m benchmarks (in a checkout of uuv-fleet)",
     "help": "--help, as in fleet run --help",
     "test": "fleet run (a scenario and its checks)",
 }

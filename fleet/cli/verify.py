@@ -129,7 +129,7 @@ def recover(log: Path, out: Path | None) -> None:
     """
     from fleet.logs.recover import recover as write
     from fleet.logs.recover import recovery_text
-    from fleet.ros2.bag_repair import bag_file, repair
+    from fleet.ros2.bag import bag_file, repair
     from fleet.terminal.status_line import showing
 
     with showing(f"recovering {log}") as tell:

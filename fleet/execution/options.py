@@ -37,6 +37,5 @@ class Options:
     start: Start | None = None  # where it goes on from another run; in-process only
     most_missed: float = MOST_MISSED  # share of its ticks that an agent may miss in real time
     start_order: Callable[[list[str]], list[str]] | None = None  # of roles; None: the usual order
-    audit: bool = False  # report also which messages the router refuses
     join_timeout_s: float = JOIN_TIMEOUT_S  # how long to wait for an agent that somebody else starts
     rendezvous: Rendezvous | None = None  # how processes on several hosts meet; None: all are on this one

@@ -5,11 +5,13 @@ However it is stepped, it is the same run: without disturbance its log has the s
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from math import dist
-from typing import Any, NamedTuple, Self
+from pathlib import Path
+from typing import Any, NamedTuple, Never, Self
 
 from agents.errors import AgentError
 from fleet.analysis.verdicts import judge, standing
@@ -27,11 +29,17 @@ from fleet.recorder.log_file import LogFile, NoLog
 from fleet.recorder.writer import LogWriter
 from fleet.result.result import Result, Status, Wall
 from fleet.result.verdict import Margin
+from fleet.scenario.loading import changed, load_scenario
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.text.fault_words import read_fault
+from fleet.scenario.text.overrides import FAULT, NET, SET, Override
 from netem.wire.messages import Nav
 from world.errors import WorldError
+from world.plugins.trust import trusting
 from world.vectors import Vec5, plus
+
+Changes = Mapping[str, Any] | Iterable[str]
 
 
 class VehicleState(NamedTuple):
@@ -62,17 +70,51 @@ class State(NamedTuple):
         return html_table(title, ("vehicle", "north [m]", "east [m]", "down [m]", "off its place [m]", "agent"), rows)
 
 
-class SteppedRun:
-    """One run, which goes on when it is asked to."""
+class Run:
+    """One run in this process, which goes on when it is asked to: step, look, inject.
+
+    `docs/guide/stepping.md` is the guide. At the end of a `with` block the run is closed.
+    """
 
     def __init__(
         self,
+        scenario: str | Path | Scenario,
+        *,
+        set: Changes = (),
+        net: Iterable[str] = (),
+        fault: Iterable[str] = (),
+        seed: int | None = None,
+        trust: bool = False,
+        log: str | Path | None = None,
+        **unknown: Never,
+    ) -> None:
+        """The run before its first tick. Its result is that of `fleet.run`, to the digest.
+
+        Args:
+            scenario: a shipped name, a file, or a loaded scenario.
+            set: changes, as for `fleet.run`; so `net`, `fault`, `seed` and `trust`.
+            log: a new file that records the run. None: the run is not recorded.
+
+        Raises:
+            ScenarioError: with every mistake that was found.
+            LogError: the log cannot be created.
+            CheckError: a check in Python cannot be made.
+            FleetError: somebody else is to start an agent.
+            TypeError: an argument is unknown; keys of the scenario go into `set`.
+        """
+        found = loaded("Run", scenario, set, net, fault, seed, trust, unknown)
+        refuse(found, "a run in one process")
+        self._prepare(found, None if log is None else LogFile(Path(log)), None, None)
+
+    @classmethod
+    def prepared(
+        cls,
         scenario: Scenario,
         log: LogFile | None = None,
         watcher: Watcher | None = None,
         agents: Mapping[int, MakeLife] | None = None,
-    ) -> None:
-        """Prepare it.
+    ) -> Self:
+        """The run of a scenario that is loaded.
 
         Args:
             log: where it is recorded; None: nowhere.
@@ -83,6 +125,17 @@ class SteppedRun:
             CheckError: a check in Python cannot be made.
             FleetError: somebody else is to start an agent.
         """
+        run = cls.__new__(cls)
+        run._prepare(scenario, log, watcher, agents)
+        return run
+
+    def _prepare(
+        self,
+        scenario: Scenario,
+        log: LogFile | None,
+        watcher: Watcher | None,
+        agents: Mapping[int, MakeLife] | None,
+    ) -> None:
         refuse(scenario, "a run in one process")
         self.scenario = scenario
         self._file = log or NoLog()
@@ -285,7 +338,6 @@ class SteppedRun:
 
 
 def _ticks(by: int | str, tick_ns: int) -> int:
-    """So many ticks, 1 at least. Raises FleetError."""
     text = f"step({by!r})"
     try:
         ns = time_ns(by) if isinstance(by, str) else by * tick_ns
@@ -294,3 +346,50 @@ def _ticks(by: int | str, tick_ns: int) -> int:
     if not isinstance(ns, int) or ns < tick_ns or ns % tick_ns:
         raise FleetError(f"{text}: expected a whole number of ticks of {show_time(tick_ns)}, 1 or more")
     return ns // tick_ns
+
+
+def loaded(
+    function: str,
+    scenario: str | Path | Scenario,
+    set: Changes,
+    net: Iterable[str],
+    fault: Iterable[str],
+    seed: int | None,
+    trust: bool,
+    unknown: Mapping[str, Any] | None = None,
+) -> Scenario:
+    """The scenario that a function was given, with the changes.
+
+    Raises:
+        ScenarioError: with every mistake that was found.
+        TypeError: an argument is unknown.
+    """
+    if unknown:
+        keys = {key: unknown[key] for key in unknown if key in ScenarioSpec.model_fields}
+        hint = f"; keys of the scenario go into set={keys}" if keys else ""
+        raise TypeError(f"{function}() has no argument {next(iter(unknown))!r}{hint}")
+    for name, some in (("net", net), ("fault", fault)):
+        if isinstance(some, str):
+            raise TypeError(f"{name}: expected a list of texts, got {some!r}")
+    changes = [Override.of(text) for text in override_texts(set)]
+    changes += [Override(NET, text) for text in net] + [Override(FAULT, text) for text in fault]
+    if seed is not None:
+        changes.append(Override(SET, f"seed={seed}"))
+    with trusting(trust):
+        if not isinstance(scenario, Scenario):
+            return load_scenario(scenario, changes)
+        return changed(scenario, changes) if changes else scenario
+
+
+def override_texts(changes: Changes) -> list[str]:
+    """Changes as the texts of `--set`.
+
+    Raises:
+        TypeError: they are neither a mapping nor texts.
+    """
+    if isinstance(changes, str):
+        raise TypeError(f'set: expected a mapping or a list of texts such as ["duration=20 s"], got {changes!r}')
+    if isinstance(changes, Mapping):
+        # JSON is YAML, so a mapping or a list inside comes through.
+        return [f"{key}={value if isinstance(value, str) else json.dumps(value)}" for key, value in changes.items()]
+    return [str(change) for change in changes]

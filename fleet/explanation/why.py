@@ -120,7 +120,7 @@ class Explanation:
         except (FileNotFoundError, ResultError):
             return []
         log = open_log(source.path, [])
-        return result.verdicts if result.digest == log.digest else []
+        return result.checks if result.digest == log.digest else []
 
     def _no_return(self, engine: Engine, modules: Modules) -> NoReturn:
         assert self._remade is not None

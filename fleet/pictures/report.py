@@ -100,10 +100,10 @@ def side_by_side(runs: Sequence[Run], results: Sequence[Result | None]) -> Table
         if result is None:
             rows.append([*row, *["-"] * (len(headings) - len(row))])
             continue
-        good = sum(verdict.passed for verdict in result.verdicts)
+        good = sum(verdict.passed for verdict in result.checks)
         row += [
             Mark(result.passed, result.status.replace("_", " ")),
-            f"{good} of {len(result.verdicts)}" if result.verdicts else "-",
+            f"{good} of {len(result.checks)}" if result.checks else "-",
         ]
         vehicles = list(result.vehicles.values())
         row += [
@@ -368,7 +368,7 @@ def _section(number: int, run: Run, found: RunResult, kinds: Sequence[str], view
         blocks.append(first)
     if result is not None:
         blocks += [Heading("Verdicts"), *([Text(result.reason)] if result.reason else [])]
-        blocks.append(checks_table(result.verdicts) if result.verdicts else Text("No check was judged."))
+        blocks.append(checks_table(result.checks) if result.checks else Text("No check was judged."))
     faults = [(fault.id, f"{fault.begin:g}", f"{fault.end:g}", fault.what) for fault in log.faults]
     blocks.append(Heading("Faults"))
     blocks.append(Table(("fault", "from [s]", "to [s]", "what"), faults, "last") if faults else Text(_NO_FAULT))

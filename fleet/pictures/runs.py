@@ -92,7 +92,7 @@ class Run:
             result = read_result(self.log.path.parent)
         except (FileNotFoundError, ResultError):
             return []
-        return result.verdicts if result.digest == self.digest else []
+        return result.checks if result.digest == self.digest else []
 
     @property
     def failures(self) -> list[tuple[str, float]]:

@@ -1,22 +1,50 @@
 """`fleet record`: zenoh traffic of any kind into an MCAP file, as it comes.
 
-`fleet.replay.capture_format` describes its layout.
+One channel per key, zenoh encoding and kind, without a schema. The topic is the key; the channel's metadata hold
+`zenoh.kind` (put, delete or attachment) and `zenoh.encoding`. `log_time` is when the recorder received the sample,
+`publish_time` zenoh's timestamp if the sample has one, both ns since 1970; `sequence` numbers the samples from 0. A
+sample with an attachment is two messages with the same sequence: the attachment, on a channel of that kind, then the
+payload. So payloads stay what they are, and any viewer that knows their encoding reads them.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import IO, Any, Protocol
 
 from fleet.errors import FleetError
 from fleet.logs.mcap_writer import McapWriter
-from fleet.replay.capture_format import ATTACHMENT, DELETE, ENCODING, KIND, PROFILE, PUT, message_encoding
 from fleet.terminal.status_line import StatusLine
 from netem.wire.open_bus import ZenohSample, sample_of
+
+PROFILE = "zenoh"
+KIND, ENCODING = "zenoh.kind", "zenoh.encoding"
+PUT, DELETE, ATTACHMENT = "put", "delete", "attachment"
+
+# https://mcap.dev/spec/registry#message-encodings against zenoh's predefined encodings
+_WELL_KNOWN = {
+    "json": "application/json",
+    "protobuf": "application/protobuf",
+    "cbor": "application/cbor",
+    "cdr": "application/cdr",
+}
+_OF_ZENOH = {zenoh: mcap for mcap, zenoh in _WELL_KNOWN.items()} | {"text/json": "json"}
+
+
+def message_encoding(encoding: str) -> str:
+    """MCAP's name of a zenoh encoding, or zenoh's own where MCAP has none, or where it would ask for a schema."""
+    name = _OF_ZENOH.get(encoding.split(";")[0], encoding)
+    return encoding if name in ("protobuf", "cdr") else name
+
+
+def zenoh_encoding(name: str, schema: str) -> str:
+    """Zenoh's encoding for a message encoding and the name of its schema: `application/protobuf;foxglove.Log`."""
+    encoding = _WELL_KNOWN.get(name, name or "zenoh/bytes")
+    return f"{encoding};{schema}" if schema and ";" not in encoding else encoding
+
 
 FLUSH_NS = 1_000_000_000  # a recorder that is killed loses so much at most
 POLL_S = 0.1
@@ -24,14 +52,6 @@ GONE_S = 1.0  # a connection that was lost is back sooner, if it comes back
 MOST_QUEUED = 100_000  # samples; beyond that zenoh's thread waits, and with it the sender
 MOST_CHANNELS = 65_535  # MCAP numbers them with 16 bits
 MOST_BATCH = 1000
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """When a recording ends by itself; None: never."""
-
-    duration_ns: int | None = None
-    size: int | None = None
 
 
 class SampleWriter(Protocol):
@@ -168,14 +188,15 @@ class Recorder:
     def record(
         self,
         writer: SampleWriter,
-        limits: Limits,
+        duration_ns: int | None,
         line: StatusLine,
         interrupted: Callable[[], KeyboardInterrupt | None] = lambda: None,
         over: Callable[[], bool] | None = None,
     ) -> bool:
-        """Record until a limit is reached, nothing more can come, or an exception ends it.
+        """Record until the time is over, nothing more can come, or an exception ends it.
 
         Args:
+            duration_ns: wall time; None: without limit.
             over: asked when nothing came for a while, whether anything can.
 
         Returns:
@@ -187,12 +208,12 @@ class Recorder:
         """
         began = seen_ns = time.monotonic_ns()
         seen, rate = 0, 0.0
-        end = None if limits.duration_ns is None else began + limits.duration_ns
+        end = None if duration_ns is None else began + duration_ns
         while True:
             if (interruption := interrupted()) is not None:
                 raise interruption
             now = time.monotonic_ns()
-            if (end is not None and now >= end) or (limits.size is not None and writer.size >= limits.size):
+            if end is not None and now >= end:
                 return False
             if now - seen_ns >= FLUSH_NS:
                 rate, seen, seen_ns = (writer.samples - seen) * 1e9 / (now - seen_ns), writer.samples, now

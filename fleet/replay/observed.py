@@ -1,4 +1,4 @@
-"""observe.json, which a run with --publish writes, and a replay if asked: where to subscribe, and as which user."""
+"""observe.json, which a run with --publish writes: where to subscribe, and as which user."""
 
 from __future__ import annotations
 

@@ -3,44 +3,37 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from fleet.errors import FleetError
 from fleet.logs.decoder import UNITS
-from fleet.logs.schemas import stamp_of
 from fleet.logs.tape import Tape, Track
-from fleet.replay.attachment import Stamp, pack
-from fleet.replay.capture_format import ATTACHMENT, DELETE, ENCODING, KIND, zenoh_encoding
-from fleet.replay.player import RATE_STEP, SEEK_NS, MeasuredRate, Metronome, Player
-from fleet.replay.selection import Renaming, chosen
-from fleet.replay.topics import hand_out
+from fleet.replay.capture import ATTACHMENT, DELETE, ENCODING, KIND, zenoh_encoding
+from fleet.replay.player import RATE_STEP, SEEK_NS, MeasuredRate, Player
+from fleet.replay.topics import Stamp, hand_out, pack
 from fleet.terminal.keyboard import Key, Keyboard
 from fleet.terminal.status_line import StatusLine
 from fleet.terminal.table import Piece
+from netem.parsing import nearest
 from netem.wire.keys import Keys
-from netem.wire.open_bus import OpenBus, OpenPublication
+from netem.wire.open_bus import OpenBus, OpenPublication, matching
 
 MOST = 256  # messages between two looks at the keyboard
 NAP_S = 0.05  # the longest wait without a look at the clock
-CLOCK_ENCODING = "application/protobuf;google.protobuf.Timestamp"
+RUN = "replay"  # in keys
 
 
 @dataclass(frozen=True, slots=True)
 class PlaybackOptions:
     """What to play of a log, and how; times in ns from the log's first message."""
 
-    run: str = "replay"
-    rate: float = 1.0
+    speed: float = 1.0
     loop: bool = False
     start_ns: int = 0
-    duration_ns: int | None = None
-    until_ns: int | None = None
-    paused: bool = False
-    delay_ns: int = 0
+    end_ns: int | None = None
+    step: bool = False
     topics: tuple[str, ...] = ()
-    regex: str | None = None
-    remap: tuple[str, ...] = ()
-    clock_hz: float | None = None
     wait: bool = False
 
 
@@ -51,18 +44,15 @@ class Replay:
         """Choose what to play.
 
         Raises:
-            FleetError: a topic, expression or renaming names nothing, or nothing is left to play.
+            FleetError: a topic names nothing, or nothing is left to play.
         """
         self._tape, self._wishes = tape, options
-        self.keys = Keys(options.run)
+        self.keys = Keys(RUN)
         self.ours = "uuv-fleet" in tape.metadata.get("run", {})  # a journal, with sim time and a prefix of its own
         kinds = {n: channel.metadata.get(KIND, "") for n, channel in tape.channels.items()}
         played = {n: c for n, c in tape.channels.items() if kinds[n] != ATTACHMENT}
-        names = chosen((c.topic for c in played.values()), options.topics, options.regex)
-        rename = Renaming(options.remap)
-        self.key_of = {n: self._key(rename(c.topic)) for n, c in played.items() if c.topic in names}
-        rename.check()
-        self.note = _merged({c.topic: self.key_of[n] for n, c in played.items() if n in self.key_of})
+        names = chosen((c.topic for c in played.values()), options.topics)
+        self.key_of = {n: self._key(c.topic.strip("/")) for n, c in played.items() if c.topic in names}
         self._deletes = {n for n in self.key_of if kinds[n] == DELETE}
         self._attached = ATTACHMENT in kinds.values()
         self._track = track = Track(tape, self.key_of)
@@ -70,10 +60,8 @@ class Replay:
         self.zero_ns = 0 if self.ours else tape.due(0)
         begin = self.zero_ns + options.start_ns
         end = track[len(track) - 1] if len(track) else begin
-        if options.duration_ns is not None:
-            end = min(end, begin + options.duration_ns)
-        if options.until_ns is not None:
-            end = min(end, self.zero_ns + options.until_ns)
+        if options.end_ns is not None:
+            end = min(end, self.zero_ns + options.end_ns)
         first, stop = track.before(begin), track.before(end + 1)
         if first >= stop:
             last = (tape.end_ns - self.zero_ns) / 1e9
@@ -92,7 +80,7 @@ class Replay:
     def _player(self, now: int) -> Player:
         w = self._wishes
         return Player(
-            self._track, self._begin, self._end, rate=w.rate, loop=w.loop, paused=w.paused, now=now,
+            self._track, self._begin, self._end, rate=w.speed, loop=w.loop, paused=w.step, now=now,
             before=self._track.before,
         )  # fmt: skip
 
@@ -122,9 +110,6 @@ class Replay:
                 if channel.schema_id in tape.schemas and UNITS in channel.metadata
             }
             hand_out(bus, self.keys, topics, {schema.name: schema.data for schema in tape.schemas.values()}, units)
-        if self._wishes.clock_hz is not None:
-            key = self.keys.clock if self.ours else "clock"
-            self._clock = bus.publication(key, CLOCK_ENCODING, drop=True)
 
     def unmatched(self) -> list[str]:
         """The keys without a subscriber so far."""
@@ -139,32 +124,21 @@ class Replay:
         if not player.paused:
             now = time.monotonic_ns()
             pace.update(now, player.position(now))  # without a terminal the first line comes after some seconds
-        if self.note:
-            line.print(f"warning: {self.note}")
-        hz = self._wishes.clock_hz
-        beat = None if hz is None else Metronome(hz, time.monotonic_ns())
         while not player.over:
             if away := keyboard.suspended_ns():
                 player.stood_still(away)
                 pace.restart()
             now = time.monotonic_ns()
             self._publish(player.due(now, MOST))
-            if beat is not None and beat.beats(now):
-                self._publish_clock(player.position(now))
             if line.due():
                 line.show(self._describe(now, pace))
             now = time.monotonic_ns()
-            naps = [NAP_S]
-            if (nap := player.wait_ns(now)) is not None:
-                naps.append(nap / 1e9)
-            if beat is not None:
-                naps.append(beat.wait_ns(now) / 1e9)
-            for key in keyboard.read(min(naps) if not player.over else 0.0):
+            wait_ns = player.wait_ns(now)
+            nap_s = NAP_S if wait_ns is None else min(NAP_S, wait_ns / 1e9)
+            for key in keyboard.read(0.0 if player.over else nap_s):
                 self._publish(obey(player, key, time.monotonic_ns()))
                 pace.restart()
                 line.show(self._describe(time.monotonic_ns(), pace))
-        if beat is not None:
-            self._publish_clock(player.position(time.monotonic_ns()))
 
     def _wait(self, line: StatusLine) -> None:
         while self._wishes.wait and (missing := self.unmatched()):
@@ -172,11 +146,6 @@ class Replay:
             if line.due():
                 line.show(f"waiting for a subscriber on {missing[0]}{more}")
             time.sleep(0.02)
-        until = time.monotonic_ns() + self._wishes.delay_ns
-        while (left := until - time.monotonic_ns()) > 0:
-            if line.due():
-                line.show(f"begins in {left / 1e9:.1f} s")
-            time.sleep(min(NAP_S, left / 1e9))
 
     def _publish(self, some: range) -> None:
         for number, entry in self._track.entries(some):
@@ -192,16 +161,11 @@ class Replay:
             self.published += 1
 
     def _attachment(self, number: int, sequence: int) -> bytes | None:
-        """The attachment of a sample of captured traffic: the message before it."""
         if not number or not self._attached:
             return None
         entry = self._tape[number - 1]
         attached = entry.channel.metadata.get(KIND) == ATTACHMENT and entry.sequence == sequence
         return entry.data if attached else None
-
-    def _publish_clock(self, log_ns: int) -> None:
-        stamp = stamp_of(log_ns)
-        self._clock.put(stamp.SerializeToString(), None)
 
     def _describe(self, now: int, pace: MeasuredRate) -> list[Piece]:
         player = self.player
@@ -252,10 +216,22 @@ def obey(player: Player, key: Key, now: int) -> range:
     return range(0)
 
 
-def _merged(key_of: dict[str, str]) -> str:
-    """A sentence about keys that get more than one topic by a renaming; empty if there is none."""
-    topics: dict[str, list[str]] = {}
-    for topic, key in key_of.items():
-        topics.setdefault(key, []).append(topic)
-    merged = [f"{' and '.join(some)} are played on one key, {key}" for key, some in topics.items() if len(some) > 1]
-    return f"{merged[0]}{f', and {len(merged) - 1} more so' if len(merged) > 1 else ''}" if merged else ""
+def chosen(topics: Iterable[str], patterns: Sequence[str]) -> set[str]:
+    """The topics that any of the patterns names; all of them without one.
+
+    Args:
+        patterns: key expressions of zenoh; slashes around them and around topics do not count.
+
+    Raises:
+        FleetError: a pattern names none.
+    """
+    known = sorted(set(topics))
+    names: set[str] = set() if patterns else set(known)
+    for text in patterns:
+        included = matching(text.strip("/"))
+        some = {topic for topic in known if included(topic.strip("/"))}
+        if not some:
+            hint = nearest(text, known) or f"there are {', '.join(known[:8])}{', ...' if len(known) > 8 else ''}"
+            raise FleetError(f'no topic of the log is called "{text}": {hint}')
+        names |= some
+    return names

@@ -185,25 +185,6 @@ class Player:
             self.missed += bisect_left(self._times, before, found.start, found.stop) - found.start
 
 
-class Metronome:
-    """Beats at a frequency of wall time; beats that were slept through are left out."""
-
-    def __init__(self, hz: float, now: int) -> None:
-        self._period = int(1e9 / hz)
-        self._next = now
-
-    def beats(self, now: int) -> bool:
-        """Whether it is time for a beat."""
-        if now < self._next:
-            return False
-        self._next += ((now - self._next) // self._period + 1) * self._period
-        return True
-
-    def wait_ns(self, now: int) -> int:
-        """Wall time until the next beat."""
-        return max(0, self._next - now)
-
-
 class MeasuredRate:
     """Log time per wall time over about the last second."""
 

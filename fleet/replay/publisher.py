@@ -194,7 +194,6 @@ class LivePublisher:
         self._process = None
 
     def _answer(self, limit_s: float | None) -> dict[str, Any]:
-        """The next line that the process prints, if one comes in time."""
         assert self._process is not None
         stdout = _pipe(self._process.stdout)
         if not select.select([stdout], [], [], limit_s)[0]:

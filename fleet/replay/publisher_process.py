@@ -20,12 +20,11 @@ import setproctitle
 
 from fleet.errors import RunBroken
 from fleet.processes.limits import free_port
-from fleet.replay.attachment import Stamp, pack
-from fleet.replay.capture_format import zenoh_encoding
-from fleet.replay.missing import pack_counts
+from fleet.replay.capture import zenoh_encoding
+from fleet.replay.live_journal import pack_counts
 from fleet.replay.observed import Observed, host_observed
 from fleet.replay.publisher import ENTRY, LENGTH
-from fleet.replay.topics import hand_out
+from fleet.replay.topics import Stamp, hand_out, pack
 from netem.errors import BusError
 from netem.wire.keys import Keys
 from netem.wire.session import quiet_zenoh

@@ -13,10 +13,9 @@ from fleet.errors import FleetError
 from fleet.processes.interrupts import HungUp
 from fleet.processes.workers import TIMES, WorkerDied, Workers
 from fleet.reproduce.cases import CASES, Outcome, U, run_case
-from fleet.reproduce.claims import judge
+from fleet.reproduce.claims import Claim, judge
 from fleet.reproduce.figures import FIGURES, draw
 from fleet.reproduce.report import write
-from fleet.reproduce.verdicts import Claim
 from netem.private_folder import PrivateFolder
 
 if TYPE_CHECKING:

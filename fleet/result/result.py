@@ -242,9 +242,7 @@ class Result(Struct, kw_only=True):
     lines: list[str] = []
     from_s: Annotated[float, Meta(description="Time at which it began; 0, or where it goes on from another.")] = 0.0
     sim_s: Annotated[float, Meta(description="Time up to which it was recorded.")] = 0.0
-    verdicts: Annotated[list[Verdict], Meta(description="The verdicts; none if the run did not come to its end.")] = (
-        msgspec.field(default_factory=list, name="checks")
-    )
+    checks: Annotated[list[Verdict], Meta(description="The verdicts; none if the run did not come to its end.")] = []
     vehicles: dict[str, VehicleResult] = {}
     formation: Formation = Formation()
     tumbles: Annotated[list[TumbleSpell], Meta(description="In the order in which they began.")] = []
@@ -282,19 +280,19 @@ class Result(Struct, kw_only=True):
     @property
     def words(self) -> str:
         """How it ended in a few words, the same on every page and picture."""
-        failed = sum(not verdict.passed for verdict in self.verdicts)
+        failed = sum(not verdict.passed for verdict in self.checks)
         if self.passed:
             return "failed as expected" if failed else "passed"
-        return f"{failed} of {len(self.verdicts)} checks failed" if failed else self.status.replace("_", " ")
+        return f"{failed} of {len(self.checks)} checks failed" if failed else self.status.replace("_", " ")
 
     def __repr__(self) -> str:
-        failed = [verdict.check for verdict in self.verdicts if not verdict.passed]
-        said = f"{len(self.verdicts) - len(failed)} of {len(self.verdicts)} checks passed"
+        failed = [verdict.check for verdict in self.checks if not verdict.passed]
+        said = f"{len(self.checks) - len(failed)} of {len(self.checks)} checks passed"
         said = self.reason or said + (f", failed: {', '.join(failed)}" if failed else "")
         return f"<Result of {self._run}: {self.status}; {said}>"
 
     def _repr_html_(self) -> str:
-        rows = [(one.check, "pass" if one.passed else "FAIL", one.asked, one.found) for one in self.verdicts]
+        rows = [(one.check, "pass" if one.passed else "FAIL", one.asked, one.found) for one in self.checks]
         title = f"{self._run}: {self.status}" + (f", {self.reason}" if self.reason else "")
         return html_table(title, ("check", "", "asked", "found"), sorted(rows, key=lambda row: row[1] == "pass"))
 

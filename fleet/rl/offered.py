@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from fleet.errors import FleetError
 from fleet.execution.external_agents import refuse
-from fleet.execution.judged import Changes, loaded
+from fleet.execution.stepped_run import Changes, loaded
 from fleet.logs.dataset import need
 from fleet.quantities import QuantityError, show_time, time_ns
 from fleet.rl.policy_agent import Choices
@@ -58,7 +58,7 @@ def parallel_env(
         ScenarioError: with every mistake that was found.
     """
     need("parallel_env", ("pettingzoo", "gymnasium"), "rl")
-    found = loaded("parallel_env", scenario, set, seed, trust)
+    found = loaded("parallel_env", scenario, set, (), (), seed, trust)
     refuse(found, "an environment")
     numbers = _numbers(found, message)
     if move not in ("velocity", "force"):
@@ -112,7 +112,6 @@ def _insist_on_laws(scenario: Scenario, vehicles: tuple[int, ...], move: str, *,
 
 
 def _every(scenario: Scenario, every: str | None) -> int:
-    """Ticks from one decision to the next."""
     if every is None:
         return scenario.round_ticks
     try:

@@ -27,8 +27,7 @@ from agents.config import AgentConfig
 from agents.laws.velocity_command import clip
 from agents.plugged_agent import MAX_PAYLOAD_BYTES
 from agents.sample import Decision
-from fleet.ros2.axes import frd
-from fleet.ros2.mapping import MessageMaker, base_link
+from fleet.ros2.mapping import MessageMaker, base_link, frd
 from fleet.ros2.node import RosNode
 from fleet.ros2.rmw import LATCHED
 from fleet.ros2.types import OWN

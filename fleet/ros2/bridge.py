@@ -12,8 +12,7 @@ from fleet.errors import FleetError
 from fleet.execution.connection import LiveRun, OpenConnection, RemoteError, ask, find
 from fleet.logs.tape import Tape, Track
 from fleet.replay.capture import PublisherGone
-from fleet.replay.live_journal import LiveJournal
-from fleet.replay.missing import left_out
+from fleet.replay.live_journal import LiveJournal, left_out
 from fleet.replay.playback import MOST, NAP_S, obey
 from fleet.replay.player import Player
 from fleet.replay.topics import ask_topics

@@ -2,20 +2,68 @@
 
 Positions are in `map` (east, north, up), what a vehicle has of its own in its `base_link` (forward, port, up). The
 frames of the log stay in the tree, as `ned` and `uuv-<i>` (forward, starboard, down), so /tf needs no change of axes.
+
+Axes change from ours to those of ROS (REP 103, 105): north, east, down to east, north, up; forward, starboard, down
+to forward, port, up.
+
+| symbol | meaning | unit | frame |
+|---|---|---|---|
+| eta | x, y, z, theta, psi | m, rad | north, east, down |
+| nu | u, v, w, q, r over ground | m/s, rad/s | body: forward, starboard, down |
+| P | covariance of x, y, z, psi: upper triangle, row by row | m^2, m rad, rad^2 | north, east, down |
+
+Both changes of axes are half turns, about the line north-east and about the forward axis. With R = Rz(psi) Ry(theta)
+Rx(phi) from body to north, east, down, the same attitude in the axes of ROS is Rz(pi/2 - psi) Ry(-theta) Rx(phi).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from math import pi
 from typing import Any, NamedTuple
 
 from fleet.logs.topic_names import link_of
-from fleet.recorder.transforms import MAP, NO_TURN, enu
-from fleet.ros2.axes import HALF_TURN_ABOUT_FORWARD, Quaternion, attitude, body, pose_covariance
+from fleet.recorder.transforms import MAP, NO_TURN, enu, quaternion
 from fleet.ros2.rmw import DEFAULT, LATCHED, SENSOR, Qos
 from fleet.ros2.types import RosTypes
 from fleet.scene.primitives import NED, vehicle_frame
 from world.vectors import Vec3
+
+Quaternion = tuple[float, float, float, float]  # x, y, z, w
+HALF_TURN_ABOUT_FORWARD: Quaternion = (1.0, 0.0, 0.0, 0.0)
+
+# Of east, north, up, yaw: which of x, y, z, psi each is, and with which sign.
+_AXES = ((1, 1.0), (0, 1.0), (2, -1.0), (3, -1.0))
+_PLACES = (0, 1, 2, 5)  # of x, y, z and the turn about z in the covariance of a pose in ROS, which has six rows
+
+
+def body(frd: Vec3) -> Vec3:
+    """A vector in the axes forward, starboard, down in those of ROS: forward, port, up."""
+    x, y, z = frd
+    return x, -y, -z
+
+
+frd = body  # a half turn is its own inverse
+
+
+def attitude(theta: float, psi: float, phi: float = 0.0) -> Quaternion:
+    """(x, y, z, w) that turns forward, port, up into east, north, up, by pitch, yaw and roll [rad] in our axes."""
+    return quaternion(-theta, pi / 2 - psi, phi)
+
+
+def pose_covariance(upper: Sequence[float]) -> list[float]:
+    """The 36 values of a `PoseWithCovariance`, of P (10,); roll and pitch have none: they are measured as they are."""
+    P = [[0.0] * 4 for _ in range(4)]
+    values = iter(upper)
+    for i in range(4):
+        for j in range(i, 4):
+            P[i][j] = P[j][i] = next(values)
+    found = [0.0] * 36
+    for row, (i, s) in zip(_PLACES, _AXES, strict=True):
+        for column, (j, t) in zip(_PLACES, _AXES, strict=True):
+            found[6 * row + column] = s * t * P[i][j]
+    return found
+
 
 SURFACE_PA = 101_325.0  # standard atmosphere
 SEA_WATER = 1025.0  # [kg/m^3]

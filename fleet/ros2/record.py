@@ -97,7 +97,6 @@ class BagWriter:
         return entity
 
     def _problem(self, entity: Entity) -> str:
-        """Why a topic cannot be recorded; "": it can."""
         if entity.type not in self._types.store.fielddefs:
             return f"{entity.name}: the type {entity.type} is not known here"
         if entity.hash not in (self._types.hash(entity.type), NO_HASH):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from google.protobuf.message import DecodeError
@@ -10,7 +10,6 @@ from mcap.records import Schema
 
 from fleet.logs.decoder import decoded, known_class
 from fleet.recorder.transforms import MAP
-from fleet.ros2.diagnostics import Diagnostics
 from fleet.ros2.mapping import (
     DIAGNOSTICS,
     OF_FLEET,
@@ -23,9 +22,135 @@ from fleet.ros2.mapping import (
     is_source,
     vehicle_of,
 )
-from fleet.ros2.markers import marker_array
 from fleet.ros2.types import RosTypes
 from fleet.scene.primitives import NED
+
+OK, WARN, ERROR, STALE = 0, 1, 2, 3  # diagnostic_msgs/DiagnosticStatus
+MOST_FAULTS = 10_000  # faults that are kept: a log may come from a stranger
+
+
+class Diagnostics:
+    """The present knowledge of the faults and checks of one run."""
+
+    def __init__(self, maker: MessageMaker) -> None:
+        self._maker = maker
+        self._faults: dict[str, tuple[int, str]] = {}
+        self._checks: list[tuple[int, str, str]] = []
+
+    def fault(self, event: Any) -> None:
+        """Take a message of the topic `faults`."""
+        lasts = event.action == "begins"
+        if lasts and len(self._faults) >= MOST_FAULTS:
+            del self._faults[next(iter(self._faults))]
+        if lasts or event.fault in self._faults:
+            self._faults[event.fault] = (WARN, event.what) if lasts else (OK, f"over: {event.what}")
+
+    def checks(self, rows: Iterable[Mapping[str, Any]]) -> bool:
+        """Take the checks as they stand; whether that is something new.
+
+        Args:
+            rows: each with `check`, `asked`, `found` and `passed`, which is None until it is judged.
+        """
+        new = [_check(row) for row in rows]
+        changed = new != self._checks
+        self._checks = new
+        return changed
+
+    def message(self, ns: int) -> Any:
+        """All of it."""
+        rows = [(level, f"fault {name}", text) for name, (level, text) in self._faults.items()]
+        return self._maker.types.new(
+            "diagnostic_msgs/msg/DiagnosticArray",
+            header=self._maker.header(ns, ""),
+            status=[self._status(*row) for row in (*rows, *self._checks)],
+        )
+
+    def _status(self, level: int, name: str, text: str) -> Any:
+        return self._maker.types.new(
+            "diagnostic_msgs/msg/DiagnosticStatus",
+            level=level, name=f"uuv_fleet: {name}", message=text, hardware_id="uuv-fleet", values=[],
+        )  # fmt: skip
+
+
+def _check(row: Mapping[str, Any]) -> tuple[int, str, str]:
+    passed = row.get("passed")
+    level = STALE if passed is None else OK if passed else ERROR
+    return level, f"check {row.get('check', '')}", f"{row.get('asked', '')}: {row.get('found') or 'not judged yet'}"
+
+
+CUBE, SPHERE, CYLINDER, LINE_STRIP, TEXT = 1, 2, 3, 4, 9  # visualization_msgs/Marker
+LINE_M = 0.15  # a line has its width in pixels, and a marker in metres
+TEXT_M = 1.0
+MOST_MARKERS = 20_000  # markers of one message
+
+
+def marker_array(maker: MessageMaker, ns: int, scene: Any) -> Any:
+    """Markers of a scene at a time [ns]; a link's state is the text of its line.
+
+    Raises:
+        ValueError: the scene has more than is taken.
+    """
+    found = []
+    for marker in _markers(maker, ns, scene):
+        found.append(marker)
+        if len(found) > MOST_MARKERS:
+            raise ValueError(f"a scene of more than {MOST_MARKERS} markers")
+    return maker.types.new("visualization_msgs/msg/MarkerArray", markers=found)
+
+
+def _markers(maker: MessageMaker, ns: int, scene: Any) -> Iterator[Any]:
+    for entity in scene.entities:
+        text = next((pair.value for pair in entity.metadata if pair.key == "state"), "")
+        shapes = [
+            *((LINE_STRIP, line, "", {"points": line.points}) for line in entity.lines),
+            *((CYLINDER, one, "", {}) for one in entity.cylinders),
+            *((SPHERE, one, "", {}) for one in entity.spheres),
+            *((CUBE, one, "", {}) for one in entity.cubes),
+            *((TEXT, one, one.text, {}) for one in entity.texts),
+        ]
+        for number, (kind, shape, own, more) in enumerate(shapes):
+            yield _marker(maker, ns, entity, number, kind, shape, own or text, more)
+
+
+def _marker(
+    maker: MessageMaker, ns: int, entity: Any, number: int, kind: int, shape: Any, text: str, more: dict[str, Any]
+) -> Any:
+    new = maker.types.new
+    size = {LINE_STRIP: (LINE_M, 0.0, 0.0), TEXT: (0.0, 0.0, TEXT_M)}.get(kind)
+    if size is None:
+        size = (shape.size.x, shape.size.y, shape.size.z)
+    colour, place, turn = shape.color, shape.pose.position, shape.pose.orientation
+    turned = (turn.x, turn.y, turn.z, turn.w)
+    points = [new("geometry_msgs/msg/Point", x=p.x, y=p.y, z=p.z) for p in more.get("points", ())]
+    whole: dict[str, Any] = {
+        "header": maker.header(ns, entity.frame_id),
+        "ns": entity.id,
+        "id": number,
+        "type": kind,
+        "action": 0,
+        "pose": maker.pose((place.x, place.y, place.z), turned if any(turned) else (0.0, 0.0, 0.0, 1.0)),
+        "scale": maker.vector(size),
+        "color": new("std_msgs/msg/ColorRGBA", r=colour.r, g=colour.g, b=colour.b, a=colour.a),
+        "lifetime": new("builtin_interfaces/msg/Duration", sec=0, nanosec=0),
+        "frame_locked": entity.frame_locked,
+        "points": points,
+        "colors": [],
+        "text": text,
+        "mesh_resource": "",
+        "mesh_use_embedded_materials": False,
+        "texture_resource": "",
+        "texture": new("sensor_msgs/msg/CompressedImage", header=maker.header(0, ""), format="", data=_no_bytes()),
+        "uv_coordinates": [],
+        "mesh_file": new("visualization_msgs/msg/MeshFile", filename="", data=_no_bytes()),
+    }
+    return new("visualization_msgs/msg/Marker", **whole)
+
+
+def _no_bytes() -> Any:
+    import numpy as np
+
+    return np.empty(0, np.uint8)
+
 
 # What a message must have to be one of ours: a log of a stranger may call anything `nav`.
 _FIELDS = {
@@ -120,7 +245,6 @@ class Translation:
         })  # fmt: skip
 
     def _made(self, i: int, at_ns: int, some: Mapping[str, Callable[[], Any]]) -> list[RosMessage]:
-        """The wanted messages among the possible ones."""
         return [
             RosMessage(f"/uuv_{i}/{name}", _BY_NAME[f"/uuv_{{i}}/{name}"], at_ns, make())
             for name, make in some.items()

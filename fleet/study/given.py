@@ -12,7 +12,7 @@ from math import inf, isfinite
 from typing import Any, Literal, TypedDict, TypeVar
 
 from fleet.errors import printable
-from fleet.execution.judged import override_texts
+from fleet.execution.stepped_run import override_texts
 from fleet.quantities import QuantityError, describe_value, show_time, time_ns
 from fleet.scenario.text.yaml_reader import inline
 from fleet.study.errors import StudyError

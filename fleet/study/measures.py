@@ -107,7 +107,7 @@ def _loss(result: Result) -> float:
 
 
 def _failed(result: Result) -> float:
-    return float(sum(not verdict.passed for verdict in result.verdicts)) if result.verdicts else nan
+    return float(sum(not verdict.passed for verdict in result.checks)) if result.checks else nan
 
 
 # Name, unit, what, the number of one vehicle, joined over vehicles.

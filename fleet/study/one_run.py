@@ -155,7 +155,7 @@ def scenario_of(task: Task) -> Scenario:
 
 def _measured(result: Result, samples: Samples) -> Row:
     checks, numbers = dict[str, CheckRow](), dict[str, float]()
-    for verdict in result.verdicts:
+    for verdict in result.checks:
         name, margin = verdict.check, verdict.margin
         if verdict.reached is not None:
             numbers[PREFIX + name] = float(verdict.reached)

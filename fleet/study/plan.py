@@ -96,12 +96,6 @@ class Plan:
     def __len__(self) -> int:
         return len(self.points) * len(self.seeds)
 
-    def runs(self) -> Iterator[tuple[Point, int]]:
-        """Every run as (point, seed): all points with the first seed, then all with the next."""
-        for seed in self.seeds:
-            for point in self.points:
-                yield point, seed
-
     def _combinations(self) -> Iterator[tuple[AxisValue, ...]]:
         sampled = [axis for axis in self.axes if axis.sampled]
         grid = [axis for axis in self.axes if not axis.sampled]

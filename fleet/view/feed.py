@@ -93,7 +93,7 @@ def checks_judged(log: Path) -> Row | None:
             "at_s": None if one.passed or one.moment is None else one.moment.at_s,
             "signals": list(one.signals),
         }
-        for one in result.verdicts
+        for one in result.checks
     ]
     return {"rows": rows, "final": True, "verdict": {"passed": result.passed, "text": result.words}}
 

@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterable
 
 from fleet.logs.tape import Tape, Track
-from fleet.replay.capture_format import ATTACHMENT, DELETE, KIND
+from fleet.replay.capture import ATTACHMENT, DELETE, KIND
 from fleet.replay.playback import obey
 from fleet.replay.player import SEEK_NS, Player
 from fleet.terminal.keyboard import Key, Keyboard
@@ -100,7 +100,6 @@ class LogBridge:
         self._tell(now)
 
     def _control(self, asked: PlaybackRequest) -> None:
-        """Do what a viewer asks for."""
         now = time.monotonic_ns()
         self._begun = True
         if asked.rate > 0:
@@ -118,7 +117,6 @@ class LogBridge:
             self._jump(now, seek_ns, request=asked.id)
 
     def _obey(self, key: Key) -> None:
-        """Do what a key press asks for."""
         now = time.monotonic_ns()
         self._begun = True
         match key:
@@ -153,7 +151,6 @@ class LogBridge:
             self._tell(now)
 
     def _tell(self, now: int, *, jumped: bool = False, request: str = "") -> None:
-        """Tell viewers how the log is played."""
         player = self._player
         status = "Ended" if self._ended(now) else "Paused" if player.paused else "Playing"
         self.server.state(status, player.position(now), player.rate, jumped=jumped, request=request)

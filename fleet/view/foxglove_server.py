@@ -35,7 +35,7 @@ from foxglove.websocket import (
 )
 
 from fleet.errors import FleetError
-from fleet.view.unanswered import Unanswered
+from fleet.processes.limits import allow_most_open_files
 
 TIME_NS = 16_000_000  # of wall time between two messages with the server's time
 BACKLOG = 20_000  # messages that wait for a client: some ticks of a large fleet
@@ -117,6 +117,7 @@ class FoxgloveServer:
         for number, made in self._channels.items():
             numbers.setdefault(made.id(), []).append(number)
         self._drops = _Drops()
+        allow_most_open_files()  # connections that never ask for anything take one each
         self._server = _started(
             host,
             [PORT, 0] if port is None else [port],
@@ -129,7 +130,6 @@ class FoxgloveServer:
             playback_time_range=range_ns,
             message_backlog_size=BACKLOG,
         )
-        self._unanswered = Unanswered(self._server.port)
         self.endpoint = f"ws://{f'[{host}]' if ':' in host else host}:{self._server.port}"
 
     @property
@@ -144,7 +144,6 @@ class FoxgloveServer:
 
     def events(self, timeout_s: float) -> list[Subscription | PlaybackRequest]:
         """The requests of clients since the last call; waits for the first one up to a time."""
-        self._unanswered.close_some()
         found: list[Subscription | PlaybackRequest] = []
         try:
             found.append(self._events.get(timeout=timeout_s) if timeout_s > 0 else self._events.get_nowait())

@@ -13,8 +13,7 @@ from typing import Any
 from fleet.execution.connection import LiveRun, OpenConnection, RemoteError, find, is_live
 from fleet.execution.directory import SCENARIO, in_use
 from fleet.logs.topic_names import BELIEFS, link_of
-from fleet.replay.live_journal import LiveJournal
-from fleet.replay.missing import Missing, left_out
+from fleet.replay.live_journal import LiveJournal, Missing, left_out
 from fleet.replay.player import MeasuredRate
 from fleet.replay.topics import ask_scenario, ask_topics
 from fleet.result.file import RESULT

@@ -3,26 +3,276 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
-from math import cos, floor, log10, sin
+from collections.abc import Mapping, Sequence
+from math import cos, floor, log10, pi, sin
 from typing import Any, NamedTuple
 
 import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection, PatchCollection, PolyCollection
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Ellipse
 
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
+from fleet.pictures.shades import union
 from fleet.pictures.style import LABEL_PT, LEGEND_PT, TEXT_PT, THIN
 from fleet.scenario.sections.vehicle_events import vehicle_events
-from fleet.scene.model import LEAST_FLIGHT_S, MOST_FLIGHT_S, STOPS, TRAIL_S
-from fleet.scene.primitives import NED, REFERENCE, points_of, vehicle_frame
+from fleet.scene.model import LEAST_FLIGHT_S, MOST_FLIGHT_S, STOPS, TRAIL_S, LegendRow
+from fleet.scene.primitives import (
+    NED,
+    REFERENCE,
+    AreaShape,
+    CircleShape,
+    CrossShape,
+    CylinderShape,
+    FramePoint,
+    LineShape,
+    Primitive,
+    points_of,
+    vehicle_frame,
+)
 from fleet.scene.styles import CUT, FAULT, NO_AGENT, PACKET, PRINT, LinkState
-from fleet.view.movie_camera import SCENE_PT, Camera
-from fleet.view.movie_canvas import TURNS, Canvas, hull, lane, sample, tip
-from fleet.view.movie_chart import MovieChart
 from fleet.view.view_state import SAMPLE_S, Row, ViewState
+
+SCENE_PT = (432.0, 226.0)  # width and height of what is seen of the fleet
+MIDDLE_PT = (216.0, 101.0)  # where its middle is: above it stand three lines of text, below it the legend
+REACH_PT = 86.0  # from there to the edge of what is to be seen
+
+
+class Camera:
+    """Follows the fleet, and projects places [m, north-east-down] to points of the scene, and their depth of view."""
+
+    def __init__(self, *, above: bool) -> None:
+        self.above = above
+        self._azimuth, self._elevation = (0.0, pi / 2) if above else (-0.6, 0.5)
+        self.centre = np.zeros(3)
+        self.radius = 0.0  # of what is to be seen [m]; 0: nothing yet
+
+    def follow(self, points: Array) -> None:
+        """Bring points into sight: what is in sight grows and shrinks smoothly, but after a jump."""
+        low, high = points.min(axis=0), points.max(axis=0)
+        centre, radius = (low + high) / 2, max(2.0, float(np.linalg.norm(high - low)) / 2)
+        far = float(np.linalg.norm(centre - self.centre)) > 3 * self.radius
+        self.centre = centre
+        self.radius = radius if far else self.radius + 0.25 * (radius - self.radius)
+
+    @property
+    def scale(self) -> float:
+        """Points per m."""
+        return REACH_PT / self.radius
+
+    def project(self, places: Any) -> Array:
+        """Places (n, 3) as points right, up and away from the eye (n, 3)."""
+        north, east, down = (np.asarray(places, float).reshape(-1, 3) - self.centre).T
+        ca, sa, ce, se = cos(self._azimuth), sin(self._azimuth), cos(self._elevation), sin(self._elevation)
+        away = ca * north - sa * east
+        points = np.column_stack([ca * east + sa * north, away * se - down * ce, away * ce + down * se])
+        return points * self.scale + (*MIDDLE_PT, 0.0)
+
+
+TURNS = np.linspace(0.0, 2.0 * np.pi, 37)
+OUTLINE = np.array([(0.0, 0.3), (0.1, 0.65), (0.25, 1.0), (0.75, 1.0), (0.92, 0.7), (1.0, 0.0)])  # along, half width
+
+
+class Canvas:
+    """Draws on axes that count in points."""
+
+    def __init__(self, axes: Axes, camera: Camera, size: float) -> None:
+        """`size`: of what is drawn of each vehicle, 1 where there is room."""
+        self._axes, self._camera, self.size = axes, camera, size
+        self._drawn: list[Artist] = []
+
+    def clear(self) -> None:
+        """Remove what was drawn."""
+        for artist in self._drawn:
+            artist.remove()
+        self._drawn = []
+
+    def _add(self, artist: Artist) -> None:
+        self._axes.add_artist(artist)
+        self._drawn.append(artist)
+
+    def lines(self, parts: Sequence[Any], order: float, colours: Any, widths: Any, **style: Any) -> None:
+        """Polylines (n, 2 or 3); the first two columns count."""
+        segments = [np.asarray(part)[:, :2] for part in parts]
+        self._add(LineCollection(segments, colors=colours, linewidths=widths, zorder=order, **style))
+
+    def polygons(self, parts: Sequence[Any], order: float, **style: Any) -> None:
+        """Filled outlines (n, 2)."""
+        self._add(PolyCollection(parts, zorder=order, **style))
+
+    def discs(self, points: Sequence[Array], size: float, order: float, **style: Any) -> None:
+        """Circles around points, so wide."""
+        circles = [Ellipse((float(x), float(y)), size, size) for x, y in points]
+        self._add(PatchCollection(circles, zorder=order, **style))
+
+    def crosses(self, points: Sequence[Array], size: float, colour: str) -> None:
+        """Where something does not get through."""
+        turns = np.array([[(-1, -1), (1, 1)], [(-1, 1), (1, -1)]]) * size
+        self.lines([point + turn for point in points for turn in turns], 4.0, colour, 1.8)
+
+    def text(self, x: float, y: float, text: str, **style: Any) -> None:
+        """Words, which never are mathematics."""
+        self._drawn.append(self._axes.text(x, y, text, clip_on=True, parse_math=False, **style))
+
+    def paint(self, thing: Primitive, frames: Mapping[str, Array], deep: float) -> None:
+        """Paint a primitive.
+
+        Args:
+            frames: where they are [m, NED].
+            deep: where the floor is [m].
+        """
+        colour = PRINT.colour(thing.colour)
+        match thing:
+            case CylinderShape():
+                self._cylinder(thing, colour, deep)
+            case CircleShape(at=at):
+                style = {"facecolor": "none", "edgecolor": colour, "linewidth": 0.9, "linestyle": "--"}
+                self.discs([self._point(at, frames)], 10.0 * self.size, 2.0, **style)
+            case CrossShape(at=at):
+                x, y = self._point(at, frames)
+                self.lines([[(x - 4, y), (x + 4, y)], [(x, y - 4), (x, y + 4)]], 2.0, colour, 1.0)
+            case AreaShape(points=points) if all(point.frame in frames for point in points):
+                corners = np.array([self._point(point, frames) for point in points])
+                style = {"facecolor": to_rgba(colour, 0.13), "edgecolor": to_rgba(colour, 0.7), "linewidth": THIN}
+                self.polygons([corners], 1.4, **style)
+            case LineShape(points=points) if all(point.frame in frames for point in points):
+                places = np.array([self._point(point, frames) for point in points])
+                self.lines([places], 1.5, [(colour, 0.5)], THIN, linestyle="--")
+
+    def _point(self, point: FramePoint, frames: Mapping[str, Array]) -> Array:
+        return self._camera.project(frames[point.frame] + point[1:])[0, :2]
+
+    def _cylinder(self, thing: CylinderShape, colour: str, deep: float) -> None:
+        """Its circles on the floor and above, and the sides between."""
+        top = max(0.0, self._camera.centre[2] - 1.5 * self._camera.radius)
+        across = thing.north + thing.radius * np.cos(TURNS), thing.east + thing.radius * np.sin(TURNS)
+        low, high = (self._camera.project(np.column_stack([*across, np.full_like(TURNS, z)])) for z in (deep, top))
+        sides = [np.vstack([low[k : k + 2], high[[k + 1, k]]])[:, :2] for k in range(len(TURNS) - 1)]
+        self.polygons(sides, -0.5, facecolor=colour, alpha=0.06)
+        ends = [low[:, :2], high[:, :2]]
+        self.polygons(ends, -0.5, facecolor=to_rgba(colour, 0.15), edgecolor=colour, linewidth=THIN)
+
+
+def sample(row: LegendRow) -> Line2D:
+    """The sample picture in a row of the legend."""
+    if row.sign == "link":
+        colour, width, dash = PRINT.links[LinkState(row.word)]
+        return Line2D([], [], color=colour, linewidth=width, linestyle=(0, dash) if dash else "-", label=row.name)
+    styles: dict[str, dict[str, Any]] = {
+        "packet": {"marker": "o", "markersize": 3, "linestyle": "", "color": PRINT.colour(row.word)},
+        "circle": {"marker": "o", "markersize": 7, "linestyle": "", "fillstyle": "none", "color": "0.3"},
+        "cylinder": {"marker": "o", "markersize": 7, "linestyle": "", "color": "0.8"},
+        "area": {"marker": "P", "markersize": 4, "linestyle": "", "color": PRINT.colour(row.word)},
+        "line": {"linestyle": "--", "linewidth": THIN, "color": PRINT.colour(row.word), "alpha": 0.5},
+    }
+    return Line2D([], [], label=row.name, **styles[row.sign])
+
+
+def hull(tail: Array, nose: Array, half: float) -> Array:
+    """The outline of a torpedo between two points."""
+    along = nose - tail
+    aside = np.array([-along[1], along[0]]) / (np.linalg.norm(along) or 1.0) * half
+    sides = [tail + share * along + sign * wide * aside for sign in (1, -1) for share, wide in OUTLINE[::sign]]
+    return np.array(sides)
+
+
+def lane(ends: Array, short: float, aside: float) -> Array:
+    """The ends of a link, short of the hulls, and beside the lane of the other direction."""
+    along = ends[1] - ends[0]
+    length = float(np.linalg.norm(along)) or 1.0
+    along = along / length
+    keep = min(short, 0.4 * length)
+    return np.array([ends[0] + keep * along, ends[1] - keep * along]) + aside * np.array([along[1], -along[0]])
+
+
+def tip(begin: Array, end: Array, size: float) -> Array:
+    """The head of an arrow."""
+    along = (end - begin) / (np.linalg.norm(end - begin) or 1.0)
+    aside = np.array([-along[1], along[0]])
+    return np.array([end, end - size * (along + 0.4 * aside), end - size * (along - 0.4 * aside)])
+
+
+MOST_SIGNALS = 2  # that have a chart of their own
+LEFT, RIGHT, BOTTOM, HEIGHT, GAP = 0.06, 0.97, 0.095, 0.15, 0.06  # shares of the figure
+
+
+class MovieChart:
+    """Draws what is known so far, one line per vehicle."""
+
+    def __init__(
+        self,
+        figure: Figure,
+        window: tuple[float, float],
+        vehicles: int,
+        faults: Sequence[Row],
+        signals: Mapping[str, tuple[str, Mapping[int, str]]],
+    ) -> None:
+        """Draw what stays.
+
+        Args:
+            figure: to draw in.
+            window: of the movie [s of simulated time].
+            vehicles: their number.
+            faults: rows with from_s and to_s.
+            signals: by their name for all vehicles: the unit, and the names by vehicle.
+        """
+        shown = dict(list(signals.items())[:MOST_SIGNALS])
+        self._names = {
+            name: (each, k) for k, (_, names) in enumerate(shown.values(), 1) for each, name in names.items()
+        }
+        self._whole = [False] + [True] * len(shown)  # whether all values so far are whole numbers: then they are steps
+        labels = [
+            "error [m]",
+            *(f"{name}{'' if unit in ('', '1') else f' [{unit}]'}" for name, (unit, _) in shown.items()),
+        ]
+        width = (RIGHT - LEFT - GAP * len(shown)) / len(labels)
+        self._axes: list[Axes] = []
+        for k, label in enumerate(labels):
+            ax = figure.add_axes((LEFT + k * (width + GAP), BOTTOM, width, HEIGHT))
+            ax.set(xlim=window, xlabel="time [s]")
+            # Above: beside the axis there is no room for the name of a signal.
+            ax.set_title(label, loc="left", pad=2.0, size=LABEL_PT, parse_math=False)
+            for begin, end in union([(row["from_s"], row["to_s"]) for row in faults]):
+                ax.axvspan(begin, end, color="0.88", linewidth=0)
+            self._axes.append(ax)
+        self._lines = [
+            [ax.plot([], [], color=PRINT.vehicle(i), linewidth=1.2)[0] for i in range(1, vehicles + 1)]
+            for ax in self._axes
+        ]
+        self._values: list[list[tuple[list[float], list[float]]]] = [
+            [([], []) for _ in range(vehicles)] for _ in self._axes
+        ]
+        self._now = [ax.axvline(window[0], color="0.3", linewidth=THIN) for ax in self._axes]
+
+    def draw(self, frame: Row) -> None:
+        """Draw up to a frame."""
+        for (times, values), error in zip(self._values[0], frame["errors"], strict=True):
+            times.append(frame["t"])
+            values.append(np.nan if error is None else error)
+        for name, points in frame.get("signals", {}).items():
+            if name in self._names:
+                i, k = self._names[name]
+                times, values = self._values[k][i - 1]
+                times += [t for t, _ in points]
+                values += [value for _, value in points]
+                self._whole[k] &= all(float(value).is_integer() for _, value in points)
+        for k, (ax, lines) in enumerate(zip(self._axes, self._lines, strict=True)):
+            for line, (times, values) in zip(lines, self._values[k], strict=True):
+                line.set_data(times, values)
+                line.set_drawstyle("steps-post" if self._whole[k] else "default")
+            known = [value for _, values in self._values[k] for value in values if np.isfinite(value)]
+            low, high = (0.0, 0.1) if k == 0 else (min(known, default=0.0), max(known, default=1.0))
+            high = max(high, *known) if known else high
+            margin = 0.08 * (high - low) or 0.5
+            ax.set_ylim(0.0 if k == 0 else low - margin, high + margin)
+            self._now[k].set_xdata([frame["t"], frame["t"]])
+
 
 WIDTH_IN, HEIGHT_IN = 6.0, 4.5
 APART_S = 0.3  # of the movie, between two packets of a link that are shown
@@ -80,7 +330,6 @@ class MovieScene:
         )
 
     def _make_scene(self) -> None:
-        """The axes of the scene, in points, and its legend."""
         axes = self.figure.add_axes((0.0, 0.28, 1.0, SCENE_PT[1] / 72.0 / HEIGHT_IN))
         axes.set(xlim=(0.0, SCENE_PT[0]), ylim=(0.0, SCENE_PT[1]))
         axes.set_axis_off()
@@ -91,7 +340,6 @@ class MovieScene:
         self._canvas = Canvas(axes, self._camera, size)
 
     def _make_texts(self, verdict: Row | None) -> None:
-        """The text above the scene: name, verdict, time, faults and events."""
         name, fault = _short(self._setup["scenario"], 50), PRINT.colour(FAULT)
         self.figure.text(0.02, 0.95, name, size=TEXT_PT + 2, weight="bold", parse_math=False)
         if verdict is not None:

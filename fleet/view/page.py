@@ -6,7 +6,7 @@ import asyncio
 import shlex
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -16,14 +16,177 @@ from nicegui.events import GenericEventArguments
 
 from fleet.errors import FleetError
 from fleet.execution.directory import in_use
+from fleet.execution.operator import checked_fault
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.text.fault_words import read_fault
 from fleet.scene.styles import PAGE
-from fleet.view import words
 from fleet.view.chart_signals import commands_of
 from fleet.view.feed import checks_asked, checks_judged
-from fleet.view.forms import FaultForm
 from fleet.view.live_feed import LiveFeed
 from fleet.view.log_feed import LogFeed
 from fleet.view.view_state import Row
+
+_BY_DEFAULT = {
+    "link": {"cut": "down {0}", "delay": "link {0} delay 500ms", "lose": "link {0} loss 30%",
+             "both": "link {0} delay 500ms 100ms loss 30%"},
+    "vehicle": {"kill": "kill {0}", "pause": "pause {0}", "mute": "mute {0}", "deaf": "deaf {0}",
+                "freeze sensors": "freeze {0}", "weaken": "efficiency vehicles={0} surge=50%"},
+    "fleet": {"halves": "partition halves", "one": "partition one", "majority": "partition majority",
+              "ring": "partition ring", "bridge": "partition bridge", "current": "current 0.2 0 0 m/s",
+              "gust": "gust velocity=0 0.5 0 m/s over=10s"},
+}  # fmt: skip
+
+
+def suggestions(kind: str, target: str) -> dict[str, str]:
+    """Faults of a link (`1->2`, `1<->2`), a vehicle or the fleet, as words, by what to call them."""
+    return {name: words.format(target) for name, words in _BY_DEFAULT[kind].items()}
+
+
+def entry(words: str, lasts: str, scenario: Scenario, tick: int) -> dict[str, Any]:
+    """The fault that words describe, checked by the rules of scenarios as if it began at a tick.
+
+    Args:
+        lasts: how long, as `10s`; empty: until healed.
+
+    Raises:
+        FleetError: it is none, or not for this scenario; the text says what is wrong.
+    """
+    found = read_fault(words)
+    if lasts.strip():
+        if "for" in found:
+            raise FleetError(f"the fault says for {found['for']} already")
+        found["for"] = lasts.strip()
+    checked_fault(found, tick, scenario)
+    return found
+
+
+def inject(words: str, lasts: str, run: str) -> str:
+    """The command that injects a fault."""
+    more = ["--for", lasts.strip()] if lasts.strip() else []
+    options, fault = [*more, "--run", run], words.split()
+    if any(word.startswith("-") for word in fault):  # a number below zero is no option
+        return shlex.join(["fleet", "inject", *options, "--", *fault])
+    return shlex.join(["fleet", "inject", *fault, *options])
+
+
+def heal(name: str | None, run: str) -> str:
+    """The command that heals a fault, or all."""
+    return shlex.join(["fleet", "heal", *([name] if name else []), "--run", run])
+
+
+def clock(do: str, value: float | None, run: str) -> str:
+    """The command that holds, steps or paces a run."""
+    number = "max" if do == "speed" and value is None else "" if value is None else f"{value:g}"
+    return shlex.join(["fleet", "clock", do, *([number] if number else []), "--run", run])
+
+
+def partition(groups: list[list[int]]) -> str:
+    """The words that cut the fleet into groups."""
+    return f"partition {' / '.join(','.join(map(str, group)) for group in groups)}"
+
+
+Do = Callable[..., Awaitable[Row]]  # a command, the operation and its fields: what the console answers
+
+
+class FaultForm:
+    """A dialog for one fault, of a link, a vehicle or the fleet."""
+
+    def __init__(self, feed: LiveFeed, do: Do) -> None:
+        self._feed, self._do = feed, do
+        self._entry: dict[str, Any] | None = None
+        with (
+            ui.dialog().props('aria-label="A fault"').classes("fleet-dialog") as self._dialog,
+            ui.card().classes("fleet-form"),
+        ):
+            self._title = ui.label().classes("fleet-form-title")
+            self._choices = ui.row().classes("fleet-form-choices")
+            self._words = ui.input("Fault, in the words of fleet inject", on_change=self._check).props("autofocus")
+            self._lasts = ui.input("For how long", placeholder="until healed", on_change=self._check)
+            self._problem = ui.label().classes("fleet-form-problem").props("role=alert")
+            with ui.row().classes("fleet-form-command"):
+                self._command = ui.label()
+                ui.button(icon="content_copy", on_click=lambda: ui.clipboard.write(self._command.text)).props(
+                    'flat dense aria-label="Copy the command"'
+                )
+            with ui.row().classes("fleet-form-buttons"):
+                ui.button("Cancel", on_click=self._dialog.close).props("flat")
+                self._inject = ui.button("Inject", on_click=self._go).classes("fleet-main-button")
+            self._dialog.on("show", lambda: self._words.run_method("select"))  # what is typed takes its place
+            self._words.on("keydown.enter", self._go)
+            self._lasts.on("keydown.enter", self._go)
+
+    def open(self, kind: str, said: Row) -> None:
+        """Show it for what was clicked."""
+        offered: dict[str, str] = {}
+        match kind:
+            case "link":
+                src, dst = int(said["src"]), int(said["dst"])
+                offered = suggestions("link", f"{src}->{dst}")
+                both = (dst, src) in self._feed.scenario.graph.links
+                if both:
+                    offered["cut both ways"] = f"down {src}<->{dst}"
+                title = f"Link from vehicle {src} to vehicle {dst}"
+            case "vehicle":
+                offered = suggestions("vehicle", str(int(said["i"])))
+                title = f"Vehicle {int(said['i'])}"
+            case "partition":
+                groups = [[int(i) for i in group] for group in said["groups"]]
+                offered = {"partition": partition(groups)}
+                title = "Cut the network in two"
+            case _:
+                offered = suggestions("fleet", "")
+                title = "Disturb the fleet"
+        self._title.text = title
+        self._choices.clear()
+        with self._choices:
+            for name, text in offered.items():
+                ui.button(name, on_click=lambda _, text=text: self._words.set_value(text)).props(
+                    "outline dense no-caps"
+                )
+        self._lasts.value = ""
+        self._words.value = next(iter(offered.values()))
+        self._check()
+        self._dialog.props(f"position={_away(said.get('at'))}")
+        self._dialog.open()
+
+    def _check(self) -> None:
+        feed = self._feed
+        text, lasts = self._words.value or "", self._lasts.value or ""
+        tick = min(int(feed.picture.at_s * 1e9) // feed.scenario.tick_ns, feed.scenario.ticks - 1)
+        try:
+            self._entry = entry(text, lasts, feed.scenario, tick)
+            problem = ""
+        except FleetError as error:
+            self._entry, problem = None, str(error)
+        self._problem.text = problem
+        self._inject.set_enabled(self._entry is not None)
+        self._command.text = inject(text, lasts, feed.name)
+
+    async def _go(self) -> None:
+        entry, self._entry = self._entry, None  # once, however often the key is pressed
+        if entry is None:
+            return
+        try:
+            answer = await self._do(self._command.text, "inject", fault=entry)
+        except FleetError as error:
+            self._entry = entry
+            self._problem.text = str(error)
+            return
+        self._dialog.close()
+        ui.notify(f"{answer['id']}: {answer['what']}, from t = {answer['from_s']:.2f} s", type="positive")
+
+
+def _away(at: Any) -> str:
+    """At which side of the window a dialog hides least of what was clicked.
+
+    Args:
+        at: where that was, as shares of the window from the left and from the top, and whether the window is narrow.
+    """
+    match at:
+        case [float() | int() as x, float() | int() as y, narrow]:
+            return ("top" if y > 0.5 else "bottom") if narrow else ("left" if x > 0.5 else "right")
+    return "standard"
+
 
 PERIOD_S = 0.05  # between two pictures
 LOOK_S = 1.0  # between two questions to the console
@@ -100,7 +263,6 @@ class Page:
             viewer.give(changes)
 
     async def _show(self) -> None:
-        """Give every browser each picture, for ever."""
         loop = asyncio.get_running_loop()
         due = loop.time()
         while True:
@@ -121,7 +283,6 @@ class Page:
                     viewer.show(frame)
 
     async def _look(self) -> None:
-        """Ask the console how it is doing, again and again, until the run is over."""
         assert isinstance(self.feed, LiveFeed)
         over, told = False, self.feed.checks
         while not over:
@@ -214,7 +375,6 @@ class Viewer:
         self.element.give({"frame": frame | {"n": self._sent, "slow": now < self._slow_until}})
 
     async def _said(self, said: Row) -> None:
-        """Take an action of a user in the browser."""
         try:
             await self._do(said)
         except FleetError as error:
@@ -248,11 +408,11 @@ class Viewer:
                     self._form.open(kind, said)
             case "heal":
                 name = said.get("id")
-                answer = await page.do(words.heal(name, feed.name), "heal", id=name)
+                answer = await page.do(heal(name, feed.name), "heal", id=name)
                 self._tell(f"healed {', '.join(answer['healed']) or 'nothing'} at t = {answer['at_s']:.2f} s")
             case "clock":
                 do, value = str(said["how"]), said.get("value")
-                await page.do(words.clock(do, value, feed.name), "clock", do=do, value=value)
+                await page.do(clock(do, value, feed.name), "clock", do=do, value=value)
             case "script":
                 await self._download()
             case _ if isinstance(feed, LogFeed):
@@ -275,7 +435,6 @@ class Viewer:
         self.give({"history": self._page.feed.picture.history()})
 
     def _play(self, feed: LogFeed, said: Row) -> None:
-        """Take an action on the time line of a log."""
         at_s: float | None = None
         match said.get("do"):
             case "toggle":
@@ -298,7 +457,6 @@ class Viewer:
         self._page.new = True
 
     async def _download(self) -> None:
-        """The run so far as a scenario."""
         from fleet.repeat.recorded_run import script
 
         page, feed = self._page, self._page.feed

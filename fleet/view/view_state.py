@@ -323,7 +323,6 @@ class ViewState:
         return sorted(rows, key=lambda row: (-row[1], row[0]))
 
     def _states(self) -> dict[int, str]:
-        """Vehicles that are not as they should be: what they are."""
         found: dict[int, list[str]] = {}
         for row in (*self._faults, *self._events.values()):
             kind, _, rest = row["what"].partition(" ")
@@ -366,7 +365,6 @@ def _rounded(values: Iterable[float]) -> list[float]:
 
 
 def _worst(errors: Sequence[float | None]) -> list[int]:
-    """The vehicles that are farthest off their places."""
     known = [(-error, i) for i, error in enumerate(errors, start=1) if error is not None]
     return [i for _, i in sorted(known)[:WORST]]
 

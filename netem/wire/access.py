@@ -122,7 +122,6 @@ def access_control(
 
 
 def _alone(vehicles: Sequence[int], hosts: Members) -> list[int]:
-    """The vehicles whose agents have a login of their own."""
     hosted = {i for members in hosts for i in members}
     return [i for i in vehicles if i not in hosted]
 
@@ -138,9 +137,9 @@ def certificate_control(keys: Keys, vehicles: tuple[int, ...]) -> dict[str, Any]
 
 
 def observer_control(keys: Keys) -> dict[str, Any]:
-    """The list for the router of a published run or of a replay: the observer may listen to the journal and to the
-    clock and ask for topics, schemas, units and the scenario, and put nothing."""
-    heard = [keys.log("**"), keys.log_end, keys.clock]
+    """The list for the router of a published run: the observer may listen to the journal, ask for topics, schemas,
+    units and the scenario, and put nothing."""
+    heard = [keys.log("**"), keys.log_end]
     asked = [keys.topics, keys.schema("**"), keys.units, keys.scenario]
     listed = _List()
     listed.allow(
@@ -252,7 +251,6 @@ class _List:
         self._subjects: list[dict[str, Any]] = []
 
     def allow(self, role: str, subject: dict[str, Any], *grants: Grant) -> None:
-        """Let the sessions that have everything that `subject` names do what `grants` say."""
         names = [f"{self._prefix}{role}:{number}" for number in range(len(grants))]
         for name, (flow, messages, key_exprs) in zip(names, grants, strict=True):
             self._rules.append(

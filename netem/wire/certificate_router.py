@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from secrets import randbits
 
 import zenoh
 
@@ -20,15 +19,10 @@ from netem.wire.keys import Keys
 from netem.wire.session import UNIVERSAL, listening, open_session, reason, router_settings, server_tls
 
 
-def new_session_id() -> str:
-    """A random id for a zenoh session: 128 bits as hexadecimal digits. Zenoh allows no 0 as the first digit."""
-    return f"{1 << 127 | randbits(127):x}"
-
-
 class CertificateRouter:
     """Listens with mutual TLS, and passes messages between the agents of `listener.certified` and the run's router."""
 
-    def __init__(self, run: Bus, keys: Keys, vehicles: tuple[int, ...], listener: Listener, session_id: str) -> None:
+    def __init__(self, run: Bus, keys: Keys, vehicles: tuple[int, ...], listener: Listener) -> None:
         """Open the router.
 
         Args:
@@ -36,7 +30,6 @@ class CertificateRouter:
             keys: the keys of the run.
             vehicles: all vehicle numbers. An agent may join here if its role is in `listener.certified`.
             listener: the endpoints, with the certificates.
-            session_id: id of the router's session, see `new_session_id`.
 
         Raises:
             BusError: an endpoint is in use, or this process may not listen on it.
@@ -45,7 +38,6 @@ class CertificateRouter:
         settings = {
             **router_settings(len(agents), listener.lease_ms),
             **UNIVERSAL,
-            "id": session_id,
             **listening([*listener.endpoints]),
             **server_tls(listener, mutual=True),  # also where no vehicle is external
             "access_control": certificate_control(keys, agents),
@@ -60,10 +52,6 @@ class CertificateRouter:
         for i in agents:
             self._connect(i)
         run.keep(self)
-
-    def watch_ends(self, handler: Callable[[str], None]) -> None:
-        """Call `handler(zenoh id)` on a zenoh thread when the link to an agent has ended."""
-        self._bus.watch_ends(handler)
 
     def close(self) -> None:
         """Close the router; waits as `Bus.close` does."""

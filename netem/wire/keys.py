@@ -118,11 +118,6 @@ class Keys:
         """Put once by the publisher of a live run, after the last message: how many messages each topic had."""
         return f"fleet/{self.run}/log-end"
 
-    @property
-    def clock(self) -> str:
-        """The present time of a replay, for programs that use it as their clock."""
-        return f"fleet/{self.run}/clock"
-
 
 def tail(key: str) -> str:
     """The last two parts of a key: `tx/3` of `fleet/{run}/tx/3`, but `{run}/links` of `fleet/{run}/links`."""

@@ -600,7 +600,7 @@ def test_templates_run(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     *_, path = shlex.split(written.stdout)  # the command that it tells to type
     s = load_scenario(path, ["log.every=100 ticks"])
     result = run(s, tmp_path)
-    assert result.status is Status.PASS, (result.reason, result.verdicts)
+    assert result.status is Status.PASS, (result.reason, result.checks)
     assert metadata_of(result)["resumable"] == "yes"
 
 
@@ -720,7 +720,7 @@ def test_the_worked_example_against_nboc(tmp_path: Path) -> None:
     rows = {}
     for label, choice in (("leader-follower", []), ("NBOC", ["controller=nboc"])):
         result = run(load_scenario(EXAMPLE, [*choice, "log.every=5 ticks"]), tmp_path)
-        assert result.status is Status.PASS, result.verdicts
+        assert result.status is Status.PASS, result.checks
         rows[label] = list(result.values["vehicles"].values())
         assert all(row["formation_final_m"] < 0.1 for row in rows[label])
     page = (ROOT / "docs" / "guide" / "plugins.md").read_text("utf-8")

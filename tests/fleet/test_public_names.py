@@ -32,7 +32,7 @@ def verdict(name: str, *, passed: bool) -> Verdict:
 
 def test_a_result_in_a_line_and_as_a_table() -> None:
     result = Result(scenario="ring", seed=7, status=Status.CHECK_FAILED)
-    result.verdicts = [verdict("deaths", passed=True), verdict("formation_error", passed=False)]
+    result.checks = [verdict("deaths", passed=True), verdict("formation_error", passed=False)]
     assert repr(result) == "<Result of ring with seed 7: check_failed; 1 of 2 checks passed, failed: formation_error>"
     table = result._repr_html_()
     assert table.index("formation_error") < table.index("deaths")  # what failed comes first

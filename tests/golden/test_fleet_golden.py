@@ -85,7 +85,7 @@ def test_in_process_run_follows_the_reference_trajectory(name: str, tmp_path: Pa
     if name != QUICK:
         overrides = [*overrides, "duration=20 s", "checks={}"]
     result = execute(load_scenario(scenario, [EVERY, *overrides]), Options(tmp_path, in_process=True, quiet=True))
-    assert result.status is Status.PASS, result.verdicts
+    assert result.status is Status.PASS, result.checks
     compare(result.directory / "run.mcap", name)
 
 
@@ -93,5 +93,5 @@ def test_in_process_run_follows_the_reference_trajectory(name: str, tmp_path: Pa
 def test_distributed_run_follows_the_reference_trajectory(tmp_path: Path) -> None:
     """One is enough: `test_determinism` shows that distributed and in-process logs are the same bytes."""
     result = execute(load_scenario("paper-disturbed", [EVERY]), Options(tmp_path, quiet=True))
-    assert result.status is Status.PASS, (result.reason, result.lines, result.verdicts)
+    assert result.status is Status.PASS, (result.reason, result.lines, result.checks)
     compare(result.directory / "run.mcap", "net_10Hz_dr_disturbed")

@@ -67,7 +67,7 @@ LONGEST = (
 def test_a_scenario_keeps_its_promise(name: str, tmp_path: Path) -> None:
     thin = load_scenario(name, ["log.every=50 ticks", "log.snapshot=0 s"])
     result = execute(thin, Options(tmp_path, in_process=True, quiet=True))
-    assert result.status is Status.PASS, (result.reason, result.lines, result.verdicts)
+    assert result.status is Status.PASS, (result.reason, result.lines, result.checks)
 
 
 @pytest.mark.parametrize(
@@ -88,7 +88,7 @@ def test_distributed_is_in_process(name: str, seconds: int, tmp_path: Path) -> N
     )
     alone, fleet = (execute(scenario, Options(tmp_path, in_process=flag, quiet=True)) for flag in (True, False))
     for result in (alone, fleet):
-        assert result.status is Status.PASS, (result.reason, result.lines, result.verdicts)
+        assert result.status is Status.PASS, (result.reason, result.lines, result.checks)
     assert (alone.directory / "run.mcap").read_bytes() == (fleet.directory / "run.mcap").read_bytes()
     assert fleet.values["deaths"] == {}
 
@@ -134,8 +134,8 @@ def test_in_these_the_network_matters(name: str, changes: dict[str, str], passes
     if check is not None and not passes:  # such a check fails soon after it begins
         thin = load_scenario(name, [*overrides, f"duration={check.after // 10**9 + 15} s"])
     result = execute(thin, Options(tmp_path, in_process=True, quiet=True))
-    failed = {verdict.check for verdict in result.verdicts if not verdict.passed}
-    assert (result.status is Status.PASS) is passes, result.verdicts
+    failed = {verdict.check for verdict in result.checks if not verdict.passed}
+    assert (result.status is Status.PASS) is passes, result.checks
     assert failed <= {"formation_error", "tumbled", "qp_infeasible", *OF_PROTOCOLS}  # nothing of ours
 
 

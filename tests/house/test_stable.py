@@ -38,7 +38,7 @@ EXPECTED = ROOT / "tests" / "expected"
 # --set 'log={scene: 0 ticks, transforms: 0 ticks, every: 5 ticks}'
 LOG = EXPECTED / "log-0.1.mcap"
 MODULES = (fleet, agents.api, world.api, fleet.checks.api)
-FUNCTIONS = ("boundary", "open_log", "open_study", "parallel_env", "run", "stepping", "sweep")
+FUNCTIONS = ("boundary", "open_log", "open_study", "parallel_env", "run", "Run", "sweep")
 
 
 def python_names() -> dict[str, str]:

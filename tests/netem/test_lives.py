@@ -121,7 +121,7 @@ def test_deaths_and_restarts_are_the_same_everywhere(every: int, tmp_path: Path)
     """Also when the log is so thin that it shows nothing of what happened in between."""
     overrides = ["duration=2 s", f"log.every={every} ticks", 'network.links={"2<->3": down}', EVERYTHING]
     alone, fleet = (run(tmp_path, *overrides, in_process=flag) for flag in (True, False))
-    assert [alone.status, fleet.status] == [Status.PASS] * 2, (fleet.reason, fleet.lines, fleet.verdicts)
+    assert [alone.status, fleet.status] == [Status.PASS] * 2, (fleet.reason, fleet.lines, fleet.checks)
     assert (alone.directory / "run.mcap").read_bytes() == (fleet.directory / "run.mcap").read_bytes()
     assert fleet.values["deaths"] == {}
     kills = [(at, fault, action) for at, fault, action in told(alone.directory) if fault in ("f1", "f3", "f4")]
@@ -157,7 +157,7 @@ def test_a_law_may_take_its_agent_with_it(module: Callable[[str], str], tmp_path
     alone, fleet = (run(tmp_path, *overrides, in_process=flag) for flag in (True, False))
     # Nobody asked for these deaths, and the verdict says so.
     assert [alone.status, fleet.status] == [Status.CHECK_FAILED] * 2, (fleet.reason, fleet.lines)
-    assert [[v.check for v in r.verdicts if not v.passed] for r in (alone, fleet)] == [["deaths"]] * 2
+    assert [[v.check for v in r.checks if not v.passed] for r in (alone, fleet)] == [["deaths"]] * 2
     assert (alone.directory / "run.mcap").read_bytes() == (fleet.directory / "run.mcap").read_bytes()
     assert told(fleet.directory) == [(0.31, "death-2", "begins"), (1.0, "death-2", "ends")]
     for result in (alone, fleet):

@@ -15,11 +15,15 @@ import sys
 import time
 from pathlib import Path
 
-from fleet.bench.recorder import Calls
+from repository import ROOT
+
 from fleet.recorder.log_file import LogFile
 from fleet.recorder.writer import LogWriter
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
+
+sys.path.append(str(ROOT))
+from benchmarks.recorder import Calls
 
 OVERRIDES = ["vehicles=3", "duration=12 s", "checks={}", "network.links={'*': 'delay 200ms 50ms loss 30%'}"]
 

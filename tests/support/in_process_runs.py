@@ -36,7 +36,7 @@ def alone(made: Alone) -> Alone:
 
     def run(name: str, *overrides: str) -> Result:
         result = made(name, *overrides)
-        assert result.status is Status.PASS, (result.reason, result.lines, result.verdicts)
+        assert result.status is Status.PASS, (result.reason, result.lines, result.checks)
         return result
 
     return run

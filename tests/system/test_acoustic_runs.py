@@ -32,7 +32,7 @@ def test_distributed_is_in_process(tmp_path: Path) -> None:
     logs = []
     for in_process in (True, False):
         result = run(tmp_path, "acoustic-s2c", *overrides, in_process=in_process)
-        assert result.status is Status.PASS, (result.reason, result.lines, result.verdicts)
+        assert result.status is Status.PASS, (result.reason, result.lines, result.checks)
         logs.append(result.directory / "run.mcap")
     assert_same_bytes(*logs)
 
@@ -62,7 +62,7 @@ def test_noise_loses_what_check_says(tmp_path: Path) -> None:
 
 def final_error_m(result: Result) -> float:
     """The formation error at the end [m], of the vehicle that has most."""
-    check = next(v for v in result.verdicts if v.check == "formation_error")
+    check = next(v for v in result.checks if v.check == "formation_error")
     return float(check.found.removeprefix("at most ").split()[0])
 
 

@@ -1,7 +1,7 @@
 """A run with its default settings under attack by those who hold a login, and by those who hold none.
 
 `test_access` tries every key with every role on a router of its own. Here the whole fleet runs: what is tried is
-refused, what is refused is told in log/world.log and in the result, and the log is the same bytes as without.
+refused, refused logins are told in log/world.log and in the result, and the log is the same bytes as without.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ SHORT = ["duration=400 ms", "checks={}"]
 
 @pytest.fixture(scope="module")
 def attacked(tmp_path_factory: pytest.TempPathFactory) -> tuple[Attack, Result]:
-    """One audited run, attacked, of a user whose files anybody may read unless they are made otherwise."""
+    """One run, attacked, of a user whose files anybody may read unless they are made otherwise."""
     attack = Attack()
     write = RunDirectory.write_connection
 
@@ -53,7 +53,7 @@ def attacked(tmp_path_factory: pytest.TempPathFactory) -> tuple[Attack, Result]:
         patch.setattr(fleet.execution.supervisor, "generate", attack.generate)
         patch.setattr(RunDirectory, "write_connection", write_and_attack)
         try:
-            options = Options(tmp_path_factory.mktemp("attacked"), quiet=True, audit=True)
+            options = Options(tmp_path_factory.mktemp("attacked"), quiet=True)
             result = execute(load_scenario("paper", SCENARIO), options)
         finally:
             os.umask(before)
@@ -71,36 +71,14 @@ def test_the_run_goes_on_as_if_nothing_had_happened(attacked: tuple[Attack, Resu
     assert log_of(result).read_bytes() == log_of(undisturbed).read_bytes()
 
 
-def test_every_refusal_is_told(attacked: tuple[Attack, Result]) -> None:
+def test_every_refused_login_is_told(attacked: tuple[Attack, Result]) -> None:
     """In log/world.log and among the notes once, in result.json with how often; and nothing that was allowed."""
     _, result = attacked
     values = json.loads((result.directory / "result.json").read_text())
-    told = {what.replace(run_of(values), "RUN"): count for what, count in values["rejected"].items()}
-    assert {
-        "refused a login with a wrong password",
-        "refused a login of an unknown user",
-        "agent-3: logged in twice",
-        *(
-            f"refused agent-3: put on RUN/{key}"
-            for key in ("cmd/2", "cmd/*", "frame", "links", "tx/round", "cmd/grant")
-        ),
-        *(
-            f"refused agent-3: put on {key}"
-            for key in ("RUN/nav/2", "RUN/cmd/4", "**", "@/router/config/access_control")
-        ),
-        "refused agent-3: delete on RUN/cmd/2",
-        *(f"refused agent-3: query on RUN/{key}" for key in ("cfg/2", "ctl/world", "ctl/netem", "op/inject")),
-        "refused agent-3: query on @/*/router/**",
-        *(
-            f"refused agent-3: declare subscriber on {key}"
-            for key in ("**", "RUN/**", "RUN/rx/2", "RUN/nav/*", "RUN/frame")
-        ),
-        *(f"refused agent-3: declare queryable on RUN/{key}" for key in ("cfg/2", "ctl/world", "op/**")),
-        "refused agent-3: liveliness token on RUN/alive/agent-2",
-        "refused agent-3: declare liveliness subscriber on RUN/alive/*",
-        "refused operator: query on RUN/ctl/world",
-        "refused operator: put on RUN/cmd/grant",
-    } == {what for what in told if what.startswith("refused") or "logged in" in what}
+    told = values["rejected"]
+    assert {"refused a login with a wrong password", "refused a login of an unknown user"} == {
+        what for what in told if what.startswith("refused")
+    }
     # What the router lets through is judged by who takes it.
     assert {"cmd/3: OutOfPlace", "cmd/3: MalformedMessage", "tx/3: MalformedMessage"} <= told.keys()
     assert told["note/agent-3"] == 2
@@ -111,15 +89,6 @@ def test_every_refusal_is_told(attacked: tuple[Attack, Result]) -> None:
     assert "rejected from agent-3: malformed note message: agent-3 speaks as 'agent-2' about 2" in notes
     assert "agent 3: \ufffd[2Jnothing\ufffdhappened" in notes
     assert "I am agent 2" not in notes
-
-
-def run_of(values: dict[str, Any]) -> str:
-    """The prefix of a run's keys, from what was refused on one of them."""
-    return (
-        next(what for what in values["rejected"] if what.endswith("/cmd/grant"))
-        .rsplit(" ", 1)[1]
-        .removesuffix("/cmd/grant")
-    )
 
 
 def test_no_secret_is_anywhere(attacked: tuple[Attack, Result]) -> None:

@@ -33,7 +33,7 @@ PLAIN = (
     "netem/test_grammar.py",
     "netem/test_private_file.py",
     "netem/test_propagation.py",
-    "netem/wire/test_audit.py",
+    "netem/wire/test_refusals.py",
     "netem/wire/test_certificate_router.py",
     "netem/wire/test_messages.py",
     "world/navigation/test_leaks.py",

@@ -83,7 +83,7 @@ def run(out: Path, case: str, *more: str, **options: Any) -> Path:
     """The log of one run of a case."""
     scenario, overrides = CASES[case]
     result = execute(load_scenario(scenario, [CHECKS, *overrides, *more]), Options(out, quiet=True, **options))
-    assert result.status is Status.PASS, (result.reason, result.lines, result.verdicts)
+    assert result.status is Status.PASS, (result.reason, result.lines, result.checks)
     return result.directory / "run.mcap"
 
 

@@ -346,7 +346,7 @@ print(process.exitcode)
 
 
 def test_a_process_whose_run_is_over_before_it_begins_says_nothing(tmp_path: Path) -> None:
-    """A signal in the first moments of a run of `fleet bench`: its directory is gone when the process opens its log."""
+    """A signal in the first moments of a run: its directory is gone when the process opens its log."""
     arguments = [sys.executable, "-c", BEGUN_TOO_LATE, str(tmp_path / "gone")]
     done = subprocess.run(arguments, capture_output=True, text=True, timeout=120, check=False)
     assert (done.stdout, done.stderr) == ("1\n", "")

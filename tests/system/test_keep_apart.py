@@ -44,8 +44,8 @@ keep_apart: {distance: 3 m, obstacles: [{at: 20 0 m, radius: 2 m}]}
 def test_columns_cross_and_keep_their_distance(changes: dict[str, str]) -> None:
     """Over 30 % of loss and 300 ms of delay, over a good network; and not without the section."""
     result = run("crossing", set={**changes, "log": "none"})
-    failed = {verdict.check for verdict in result.verdicts if not verdict.passed}
-    assert failed == ({"min_separation"} if "keep_apart" in changes else set()), result.verdicts
+    failed = {verdict.check for verdict in result.checks if not verdict.passed}
+    assert failed == ({"min_separation"} if "keep_apart" in changes else set()), result.checks
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ def test_in_crossings_that_are_drawn_nobody_tumbles_and_the_distance_holds(numbe
 
 def test_a_vehicle_goes_round_a_cylinder_on_its_course(tmp_path: Path) -> None:
     result = execute(parse_scenario(CYLINDER, "cylinder.yaml"), Options(tmp_path, in_process=True, quiet=True))
-    assert result.status is Status.PASS, result.verdicts
+    assert result.status is Status.PASS, result.checks
     log = fleet.open_log(result.directory)
     state, guidance = log["uuv/1/state"], log["uuv/1/guidance"]
     assert np.hypot(state.x - 20.0, state.y).min() > 2.0
@@ -89,6 +89,6 @@ def test_the_page_s_own_scenario_and_check(
         (tmp_path / name).write_text(text, "utf-8")
     monkeypatch.chdir(tmp_path)
     result = run("pile.yaml", set={**changes, "log": "none"})
-    failed = {verdict.check for verdict in result.verdicts if not verdict.passed}
-    assert failed == ({"Outside"} if changes else set()), result.verdicts
-    assert {"Outside", "min_separation"} <= {verdict.check for verdict in result.verdicts}
+    failed = {verdict.check for verdict in result.checks if not verdict.passed}
+    assert failed == ({"Outside"} if changes else set()), result.checks
+    assert {"Outside", "min_separation"} <= {verdict.check for verdict in result.checks}

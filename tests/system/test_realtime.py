@@ -85,7 +85,7 @@ def test_an_agent_too_slow_for_its_ticks_is_named(tmp_path: Path, monkeypatch: p
     # Twenty times it sleeps, and each time seven more ticks go by; fewer where the machine stops the world, too.
     assert row.missed >= 20 * 3
     assert row.response.max_ms >= 80.0
-    assert "agent 2 missed" in found.verdicts[-1].found
+    assert "agent 2 missed" in found.checks[-1].found
 
 
 @pytest.mark.parametrize(

@@ -9,10 +9,6 @@ from typing import Any
 
 import msgspec
 
-from fleet.bench.figures import ComparedFiles, Measured
-from fleet.bench.scale import Scaled
-from fleet.bench.studies import StudyMeasured
-from fleet.bench.wall_clock import OnWallClock
 from fleet.cli.documents import logs, studies
 from fleet.cli.documents.failure import FailedCommand
 from fleet.execution import answers
@@ -25,11 +21,6 @@ from fleet.result.result import Result
 from fleet.study.rare import RareFound
 
 DOCUMENTS: dict[str, type[msgspec.Struct]] = {
-    "bench": Measured,
-    "bench compare": ComparedFiles,
-    "bench real": OnWallClock,
-    "bench scale": Scaled,
-    "bench study": StudyMeasured,
     "boundary": studies.BoundaryFound,
     "check": logs.Checked,
     "check LOG": JudgedLog,

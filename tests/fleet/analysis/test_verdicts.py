@@ -289,9 +289,9 @@ def test_recovery_from_each_of_several_faults(tmp_path: Path) -> None:
         result = execute(scenario, Options(tmp_path, in_process=in_process, quiet=True))
         assert result.status is Status.CHECK_FAILED, (result.reason, result.lines)
         found.append(result)
-    assert found[0].verdicts == found[1].verdicts
+    assert found[0].checks == found[1].checks
     assert found[0].values["ages"] == found[1].values["ages"]
-    assert [(v.check, v.passed) for v in found[0].verdicts] == [
+    assert [(v.check, v.passed) for v in found[0].checks] == [
         ("recovery_time", False), ("recovery_time", True), ("min_separation", True), ("max_age", True),
         ("connected", False), ("tumbled", False), ("deaths", True), ("qp_infeasible", True),
     ]  # fmt: skip
@@ -305,13 +305,13 @@ def test_recovery_from_every_fault(tmp_path: Path) -> None:
         "{at: 800 ms, mute: 1}]"
     )
     result = execute(small("duration=1 s", faults, every), Options(tmp_path, in_process=True, quiet=True))
-    recoveries = [v for v in result.verdicts if v.check == "recovery_time"]
+    recoveries = [v for v in result.checks if v.check == "recovery_time"]
     assert [v.asked.rsplit("fault ")[1] for v in recoveries] == ["split", "f2"]
     assert result.status is Status.PASS
     again = script(result.directory)
     assert [check.fault for check in again.spec.checks.recovery_time or ()] == ["every"]
     none = execute(small("duration=1 s", "faults=[{at: 800 ms, mute: 1}]", every), Options(tmp_path, in_process=True))
-    (found,) = (v for v in none.verdicts if v.check == "recovery_time")
+    (found,) = (v for v in none.checks if v.check == "recovery_time")
     assert (found.passed, found.found) == (False, "no fault ended while the run lasted")
 
 
@@ -543,7 +543,7 @@ def test_a_lonely_vehicle_hears_nobody_and_meets_nobody(tmp_path: Path) -> None:
         "vehicles=1", "checks={min_separation: {above: 1 m}, max_age: {below: 1 s}, connected: {window: 1 s}}"
     )
     result = execute(scenario, Options(tmp_path, in_process=True, quiet=True))
-    assert [(v.passed, v.found) for v in result.verdicts][:3] == [
+    assert [(v.passed, v.found) for v in result.checks][:3] == [
         (True, "one vehicle"), (True, "no link"), (True, "each follows the reference itself"),
     ]  # fmt: skip
     assert result.values["ages"] == {}
@@ -565,7 +565,7 @@ def test_the_script_of_a_run_asks_nothing_that_cannot_be(tmp_path: Path) -> None
         "{at: 9 s, for: 1 s, id: c, deaf: 1}]"
     )
     result = run(tmp_path, "duration=500 ms", faults, f"checks={{recovery_time: [{asked}]}}", "log.every=10 ticks")
-    assert [v.passed for v in result.verdicts if v.check == "recovery_time"] == [True, False, False]
+    assert [v.passed for v in result.checks if v.check == "recovery_time"] == [True, False, False]
     again = script(result.directory)
     assert [check.fault for check in again.spec.checks.recovery_time or ()] == ["a"]
 

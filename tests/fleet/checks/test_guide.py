@@ -26,7 +26,7 @@ def test_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "mine.yaml").write_text(BLOCKS["yaml"] + own[0])
     (tmp_path / "one_leader.py").write_text(BLOCKS["python"])
     result = judged(load_scenario("mine.yaml"))
-    found = {verdict.check: verdict for verdict in result.verdicts}
+    found = {verdict.check: verdict for verdict in result.checks}
     assert {name for name, verdict in found.items() if not verdict.passed} == {"AtMostOneLeader", "settled"}
     settled = found["settled"]
     assert f"FAIL settled: {settled.asked}; found {settled.found} " in " ".join(PAGE.split())

@@ -74,5 +74,5 @@ def test_diff_compares_with_the_newest(two: tuple[Path, Path]) -> None:
 
 
 def test_replay_plays_the_newest(two: tuple[Path, Path]) -> None:
-    result = invoke("replay", "-r", "0", "--listen", "tcp/127.0.0.1:0", "-q")
+    result = invoke("replay", "--speed", "0", "--listen", "tcp/127.0.0.1:0", "-q")
     assert (result.exit_code, result.stderr) == (0, f"fleet: the newest run: {two[1]}\n")

@@ -1,4 +1,4 @@
-"""What starting a command imports: the reason why the light ones answer at once. Their times are in `fleet bench`."""
+"""What starting a command imports: the reason why the light ones answer at once."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ def test_it_is_checked_runs_and_passes_as_it_is(tmp_path: Path, monkeypatch: pyt
     assert shlex.split(run)[:2] == ["fleet", "run"]
     scenario = load_scenario(shlex.split(run)[2], ["log.every=100 ticks"])
     result = execute(scenario, Options(tmp_path, in_process=True, quiet=True))
-    assert result.status is Status.PASS, result.verdicts
+    assert result.status is Status.PASS, result.checks
 
 
 def test_every_key_that_it_leaves_switched_off_is_valid(tmp_path: Path) -> None:
@@ -137,7 +137,7 @@ def test_the_fleet_of_the_template_of_a_plant_holds_its_formation(
     module, scenario = write_plant("ocean_glider", Path())
     assert module.exists()
     result = execute(load_scenario(scenario), Options(tmp_path, in_process=True, quiet=True))
-    assert result.status is Status.PASS, result.verdicts
+    assert result.status is Status.PASS, result.checks
 
 
 @pytest.mark.parametrize("name", ["gossip", "class_", "formation_agent"])
@@ -155,13 +155,13 @@ def test_a_protocol_is_checked_runs_and_passes_as_it_is(
         return
     quick = ["log.every=100 ticks", "log.snapshot=15 s"]
     result = execute(load_scenario(f"{name}.yaml", quick), Options(tmp_path, in_process=True, quiet=True))
-    assert result.status is Status.PASS, result.verdicts
-    assert {"GossipCheck", "one-answer", "all-are-back"} <= {verdict.check for verdict in result.verdicts}
+    assert result.status is Status.PASS, result.checks
+    assert {"GossipCheck", "one-answer", "all-are-back"} <= {verdict.check for verdict in result.checks}
     assert {row["agent"] for row in result.values["vehicles"].values()} == {"gossip:Gossip"}
     assert [row["signals"]["there"]["value"] for row in result.values["vehicles"].values()] == [4.0] * 4
     worse = load_scenario(f"{name}.yaml", [*quick, "duration=12 s", "network.links={'*': delay 1s loss 60%}"])
     result = execute(worse, Options(tmp_path, in_process=True, quiet=True))
-    failed = {verdict.check for verdict in result.verdicts if not verdict.passed}
+    failed = {verdict.check for verdict in result.checks if not verdict.passed}
     assert result.status is Status.CHECK_FAILED and "GossipCheck" in failed
 
 

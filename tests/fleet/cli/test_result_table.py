@@ -55,7 +55,7 @@ def result(n: int = 4, lost: dict[str, int] | None = None, **values: Any) -> Res
         "status": Status.CHECK_FAILED,
         "directory": Path("runs/nemesis-1-20261122-062500"),
         "digest": "cdfdf2378a3e8d16ab",
-        "verdicts": VERDICTS,
+        "checks": VERDICTS,
     }
     return Result(**common | values)
 
@@ -124,7 +124,7 @@ def test_verdicts_come_first_and_failed_ones_on_top() -> None:
     assert [line.split(":")[0] for line in lines[:2]] == ["FAIL  settle", "pass  formation_error"]
     assert lines[-2:] == ["FAIL  1 of 2 checks: settle", "runs/nemesis-1-20261122-062500"]
     passed = result()
-    passed.status, passed.verdicts = Status.PASS, VERDICTS[:1]
+    passed.status, passed.checks = Status.PASS, VERDICTS[:1]
     assert "FAIL" not in shown(passed, 120)
 
 

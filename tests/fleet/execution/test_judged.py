@@ -13,8 +13,9 @@ from small_scenario import SMALL, small
 import fleet
 from fleet.errors import ScenarioError
 from fleet.execution.execute import execute
-from fleet.execution.judged import override_texts, run
+from fleet.execution.judged import run
 from fleet.execution.options import Options
+from fleet.execution.stepped_run import override_texts
 from fleet.result.result import Status
 from fleet.scenario.loading import parse_scenario
 
@@ -23,14 +24,14 @@ FAILING = {"checks": {"formation_error": {"below": "1 mm", "after": "0 s"}}}
 
 def test_the_result_is_that_of_a_recorded_run(tmp_path: Path) -> None:
     changes = {"network.links.*.loss": "30 %", "faults": [{"at": "200 ms", "kill": 3}], **FAILING}
-    found = run(small(), set=changes, seed=5)
+    found = run(small(), set=FAILING, net=["* loss 30 %"], fault=["at 200 ms kill 3"], seed=5)
     scenario = parse_scenario(SMALL, "small.yaml", [*override_texts(changes), "seed=5"])
     recorded = execute(scenario, Options(tmp_path, in_process=True, quiet=True))
     assert found.status is recorded.status is Status.CHECK_FAILED
     assert not found.passed
     assert found.directory is None
     assert found.digest == recorded.digest
-    assert found.verdicts == recorded.verdicts
+    assert found.checks == recorded.checks
     same = set(found.values) - {"wall", "log_bytes"}
     assert {key: found.values[key] for key in same} == {key: recorded.values[key] for key in same}
     assert same > {"checks", "vehicles", "ledger", "ages", "faults", "deaths", "notes"}
@@ -59,8 +60,12 @@ def test_changes_are_read_as_options_are() -> None:
         "network.links.*.loss=30 %",
         'checks={"ledger": {}}',
     ]
+    with pytest.raises(TypeError, match="net: expected a list of texts"):
+        run("paper", net="* loss 30 %")
     with pytest.raises(TypeError, match="expected a mapping or a list"):
         run("paper", set="duration=3 s")
+    with pytest.raises(TypeError, match="net: expected a list of texts"):
+        run("paper", net="* loss 30 %")
     with pytest.raises(ScenarioError, match="expected a time"):
         run("paper", set={"duration": 3})
 

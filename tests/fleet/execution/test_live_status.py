@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import pytest
 
-from fleet.bench.recorder import Calls
+from benchmarks.recorder import Calls
 from fleet.execution.clock import GrantPolicy
 from fleet.execution.in_process import InProcess
 from fleet.execution.operator import WORST_LINKS, WORST_VEHICLES, event_rows, link_rows, vehicle_rows

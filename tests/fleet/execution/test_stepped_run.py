@@ -14,8 +14,8 @@ from small_scenario import small
 import fleet
 from fleet.errors import FleetError
 from fleet.execution.judged import run as run_once
-from fleet.execution.judged import stepping
 from fleet.execution.operator import RefusedError
+from fleet.execution.stepped_run import Run
 from fleet.logs.reader import digest
 from fleet.repeat.verify import verify
 from fleet.result.result import Result, Status
@@ -30,7 +30,7 @@ def without_wall(result: Result) -> dict[str, object]:
 @pytest.mark.parametrize("by", [1, 7, "50 ms", 1000])
 def test_however_it_is_stepped_it_is_the_same_run(by: int | str, tmp_path: Path) -> None:
     log = tmp_path / "steps.mcap"
-    with stepping(small(), set=CHANGES, log=log) as run:
+    with Run(small(), set=CHANGES, log=log) as run:
         while not run.over:
             run.step(by)
     assert without_wall(run.result) == without_wall(run_once(small(), set=CHANGES))
@@ -39,14 +39,14 @@ def test_however_it_is_stepped_it_is_the_same_run(by: int | str, tmp_path: Path)
 
 
 def test_a_run_may_go_on_to_its_end_after_some_steps() -> None:
-    with stepping(small(), set=CHANGES) as run:
+    with Run(small(), set=CHANGES) as run:
         run.step("300 ms")
         assert without_wall(run.to_end()) == without_wall(run_once(small(), set=CHANGES))
         assert run.to_end() is run.result
 
 
 def test_a_state_has_the_truth_and_what_agents_were_told() -> None:
-    with stepping(small(), set={"navigation": {"grade": "mems"}}) as run:
+    with Run(small(), set={"navigation": {"grade": "mems"}}) as run:
         before = run.state
         assert (before.tick, before.t, before.vehicles[1].told) == (0, 0.0, None)
         state = run.step("20 ms")
@@ -61,7 +61,7 @@ def test_a_state_has_the_truth_and_what_agents_were_told() -> None:
 
 def test_faults_begin_with_the_next_tick_and_the_log_has_them(tmp_path: Path) -> None:
     log = tmp_path / "steps.mcap"
-    with stepping(small(), log=log) as run:
+    with Run(small(), log=log) as run:
         run.step("100 ms")
         assert run.inject("down 1<->2 for 200 ms") == "live-1"
         assert run.inject("kill 3") == "live-2"
@@ -84,7 +84,7 @@ def test_faults_begin_with_the_next_tick_and_the_log_has_them(tmp_path: Path) ->
 
 
 def test_what_is_wrong_is_said_and_the_run_goes_on() -> None:
-    with stepping(small()) as run:
+    with Run(small()) as run:
         with pytest.raises(RefusedError, match=r"the graph has no link 1<->3"):
             run.inject("down 1<->3")
         with pytest.raises(RefusedError, match=r"there is no active fault 'x'; none is active"):
@@ -102,13 +102,13 @@ def test_what_is_wrong_is_said_and_the_run_goes_on() -> None:
         for late in (run.step, lambda: run.inject("mute 2"), run.heal):
             with pytest.raises(FleetError, match=r"the run is over at t = 1 s"):
                 late()
-    with pytest.raises(TypeError, match=r"stepping\(\) has no argument 'duration'; .*set=\{'duration': '5 s'\}"):
-        fleet.stepping("paper", duration="5 s")  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=r"Run\(\) has no argument 'duration'; .*set=\{'duration': '5 s'\}"):
+        fleet.Run("paper", duration="5 s")  # type: ignore[arg-type]
 
 
 def test_a_run_that_is_left_early_is_interrupted_and_its_log_is_whole(tmp_path: Path) -> None:
     log = tmp_path / "steps.mcap"
-    with stepping(small(), log=log) as run:
+    with Run(small(), log=log) as run:
         run.step("300 ms")
     assert run.result.status is Status.INTERRUPTED
     assert run.result.reason == "it was closed at t = 0.3 of 1 s"
@@ -118,7 +118,7 @@ def test_a_run_that_is_left_early_is_interrupted_and_its_log_is_whole(tmp_path: 
 
 def test_a_run_that_breaks_is_over_and_the_result_says_why(module) -> None:  # type: ignore[no-untyped-def]
     law = module(failing(3, "raise RuntimeError('no')"))
-    with stepping("paper", set={"controller": f"{law}:Law", "duration": "1 s"}) as run:
+    with Run("paper", set={"controller": f"{law}:Law", "duration": "1 s"}) as run:
         while not run.over:
             run.step()
     assert run.result.status is Status.BROKEN

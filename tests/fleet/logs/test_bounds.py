@@ -73,7 +73,7 @@ def test_a_bomb_takes_no_memory(tmp_path: Path, says: int) -> None:
     """Half a gigabyte in a few kB, told honestly or not: refused, with the place, in a fraction of that."""
     path = bomb(tmp_path / "bomb.mcap", 512 * MIB, says=says)
     assert path.stat().st_size < 100_000
-    status, said, peak = child("replay", path, "-r", "0")
+    status, said, peak = child("replay", path, "--speed", "0")
     assert (status, "at byte 34" in said) == (2, True)
     assert ("unpacks to 536870912 bytes, more than the 67108864 that are read" in said) == (says > 64 * MIB)
     assert peak < 250.0, said

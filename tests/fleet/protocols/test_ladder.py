@@ -46,7 +46,7 @@ def ladder(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def failed(result: Result) -> dict[str, str]:
     assert result.reason == "", result.reason
-    return {verdict.check: verdict.found for verdict in result.verdicts if not verdict.passed}
+    return {verdict.check: verdict.found for verdict in result.checks if not verdict.passed}
 
 
 def test_hello() -> None:

@@ -32,5 +32,5 @@ def test_only_a_fault_that_never_ends_stops_those_who_wait_for_all(
     """docs/guide/protocols/roll_call.md says how many seeds the shipped scenario was run with; these are short ones."""
     changes = [f"nemesis.mode={mode}", f"agent.parameters.quorum={quorum}"]
     result = run("roll-call", set=[*SHORT, *changes], seed=seed)
-    (goes_on,) = (verdict for verdict in result.verdicts if verdict.check == "goes-on")
+    (goes_on,) = (verdict for verdict in result.checks if verdict.check == "goes-on")
     assert goes_on.passed is passes, goes_on.found

@@ -25,8 +25,8 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_it_passes() -> None:
     result = run("weakest.yaml", set={"log.every": "5 ticks"})
-    assert [verdict.check for verdict in result.verdicts if not verdict.passed] == []
-    assert {verdict.check for verdict in result.verdicts} >= {"one-answer", "five-is-back"}
+    assert [verdict.check for verdict in result.checks if not verdict.passed] == []
+    assert {verdict.check for verdict in result.checks} >= {"one-answer", "five-is-back"}
 
 
 def test_the_network_that_breaks_it() -> None:
@@ -40,7 +40,7 @@ def test_the_network_that_breaks_it() -> None:
             "checks.signal": "{name: one-answer, topic: control.weakest, agree_within: 5 s, after: 2 s}",
         },
     )
-    (failed,) = (verdict for verdict in result.verdicts if not verdict.passed)
+    (failed,) = (verdict for verdict in result.checks if not verdict.passed)
     assert failed.check == "one-answer"
     assert "7.01 s, for 5.01 s by then" in failed.found
 

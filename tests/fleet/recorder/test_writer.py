@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 from plain_messages import Copy, Entry, encoded
 from small_scenario import small
 
-from fleet.bench.plain_log import PlainLog
-from fleet.bench.recorder import Calls
+from benchmarks.plain_log import PlainLog
+from benchmarks.recorder import Calls
 from fleet.logs.reader import LogReader
 from fleet.logs.schemas import COMMAND, ERROR, FAULT, PACKET, ROLL, STATE, flat_schema, signal_columns, stamp_of
 from fleet.recorder import tick_messages

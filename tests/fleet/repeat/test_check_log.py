@@ -85,7 +85,7 @@ def run(*overrides: str) -> Result:
 
 def own(result: Result) -> list[Verdict]:
     names = ("low", "speed", "norm", "again", "spread", "Packets")
-    return [verdict for verdict in result.verdicts if verdict.check in names]
+    return [verdict for verdict in result.checks if verdict.check in names]
 
 
 LOSSY = "network.links={1->2: loss 50 %}"
@@ -117,7 +117,7 @@ def test_silence_in_a_log_is_judged_as_in_its_run(folder: Path) -> None:
     result = run("faults=[{id: gone, at: 500 ms, kill: 1-3}]", SILENT)
     assert result.directory is not None
     again = check_log(result.directory)
-    assert again.verdicts == [verdict for verdict in result.verdicts if verdict.check in ("late", "none", "soon")]
+    assert again.verdicts == [verdict for verdict in result.checks if verdict.check in ("late", "none", "soon")]
     assert [verdict.found.partition(";")[0] for verdict in again.verdicts] == [
         "not within 1 s after 0 s (vehicles 1, 2, 3)", "no sample", "not within 1.9 s after 0 s (vehicles 1, 2, 3)",
     ]  # fmt: skip

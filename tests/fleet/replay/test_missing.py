@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from fleet.replay.missing import Missing, left_out, pack_counts
+from fleet.replay.live_journal import Missing, left_out, pack_counts
 
 
 def test_gaps_and_the_end_are_counted_from_the_first_message_that_came() -> None:

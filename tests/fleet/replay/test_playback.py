@@ -8,7 +8,6 @@ import pty
 import re
 import select
 import signal
-import stat
 import subprocess
 import sys
 import termios
@@ -17,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from google.protobuf.timestamp_pb2 import Timestamp
 from traffic import LIMIT_S, PAGE, Command, Ear, endpoint, len_of, schemas_of, session
 from traffic import log as log
 from traffic import records as records
@@ -27,22 +25,11 @@ from fleet.errors import FleetError
 from fleet.logs.reader import Record
 from fleet.logs.tape import Tape
 from fleet.processes.interrupts import holding_interrupts
-from fleet.replay.attachment import Stamp, pack, unpack
-from fleet.replay.capture_format import ENCODING, zenoh_encoding
+from fleet.replay.capture import ENCODING, zenoh_encoding
 from fleet.replay.playback import PlaybackOptions, Replay
-from fleet.replay.topics import ask_topics
-from netem.errors import BusError
-from netem.wire.access import Credentials
+from fleet.replay.topics import Stamp, ask_topics, pack, unpack
 from netem.wire.keys import Keys
 from netem.wire.open_bus import OpenBus
-
-
-def test_topics_that_a_renaming_puts_on_one_key(log: Path) -> None:
-    """They are played, with a warning; two that change places are no such thing."""
-    tape = Tape(log)
-    assert Replay(tape, PlaybackOptions(remap=("uuv/1:=uuv/2", "uuv/2:=uuv/1"))).note == ""
-    note = Replay(tape, PlaybackOptions(remap=("uuv/1:=uuv/2",))).note
-    assert note == "uuv/1/pose and uuv/2/pose are played on one key, fleet/replay/log/uuv/2/pose, and 6 more so"
 
 
 class Nobody:
@@ -88,7 +75,7 @@ def test_replay_gives_a_recorder_the_log(topics: list[str], log: Path, records: 
     choice = [word for topic in topics for word in ("--topics", topic)]
     with Command("record", "--key", "fleet/**", "-o", path, "--listen", where) as recorder:
         recorder.until("recording")
-        with Command("replay", log, "-r", "0", "--connect", where, "--wait-for-subscribers", *choice) as player:
+        with Command("replay", log, "--speed", "0", "--connect", where, "--wait-for-subscribers", *choice) as player:
             assert player.status() == 0, player.printed
             assert f"played {len(expected)} messages" in player.printed
         wait_for(lambda: path.stat().st_size > 0 and len_of(path) >= 2 * len(expected), LIMIT_S, "the last message")
@@ -107,7 +94,7 @@ def test_replay_gives_a_recorder_the_log(topics: list[str], log: Path, records: 
         assert payload.channel.metadata[ENCODING] == zenoh_encoding("protobuf", schemas[record.topic])
     with session(OpenBus.listen(where := endpoint())) as bus:
         ear = Ear(bus, "fleet/**")
-        with Command("replay", path, "-r", "0", "--connect", where, "--wait-for-subscribers") as player:
+        with Command("replay", path, "--speed", "0", "--connect", where, "--wait-for-subscribers") as player:
             heard = ear.until(len(expected))
             assert player.status() == 0
     assert [(s.payload, s.attachment) for s in heard] == [
@@ -115,29 +102,22 @@ def test_replay_gives_a_recorder_the_log(topics: list[str], log: Path, records: 
     ]
 
 
-def test_part_of_a_log_renamed_with_a_clock(log: Path, records: list[Record]) -> None:
-    """--start-offset, --duration, --remap, --run, --clock at once, at four times the pace."""
+def test_part_of_a_log(log: Path, records: list[Record]) -> None:
     with session(OpenBus.listen(where := endpoint())) as bus:
-        ear, clock = Ear(bus, "fleet/demo/log/**"), Ear(bus, "fleet/demo/clock")
-        options = ["-r", "4", "-s", "500 ms", "--duration", "1 s", "--topics", "uuv/2/state", "--remap", "uuv/2:=ghost"]
-        with Command(
-            "replay", log, "--connect", where, "--run", "demo", "--clock", "100", "--wait-for-subscribers", *options
-        ) as player:
+        ear = Ear(bus, "fleet/replay/log/**")
+        options = ["--speed", "4", "--start", "500 ms", "--end", "1500 ms", "--topics", "uuv/2/state"]
+        with Command("replay", log, "--connect", where, "--wait-for-subscribers", *options) as player:
             assert player.status() == 0, player.printed
         expected = [r for r in records if r.topic == "uuv/2/state" and 500_000_000 <= r.log_ns <= 1_500_000_000]
         heard = ear.until(len(expected))
-        beats = clock.until(2)
     assert [s.payload for s in heard] == [r.data for r in expected]
-    assert {s.key for s in heard} == {"fleet/demo/log/ghost/state"}
-    told = [Timestamp.FromString(s.payload) for s in beats]
-    seconds = [t.seconds + t.nanos / 1e9 for t in told]
-    assert seconds == sorted(seconds) and seconds[0] >= 0.5 and seconds[-1] == 1.5
+    assert {s.key for s in heard} == {"fleet/replay/log/uuv/2/state"}
 
 
 def test_whoever_listens_can_ask_for_topics_and_schemas(log: Path) -> None:
     """The descriptor set under fleet/{run}/schema/{name} is the log's, and the topics are those that are played."""
     tape = Tape(log)
-    replay = Replay(tape, PlaybackOptions(topics=("uuv/1/*", "transforms"), remap=("uuv/1:=twin",)))
+    replay = Replay(tape, PlaybackOptions(topics=("uuv/1/*", "transforms")))
     with session(OpenBus.listen(where := endpoint())) as bus, session(OpenBus.connect(where)) as client:
         replay.open(bus)
         key = Keys("replay").schema("uuv_fleet.State")
@@ -146,12 +126,10 @@ def test_whoever_listens_can_ask_for_topics_and_schemas(log: Path) -> None:
     schemas = {schema.name: schema.data for schema in tape.schemas.values()}
     assert found == {key: schemas["uuv_fleet.State"]}
     of_topic = schemas_of(log)
-    names = {f"twin/{topic[6:]}": topic for topic in of_topic if topic.startswith("uuv/1/")} | {
-        "transforms": "transforms"
-    }
+    names = [topic for topic in of_topic if topic.startswith("uuv/1/") or topic == "transforms"]
     units = {channel.topic: channel.metadata["units"] for channel in tape.channels.values()}
-    assert topics == {name: (of_topic[topic], schemas[of_topic[topic]], units[topic]) for name, topic in names.items()}
-    assert json.loads(topics["twin/state"].units)["psi"][0] == "rad"
+    assert topics == {name: (of_topic[name], schemas[of_topic[name]], units[name]) for name in names}
+    assert json.loads(topics["uuv/1/state"].units)["psi"][0] == "rad"
 
 
 def test_nobody_and_nonsense_are_told_apart_from_topics() -> None:
@@ -166,31 +144,20 @@ def test_nobody_and_nonsense_are_told_apart_from_topics() -> None:
             ask_topics(client, keys)
 
 
-def test_one_script_serves_a_live_run_and_a_replay(log: Path, records: list[Record], tmp_path: Path) -> None:
-    """With --observe a client logs in with what the file says, as with a live run's observe.json; others are refused,
-    and the file goes with the replay. Without it the router of a replay refuses whoever offers a password."""
-    path = tmp_path / "observe.json"
-    with Command("replay", log, "-r", "0", "--observe", path, "--wait-for-subscribers") as player:
-        wait_for(path.exists, LIMIT_S, "observe.json")
-        assert stat.S_IMODE(path.stat().st_mode) == 0o600
-        values = json.loads(path.read_text())  # from here on as with a live run
-        observer = Credentials(values["user"], values["password"])
-        with pytest.raises(BusError):
-            OpenBus.connect(values["endpoint"], timeout_ms=300)
-        with session(OpenBus.connect(values["endpoint"], observer)) as bus:
-            assert set(ask_topics(bus, Keys(values["run"]))) == set(schemas_of(log))
-            ear = Ear(bus, Keys(values["run"]).log("**"))
-            heard = ear.until(len(records))
-            assert player.status() == 0, player.printed
-    assert [sample.payload for sample in heard] == [record.data for record in records]
-    assert not path.exists()
-
-
 def test_loop_ends_with_ctrl_c(log: Path) -> None:
     with session(OpenBus.listen(where := endpoint())) as bus:
         ear = Ear(bus, "fleet/**")
         with Command(
-            "replay", log, "-r", "0", "--loop", "--connect", where, "--topics", "uuv/1/pose", "--wait-for-subscribers"
+            "replay",
+            log,
+            "--speed",
+            "0",
+            "--loop",
+            "--connect",
+            where,
+            "--topics",
+            "uuv/1/pose",
+            "--wait-for-subscribers",
         ) as player:
             ear.until(3 * 201)
             player.send(signal.SIGINT)
@@ -247,7 +214,7 @@ main()
 @pytest.mark.parametrize("how", ["ctrl-c", "sigterm"])
 def test_keys_on_a_terminal(how: str, log: Path) -> None:
     """Pause, step, rate and seek, as the line shows them; the terminal is restored, however it ends."""
-    player = Typist("replay", log, "--start-paused", "--loop", "--topics", "uuv/1/pose")
+    player = Typist("replay", log, "--step", "--loop", "--topics", "uuv/1/pose")
     player.until(r"t = 0\.00 / 2\.00 s  paused")
     player.type(b"\x1b[C\x1b[C\x1b[C")
     player.until(r"t = 0\.02 / 2\.00 s  paused  3 messages")

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.replay.player import LATE_NS, MeasuredRate, Metronome, Player
+from fleet.replay.player import LATE_NS, MeasuredRate, Player
 from fleet.terminal.keyboard import Key, decode
 
 S = 1_000_000_000
@@ -202,14 +202,6 @@ def test_an_absence_changes_nothing_but_the_time(at: int, away: int) -> None:
     assert left.position(at + away) == stayed.position(at)
     assert left.due(at + away, 100) == stayed.due(at, 100)
     assert (left.missed, left.wait_ns(at + away)) == (stayed.missed, stayed.wait_ns(at))
-
-
-def test_metronome_leaves_out_what_it_slept_through() -> None:
-    metronome = Metronome(10.0, 0)
-    beats = [now for now in range(0, S, S // 100) if metronome.beats(now)]
-    assert beats == [n * S // 10 for n in range(10)]
-    assert metronome.beats(50 * S) and not metronome.beats(50 * S)
-    assert metronome.wait_ns(50 * S) == S // 10
 
 
 def test_pace() -> None:

@@ -23,10 +23,10 @@ from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.reader import Record
 from fleet.logs.schemas import FAULT, flat_schema
-from fleet.replay.attachment import unpack
-from fleet.replay.capture_format import zenoh_encoding
-from fleet.replay.missing import Missing
+from fleet.replay.capture import zenoh_encoding
+from fleet.replay.live_journal import Missing
 from fleet.replay.publisher import BATCH_BYTES, LivePublisher
+from fleet.replay.topics import unpack
 from fleet.scenario.loading import load_scenario
 from netem.errors import BusError
 from netem.wire.access import Credentials

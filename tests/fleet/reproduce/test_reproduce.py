@@ -10,21 +10,37 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import fleet
 from agents.controllers import CONTROLLERS
 from fleet.cli.main import cli
-from fleet.execution.in_memory import record
 from fleet.processes.interrupts import HungUp
-from fleet.reproduce.cases import CASES, NAMES, D, Outcome, U, run_case
-from fleet.reproduce.claims import CORRECTED, NO_K_MAX, PRINTED, judge
-from fleet.reproduce.figures import DASHED, FIGURES, OF_CONTROLLERS, OF_VEHICLES, TAU_MAX, consensus_errors, inputs
-from fleet.reproduce.measures import late_s, tumbled, vehicle_measures
-from fleet.reproduce.report import write
+from fleet.reproduce.cases import (
+    CASES,
+    NAMES,
+    D,
+    Outcome,
+    Recording,
+    U,
+    late_s,
+    recorded,
+    run_case,
+    tumbled,
+    vehicle_measures,
+)
+from fleet.reproduce.claims import CORRECTED, NO_K_MAX, PRINTED, Claim, ClaimCheck, judge
+from fleet.reproduce.figures import (
+    DASHED,
+    FIGURES,
+    OF_CONTROLLERS,
+    OF_VEHICLES,
+    TAU_MAX,
+    consensus_errors,
+    inputs,
+    topology,
+)
+from fleet.reproduce.report import HEADINGS, chosen, table_1, write
 from fleet.reproduce.run import _network_check
-from fleet.reproduce.table1 import HEADINGS, chosen, table_1
-from fleet.reproduce.topology import topology
-from fleet.reproduce.verdicts import Claim, ClaimCheck
 from fleet.result.result import Result, Status
-from fleet.scenario.loading import load_scenario
 
 
 def test_every_case_is_a_scenario_of_its_own() -> None:
@@ -88,28 +104,32 @@ def test_a_failure_is_a_tumble_or_an_early_end() -> None:
     assert both.startswith("tumbled: UUV 1 at 1.50 s, UUV 2") and both.endswith("; ended early: no more")
 
 
-def test_recording_has_what_each_vehicle_reports() -> None:
-    """Vehicles with different laws: NaN where a signal is somebody else's; the last sample has no command."""
-    r = record(load_scenario("paper", ["duration=100 ms", "per_vehicle.2.controller=bc"]))
+def recording(folder: Path, scenario: str, *changes: str) -> Recording:
+    with fleet.Run(scenario, set=["checks={}", *changes], log=folder / "run.mcap") as run:
+        run.to_end()
+    return recorded(fleet.open_log(folder / "run.mcap"))
+
+
+def test_recording_has_what_each_vehicle_reports(tmp_path: Path) -> None:
+    """Each sample of each vehicle; the last sample has no command."""
+    r = recording(tmp_path, "paper", "duration=100 ms", "per_vehicle.2.controller=bc")
     assert r["eta"].shape == (11, 4, 5)
     assert np.isfinite(r["eta"]).all()
-    assert np.isnan(r["x"][:, 1]).all()
-    assert np.isfinite(r["x"][:-1, 0]).all()
-    assert np.isnan(r["cmd_rate"][:, 0]).all()
-    assert np.isnan(r["tau"][-1]).all()
+    assert np.isfinite(r["demand"][:-1]).all()
+    assert np.isnan(r["applied"][-1]).all()
     assert r.t == pytest.approx(np.arange(11) / 100)
-    r.signals["z"] = np.abs(r["u_err"])
     assert len(vehicle_measures(r)) == 4
 
 
-def test_late_is_whole_periods_of_the_disturbance() -> None:
+def test_late_is_whole_periods_of_the_disturbance(tmp_path: Path) -> None:
     """A mean over a part of a period would depend on where the run ends."""
-    r = record(load_scenario("ideal", ["duration=20 s", "sea.disturbance=paper", "controller=bc", "checks={}"]))
+    r = recording(tmp_path, "ideal", "duration=20 s", "sea.disturbance=paper", "controller=bc")
     assert late_s(r) == pytest.approx(2 * np.pi)
     r.signals["z"] = np.where(r.t < 5.0, 9.0, np.where(r.t < 12.0, 3.0, 1.0))[:, None, None] * np.ones((1, 4, 1))
     (row, *_) = vehicle_measures(r)
     assert (row["z_max_mps"], row["z_peak_mps"], row["z_rms_mps"]) == pytest.approx((9.0, 3.0, 1.0))
-    assert late_s(record(load_scenario("ideal", ["duration=100 ms", "checks={}"]))) == 10.0
+    (tmp_path / "short").mkdir()
+    assert late_s(recording(tmp_path / "short", "ideal", "duration=100 ms")) == 10.0
 
 
 Value = float | list[float] | None
@@ -128,7 +148,7 @@ def canned(**values: Value) -> Outcome:
     t = np.arange(0.0, 120.0, 0.05)
     signals = {key: np.full((len(t), 4, n), 0.5) for key, n in (("e", 3), ("z", 1), ("rho", 3), ("u_cmd", 1), ("K", 3))}
     fine = np.arange(0.0, 120.0, 0.01)
-    first = {"t": fine, "demand": np.full((len(fine), 3), 100.0), "tau": np.full((len(fine), 3), 20.0)}
+    first = {"t": fine, "demand": np.full((len(fine), 3), 100.0), "applied": np.full((len(fine), 3), 20.0)}
     return Outcome("canned", [dict(row, **values) for _ in range(4)], t, signals, first)
 
 

@@ -116,7 +116,7 @@ def test_the_rewards_of_an_episode_add_up_to_the_margin() -> None:
         assert len(set(rewards.values())) == 1
         total += rewards["uuv_1"]
     assert (set(terminated.values()), set(truncated.values())) == ({False}, {True})
-    verdict = next(one for one in env.result.verdicts if one.check == "formation_error")
+    verdict = next(one for one in env.result.checks if one.check == "formation_error")
     assert verdict.margin is not None
     assert total == pytest.approx(verdict.margin.value)
 
@@ -270,7 +270,7 @@ def test_without_the_extra_its_name_is_told(monkeypatch: pytest.MonkeyPatch) -> 
 def test_nothing_of_pettingzoo_is_imported_by_the_rest() -> None:
     import subprocess
 
-    code = "import fleet, sys; fleet.run, fleet.parallel_env, fleet.stepping; print('pettingzoo' in sys.modules)"
+    code = "import fleet, sys; fleet.run, fleet.parallel_env, fleet.Run; print('pettingzoo' in sys.modules)"
     assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "False"
 
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fleet.recorder.transforms import enu, quaternion
-from fleet.ros2.axes import attitude, body, frd, pose_covariance
+from fleet.ros2.mapping import attitude, body, frd, pose_covariance
 
 ANGLES = st.floats(-1.5, 1.5)
 H = sqrt(0.5)

@@ -14,8 +14,8 @@ from mcap.reader import make_reader
 
 import fleet
 from fleet.cli.main import cli
-from fleet.ros2.diagnostics import ERROR, OK
 from fleet.ros2.mapping import GRAVITY, SEA_WATER, SURFACE_PA
+from fleet.ros2.translation import ERROR, OK
 
 __all__ = ["alone"]
 rosbags = pytest.importorskip("rosbags.highlevel", reason="the extra [ros2] is not installed")

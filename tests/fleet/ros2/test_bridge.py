@@ -23,9 +23,8 @@ from fleet.logs.reader import digest
 from fleet.logs.tape import Tape
 from fleet.ros2.bridge import RosBridge, play_log
 from fleet.ros2.mapping import TF_STATIC
-from fleet.ros2.node import RosNode
+from fleet.ros2.node import RosNode, open_ros_session
 from fleet.ros2.rmw import LATCHED
-from fleet.ros2.session import open_ros_session
 from fleet.ros2.translation import Translation
 from fleet.ros2.types import INTERFACES, types_of
 from netem.wire.ros_bus import SESSION_FILE, SETTINGS, RosBus

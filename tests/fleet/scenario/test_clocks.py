@@ -106,4 +106,4 @@ def test_only_differences_matter_and_the_log_keeps_the_truth() -> None:
         small("agent.clock={offset: 100 ms}"),
         set=still | {"checks": {"signal": {"topic": ahead, "within": ["99.9 ms", "100.1 ms"]}}},
     )
-    assert {v.check: v.passed for v in result.verdicts}["clock.error"]
+    assert {v.check: v.passed for v in result.checks}["clock.error"]

@@ -337,7 +337,7 @@ def test_a_run_full_of_faults_is_the_same_everywhere(tmp_path: Path) -> None:
         "{at: 500 ms, for: 500 ms, partition: halves}, {at: 800 ms, kill: 3}, {at: 1 s, deaf: 1, for: 300 ms}]"
     )
     results = [run(tmp_path, "duration=2 s", faults, in_process=flag) for flag in (True, False)]
-    assert [r.status for r in results] == [Status.PASS] * 2, [(r.reason, r.lines, r.verdicts) for r in results]
+    assert [r.status for r in results] == [Status.PASS] * 2, [(r.reason, r.lines, r.checks) for r in results]
     alone, fleet = ((r.directory / "run.mcap").read_bytes() for r in results)
     assert alone == fleet
     assert told(results[0].directory) == [
@@ -355,7 +355,7 @@ def test_a_check_of_some_vehicles(tmp_path: Path) -> None:
     everyone = ["checks.formation_error={below: 0.1 m, after: 45 s}", "log.every=50 ticks"]
     result = execute(load_scenario("kill", everyone), Options(tmp_path, in_process=True, quiet=True))
     assert result.status is Status.CHECK_FAILED
-    assert "(vehicle 4" in next(v.found for v in result.verdicts if v.check == "formation_error")
+    assert "(vehicle 4" in next(v.found for v in result.checks if v.check == "formation_error")
     assert "there is no vehicle 4" in only_problem("checks.formation_error={below: 1 m, vehicles: 1-9}")
 
 

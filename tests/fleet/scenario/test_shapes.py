@@ -428,4 +428,4 @@ def test_shipped_courses_are_followed(name: str, tmp_path: Path) -> None:
     early = ["formation.changes.1.at=25 s"] if name == "survey" else []
     overrides = ["duration=60 s", "log.every=20 ticks", "checks.formation_error.after=45 s", *early]
     result = execute(load_scenario(name, overrides), Options(tmp_path, in_process=True, quiet=True))
-    assert result.status is Status.PASS, (result.reason, result.verdicts)
+    assert result.status is Status.PASS, (result.reason, result.checks)

@@ -25,8 +25,7 @@ from fleet.scene.primitives import (
     points_of,
 )
 from fleet.scene.styles import FOXGLOVE, PAGE, PRINT
-from fleet.view.movie_camera import Camera
-from fleet.view.movie_canvas import Canvas, sample
+from fleet.view.movie_scene import Camera, Canvas, sample
 
 PAGE_MODULES = ROOT / "fleet" / "view" / "page" / "modules"
 EXAMPLES: dict[type[Primitive], Primitive] = {

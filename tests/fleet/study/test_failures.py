@@ -44,7 +44,7 @@ class Interrupted(Here):
 
 def test_a_search_goes_on_after_a_failure_and_after_an_interruption(tmp_path: Path) -> None:
     seeds = {
-        n: [v.check for v in judged(small(NEMESIS, CHECKS, f"seed={n}")).verdicts if not v.passed] for n in range(1, 9)
+        n: [v.check for v in judged(small(NEMESIS, CHECKS, f"seed={n}")).checks if not v.passed] for n in range(1, 9)
     }
     kinds = {
         check: min(n for n in seeds if check in seeds[n]) for check in sorted({c for cs in seeds.values() for c in cs})
@@ -72,7 +72,7 @@ def test_what_is_kept_is_the_least_that_fails_and_regress_compares_it(tmp_path: 
     assert done and make_least(folder, scenario, Here(), lambda doing, runs: None, NO_MODULES, 15) == []
     for kept in folder.failures():
         result = run(tmp_path / kept.file, seed=kept.seed)
-        assert kept.check in [v.check for v in result.verdicts if not v.passed] and kept.least
+        assert kept.check in [v.check for v in result.checks if not v.passed] and kept.least
         assert result.digest == kept.digest
         assert (
             kept.paste

@@ -65,7 +65,7 @@ def part_of(scenario: Scenario, branch: Branch) -> PartRow:
 
 def test_a_part_without_salt_goes_on_as_the_run_did() -> None:
     scenario = seldom()
-    whole = next(verdict for verdict in judged(scenario).verdicts if verdict.check == "max_age")
+    whole = next(verdict for verdict in judged(scenario).checks if verdict.check == "max_age")
     assert whole.margin is not None
     part = part_of(scenario, Branch("max_age", 0))
     assert part.best == whole.margin.value and part.ticks == scenario.ticks

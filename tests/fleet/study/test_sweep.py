@@ -66,8 +66,8 @@ def test_a_row_is_the_run(small_file: str, tmp_path: Path) -> None:
     found = run(small_file, set=changes, seed=2)
     assert row["digest"] == found.digest
     assert row["passed"] == found.passed
-    assert row["check.formation_error"] == found.verdicts[0].passed
-    assert row["value.formation_error"] == found.verdicts[0].value
+    assert row["check.formation_error"] == found.checks[0].passed
+    assert row["value.formation_error"] == found.checks[0].value
     assert row["formation_final_m"] == found.values["formation"]["worst_m"]
     assert isnan(row["settle_5cm_s"])
     assert frame.attrs["units"]["network.links.*.loss"] == "%"
@@ -96,6 +96,7 @@ def test_an_interrupted_study_goes_on_where_it_was(small_file: str, tmp_path: Pa
         run_study(store, first, lambda progress: None)  # type: ignore[arg-type]
     again = Store.open(tmp_path / "study")
     assert again.missing == 5
+    assert [(task.point, task.seed) for task in first.tasks] == [(0, 1), (1, 1), (2, 1)]  # all points before seed 2
     seen: list[tuple[int, int]] = []
 
     def tell(progress: Progress) -> None:

@@ -22,11 +22,10 @@ from fleet.errors import FleetError
 from fleet.logs.open_log import open_log
 from fleet.logs.reader import LogReader
 from fleet.logs.tape import Tape
-from fleet.replay.attachment import Stamp, pack
-from fleet.replay.live_journal import LiveJournal
-from fleet.replay.missing import pack_counts
+from fleet.replay.live_journal import LiveJournal, pack_counts
 from fleet.replay.observed import Observed, host_observed, new_observed
 from fleet.replay.playback import PlaybackOptions, Replay
+from fleet.replay.topics import Stamp, pack
 from fleet.terminal.status_line import StatusLine
 from fleet.view.foxglove_live import OVER, LiveBridge
 from fleet.view.source import LiveSource, find_source
@@ -59,8 +58,8 @@ def joined(observed: Observed) -> Iterator[OpenBus]:
 
 def test_only_what_viewers_want_is_fetched(log: Path, tmp_path: Path) -> None:
     """And what tells the time. The publisher sees who subscribes; a replay stands in for a run here."""
-    observed = new_observed(endpoint(), "0123abcd")
-    replay = Replay(Tape(log), PlaybackOptions(run=observed.run, rate=0.0))
+    observed = new_observed(endpoint(), "replay")
+    replay = Replay(Tape(log), PlaybackOptions(speed=0.0))
     publisher = host_observed(observed)
     replay.open(publisher)
 
@@ -93,9 +92,9 @@ def test_only_what_viewers_want_is_fetched(log: Path, tmp_path: Path) -> None:
 
 def test_who_only_watches_cannot_control(log: Path, tmp_path: Path) -> None:
     """With the observer's credentials and nothing else there are no services, whatever is asked for."""
-    observed = new_observed(endpoint(), "0123abcd")
+    observed = new_observed(endpoint(), "replay")
     with session(host_observed(observed)) as publisher, joined(observed) as bus:
-        Replay(Tape(log), PlaybackOptions(run=observed.run)).open(publisher)
+        Replay(Tape(log), PlaybackOptions()).open(publisher)
         with pytest.raises(FleetError, match="only what an observer needs is at hand"):
             LiveBridge(
                 LiveSource(tmp_path, observed, None), LiveJournal(bus, Keys(observed.run)), "127.0.0.1", 0, control=True

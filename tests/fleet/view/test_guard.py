@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from fleet.view.guard import Guard
+from fleet.view.server import Guard
 
 PORT, TOKEN = 8123, "the-token"
 OURS = f"127.0.0.1:{PORT}"

@@ -11,8 +11,7 @@ import pytest
 from small_scenario import small
 
 from fleet.logs.schemas import BELIEF, flat_schema
-from fleet.replay.live_journal import LiveJournal
-from fleet.replay.missing import pack_counts
+from fleet.replay.live_journal import LiveJournal, pack_counts
 from fleet.replay.observed import Observed
 from fleet.replay.topics import PublishedTopic
 from fleet.scene.primitives import CrossShape

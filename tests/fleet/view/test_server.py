@@ -4,24 +4,28 @@ from __future__ import annotations
 
 import os
 import re
+import resource
 import socket
 import stat
 import subprocess
 import sys
 import tempfile
 import time
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from signal import SIGINT
 from urllib.parse import urlsplit
 from urllib.request import urlopen
 
+import psutil
 import pytest
 from repository import ROOT
 from traffic import Command
 from traffic import log as log
 
 from fleet.errors import FleetError
+from fleet.processes.limits import allow_most_open_files
 from fleet.view import server
 from fleet.view.server import Browser, PageListener, is_loopback, open_listener
 
@@ -106,6 +110,45 @@ def test_without_a_screen_no_browser_is_opened(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(server.webbrowser, "open", lambda url: pytest.fail(f"opened {url}"))
     with closing(Browser("http://127.0.0.1:1/?token=secret")) as browser:
         assert not browser.open()
+
+
+@pytest.fixture
+def served(log: Path) -> Iterator[tuple[str, psutil.Process]]:
+    """The address of a page with its token, and its process, which may open no more files than most systems allow."""
+    pytest.importorskip("nicegui", reason="the extra [view] is not installed")
+    allow_most_open_files()  # for our ends of the connections
+    with Command("view", log, "--no-open") as viewer:
+        resource.prlimit(viewer.pid, resource.RLIMIT_NOFILE, (1024, resource.getrlimit(resource.RLIMIT_NOFILE)[1]))
+        viewer.until("/?token=")
+        address = viewer.printed.split()[-1]
+        urlopen(address, timeout=60).close()
+        yield address, psutil.Process(viewer.pid)
+
+
+def test_half_open_connections_do_not_shut_out_who_has_the_token(served: tuple[str, psutil.Process]) -> None:
+    address, _ = served
+    where = ("127.0.0.1", urlsplit(address).port)
+    with ExitStack() as held:
+        silent = [held.enter_context(socket.create_connection(where, 60)) for _ in range(1100)]
+        urlopen(address, timeout=60).close()
+        assert silent[0].recv(1) == b""  # each is closed after some seconds
+
+
+def test_requests_without_a_token_do_not_fill_the_memory(served: tuple[str, psutil.Process]) -> None:
+    """Whoever sends headers without an end is cut off. Before, a hundred such connections took 250 MB in a second."""
+    address, process = served
+    where = ("127.0.0.1", urlsplit(address).port)
+    before = process.memory_info().rss
+    with ExitStack() as held:
+        for _ in range(100):
+            sender = held.enter_context(socket.create_connection(where, 60))
+            sender.sendall(b"GET / HTTP/1.1\r\n")
+            with suppress(ConnectionError):
+                for _ in range(10_000):  # 10 MB
+                    sender.sendall(b"a: " + b"x" * 1000 + b"\r\n")
+                pytest.fail("nobody cut it off")
+        assert process.memory_info().rss < before + 50e6
+        urlopen(address, timeout=60).close()
 
 
 def test_a_second_ctrl_c_prints_no_traceback(log: Path) -> None:

@@ -11,7 +11,7 @@ from small_scenario import small
 from fleet.cli.main import cli
 from fleet.errors import FleetError
 from fleet.scenario.text.fault_words import read_fault
-from fleet.view import words
+from fleet.view import page as words
 
 
 @pytest.mark.parametrize(("kind", "target"), [("link", "1->2"), ("vehicle", "2"), ("fleet", "")])

@@ -18,7 +18,7 @@ from fleet.processes.children import RunFolder
 from netem.errors import BusError
 from netem.wire.access import CONSOLE, NETEM, Credentials, Listener, agent_role, generate
 from netem.wire.bus import Bus
-from netem.wire.certificate_router import CertificateRouter, new_session_id
+from netem.wire.certificate_router import CertificateRouter
 from netem.wire.keys import Keys
 from netem.wire.session import MAX_BYTES, UNIVERSAL, client_settings, client_tls, open_session
 
@@ -41,7 +41,7 @@ class Run:
         listener = Listener(
             (self.endpoint,), 20_000, server.ca, pair.certificate, pair.key, certified=frozenset([agent_role(1)])
         )
-        self._second = CertificateRouter(self.world, KEYS, (1, 2), listener, new_session_id())
+        self._second = CertificateRouter(self.world, KEYS, (1, 2), listener)
         self.heard: list[tuple[str, str, bytes]] = []  # by whom, on which key
         self.tokens: set[str] = set()
         self._open = [self.world]
@@ -206,7 +206,7 @@ def test_another_certificate_opens_nothing_and_none_is_refused(run: Run, tmp_pat
 def test_without_a_certificate_nobody_connects_where_no_vehicle_is_external_either(run: Run, made: Path) -> None:
     server, run.endpoint = certificates.read_server(made), f"tls/127.0.0.1:{free_port()}"
     listener = Listener((run.endpoint,), 20_000, server.ca, server.pair.certificate, server.pair.key)
-    CertificateRouter(run.world, KEYS, (1, 2), listener, new_session_id())
+    CertificateRouter(run.world, KEYS, (1, 2), listener)
     run.certified("agent-1")  # which opens nothing
     with pytest.raises(zenoh.ZError):
         run.certified(None)
@@ -216,4 +216,4 @@ def test_a_port_that_is_taken_is_said(run: Run, made: Path) -> None:
     server = certificates.read_server(made)
     taken = Listener((run.endpoint,), 20_000, server.ca, server.pair.certificate, server.pair.key)
     with pytest.raises(BusError, match=f"cannot listen on {run.endpoint}"):
-        CertificateRouter(run.world, KEYS, (1, 2), taken, new_session_id())
+        CertificateRouter(run.world, KEYS, (1, 2), taken)

@@ -224,7 +224,7 @@ def test_run_that_fails_a_check(tmp_path: Path) -> None:
     result = invoke("run", *QUICK, "--out", tmp_path, "--json")
     found = printed(Result, result)
     assert (result.exit_code, found.exit, found.status) == (1, 1, "check_failed")
-    assert [one.check for one in found.verdicts if not one.passed] == ["formation_error"]
+    assert [one.check for one in found.checks if not one.passed] == ["formation_error"]
     assert "FAIL  formation_error" in result.stderr
 
 

@@ -1,1 +1,0 @@
-"""Cost of the emulator: measurements that print a table."""

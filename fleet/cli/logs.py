@@ -16,7 +16,7 @@ from fleet.cli.study_pictures import check_options, export_study, is_study, meas
 from fleet.cli.types import FORCE, NO_PROGRESS, Duration, PictureWords, Vehicles, Whole, Window, Words
 from fleet.terminal.table import say
 
-KINDS = ("track", "error", "inputs", "links", "ages", "checks", "timing")
+KINDS = ("track", "error", "inputs", "links", "messages", "ages", "checks", "timing")
 PARTS = ("track-3d", "formation")  # single pictures of track and error
 FORMATS = ("png", "svg", "pdf")
 OTHER_FORMATS = ("bmp", "eps", "gif", "jpeg", "jpg", "ps", "tif", "tiff", "webp")  # of pictures, which are not written
@@ -35,7 +35,8 @@ _window = click.option(
     "--window",
     metavar="A..B",
     type=Window(),
-    help="Only this time, e.g. 20s..40s; by default the whole run.",
+    help="Only this time, e.g. 20s..40s. By default `messages` shows some rounds, and the other pictures the "
+    "whole run.",
 )
 
 
@@ -89,8 +90,8 @@ def plot(
     """Draw pictures of LOG (an MCAP file, or a run directory), as wide as a column of a journal.
 
     The pictures are: tracks, consensus and formation errors with the limits of the checks, inputs with their limits,
-    shares of packets by fate, ages of information, the signals that the checks name, and any other signal. Faults are
-    shaded. Prints the files.
+    shares of packets by fate, messages in space and time, ages of information, the signals that the checks name, and
+    any other signal. Faults are shaded. Prints the files.
 
     For the directory of a study it draws the pass rate and measures with intervals, as heat maps, curves or boxes,
     and differences in pairs of runs with the same seed. Hatched areas have runs without the number.
@@ -99,7 +100,7 @@ def plot(
     Examples:
       fleet plot
       fleet plot --what error,inputs --format svg,pdf --linear
-      fleet plot --what ages --window 20s..22s
+      fleet plot --what messages --window 20s..22s
       fleet plot --what state.z --vehicles 1,4
       fleet plot runs/a --compare runs/b --what error -o compared
       fleet plot studies/rough-sea-20261122-101500 --measure e_rms_m

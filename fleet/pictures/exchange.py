@@ -1,47 +1,53 @@
-"""The traffic on the links: fates of packets, ages of information."""
+"""The traffic on the links: messages in space and time, ages of information."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from fleet.logs.records import Array
 from fleet.logs.topic_names import link_topic
 from fleet.palette import COLOURS
-from fleet.pictures.axes import finish, legend_of, over_time
+from fleet.pictures.axes import finish, legend_of, marks_legend, over_time
 from fleet.pictures.runs import NothingToDraw, Run, View
 from fleet.pictures.style import LABEL_PT, THIN, plain_decades
+from fleet.quantities import vehicle_numbers
 from netem.condition import Link
 from netem.fault_kinds import Cause
 
 CORRUPTED = "corrupted"
-# Fate -> colour: blue for what arrives, grey for what is neither, warm for what is lost; what tends to happen together
-# differs in lightness, too.
-FATES: dict[str, str] = {
-    Cause.DELIVERED: "#56B4E9",
-    Cause.IN_FLIGHT: "#777777",
-    Cause.REPLACED: "#BBBBBB",  # what an acoustic modem never sends, which is no loss of the channel
-    CORRUPTED: "#CC79A7",
-    Cause.LOSS: "#D55E00",
-    Cause.PARTITION: "#7F1D1D",
-    Cause.DOWN: "#E6A100",
-    Cause.MUTE: "#F28E2B",
-    Cause.QUEUE: "#FDC086",
-    Cause.MTU: "#8C6D1F",
-    Cause.RANGE: "#F6C700",
-    Cause.HALF_DUPLEX: "#FFA07A",
-    Cause.COLLISION: "#C51B3A",
-    Cause.SNR: "#5B1A0B",
-    Cause.DEAD_SENDER: "#A65628",
-    Cause.DEAF: "#E7298A",
-    Cause.DEAD_RECEIVER: "#4A2C0A",
+# Fate -> (mark, colour). Every one has a mark and a colour of its own: blue for what arrives, grey for what is neither,
+# warm for what is lost; what tends to happen together differs in lightness, too.
+FATES: dict[str, tuple[str, str]] = {
+    Cause.DELIVERED: ("|", "#56B4E9"),
+    Cause.IN_FLIGHT: (".", "#777777"),
+    Cause.REPLACED: ("P", "#BBBBBB"),  # what an acoustic modem never sends, which is no loss of the channel
+    CORRUPTED: ("2", "#CC79A7"),
+    Cause.LOSS: ("x", "#D55E00"),
+    Cause.PARTITION: ("s", "#7F1D1D"),
+    Cause.DOWN: ("v", "#E6A100"),
+    Cause.MUTE: ("^", "#F28E2B"),
+    Cause.QUEUE: ("D", "#FDC086"),
+    Cause.MTU: ("<", "#8C6D1F"),
+    Cause.RANGE: (">", "#F6C700"),
+    Cause.HALF_DUPLEX: ("h", "#FFA07A"),
+    Cause.COLLISION: ("*", "#C51B3A"),
+    Cause.SNR: ("X", "#5B1A0B"),
+    Cause.DEAD_SENDER: ("8", "#A65628"),
+    Cause.DEAF: ("d", "#E7298A"),
+    Cause.DEAD_RECEIVER: ("H", "#4A2C0A"),
 }
 _BINS = 300  # of the time axis of the ages, at most; twice as many where every tooth can be seen
+_ROUNDS = 12  # shown by the space-time diagram unless a window is given
 _MOST_NAMED = 36  # rows
+_MOST_VEHICLES = 20  # of the space-time diagram
 _MOST_LINKS = 100  # with a row among the ages; of more, the oldest have one
 _ROW_IN = 0.11  # height of a link's row among the ages, enough for its name
 
@@ -59,13 +65,17 @@ def links_between(run: Run, view: View) -> list[Link]:
     return found
 
 
-def fates_of(run: Run, link: Link) -> tuple[Array, Array, Array]:
-    """(sent [s], due [s], fate) of every packet of a link; a corrupted one's fate is `corrupted`."""
+def fates_of(run: Run, link: Link) -> tuple[Array, Array, Array, Array]:
+    """(sent [s], due [s], fate, sequence) of every packet of a link; a corrupted one's fate is `corrupted`."""
     packets = run.log[link_topic(link)]
     if not len(packets):
-        return np.empty(0), np.empty(0), np.empty(0, object)
+        return np.empty(0), np.empty(0), np.empty(0, object), np.empty(0, np.int64)
     fate = np.where(packets["corrupted"] & (packets["fate"] == Cause.DELIVERED), CORRUPTED, packets["fate"])
-    return packets["sent"], packets["due"], fate.astype(object)
+    return packets["sent"], packets["due"], fate.astype(object), packets["seq"]
+
+
+def _style(fate: str) -> tuple[str, str]:
+    return FATES.get(fate, ("p", "#777777"))
 
 
 def rank(fate: str) -> tuple[int, str]:
@@ -80,6 +90,120 @@ def name_rows(ax: Axes, names: Sequence[str], size: float) -> None:
     ax.tick_params(axis="y", length=0, labelsize=size)
 
 
+def spacetime(runs: Sequence[Run], view: View) -> Figure:
+    """Vehicles over time, a line from each sending to the arrival; a lost message ends on its way with its mark."""
+    (run,) = runs
+    links = links_between(run, view)
+    packets = {link: fates_of(run, link) for link in links}
+    view = view if view.window else View(view.vehicles, view.log_scale, _moment(run, packets))
+    assert view.window is not None
+    first, last = view.window
+    shown_ones, every = _about_the_worst(packets, view.window), len({i for link in links for i in link})
+    packets = {link: found for link, found in packets.items() if shown_ones.issuperset(link)}
+    vehicles = sorted(shown_ones)
+    figure, (ax,) = over_time(1, runs, view, float(np.clip(0.42 * len(vehicles), 1.2, 6.0)) + 1.2)
+    place = {i: k for k, i in enumerate(vehicles)}
+    for i in vehicles:
+        _life(ax, run, i, place[i])
+    lines: dict[str, list[Any]] = {}
+    ends: dict[str, list[tuple[float, float]]] = {}
+    for (a, b), (sent, due, fate, _) in packets.items():
+        shown = (sent <= last) & (np.maximum(sent, due) >= first)
+        for s, d, name in zip(sent[shown], due[shown], fate[shown], strict=True):
+            # A lost one turns off before it arrives; one whose due time is its sending time has a slope all the same.
+            lost = name not in (Cause.DELIVERED, CORRUPTED, Cause.IN_FLIGHT)
+            share = 0.45 if lost else 1.0
+            until = max(d, s + 0.01 * (last - first)) if lost else d
+            end = s + share * (until - s), place[a] + share * (place[b] - place[a])
+            lines.setdefault(name, []).append([(s, place[a]), end])
+            ends.setdefault(name, []).append(end)
+    if not lines:
+        raise NothingToDraw(f"no message was under way from {first:g} to {last:g} s")
+    handles = []
+    for name in sorted(lines, key=rank):
+        mark, colour = _style(name)
+        if name == Cause.DELIVERED:
+            colour, mark = COLOURS[0], "."
+        ax.add_collection(
+            LineCollection(lines[name], colors=colour, linewidths=THIN, gid=f"fate-{name}",
+                           linestyles="-" if name in (Cause.DELIVERED, CORRUPTED) else (0, (3, 1.5)), zorder=2)
+        )  # fmt: skip
+        x, y = zip(*ends[name], strict=True)
+        ax.plot(
+            x, y, linestyle="", marker=mark, color=colour, markersize=2.5 if name == Cause.DELIVERED else 3.5, zorder=3
+        )
+        handles.append(Line2D([], [], marker=mark, color=colour, linewidth=THIN, markersize=4, label=name))
+    ax.set_ylim(len(vehicles) - 0.5, -0.5)
+    ax.set_yticks(range(len(vehicles)), [f"UUV {i}" for i in vehicles])
+    ax.tick_params(axis="y", length=0)
+    ax.grid(axis="y", visible=False)
+    ax.set_ylabel("vehicle")
+    marks_legend(figure, handles)
+    some = [] if len(vehicles) == every else [f"{len(vehicles)} of {every} vehicles; others with --vehicles"]
+    finish(figure, [ax], runs, some)
+    return figure
+
+
+def _about_the_worst(packets: dict[Link, tuple[Array, Array, Array, Array]], window: tuple[float, float]) -> set[int]:
+    """The vehicles of these links; of too many those nearest to the link that lost most of its packets in a window."""
+    hears: dict[int, set[int]] = {}
+    lost: dict[Link, int] = {}
+    for (a, b), (sent, _, fate, _) in packets.items():
+        hears.setdefault(a, set()).add(b)
+        hears.setdefault(b, set()).add(a)
+        inside = (sent >= window[0]) & (sent <= window[1])
+        lost[a, b] = int((inside & (fate != Cause.DELIVERED) & (fate != Cause.IN_FLIGHT)).sum())
+    if len(hears) <= _MOST_VEHICLES:
+        return set(hears)
+    worst = max(lost, key=lambda link: lost[link])
+    found = dict.fromkeys(worst)
+    front = list(worst)
+    for i in front:  # it grows meanwhile
+        new = [j for j in sorted(hears[i]) if j not in found]
+        found.update(dict.fromkeys(new))
+        front += new
+        if len(found) >= _MOST_VEHICLES:
+            break
+    return set(list(found)[:_MOST_VEHICLES])
+
+
+def _moment(run: Run, packets: dict[Link, tuple[Array, Array, Array, Array]]) -> tuple[float, float]:
+    """A window of some rounds: around the first fault, or the first loss, or in the middle."""
+    sent = np.unique(np.concatenate([sent for sent, _, _, _ in packets.values()]))
+    due = np.concatenate([due - sent for sent, due, _, _ in packets.values()])
+    if not len(sent):
+        raise NothingToDraw("no packet was sent")
+    period = float(np.median(np.diff(sent))) if len(sent) > 1 else 1.0
+    width = max(_ROUNDS * period, 4.0 * float(np.percentile(due, 95)), 10 * run.tick_s)
+    lost = [s[f != Cause.DELIVERED] for s, _, f, _ in packets.values()]
+    first_lost = min((float(times.min()) for times in lost if len(times)), default=run.log.end / 2)
+    begin = (run.log.faults[0].begin if run.log.faults else first_lost) - width / 3
+    begin = max(0.0, min(begin, run.log.end - width))
+    return begin, min(begin + width, run.log.end)
+
+
+def _life(ax: Axes, run: Run, i: int, row: int) -> None:
+    """A vehicle's line in time, dotted while its agent is dead or suspended."""
+    absent = [
+        (fault.begin, fault.end)
+        for fault in run.log.faults
+        if (kind := fault.what.split(" ", 1))[0] in ("kill", "pause") and i in _numbers(kind[-1])
+    ]
+    at = 0.0
+    for begin, end in sorted(absent):
+        ax.plot([at, begin], [row, row], color="0.55", linewidth=THIN, zorder=1)
+        ax.plot([begin, end], [row, row], color="0.55", linewidth=THIN, linestyle=":", zorder=1, gid=f"absent-{i}")
+        at = end
+    ax.plot([at, run.log.end], [row, row], color="0.55", linewidth=THIN, zorder=1)
+
+
+def _numbers(text: str) -> Sequence[int]:
+    try:
+        return vehicle_numbers(text)
+    except ValueError:
+        return ()
+
+
 def peak_ages(run: Run, link: Link, edges: Array) -> Array:
     """The largest age [s] of information on a link in each interval between two edges [s]: see `netem.ages`.
 
@@ -88,7 +212,7 @@ def peak_ages(run: Run, link: Link, edges: Array) -> Array:
     """
     ticks = int(run.log.run.get("ticks", 0))
     count = min(round(run.log.end / run.tick_s) + 1, ticks) if ticks else round(run.log.end / run.tick_s) + 1
-    sent, due, fate = fates_of(run, link)
+    sent, due, fate, _ = fates_of(run, link)
     good = fate == Cause.DELIVERED
     arrived = np.rint(due[good] / run.tick_s).astype(np.int64)
     order = np.argsort(arrived, kind="stable")
@@ -173,7 +297,7 @@ def _bins(tables: Sequence[tuple[Run, Sequence[Link]]], span: float) -> int:
     gaps = []
     for run, links in tables:
         for link in links:
-            _, due, fate = fates_of(run, link)
+            _, due, fate, _ = fates_of(run, link)
             gaps.append(np.diff(np.unique(due[fate == Cause.DELIVERED])))
     together = np.concatenate(gaps) if gaps else np.empty(0)
     tooth = float(np.median(together)) if len(together) else 0.0

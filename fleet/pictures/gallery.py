@@ -131,7 +131,7 @@ MOST_ROWS = 36  # links with a row of their own; of more, the worst have one, an
 WORST = 12
 LATE = "late"  # arrived, but behind a newer packet of its link
 _ARRIVED = (Cause.DELIVERED, LATE)
-_COLOURS = {LATE: "#0072B2"} | FATES
+_COLOURS = {LATE: "#0072B2"} | {fate: colour for fate, (_, colour) in FATES.items()}
 _BINS = 150  # of the time axis, at most
 _PER_BIN = 4  # packets, if there are enough
 _ROW_IN = 0.17
@@ -253,7 +253,7 @@ def strips(rows: Sequence[Row], fates: Sequence[str], edges: Array) -> dict[str,
 
 def _named(run: Run, link: Link, first: float, last: float) -> tuple[Array, Array]:
     """(sent [s], fate) of the packets of a link that were sent in a time; what was overtaken is late."""
-    sent, due, fate = fates_of(run, link)
+    sent, due, fate, _ = fates_of(run, link)
     good = np.flatnonzero(fate == Cause.DELIVERED)
     order = good[np.lexsort((sent[good], due[good]))]
     newest = np.maximum.accumulate(sent[order]) if len(order) else sent[order]
@@ -301,13 +301,14 @@ WHAT: dict[str, tuple[_Picture, ...]] = {
     ),
     "inputs": (("inputs", "Force and moments as applied, limits, and where a limit was met", time_series.inputs),),
     "links": (("links", "What became of the packets of each link, as shares over time", timeline),),
+    "messages": (("messages", "Messages between the agents in space and time", exchange.spacetime),),
     "ages": (("ages", "Age of what was last heard on each link", exchange.ages),),
     "checks": (),  # a picture for each signal that the checks name
     "timing": (("timing", "On a wall clock: how late agents answered, what delays became", punctuality),),
 }
 # Those that are left out where everything is asked for, if they hold for none of the runs.
 _ONLY_IF: dict[str, Callable[[Run], bool]] = {"timing": on_wall_clock}
-PER_RUN = frozenset({"links", "timing"})  # those that show one run only: of several, each has its own
+PER_RUN = frozenset({"links", "messages", "timing"})  # those that show one run only: of several, each has its own
 
 
 def check_signals(what: Sequence[str], runs: Sequence[Run]) -> None:

@@ -79,3 +79,11 @@ def test_info_folds_topics_that_differ_by_numbers(directory: Path) -> None:
     states = sum(count for topic, (_, count) in info.topics.items() if re.fullmatch(r"uuv/\d+/state", topic))
     assert re.search(rf"uuv/\*/state \({N} topics\) +{states}  uuv_fleet.State", text)
     assert re.search(rf"link/\*-\* \({LINKS} topics\)", text)
+
+
+def test_messages_are_those_about_the_worst_link(run: Run) -> None:
+    figure = exchange.spacetime([run], WHOLE)
+    names = [label.get_text() for label in figure.axes[0].get_yticklabels()]
+    assert len(names) == 20
+    assert {"UUV 30", "UUV 31"} <= set(names)
+    assert f"20 of {N} vehicles" in figure.axes[0].get_xlabel()

@@ -110,7 +110,7 @@ def test_every_picture_of_every_run(name: str, runs: dict[str, Run]) -> None:
     """Drawn, or a sentence; every axis has a unit; a text is never cut off by the picture's edge."""
     for picture, figure in pictures(runs[name], list(WHAT)).items():
         if isinstance(figure, str):
-            assert name == "one" and picture in ("links", "ages"), (picture, figure)
+            assert name == "one" and picture in ("links", "messages", "ages"), (picture, figure)
             continue
         if name in ("faulty", "one", "twenty"):  # the others only differ in what is on the axes
             figure.draw_without_rendering()
@@ -125,7 +125,7 @@ def test_every_picture_of_every_run(name: str, runs: dict[str, Run]) -> None:
 
 def test_faults_are_shaded_and_named_on_every_time_axis(runs: dict[str, Run]) -> None:
     for name, figure in pictures(runs["faulty"], list(WHAT)).items():
-        if name in ("track", "track-3d"):
+        if name in ("track", "track-3d", "messages"):  # messages are those of a part of the time
             continue
         assert isinstance(figure, Figure)
         timed = [ax for ax in figure.axes if ax.get_subplotspec() is not None and ax.get_label() != "<colorbar>"]
@@ -270,12 +270,26 @@ def test_track_shows_the_obstacles_of_the_scenario(made: Alone) -> None:
         assert min(limits) <= min(values) <= max(values) <= max(limits)
 
 
-def test_every_fate_has_a_colour_of_its_own() -> None:
+def test_every_fate_has_a_mark_of_its_own() -> None:
     assert set(exchange.FATES) == {Cause.DELIVERED, Cause.IN_FLIGHT, exchange.CORRUPTED, *LOSSES}
-    assert len(set(exchange.FATES.values())) == len(exchange.FATES)
+    assert len({mark for mark, _ in exchange.FATES.values()}) == len(exchange.FATES)
+    assert len({colour for _, colour in exchange.FATES.values()}) == len(exchange.FATES)
     for fate in LOSSES:  # warm, where what arrives is blue
-        red, _, blue = to_rgb(exchange.FATES[fate])
+        red, _, blue = to_rgb(exchange.FATES[fate][1])
         assert red > blue or fate == Cause.REPLACED
+
+
+def test_messages_in_space_and_time(runs: dict[str, Run]) -> None:
+    (ax,) = figure_of(runs["faulty"], "messages", "messages", View(window=(0.8, 1.4))).axes
+    assert ax.get_xlim() == (0.8, 1.4)
+    assert [label.get_text() for label in ax.get_yticklabels()] == ["UUV 1", "UUV 2", "UUV 3", "UUV 4"]
+    drawn = {collection.get_gid(): collection for collection in ax.collections}
+    for begin, end in drawn["fate-delivered"].get_segments():
+        assert abs(end[1] - begin[1]) == 1.0  # neighbours on the path
+        assert end[0] - begin[0] >= 0.03 - 1e-9  # the delay
+    assert lines(ax, "absent-2") and not lines(ax, "absent-1")
+    late = pictures(runs["faulty"], ["messages"], View(window=(90.0, 91.0)))["messages"]
+    assert late == "no message was under way from 90 to 91 s"
 
 
 @pytest.mark.parametrize("name", ["faulty", "acoustic", "twenty"])

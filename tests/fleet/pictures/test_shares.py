@@ -29,8 +29,8 @@ def test_shares_are_those_of_the_log(run: Run) -> None:
     drawn = {str(found.get_gid()).removeprefix("fate-"): found for found in ax.collections}
     assert {Cause.DELIVERED, LATE, Cause.LOSS, Cause.PARTITION} <= drawn.keys()
     for fate, collection in drawn.items():
-        expected = FATES[Cause.DELIVERED] if fate == Cause.DELIVERED else None
-        expected = expected or FATES.get(fate, "#0072B2")
+        expected = FATES[Cause.DELIVERED][1] if fate == Cause.DELIVERED else None
+        expected = expected or FATES.get(fate, ("", "#0072B2"))[1]
         assert to_hex(collection.get_facecolor()[0]).lower() == expected.lower()
     cut = [path.vertices for path in drawn[Cause.PARTITION].get_paths()]  # one polygon per link between the halves
     x = np.concatenate([corners[:, 0] for corners in cut])

@@ -123,7 +123,7 @@ def invoke(*arguments: str) -> Result:
 # --- reading -----------------------------------------------------------------
 
 READING = (
-    ["plot", "LOG", "--what", "inputs,gains", "-o", "plots"],
+    ["plot", "LOG", "--what", "inputs,guidance.K", "-o", "plots"],
     ["report", "LOG", "-o", "page.html"],
     ["export", "LOG", "--scenario"],
     ["export", "LOG", "--csv", "tables"],
@@ -137,7 +137,7 @@ READING = (
 def test_reading_runs_nothing(where: str, victim: tuple[str, Path, str], monkeypatch: pytest.MonkeyPatch) -> None:
     """All that a reader shows stands in the log, the signals of laws that it never sees, too."""
     log, mark, name = victim
-    monkeypatch.setattr("fleet.pictures.report.WHAT", {"gains": WHAT["gains"]})  # `plot` draws more of the same
+    monkeypatch.setattr("fleet.pictures.report.WHAT", {"inputs": WHAT["inputs"]})  # `plot` draws more of the same
     if where == "installed":
         monkeypatch.syspath_prepend(str(mark.parent / "site"))
         write_laws(mark.parent / "site", name)

@@ -65,8 +65,12 @@ def check_refusals(
         known = {case: (known.get(case, ("",))[0] or head, words) for case, (head, words) in found.items()}
         sections[what] = known
         path.write_text("\n".join(_printed(name, sections[name]) for name in sorted(sections)), "utf-8")
-    assert {case: head for case, (head, _) in found.items()} == {case: head for case, (head, _) in known.items()}
-    assert found == known, "if these words are meant: WRITE_MESSAGES=1 pytest -n 0 and this file"
+    nothing: tuple[str, list[str]] = ("nothing", [])
+    pairs = {case: (known.get(case, nothing), found.get(case, nothing)) for case in (*known, *found)}
+    moved = [f"{case}: expected {old[0]}, got {new[0]}" for case, (old, new) in pairs.items() if old[0] != new[0]]
+    assert not moved, "\n".join(moved)
+    other = [f"{case}: {new[1]}, before {old[1]}" for case, (old, new) in pairs.items() if old != new]
+    assert not other, "\n".join(["if these words are meant: WRITE_MESSAGES=1 pytest -n 0 and this file", *other])
 
 
 def _refusal(

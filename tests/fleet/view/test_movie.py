@@ -176,12 +176,13 @@ def test_what_cannot_be_drawn_is_said(log: Path, tmp_path: Path) -> None:
         ("a", {}),
         ("a.gif", {"window": (0.5, 2.0)}),
         ("a.gif", {"window": (1.0, None)}),
-        ("a.gif", {"rate": 0.001, "fps": 50}),
+        ("a.gif", {"speed": 0.001, "fps": 50}),
         ("none/a.gif", {}),
     ]
     check_refusals(
         "view/movies", lambda out, options: made(log, tmp_path / out, **options), cases, hide={str(tmp_path): "HERE"}
     )
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_log_without_places_is_refused(alone: Alone, tmp_path: Path) -> None:

@@ -103,13 +103,6 @@ ANYTHING = st.recursive(
 )
 
 
-def nested(depth: int) -> Any:
-    value: Any = []
-    for _ in range(depth):
-        value = [value]
-    return value
-
-
 # Wire bytes that promise more than they hold, or nest deeper than a stack is.
 BOMBS = [
     b"\xdd\xff\xff\xff\xff",
@@ -140,7 +133,6 @@ def respond_to(answers: list[bytes]) -> Callable[[bytes], None]:
 SCENARIO = load_scenario("paper", ["duration=2 s", "checks={}"])
 N = SCENARIO.vehicles
 TICKS = st.sampled_from([0, 1, 10, 20, SCENARIO.ticks, 2**63, 2**64 - 1])
-NUMBERS = st.sampled_from([0, 1, 2, N, N + 1, 10**6, 2**63])
 # What an agent may put: on its own keys only, but whatever it likes.
 COMMANDS = st.builds(
     Command,

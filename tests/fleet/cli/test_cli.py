@@ -406,9 +406,6 @@ def test_info_tells_faults_and_apart_from_them_what_happened_to_vehicles(tmp_pat
     assert {row["fault"] for row in result["events"]} == {"tumbled-2"}
 
 
-# --- what is wrong, and what to do ---------------------------------------
-
-
 # --- what is said ----------------------------------------------------------
 
 

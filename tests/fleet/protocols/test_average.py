@@ -19,7 +19,6 @@ from fleet.protocols.average import EXACT, NAIVE, ExactAverage, NaiveAverage
 pytestmark = pytest.mark.usefixtures("stand_still")
 __all__ = ["stand_still"]
 MEASURED = {1: 12.0, 2: 19.0, 3: 3.5, 4: -7.0, 5: 11.0}
-MEAN = sum(MEASURED.values()) / 5
 RING = ring(5)
 FIVE = small("vehicles=5", "graph={shape: ring}")
 

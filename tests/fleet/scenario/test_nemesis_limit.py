@@ -9,7 +9,6 @@ from fleet.scenario.schema.faults import FaultSection
 from fleet.scenario.sections.nemesis import within_limit
 from fleet.scenario.sections.timeline import action, vehicles_of
 
-S = 10**9
 SWARM = ("duration=60 s", "vehicles=5", "graph={shape: ring}")
 ONE = "nemesis={mode: swarm, pick: [kill, mute, down], mean: 2 s, most_silent: 1}"
 

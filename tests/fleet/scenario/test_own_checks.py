@@ -13,8 +13,6 @@ from fleet.errors import ScenarioError
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.schema.checks import SignalCheck
 
-CUT = "faults=[{id: cut, at: 100 ms, for: 100 ms, down: 1->2}, {id: off, at: 300 ms, down: 2->3}]"
-
 
 def test_a_vehicle_that_is_named_has_the_signal() -> None:
     checks = "checks={{signal: {{topic: state.phi, below: 1 rad{}}}}}"

@@ -18,7 +18,6 @@ FAULTS = (
     "{id: loss, at: 500 ms, for: 100 ms, link: {'*': loss 40%}},"
     "{id: deaf, at: 600 ms, for: 100 ms, deaf: 2}]"
 )
-NONE = "checks={formation_error: {below: 99 m, after: 0 s}, tumbled: waived, deaths: waived}"
 CHECK = "checks={formation_error: {below: 4.6 m, after: 800 ms}}"
 
 

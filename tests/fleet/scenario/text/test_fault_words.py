@@ -67,7 +67,6 @@ def test_every_fault_of_the_shipped_scenarios_is_told_in_words_and_read_again() 
     assert [ENTRY.validate_python(read_fault(told(fault))) for fault in faults] == faults
 
 
-NUMBER = st.floats(-1e3, 1e3)
 SHARE = st.floats(0, 1).map(str)
 TIMES = st.integers(0, 10**12).map(show_time)
 PERIODS = st.integers(1, 10**12).map(show_time)

@@ -98,11 +98,8 @@ class AcousticChannel:
         self._ranges = make_ranges(config, self._air, links.receivers)
 
     def carry(self, round_: MediumRound) -> None:
-        """Transmit the payloads that start in a round, and decide the receptions that end in it.
-
-        Raises:
-            ValueError: the round has no positions of the vehicles.
-        """
+        """Transmit the payloads that start in a round, and decide the receptions that end in it. Raises ValueError: the
+        round has no positions of the vehicles."""
         tick, until, transmissions, positions, faults, clocks = round_
         if positions is None:
             raise ValueError("an acoustic channel needs the vehicles' positions")
@@ -144,7 +141,6 @@ class AcousticChannel:
     # ---------------------------------------------------------------------------------- the modems
 
     def _accept(self, tick: int, src: int, payload: bytes, faults: ActiveFaults) -> None:
-        """Take a payload from an agent, and count it as sent on every link of the sender."""
         station = self._stations[src]
         sent = Waiting(tick + faults.slow.get(src, 0), station.seq, tick, payload)
         station.seq += 1
@@ -192,7 +188,6 @@ class AcousticChannel:
             self._start(station, now, faults)
 
     def _schedule(self, station: Station, earliest: int) -> None:
-        """Fix the next start of a modem that has something to send, unless it is fixed or waits for an answer."""
         if station.start_tick is None and station.waiting and station.vehicle not in self._transfers:
             station.start_tick = self._access.next_start(station, max(earliest, station.free_tick))
 
@@ -228,7 +223,6 @@ class AcousticChannel:
             self._schedule(station, station.free_tick)
 
     def _drop(self, tick: int, src: int, station: Station) -> None:
-        """Forget what is in the modem of a vehicle without an agent."""
         for sent in (*station.late, *station.waiting):
             self._lose_unsent(src, sent, tick, Cause.DEAD_SENDER)
         if (transfer := self._transfers.pop(src, None)) is not None:
@@ -262,7 +256,6 @@ class AcousticChannel:
             self._schedule(station, now)
 
     def _answer(self, now: int, faults: ActiveFaults) -> None:
-        """Send the acknowledgements, requests and replies that are due, unless their modem transmits already."""
         due = [Query(*answer, ANSWER) for answer in self._answers if answer.start_tick <= now]
         self._answers = [answer for answer in self._answers if answer.start_tick > now]
         for start, src, dst, seq, kind in due + self._ranges.take_due(now):
@@ -284,7 +277,6 @@ class AcousticChannel:
     # ---------------------------------------------------------------------------------- the channel
 
     def _transmit(self, src: int, start: int, sent: Waiting, transfer: Transfer | None, faults: ActiveFaults) -> None:
-        """Transmit a payload: on each link of the sender it is either lost at once or becomes a reception."""
         tick_ns = self._config.tick_ns
         airtime = self._acoustic.modem_of(src).airtime_ns(len(sent.payload))
         number = sent.seq + (TRY * (transfer.tried - 1) if transfer is not None else 0)
@@ -350,7 +342,6 @@ class AcousticChannel:
         self._transit.hand_over(self._ranges.received(packet, r))
 
     def _answered(self, r: Reception, cause: Cause | None) -> None:
-        """Take in an acknowledgement that has ended at the sender of the payload."""
         transfer = self._transfers.get(r.dst)
         if cause is None and transfer is not None and (r.seq, r.src) == (transfer.sent.seq, transfer.to[0]):
             station = self._stations[r.dst]
@@ -381,11 +372,8 @@ class AcousticChannel:
         return values
 
     def restore(self, values: dict[str, Any]) -> None:
-        """Set the state from values that `state` returned.
-
-        Raises:
-            msgspec.ValidationError: the values have another form.
-        """
+        """Set the state from values that `state` returned. Raises msgspec.ValidationError: the values have another
+        form."""
         state = msgspec.convert(values, _State)
         self._stations = {station.vehicle: station for station in state.stations}
         self._air.places, self._air.bursts = dict(state.places), state.air

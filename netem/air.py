@@ -19,17 +19,13 @@ _SHORT = {ANSWER: "acknowledgement", REQUEST: "range request", REPLY: "range rep
 
 def draws(acoustic: AcousticConfig, ranges: Iterable[float] | None = None) -> list[str]:
     """The purposes of the draws that decide on packets, beside those of fading; none if all seeds give the same.
-
-    Args:
-        ranges: from sender to receiver [m]; None: all up to that of the modem.
-    """
+    `ranges`: from sender to receiver [m]; None: all up to that of the modem."""
     modems = [acoustic.modem, *acoustic.modems.values()]
     found = [CAPTURE] if any(modem.captured is not None for modem in modems) else []
     return [*found, SNR] if any(_noisy(acoustic, modem, ranges) for modem in modems) else found
 
 
 def _noisy(acoustic: AcousticConfig, modem: Modem, ranges: Iterable[float] | None) -> bool:
-    """Whether a draw may decide on a packet that nobody else disturbs."""
     if modem.delivery is not None:
         return any(undecided(share) for _, share in modem.delivery.points)
     if acoustic.shadowing or acoustic.rician is not None:
@@ -98,7 +94,6 @@ class Air:
         return None
 
     def _gain(self, src: int, dst: int, start_tick: int) -> float:
-        """The gain [dB] that fading adds to the level of a transmission."""
         acoustic = self._acoustic
         if not acoustic.shadowing and acoustic.rician is None:
             return 0.0

@@ -70,11 +70,8 @@ def condition_values(condition: Condition) -> dict[str, Any]:
 
 
 def condition_from_values(values: dict[str, Any]) -> Condition:
-    """The inverse of `condition_values`.
-
-    Raises:
-        msgspec.ValidationError: a value does not have the type that is declared for it.
-    """
+    """The inverse of `condition_values`. Raises msgspec.ValidationError: a value does not have the type that is
+    declared for it."""
     match values.get("loss_model"):
         case [name, {**model}]:
             values = values | {"loss_model": {"type": name, **model}}

@@ -67,11 +67,7 @@ _SELECTOR = re.compile(r"\s*(\*|\d{1,9})\s*(<?->)\s*(\*|\d{1,9})\s*", re.ASCII)
 
 
 def parse_selector(text: str) -> Selector:
-    """The links that `text` names.
-
-    Raises:
-        TextError: the text is no selector.
-    """
+    """The links that `text` names. Raises TextError: the text is no selector."""
     if text.strip() == "*":
         return Selector(None, None)
     match = _SELECTOR.fullmatch(text)
@@ -147,11 +143,8 @@ class _Reader:
 
 
 def parse_condition(text: str) -> Condition:
-    """The condition that `text` describes; what it does not mention is perfect.
-
-    Raises:
-        TextError: unknown or unsupported words, wrong units, values out of range or without effect.
-    """
+    """The condition that `text` describes; what it does not mention is perfect. Raises TextError: unknown or
+    unsupported words, wrong units, values out of range or without effect."""
     found, places = _read(text)
     if found.get("reorder") and not found.get("delay_ns"):
         raise TextError("reorder sends some packets at once, so the others need a delay", places["reorder"].start)
@@ -187,7 +180,6 @@ def with_word(text: str, word: str, value: str) -> str:
 
 
 def _read(text: str) -> tuple[dict[str, Any], dict[str, slice]]:
-    """The values of a condition, and where each of its words stands with what is behind it."""
     reader = _Reader(text)
     if reader.done():
         raise TextError('expected a link condition such as "delay 200ms 50ms loss 30%", got nothing')

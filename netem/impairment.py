@@ -123,12 +123,9 @@ class LinkModel:
         return self._state
 
     def enter(self, now_ns: int, seq: int, payload: bytes, over: Condition | None = None) -> list[LinkOutcome]:
-        """The outcome of packet `seq`, sent at `now_ns`; a second outcome if the link duplicates it.
-
-        `over` is the condition of a fault that lies over the link's own.
-
-        A packet that is both duplicated and lost goes on as one, as in the kernel.
-        """
+        """The outcome of packet `seq`, sent at `now_ns`; a second outcome if the link duplicates it. `over` is the
+        condition of a fault that lies over the link's own. A packet that is both duplicated and lost goes on as one, as
+        in the kernel."""
         c = self.condition if over is None else over
         self._use(c)
         if not c.up:

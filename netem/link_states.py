@@ -99,7 +99,6 @@ class StateProcess:
         self._enter(0, self._drawn(0, self._states.shares))
 
     def _enter(self, number: int, state: int) -> None:
-        """The chain comes to its state number `number`, counted from 0."""
         u = unit(self._key + packed(number), self._of_stay)
         self._number, self._state, self._begin_ns = number, state, self._end_ns
         self._end_ns += max(1, round(-self._states.mean_ns[state] * log1p(-u)))

@@ -100,15 +100,9 @@ class RealtimeNetemProcess(NetworkProcess[RealtimeRounds]):
 def run(
     endpoint: str, run_id: str, credentials: Credentials, config: NetemConfig, clock: Clock, members: Members = ()
 ) -> None:
-    """Serve the network of a run until the process is ended.
-
-    Args:
-        clock: with `real`, ticks begin when the world says.
-        members: the vehicles of each process that hosts several agents; in lockstep only.
-
-    Raises:
-        BusError: there is no router at the endpoint, or it refuses the credentials.
-    """
+    """Serve the network of a run until the process is ended. `clock`: with `real`, ticks begin when the world says.
+    `members`: the vehicles of each process that hosts several agents; in lockstep only. Raises BusError: there is no
+    router at the endpoint, or it refuses the credentials."""
     quiet_zenoh()
     keys = Keys(run_id)
     bus = Bus.connect(endpoint, credentials, puts=[keys.rx("*"), keys.host("*")])

@@ -156,10 +156,7 @@ class AcousticConfig:
         gain_db: float = 0.0,
     ) -> float:
         """The probability that a payload of `size` bytes cannot be decoded at a range [m], if nobody else talks.
-
-        Args:
-            gain_db: what fading adds to the level at this moment.
-        """
+        `gain_db`: what fading adds to the level at this moment."""
         modem = self.modem if receiver is None else receiver
         if modem.delivery is not None:
             return 1.0 - modem.delivery.at(range_m)

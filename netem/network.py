@@ -146,11 +146,8 @@ class Netem:
         return values | self._medium.state()
 
     def restore(self, values: dict[str, Any]) -> None:
-        """The inverse of `state`, into a core built from the same configuration.
-
-        Raises:
-            msgspec.ValidationError: they are no such values.
-        """
+        """The inverse of `state`, into a core built from the same configuration. Raises msgspec.ValidationError: they
+        are no such values."""
         state, links, transit = msgspec.convert(values, _State), self._links, self._transit
         self._round = state.round
         self.faults = tuple(fault_from_values(fault) for fault in state.faults)

@@ -222,7 +222,6 @@ class TwoWay(OneWay):
         return MeasuredRange(distance + error, self._ranging.noise, tick, distance)
 
     def _due(self, packet: PendingPacket, tick: int) -> PendingPacket:
-        """The packet when it is handed over at a tick, or later."""
         due = max(packet.due_tick, tick)
         return packet._replace(due_tick=due, delay_ns=max(packet.delay_ns, (due - packet.sent_tick) * self._tick_ns))
 

@@ -91,10 +91,7 @@ class Transit:
         self, alive: Collection[int], until: int, faults: ActiveFaults, clocks: Clocks | None = None
     ) -> tuple[dict[int, tuple[Delivery, ...]], list[Fate]]:
         """Inboxes of the living with what is due up to tick `until`, and what is lost at receivers that cannot hear.
-
-        Args:
-            clocks: that stamp what is sent; None: all are right.
-        """
+        `clocks`: that stamp what is sent; None: all are right."""
         inboxes = {}
         unheard = []
         for i in sorted(self.pending):

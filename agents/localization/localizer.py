@@ -234,15 +234,9 @@ class MirrorImage:
             self.odds = 0.5 * (against - distance(own.place, navigator))
 
     def judge(self, nis: float, other_nis: float) -> bool:
-        """Weigh both positions by how well a range fits them.
-
-        Args:
-            nis: normalised innovation squared of the range at the estimate.
-            other_nis: the same at the mirror image.
-
-        Returns:
-            Whether the mirror image is now at least twenty times as likely as the estimate.
-        """
+        """Weigh both positions by how well a range fits them. `nis`: normalised innovation squared of the range at the
+        estimate. `other_nis`: the same at the mirror image. Returns whether the mirror image is now at least twenty
+        times as likely as the estimate."""
         self.odds += 0.5 * (min(other_nis, _MOST_NIS) - min(nis, _MOST_NIS))
         return self.odds < -_SWAPPED
 

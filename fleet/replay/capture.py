@@ -96,11 +96,8 @@ class TrafficWriter:
         return self._file.tell() if not self._file.closed else self.path.stat().st_size
 
     def add(self, sample: ZenohSample, at_ns: int) -> None:
-        """Append a sample that was received at `at_ns` [ns since 1970].
-
-        Raises:
-            FleetError: the disk is full, or there are more keys than a file can hold.
-        """
+        """Append a sample that was received at `at_ns` [ns since 1970]. Raises FleetError: the disk is full, or there
+        are more keys than a file can hold."""
         publish_ns = at_ns if sample.stamp_ns is None else sample.stamp_ns
         number = self.samples & 0xFFFFFFFF
         if sample.attachment is not None:

@@ -41,11 +41,7 @@ class Replay:
     """One log, selected and bound to keys. Nothing is published before `play`."""
 
     def __init__(self, tape: Tape, options: PlaybackOptions) -> None:
-        """Choose what to play.
-
-        Raises:
-            FleetError: a topic names nothing, or nothing is left to play.
-        """
+        """Choose what to play. Raises FleetError: a topic names nothing, or nothing is left to play."""
         self._tape, self._wishes = tape, options
         self.keys = Keys(RUN)
         self.ours = "uuv-fleet" in tape.metadata.get("run", {})  # a journal, with sim time and a prefix of its own
@@ -85,11 +81,7 @@ class Replay:
         )  # fmt: skip
 
     def open(self, bus: OpenBus) -> None:
-        """Declare the keys.
-
-        Raises:
-            BusError: a topic is no key for zenoh.
-        """
+        """Declare the keys. Raises BusError: a topic is no key for zenoh."""
         tape = self._tape
         for n, key in self.key_of.items():
             channel = tape.channels[n]
@@ -190,16 +182,8 @@ class Replay:
 
 
 def obey(player: Player, key: Key, now: int) -> range:
-    """Carry out the command of a key press.
-
-    Args:
-        player: the player to control.
-        key: the key that was pressed.
-        now: wall time [ns].
-
-    Returns:
-        Indexes of the messages to publish. Only the key for one step has any.
-    """
+    """Carry out the command of a key press. Returns indexes of the messages to publish. Only the key for one step has
+    any."""
     match key:
         case Key.PAUSE:
             player.toggle(now)
@@ -217,14 +201,8 @@ def obey(player: Player, key: Key, now: int) -> range:
 
 
 def chosen(topics: Iterable[str], patterns: Sequence[str]) -> set[str]:
-    """The topics that any of the patterns names; all of them without one.
-
-    Args:
-        patterns: key expressions of zenoh; slashes around them and around topics do not count.
-
-    Raises:
-        FleetError: a pattern names none.
-    """
+    """The topics that any of the patterns names; all of them without one. `patterns`: key expressions of zenoh; slashes
+    around them and around topics do not count. Raises FleetError: a pattern names none."""
     known = sorted(set(topics))
     names: set[str] = set() if patterns else set(known)
     for text in patterns:

@@ -39,14 +39,8 @@ class LivePublisher:
     """Publishes each message of a log writer; see `fleet.recorder.writer.Tap`. `open` starts the process."""
 
     def __init__(self, run: str, observe: Path, scenario: str, *, wait: bool = False) -> None:
-        """Prepare; `open` starts the process.
-
-        Args:
-            run: id of the run.
-            observe: file that holds, while the run lives, where and as which user to subscribe.
-            scenario: of the run, as YAML: an observer asks for it.
-            wait: whether `heard` will be called.
-        """
+        """Prepare; `open` starts the process. `observe`: file that holds, while the run lives, where and as which user
+        to subscribe. `wait`: whether `heard` will be called."""
         self.run = run
         self.wait = wait
         self.dropped = 0  # messages that the pipe had no room for
@@ -73,11 +67,8 @@ class LivePublisher:
         self._units[schema.name] = schema.units
 
     def open(self) -> None:
-        """Start the process and wait until it listens.
-
-        Raises:
-            FleetError: it ended, or did not listen in time, or the way in cannot be written down.
-        """
+        """Start the process and wait until it listens. Raises FleetError: it ended, or did not listen in time, or the
+        way in cannot be written down."""
         observed = new_observed("", self.run)  # the process says where it listens
         values = {
             "run": observed.run,
@@ -121,11 +112,8 @@ class LivePublisher:
             raise FleetError(f"cannot write {self._observe}: {error.strerror}", status=3) from error
 
     def heard(self) -> None:
-        """Wait without limit until there is a subscriber to the journal or to a part of it.
-
-        Raises:
-            FleetError: the process ended meanwhile.
-        """
+        """Wait without limit until there is a subscriber to the journal or to a part of it. Raises FleetError: the
+        process ended meanwhile."""
         if "heard" not in self._answer(None):
             why = "the publisher ended while it waited for a subscriber"
             raise FleetError(f"the journal cannot be published: {why}", status=3)

@@ -38,11 +38,7 @@ def pack(stamp: Stamp) -> bytes:
 
 
 def unpack(data: bytes) -> Stamp:
-    """The inverse of `pack`.
-
-    Raises:
-        ValueError: not such an attachment.
-    """
+    """The inverse of `pack`. Raises ValueError: not such an attachment."""
     try:
         values = msgpack.unpackb(data)
     except Exception as error:  # msgpack raises half a dozen unrelated types for bad bytes
@@ -84,11 +80,7 @@ def hand_out(
 
 
 def ask_topics(bus: OpenBus, keys: Keys) -> dict[str, PublishedTopic]:
-    """The topics of a journal that is published.
-
-    Raises:
-        FleetError: nobody answers, or not as this program does.
-    """
+    """The topics of a journal that is published. Raises FleetError: nobody answers, or not as this program does."""
     answer = bus.ask(keys.topics).get(keys.topics)
     if answer is None:
         raise FleetError(
@@ -109,11 +101,7 @@ def ask_topics(bus: OpenBus, keys: Keys) -> dict[str, PublishedTopic]:
 
 
 def ask_scenario(bus: OpenBus, keys: Keys) -> str:
-    """The scenario of a live run that is published, as YAML.
-
-    Raises:
-        FleetError: nobody answers, or not with a text.
-    """
+    """The scenario of a live run that is published, as YAML. Raises FleetError: nobody answers, or not with a text."""
     answer = bus.ask(keys.scenario).get(keys.scenario)
     try:
         if answer is not None:

@@ -56,7 +56,6 @@ def topology(outcomes: Mapping[str, Outcome], sea: str) -> Figure:
 
 
 def _arrow(ax: Axes, source: Point, target: Point, text: str, bend: float = 0.0, colour: str = COLOURS[0]) -> None:
-    """An arrow from one place to another, bent to the left of its direction, with a text beside its middle."""
     style = {
         "arrowstyle": "-|>",
         "color": colour,

@@ -55,7 +55,6 @@ def _rows(*rows: tuple[str, Value]) -> list[list[str]]:
 
 
 def _law(kind: str, name: str, value: Value) -> Value:
-    """A parameter of one law, which the other controllers do not have."""
     return lambda config: value(config) if getattr(config, f"{kind}_law").name == name else "N/A"
 
 

@@ -32,11 +32,8 @@ Tell = Callable[[str, float], None]  # (what is going on, share of everything th
 def reproduce(
     folder: Path, jobs: int, names: Sequence[str], formats: tuple[str, ...], tell: Tell
 ) -> tuple[Path, list[Claim], dict[str, Outcome]]:
-    """Run cases and write the report into `folder`.
-
-    Raises:
-        FleetError: the folder cannot be written, or a worker died.
-    """
+    """Run cases and write the report into `folder`. Raises FleetError: the folder cannot be written, or a worker
+    died."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -92,7 +89,6 @@ def _possible(figure: str, outcomes: dict[str, Outcome]) -> bool:
 
 
 def _pictured(figure: str, outcomes: dict[str, Outcome]) -> dict[str, Outcome]:
-    """The data that a picture may need, in a form that travels to a worker."""
     sea = FIGURES[figure][1]
     hidden = ("sensitivity", "exact", "unlimited")
     return {

@@ -96,11 +96,7 @@ def _neighbour(space: spaces.Dict, seat: Seat, j: int) -> Values:
 
 
 def action_of(who: str, space: spaces.Dict, values: Any, choices: Choices) -> Action:
-    """The action of a policy.
-
-    Raises:
-        FleetError: it is not of the space.
-    """
+    """The action of a policy. Raises FleetError: it is not of the space."""
     if not isinstance(values, dict) or set(values) != set(space):
         got = f"keys {', '.join(map(str, values))}" if isinstance(values, dict) else repr(values)[:80]
         raise FleetError(f"the action of {who}: expected a dict with {', '.join(space)}, got {got}")
@@ -187,17 +183,9 @@ class FleetEnv(ParallelEnv[str, Values, Values]):  # type: ignore[misc]
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Values], dict[str, dict[str, Any]]]:
-        """Begin an episode.
-
-        Args:
-            seed: of the run. By default that of the scenario in the first episode, and then drawn from the seed
-                before.
-            options: none is known.
-
-        Raises:
-            ScenarioError: with this seed the scenario is none.
-            FleetError: with this seed agents would hear other neighbours.
-        """
+        """Begin an episode. `seed`: of the run. By default that of the scenario in the first episode, and then drawn
+        from the seed before. `options`: none is known. Raises ScenarioError: with this seed the scenario is none;
+        FleetError: with this seed agents would hear other neighbours."""
         self.close()
         if seed is not None or self._seeds is None:
             episode = self.scenario.seed if seed is None else int(seed)
@@ -221,11 +209,8 @@ class FleetEnv(ParallelEnv[str, Values, Values]):  # type: ignore[misc]
     def step(
         self, actions: Mapping[str, Any]
     ) -> tuple[dict[str, Values], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
-        """Go on by a decision period.
-
-        Raises:
-            FleetError: there is no episode, an agent has no action, or an action is not of its space.
-        """
+        """Go on by a decision period. Raises FleetError: there is no episode, an agent has no action, or an action is
+        not of its space."""
         run = self.run
         if run is None or not self.agents:
             raise FleetError("the episode is over: call reset()" if run is not None else "call reset() first")

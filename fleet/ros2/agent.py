@@ -54,14 +54,7 @@ class RosAgent:
     """Stands between the run and the node; see `agents.loop.AgentCore`."""
 
     def __init__(self, node: RosNode, vehicle: int, tell: Callable[[str], None]) -> None:
-        """Declare the topics.
-
-        Args:
-            tell: called with a line for the user.
-
-        Raises:
-            FleetError: a type is not known.
-        """
+        """Declare the topics. `tell`: called with a line for the user. Raises FleetError: a type is not known."""
         self._node, self._vehicle, self._tell = node, vehicle, tell
         self._make = MessageMaker(node.types)
         below = f"/uuv_{vehicle}/agent"

@@ -23,12 +23,9 @@ def bag_file(folder: Path) -> Path | None:
 
 
 def repair(folder: Path, out: Path | None = None, tell: Tell = lambda _: None) -> Recovered:
-    """Write what can be read of a bag to `out`, by default `<bag>.recovered` beside it; nothing if nothing can.
-
-    Raises:
-        LogReadError: the MCAP file cannot be opened.
-        FleetError: `out` exists or cannot be written; the bag has a topic of a type that is not known here.
-    """
+    """Write what can be read of a bag to `out`, by default `<bag>.recovered` beside it; nothing if nothing can. Raises
+    LogReadError: the MCAP file cannot be opened; FleetError: `out` exists or cannot be written; the bag has a topic of
+    a type that is not known here."""
     file = bag_file(folder)
     assert file is not None
     out = out or folder.with_name(f"{folder.resolve().name}.recovered")
@@ -114,21 +111,15 @@ class Bag:
         self.messages += 1
 
     def add(self, message: RosMessage) -> None:
-        """Append a message. If the bag does not have its topic yet, add the topic first.
-
-        Raises:
-            FleetError: the type of the message is not known, or the bag cannot be written (the disk is full).
-        """
+        """Append a message. If the bag does not have its topic yet, add the topic first. Raises FleetError: the type of
+        the message is not known, or the bag cannot be written (the disk is full)."""
         if message.name not in self._connections:
             self.topic(message.name, message.topic.type, message.topic.qos)
         self.write(message.name, message.at_ns, self._types.encode(message.topic.type, message.message))
 
     def flush(self) -> None:
-        """Write all messages to the disk. They can then be recovered from a bag that nobody closed.
-
-        Raises:
-            FleetError: the bag cannot be written (the disk is full).
-        """
+        """Write all messages to the disk. They can then be recovered from a bag that nobody closed. Raises FleetError:
+        the bag cannot be written (the disk is full)."""
         storage: Any = self._writer.storage
         try:
             if storage.chunk.bio.tell():

@@ -22,11 +22,7 @@ class BridgeProcess:
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self, directory: Path) -> None:
-        """Start it, and wait until nodes can see the run. If they cannot, the run goes on without it.
-
-        Args:
-            directory: of the run, whose journal can be read.
-        """
+        """Start it, and wait until nodes can see the run. If they cannot, the run goes on without it."""
         command = [sys.executable, "-P", "-c", _MAIN, str(Path(__file__).parents[2]), "ros2", str(directory)]
         # A group of its own: Ctrl-C is the run's business. It ends with the run's publisher.
         self._process = process = subprocess.Popen(

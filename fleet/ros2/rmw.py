@@ -107,11 +107,7 @@ def pack(attachment: Attachment) -> bytes:
 
 
 def unpack(data: bytes | None) -> Attachment:
-    """The inverse of `pack`.
-
-    Raises:
-        ValueError: it is none, or of rmw_zenoh before 0.2.4.
-    """
+    """The inverse of `pack`. Raises ValueError: it is none, or of rmw_zenoh before 0.2.4."""
     if data is None:
         raise ValueError("a message without an attachment, which rmw_zenoh always has")
     if len(data) != _ATTACHMENT.size or data[16] != _GID_BYTES:
@@ -129,11 +125,7 @@ def gid_of(token: str) -> bytes:
 
 
 def domain_of(asked: int | None) -> int:
-    """The domain: the given one, else ROS_DOMAIN_ID, else 0.
-
-    Raises:
-        FleetError: it is none.
-    """
+    """The domain: the given one, else ROS_DOMAIN_ID, else 0. Raises FleetError: it is none."""
     text = os.environ.get("ROS_DOMAIN_ID", "") if asked is None else str(asked)
     if not text:
         return 0

@@ -46,11 +46,8 @@ class Diagnostics:
             self._faults[event.fault] = (WARN, event.what) if lasts else (OK, f"over: {event.what}")
 
     def checks(self, rows: Iterable[Mapping[str, Any]]) -> bool:
-        """Take the checks as they stand; whether that is something new.
-
-        Args:
-            rows: each with `check`, `asked`, `found` and `passed`, which is None until it is judged.
-        """
+        """Take the checks as they stand; whether that is something new. `rows`: each with `check`, `asked`, `found` and
+        `passed`, which is None until it is judged."""
         new = [_check(row) for row in rows]
         changed = new != self._checks
         self._checks = new
@@ -85,11 +82,8 @@ MOST_MARKERS = 20_000  # markers of one message
 
 
 def marker_array(maker: MessageMaker, ns: int, scene: Any) -> Any:
-    """Markers of a scene at a time [ns]; a link's state is the text of its line.
-
-    Raises:
-        ValueError: the scene has more than is taken.
-    """
+    """Markers of a scene at a time [ns]; a link's state is the text of its line. Raises ValueError: the scene has more
+    than is taken."""
     found = []
     for marker in _markers(maker, ns, scene):
         found.append(marker)

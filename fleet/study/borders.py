@@ -83,15 +83,9 @@ class Border:
 
 
 def parse_along(text: str, width: float) -> Axis:
-    """The axis along which a border is looked for: at least two numbers, rising.
-
-    Args:
-        text: `KEY=VALUES`, where a range needs no step.
-        width: of the interval that is wanted, as a share of the range; such a range has steps that are narrower.
-
-    Raises:
-        StudyError: it is none.
-    """
+    """The axis along which a border is looked for: at least two numbers, rising. `text`: `KEY=VALUES`, where a range
+    needs no step. `width`: of the interval that is wanted, as a share of the range; such a range has steps that are
+    narrower. Raises StudyError: it is none."""
     if not 0.0 < width < 1.0:
         raise StudyError(f"the width of an interval is a share of the range between 0 and 1, got {width:g}")
     found = parse_axis(text, fine=min(ceil(1.5 / width), MOST_STEPS))
@@ -106,14 +100,7 @@ def parse_along(text: str, width: float) -> Axis:
 
 
 def border_plan(scenario: str, spec: BoundarySpec) -> Plan:
-    """The runs that a study of a border may need.
-
-    Args:
-        scenario: a shipped name or a file.
-
-    Raises:
-        StudyError: the values are none, or do not fit together.
-    """
+    """The runs that a study of a border may need. Raises StudyError: the values are none, or do not fit together."""
     per = (replace(axis(key, text), option="--per") for key, text in spec.per.items())
     axes = (*per, parse_along(spec.along, spec.width))
     return Plan(scenario, changes_of(spec), axes, seeds=parse_seeds(spec.seeds))
@@ -147,11 +134,7 @@ class Borders:
     """The borders of a study, and the runs of each."""
 
     def __init__(self, store: Store) -> None:
-        """Read the points of a study.
-
-        Raises:
-            StudyError: it looks for no border, or is damaged.
-        """
+        """Read the points of a study. Raises StudyError: it looks for no border, or is damaged."""
         record = store.record.border
         if record is None:
             raise StudyError(
@@ -328,11 +311,8 @@ class Theory:
 
 
 def theory(borders: Borders) -> list[Theory]:
-    """Of each border what theory says.
-
-    Raises:
-        ScenarioError: a law of a scenario may not be loaded here, or a scenario is damaged.
-    """
+    """Of each border what theory says. Raises ScenarioError: a law of a scenario may not be loaded here, or a scenario
+    is damaged."""
     return [_theory(borders, number, Policy(A_STUDY)) for number in range(borders.count)]
 
 

@@ -121,11 +121,7 @@ def run_branch(scenario: Scenario, branch: Branch, progress: Callable[[float], N
 
 
 def refuse_branches(scenario: Scenario, check: str) -> None:
-    """See whether parts of a run can be made and put together.
-
-    Raises:
-        StudyError: they cannot.
-    """
+    """See whether parts of a run can be made and put together. Raises StudyError: they cannot."""
     refuse(scenario, "a run of a study")
     known = list(checks_over_time(scenario))
     if check not in known:

@@ -33,11 +33,7 @@ class Engine(Protocol):
         """Whether the workers are processes of this machine, of this user."""
 
     def carry(self, modules: Modules) -> Modules:
-        """The modules of laws as runs on these workers need them.
-
-        Raises:
-            StudyError: a worker cannot import them.
-        """
+        """The modules of laws as runs on these workers need them. Raises StudyError: a worker cannot import them."""
 
     def make(self, tasks: Iterator[Task], take: Callable[[list[Row]], None], wait: Callable[[], None]) -> None:
         """Make every run, also if workers die meanwhile.
@@ -100,16 +96,9 @@ def local_engine(workers: int) -> Iterator[LocalEngine]:
 
 
 def engine_of(workers: int | None = None, scheduler: Any = None) -> AbstractContextManager[Engine]:
-    """The engine that was asked for.
-
-    Args:
-        workers: of this machine; None: one per core.
-        scheduler: of an existing Dask cluster, to be used instead: its address, or a cluster object.
-
-    Raises:
-        RunBroken: there cannot be so many workers here.
-        StudyError: the cluster cannot be used.
-    """
+    """The engine that was asked for. `workers`: of this machine; None: one per core. `scheduler`: of an existing Dask
+    cluster, to be used instead: its address, or a cluster object. Raises RunBroken: there cannot be so many workers
+    here; StudyError: the cluster cannot be used."""
     return local_engine(workers or processors()) if scheduler is None else dask_engine(scheduler)
 
 
@@ -149,11 +138,8 @@ class DaskEngine:
         return ready
 
     def make(self, tasks: Iterator[Task], take: Callable[[list[Row]], None], wait: Callable[[], None]) -> None:
-        """See `Engine.make`.
-
-        Dask blames a death on every run that the worker had been given. So a run that it gives up is made once more
-        when all others are made, with no other one beside it; then it alone is to blame.
-        """
+        """See `Engine.make`. Dask blames a death on every run that the worker had been given. So a run that it gives up
+        is made once more when all others are made, with no other one beside it; then it alone is to blame."""
         blamed: list[Task] = []
         for task, future in self._each(tasks, _AHEAD * self.workers, wait):
             if _killed(future):
@@ -164,7 +150,6 @@ class DaskEngine:
             take([_row(task, future)])
 
     def _each(self, tasks: Iterator[Task], most: int, wait: Callable[[], None]) -> Iterator[tuple[Task, Future[Row]]]:
-        """Each run with its future, as they end; so many are under way."""
         under_way: dict[Future[Row], Task] = {}
         while True:
             while len(under_way) < most and (task := next(tasks, None)) is not None:
@@ -252,7 +237,6 @@ def check_modules(client: Client, modules: Modules) -> None:
 
 
 def _finished(under_way: dict[Future[Row], Task], wait: Callable[[], None]) -> list[Future[Row]]:
-    """Those that ended, at least one."""
     from distributed import CancelledError
     from distributed import wait as until
 
@@ -266,7 +250,6 @@ def _finished(under_way: dict[Future[Row], Task], wait: Callable[[], None]) -> l
 
 
 def _killed(future: Future[Row]) -> bool:
-    """Whether Dask gave a run up, since its workers died."""
     return future.status != "finished" and type(future.exception()).__name__ == "KilledWorker"
 
 

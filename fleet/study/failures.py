@@ -93,11 +93,8 @@ class FailureFolder:
         return [one for one in self.failures() if one.file == file_of(scenario, one.check)]
 
     def add(self, failure: FoundFailure, scenario: Scenario) -> FoundFailure:
-        """Write a scenario and what is expected of it, in place of what was there of this name.
-
-        Raises:
-            StudyError: it cannot be written.
-        """
+        """Write a scenario and what is expected of it, in place of what was there of this name. Raises StudyError: it
+        cannot be written."""
         path = self.path / failure.file
         failure.paste = f"fleet run {path} --seed {failure.seed}  # fails {failure.check}, sha256 {failure.digest[:16]}"
         self._write(path, scenario.to_yaml().encode())
@@ -105,12 +102,8 @@ class FailureFolder:
         return failure
 
     def load(self, failure: FoundFailure, policy: Policy) -> Scenario:
-        """One of its scenarios.
-
-        Raises:
-            ScenarioError: with every mistake that was found.
-            StudyError: it cannot be read.
-        """
+        """One of its scenarios. Raises ScenarioError: with every mistake that was found; StudyError: it cannot be
+        read."""
         path = self.path / failure.file
         try:
             text = read_file(path, _MOST_BYTES).decode("utf-8")
@@ -126,14 +119,8 @@ class FailureFolder:
         self._write(self.path / INDEX, msgspec.json.format(msgspec.json.encode(index), indent=1) + b"\n")
 
     def tried(self, scenario: Scenario, key: str) -> SearchProgress:
-        """How far the search of a scenario is.
-
-        Args:
-            key: of the scenario without its seed.
-
-        Raises:
-            StudyError: it is damaged, or was made of another scenario of this name.
-        """
+        """How far the search of a scenario is. `key`: of the scenario without its seed. Raises StudyError: it is
+        damaged, or was made of another scenario of this name."""
         path = self._progress(scenario)
         tried = self._read(path, SearchProgress)
         if tried is None:
@@ -200,12 +187,8 @@ class Regression:
     """The scenarios of a folder, read and ready to run."""
 
     def __init__(self, folder: FailureFolder) -> None:
-        """Read every scenario.
-
-        Raises:
-            ScenarioError: one of them has mistakes, or a law that may not run.
-            StudyError: the folder is damaged, or holds nothing.
-        """
+        """Read every scenario. Raises ScenarioError: one of them has mistakes, or a law that may not run; StudyError:
+        the folder is damaged, or holds nothing."""
         self._folder, self.failures = folder, folder.failures()
         if not self.failures:
             raise StudyError(f"{folder.path} holds no failures: fleet search SCENARIO --keep {folder.path} fills it")

@@ -210,11 +210,7 @@ def is_signal(name: str) -> bool:
 
 
 def parse_signal(text: str) -> SignalMeasure:
-    """A measure as the user writes it.
-
-    Raises:
-        StudyError: it is none.
-    """
+    """A measure as the user writes it. Raises StudyError: it is none."""
     found = _GRAMMAR.fullmatch(text.strip()) if len(text) <= LONGEST_TEXT else None
     if found is None:
         raise StudyError(f'"{text[:60]}" is no measure of a signal: expected one such as {_EXAMPLE}')
@@ -229,14 +225,9 @@ def parse_signal(text: str) -> SignalMeasure:
 
 
 def signal_columns_of(texts: Iterable[str], scenarios: Sequence[Scenario]) -> list[MeasureColumn]:
-    """The column of each measure of a signal: its name and unit.
-
-    Args:
-        scenarios: of all points. A signal has to be one of some vehicle in one of them; elsewhere it is missing.
-
-    Raises:
-        StudyError: a text is no measure, or there is no such signal.
-    """
+    """The column of each measure of a signal: its name and unit. `scenarios`: of all points. A signal has to be one of
+    some vehicle in one of them; elsewhere it is missing. Raises StudyError: a text is no measure, or there is no such
+    signal."""
     measures = [parse_signal(text) for text in dict.fromkeys(texts)]
     if not measures:
         return []
@@ -248,11 +239,8 @@ def signal_columns_of(texts: Iterable[str], scenarios: Sequence[Scenario]) -> li
 
 
 def measures_of_checks(scenarios: Sequence[Scenario]) -> tuple[str, ...]:
-    """A measure for each signal that a check of the scenarios names: how near the check it came.
-
-    That is the largest value where the check asks for a small one, the least where it asks for a large one, and else
-    the last one.
-    """
+    """A measure for each signal that a check of the scenarios names: how near the check it came. That is the largest
+    value where the check asks for a small one, the least where it asks for a large one, and else the last one."""
     found: dict[str, None] = {}
     for scenario in scenarios:
         named = {str(name) for name in checked_signals(scenario.spec.checks)}
@@ -277,15 +265,8 @@ def check_name(name: str) -> None:
 
 
 def find_columns(names: Iterable[str], columns: Iterable[MeasureColumn] = STANDING) -> list[MeasureColumn]:
-    """The columns of the measures of these names.
-
-    Args:
-        names: also of measures of signals.
-        columns: the existing ones.
-
-    Raises:
-        StudyError: there is none of a name.
-    """
+    """The columns of the measures of these names. `names`: also of measures of signals. `columns`: the existing ones.
+    Raises StudyError: there is none of a name."""
     known = {column.name: column for column in columns}
     found = []
     for name in names:

@@ -55,11 +55,8 @@ NO_MODULES = Modules()
 
 
 def modules_of(scenarios: Iterable[Scenario], folder: Path | None) -> Modules:
-    """The modules of all laws, plants and checks of these scenarios.
-
-    Args:
-        folder: of the scenario's file; modules may lie in it.
-    """
+    """The modules of all laws, plants and checks of these scenarios. `folder`: of the scenario's file; modules may lie
+    in it."""
     scenarios = list(scenarios)
     names = {
         law.name.partition(":")[0]
@@ -85,11 +82,8 @@ def modules_of(scenarios: Iterable[Scenario], folder: Path | None) -> Modules:
 
 
 def packed(modules: Modules) -> Modules:
-    """The same with the content of the files, for workers of other machines.
-
-    Raises:
-        StudyError: a file cannot be read or sent.
-    """
+    """The same with the content of the files, for workers of other machines. Raises StudyError: a file cannot be read
+    or sent."""
     beside = [] if modules.folder is None else [Path(modules.folder)]
     places = [place for name in modules.names if (place := find(name, [*beside, Path()])) and not place.installed]
     found: dict[str, bytes] = {}
@@ -124,11 +118,8 @@ def _imported_from(place: ModulePlace) -> list[str]:
 
 
 def folder_of(modules: Modules) -> Path | None:
-    """Where the modules are looked for on this worker, besides the current folder.
-
-    Raises:
-        StudyError: this worker would import another module of that name.
-    """
+    """Where the modules are looked for on this worker, besides the current folder. Raises StudyError: this worker would
+    import another module of that name."""
     if not modules.carried:
         return None if modules.folder is None else Path(modules.folder)
     with _writing:
@@ -143,13 +134,8 @@ def folder_of(modules: Modules) -> Path | None:
 
 
 def get_ready(modules: Modules) -> None:
-    """Import the modules on this worker.
-
-    Raises:
-        StudyError: it would import another module of that name.
-        PluginError: a module may not run.
-        Exception: whatever importing it raises.
-    """
+    """Import the modules on this worker. Raises StudyError: it would import another module of that name; PluginError: a
+    module may not run; Exception: whatever importing it raises."""
     folder = folder_of(modules)
     beside = () if folder is None else (folder,)
     permission = Permission(elsewhere=(*beside, Path()))

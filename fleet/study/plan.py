@@ -142,14 +142,8 @@ class Plan:
 
 
 def plan_of(spec: StudySpec, origin: OverrideOrigin = TYPED) -> Plan:
-    """The plan of a study's runs.
-
-    Args:
-        origin: where it comes from.
-
-    Raises:
-        StudyError: the values are none, or do not fit together.
-    """
+    """The plan of a study's runs. `origin`: where it comes from. Raises StudyError: the values are none, or do not fit
+    together."""
     axes = tuple(axis(key, text) for key, text in spec.vary.items())
     most_seeds = spec.most_seeds if spec.until else None
     return Plan(spec.scenario, changes_of(spec), axes, spec.zip, parse_seeds(spec.seeds), spec.draw, origin, most_seeds)

@@ -63,12 +63,8 @@ class PsychometricCurve:
     """Candidates for runs, and how each answer there depends on the border, and on the curve's scale and ends."""
 
     def __init__(self, positions: Sequence[float], level: float = 0.5) -> None:
-        """Compute the table of answers.
-
-        Args:
-            positions: where runs can be made, rising, from 0 to 1.
-            level: the pass rate at the border, between 0 and 1.
-        """
+        """Compute the table of answers. `positions`: where runs can be made, rising, from 0 to 1. `level`: the pass
+        rate at the border, between 0 and 1."""
         self.positions = np.asarray(positions, dtype=np.float64)
         self.borders = np.linspace(-BEYOND, 1.0 + BEYOND, BORDERS)
         lapse = np.repeat([off * (1.0 - level) for off, _ in ENDS], len(SCALES))
@@ -125,12 +121,8 @@ class Walk:
     """Where the runs of a border are made, one batch after the other, until enough is known."""
 
     def __init__(self, curve: PsychometricCurve, width: float) -> None:
-        """Begin with both ends and two places between.
-
-        Args:
-            curve: with the positions.
-            width: of an interval that is narrow enough, as a share of the range.
-        """
+        """Begin with both ends and two places between. `width`: of an interval that is narrow enough, as a share of the
+        range."""
         self.curve = curve
         # Runs cannot tell where between two places a sharp border is.
         self._enough = max(width, 1.5 * float(np.diff(curve.positions).max()))

@@ -72,11 +72,7 @@ class RareEvent:
     """Estimates how often a scenario fails a check."""
 
     def __init__(self, scenario: Scenario, check: str, splitting: Splitting, modules: Modules = NO_MODULES) -> None:
-        """Prepare it.
-
-        Raises:
-            StudyError: the scenario or the check cannot be split.
-        """
+        """Prepare it. Raises StudyError: the scenario or the check cannot be split."""
         refuse_branches(scenario, check)
         self._scenario, self._check, self._splitting, self._modules = scenario, check, splitting, modules
         self._text = scenario.to_undrawn_yaml()
@@ -322,7 +318,6 @@ def reached(score: float, level: float) -> bool:
 
 
 def _entrance(path: SplitPath, level: float) -> Entrance:
-    """The first place at which a path reached a level."""
     first = next(((best, state) for best, state in path.places if reached(best, level)), None)
     return Entrance(path.best, None) if first is None else Entrance(*first)
 

@@ -69,11 +69,7 @@ class Searched:
 
 
 def nemesis_of(scenario: Scenario, mode: Literal["swarm", "liveness"] = "swarm") -> Override:
-    """A nemesis for a scenario that has none, as a change of it.
-
-    Raises:
-        StudyError: it has one.
-    """
+    """A nemesis for a scenario that has none, as a change of it. Raises StudyError: it has one."""
     if scenario.undrawn.nemesis is not None:
         raise StudyError(f"{scenario.name} already has a nemesis: change that one, as with --set nemesis.mode={mode}")
     return Override(SET, f"nemesis={mode}")
@@ -194,7 +190,6 @@ class _Search:
             self.save()
 
     def _is_new(self, row: Row) -> bool:
-        """Whether a run fails a check that none before has failed; without a folder the first one is enough."""
         if row.seed in self._sure or (self._keep is None and self.found.kinds):
             return False
         return bool(set(self._fails(row)) - self.found.kinds.keys())
@@ -266,7 +261,6 @@ class _Search:
                     )  # fmt: skip
 
     def _counted(self, row: Row) -> list[str]:
-        """Count a run; returns the checks that it fails, of those that must. Raises StudyError: there is no such."""
         found, check = self.found, self._check
         if not row.judged:
             found.without += 1

@@ -84,15 +84,9 @@ class Shrinker:
         self._tree = tree_of(scenario)
 
     def shrink(self, check: str | None = None, most_runs: int = 10_000) -> Shrunk:
-        """Make the scenario smaller until no step helps, or `most_runs` runs were made.
-
-        Args:
-            check: this check must still fail. None: the first check that fails.
-            most_runs: limit on the number of runs.
-
-        Raises:
-            StudyError: the scenario fails no check, or not this one.
-        """
+        """Make the scenario smaller until no step helps, or `most_runs` runs were made. `check`: this check must still
+        fail. None: the first check that fails. `most_runs`: limit on the number of runs. Raises StudyError: the
+        scenario fails no check, or not this one."""
         self._left = most_runs
         first = self._run([self._tree])[0]
         self._check = self._failed(first, check)
@@ -205,7 +199,6 @@ class Shrinker:
         return [check is not None and not check.passed and check.value is not None for check in found]
 
     def _run(self, trees: Sequence[Tree]) -> list[Row]:
-        """The row of each; a candidate that is no valid scenario has the row of a run that failed."""
         texts = [json.dumps(tree) for tree in trees]
         keys = [run_key(text) for text in texts]
         new = {key: text for key, text in zip(keys, texts, strict=True) if key not in self._rows}
@@ -306,12 +299,8 @@ T = TypeVar("T")
 
 
 def ddmin(items: Sequence[T], fails: Callable[[list[list[T]]], Sequence[bool]]) -> list[T]:
-    """A part of `items`, in their order, that fails and needs each of its items to fail.
-
-    Args:
-        items: a list that fails.
-        fails: says of each of some parts whether it fails. The empty list is asked for first.
-    """
+    """A part of `items`, in their order, that fails and needs each of its items to fail. `items`: a list that fails.
+    `fails`: says of each of some parts whether it fails. The empty list is asked for first."""
     if not items or fails([[]])[0]:
         return []
     left = list(items)

@@ -63,14 +63,8 @@ def watched_by(text: str) -> list[str]:
 
 
 def parse_until(text: str, columns: Sequence[MeasureColumn]) -> Rule:
-    """`pass ±5 %`, `e_rms_m ±0.05 m`, `e_rms_m ±10 %`; `+-` is the same as `±`.
-
-    Args:
-        columns: measures that there are.
-
-    Raises:
-        StudyError: it is none of them.
-    """
+    """`pass ±5 %`, `e_rms_m ±0.05 m`, `e_rms_m ±10 %`; `+-` is the same as `±`. `columns`: measures that there are.
+    Raises StudyError: it is none of them."""
     found = _parts(text)
     unit, margin = found["unit"] or "", float(found["number"])
     column = next(iter(find_columns(watched_by(text), columns)), None)
@@ -101,11 +95,8 @@ def _parts(text: str) -> re.Match[str]:
 
 
 def seed_sequence(first: Sequence[int], most: int) -> list[int]:
-    """The seeds that points may have: those of the plan, then the numbers behind the largest of them.
-
-    Args:
-        most: how many; not fewer than the plan has.
-    """
+    """The seeds that points may have: those of the plan, then the numbers behind the largest of them. `most`: how many;
+    not fewer than the plan has."""
     return [*first, *islice(count(max(first) + 1), max(0, most - len(first)))]
 
 

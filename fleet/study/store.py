@@ -77,14 +77,8 @@ class Store:
     def create(
         cls, directory: Path, record: StudyRecord, points: Sequence[tuple[Mapping[str, AxisValue], str]]
     ) -> Store:
-        """Make the directory of a new study.
-
-        Args:
-            points: the values of each by key, and its whole scenario.
-
-        Raises:
-            StudyError: the directory is there already, or cannot be written.
-        """
+        """Make the directory of a new study. `points`: the values of each by key, and its whole scenario. Raises
+        StudyError: the directory is there already, or cannot be written."""
         store = cls(directory, record)
         size = sum(len(text) for _, text in points)
         if size > _MOST_POINT_BYTES:
@@ -112,11 +106,7 @@ class Store:
 
     @classmethod
     def open(cls, directory: Path) -> Store:
-        """The store of a study that is there.
-
-        Raises:
-            StudyError: there is none, or it is damaged.
-        """
+        """The store of a study that is there. Raises StudyError: there is none, or it is damaged."""
         record = read_record(directory)
         store = cls(directory, record)
         seeds = record.seeds
@@ -132,11 +122,7 @@ class Store:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Have the study for writing.
-
-        Raises:
-            StudyError: another program has it.
-        """
+        """Have the study for writing. Raises StudyError: another program has it."""
         with ExitStack() as stack:
             if not stack.enter_context(self._lock()):
                 raise StudyError(f"another fleet runs the study {self.directory}")
@@ -146,7 +132,6 @@ class Store:
 
     @contextmanager
     def _lock(self) -> Iterator[bool]:
-        """Try to be the only program that writes."""
         try:
             with (self.directory / NAME).open("rb") as file:
                 try:
@@ -329,14 +314,8 @@ class Store:
         return seed_sequence(first, rules.most_seeds) if rules.until else list(first)
 
     def needed(self, before: Mapping[int, int] | None = None) -> dict[int, int]:
-        """How many seeds each point needs, as far as its rows show; none, where a border is looked for.
-
-        Args:
-            before: what was needed earlier, which saves the way there.
-
-        Raises:
-            StudyError: the study is damaged.
-        """
+        """How many seeds each point needs, as far as its rows show; none, where a border is looked for. `before`: what
+        was needed earlier, which saves the way there. Raises StudyError: the study is damaged."""
         first = dict.fromkeys(range(len(self.points)), 0 if self.record.border else len(self.record.seeds))
         first |= before or {}
         if (rule := self.rule) is None or self.record.border:
@@ -354,7 +333,6 @@ class Store:
         return sum(not rule.met(rule.estimate(rows)) for rows in full)
 
     def _rows_of(self, rule: Rule) -> dict[int, dict[int, Row]]:
-        """The input of a rule, by point and seed."""
         by_point: dict[int, dict[int, Row]] = {}
         for row in self.rows(rule.columns):
             by_point.setdefault(row.point, {})[row.seed] = row

@@ -44,12 +44,8 @@ class NamedStudy(NamedTuple):
 
 
 def study_named(name: str) -> NamedStudy | None:
-    """The study of a shipped name or of a file; None: it may be the name of a scenario.
-
-    Raises:
-        ScenarioError: with every mistake in the file.
-        StudyError: the name is nearly that of a study.
-    """
+    """The study of a shipped name or of a file; None: it may be the name of a scenario. Raises ScenarioError: with
+    every mistake in the file; StudyError: the name is nearly that of a study."""
     if name in shipped_studies():
         return NamedStudy(parse_study(Source(f"{name}.yaml", study_text(name))))
     path = Path(name)
@@ -66,12 +62,8 @@ def study_named(name: str) -> NamedStudy | None:
 
 
 def refuse_study(name: str) -> None:
-    """Refuse a name or a file, where a scenario is needed; a directory is not looked into.
-
-    Raises:
-        StudyError: it is a study.
-        ScenarioError: it is one with mistakes.
-    """
+    """Refuse a name or a file, where a scenario is needed; a directory is not looked into. Raises StudyError: it is a
+    study; ScenarioError: it is one with mistakes."""
     if not Path(name).is_dir() and study_named(name) is not None:
         raise StudyError(f"{name} is a study, not a scenario: fleet sweep {name} runs it")
 
@@ -83,14 +75,8 @@ def is_study(source: Source) -> bool:
 
 
 def parse_study(source: Source, folder: Path | None = None) -> StudySpec:
-    """The study that a text describes.
-
-    Args:
-        folder: where the file of a scenario is looked for; None: only scenarios that ship are known.
-
-    Raises:
-        ScenarioError: with every mistake that was found, in the order of the text.
-    """
+    """The study that a text describes. `folder`: where the file of a scenario is looked for; None: only scenarios that
+    ship are known. Raises ScenarioError: with every mistake that was found, in the order of the text."""
     root, problems = read(source)
     reader = _Reader(problems, folder)
     values: dict[str, Any] = {}

@@ -143,12 +143,8 @@ def declared(spec: StudySpec, scenarios: Sequence[Scenario]) -> tuple[tuple[str,
 
 
 def modules_again(store: Store) -> Modules:
-    """The modules that the runs of a study need that is there. It may come from anybody, so they need trust.
-
-    Raises:
-        ScenarioError: one of them may not run, or a scenario is damaged.
-        StudyError: the study is damaged.
-    """
+    """The modules that the runs of a study need that is there. It may come from anybody, so they need trust. Raises
+    ScenarioError: one of them may not run, or a scenario is damaged; StudyError: the study is damaged."""
     policy = Policy(A_STUDY)
     name, folder = store.record.scenario, store.folder
     scenarios = [parse_scenario(point.scenario, name, folder=folder, policy=policy) for point in store.points]
@@ -234,11 +230,8 @@ class Work:
             raise _BudgetSpent
 
     def make(self, tasks: Iterator[Task]) -> set[tuple[int, int]]:
-        """Make some runs of the study, which is locked, and write their rows as they come.
-
-        Returns:
-            (point, seed) of those that were made.
-        """
+        """Make some runs of the study, which is locked, and write their rows as they come. Returns (point, seed) of
+        those that were made."""
         rows = _Rows(self)
         try:
             self.engine.make(tasks, rows.take, rows.wait)
@@ -278,7 +271,6 @@ class _Rows:
 
 
 def _make_missing(work: Work, like: Task) -> None:
-    """Round by round, until no point needs more seeds."""
     store, progress = work.store, work.progress
     needed, done = store.needed(), set[tuple[int, int]]()
     for row in store.rows():
@@ -356,14 +348,8 @@ _NUMBER = re.compile(rf"(?<!\w){NUMBER.pattern}", re.ASCII)
 
 
 def load_points(plan: Plan, *, refused: list[Problem] | None = None) -> list[Scenario]:
-    """The scenario of each point.
-
-    Args:
-        refused: a list that receives the laws that may not run; None: such a law is an error.
-
-    Raises:
-        ScenarioError: with the mistakes of all points, each once.
-    """
+    """The scenario of each point. `refused`: a list that receives the laws that may not run; None: such a law is an
+    error. Raises ScenarioError: with the mistakes of all points, each once."""
     scenarios: list[Scenario] = []
     mistakes: dict[tuple[int, str], tuple[Problem, list[Point]]] = {}
     for point in plan.points:
@@ -399,7 +385,6 @@ def _same(problem: Problem, point: Point) -> str:
 
 
 def _without_values(text: str, point: Point) -> str:
-    """A text without the values of the point, and without other numbers."""
     for value in sorted((value.text for value in point.values.values()), key=len, reverse=True):
         text = re.sub(rf"(?<![\w.]){re.escape(value)}(?!\.?\w)", "{}", text)
     return _NUMBER.sub("{}", text)
@@ -418,7 +403,6 @@ def _with_points(problem: Problem, points: list[Point], plan: Plan) -> Problem:
 
 
 def _of_points(points: list[Point], plan: Plan) -> str:
-    """Which points a sentence is about; empty: all."""
     if len(points) == len(plan.points):
         return ""
     return f" (in {len(points)} of {len(plan.points)} points, first {points[0].shown})"

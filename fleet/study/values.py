@@ -118,14 +118,8 @@ class Axis:
 
 
 def parse_axis(text: str, *, fine: int = 0) -> Axis:
-    """The axis that `KEY=VALUES` describes.
-
-    Args:
-        fine: if above 0, a range needs no step. It gets a round step, with at least this number of steps.
-
-    Raises:
-        StudyError: it has no key, or its values are none.
-    """
+    """The axis that `KEY=VALUES` describes. `fine`: if above 0, a range needs no step. It gets a round step, with at
+    least this number of steps. Raises StudyError: it has no key, or its values are none."""
     return axis(*key_and_values(text), fine=fine)
 
 
@@ -292,7 +286,6 @@ def _value(number: float, unit: str) -> AxisValue:
 
 
 def _split(text: str) -> Iterator[str]:
-    """The text at commas that are not within brackets or quotation marks."""
     depth, quote, begin = 0, "", 0
     for at, character in enumerate(text):
         if quote:

@@ -79,10 +79,7 @@ class Signals:
 
     def of_all(self, name: str) -> dict[int, str]:
         """The names of a signal, of every vehicle that has it or of the one in the name; none: there is no such signal.
-
-        Args:
-            name: such as `control.leader`, `command.tau_0`, `|error.e|` or `|uuv/3/error.e|`.
-        """
+        `name`: such as `control.leader`, `command.tau_0`, `|error.e|` or `|uuv/3/error.e|`."""
         known = parse_name(name)
         if known is None:
             return {}

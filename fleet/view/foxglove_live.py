@@ -85,16 +85,9 @@ class LiveBridge:
     """From the publisher of a live run to a server for viewers."""
 
     def __init__(self, source: LiveSource, journal: LiveJournal, host: str, port: int | None, *, control: bool) -> None:
-        """Ask for the topics, and listen.
-
-        Args:
-            journal: of the run.
-            control: whether viewers may inject, heal and hold the clock.
-
-        Raises:
-            FleetError: the run does not say what it publishes; there is no port, or only the observer's credentials are
-                at hand, and viewers are to control.
-        """
+        """Ask for the topics, and listen. `control`: whether viewers may inject, heal and hold the clock. Raises
+        FleetError: the run does not say what it publishes; there is no port, or only the observer's credentials are at
+        hand, and viewers are to control."""
         offered = services(source.controlled()) if control else ()
         self._journal = journal
         self._topics = ask_topics(journal.bus, journal.keys)

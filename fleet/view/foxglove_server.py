@@ -172,12 +172,8 @@ class FoxgloveServer:
             self._server.broadcast_time(log_ns)
 
     def state(self, status: str, log_ns: int, rate: float, *, jumped: bool = False, request: str = "") -> None:
-        """How the log is played: `Playing`, `Paused` or `Ended`.
-
-        Args:
-            jumped: the time did not just go on.
-            request: the id of the request that this answers.
-        """
+        """How the log is played: `Playing`, `Paused` or `Ended`. `jumped`: the time did not just go on. `request`: the
+        id of the request that this answers."""
         self._server.broadcast_playback_state(
             PlaybackState(getattr(PlaybackStatus, status), log_ns, rate, jumped, request)
         )
@@ -209,7 +205,6 @@ def _made(channel: FoxgloveChannel, context: foxglove.Context) -> foxglove.Chann
 
 
 def _started(host: str, ports: Sequence[int], **settings: Any) -> WebSocketServer:
-    """A server on the first of these ports that is free. Raises FleetError: none is."""
     for port in ports:
         try:
             return foxglove.start_server(host=host, port=port, **settings)

@@ -31,12 +31,8 @@ class LiveFeed:
     live = True
 
     def __init__(self, source: LiveSource) -> None:
-        """Connect, and subscribe unless the run is awaited: then `listen` does.
-
-        Raises:
-            FleetError: the publisher cannot be reached, or does not say what it publishes.
-            ScenarioError: that scenario is none for this version.
-        """
+        """Connect, and subscribe unless the run is awaited: then `listen` does. Raises FleetError: the publisher cannot
+        be reached, or does not say what it publishes; ScenarioError: that scenario is none for this version."""
         self.source = source
         self.name = source.directory.name
         self.log = source.directory / "run.mcap"
@@ -147,11 +143,8 @@ class LiveFeed:
                 self._over = "the run is over" if whole else "the run broke: its console is gone"
 
     def ask(self, op: str, **fields: Any) -> Row:
-        """Ask the console for something, over a connection that stays.
-
-        Raises:
-            RemoteError: it refuses, or does not answer; or only an observer's credentials are at hand.
-        """
+        """Ask the console for something, over a connection that stays. Raises RemoteError: it refuses, or does not
+        answer; or only an observer's credentials are at hand."""
         if self._run is None and self.source.awaited:
             raise RemoteError(f"the console of {self.name} does not answer yet")
         if self._run is None:
@@ -192,13 +185,9 @@ class LiveFeed:
         return lost if self.picture.placed else NOT_PLACED
 
     def follow(self, names: Collection[str]) -> None:
-        """Bring these signals into the picture, and those that have a chart from the start, and no others.
-
-        The latter need no browser that asks for them. So one that comes later, or comes back, sees their last minute.
-
-        Raises:
-            KeyError: there is none of a name.
-        """
+        """Bring these signals into the picture, and those that have a chart from the start, and no others. The latter
+        need no browser that asks for them. So one that comes later, or comes back, sees their last minute. Raises
+        KeyError: there is none of a name."""
         names = {*names, *(name for charted in self.charted for name in self.signals.meant(charted))}
         self.signals.follow(names)
         self.picture.follow(names)

@@ -28,12 +28,8 @@ class GifWriter(AbstractMovieWriter):
     """Collects pictures, and writes them at the end; the same pictures give the same bytes."""
 
     def __init__(self, fps: int, colours: tuple[str, ...]) -> None:
-        """Prepare it.
-
-        Args:
-            fps: pictures per second, at most 50; a GIF counts in 10 ms.
-            colours: of the drawing, on white. The palette has tints of each, and greys. At most 34.
-        """
+        """Prepare it. `fps`: pictures per second, at most 50; a GIF counts in 10 ms. `colours`: of the drawing, on
+        white. The palette has tints of each, and greys. At most 34."""
         super().__init__(fps=fps)
         self._pictures: list[Image.Image] = []
         parts = [grey for grey in _GREYS for _ in range(3)]

@@ -121,12 +121,7 @@ class Canvas:
         self._drawn.append(self._axes.text(x, y, text, clip_on=True, parse_math=False, **style))
 
     def paint(self, thing: Primitive, frames: Mapping[str, Array], deep: float) -> None:
-        """Paint a primitive.
-
-        Args:
-            frames: where they are [m, NED].
-            deep: where the floor is [m].
-        """
+        """Paint a primitive. `frames`: where they are [m, NED]. `deep`: where the floor is [m]."""
         colour = PRINT.colour(thing.colour)
         match thing:
             case CylinderShape():
@@ -357,12 +352,7 @@ class MovieScene:
                 self._trails.setdefault(int(i), deque(maxlen=int(TRAIL_S / SAMPLE_S))).append(place)
 
     def draw(self, frame: Row, at_s: float) -> None:
-        """Draw a frame.
-
-        Args:
-            frame: as `ViewState.frame` gives it, of now.
-            at_s: its time in the movie.
-        """
+        """Draw a frame. `frame`: as `ViewState.frame` gives it, of now. `at_s`: its time in the movie."""
         canvas, camera = self._canvas, self._camera
         canvas.clear()
         self.remember(frame)
@@ -433,7 +423,6 @@ class MovieScene:
         self._canvas.lines(parts, 1.0, colours, 1.2)
 
     def _draw_links(self, rows: dict[int, list[Any]], states: list[str]) -> list[Array | None]:
-        """Draw them; returns the two ends of each, None: one of its vehicles is nowhere."""
         lanes: list[Array | None] = []
         by_state: dict[LinkState, list[Array]] = {}
         canvas, size = self._canvas, self._canvas.size

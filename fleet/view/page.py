@@ -43,14 +43,8 @@ def suggestions(kind: str, target: str) -> dict[str, str]:
 
 
 def entry(words: str, lasts: str, scenario: Scenario, tick: int) -> dict[str, Any]:
-    """The fault that words describe, checked by the rules of scenarios as if it began at a tick.
-
-    Args:
-        lasts: how long, as `10s`; empty: until healed.
-
-    Raises:
-        FleetError: it is none, or not for this scenario; the text says what is wrong.
-    """
+    """The fault that words describe, checked by the rules of scenarios as if it began at a tick. `lasts`: how long, as
+    `10s`; empty: until healed. Raises FleetError: it is none, or not for this scenario; the text says what is wrong."""
     found = read_fault(words)
     if lasts.strip():
         if "for" in found:
@@ -177,11 +171,8 @@ class FaultForm:
 
 
 def _away(at: Any) -> str:
-    """At which side of the window a dialog hides least of what was clicked.
-
-    Args:
-        at: where that was, as shares of the window from the left and from the top, and whether the window is narrow.
-    """
+    """At which side of the window a dialog hides least of what was clicked. `at`: where that was, as shares of the
+    window from the left and from the top, and whether the window is narrow."""
     match at:
         case [float() | int() as x, float() | int() as y, narrow]:
             return ("top" if y > 0.5 else "bottom") if narrow else ("left" if x > 0.5 else "right")
@@ -302,11 +293,8 @@ class Page:
         self.tell_all({"checks": self.feed.checks})
 
     async def do(self, command: str, op: str, **fields: Any) -> Row:
-        """Ask the console for something, and note which command would have done it.
-
-        Raises:
-            FleetError: it refuses, or nothing may be asked for here.
-        """
+        """Ask the console for something, and note which command would have done it. Raises FleetError: it refuses, or
+        nothing may be asked for here."""
         if not self.may_act or not isinstance(self.feed, LiveFeed):
             raise FleetError(ONLY_WATCHED)
         feed = self.feed

@@ -101,11 +101,8 @@ def main() -> None:
 
 
 def _feed_of(told: Queue[Path]) -> LiveFeed | LogFeed:
-    """The live run that is told of first; if it ended before it could be seen, its log.
-
-    Raises:
-        FleetError: there is no log, or the run cannot be shown.
-    """
+    """The live run that is told of first; if it ended before it could be seen, its log. Raises FleetError: there is no
+    log, or the run cannot be shown."""
     directory = told.get()
     try:
         source = find_source(str(directory), directory) if (directory / OBSERVE).exists() else None

@@ -82,7 +82,6 @@ class Guard:
             await _refuse(scope, send, _NO_TOKEN)
 
     def _is_ours(self, headers: MutableMapping[bytes, str], kind: str) -> bool:
-        """Whether it was sent to a name of ours, and a websocket by a page of ours."""
         host = headers.get(b"host", "").lower()
         if self._names and host not in self._names:
             return False
@@ -178,14 +177,8 @@ class PageListener:
 
 
 def open_listener(host: str = LOOPBACK, port: int | None = None) -> PageListener:
-    """Listen, with a new token.
-
-    Args:
-        port: None or 0: a free one.
-
-    Raises:
-        FleetError: NiceGUI is not installed; the address is not one of this machine, or the port is taken.
-    """
+    """Listen, with a new token. `port`: None or 0: a free one. Raises FleetError: NiceGUI is not installed; the address
+    is not one of this machine, or the port is taken."""
     if find_spec("nicegui") is None:
         raise FleetError("the page needs NiceGUI, which is not installed: pip install 'uuv-fleet[view]'")
     try:
@@ -199,11 +192,7 @@ def open_listener(host: str = LOOPBACK, port: int | None = None) -> PageListener
 
 
 def serve(feed: LiveFeed | LogFeed, listener: PageListener, *, may_act: bool) -> None:
-    """Serve the page until a signal ends the program.
-
-    Args:
-        may_act: whether the page may disturb the run.
-    """
+    """Serve the page until a signal ends the program. `may_act`: whether the page may disturb the run."""
     import uvicorn
     from fastapi import FastAPI
     from nicegui import ui

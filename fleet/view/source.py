@@ -98,7 +98,6 @@ def _newest(runs: Path) -> LiveSource | LogSource:
 
 
 def _began(directory: Path) -> float:
-    """When a live run began, by the clock of its file system."""
     try:
         return os.stat(directory / SCENARIO).st_mtime
     except OSError:

@@ -144,15 +144,8 @@ class NavigationFilter:
         self.north = self.east = self.time = self.drifting = 0.0
 
     def heading(self, measured: float, noise: float) -> float:
-        """Take a sample of the heading sensor.
-
-        Args:
-            measured: rad.
-            noise: its standard deviation [rad].
-
-        Returns:
-            The innovation squared over its variance: NIS [1].
-        """
+        """Take a sample of the heading sensor. `measured`: rad. `noise`: its standard deviation [rad]. Returns the
+        innovation squared over its variance: NIS [1]."""
         self.settle()
         return self._update(PSI, H, measured - self.x[PSI] - self.x[H], noise * noise)
 
@@ -235,7 +228,6 @@ class NavigationFilter:
         return innovation * share
 
     def _forget_current(self, sigma: float) -> None:
-        """Begin anew with what c stands for."""
         for k in (CN, CE):
             self.x[k] = 0.0
             for a in range(len(self.p)):

@@ -37,12 +37,7 @@ class Fixes:
         self._under_way: list[list[float]] = []
 
     def measure(self, tick: int, true: Vec3, estimate: NavigationFilter, faults: Sequence[WorldFault]) -> None:
-        """Measure what is due at a tick.
-
-        Args:
-            true: position [m, NED].
-            estimate: of the position at this tick.
-        """
+        """Measure what is due at a tick. `true`: position [m, NED]. `estimate`: of the position at this tick."""
         seed, i = self._seed, self._i
         for number, source in enumerate(self._sources):
             if not due(tick, self._tick_ns, source.period_ns):

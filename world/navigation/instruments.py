@@ -98,11 +98,7 @@ class Instruments:
         self.gyro = [bias + self._draw(sigma, "gyro", tick, axis) for axis, bias in enumerate(self.gyro_bias)]
 
     def velocity(self, tick: int, depth: float, faults: Sequence[WorldFault] = NO_FAULTS) -> bool:
-        """Draw new errors of the DVL, and see what it sees, if it is time.
-
-        Args:
-            depth: of the vehicle [m].
-        """
+        """Draw new errors of the DVL, and see what it sees, if it is time. `depth`: of the vehicle [m]."""
         if not due(tick, self._tick_ns, self._dvl_ns):
             return False
         config = self._config

@@ -31,12 +31,7 @@ class Navigator:
     """Dead reckoning of one vehicle: its instruments, its fixes and its filter."""
 
     def __init__(self, config: DeadReckoning, seed: int, i: int, tick_ns: int, state: State) -> None:
-        """Begin with the true state at the start.
-
-        Args:
-            seed: of the run.
-            i: the vehicle.
-        """
+        """Begin with the true state at the start."""
         self._config = config
         self._dt = tick_ns / 1e9
         self._seed, self._i = seed, i
@@ -48,7 +43,6 @@ class Navigator:
         self._tell: list[Fix] = []  # fixes that nobody has asked for yet
 
     def _begin(self, state: State) -> NavigationFilter:
-        """The filter of a vehicle that is told where it is, and reads its heading sensor."""
         start, purpose = self._config.start, START
         off = [start * normal(self._seed, purpose, self._i, axis) if start else 0.0 for axis in range(2)]
         self._instruments.turn_rates(0)
@@ -108,12 +102,8 @@ class Navigator:
         return [scale * own[0] + off[0], scale * own[1] + off[1], scale * own[2] + off[2]]
 
     def believed(self, state: State, roll: tuple[float, ...]) -> Believed:
-        """Eta, nu and roll as the vehicle believes them.
-
-        Args:
-            state: the truth.
-            roll: true phi [rad] and p [rad/s], or nothing.
-        """
+        """Eta, nu and roll as the vehicle believes them. `state`: the truth. `roll`: true phi [rad] and p [rad/s], or
+        nothing."""
         measure, x = self._instruments, self.filter.x
         pitch, lean = measure.tilt
         theta = state[3] + pitch
@@ -158,11 +148,8 @@ class Navigator:
         ]
 
     def restore(self, tick: int, values: list[Any] | None, state: State) -> None:
-        """Continue at a tick from `memory()`; None: the vehicle had no filter before, and begins with it now.
-
-        Args:
-            state: the truth at that tick.
-        """
+        """Continue at a tick from `memory()`; None: the vehicle had no filter before, and begins with it now. `state`:
+        the truth at that tick."""
         if not values:
             self.filter = self._begin(state)
             self._tick = tick

@@ -26,12 +26,8 @@ class FencedPlant:
     """The plant of one vehicle, at the tick that the vehicle has reached. Every failure is a PlantError."""
 
     def __init__(self, setup: PlantSetup, config: PlantConfig) -> None:
-        """Make the plant; `start` or `restore` puts it into the water.
-
-        Raises:
-            PluginError: there is no such plant, or it cannot be used.
-            PlantError: it cannot be made, or has limits that are none.
-        """
+        """Make the plant; `start` or `restore` puts it into the water. Raises PluginError: there is no such plant, or
+        it cannot be used; PlantError: it cannot be made, or has limits that are none."""
         self.name = setup.name
         self.notes: list[tuple[int, str]] = []  # (tick, text) for a person; the reader clears it
         self.state: PlantState = ()
@@ -62,16 +58,9 @@ class FencedPlant:
         return self.pose[4], q * cos(phi) - r * sin(phi)
 
     def start(self, tick: int, pose: Vec6, velocity: Vec6) -> None:
-        """Put the vehicle into the water.
-
-        Args:
-            tick: of the start.
-            pose: x, y, z [m, NED], phi, theta, psi [rad].
-            velocity: u, v, w [m/s, body, over ground], p, q, r [rad/s].
-
-        Raises:
-            PlantError: what it returned is no state, or one at another place.
-        """
+        """Put the vehicle into the water. `pose`: x, y, z [m, NED], phi, theta, psi [rad]. `velocity`: u, v, w [m/s,
+        body, over ground], p, q, r [rad/s]. Raises PlantError: what it returned is no state, or one at another
+        place."""
         fence, plant = self._fence, self._plant
         state = fence.call(tick, plant.start, pose, velocity)
         numbers = _numbers(state)
@@ -156,11 +145,7 @@ class FencedPlant:
         return state, plant.pose(state), plant.velocity(state), plant.report(state) if self._signals else {}
 
     def _take(self, tick: int, method: Any, said: tuple[Any, Any, Any, Any]) -> None:
-        """Check what the plant says of its next tick, and take it all or nothing.
-
-        Args:
-            method: that gave the state.
-        """
+        """Check what the plant says of its next tick, and take it all or nothing. `method`: that gave the state."""
         fence, plant = self._fence, self._plant
         state, size = _numbers(said[0]), len(self.state)
         if len(state) != size:

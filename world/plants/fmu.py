@@ -40,11 +40,8 @@ _NO_LIMIT = 1e9  # [N, N m]; the limits of the scenario hold anyway
 
 
 def fmu_class(path: Path, parameters: Mapping[str, Any]) -> type[FmuPlant]:
-    """The plant that an FMU makes with some parameters. Its description is read, and nothing of it runs.
-
-    Raises:
-        FmuError: the file is no FMU for this machine, or has not the variables that the parameters name.
-    """
+    """The plant that an FMU makes with some parameters. Its description is read, and nothing of it runs. Raises
+    FmuError: the file is no FMU for this machine, or has not the variables that the parameters name."""
     model, facts_ = describe(path)
     known = {"inputs", "outputs", "initial", "start", "signals"}
     if unknown := sorted(parameters.keys() - known):
@@ -166,11 +163,7 @@ class FmuPlant:
         return saved
 
     def restore(self, values: bytes) -> None:
-        """Go on from what `state` gave.
-
-        Raises:
-            FmuError: the unit could not give its state, or does not take it.
-        """
+        """Go on from what `state` gave. Raises FmuError: the unit could not give its state, or does not take it."""
         if not values or not self.facts.saves:
             problem = "cannot save its state (canGetAndSetFMUstate, canSerializeFMUstate): its run cannot be resumed"
             raise FmuError(problem, "run it from the start")
@@ -187,11 +180,8 @@ class FmuPlant:
         return [value * variable.factor for value, variable in zip(outputs, self._outputs, strict=True)]
 
     def _ask(self, verb: str, *values: Any) -> Any:
-        """The answer of the unit's process.
-
-        Raises:
-            FmuError: the unit failed, ended its process, or did not answer. After the last two it is not used again.
-        """
+        """The answer of the unit's process. Raises FmuError: the unit failed, ended its process, or did not answer.
+        After the last two it is not used again."""
         if not self._close.alive:
             raise FmuError("was ended after it failed")
         try:
@@ -226,7 +216,6 @@ def _started(private: PrivateFolder) -> tuple[subprocess.Popen[bytes], Connectio
 
 
 def _end(process: subprocess.Popen[bytes], connection: Connection, private: PrivateFolder) -> None:
-    """End the process, whatever its unit does, and remove what was unpacked."""
     connection.close()
     process.kill()
     process.wait()

@@ -126,8 +126,6 @@ class _Unit:
 
 
 def _end_with_parent(folder: str) -> threading.Thread:
-    """The thread that ends this process when the other side has gone."""
-
     def watch() -> None:
         while os.read(0, 1):
             pass

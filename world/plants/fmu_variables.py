@@ -82,11 +82,7 @@ class Description:
 
 
 def parse(data: bytes) -> Description:
-    """A model description from its XML.
-
-    Raises:
-        FmuError: it is not of FMI 2 or 3, or it is too large.
-    """
+    """A model description from its XML. Raises FmuError: it is not of FMI 2 or 3, or it is too large."""
     reader = _Description()
     parser = expat.ParserCreate()
     parser.buffer_text = True
@@ -319,15 +315,9 @@ class UnitFacts:
 
 
 def describe(path: Path) -> tuple[Description, UnitFacts]:
-    """Read the model description of an FMU, and the facts that are needed to start it. No code of the FMU runs.
-
-    Args:
-        path: the FMU file.
-
-    Raises:
-        FmuError: the file cannot be read, is no FMU for co-simulation, or has no binary for this machine; or the
-            package FMPy is not installed.
-    """
+    """Read the model description of an FMU, and the facts that are needed to start it. No code of the FMU runs. Raises
+    FmuError: the file cannot be read, is no FMU for co-simulation, or has no binary for this machine; or the package
+    FMPy is not installed."""
     try:
         status = path.stat()
     except OSError as error:
@@ -358,7 +348,6 @@ _SUFFIX = {"win32": ".dll", "darwin": ".dylib"}
 
 
 def _platform(version: int) -> tuple[str, str]:
-    """This machine as FMI 3 calls it, and the folder of its binaries."""
     system = {"win32": "windows", "darwin": "darwin"}.get(sys.platform, "linux")
     processor = {"amd64": "x86_64", "arm64": "aarch64", "i686": "x86", "i386": "x86"}.get(
         machine().lower(), machine().lower()
@@ -422,7 +411,6 @@ class _Reader:
     def _group(
         self, group: str, ours: Mapping[str, str], chosen: Mapping[str, str], needed: frozenset[str]
     ) -> dict[str, Variable]:
-        """Those of a group that the unit has; a name that the user chose must be there."""
         found: dict[str, Variable] = {}
         for key, unit in ours.items():
             name = chosen.get(key, "" if group == "initial" else key)
@@ -445,7 +433,6 @@ class _Reader:
         raise FmuError(f"{place}: the unit has no variable {name!r}", hint)
 
     def _factor(self, place: str, variable: UnitVariable, ours: str) -> float:
-        """The factor that converts a value of a variable to our unit."""
         unit = variable.unit
         if not unit:
             return 1.0

@@ -34,15 +34,8 @@ class _One(NamedTuple):
 
 
 def draw_borders(borders: Borders, theories: Sequence[Theory]) -> Figure:
-    """The borders of a study.
-
-    Args:
-        borders: the study.
-        theories: what theory says, border by border.
-
-    Raises:
-        StudyError: there is too much for one picture, or the study is damaged.
-    """
+    """The borders of a study. `theories`: what theory says, border by border. Raises StudyError: there is too much for
+    one picture, or the study is damaged."""
     runs = [borders.verdicts(rows.values()) for rows in borders.rows()]
     every = [_One(*one) for one in zip(borders.found(), runs, theories, strict=True)]
     per = borders.store.record.axes[:-1]
@@ -54,11 +47,8 @@ def draw_borders(borders: Borders, theories: Sequence[Theory]) -> Figure:
 
 
 def write_borders(borders: Borders, theories: Sequence[Theory]) -> Path:
-    """Draw a study of a border as `border.png` in its directory; see `draw_borders`. Returns the path.
-
-    Raises:
-        StudyError: as `draw_borders`, or the file cannot be written.
-    """
+    """Draw a study of a border as `border.png` in its directory; see `draw_borders`. Returns the path. Raises
+    StudyError: as `draw_borders`, or the file cannot be written."""
     figure = draw_borders(borders, theories)
     stem = borders.store.directory / "border"
     try:
@@ -101,7 +91,6 @@ def _across(borders: Borders, every: Sequence[_One], varied: Sequence[AxisRecord
 
 
 def _line(ax: Axes, borders: Borders, line: Sequence[_One], at: Sequence[int], k: int, shift: float) -> None:
-    """The borders along one line, each with its interval, and the rule of dead reckoning."""
     bottom, top = borders.places[0], borders.places[-1]
     colour = COLOURS[k % len(COLOURS)]
     x = [place + shift for place in at]
@@ -122,7 +111,6 @@ def _line(ax: Axes, borders: Borders, line: Sequence[_One], at: Sequence[int], k
 
 
 def _below_each_other(borders: Borders, every: Sequence[_One], varied: Sequence[AxisRecord]) -> Figure:
-    """A row per border: its interval, passed runs above it, failed runs below."""
     if len(every) > MOST_ROWS:
         raise StudyError(f"these are {len(every)} borders, and a picture has {MOST_ROWS} below each other at most")
     figure, (ax,) = panels(1, 1, PAGE_IN, 0.45 * len(every) + 1.3)
@@ -151,7 +139,6 @@ def _below_each_other(borders: Borders, every: Sequence[_One], varied: Sequence[
 
 
 def _runs(ax: Axes, borders: Borders, runs: Sequence[Run], at: int) -> None:
-    """The runs by their place: passed ones to the left, failed ones to the right."""
     seen: dict[Run, int] = {}
     for place, passed in runs:
         seen[place, passed] = number = seen.get((place, passed), 0) + 1

@@ -33,12 +33,9 @@ class Picture(NamedTuple):
 
 
 def draw(points: Points, log_scale: bool | None = None, share: Tell = lambda _: None) -> Iterator[Picture]:
-    """The pictures of a study, the share that passed first, then the measures, then pairs of runs.
-
-    Args:
-        log_scale: numbers have a logarithmic axis; None: numbers of a wide range have one.
-        share: called before each picture with the share that is done.
-    """
+    """The pictures of a study, the share that passed first, then the measures, then pairs of runs. `log_scale`: numbers
+    have a logarithmic axis; None: numbers of a wide range have one. `share`: called before each picture with the share
+    that is done."""
     measures = [name for name in points.numbers if name != PASSED]
     todo: list[tuple[str, str, Callable[[], Iterator[Figure]]]] = []
     if points.product:
@@ -130,7 +127,6 @@ def _slug(key: str) -> str:
 
 
 def _free(name: str, taken: set[str]) -> str:
-    """The name, with a number if it is taken: by an earlier page, or by another name that is spelt alike."""
     found = next(each for each in chain([name], (f"{name}-{k}" for k in count(2))) if each not in taken)
     taken.add(found)
     return found

@@ -56,11 +56,8 @@ _WORDS = 50  # characters of a line below the axis
 
 
 def boxes(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale: bool | None) -> Figure:
-    """Draw some panels of a layout over words: a row for each value, from above.
-
-    Raises:
-        NothingToDraw: there are too many values.
-    """
+    """Draw some panels of a layout over words: a row for each value, from above. Raises NothingToDraw: there are too
+    many values."""
     drawn = _Boxes(quantity, layout)
     columns = min(2, len(shown))
     rows = -(-len(shown) // columns)
@@ -141,7 +138,6 @@ class _Boxes:
 
 
 def _one(ax: Axes, quantity: Quantity, cell: Cell, at: float, width: float, colour: str) -> None:
-    """One row: its box and points, or the share that passed, and the interval."""
     estimate, factor = cell.estimate, scale(quantity)
     if not cell.values:
         return
@@ -247,7 +243,6 @@ class _Curves:
         return found
 
     def _hatched(self, ax: Axes, cells: Sequence[Cell | None], strip: int, colour: str) -> bool:
-        """Hatch places where runs lack the number; returns whether there are any."""
         if not any(cell is not None and any(cell.lack) for cell in cells):
             return False
         for at, cell in enumerate(cells):
@@ -291,14 +286,12 @@ class _Curves:
 
 
 def _beside(places: Array, share: float, logs: bool) -> Array:
-    """Places moved aside; shares from 0 to 1 fill a third of the least distance around each."""
     at = np.log(places) if logs else places
     moved: Array = at + (share - 0.5) * (np.diff(at).min() if len(at) > 1 else 1.0) / 3
     return np.exp(moved) if logs else moved
 
 
 def _edges(places: Array, logs: bool) -> Array:
-    """Where the part of the axis that belongs to each place begins and ends; one more than there are places."""
     values = np.log(places) if logs else places
     middle = (values[1:] + values[:-1]) / 2
     edges = np.concatenate([[2 * values[0] - middle[0]], middle, [2 * values[-1] - middle[-1]]])
@@ -379,7 +372,6 @@ def _title_in(shown: Sequence[Panel]) -> float:
 
 
 def _table(quantity: Quantity, layout: Layout, panel: Panel) -> list[list[Cell | None]]:
-    """The cells of a panel, row by row from below; None: there is no such point."""
     x, y = layout.axes
     along = [layout.dimensions[k].values for k in (x, y)]
     return [[quantity.cells.get(layout.key(panel, {x: a, y: b})) for a in along[0]] for b in along[1]]
@@ -431,7 +423,6 @@ def _cells(ax: Axes, image: Array, norm: Normalize, colours: Colormap) -> None:
 
 
 def _room(tables: Tables, cell_pt: float, digits: Digits) -> int:
-    """How much text fits into each cell: 0 none, 1 the value, 2 its interval, too."""
     if sum(len(table) * len(table[0]) for table in tables) > _MOST_WORDS:
         return 0
     widest, strip = [0.0, 0.0], 0.0
@@ -446,7 +437,6 @@ def _room(tables: Tables, cell_pt: float, digits: Digits) -> int:
 
 
 def _words(ax: Axes, at: tuple[int, int], cell: Cell, digits: Digits, bold: bool, colour: Colour, fits: int) -> None:
-    """The value and the interval in a cell; `bold`: the value, if the interval does not hold 0."""
     estimate = cell.estimate
     if isnan(estimate.value):
         return

@@ -86,7 +86,6 @@ def rough(value: float) -> str:
 
 
 def _decimals(value: float) -> int:
-    """As many that two or three digits are shown."""
     size = floor(log10(abs(value))) if value else 0
     return max(0, 2 - max(size, 0)) if size >= -1 else 1 - size
 
@@ -132,11 +131,7 @@ class Lacks:
                 self._seen.add(kind)
 
     def draw(self, transform: Callable[[Axes], Transform] = lambda ax: ax.transData) -> None:
-        """Draw what was gathered, above all else.
-
-        Args:
-            transform: of the rectangles of an axis.
-        """
+        """Draw what was gathered, above all else. `transform`: of the rectangles of an axis."""
         for (ax, kind, colour), rectangles in self._gathered.items():
             x, y, w, h = np.array(rectangles).T
             corners = np.stack([np.stack([x, x + w, x + w, x], 1), np.stack([y, y, y + h, y + h], 1)], 2)

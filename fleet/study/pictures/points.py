@@ -162,11 +162,8 @@ def factors(points: Points) -> list[int]:
 
 
 def load(store: Store, measures: Sequence[str] = ()) -> Points:
-    """The points of a study with some measures; none: those of the table of `fleet sweep`.
-
-    Raises:
-        StudyError: there is no such measure, or the study is damaged.
-    """
+    """The points of a study with some measures; none: those of the table of `fleet sweep`. Raises StudyError: there is
+    no such measure, or the study is damaged."""
     asked = measures or store.record.measures or DEFAULT
     columns = {column.name: column for column in find_columns(asked, store.record.columns)}
     axes, seeds = store.record.axes, store.seeds
@@ -274,7 +271,6 @@ def _map_words(text: str) -> str:
 
 
 def _pair(key: str, value: Any) -> str:
-    """A word stands for itself, a number needs its name."""
     if isinstance(value, bool):
         return key if value else f"no {key}"
     if isinstance(value, str) and not _NUMBER.match(value):

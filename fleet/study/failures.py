@@ -164,23 +164,14 @@ def file_of(scenario: Scenario, check: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Regressed:
-    """One scenario of a folder that was run again.
+    """One scenario of a folder that was run again."""
 
-    Attributes:
-        failure: the scenario, with the expected verdict.
-        got: the verdict now, in words.
-        same: whether it is the expected verdict.
-        broken: whether the run has no verdict.
-        differs: whether the same version of fleet made another log. A change of its code cannot be the reason.
-        wall_s: duration of the run [s].
-    """
-
-    failure: FoundFailure
-    got: str
-    same: bool
-    broken: bool
-    differs: bool
-    wall_s: float
+    failure: FoundFailure  # the scenario, with the expected verdict
+    got: str  # the verdict now, in words
+    same: bool  # whether it is the expected verdict
+    broken: bool  # whether the run has no verdict
+    differs: bool  # whether the same version of fleet made another log. A change of its code cannot be the reason
+    wall_s: float  # duration of the run [s]
 
 
 class Regression:

@@ -181,17 +181,11 @@ _HOW: dict[str, Callable[[NDArray[np.float64]], float]] = {
 
 @dataclass(frozen=True, slots=True)
 class SignalMeasure:
-    """One number of a signal.
+    """One number of a signal."""
 
-    Attributes:
-        how: `min`, `mean`, `max`, `rms`, `final`, or a percentile such as `p95`.
-        signal: of every vehicle: of each that reports it, and then the largest, with `min` the least.
-        after_ns: samples before that do not count [ns].
-    """
-
-    how: str
-    signal: SignalName
-    after_ns: int = 0
+    how: str  # `min`, `mean`, `max`, `rms`, `final`, or a percentile such as `p95`
+    signal: SignalName  # of every vehicle: of each that reports it, and then the largest, with `min` the least
+    after_ns: int = 0  # samples before that do not count [ns]
 
     def __str__(self) -> str:
         after = f" after {show_time(self.after_ns)}" if self.after_ns else ""

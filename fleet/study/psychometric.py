@@ -143,16 +143,11 @@ class Walk:
 
 
 class Rise(NamedTuple):
-    """Two neighbouring groups of runs; the farther one passes more often.
+    """Two neighbouring groups of runs; the farther one passes more often."""
 
-    Attributes:
-        near, far: numbers of positions: of the last run of the nearer group, and of the first of the farther one.
-        chance: of such a difference or a larger one, if the pass rates are equal.
-    """
-
-    near: int
+    near: int  # numbers of positions: of the last run of the nearer group, and of the first of the farther one
     far: int
-    chance: float
+    chance: float  # of such a difference or a larger one, if the pass rates are equal
 
 
 def steepest_rise(runs: Iterable[tuple[int, bool]]) -> Rise:

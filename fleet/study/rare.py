@@ -195,15 +195,10 @@ NOWHERE = b""
 
 
 class Entrance(NamedTuple):
-    """Where a path has reached a level.
+    """Where a path has reached a level."""
 
-    Attributes:
-        best: its score there.
-        state: to continue from; None: the path was over by then.
-    """
-
-    best: float
-    state: bytes | None
+    best: float  # its score there
+    state: bytes | None  # to continue from; None: the path was over by then
 
 
 START = Entrance(inf, NOWHERE)
@@ -218,36 +213,23 @@ class Ask(NamedTuple):
 
 
 class SplitPath(NamedTuple):
-    """A path that was made.
+    """A path that was made."""
 
-    Attributes:
-        best: its score.
-        places: (score, state) wherever the score got smaller, in order.
-        cost: what it took, in ticks or steps.
-    """
-
-    best: float
-    places: Sequence[tuple[float, bytes]]
-    cost: float
+    best: float  # its score
+    places: Sequence[tuple[float, bytes]]  # (score, state) wherever the score got smaller, in order
+    cost: float  # what it took, in ticks or steps
 
 
 Make = Callable[[Sequence[Ask]], Sequence[SplitPath]]
 
 
 class Repeat(NamedTuple):
-    """One estimate.
+    """One estimate."""
 
-    Attributes:
-        probability: the estimate.
-        shares: R_k / N of each stage.
-        cost: of all paths.
-        spread: the paths of the first stage differed. If not, the draws on the way do not matter.
-    """
-
-    probability: float
-    shares: tuple[float, ...]
-    cost: float
-    spread: bool
+    probability: float  # the estimate
+    shares: tuple[float, ...]  # R_k / N of each stage
+    cost: float  # of all paths
+    spread: bool  # the paths of the first stage differed. If not, the draws on the way do not matter
 
 
 @dataclass(frozen=True, slots=True)

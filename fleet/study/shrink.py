@@ -43,23 +43,14 @@ Tree = dict[str, Any]  # a scenario as plain values
 
 
 class Shrunk(NamedTuple):
-    """The smallest scenario that was found.
+    """The smallest scenario that was found."""
 
-    Attributes:
-        scenario: the smallest scenario.
-        check: the check that fails.
-        found: the finding of that check, for the first scenario and for the smallest one.
-        runs: the number of runs made.
-        steps: the reductions, in words and in order.
-        digest: digest of the log of the smallest scenario's run.
-    """
-
-    scenario: Scenario
-    check: str
-    found: tuple[str, str]
-    runs: int
-    steps: list[str]
-    digest: str
+    scenario: Scenario  # the smallest scenario
+    check: str  # the check that fails
+    found: tuple[str, str]  # the finding of that check, for the first scenario and for the smallest one
+    runs: int  # the number of runs made
+    steps: list[str]  # the reductions, in words and in order
+    digest: str  # digest of the log of the smallest scenario's run
 
 
 class Shrinker:

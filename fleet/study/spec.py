@@ -143,23 +143,15 @@ Spec = type[StudySpec] | type[BoundarySpec]
 
 
 class SpecField(NamedTuple):
-    """A field of a spec, as its readers need it.
-
-    Attributes:
-        shape: `dict`: texts by key; `list`: several texts; else the type of its one value, or Literal.
-        kind: of its texts.
-        default: None: it has to be given.
-        limits: the least and the largest number; None: there is none.
-        words: of a Literal.
-    """
+    """A field of a spec, as its readers need it."""
 
     name: str
-    shape: Any
-    kind: Kind
-    default: Any
+    shape: Any  # `dict`: texts by key; `list`: several texts; else the type of its one value, or Literal
+    kind: Kind  # of its texts
+    default: Any  # None: it has to be given
     option: Option
-    limits: tuple[int | None, int | None]
-    words: tuple[str, ...]
+    limits: tuple[int | None, int | None]  # the least and the largest number; None: there is none
+    words: tuple[str, ...]  # of a Literal
 
     @property
     def flag(self) -> str | None:

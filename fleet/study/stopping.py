@@ -24,19 +24,12 @@ _PASS = ("pass", "passed")
 
 
 class Rule(NamedTuple):
-    """When a point has enough: half the width of the 95 % interval is at most `margin`.
+    """When a point has enough: half the width of the 95 % interval is at most `margin`."""
 
-    Attributes:
-        text: the rule as the user wrote it.
-        column: the rule is on the median of this measure. None: on the share of runs that passed.
-        margin: in the unit of the column. A share or a relative margin has no unit.
-        relative: whether the margin is relative to the median.
-    """
-
-    text: str
-    column: MeasureColumn | None
-    margin: float
-    relative: bool
+    text: str  # the rule as the user wrote it
+    column: MeasureColumn | None  # the rule is on the median of this measure. None: on the share of runs that passed
+    margin: float  # in the unit of the column. A share or a relative margin has no unit
+    relative: bool  # whether the margin is relative to the median
 
     @property
     def columns(self) -> list[str]:

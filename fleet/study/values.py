@@ -70,30 +70,18 @@ class AxisValue(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """A key that is varied.
+    """A key that is varied."""
 
-    Attributes:
-        key: a key of the scenario, such as `network.links.*.loss`, or a name in a template.
-        unit: unit of the numbers. Empty: they have none, or the values are words.
-        values: the values in order. Empty: they are still to be drawn.
-        how: `grid`: the listed values. `random`, `latin`: `count` values are drawn between `low` and `high`.
-        low, high: the ends of the range.
-        count: number of values to draw.
-        scale: `log`: equal ratios are equally likely, or equally far apart.
-        step: drawn values are rounded to whole steps above `low`. With 0 they are not rounded.
-        option: the command-line option that varies the key.
-    """
-
-    key: str
-    unit: str = ""
-    values: tuple[AxisValue, ...] = ()
-    how: How = "grid"
-    low: float = 0.0
+    key: str  # a key of the scenario, such as `network.links.*.loss`, or a name in a template
+    unit: str = ""  # unit of the numbers. Empty: they have none, or the values are words
+    values: tuple[AxisValue, ...] = ()  # the values in order. Empty: they are still to be drawn
+    how: How = "grid"  # `grid`: the listed values. `random`, `latin`: `count` values are drawn between `low` and `high`
+    low: float = 0.0  # the ends of the range
     high: float = 0.0
-    count: int = 0
-    scale: Literal["lin", "log"] = "lin"
-    step: float = 0.0
-    option: str = "--vary"
+    count: int = 0  # number of values to draw
+    scale: Literal["lin", "log"] = "lin"  # `log`: equal ratios are equally likely, or equally far apart
+    step: float = 0.0  # drawn values are rounded to whole steps above `low`. With 0 they are not rounded
+    option: str = "--vary"  # the command-line option that varies the key
 
     @property
     def sampled(self) -> bool:

@@ -345,9 +345,7 @@ def _time(reader: _Reader, what: str, example: str) -> int:
     number, unit, column = _number(reader, what, example)
     if not unit:
         raise TextError(
-            f'the {what} "{got}" has no unit',
-            column,
-            f'write "{got}ms", or "{got}us", which is how tc reads it',
+            f'the {what} "{got}" has no unit', column, f'write "{got}ms", or "{got}us", which is how tc reads it'
         )
     if unit not in _TIME_NS:
         raise TextError(f'the {what} takes us, ms or s, got "{unit}"', column, nearest(unit, _TIME_NS))

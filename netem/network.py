@@ -78,10 +78,7 @@ class Netem:
         return {link: (account.sent, account.duplicated) for link, account in self._links.ledger.accounts.items()}
 
     def exchange(
-        self,
-        tick: int,
-        transmissions: Mapping[int, tuple[bytes, ...]],
-        positions: Mapping[int, Place] | None = None,
+        self, tick: int, transmissions: Mapping[int, tuple[bytes, ...]], positions: Mapping[int, Place] | None = None
     ) -> Exchange:
         """One round: take the payloads sent at round tick `tick`, hand out what falls due until the next.
 

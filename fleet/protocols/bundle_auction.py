@@ -19,17 +19,7 @@ from collections.abc import Iterable, Sequence
 from math import dist, isfinite
 from typing import Any
 
-from agents.api import (
-    AgentConfig,
-    Delivery,
-    FormationAgent,
-    Motion,
-    Nav,
-    Signal,
-    Telemetry,
-    Vec3,
-    pack,
-)
+from agents.api import AgentConfig, Delivery, FormationAgent, Motion, Nav, Signal, Telemetry, Vec3, pack
 from fleet.protocols.bidder import NOBODY, Bidder, News
 from fleet.protocols.received import is_count, is_real, received
 
@@ -99,10 +89,7 @@ class BundleAuction:
         """The own state, and what it believes of the auction."""
         bidder = self._bidder
         heard = [[m, tick] for m, tick in bidder.heard.items()] + [[bidder.number, nav.tick]]
-        return [
-            *self._formation.transmit(nav),
-            pack(KIND, [bidder.bids, bidder.winners, heard, sorted(self._done)]),
-        ]
+        return [*self._formation.transmit(nav), pack(KIND, [bidder.bids, bidder.winners, heard, sorted(self._done)])]
 
     def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> tuple[Vec3, Telemetry]:
         """Take part in the auction, and go on to the next place."""

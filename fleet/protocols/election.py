@@ -51,12 +51,7 @@ class Election:
     )
 
     def __init__(
-        self,
-        config: AgentConfig,
-        *,
-        vehicles: int,
-        lease_s: float = 3.0,
-        quorum: Literal["fleet", "side"] = "fleet",
+        self, config: AgentConfig, *, vehicles: int, lease_s: float = 3.0, quorum: Literal["fleet", "side"] = "fleet"
     ) -> None:
         """Make it.
 

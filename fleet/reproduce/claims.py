@@ -341,15 +341,7 @@ def _gains(sea: str, text: str, where: str, remark: str) -> Callable[[Outcomes],
 
 def _errors(o: Outcomes) -> Claim:
     checks = [
-        below(
-            o,
-            reading,
-            f"{what}: {name} below {_and(FIXED)}",
-            f"{name}{infix}-{D}",
-            _of(FIXED, D),
-            key,
-            unit="m",
-        )
+        below(o, reading, f"{what}: {name} below {_and(FIXED)}", f"{name}{infix}-{D}", _of(FIXED, D), key, unit="m")
         for reading, infix in ((PRINTED, ""), (CORRECTED, "-consistent"), (NO_K_MAX, "-no-k_max"))
         for name in OPTIMISED
         for key, what in (("e_rms_m", "RMS consensus error late"), ("e_max_late_m", "largest consensus error late"))
@@ -367,14 +359,7 @@ def _velocity_errors(o: Outcomes) -> Claim:
     unit = "m/s, rad/s"
     checks = [
         below(
-            o,
-            PRINTED,
-            f"{what}: {name} below {_and(PLAIN)}",
-            f"{name}-{D}",
-            _of(PLAIN, D),
-            key,
-            form=form,
-            unit=unit,
+            o, PRINTED, f"{what}: {name} below {_and(PLAIN)}", f"{name}-{D}", _of(PLAIN, D), key, form=form, unit=unit
         )
         for key, what, form in (
             ("z_rms_mps", "RMS z late", ".4f"),

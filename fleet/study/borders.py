@@ -107,10 +107,7 @@ def border_plan(scenario: str, spec: BoundarySpec) -> Plan:
 
 
 def prepare_borders(
-    plan: Plan,
-    spec: BoundarySpec,
-    directory: Path,
-    warn: Callable[[str], None] = lambda _: None,
+    plan: Plan, spec: BoundarySpec, directory: Path, warn: Callable[[str], None] = lambda _: None
 ) -> tuple[Store, Modules]:
     """Check every point that may be run, and make the directory of the study.
 

@@ -127,10 +127,7 @@ def _text(text: str) -> str:
 
 
 def recorded(
-    scenario: Scenario,
-    directory: Path,
-    check: Callable[[float], None] | None = None,
-    samples: Samples | None = None,
+    scenario: Scenario, directory: Path, check: Callable[[float], None] | None = None, samples: Samples | None = None
 ) -> Result:
     """Make a run, and the directory that `fleet run` would have made; it is there as a whole or not at all."""
     part = directory.with_name(f".{directory.name}-{token_hex(4)}")

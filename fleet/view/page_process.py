@@ -46,12 +46,7 @@ class PageProcess:
             pass_fds=[descriptor],
             process_group=0,
         )
-        values = {
-            "listening": descriptor,
-            "host": listener.host,
-            "port": listener.port,
-            "token": listener.token,
-        }
+        values = {"listening": descriptor, "host": listener.host, "port": listener.port, "token": listener.token}
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps(values).encode() + b"\n")
         self._process.stdin.flush()

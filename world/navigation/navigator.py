@@ -139,13 +139,7 @@ class Navigator:
     def memory(self) -> list[Any]:
         """All that the next steps depend on, as MessagePack values."""
         told = [[f.source, f.measured, f.tick, list(f.position), f.sigma, f.nis, f.used] for f in self._tell]
-        return [
-            self.filter.memory(),
-            self._instruments.memory(),
-            self._fixes.memory(),
-            list(self._current),
-            told,
-        ]
+        return [self.filter.memory(), self._instruments.memory(), self._fixes.memory(), list(self._current), told]
 
     def restore(self, tick: int, values: list[Any] | None, state: State) -> None:
         """Continue at a tick from `memory()`; None: the vehicle had no filter before, and begins with it now. `state`:

@@ -15,10 +15,7 @@ from world.signal import Signal
 
 KIND = "plant"
 # The plants that ship: name -> `module:Class`. They are imported when a scenario names them.
-SHIPPED: dict[str, str] = {
-    "bluerov2": "world.plants.bluerov2:BlueROV2",
-    "remus100": "world.plants.remus100:Remus100",
-}
+SHIPPED: dict[str, str] = {"bluerov2": "world.plants.bluerov2:BlueROV2", "remus100": "world.plants.remus100:Remus100"}
 METHODS: dict[str, tuple[str, ...]] = {
     "start": ("pose", "velocity"),
     "step": ("state", "tau", "water", "dt"),

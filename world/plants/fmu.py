@@ -23,16 +23,7 @@ from world.api import PlantConfig, PlantState, Signal, Vec3, Vec6, Water
 from world.errors import FmuError
 from world.plants import fmu_host
 from world.plants.fmu_archive import unpack
-from world.plants.fmu_variables import (
-    COMMAND,
-    CURRENT,
-    MOTION,
-    WRENCH,
-    UnitFacts,
-    Variables,
-    describe,
-    variables,
-)
+from world.plants.fmu_variables import COMMAND, CURRENT, MOTION, WRENCH, UnitFacts, Variables, describe, variables
 
 _LONGEST_S = 60.0  # for any answer of the unit, also where no budget is set
 _TOLERANCE = 1e-3  # by how much a unit may begin elsewhere than the scenario says [m, rad, m/s, rad/s]

@@ -93,13 +93,11 @@ class LinkMemory:
     leaving_ns: list[int] = field(default_factory=list)  # when each packet in the queue leaves, ascending
 
     def to_values(self) -> list[Any]:
-        """Plain values of everything."""
         last = sorted(map(list, self.last.items()))
         return [last, self.loss_model, self.loss_state, self.since_reordered, list(self.leaving_ns)]
 
     @classmethod
     def from_values(cls, values: list[Any]) -> LinkMemory:
-        """The inverse of `to_values`."""
         last, model, loss_state, since, leaving = values
         return cls(dict(last), model, loss_state, since, list(leaving))
 

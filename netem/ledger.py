@@ -82,11 +82,9 @@ class Ledger:
                 raise ValueError(f"undeclared cause {fate.cause!r} on link {fate.src}->{fate.dst}")
 
     def unbalanced(self) -> dict[Link, int]:
-        """The links whose entries and exits differ, with the difference."""
         return {link: account.balance for link, account in self.accounts.items() if account.balance}
 
     def total(self) -> Account:
-        """The sum over all links."""
         total = Account()
         for account in self.accounts.values():
             total.sent += account.sent

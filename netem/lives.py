@@ -32,7 +32,6 @@ class Lives:
             self._add_up(i)
 
     def without_agent(self, i: int, tick: int) -> bool:
-        """Whether vehicle i has no agent at a tick."""
         return i in self._gaps and any(begin <= tick < end for begin, end in self._gaps[i])
 
     def incarnation(self, i: int, tick: int) -> int:
@@ -52,7 +51,6 @@ class Lives:
         return [(int(begin), None if end == inf else int(end)) for begin, end in self._gaps.get(i, ())]
 
     def add(self, absence: Absence) -> None:
-        """Add an absence."""
         self.absences.append(absence)
         self._add_up(absence.vehicle)
 

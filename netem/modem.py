@@ -19,7 +19,6 @@ class Curve:
     points: tuple[tuple[float, float], ...]
 
     def at(self, x: float) -> float:
-        """The value at x."""
         points = self.points
         after = bisect_left(points, x, key=lambda point: point[0])
         if after == 0:
@@ -164,7 +163,6 @@ class AcousticConfig:
         return propagation.packet_error_rate(snr, 8 * size, modem.lost_below, modem.clear_above)
 
     def snr(self, range_m: float, sender: Modem | None = None, receiver: Modem | None = None) -> float:
-        """The signal-to-noise ratio [dB] at a range [m]."""
         modem = self.modem if receiver is None else receiver
         return self.received_level(range_m, sender) - (self.noise_level(receiver) - modem.directivity)
 

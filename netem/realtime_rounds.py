@@ -60,7 +60,6 @@ class RealtimeRounds:
 
     @property
     def tick(self) -> int:
-        """The tick that is exchanged next."""
         return self._tick
 
     @property

@@ -32,7 +32,6 @@ class Rounds:
 
     @property
     def tick(self) -> int:
-        """The round tick waited for."""
         return self._next
 
     @property

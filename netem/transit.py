@@ -73,13 +73,11 @@ class Transit:
         self.ranges: dict[tuple[int, int, int, int], MeasuredRange] = {}  # of packets without a final fate
 
     def add(self, packet: PendingPacket, measured: MeasuredRange | None = None) -> None:
-        """A packet is on its way to its receiver, perhaps with the range that its modem has measured."""
         heapq.heappush(self.pending[packet.dst], packet)
         if measured is not None:
             self.ranges[packet.name] = measured
 
     def hand_over(self, packets: Iterable[tuple[PendingPacket, MeasuredRange | None]]) -> None:
-        """The same of several packets."""
         for packet, measured in packets:
             self.add(packet, measured)
 
@@ -113,7 +111,6 @@ class Transit:
         return inboxes, unheard
 
     def settle(self, until: int) -> list[Fate]:
-        """The fates that are final up to tick `until`, each once."""
         due = [packet for packet in self.announced if packet.due_tick <= until]
         if due:
             self.announced = [packet for packet in self.announced if packet.due_tick > until]

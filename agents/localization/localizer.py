@@ -272,7 +272,6 @@ class MirrorImage:
         return [other, self.odds, list(self._sums), self._settled]
 
     def restore(self, values: list[Any]) -> None:
-        """Continue from `state()`."""
         other, self.odds, sums, self._settled = values
         count, n, e, nn, ne, ee = sums
         self._sums = count, n, e, nn, ne, ee
@@ -494,7 +493,6 @@ class Localizer:
         mirror.settle()
 
     def telemetry(self) -> tuple[float, ...]:
-        """The values of `signals`."""
         mirror = 0.0 if self.mirror is None else self.mirror.probability
         return (*self._place, self._depth, *self.covariance, float(self.used), float(self.refused), mirror)
 
@@ -506,7 +504,6 @@ class Localizer:
         return [self._tick, numbers, history, self._fixed, self._alone, self.used, self.refused, mirror, self._span]
 
     def restore(self, values: list[Any]) -> None:
-        """Continue from `state()`."""
         self._tick, numbers, history, self._fixed, self._alone, self.used, self.refused, mirror, *span = values
         self._span = (span[0][0], span[0][1]) if span and span[0] else None  # older logs have none
         if self.mirror is not None and mirror is not None:

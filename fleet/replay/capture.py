@@ -92,7 +92,6 @@ class TrafficWriter:
 
     @property
     def size(self) -> int:
-        """How much is written out; what is not flushed yet does not count."""
         return self._file.tell() if not self._file.closed else self.path.stat().st_size
 
     def add(self, sample: ZenohSample, at_ns: int) -> None:

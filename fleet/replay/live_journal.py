@@ -73,7 +73,6 @@ class Missing:
 
 
 def left_out(count: int) -> str:
-    """A sentence about messages that did not come."""
     messages = "1 message was" if count == 1 else f"{count} messages were"
     return f"{messages} left out on the way here: more was published than this machine could take"
 
@@ -170,5 +169,4 @@ class LiveJournal:
         return JournalMessage(topic, log_ns, sample.payload.to_bytes())
 
     def close(self) -> None:
-        """End."""
         self.bus.close()

@@ -108,7 +108,6 @@ class Replay:
         return [self.key_of[n] for n, publication in self._publications.items() if not publication.matched]
 
     def play(self, keyboard: Keyboard, line: StatusLine) -> None:
-        """Publish to the end, controlled by the keyboard."""
         self._wait(line)
         next(self._track.entries(range(self._first, self._first + 1)))  # decompressed before the clock starts
         self.player = player = self._player(time.monotonic_ns())
@@ -174,7 +173,6 @@ class Replay:
         ]
 
     def summary(self, wall_s: float) -> str:
-        """A summary of the played messages, in words."""
         return (
             f"played {self.published} messages in {wall_s:.2f} s "
             f"({self.published / max(wall_s, 1e-9):.0f} messages/s), {self.player.missed} late"

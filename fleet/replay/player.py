@@ -81,7 +81,6 @@ class Player:
 
     @property
     def left(self) -> int:
-        """Messages left in this lap."""
         return self._stop - self._next
 
     def position(self, now: int) -> int:
@@ -119,19 +118,16 @@ class Player:
         return self._wait_for(int(self._times[self._next]) if self._next < self._stop else self.end_ns, now)
 
     def pause(self, now: int) -> None:
-        """Hold the position."""
         if not self._paused:
             self._origin = now, self.position(now)
             self._paused = True
 
     def resume(self, now: int) -> None:
-        """Go on from the position."""
         if self._paused:
             self._origin = now, self._origin[1]
             self._paused = False
 
     def toggle(self, now: int) -> None:
-        """Pause or resume."""
         if self._paused:
             self.resume(now)
         else:
@@ -157,7 +153,6 @@ class Player:
         self._origin = now, at
 
     def set_rate(self, now: int, rate: float) -> None:
-        """Go on at another rate from the position."""
         self._origin = now, self.position(now)
         self._rate = min(max(rate, SLOWEST), FASTEST) if rate else 0.0
 

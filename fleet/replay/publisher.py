@@ -119,7 +119,6 @@ class LivePublisher:
             raise FleetError(f"the journal cannot be published: {why}", status=3)
 
     def message(self, channel: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
-        """A message was written to the log."""
         place = self._places[channel]
         self._batch.append(ENTRY.pack(channel, sequence, log_ns, publish_ns, self._number, place, len(data)))
         self._batch.append(data)

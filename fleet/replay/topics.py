@@ -32,7 +32,6 @@ class Stamp(NamedTuple):
 
 
 def pack(stamp: Stamp) -> bytes:
-    """The attachment's bytes."""
     data: bytes = msgpack.packb(stamp)
     return data
 

@@ -43,7 +43,6 @@ class Recording:
 
 
 def recorded(log: fleet.Log) -> Recording:
-    """The signals of a log."""
     scenario = log.scenario
     t = max((log[f"uuv/{i}/state"].t for i in range(1, scenario.vehicles + 1)), key=len)
     made = Recording(scenario, t)
@@ -176,11 +175,9 @@ class Case:
 
     @property
     def seconds(self) -> int:
-        """How long it runs."""
         return LENGTH_S.get(self.group, CALM_S if self.sea == U else LONG_S)
 
     def scenario(self) -> Scenario:
-        """The paper's fleet with this case's changes."""
         sea = () if self.sea == U else ("sea.disturbance=paper",)
         base = ("checks={}", f"controller={self.controller.lower()}", f"duration={self.seconds} s")
         return load_scenario("ideal", [*base, *sea, *self.overrides])
@@ -262,7 +259,6 @@ _PICTURED = ("e", "rho", "u_cmd", "K", "z")
 
 
 def run_case(name: str, progress: Any) -> Outcome:
-    """Run one case and measure it."""
     scenario = CASES[name].scenario()
     with PrivateFolder("reproduce") as folder, fleet.Run(scenario, log=folder / "run.mcap") as run:
         result = run.to_end(progress)

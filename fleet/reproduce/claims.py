@@ -117,7 +117,6 @@ def unbeaten(o: Outcomes, reading: str, what: str, mine: str, others: Iterable[s
 
 
 def each(outcome: Outcome, key: str, channel: int | None = None) -> list[Any]:
-    """A number of every vehicle."""
     return [row[key] if channel is None else row[key][channel] for row in outcome.metrics]
 
 
@@ -128,7 +127,6 @@ def mean(outcome: Outcome, key: str) -> float:
 
 
 def show(values: Sequence[float | None], form: str) -> str:
-    """Numbers in a row."""
     if all(value is None for value in values):
         return "not settled"
     return (", " if None in values else " ").join(_or_not(inf if v is None else v, form) for v in values)
@@ -171,7 +169,6 @@ CHANNELS = (("surge", "N"), ("pitch", "N m"), ("yaw", "N m"))
 
 
 def judge(outcomes: Outcomes) -> list[Claim]:
-    """Every claim whose runs are all there."""
     claims = []
     for make in _CLAIMS:
         try:

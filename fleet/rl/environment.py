@@ -27,7 +27,6 @@ Values = dict[str, Any]
 
 
 def name_of(i: int) -> str:
-    """The name of a vehicle's agent."""
     return f"uuv_{i}"
 
 
@@ -116,7 +115,6 @@ def action_of(who: str, space: spaces.Dict, values: Any, choices: Choices) -> Ac
 
 
 def values_of(action: Action, choices: Choices) -> Values:
-    """The inverse."""
     return {choices.move: _array(*action.move), "send": int(action.sends), "message": _array(*action.message)}
 
 
@@ -166,11 +164,9 @@ class FleetEnv(ParallelEnv[str, Values, Values]):  # type: ignore[misc]
         self.run: Run | None = None  # of this episode: to look at, and to inject faults
 
     def observation_space(self, agent: str) -> spaces.Dict:
-        """The space of an agent's observations."""
         return self._observed[agent]
 
     def action_space(self, agent: str) -> spaces.Dict:
-        """The space of an agent's actions."""
         return self._decided[agent]
 
     @property
@@ -244,7 +240,6 @@ class FleetEnv(ParallelEnv[str, Values, Values]):  # type: ignore[misc]
         """Nothing: `run.state` has the fleet as it is."""
 
     def close(self) -> None:
-        """End the episode."""
         if self.run is not None:
             self.run.close()
 

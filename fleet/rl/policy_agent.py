@@ -224,7 +224,6 @@ class HeldLife:
         return self._answer(nav)
 
     def inbox(self, inbox: Inbox) -> list[Answer]:
-        """Take the next round's deliveries."""
         self._waiting.extend(inbox.deliveries)
         return self._loop.inbox(inbox)
 

@@ -83,7 +83,6 @@ class RosAgent:
             self._tell_problems()
 
     def begin(self, config: AgentConfig, clock: Clock) -> RosAgent:
-        """Begin the life of an agent."""
         self._settings, self._waits = config, clock is Clock.LOCKSTEP
         x, y, z = config.tau_max
         self._limits: tuple[Vec3, Vec3] = ((-x, -y, -z), (x, y, z))

@@ -136,7 +136,6 @@ class Bag:
             raise FleetError(f"cannot write {self.folder}: {error.strerror}") from None
 
     def abandon(self) -> None:
-        """Remove what was written."""
         with suppress(Exception):
             self._writer.abort()
         shutil.rmtree(self.folder, ignore_errors=True)

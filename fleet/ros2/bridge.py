@@ -48,7 +48,6 @@ class RosBridge:
         self.published = 0
 
     def take(self, topic: str, log_ns: int, data: bytes) -> None:
-        """Publish what a message of the journal becomes."""
         if not 0 <= log_ns - self._told_ns < CLOCK_NS:  # a log that is played again goes back
             self._told_ns = log_ns
             self._clock.publish(self._translation.maker.clock(log_ns))
@@ -73,7 +72,6 @@ class RosBridge:
             line.print(f"warning: {self.node.problems.popleft()}")
 
     def describe(self) -> list[Piece]:
-        """How it goes."""
         wanted = sum(publisher.matched for publisher in self._publishers.values())
         return [
             Piece(0, [f"t = {max(0, self.at_ns) / 1e9:.2f} s"]),

@@ -24,7 +24,6 @@ class WithHistory:
         self._bus = bus
 
     def subscribe(self, key: str, handler: Callable[[Any], None]) -> Callable[[], None]:
-        """As `OpenBus.subscribe`."""
         return self._bus.subscribe_with_history(key, handler)
 
 
@@ -46,7 +45,6 @@ class BagWriter:
 
     @property
     def size(self) -> int:
-        """The bytes of the messages."""
         return self._size
 
     def add(self, sample: ZenohSample, at_ns: int) -> None:

@@ -57,7 +57,6 @@ class Entity(NamedTuple):
 
     @property
     def key(self) -> str:
-        """The key of its messages."""
         return f"{self.domain}/{self.name.strip('/')}/{dds_name(self.type)}/{self.hash}"
 
     def token(self, session: str, node: str, number: int, kind: EntityKind, qos: Qos = DEFAULT) -> str:

@@ -38,7 +38,6 @@ class Diagnostics:
         self._checks: list[tuple[int, str, str]] = []
 
     def fault(self, event: Any) -> None:
-        """Take a message of the topic `faults`."""
         lasts = event.action == "begins"
         if lasts and len(self._faults) >= MOST_FAULTS:
             del self._faults[next(iter(self._faults))]
@@ -54,7 +53,6 @@ class Diagnostics:
         return changed
 
     def message(self, ns: int) -> Any:
-        """All of it."""
         rows = [(level, f"fault {name}", text) for name, (level, text) in self._faults.items()]
         return self._maker.types.new(
             "diagnostic_msgs/msg/DiagnosticArray",
@@ -192,7 +190,6 @@ class Translation:
 
     @property
     def vehicles(self) -> list[int]:
-        """Those with a topic that is translated."""
         return sorted({found[0] for topic in self._classes if (found := vehicle_of(topic))})
 
     def topics(self) -> list[tuple[str, RosTopic]]:

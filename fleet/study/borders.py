@@ -158,7 +158,6 @@ class Borders:
 
     @property
     def title(self) -> str:
-        """The object of the search."""
         return f"{self.store.record.scenario}: where the pass rate falls through {100 * self.record.level:g} %"
 
     def _check(self) -> None:
@@ -192,7 +191,6 @@ class Borders:
         return [self._border(number, list(rows.values())) for number, rows in enumerate(self.rows())]
 
     def verdicts(self, rows: Iterable[Row]) -> list[Run]:
-        """The runs that have a verdict."""
         return [(row.point % len(self.places), row.passed) for row in rows if row.passed is not None]
 
     def value(self, position: float) -> float:

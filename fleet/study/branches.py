@@ -96,7 +96,6 @@ class _Path:
 
 
 def run_branch(scenario: Scenario, branch: Branch, progress: Callable[[float], None]) -> Row:
-    """Make a part of a run; returns its row with its part."""
     start = None
     if branch.start:
         start = Start(Snapshot.from_bytes(branch.start), "")

@@ -62,7 +62,6 @@ def need(libraries: Iterable[str], who: str, extra: str) -> None:
 
 
 def lost_row(task: Task, reason: str) -> Row:
-    """The row of a run that no worker made."""
     return Row(key=task.key, point=task.point, seed=task.seed, status=FAILED, reason=reason,
                version=version("uuv-fleet"))  # fmt: skip
 
@@ -130,7 +129,6 @@ class DaskEngine:
     here: bool = False
 
     def carry(self, modules: Modules) -> Modules:
-        """See `Engine.carry`."""
         if not modules.names:
             return modules
         ready = packed(modules)

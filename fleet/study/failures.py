@@ -158,7 +158,6 @@ class FailureFolder:
 
 
 def file_of(scenario: Scenario, check: str) -> str:
-    """The name of the file of a kind of failure."""
     return f"{scenario.name}-{re.sub(r'[^A-Za-z0-9_.-]', '-', check)}.yaml"
 
 

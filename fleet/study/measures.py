@@ -330,7 +330,6 @@ class Samples:
                     self._kept.setdefault(i, []).append(kept)
 
     def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None:
-        """Take one frame."""
         self._separation.frame(frame)
         if not self._kept:
             return

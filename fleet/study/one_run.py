@@ -52,7 +52,6 @@ class Task(NamedTuple):
 
 
 def late(task: Task) -> StudyError:
-    """The error of a run that takes too long."""
     return StudyError(f"took longer than {task.timeout_s:g} s")
 
 

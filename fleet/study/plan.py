@@ -150,7 +150,6 @@ def plan_of(spec: StudySpec, origin: OverrideOrigin = TYPED) -> Plan:
 
 
 def changes_of(spec: StudySpec | BoundarySpec) -> tuple[Override, ...]:
-    """The changes that every run has."""
     keys = (Override(SET, f"{key}={text}") for key, text in spec.set.items())
     return (*keys, *(Override(NET, text) for text in spec.net), *(Override(FAULT, text) for text in spec.fault))
 

@@ -86,7 +86,6 @@ class PsychometricCurve:
         return found
 
     def belief(self, posterior: Array) -> Belief:
-        """The border and its interval."""
         of_border = posterior.sum(axis=1)
         rising = np.cumsum(of_border) - 0.5 * of_border  # half of a cell lies on either side of its middle
         tail = (1.0 - CONFIDENCE) / 2.0

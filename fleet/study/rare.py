@@ -259,7 +259,6 @@ class Splitting:
         return (*found, 0.0), cost, spread
 
     def repeat(self, make: Make, levels: Sequence[float], seed: int) -> Repeat:
-        """One estimate with fixed levels."""
         entrances, shares, cost, spread = [START], list[float](), 0.0, True
         probability = 1.0
         for stage, level in enumerate(levels):

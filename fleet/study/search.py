@@ -156,7 +156,6 @@ class _Search:
 
     @property
     def doubtful(self) -> bool:
-        """Whether a run that fails has not been repeated."""
         return self._doubt is not None
 
     def has(self, seed: int) -> bool:
@@ -199,7 +198,6 @@ class _Search:
         return failed if self._check is None else [check for check in failed if check == self._check]
 
     def save(self) -> None:
-        """Write how far it is, if it has a folder."""
         if self._keep is None:
             return
         found = self.found

@@ -165,7 +165,6 @@ class SpecField(NamedTuple):
 
 
 def fields(spec: Spec) -> dict[str, SpecField]:
-    """The fields of a class of specs by name, in the order of their declaration."""
     hints, found = get_type_hints(spec, include_extras=True), {}
     for name, default in ((each.name, _default(each)) for each in msgspec.structs.fields(spec)):
         what, *about = get_args(hints[name])
@@ -183,7 +182,6 @@ def _default(field: msgspec.structs.FieldInfo) -> Any:
 
 
 def texts(spec: msgspec.Struct) -> list[str]:
-    """Every text in a spec."""
     found: list[str] = []
     for value in msgspec.structs.asdict(spec).values():
         match value:

@@ -170,7 +170,6 @@ class Store:
 
     @cached_property
     def columns(self) -> list[Column]:
-        """The columns of a run, with their units."""
         checks = self.record.checks
         return [
             Column("point", "INTEGER"), Column("seed", "INTEGER"),

@@ -104,7 +104,6 @@ class _Reader:
         self.problems, self._folder, self._fields = problems, folder, fields(StudySpec)
 
     def tell(self, place: TextPlace, message: str, hint: str = "") -> None:
-        """Tell a mistake."""
         self.problems.append(place.problem(message, hint))
 
     def expected(self, what: str, node: Node, key: str) -> None:

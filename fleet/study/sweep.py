@@ -64,7 +64,6 @@ class Progress:
         return pass_rate(self.passed, self.judged)
 
     def count(self, row: Row) -> None:
-        """Count a row whose run is made."""
         self.judged += row.has_result
         self.passed += row.passed is True
 

@@ -85,12 +85,10 @@ class Axis:
 
     @property
     def sampled(self) -> bool:
-        """Whether its values are to be drawn."""
         return self.how != "grid"
 
     @property
     def numeric(self) -> bool:
-        """Whether every value is a number."""
         return self.sampled or all(value.number is not None for value in self.values)
 
     def at(self, share: float) -> AxisValue:

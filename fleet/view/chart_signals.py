@@ -118,7 +118,6 @@ class Signals:
 
     @property
     def units(self) -> dict[str, str]:
-        """The unit of each signal, by its name."""
         return {name: signal.unit for name, signal in self.by_name.items()}
 
     def follow(self, names: Collection[str]) -> None:
@@ -144,7 +143,6 @@ class Signals:
 
 
 def published_signals(topics: Mapping[str, PublishedTopic]) -> Signals:
-    """The signals of a journal that is published."""
     channels, schemas = [], {}
     for number, (topic, (name, descriptor_set, units)) in enumerate(topics.items(), start=1):
         channels.append(Channel(number, topic, "protobuf", {UNITS: units}, number))

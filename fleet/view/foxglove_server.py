@@ -139,7 +139,6 @@ class FoxgloveServer:
 
     @property
     def wanted(self) -> set[int]:
-        """The channels that somebody wants."""
         return {channel for channel, _ in self._wanted}
 
     def events(self, timeout_s: float) -> list[Subscription | PlaybackRequest]:
@@ -194,7 +193,6 @@ class FoxgloveServer:
         return dropped
 
     def close(self) -> None:
-        """End it. Clients that are connected see the connection close."""
         self._drops.close()
         self._server.stop()
 

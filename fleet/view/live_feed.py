@@ -72,7 +72,6 @@ class LiveFeed:
 
     @property
     def missing(self) -> Missing:
-        """The messages that did not come."""
         return self._journal.missing
 
     @property
@@ -162,7 +161,6 @@ class LiveFeed:
             raise
 
     def clock(self) -> Row:
-        """How time goes."""
         status, over = self._status, self._over
         text = over or status.get("clock", "waiting for the run")
         waiting = status.get("waiting", "")
@@ -199,7 +197,6 @@ class LiveFeed:
             self._ends[topic] = self._journal.subscribe(topic)
 
     def close(self) -> None:
-        """End."""
         self._journal.close()
         if self._connection is not None:
             self._connection.close()

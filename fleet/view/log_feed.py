@@ -288,7 +288,6 @@ class LogFeed:
                 take(self.picture, entry.channel.topic, entry.log_ns / 1e9, entry.data)
 
     def clock(self) -> Row:
-        """How time goes."""
         player = self.player
         over = player.over
         text = "at the end" if over else "paused" if player.paused else f"{player.rate:g} x real time"
@@ -305,7 +304,6 @@ class LogFeed:
         self.player.toggle(time.monotonic_ns())
 
     def set_rate(self, rate: float) -> None:
-        """Go on at another rate."""
         self.player.set_rate(time.monotonic_ns(), rate)
 
     def seek(self, at_s: float) -> None:

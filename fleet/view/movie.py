@@ -44,14 +44,12 @@ class GifWriter(AbstractMovieWriter):
         self._pictures.clear()
 
     def grab_frame(self, **savefig_kwargs: Any) -> None:
-        """Take the figure as it is now."""
         buffer = BytesIO()
         self.fig.savefig(buffer, format="rgba", dpi=self.dpi, **savefig_kwargs)
         picture = Image.frombytes("RGBA", self.frame_size, buffer.getvalue()).convert("RGB")
         self._pictures.append(picture.quantize(palette=self._palette, dither=Image.Dither.NONE))
 
     def finish(self) -> None:
-        """Write the file."""
         first, *others = self._pictures
         # With `optimize` it would look for the colours that are used, of the first picture.
         first.save(self.outfile, "gif", save_all=True, append_images=others, duration=round(100 / self.fps) * 10,

@@ -83,12 +83,10 @@ class Canvas:
     """Draws on axes that count in points."""
 
     def __init__(self, axes: Axes, camera: Camera, size: float) -> None:
-        """`size`: of what is drawn of each vehicle, 1 where there is room."""
         self._axes, self._camera, self.size = axes, camera, size
         self._drawn: list[Artist] = []
 
     def clear(self) -> None:
-        """Remove what was drawn."""
         for artist in self._drawn:
             artist.remove()
         self._drawn = []
@@ -117,7 +115,6 @@ class Canvas:
         self.lines([point + turn for point in points for turn in turns], 4.0, colour, 1.8)
 
     def text(self, x: float, y: float, text: str, **style: Any) -> None:
-        """Words, which never are mathematics."""
         self._drawn.append(self._axes.text(x, y, text, clip_on=True, parse_math=False, **style))
 
     def paint(self, thing: Primitive, frames: Mapping[str, Array], deep: float) -> None:
@@ -246,7 +243,6 @@ class MovieChart:
         self._now = [ax.axvline(window[0], color="0.3", linewidth=THIN) for ax in self._axes]
 
     def draw(self, frame: Row) -> None:
-        """Draw up to a frame."""
         for (times, values), error in zip(self._values[0], frame["errors"], strict=True):
             times.append(frame["t"])
             values.append(np.nan if error is None else error)

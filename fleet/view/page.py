@@ -199,7 +199,6 @@ class FleetView(ui.element, component="page/fleet_view.js", esm={"fleet-view": "
         self.on("say", lambda event: said(_said(event)))
 
     def give(self, changes: Row) -> None:
-        """Change values of the model in the browser."""
         self.run_method("give", changes)
 
 
@@ -229,7 +228,6 @@ class Page:
         app.on_shutdown(self.feed.close)
 
     def build(self) -> None:
-        """Make the page of one browser."""
         ui.add_css(_HERE / "page" / "fleet_view.css")
         ui.query(".nicegui-content").classes("fleet-page")
         viewer = Viewer(self)
@@ -249,7 +247,6 @@ class Page:
             self._followed = names
 
     def tell_all(self, changes: Row) -> None:
-        """Give every browser something."""
         for viewer in self._viewers:
             viewer.give(changes)
 
@@ -308,7 +305,6 @@ class Page:
         return answer or {}
 
     def note(self, command: str) -> None:
-        """Add to the commands that had an effect."""
         self.commands.append(command)
         self.tell_all({"commands": list(self.commands)})
 
@@ -341,7 +337,6 @@ class Viewer:
         self._form = FaultForm(feed, page.do) if isinstance(feed, LiveFeed) and page.may_act else None
 
     def give(self, changes: Row) -> None:
-        """Give it something, once it listens."""
         if self._ready:
             self.element.give(changes)
 

@@ -67,11 +67,9 @@ class PageProcess:
             self._process.stdin.flush()
 
     def wait(self) -> None:
-        """Until it ends by itself."""
         self._process.wait()
 
     def close(self) -> None:
-        """End it."""
         assert self._process.stdin is not None
         self._process.stdin.close()
         try:

@@ -67,7 +67,6 @@ class Guard:
             self._names |= {host.lower() for host in hosts}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, or refuse it."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -273,7 +272,6 @@ class Browser:
         return False
 
     def close(self) -> None:
-        """Remove the file."""
         self._folder.close()
 
 

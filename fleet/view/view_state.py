@@ -289,7 +289,6 @@ class ViewState:
 
     @property
     def known_faults(self) -> list[Row]:
-        """All that are known: over, active and to come."""
         return self._faults
 
     @property

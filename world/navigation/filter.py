@@ -150,7 +150,6 @@ class NavigationFilter:
         return self._update(PSI, H, measured - self.x[PSI] - self.x[H], noise * noise)
 
     def keep_position(self, key: int) -> None:
-        """Keep the position of now under a number, for a fix that is measured now and used later."""
         self.settle()
         for i in (N, E):
             for row in self.p:
@@ -190,7 +189,6 @@ class NavigationFilter:
         return nis, used
 
     def keep_only(self, keys: set[int]) -> None:
-        """Forget the past positions with other numbers."""
         for key in [key for key in self.kept if key not in keys]:
             self._forget(SIZE + 2 * self.kept.index(key))
 
@@ -245,7 +243,6 @@ class NavigationFilter:
         return [list(self.x), own, *(list(row) for row in self.p)]
 
     def restore(self, values: list[list[float]]) -> None:
-        """Continue from `memory()`."""
         self.x = [float(value) for value in values[0]]
         mode, refused, self.north, self.east, self.time, self.drifting, *kept = values[1]
         self.mode, self.refused, self.kept = int(mode), int(refused), [int(key) for key in kept]

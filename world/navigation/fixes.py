@@ -76,11 +76,9 @@ class Fixes:
         return tick * MOST_SOURCES + number
 
     def memory(self) -> list[list[float]]:
-        """The values that all further fixes depend on."""
         return [list(one) for one in self._under_way]
 
     def restore(self, values: list[list[float]], estimate: NavigationFilter) -> None:
-        """Continue from `memory()`; fixes of a source that is not there any more are lost."""
         self._under_way = [list(one) for one in values if int(one[2]) < len(self._sources)]
         estimate.keep_only({self._key(int(one[1]), int(one[2])) for one in self._under_way})
 

@@ -143,11 +143,9 @@ class Instruments:
         return self.scale * forward + self.dvl[0] * dt, self.scale * starboard + self.dvl[1] * dt
 
     def memory(self) -> list[list[float]]:
-        """All that the next samples depend on."""
         return [[self._walk, self.depth, float(self.mode)], list(self.gyro), list(self.dvl), list(self.held)]
 
     def restore(self, values: list[list[float]]) -> None:
-        """Continue from `memory()`."""
         (self._walk, self.depth, mode), gyro, dvl, held = values
         self.mode = int(mode)
         self.gyro, self.dvl, self.held = list(gyro), list(dvl), list(held)

@@ -161,7 +161,6 @@ class FmuPlant:
         self._ask("load", values)
 
     def close(self) -> None:
-        """End the unit's process."""
         self._close()
 
     def _output(self, state: PlantState, key: str) -> float:

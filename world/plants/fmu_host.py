@@ -97,7 +97,6 @@ class _Unit:
         return list(self._get(self._outputs))
 
     def save(self) -> bytes:
-        """The unit's state."""
         fmu = self._fmu
         if self._version == 2:
             state = fmu.getFMUstate()
@@ -112,7 +111,6 @@ class _Unit:
             fmu.freeFMUState(state)
 
     def load(self, saved: bytes) -> None:
-        """Go on from a state that `save` gave, perhaps in another process."""
         fmu = self._fmu
         if self._version == 2:
             state = fmu.deSerializeFMUstate(saved)

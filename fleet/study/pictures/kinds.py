@@ -112,7 +112,6 @@ class _Boxes:
         return lacking
 
     def scales(self, ax: Axes, log_scale: bool | None, *, lacking: bool) -> None:
-        """Set the axes of a panel."""
         labels = [text("all runs" if name is None else value_words(name)) for name in self._names]
         ax.set_yticks(range(len(labels)), labels=labels)
         ax.set_ylim(len(labels) - 0.45, -0.55)
@@ -126,7 +125,6 @@ class _Boxes:
             room(ax, "x", _LACK + 0.01)
 
     def handles(self) -> list[Artist]:
-        """For the legend."""
         coloured = [
             Patch(color=COLOURS[k], alpha=2 * BAND, linewidth=0, label=text(value_words(name)))
             for k, name in enumerate(self._colours)
@@ -271,7 +269,6 @@ class _Curves:
             room(ax, "y", strips * _STRIP + 0.02)
 
     def handles(self) -> list[Artist]:
-        """For the legend."""
         looks = zip(self.names, COLOURS, STYLES, _MARKERS, strict=False)
         lines = [
             Line2D([], [], color=colour, linestyle=style, marker=marker, markersize=3.0, label=text(value_words(name)))

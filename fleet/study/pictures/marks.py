@@ -45,7 +45,6 @@ def text(words: str, most: int = LONGEST_NAME) -> str:
 
 
 def axis_label(dimension: VariedKey) -> str:
-    """The varied quantity in words, and its unit."""
     return text(dimension.name) + (f" [{text(dimension.unit)}]" if dimension.unit else "")
 
 
@@ -55,7 +54,6 @@ def wrapped(words: str, width: int = WRAPPED) -> str:
 
 
 def quantity_label(quantity: Quantity, width: int = WRAPPED) -> str:
-    """The subject of a picture, in lines."""
     label = wrapped(quantity.what, width)
     if quantity.kind == "difference":
         label += f"\n{text(value_words(quantity.pair), width) if quantity.pair else 'difference of pairs'}"
@@ -71,7 +69,6 @@ def interval_label(quantity: Quantity) -> str:
 
 
 def columns_of(panels: int) -> int:
-    """How many panels stand side by side."""
     return 2 if panels == 4 else min(3, panels)
 
 
@@ -105,7 +102,6 @@ class Digits:
         return f"{value:.{min(self._most, _decimals(value))}f}"
 
     def value(self, estimate: Estimate) -> str:
-        """The number."""
         return self._shown(estimate.value)
 
     def interval(self, estimate: Estimate) -> str:
@@ -142,7 +138,6 @@ class Lacks:
             ax.add_collection(found, autolim=False)
 
     def handles(self) -> list[Artist]:
-        """For a legend: of the reasons that occur."""
         return [
             Patch(facecolor=NOTHING, edgecolor=_INK, linewidth=0.3, hatch=_HATCHES[kind], label=REASONS[kind])
             for kind in sorted(self._seen)
@@ -225,13 +220,11 @@ class Layout:
     panels: tuple[Panel, ...]
 
     def key(self, panel: Panel, values: dict[int, Value]) -> Key:
-        """The key of a point of a panel."""
         given = panel.fixed | values
         return tuple(given.get(k, each.values[0]) for k, each in enumerate(self.dimensions))
 
 
 def layout_of(quantity: Quantity) -> Layout:
-    """The layout of a quantity whose dimensions are a product."""
     dimensions = quantity.dimensions
     left = [k for k, dimension in enumerate(dimensions) if len(dimension.values) > 1]
     numbers = [k for k in left if dimensions[k].unit is not None]

@@ -45,11 +45,9 @@ class VariedKey:
 
     @property
     def name(self) -> str:
-        """The key in words."""
         return key_words(self.key)
 
     def shown(self, value: Value) -> str:
-        """A value with its unit."""
         return value_words(value) if isinstance(value, str) else f"{value:.4g} {self.unit or ''}".rstrip()
 
 
@@ -110,14 +108,12 @@ class Points:
         return len(found) == prod(len(self.dimensions[k].values) for k in places)
 
     def words(self, name: str) -> str:
-        """A column in words, with its unit."""
         if name == PASSED:
             return "runs that passed [%]"
         what = MEASURES[name].what if name in MEASURES else name
         return f"{what} [{self.units[name]}]" if self.units[name] else what
 
     def quantity(self, name: str) -> Quantity:
-        """A column at every point."""
         kind: Literal["share", "number"] = "share" if name == PASSED else "number"
         if name not in self._known:  # intervals take a while
             rows = zip(self.keys, self.state, self.numbers[name], strict=True)
@@ -208,7 +204,6 @@ def _distinct(values: Sequence[Any], ordered: bool) -> Sequence[Any]:
 
 
 def minus(value: Value, first: Value) -> str:
-    """How a difference is called."""
     return f"{value} - {first}"
 
 

@@ -84,8 +84,6 @@ class LinkOutcome(NamedTuple):
 
 @dataclass(slots=True)
 class LinkMemory:
-    """The values that a link remembers from packet to packet."""
-
     last: dict[str, float] = field(default_factory=dict)  # the last correlated number of each purpose
     loss_model: str = ""  # whose `loss_state` is
     loss_state: int = 0  # GOOD, or 0 for the four-state model's first GAP

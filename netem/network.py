@@ -50,8 +50,6 @@ class _State(Struct, omit_defaults=True):
 
 
 class Netem:
-    """The impaired network of one run."""
-
     def __init__(self, config: NetemConfig) -> None:
         self.config = config
         self._clocks: Clocks | None = None

@@ -55,8 +55,6 @@ MOST_BATCH = 1000
 
 
 class SampleWriter(Protocol):
-    """Writes samples."""
-
     samples: int
 
     @property
@@ -67,8 +65,6 @@ class SampleWriter(Protocol):
 
 
 class SampleSource(Protocol):
-    """The source of samples: a session of zenoh."""
-
     def subscribe(self, key: str, handler: Callable[[Any], None], /) -> object: ...
 
 
@@ -189,19 +185,10 @@ class Recorder:
         interrupted: Callable[[], KeyboardInterrupt | None] = lambda: None,
         over: Callable[[], bool] | None = None,
     ) -> bool:
-        """Record until the time is over, nothing more can come, or an exception ends it.
-
-        Args:
-            duration_ns: wall time; None: without limit.
-            over: asked when nothing came for a while, whether anything can.
-
-        Returns:
-            whether that was the end.
-
-        Raises:
-            FleetError: the file cannot be written any more.
-            KeyboardInterrupt: the instance that `interrupted` returned; between two messages.
-        """
+        """Record until the time is over, nothing more can come, or an exception ends it. `duration_ns`: wall time;
+        None: without limit. `over`: asked when nothing came for a while, whether anything can. Returns whether that was
+        the end. Raises FleetError: the file cannot be written any more; KeyboardInterrupt: the instance that
+        `interrupted` returned; between two messages."""
         began = seen_ns = time.monotonic_ns()
         seen, rate = 0, 0.0
         end = None if duration_ns is None else began + duration_ns

@@ -42,18 +42,9 @@ class Player:
         now: int = 0,
         before: Callable[[int], int] | None = None,
     ) -> None:
-        """Begin at `begin_ns`.
-
-        Args:
-            times: when each message is due [ns of log time].
-            begin_ns: of log time, as `end_ns`.
-            end_ns: the last message may be due then.
-            rate: log seconds per wall second; 0: as fast as possible.
-            loop: begin again at the end.
-            paused: begin paused.
-            now: wall time [ns].
-            before: how many messages are due before a time, if that is known without a search through all times.
-        """
+        """Begin at `begin_ns`. `times`: when each message is due [ns of log time]. `rate`: log seconds per wall second;
+        0: as fast as possible. `before`: how many messages are due before a time, if that is known without a search
+        through all times."""
         self._times = times
         self._before = before or (lambda ns: bisect_left(times, ns))
         self.begin_ns, self.end_ns = begin_ns, max(begin_ns, end_ns)

@@ -164,8 +164,6 @@ EVERY_S = 0.05  # between the samples that pictures get
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One run of the report."""
-
     name: str
     group: str  # paper | consistent | no-k_max | network | sensitivity | exact | unlimited
     controller: str

@@ -90,8 +90,6 @@ OF_VEHICLES = (WIDE, WIDE, DASHED, DASHED)  # 1 lies near 4, and 2 near 3
 
 
 class Line(NamedTuple):
-    """A run in a picture."""
-
     case: str
     label: str
     colour: str

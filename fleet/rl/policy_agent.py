@@ -29,8 +29,6 @@ Numbers = tuple[float, ...]
 
 
 class HeardMessage(NamedTuple):
-    """The last message of a neighbour."""
-
     numbers: Numbers  # its content
     age_s: float  # since it was sent, by the clocks of both
     range_m: float | None  # as the modem measured it with that message

@@ -81,17 +81,9 @@ class Bag:
             raise FleetError(f"cannot write {folder}: {error.strerror}") from None
 
     def topic(self, name: str, type_name: str, qos: Qos, hash_: str | None = None) -> None:
-        """Add a topic to the bag.
-
-        Args:
-            name: of the topic, such as `/uuv_1/odom`.
-            type_name: of its messages, such as `nav_msgs/msg/Odometry`.
-            qos: the quality of service that its publisher offers.
-            hash_: the RIHS01 hash of the type as its publisher declared it; None: the hash that we compute.
-
-        Raises:
-            FleetError: the type is not known.
-        """
+        """Add a topic to the bag. `type_name`: of its messages, such as `nav_msgs/msg/Odometry`. `qos`: the quality of
+        service that its publisher offers. `hash_`: the RIHS01 hash of the type as its publisher declared it; None: the
+        hash that we compute. Raises FleetError: the type is not known."""
         if type_name not in self._types.store.fielddefs:
             raise FleetError(f"{name}: the type {type_name} is not known")
         self._connections[name] = self._writer.add_connection(
@@ -142,19 +134,9 @@ class Bag:
 
 
 def write_bag(log: Path, folder: Path, share: Tell = lambda _: None) -> tuple[list[Path], str]:
-    """Write a log as a bag; times are simulated time from 0.
-
-    Args:
-        log: an MCAP file of a run.
-        share: called now and then with the share of the log that is done.
-
-    Returns:
-        the files, and what was missing in the log, or "".
-
-    Raises:
-        FleetError: it has nothing for ROS, or the place is taken or cannot be written.
-        LogReadError: there is no log to read.
-    """
+    """Write a log as a bag; times are simulated time from 0. Returns the files, and what was missing in the log, or "".
+    Raises FleetError: it has nothing for ROS, or the place is taken or cannot be written; LogReadError: there is no log
+    to read."""
     types = types_of()
     reader = LogReader(log, share)
     bag: Bag | None = None

@@ -16,8 +16,6 @@ CLOSE_S = 8.0  # after the run, for what is on its way
 
 
 class BridgeProcess:
-    """The process; it does not exist before `start`."""
-
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
 

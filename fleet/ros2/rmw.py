@@ -60,13 +60,8 @@ class Entity(NamedTuple):
         return f"{self.domain}/{self.name.strip('/')}/{dds_name(self.type)}/{self.hash}"
 
     def token(self, session: str, node: str, number: int, kind: EntityKind, qos: Qos = DEFAULT) -> str:
-        """The key of its liveliness token.
-
-        Args:
-            session: zenoh's id of the session.
-            node: name of the node, which has number 0 and no namespace.
-            number: of the entity, from 1.
-        """
+        """The key of its liveliness token. `session`: zenoh's id of the session. `node`: name of the node, which has
+        number 0 and no namespace. `number`: of the entity, from 1."""
         who = f"{TOKENS}/{self.domain}/{session}/0/{number}/{kind}/%/%/{node}"
         return f"{who}/{self.name.replace('/', '%')}/{dds_name(self.type)}/{self.hash}/{qos}"
 

@@ -30,8 +30,6 @@ MOST_FAULTS = 10_000  # faults that are kept: a log may come from a stranger
 
 
 class Diagnostics:
-    """The present knowledge of the faults and checks of one run."""
-
     def __init__(self, maker: MessageMaker) -> None:
         self._maker = maker
         self._faults: dict[str, tuple[int, str]] = {}

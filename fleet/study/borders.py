@@ -44,8 +44,6 @@ Run = tuple[int, bool]  # number of the value along the axis, and whether it pas
 
 
 class Tell(Protocol):
-    """Receives the progress of the search."""
-
     def __call__(self, progress: Progress, *, known: int, of: int) -> None:
         """`known` borders of `of` are found."""
 
@@ -109,18 +107,10 @@ def border_plan(scenario: str, spec: BoundarySpec) -> Plan:
 def prepare_borders(
     plan: Plan, spec: BoundarySpec, directory: Path, warn: Callable[[str], None] = lambda _: None
 ) -> tuple[Store, Modules]:
-    """Check every point that may be run, and make the directory of the study.
-
-    Args:
-        plan: the plan. The border is sought along its last axis, see `parse_along`.
-        spec: the settings of the study. The directory keeps them.
-        directory: directory of the new study.
-        warn: called with a line of text for each check that cannot pass.
-
-    Raises:
-        ScenarioError: with the mistakes of all points.
-        StudyError: there cannot be such a study.
-    """
+    """Check every point that may be run, and make the directory of the study. `plan`: the plan. The border is sought
+    along its last axis, see `parse_along`. `spec`: the settings of the study. The directory keeps them. `warn`: called
+    with a line of text for each check that cannot pass. Raises ScenarioError: with the mistakes of all points;
+    StudyError: there cannot be such a study."""
     if not 0.0 < spec.level < 1.0:
         raise StudyError(f"the level must be between 0 and 1, got {spec.level:g}")
     border = BorderRecord(**structs.asdict(spec), log=plan.axes[-1].scale == "log")

@@ -36,17 +36,9 @@ class Engine(Protocol):
         """The modules of laws as runs on these workers need them. Raises StudyError: a worker cannot import them."""
 
     def make(self, tasks: Iterator[Task], take: Callable[[list[Row]], None], wait: Callable[[], None]) -> None:
-        """Make every run, also if workers die meanwhile.
-
-        Args:
-            tasks: the runs. A free worker takes the next one, so memory does not grow with their number.
-            take: called with the rows of results as runs end.
-            wait: called several times a second.
-
-        Raises:
-            RunBroken: no worker starts.
-            StudyError: the workers are gone.
-        """
+        """Make every run, also if workers die meanwhile. `tasks`: the runs. A free worker takes the next one, so memory
+        does not grow with their number. `take`: called with the rows of results as runs end. Raises RunBroken: no
+        worker starts; StudyError: the workers are gone."""
 
 
 def need_extra() -> None:
@@ -71,8 +63,6 @@ def lost_row(task: Task, reason: str) -> Row:
 
 @dataclass(frozen=True, slots=True)
 class LocalEngine:
-    """Workers of this machine."""
-
     workers: Workers
     here: bool = True
 
@@ -160,16 +150,10 @@ class DaskEngine:
 
 @contextmanager
 def dask_engine(scheduler: str | Any, security: Any = None) -> Iterator[DaskEngine]:
-    """The workers of a Dask cluster that is there.
-
-    Args:
-        scheduler: its address, such as `tls://host:8786`, or a Dask cluster object.
-        security: a `distributed.security.Security`; None: as Dask's configuration says.
-
-    Raises:
-        StudyError: Dask is not installed; the cluster cannot be reached or has no worker; a worker has another version
-            of something; or the cluster speaks TLS, and there are no certificates.
-    """
+    """The workers of a Dask cluster that is there. `scheduler`: its address, such as `tls://host:8786`, or a Dask
+    cluster object. `security`: a `distributed.security.Security`; None: as Dask's configuration says. Raises
+    StudyError: Dask is not installed; the cluster cannot be reached or has no worker; a worker has another version of
+    something; or the cluster speaks TLS, and there are no certificates."""
     need(_OF_CLUSTERS, "a cluster needs", "cluster")
     from distributed import Client
     from distributed.security import Security

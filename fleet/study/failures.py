@@ -163,8 +163,6 @@ def file_of(scenario: Scenario, check: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Regressed:
-    """One scenario of a folder that was run again."""
-
     failure: FoundFailure  # the scenario, with the expected verdict
     got: str  # the verdict now, in words
     same: bool  # whether it is the expected verdict
@@ -191,13 +189,7 @@ class Regression:
     def run(
         self, engine: Engine, tell: Callable[[int], None], modules: Modules, timeout_s: float = inf
     ) -> list[Regressed]:
-        """Run them all; returns what came out, in the order of the folder.
-
-        Args:
-            tell: called now and then with the number of runs that were made.
-            modules: that the runs need, as the engine carries them.
-            timeout_s: of wall time, for one run.
-        """
+        """Run them all; returns what came out, in the order of the folder."""
         rows: dict[int, Row] = {}
 
         def tasks() -> Iterator[Task]:
@@ -242,22 +234,9 @@ def make_least(
     modules: Modules,
     most_runs: int,
 ) -> list[FoundFailure]:
-    """Make the failures in a folder as small as possible, unless that is done already.
-
-    Args:
-        folder: the folder of failures.
-        scenario: the scenario of the search that found them.
-        engine: makes the runs.
-        tell: called now and then with the present step, in words, and the number of runs made.
-        modules: the modules of its laws.
-        most_runs: limit on the runs for each failure.
-
-    Returns:
-        The failures that were made smaller.
-
-    Raises:
-        StudyError: a failure cannot be read or written.
-    """
+    """Make the failures in a folder as small as possible, unless that is done already. `tell`: called now and then with
+    the present step, in words, and the number of runs made. Returns the failures that were made smaller. Raises
+    StudyError: a failure cannot be read or written."""
     done = []
     for failure in folder.of(scenario):
         if failure.least or failure.expected != "fail":

@@ -67,8 +67,6 @@ class MeasureColumn(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """A number of a run that every study has."""
-
     column: MeasureColumn
     what: str  # in words
     of: Callable[[Result], float]  # computes it
@@ -299,8 +297,6 @@ def _vehicles(measure: SignalMeasure, scenario: Scenario) -> range:
 
 
 class _Kept(NamedTuple):
-    """The samples of one measure and vehicle."""
-
     measure: SignalMeasure
     group: str
     values: slice

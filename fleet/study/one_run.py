@@ -37,8 +37,6 @@ GRACE_S = 1.0  # a law may end its tick so long after the time that the run may 
 
 
 class Task(NamedTuple):
-    """A run that is to be made."""
-
     key: str
     point: int
     seed: int

@@ -160,11 +160,7 @@ def run_key(text: str) -> str:
 
 
 def parse_seeds(text: str) -> tuple[int, ...]:
-    """`20`: the seeds 1 to 20; `5..24`: those; `3,7,9`: those.
-
-    Raises:
-        StudyError: it is none of them.
-    """
+    """`20`: the seeds 1 to 20; `5..24`: those; `3,7,9`: those. Raises StudyError: it is none of them."""
     words = re.split(r"\.\.|,", text)
     numbers = [int(word) for word in words if _SEED.fullmatch(word.strip())]
     seeds: Sequence[int] = ()

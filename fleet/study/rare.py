@@ -80,16 +80,10 @@ class RareEvent:
     def run(
         self, engine: Engine, tell: Callable[[str, int], None], repeats: int, file: Path, budget_s: float = inf
     ) -> RareFound:
-        """Make repeats up to a number. Repeats that the file has are not made again.
-
-        Args:
-            tell: called now and then with what is done and how many parts of runs were made.
-            file: is written after each repeat.
-            budget_s: of wall time, after which no repeat is begun.
-
-        Raises:
-            StudyError: a run failed, splitting cannot help, or the file cannot be used.
-        """
+        """Make repeats up to a number. Repeats that the file has are not made again. `tell`: called now and then with
+        what is done and how many parts of runs were made. `file`: is written after each repeat. `budget_s`: of wall
+        time, after which no repeat is begun. Raises StudyError: a run failed, splitting cannot help, or the file cannot
+        be used."""
         known, until, seed = self._read(file), time.monotonic() + budget_s, self._scenario.seed
         if not known.levels:
             made = self._make(engine, tell, "pilot", seed)
@@ -213,8 +207,6 @@ class Ask(NamedTuple):
 
 
 class SplitPath(NamedTuple):
-    """A path that was made."""
-
     best: float  # its score
     places: Sequence[tuple[float, bytes]]  # (score, state) wherever the score got smaller, in order
     cost: float  # what it took, in ticks or steps
@@ -224,8 +216,6 @@ Make = Callable[[Sequence[Ask]], Sequence[SplitPath]]
 
 
 class Repeat(NamedTuple):
-    """One estimate."""
-
     probability: float  # the estimate
     shares: tuple[float, ...]  # R_k / N of each stage
     cost: float  # of all paths
@@ -234,8 +224,6 @@ class Repeat(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Splitting:
-    """How to split."""
-
     effort: int = 100
     share: float = 0.25  # of the paths that a level of the pilot lets pass
 

@@ -45,8 +45,6 @@ class PartRow(Struct, frozen=True):
 
 
 class Row(Struct, kw_only=True):
-    """The row of a run."""
-
     point: int = 0
     seed: int
     status: str  # one of `STATUSES`

@@ -43,8 +43,6 @@ Tree = dict[str, Any]  # a scenario as plain values
 
 
 class Shrunk(NamedTuple):
-    """The smallest scenario that was found."""
-
     scenario: Scenario  # the smallest scenario
     check: str  # the check that fails
     found: tuple[str, str]  # the finding of that check, for the first scenario and for the smallest one
@@ -54,19 +52,11 @@ class Shrunk(NamedTuple):
 
 
 class Shrinker:
-    """Makes one scenario smaller."""
-
     def __init__(
         self, scenario: Scenario, engine: Engine, tell: Callable[[str, int], None], modules: Modules = NO_MODULES
     ) -> None:
-        """Prepare it.
-
-        Args:
-            scenario: its run fails a check.
-            engine: makes the runs.
-            tell: called now and then with the present step, in words, and the number of runs made.
-            modules: the modules of its laws.
-        """
+        """Prepare it. `scenario`: its run fails a check. `tell`: called now and then with the present step, in words,
+        and the number of runs made."""
         self._name, self._engine, self._tell, self._modules = scenario.name, engine, tell, modules
         self._rows: dict[str, Row] = {}  # by key of the run
         self._doing, self._left = "the run as it is", 1  # what is tried; runs that may still be made

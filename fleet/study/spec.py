@@ -143,8 +143,6 @@ Spec = type[StudySpec] | type[BoundarySpec]
 
 
 class SpecField(NamedTuple):
-    """A field of a spec, as its readers need it."""
-
     name: str
     shape: Any  # `dict`: texts by key; `list`: several texts; else the type of its one value, or Literal
     kind: Kind  # of its texts

@@ -94,13 +94,7 @@ def seed_sequence(first: Sequence[int], most: int) -> list[int]:
 
 
 def seeds_needed(rule: Rule, rows: Mapping[int, Row], seeds: Sequence[int], first: int) -> int:
-    """How many of the seeds a point needs, as far as its rows show.
-
-    Args:
-        rows: of the point, by seed.
-        seeds: that it may have.
-        first: how many it needs in any case.
-    """
+    """How many of the seeds a point needs, as far as its rows show. `first`: how many it needs in any case."""
     needed = first
     while needed < len(seeds):
         there = [rows[seed] for seed in seeds[:needed] if seed in rows]

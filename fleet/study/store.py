@@ -49,16 +49,12 @@ _DETAILS = ("key", "reason", "digest", "version", "cores")
 
 
 class StudyPoint(NamedTuple):
-    """A point of a study."""
-
     number: int
     values: dict[str, float | str]  # by key of the axis
     scenario: str  # its whole text
 
 
 class Column(NamedTuple):
-    """A column of the table of runs."""
-
     name: str
     kind: str  # of SQLite
     unit: str = ""
@@ -371,16 +367,9 @@ class Store:
             raise broken from None
 
     def rows(self, numbers: Sequence[str] = (), *, checks: bool = False, details: bool = False) -> list[Row]:
-        """All rows, ordered by point and seed, so that their order does not tell who ran them.
-
-        Args:
-            numbers: the measures that the rows have.
-            checks: whether they have the verdicts of the checks.
-            details: whether they have the key, the reason, the digest, and who made them.
-
-        Raises:
-            StudyError: the study is damaged, or holds more than a study writes.
-        """
+        """All rows, ordered by point and seed, so that their order does not tell who ran them. `checks`: whether they
+        have the verdicts of the checks. `details`: whether they have the key, the reason, the digest, and who made
+        them. Raises StudyError: the study is damaged, or holds more than a study writes."""
         names = self.record.checks if checks else []
         wanted = ["point", "seed", "status", "passed", *(_DETAILS if details else ())]
         wanted += [f"{part}.{name}" for name in names for part in ("check", "value", "margin")]

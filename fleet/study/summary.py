@@ -15,8 +15,6 @@ DEFAULT = ("formation_final_m", "age_p95_s", "loss_share")
 
 @dataclass(frozen=True, slots=True)
 class PointSummary:
-    """The results of one point's runs."""
-
     values: dict[str, float | str]  # by key of the axis
     runs: int  # that were made
     failed: int  # of those, without a result

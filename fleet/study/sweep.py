@@ -41,8 +41,6 @@ _WRITE_S, _WRITE_ROWS = 10.0, 1000  # rows wait at most so long, or until there 
 
 @dataclass(slots=True)
 class Progress:
-    """Where a study is."""
-
     runs: int  # all of them
     made: int  # that have a row, also from before
     new: int = 0  # made by this program
@@ -80,22 +78,10 @@ def prepare(
     border: BorderRecord | None = None,
     warn: Callable[[str], None] = lambda _: None,
 ) -> tuple[Store, Modules]:
-    """Check every point, and make the directory of the study.
-
-    Args:
-        plan: the runs.
-        directory: of the new study.
-        spec: the source of the plan; the directory keeps it.
-        border: the object of the search, if the study is that of a border.
-        warn: called with each check that cannot pass, in words.
-
-    Returns:
-        The study, and the modules of laws that its runs need.
-
-    Raises:
-        ScenarioError: with the mistakes of all points, each once.
-        StudyError: two points are the same, or the directory cannot be made.
-    """
+    """Check every point, and make the directory of the study. `spec`: the source of the plan; the directory keeps it.
+    `border`: the object of the search, if the study is that of a border. `warn`: called with each check that cannot
+    pass, in words. Returns the study, and the modules of laws that its runs need. Raises ScenarioError: with the
+    mistakes of all points, each once; StudyError: two points are the same, or the directory cannot be made."""
     scenarios = load_points(plan)
     for text in point_warnings(plan, scenarios):
         warn(text)
@@ -216,8 +202,6 @@ class _BudgetSpent(Exception):
 
 
 class Work:
-    """A study that is being made."""
-
     def __init__(self, store: Store, engine: Engine, tell: Callable[[Progress], None], until: float) -> None:
         self.store, self.engine, self.until, self._tell = store, engine, until, tell
         self.progress = Progress(0, 0, began=time.monotonic())

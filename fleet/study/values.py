@@ -70,8 +70,6 @@ class AxisValue(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """A key that is varied."""
-
     key: str  # a key of the scenario, such as `network.links.*.loss`, or a name in a template
     unit: str = ""  # unit of the numbers. Empty: they have none, or the values are words
     values: tuple[AxisValue, ...] = ()  # the values in order. Empty: they are still to be drawn

@@ -94,19 +94,9 @@ class FoxgloveServer:
         services: Sequence[ServiceOffer] = (),
         range_ns: tuple[int, int] | None = None,
     ) -> None:
-        """Listen.
-
-        Args:
-            name: of the source, as viewers show it.
-            host: an address of this host.
-            port: None: 8765, or another one if that is taken.
-            channels: by number.
-            services: what clients may ask for.
-            range_ns: of the time that clients may seek in; None: they have no control of it.
-
-        Raises:
-            FleetError: the port is taken, or the address is none of this host.
-        """
+        """Listen. `port`: None: 8765, or another one if that is taken. `services`: what clients may ask for.
+        `range_ns`: of the time that clients may seek in; None: they have no control of it. Raises FleetError: the port
+        is taken, or the address is none of this host."""
         self._events: SimpleQueue[Subscription | PlaybackRequest] = SimpleQueue()
         self._wanted: set[tuple[int, int]] = set()  # channel and client
         self._told_ns = 0  # wall time

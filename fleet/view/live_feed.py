@@ -26,8 +26,6 @@ from fleet.view.view_state import NOT_PLACED, SAMPLE_S, Row, ViewState
 
 
 class LiveFeed:
-    """Follows one live run."""
-
     live = True
 
     def __init__(self, source: LiveSource) -> None:

@@ -184,8 +184,6 @@ MOST_AT_ONCE = 20_000  # messages between two pictures, and those that a jump lo
 
 
 class LogFeed:
-    """Plays one log."""
-
     live = False
 
     def __init__(self, path: Path, rate: float = 1.0, *, loop: bool = False) -> None:

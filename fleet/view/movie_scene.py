@@ -205,15 +205,7 @@ class MovieChart:
         faults: Sequence[Row],
         signals: Mapping[str, tuple[str, Mapping[int, str]]],
     ) -> None:
-        """Draw what stays.
-
-        Args:
-            figure: to draw in.
-            window: of the movie [s of simulated time].
-            vehicles: their number.
-            faults: rows with from_s and to_s.
-            signals: by their name for all vehicles: the unit, and the names by vehicle.
-        """
+        """Draw what stays. `signals`: by their name for all vehicles: the unit, and the names by vehicle."""
         shown = dict(list(signals.items())[:MOST_SIGNALS])
         self._names = {
             name: (each, k) for k, (_, names) in enumerate(shown.values(), 1) for each, name in names.items()

@@ -310,8 +310,6 @@ class Page:
 
 
 class Viewer:
-    """One browser."""
-
     def __init__(self, page: Page) -> None:
         self._page = page
         self._ready = False

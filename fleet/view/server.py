@@ -52,13 +52,9 @@ class Guard:
     """
 
     def __init__(self, app: App, token: str, port: int, hosts: Collection[str]) -> None:
-        """Guard an application.
-
-        Args:
-            token: of the address.
-            port: of the server; cookies of one host know no ports, so our cookie has it in its name.
-            hosts: names of this host for its users; empty: any, but then a page of another host still gets nothing.
-        """
+        """Guard an application. `token`: of the address. `port`: of the server; cookies of one host know no ports, so
+        our cookie has it in its name. `hosts`: names of this host for its users; empty: any, but then a page of another
+        host still gets nothing."""
         self._app, self._token = app, token
         self._cookie = f"fleet-view-{port}"
         self._session = secrets.token_urlsafe(24)

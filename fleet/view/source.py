@@ -48,18 +48,10 @@ class LogSource:
 
 
 def find_source(name: str | None, runs: Path) -> LiveSource | LogSource:
-    """What is meant.
-
-    Args:
-        name: a live run (its name or the beginning of it, its scenario, its directory), an observe.json, a log, or
-            the directory of a run that is over. None: the live run that began last. If no run lives, it is the newest
-            run below `runs`.
-
-    Raises:
-        FleetError: there is none, or the run is not published.
-        RemoteError: a name means several live runs.
-        RegistryError: it is not known which runs there are.
-    """
+    """What is meant. `name`: a live run (its name or the beginning of it, its scenario, its directory), an
+    observe.json, a log, or the directory of a run that is over. None: the live run that began last. If no run lives, it
+    is the newest run below `runs`. Raises FleetError: there is none, or the run is not published; RemoteError: a name
+    means several live runs; RegistryError: it is not known which runs there are."""
     if name is None:
         return _newest(runs)
     path = Path(name)

@@ -52,8 +52,6 @@ def due(tick: int, tick_ns: int, period_ns: int) -> bool:
 
 
 class Instruments:
-    """The instruments of one vehicle."""
-
     def __init__(self, config: DeadReckoning, seed: int, i: int, tick_ns: int) -> None:
         grade = config.grade
         self._config, self._seed, self._i, self._tick_ns = config, seed, i, tick_ns

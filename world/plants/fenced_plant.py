@@ -98,29 +98,17 @@ class FencedPlant:
 
     def memory(self, tick: int, *, moves: bool = True) -> list[Any]:
         """Everything that the next steps depend on, for `restore`: [name, roll, state, further memory of the plant].
-
-        Args:
-            tick: tick of the present state.
-            moves: the vehicle has further steps. The world does not ask a plant that failed for its memory.
-
-        Raises:
-            PlantError: the plant's own `state` failed, or returned other values than plain ones.
-        """
+        `tick`: tick of the present state. `moves`: the vehicle has further steps. The world does not ask a plant that
+        failed for its memory. Raises PlantError: the plant's own `state` failed, or returned other values than plain
+        ones."""
         inside = self._fence.remembered(self._plant.state, tick) if self._resumable and moves else None
         return [self.name, [*self.roll], [*self.state], inside]
 
     def restore(self, tick: int, values: list[Any] | None, pose: Vec5, velocity: Vec5) -> None:
-        """Continue from the memory of another run. If the vehicle had another plant there, start at its pose.
-
-        Args:
-            tick: the present tick.
-            values: the result of `memory` in the other run. None: the vehicle had no plant.
-            pose: x, y, z [m, NED], theta, psi [rad] of the vehicle in the other run.
-            velocity: u, v, w [m/s, body], q, r [rad/s] of the vehicle in the other run.
-
-        Raises:
-            PlantError: the plant cannot continue from it.
-        """
+        """Continue from the memory of another run. If the vehicle had another plant there, start at its pose. `values`:
+        the result of `memory` in the other run. None: the vehicle had no plant. `pose`: x, y, z [m, NED], theta, psi
+        [rad] of the vehicle in the other run. `velocity`: u, v, w [m/s, body], q, r [rad/s] of the vehicle in the other
+        run. Raises PlantError: the plant cannot continue from it."""
         name, (phi, p), state, inside = values if values is not None else ("", (0.0, 0.0), [], None)
         if name != self.name:
             self.start(tick, (*pose[:3], phi, *pose[3:]), (*velocity[:3], p, *velocity[3:]))

@@ -99,8 +99,6 @@ def parse(data: bytes) -> Description:
 
 
 class _Description:
-    """Takes the elements as they come; a path of names says where one stands."""
-
     def __init__(self) -> None:
         self._found = Description()
         self._path: list[str] = []
@@ -284,8 +282,6 @@ _COMPARED = 10_000  # variables with which a name that is not there is compared
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """A variable of the unit."""
-
     reference: int
     factor: float = 1.0  # times its value: ours, in SI
     largest: float | None = None  # that it takes, in SI; None: not said
@@ -305,8 +301,6 @@ class Variables:
 
 @dataclass(frozen=True, slots=True)
 class UnitFacts:
-    """The facts that are needed to start a unit."""
-
     version: int  # 2 or 3
     name: str  # of the model, and of its library
     guid: str
@@ -381,8 +375,6 @@ def variables(
 
 
 class _Reader:
-    """Looks variables up in a model description."""
-
     def __init__(self, model: Description) -> None:
         self._known = model.variables
         self._setters = _SETTERS | (_OF_FMI_3 if model.version == 3 else {})

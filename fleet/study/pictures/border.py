@@ -26,8 +26,6 @@ PASSED, FAILED = COLOURS[0], COLOURS[1]
 
 
 class _One(NamedTuple):
-    """A border to draw."""
-
     border: Border
     runs: list[Run]
     theory: Theory

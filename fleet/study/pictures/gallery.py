@@ -91,16 +91,10 @@ def write(
     tell: Callable[[str], None] = lambda _: None,
     share: Tell = lambda _: None,
 ) -> list[Path]:
-    """Draw into a folder, which is made if need be; returns the files.
-
-    Args:
-        measures: in addition to the share of runs that passed; none: those of the table of `fleet sweep`.
-        tell: called with a sentence about each picture that could not be drawn.
-
-    Raises:
-        StudyError: there is no such measure, or the study is damaged.
-        FleetError: the folder cannot be written.
-    """
+    """Draw into a folder, which is made if need be; returns the files. `measures`: in addition to the share of runs
+    that passed; none: those of the table of `fleet sweep`. `tell`: called with a sentence about each picture that could
+    not be drawn. Raises StudyError: there is no such measure, or the study is damaged; FleetError: the folder cannot be
+    written."""
     points = load(store, measures)
     paths: list[Path] = []
     try:

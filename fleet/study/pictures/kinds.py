@@ -83,8 +83,6 @@ def boxes(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale:
 
 
 class _Boxes:
-    """The rows of one picture, in each of its panels."""
-
     def __init__(self, quantity: Quantity, layout: Layout) -> None:
         """Raises NothingToDraw: there are too many values."""
         self._quantity, self._layout, self.lacks = quantity, layout, Lacks()
@@ -198,8 +196,6 @@ def curves(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale
 
 
 class _Curves:
-    """The lines of one picture, in each of its panels."""
-
     def __init__(self, quantity: Quantity, layout: Layout) -> None:
         (self._x,) = layout.axes
         self._quantity, self._layout = quantity, layout

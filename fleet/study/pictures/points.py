@@ -53,8 +53,6 @@ class VariedKey:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """A number at one point."""
-
     estimate: Estimate
     values: tuple[float, ...]  # of the runs that have it
     lack: Lack

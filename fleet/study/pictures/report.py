@@ -36,17 +36,9 @@ def write(
     log_scale: bool | None = None,
     share: Tell = lambda _: None,
 ) -> None:
-    """Write the page.
-
-    Args:
-        measures: in addition to the share of runs that passed; none: those of the table of `fleet sweep`.
-        log_scale: numbers have a logarithmic axis; None: numbers of a wide range have one.
-        share: called now and then with the share that is done.
-
-    Raises:
-        StudyError: there is no such measure, or the study is damaged.
-        FleetError: the place cannot be written.
-    """
+    """Write the page. `measures`: in addition to the share of runs that passed; none: those of the table of `fleet
+    sweep`. `log_scale`: numbers have a logarithmic axis; None: numbers of a wide range have one. Raises StudyError:
+    there is no such measure, or the study is damaged; FleetError: the place cannot be written."""
     points = load(store, measures)
     write_page(path, lambda: page(store, points, log_scale, share))
 

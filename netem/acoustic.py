@@ -152,7 +152,6 @@ class AcousticChannel:
             station.late = sorted([*station.late, sent])
 
     def _next_event(self, alive: list[Station], until: int) -> int | None:
-        """The next tick before `until` with work for a modem; None if there is none."""
         ticks = [answer.start_tick for answer in self._answers]
         ticks += [query.start_tick for query in self._ranges.queries]
         for station in alive:

@@ -301,7 +301,6 @@ _PARSERS: dict[str, Callable[[_Reader], dict[str, Any]]] = {
 
 
 def _number(reader: _Reader, what: str, example: str) -> tuple[Fraction, str, int]:
-    """The next number, its unit ("" without one) and its column."""
     column, got = reader.at, reader.peek()
     value = reader.value()
     if value is None:

@@ -104,7 +104,6 @@ class StateProcess:
         self._end_ns += max(1, round(-self._states.mean_ns[state] * log1p(-u)))
 
     def _drawn(self, number: int, chances: Sequence[float]) -> int:
-        """Draw a state; `chances` are the probabilities of the states."""
         if 1.0 in chances:  # of two states the other follows
             return chances.index(1.0)
         u = unit(self._key + packed(number), self._of_state)

@@ -145,7 +145,6 @@ class OneWay(NoRanges):
         return [(packet, MeasuredRange(distance + error, self._ranging.noise, self._tick, distance))]
 
     def _error(self, src: int, dst: int, seq: int) -> float:
-        """Noise and outlier [m] of the range of a packet."""
         ranging, seed = self._ranging, self._seed
         error = ranging.noise * normal(seed, NOISE, src, dst, seq) if ranging.noise else 0.0
         if ranging.outliers and uniform(seed, OUTLIER, src, dst, seq) < ranging.outliers:

@@ -104,7 +104,6 @@ class Rounds:
         self._next = tick
 
     def _memory(self, tick: int) -> bytes:
-        """The state of the network before a round, without the faults, which a log has anyway."""
         every = self.config.memory_ticks
         if not every or tick % every or tick == 0:
             return b""

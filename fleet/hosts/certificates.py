@@ -89,11 +89,7 @@ def path(directory: Path, who: str, *, key: bool = False) -> Path:
 
 
 def host_name(text: str) -> str:
-    """A host name or address in the spelling of certificates.
-
-    Raises:
-        FleetError: it is neither.
-    """
+    """A host name or address in the spelling of certificates. Raises FleetError: it is neither."""
     with contextlib.suppress(ValueError):
         address = ipaddress.ip_address(text.removeprefix("[").removesuffix("]"))
         if address.is_unspecified:
@@ -108,11 +104,7 @@ def host_name(text: str) -> str:
 
 
 def read_ca(directory: Path) -> str:
-    """Read the CA's certificate, PEM.
-
-    Raises:
-        FleetError: there is none.
-    """
+    """Read the CA's certificate, PEM. Raises FleetError: there is none."""
     text = _read(path(directory, CA))
     _parse(path(directory, CA), text)
     return text
@@ -136,11 +128,7 @@ def read_server(directory: Path) -> ServerCertificate:
 
 
 def read_client(directory: Path, who: str) -> KeyPair:
-    """Read the certificate of a client with its key.
-
-    Raises:
-        FleetError: as for `read_server`.
-    """
+    """Read the certificate of a client with its key. Raises FleetError: as for `read_server`."""
     from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
     ca_path, certificate_path, key_path = path(directory, CA), path(directory, who), path(directory, who, key=True)

@@ -208,7 +208,6 @@ class _OtherAgent:
             )
 
     def step(self, tick: int, measured: tuple[float, ...]) -> None:
-        """One sample. Raises FleetError."""
         try:
             life = self._lives.incarnation(self._agent, tick)
             if self._core is None or life != self._life:
@@ -247,7 +246,6 @@ class _OtherAgent:
         return due
 
     def found(self) -> WhatIf:
-        """What both commanded."""
         return WhatIf(
             self._agent,
             self._scenario,

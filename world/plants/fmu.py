@@ -193,8 +193,6 @@ class FmuPlant:
 
 
 def _started(private: PrivateFolder) -> tuple[subprocess.Popen[bytes], Connection]:
-    """A process for the unit in a folder, which it owns, too. Its standard input ends with this one, and Ctrl-C is not
-    for it."""
     ours, theirs = Pipe()
     with theirs:
         number = theirs.fileno()

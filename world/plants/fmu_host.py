@@ -68,7 +68,6 @@ class _Unit:
         self._begun = False
 
     def start(self, initial: list[float]) -> list[float]:
-        """Begin at time 0, with the values of the initial variables; the values of the outputs there."""
         fmu = self._fmu
         if self._begun:
             fmu.reset()
@@ -86,7 +85,6 @@ class _Unit:
         return list(self._get(self._outputs))
 
     def step(self, time_s: float, dt_s: float, inputs: list[float]) -> list[float]:
-        """Go one step; the values of the outputs at its end."""
         if self._inputs:
             self._set(self._inputs, inputs)
         answer = self._fmu.doStep(currentCommunicationPoint=time_s, communicationStepSize=dt_s)

@@ -74,11 +74,7 @@ class _State(Struct, omit_defaults=True):
 
 
 class AcousticChannel:
-    """The acoustic channel of one run, a `netem.medium.Medium`.
-
-    Raises:
-        ValueError: `config` has no acoustic channel, or the network is ideal.
-    """
+    """The acoustic channel of one run, a `netem.medium.Medium`. Raises ValueError: `config` has none, or is ideal."""
 
     def __init__(self, config: NetemConfig, links: Links, transit: Transit) -> None:
         if config.acoustic is None or config.ideal:

@@ -222,11 +222,8 @@ def _position(nav: Nav) -> Vec3:
 
 
 def places_of(given: Any) -> tuple[Vec3, ...]:
-    """Places [m, NED] as a scenario gives them: a list of x, y, z.
-
-    Raises:
-        ValueError: they are no such list, or too many.
-    """
+    """Places [m, NED] as a scenario gives them: a list of x, y, z. Raises ValueError: they are no such list, or too
+    many."""
     if not (isinstance(given, list) and 1 <= len(given) <= MOST_PLACES):
         raise ValueError(f"places: expected a list of 1 to {MOST_PLACES} places, got {given!r:.80}")
     found: list[Vec3] = []

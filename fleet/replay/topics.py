@@ -63,14 +63,8 @@ def hand_out(
     units: dict[str, str],
     scenario: str | None = None,
 ) -> None:
-    """Answer queries for the topics, schemas and units of a journal, and for its scenario if there is one.
-
-    Args:
-        topics: the name of each topic's schema.
-        schemas: the descriptor set of each schema.
-        units: of the fields of each schema, as its channels have them in the log.
-        scenario: as YAML.
-    """
+    """Answer queries for the topics of a journal, each with the name of its schema, for the descriptor set of each
+    schema and the units of its fields, as channels have them in the log, and for the scenario as YAML."""
     if scenario is not None:
         bus.answer(keys.scenario, {keys.scenario: scenario.encode()})
     bus.answer(keys.topics, {keys.topics: msgpack.packb(topics)})

@@ -145,12 +145,7 @@ class FleetEnv(ParallelEnv[str, Values, Values]):  # type: ignore[misc]
     def __init__(
         self, scenario: Scenario, vehicles: tuple[int, ...], choices: Choices, every: int, reward: str | Reward
     ) -> None:
-        """
-        Args:
-            vehicles: policies decide for these.
-            every: ticks from one decision to the next.
-            reward: the name of a check, or a function.
-        """
+        """`vehicles`: policies decide for these. `every`: ticks from one decision to the next."""
         self.scenario = scenario
         self.possible_agents = [name_of(i) for i in vehicles]
         self.agents: list[str] = []

@@ -50,27 +50,17 @@ class Tell(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Border:
-    """Where the pass rate falls through the level, at one combination of the other axes.
+    """Where the pass rate falls through the level, at one combination of the other axes."""
 
-    Attributes:
-        values: values of the other axes, by key.
-        value: the border, in the unit of the axis. -inf: below the range. inf: above it. NaN: perhaps outside.
-        low, high: the interval of 95 %. -inf and inf: it goes beyond the range.
-        runs: number of runs with a verdict.
-        failed: number of runs without a result.
-        first, last: the pass rates at both ends of the range.
-        rising: two neighbouring values with a significant rise of the pass rate between them. None: there are none.
-    """
-
-    values: dict[str, float | str]
-    value: float
-    low: float
+    values: dict[str, float | str]  # of the other axes, by key
+    value: float  # in the unit of the axis; -inf: below the range; inf: above it; NaN: perhaps outside
+    low: float  # the interval of 95 %; -inf and inf: it goes beyond the range
     high: float
-    runs: int
-    failed: int
-    first: Estimate
+    runs: int  # with a verdict
+    failed: int  # without a result
+    first: Estimate  # the pass rates at both ends of the range
     last: Estimate
-    rising: tuple[float, float] | None
+    rising: tuple[float, float] | None  # neighbouring values with a significant rise of the pass rate between them
 
     @property
     def where(self) -> Literal["within", "below", "above", "open"]:
@@ -213,19 +203,8 @@ class Borders:
 def find_borders(
     borders: Borders, engine: Engine, tell: Tell, *, modules: Modules = NO_MODULES, timeout_s: float = inf
 ) -> None:
-    """Make runs until every border is known well enough, or has used its seeds.
-
-    Args:
-        borders: of a study; rows that it has are not made again.
-        engine: makes the runs.
-        tell: called several times a second.
-        modules: that the runs need, and that are let in.
-        timeout_s: of wall time, for one run.
-
-    Raises:
-        StudyError: rows cannot be written. Earlier rows stay.
-        KeyboardInterrupt: at any time; rows that were made are written.
-    """
+    """Make the missing runs until every border is known well enough, or has used its seeds. Raises StudyError: rows
+    cannot be written, and earlier ones stay; KeyboardInterrupt: at any time, and rows that were made are written."""
     store = borders.store
     walks = [_Walk(borders, number) for number in range(borders.count)]
     work = Work(store, engine, lambda now: tell(now, known=sum(walk.ended for walk in walks), of=len(walks)), inf)
@@ -280,19 +259,11 @@ def _scaled(value: float, ratios: bool) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Theory:
-    """Theory at the low end of a border's range, and along it.
+    """Theory at the low end of a border's range, and along it; None: it is not known, or the rule does not apply."""
 
-    Attributes:
-        shunting: K lambda_max(L+B) and a [1/s]. The first must be smaller. None: the rule does not apply.
-        stable: at the low end of the range, whether the linear loop is stable for the final value of K. None: not
-            known.
-        reckoning: index of the first value with K tau rho(A) >= 1, for the mean age under loss. If no value is that
-            large, the number of values. None: the rule does not apply.
-    """
-
-    shunting: tuple[float, float] | None
-    stable: bool | None
-    reckoning: int | None
+    shunting: tuple[float, float] | None  # K lambda_max(L+B) and a [1/s]; the first must be smaller
+    stable: bool | None  # whether the linear loop is, for the final value of K, at the low end
+    reckoning: int | None  # of the first value with K tau rho(A) >= 1 for the mean age under loss; their number: none
 
 
 def theory(borders: Borders) -> list[Theory]:

@@ -45,18 +45,11 @@ Join = Callable[[list[float]], float]
 
 
 class MeasureColumn(msgspec.Struct, frozen=True):
-    """A number that every row of a study has.
+    """A number that every row of a study has."""
 
-    Attributes:
-        name: with the unit behind it, as in `e_rms_m`. The measure of a signal has the user's words for it: `p95
-            |error.e|`.
-        unit: as people write it.
-        missing_is_largest: where there is no number, it counts as larger than every number.
-    """
-
-    name: str
-    unit: str
-    missing_is_largest: bool = False
+    name: str  # with the unit behind it, as in `e_rms_m`; of a signal the words of the user: `p95 |error.e|`
+    unit: str  # as people write it
+    missing_is_largest: bool = False  # where there is no number, it counts as larger than every number
 
     def number(self, value: float | None) -> float:
         """A value of the column as statistics take it: inf or NaN where it is missing."""

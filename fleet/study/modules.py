@@ -30,25 +30,14 @@ _writing = threading.Lock()
 
 
 class Modules(NamedTuple):
-    """Modules that were let in when the scenarios were read.
+    """Modules that were let in when the scenarios were read."""
 
-    Attributes:
-        folder: the folder of the scenario's file on this machine, if the modules lie in it. None: they lie in the
-            current directory.
-        files: the files of the modules.
-        fingerprints: SHA-256 of each file. Workers check it before they import a module.
-        names: names of the modules of laws, plants and checks.
-        units: files of plants that are FMUs, as the scenarios name them.
-        carried: path and content of each file. Workers write them below the folder in which the search for modules
-            begins. Empty: workers import the modules from their own place.
-    """
-
-    folder: str | None = None
+    folder: str | None = None  # of the scenario's file, if they lie in it; None: they lie in the current directory
     files: tuple[str, ...] = ()
-    fingerprints: tuple[str, ...] = ()
-    names: tuple[str, ...] = ()
-    units: tuple[str, ...] = ()
-    carried: tuple[tuple[str, bytes], ...] = ()
+    fingerprints: tuple[str, ...] = ()  # SHA-256 of each file, which workers check before they import a module
+    names: tuple[str, ...] = ()  # of the modules of laws, plants and checks
+    units: tuple[str, ...] = ()  # files of plants that are FMUs, as the scenarios name them
+    carried: tuple[tuple[str, bytes], ...] = ()  # path and content of each file, for other machines
 
 
 NO_MODULES = Modules()

@@ -42,29 +42,16 @@ class Point:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The runs of a study, planned.
+    """The runs of a study, planned."""
 
-    Attributes:
-        scenario: a shipped name or a file.
-        changes: changes of every run. `{name}` stands for the value of the axis of that name.
-        axes: the varied keys with their values.
-        zipped: the first values of all axes make the first point, the second values the second, and so on. Otherwise
-            every combination is a point.
-        seeds: seeds of the runs of each point. All points have the same ones, so points can be compared in pairs.
-        draw: the seed of drawn axes.
-        origin: the source of changes and axes. It decides which laws they may name.
-        most_seeds: limit on the seeds of a point, if seeds are added. None: no seeds are added.
-        points: the points; computed.
-    """
-
-    scenario: str
-    changes: tuple[Override, ...] = ()
+    scenario: str  # a shipped name or a file
+    changes: tuple[Override, ...] = ()  # of every run; `{name}` stands for the value of the axis of that name
     axes: tuple[Axis, ...] = ()
-    zipped: bool = False
-    seeds: tuple[int, ...] = (1,)
-    draw: int = 1
-    origin: OverrideOrigin = TYPED
-    most_seeds: int | None = None
+    zipped: bool = False  # the n-th values of all axes make the n-th point, else every combination is one
+    seeds: tuple[int, ...] = (1,)  # of the runs of each point: the same ones, so points can be compared in pairs
+    draw: int = 1  # the seed of drawn axes
+    origin: OverrideOrigin = TYPED  # of changes and axes; it decides which laws they may name
+    most_seeds: int | None = None  # of a point, if seeds are added
     points: tuple[Point, ...] = field(init=False)
 
     def __post_init__(self) -> None:

@@ -43,19 +43,12 @@ DOUBTFUL, RISING = 0.05, 0.005  # chances of a rise at which it is looked at aga
 
 
 class Belief(NamedTuple):
-    """The present knowledge of the border.
+    """The present knowledge of the border; 0 and 1 are the ends of the range, and what lies beyond is a guess."""
 
-    Attributes:
-        border: the median of its posterior. 0 and 1 are the ends of the range.
-        low, high: the interval of 95 %. A value below 0 or above 1 is only a guess of the place, but the border is
-            outside of the range.
-        below, above: the chances that the border lies below 0, and above 1.
-    """
-
-    border: float
-    low: float
+    border: float  # the median of its posterior
+    low: float  # the interval of 95 %
     high: float
-    below: float
+    below: float  # the chances that it lies below 0, and above 1
     above: float
 
 

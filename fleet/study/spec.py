@@ -37,21 +37,13 @@ class Kind(Enum):
 
 
 class Option(NamedTuple):
-    """The words about a field, and its names.
+    """The words about a field, and its names."""
 
-    Attributes:
-        help: the text of `--help` and of Python's `help`.
-        metavar: the word for the value in `--help`, if the kind of the field has none.
-        flag: the option of the command line. "": `--` and the name of the field. None: only a file can give it.
-        keyword: the keyword in Python. "": the name of the field.
-        later: whether a study that continues may change it.
-    """
-
-    help: str
-    metavar: str | None = None
-    flag: str | None = ""
-    keyword: str = ""
-    later: bool = False
+    help: str  # of `--help` and of Python's `help`
+    metavar: str | None = None  # the word for the value, if the kind of the field has none
+    flag: str | None = ""  # "": `--` and the name of the field; None: only a file can give it
+    keyword: str = ""  # in Python; "": the name of the field
+    later: bool = False  # whether a study that continues may change it
 
 
 Time = Annotated[str, Kind.TIME]

@@ -166,19 +166,9 @@ def run_study(
     budget_s: float = inf,
     logs: KeepLogs | None = None,
 ) -> Progress:
-    """Make every run that has no row yet; then the logs that are kept.
-
-    Args:
-        tell: called several times a second.
-        modules: that the runs need, and that are let in.
-        timeout_s: of wall time, for one run.
-        budget_s: of wall time; then no run is made any more, and those under way are given up.
-        logs: which are kept; None: as the study says.
-
-    Raises:
-        StudyError: rows cannot be written. Earlier rows stay.
-        KeyboardInterrupt: at any time; rows that were made are written.
-    """
+    """Make every run that has no row yet; then the logs that are kept. `budget_s`: of wall time; then runs that are
+    under way are given up. `logs`: None: as the study says. Raises StudyError: rows cannot be written, and earlier ones
+    stay; KeyboardInterrupt: at any time, and rows that were made are written."""
     refuse_border(store)
     kept = store.record.rules.keep_logs if logs is None else logs
     work = Work(store, engine, tell, time.monotonic() + budget_s)

@@ -75,7 +75,6 @@ def write(
     """Draw a log.
 
     Args:
-        log: to read.
         out: the file, `.gif`, or `.mp4` if ffmpeg is there. An existing file is replaced.
         tell: called with the share of the work that is done.
         view: `above` or `3d`.

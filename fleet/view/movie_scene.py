@@ -286,16 +286,8 @@ class MovieScene:
         verdict: Row | None = None,
         charted: Mapping[str, tuple[str, Mapping[int, str]]] | None = None,
     ) -> None:
-        """Draw what stays.
-
-        Args:
-            picture: of the log; its faults are all known.
-            begin_s, end_s: of the movie [simulated time].
-            rate: simulated seconds per second of the movie.
-            above: whether the fleet is seen from above, or in 3D.
-            verdict: on the run: its `text`, and whether it has `passed`; None: there is none.
-            charted: signals that are drawn beside the errors, as `MovieChart` takes them.
-        """
+        """Draw what stays. `begin_s`, `end_s`: in simulated time. `rate`: simulated seconds per second of the movie.
+        `verdict`: on the run: its `text`, and whether it has `passed`. `charted`: signals, as `MovieChart` takes them."""
         self._setup, self._begin_s, self._rate = picture.setup(), begin_s, rate
         self._picture, self._model = picture, picture.scene
         self._happened = picture.happenings  # of the whole log

@@ -17,19 +17,12 @@ from netem.private_file import DamagedFile
 
 @dataclass(frozen=True, slots=True)
 class LiveSource:
-    """A live run: who may read its journal, and who may ask its console.
+    """A live run: who may read its journal, and who may ask its console."""
 
-    Attributes:
-        directory: of the run, or of its observe.json.
-        observed: the address of its journal, and the login to subscribe with.
-        run: for requests to its console. None: there are only the observer's credentials, so it can only be watched.
-        awaited: the run is about to begin, and its console will answer.
-    """
-
-    directory: Path
-    observed: Observed
-    run: LiveRun | None
-    awaited: bool = False
+    directory: Path  # of the run, or of its observe.json
+    observed: Observed  # the address of its journal, and the login to subscribe with
+    run: LiveRun | None  # None: there are only the observer's credentials, so it can only be watched
+    awaited: bool = False  # it is about to begin, and its console will answer
 
     def controlled(self) -> LiveRun:
         """The run, to be disturbed. Raises FleetError: it can only be watched."""

@@ -358,19 +358,9 @@ def variables(
     start: Any = None,
     signals: Any = None,
 ) -> Variables:
-    """The variables that a scenario's parameters name.
-
-    Args:
-        model: the model description.
-        inputs: our name of a command or of the water -> the unit's variable, or `none`.
-        outputs: our name of pose or velocity -> the unit's variable.
-        initial: our name of pose or velocity -> the variable that takes it at the start.
-        start: the unit's variable -> its value at the start.
-        signals: name -> the unit's variable, to be logged.
-
-    Raises:
-        FmuError: the unit has no such variable, or it has the wrong causality, type or unit.
-    """
+    """The variables that a scenario's parameters name: `inputs` (a command, or of the water), `outputs` and `initial`
+    (pose and velocity) by our names, `start` with its value, `signals` by the name in the log. Raises FmuError: the
+    unit has no such variable, or it has the wrong causality, type or unit."""
     return _Reader(model).variables(inputs, outputs, initial, start, signals)
 
 

@@ -203,21 +203,13 @@ class Panel:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Which varied key becomes which part of a picture. A key with one value becomes none.
+    """Which varied key becomes which part of a picture. A key with one value becomes none."""
 
-    Attributes:
-        kind: a `heat` map over two numbers, a `curve` over one, or `boxes` over words.
-        dimensions: the varied keys.
-        axes: places in `dimensions` of the keys along the axes: x, or x and y.
-        lines: place of the key with one line, or one colour of boxes, for each value. None: there is no such key.
-        panels: the panels in the order of the page.
-    """
-
-    kind: Literal["heat", "curve", "boxes"]
+    kind: Literal["heat", "curve", "boxes"]  # a map over two numbers, a curve over one, or boxes over words
     dimensions: tuple[VariedKey, ...]
-    axes: tuple[int, ...]
-    lines: int | None
-    panels: tuple[Panel, ...]
+    axes: tuple[int, ...]  # places in `dimensions`: x, or x and y
+    lines: int | None  # place of the key with a line, or a colour of boxes, for each value
+    panels: tuple[Panel, ...]  # in the order of the page
 
     def key(self, panel: Panel, values: dict[int, Value]) -> Key:
         given = panel.fixed | values

@@ -65,23 +65,14 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A number at every point.
+    """A number at every point."""
 
-    Attributes:
-        name: the measure.
-        kind: a `share` (of runs that passed), the median of a `number`, or that of a `difference` of pairs of runs.
-        what: the quantity in words, with its unit.
-        dimensions: the varied keys.
-        cells: the number at each point.
-        pair: the difference in words, if there is only one; else "".
-    """
-
-    name: str
-    kind: Literal["share", "number", "difference"]
-    what: str
+    name: str  # of the measure
+    kind: Literal["share", "number", "difference"]  # of runs that passed; else medians, a `difference` of pairs of runs
+    what: str  # in words, with its unit
     dimensions: tuple[VariedKey, ...]
     cells: Mapping[Key, Cell]
-    pair: str = ""
+    pair: str = ""  # the difference in words, if there is only one
 
 
 @dataclass(frozen=True)

@@ -14,14 +14,14 @@ import json
 import os
 import select
 import subprocess
-import sys
 import time
 from pathlib import Path
 from struct import Struct
-from typing import IO, Any
+from typing import Any
 
 from fleet.errors import FleetError
 from fleet.logs.schemas import Schema
+from fleet.processes.beside import begin, end, line_of, pipe
 from fleet.replay.observed import new_observed, write_observed
 
 ENTRY = Struct("<HIQQQII")  # channel, sequence, log and publish time, places in log and topic, bytes that follow
@@ -29,8 +29,6 @@ LENGTH = Struct("<I")  # of a batch
 PIPE_BYTES = 1 << 20  # the most that Linux gives an ordinary user
 BATCH_BYTES = 1 << 16
 READY_S = 20.0
-# With `-m` a file in the current directory could take the place of a module, a user's `signal.py` for instance.
-_MAIN = "import sys; sys.path.append(sys.argv[1]); from fleet.replay.publisher_process import main; main()"
 DRAIN_S = 10.0  # for the process to take and publish what it was given, which waits for no subscriber
 CLOSE_S = 2.0  # for what is then still on the way to subscribers
 
@@ -80,26 +78,21 @@ class LivePublisher:
             "units": self._units,
             "wait": self.wait,
         }
-        # A group of its own: Ctrl-C is the console's business. It ends with the pipe, also when we are killed.
-        self._process = process = subprocess.Popen(
-            [sys.executable, "-P", "-c", _MAIN, str(Path(__file__).parents[2])],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            process_group=0,
-        )
+        # It ends with the pipe, also when we are killed.
+        streams = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        self._process = process = begin("fleet.replay.publisher_process", **streams)
         try:
-            _pipe(process.stdin).write(json.dumps(values).encode() + b"\n")
-            _pipe(process.stdin).flush()
+            pipe(process.stdin).write(json.dumps(values).encode() + b"\n")
+            pipe(process.stdin).flush()
             answer = self._answer(READY_S)
         except OSError:
             answer = {}
         if "endpoint" not in answer:
-            process.kill()
-            process.wait()
+            end(process, 0.0)
             why = answer.get("error", "the publisher did not start")
             raise FleetError(f"the journal cannot be published: {why}", status=3)
         self.endpoint = answer["endpoint"]
-        descriptor = _pipe(process.stdin).fileno()
+        descriptor = pipe(process.stdin).fileno()
         os.set_blocking(descriptor, False)
         with contextlib.suppress(OSError):  # where it may not be larger, it stays as it is
             fcntl.fcntl(descriptor, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
@@ -107,8 +100,7 @@ class LivePublisher:
         try:
             write_observed(self._observe, observed)
         except OSError as error:
-            process.kill()
-            process.wait()
+            end(process, 0.0)
             raise FleetError(f"cannot write {self._observe}: {error.strerror}", status=3) from error
 
     def heard(self) -> None:
@@ -144,7 +136,7 @@ class LivePublisher:
         """Write as much as there is room for; whether that was all."""
         assert self._process is not None
         try:
-            count = os.write(_pipe(self._process.stdin).fileno(), self._rest)
+            count = os.write(pipe(self._process.stdin).fileno(), self._rest)
         except BlockingIOError:
             return False
         except OSError:  # the publisher is gone; the run goes on without it
@@ -157,7 +149,7 @@ class LivePublisher:
         """Wait until the rest of the last batch is written, or it is too late."""
         assert self._process is not None
         while self._rest and not self._gone and not self._write_rest() and time.monotonic() < deadline:
-            select.select([], [_pipe(self._process.stdin)], [], 0.1)
+            select.select([], [pipe(self._process.stdin)], [], 0.1)
 
     def close(self) -> None:
         """End the process, once it has published what it was given."""
@@ -170,28 +162,16 @@ class LivePublisher:
         self.flush()
         self._write_all(deadline)
         with contextlib.suppress(OSError):
-            _pipe(process.stdin).close()
+            pipe(process.stdin).close()
         self.published = self._answer(max(CLOSE_S, deadline - time.monotonic())).get("published", 0)
-        try:
-            process.wait(CLOSE_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        _pipe(process.stdout).close()
+        end(process, CLOSE_S)
+        pipe(process.stdout).close()
         self._process = None
 
     def _answer(self, limit_s: float | None) -> dict[str, Any]:
         assert self._process is not None
-        stdout = _pipe(self._process.stdout)
-        if not select.select([stdout], [], [], limit_s)[0]:
-            return {}
         try:
-            values = json.loads(stdout.readline())
+            values = json.loads(line_of(self._process, limit_s))
         except ValueError:
             return {}
         return values if isinstance(values, dict) else {}
-
-
-def _pipe(end: IO[bytes] | None) -> IO[bytes]:
-    assert end is not None  # asked for as a pipe
-    return end

@@ -287,7 +287,7 @@ class MovieScene:
         charted: Mapping[str, tuple[str, Mapping[int, str]]] | None = None,
     ) -> None:
         """Draw what stays. `begin_s`, `end_s`: in simulated time. `rate`: simulated seconds per second of the movie.
-        `verdict`: on the run: its `text`, and whether it has `passed`. `charted`: signals, as `MovieChart` takes them."""
+        `verdict`: on the run: its `text`, and whether it has `passed`. `charted`: as `MovieChart` takes it."""
         self._setup, self._begin_s, self._rate = picture.setup(), begin_s, rate
         self._picture, self._model = picture, picture.scene
         self._happened = picture.happenings  # of the whole log

@@ -76,6 +76,7 @@ class Description:
     version: int = 0  # 2 or 3
     guid: str = ""
     model: str | None = None  # the identifier of its model for co-simulation; None: it has none
+    library: str = ""  # in the unpacked archive, for this machine
     saves: bool = False  # whether it can give and take its state as bytes
     units: dict[str, BaseUnit] = field(default_factory=dict)
     variables: dict[str, UnitVariable] = field(default_factory=dict)
@@ -299,16 +300,7 @@ class Variables:
     start: tuple[tuple[str, int, Any], ...]  # (type, reference, value)
 
 
-@dataclass(frozen=True, slots=True)
-class UnitFacts:
-    version: int  # 2 or 3
-    name: str  # of the model, and of its library
-    guid: str
-    library: str  # in the unpacked archive
-    saves: bool  # whether it can give and take its state as bytes
-
-
-def describe(path: Path) -> tuple[Description, UnitFacts]:
+def describe(path: Path) -> Description:
     """Read the model description of an FMU, and the facts that are needed to start it. No code of the FMU runs. Raises
     FmuError: the file cannot be read, is no FMU for co-simulation, or has no binary for this machine; or the package
     FMPy is not installed."""
@@ -320,7 +312,7 @@ def describe(path: Path) -> tuple[Description, UnitFacts]:
 
 
 @lru_cache(maxsize=16)
-def _describe(path: Path, changed: int, size: int) -> tuple[Description, UnitFacts]:
+def _describe(path: Path, changed: int, size: int) -> Description:
     if find_spec("fmpy") is None:
         raise FmuError("needs the package FMPy", "pip install 'uuv-fleet[fmu]'")
     with archive(path) as opened:
@@ -335,7 +327,8 @@ def _describe(path: Path, changed: int, size: int) -> tuple[Description, UnitFac
         raise FmuError(
             f"has no {library[:200]}, which this machine ({here}) needs; {listed}", "build it for this platform"
         )
-    return model, UnitFacts(model.version, model.model, model.guid, library, model.saves)
+    model.library = library
+    return model
 
 
 _SUFFIX = {"win32": ".dll", "darwin": ".dylib"}

@@ -10,7 +10,8 @@ payload. So payloads stay what they are, and any viewer that knows their encodin
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import IO, Any, Protocol
@@ -54,6 +55,15 @@ MOST_CHANNELS = 65_535  # MCAP numbers them with 16 bits
 MOST_BATCH = 1000
 
 
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Raises FleetError: the disk is full, or `path` cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        raise FleetError(f"cannot write {path}: {error.strerror}") from None
+
+
 class SampleWriter(Protocol):
     samples: int
 
@@ -77,14 +87,12 @@ class TrafficWriter:
         self.samples = 0
         self._channels: dict[tuple[str, str, str], int] = {}
         self._flushed_ns = 0
-        try:
+        if path.exists():
+            raise FleetError(f"{path} exists already; choose another name with -o")
+        with writing(path):
             self._file: IO[bytes] = path.open("xb")
             self._writer = McapWriter(self._file, PROFILE)
             self._writer.metadata("zenoh", {"keys": " ".join(keys)})
-        except FileExistsError:
-            raise FleetError(f"{path} exists already; choose another name with -o") from None
-        except OSError as error:
-            raise FleetError(f"cannot write {path}: {error.strerror}") from None
 
     @property
     def size(self) -> int:
@@ -107,19 +115,14 @@ class TrafficWriter:
         """Write out what there is if a second has passed since the last time. Raises FleetError."""
         if now_ns - self._flushed_ns >= FLUSH_NS:
             self._flushed_ns = now_ns
-            self._guard(self._writer.flush)
+            with writing(self.path):
+                self._writer.flush()
 
     def close(self) -> None:
         """Write the index. Raises FleetError: the disk is full; what was flushed stays readable."""
-        if self._file.closed:
-            return
-        try:
-            self._guard(self._writer.finish)
-        finally:
-            try:
-                self._file.close()
-            except OSError as error:
-                raise FleetError(f"cannot write {self.path}: {error.strerror}") from None
+        if not self._file.closed:
+            with writing(self.path), self._file:
+                self._writer.finish()
 
     def _channel(self, key: str, encoding: str, kind: str) -> int:
         found = self._channels.get((key, encoding, kind))
@@ -132,16 +135,8 @@ class TrafficWriter:
         return found
 
     def _put(self, channel: int, at_ns: int, data: bytes, publish_ns: int, number: int) -> None:
-        try:
+        with writing(self.path):
             self._writer.message(channel, at_ns, publish_ns, number, data)
-        except OSError as error:
-            raise FleetError(f"cannot write {self.path}: {error.strerror}") from None
-
-    def _guard(self, write: Callable[[], Any]) -> None:
-        try:
-            write()
-        except OSError as error:
-            raise FleetError(f"cannot write {self.path}: {error.strerror}") from None
 
 
 class PublisherGone:

@@ -48,7 +48,11 @@ class Replay:
         kinds = {n: channel.metadata.get(KIND, "") for n, channel in tape.channels.items()}
         played = {n: c for n, c in tape.channels.items() if kinds[n] != ATTACHMENT}
         names = chosen((c.topic for c in played.values()), options.topics)
-        self.key_of = {n: self._key(c.topic.strip("/")) for n, c in played.items() if c.topic in names}
+        self.key_of = {
+            n: self.keys.log(c.topic.strip("/")) if self.ours else c.topic.strip("/")
+            for n, c in played.items()
+            if c.topic in names
+        }
         self._deletes = {n for n in self.key_of if kinds[n] == DELETE}
         self._attached = ATTACHMENT in kinds.values()
         self._track = track = Track(tape, self.key_of)
@@ -69,9 +73,6 @@ class Replay:
         self._publications: dict[int, OpenPublication] = {}
         self.published = 0
         self.player = self._player(0)
-
-    def _key(self, topic: str) -> str:
-        return self.keys.log(topic) if self.ours else topic
 
     def _player(self, now: int) -> Player:
         w = self._wishes

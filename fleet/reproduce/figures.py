@@ -276,8 +276,9 @@ FIGURES: dict[str, tuple[str, str, Callable[[Outcomes, str], Figure]]] = {
 }
 
 
-def draw(name: str, outcomes: Outcomes, folder: Path, formats: tuple[str, ...]) -> bool:
+def draw(wanted: tuple[str, Outcomes], folder: Path, formats: tuple[str, ...]) -> bool:
     """Draw one picture; False if one of its runs was left out."""
+    name, outcomes = wanted
     title, sea, make = FIGURES[name]
     try:
         figure = make(outcomes, sea)

@@ -108,17 +108,13 @@ def _draw_all(
 ) -> list[str]:
     drawn: dict[str, bool] = {}
     items = ((name, _pictured(name, outcomes)) for name in figures)
-    for (name, _), future in workers.each(partial(_draw, folder=folder, formats=formats), items):
+    for (name, _), future in workers.each(partial(draw, folder=folder, formats=formats), items):
         try:
             drawn[name] = future.result()
         except OSError as error:
             raise FleetError(f"cannot write {name} into {folder}: {error.strerror}") from None
         tell(f"{len(drawn)} of {len(figures)} pictures", 0.85 + 0.15 * len(drawn) / len(figures))
     return [name for name in figures if drawn[name]]
-
-
-def _draw(item: tuple[str, dict[str, Outcome]], folder: Path, formats: tuple[str, ...]) -> bool:
-    return draw(*item, folder, formats)
 
 
 def _go_on(result: Result) -> None:

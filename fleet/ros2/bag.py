@@ -10,6 +10,7 @@ from typing import Any
 from fleet.errors import FleetError
 from fleet.logs.reader import LogReader, Tell
 from fleet.logs.recover import Recovered, recover
+from fleet.replay.capture import writing
 from fleet.ros2.rmw import DEFAULT, Qos
 from fleet.ros2.translation import RosMessage, Translation
 from fleet.ros2.types import RosTypes, types_of
@@ -75,31 +76,25 @@ class Bag:
         if folder.exists():
             raise FleetError(f"{folder} exists already; a bag is a new directory")
         self._writer = Writer(folder, version=_FORMAT, storage_plugin=StoragePlugin.MCAP)
-        try:
+        with writing(self.folder):
             self._writer.open()
-        except OSError as error:
-            raise FleetError(f"cannot write {folder}: {error.strerror}") from None
 
-    def topic(self, name: str, type_name: str, qos: Qos, hash_: str | None = None) -> None:
-        """Add a topic to the bag. `type_name`: of its messages, such as `nav_msgs/msg/Odometry`. `qos`: the quality of
-        service that its publisher offers. `hash_`: the RIHS01 hash of the type as its publisher declared it; None: the
-        hash that we compute. Raises FleetError: the type is not known."""
+    def topic(self, name: str, type_name: str, qos: Qos) -> None:
+        """Add a topic to the bag. `qos`: that its publisher offers. Raises FleetError: the type is not known."""
         if type_name not in self._types.store.fielddefs:
             raise FleetError(f"{name}: the type {type_name} is not known")
         self._connections[name] = self._writer.add_connection(
             name,
             type_name,
             msgdef=self._types.definition(type_name),
-            rihs01=hash_ or self._types.hash(type_name),
+            rihs01=self._types.hash(type_name),
             offered_qos_profiles=[_profile(qos)],
         )
 
     def write(self, topic: str, at_ns: int, data: bytes) -> None:
         """Append a message in CDR at a time [ns]. Raises FleetError: the disk is full."""
-        try:
+        with writing(self.folder):
             self._writer.write(self._connections[topic], at_ns, data)
-        except OSError as error:
-            raise FleetError(f"cannot write {self.folder}: {error.strerror}") from None
         self.messages += 1
 
     def add(self, message: RosMessage) -> None:
@@ -113,19 +108,15 @@ class Bag:
         """Write all messages to the disk. They can then be recovered from a bag that nobody closed. Raises FleetError:
         the bag cannot be written (the disk is full)."""
         storage: Any = self._writer.storage
-        try:
+        with writing(self.folder):
             if storage.chunk.bio.tell():
                 storage.close_chunk()
             storage.bio.flush()
-        except OSError as error:
-            raise FleetError(f"cannot write {self.folder}: {error.strerror}") from None
 
     def close(self) -> None:
         """Write the index and metadata.yaml. Raises FleetError: the disk is full."""
-        try:
+        with writing(self.folder):
             self._writer.close()
-        except OSError as error:
-            raise FleetError(f"cannot write {self.folder}: {error.strerror}") from None
 
     def abandon(self) -> None:
         with suppress(Exception):

@@ -131,7 +131,7 @@ class Borders:
         ]
         self.count = len(self.points) // len(self.places)
         self._check()
-        scaled = [_scaled(place, record.log) for place in self.places]
+        scaled = [log(place, 10.0) if record.log else place for place in self.places]
         self._first, self._span = scaled[0], scaled[-1] - scaled[0]
         self.curve = PsychometricCurve([(place - self._first) / self._span for place in scaled], record.level)
         self.walk = Walk(self.curve, record.width)
@@ -245,10 +245,6 @@ class _Walk:
             ]
             self.ended = not self._batch
         return []
-
-
-def _scaled(value: float, ratios: bool) -> float:
-    return log(value, 10.0) if ratios else value
 
 
 # The theory of each border of a study, to be drawn next to the result of the simulations.

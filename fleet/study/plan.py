@@ -107,17 +107,14 @@ class Plan:
 
     def _point(self, number: int, row: Sequence[AxisValue]) -> Point:
         values = {axis.key: value for axis, value in zip(self.axes, row, strict=True)}
-        names = self._names()
-        filled = [Override(change.option, _fill(change.text, values)) for change in self.changes]
+        names = {name for change in self.changes for name in _NAME.findall(change.text)}
+        filled = [Override(c.option, _NAME.sub(lambda name: values[name[1]].text, c.text)) for c in self.changes]
         keys = [
             Override(SET, f"{axis.key}={value.text}", f"{axis.option} {axis.key}={value.text}")
             for axis, value in zip(self.axes, row, strict=True)
             if axis.key not in names
         ]
         return Point(number, values, (*filled, *keys))
-
-    def _names(self) -> set[str]:
-        return {name for change in self.changes for name in _NAME.findall(change.text)}
 
     def _check_names(self, keys: set[str]) -> None:
         for change in self.changes:
@@ -162,10 +159,6 @@ def parse_seeds(text: str) -> tuple[int, ...]:
     if not seeds:
         raise StudyError(f"expected a number of seeds such as 20, or seeds such as 5..24 or 3,7,9, got '{text[:40]}'")
     return tuple(seeds)
-
-
-def _fill(text: str, values: Mapping[str, AxisValue]) -> str:
-    return _NAME.sub(lambda match: values[match[1]].text, text)
 
 
 def _check_lengths(axes: Sequence[Axis]) -> None:

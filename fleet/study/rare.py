@@ -11,7 +11,7 @@ from statistics import NormalDist, fmean, stdev
 from typing import Annotated, NamedTuple
 
 import msgspec
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, structs
 
 from fleet.scenario.scenario import Scenario
 from fleet.study.branches import Branch, refuse_branches
@@ -96,8 +96,7 @@ class RareEvent:
                 break
             own = seed + 1 + number
             made = self._make(engine, tell, f"repeat {number + 1} of {repeats}", own)
-            found = self._splitting.repeat(made, known.levels, own)
-            known.repeats.append(RareRepeat(own, found.probability, found.shares, found.cost, found.spread))
+            known.repeats.append(self._splitting.repeat(made, known.levels, own))
             _write(file, known)
         if not known.repeats:
             raise StudyError("no repeat was made, so nothing is known: raise --budget")
@@ -106,7 +105,7 @@ class RareEvent:
     def _make(self, engine: Engine, tell: Callable[[str, int], None], doing: str, seed: int) -> Make:
         count = 0
 
-        def make(asks: Sequence[Ask]) -> list[SplitPath]:
+        def make(asks: Sequence[Ask]) -> list[PartRow]:
             nonlocal count
             rows: dict[str, Row] = {}
             tasks = [self._task(ask, seed, place) for place, ask in enumerate(asks)]
@@ -117,7 +116,7 @@ class RareEvent:
 
             engine.make(iter(tasks), take, lambda: tell(doing, count + len(rows)))
             count += len(rows)
-            return [SplitPath(part.best, part.places, part.ticks) for part in (_part(rows[task.key]) for task in tasks)]
+            return [_part(rows[task.key]) for task in tasks]
 
         return make
 
@@ -206,20 +205,7 @@ class Ask(NamedTuple):
     level: float | None  # where it ends; None: it goes on to its end
 
 
-class SplitPath(NamedTuple):
-    best: float  # its score
-    places: Sequence[tuple[float, bytes]]  # (score, state) wherever the score got smaller, in order
-    cost: float  # what it took, in ticks or steps
-
-
-Make = Callable[[Sequence[Ask]], Sequence[SplitPath]]
-
-
-class Repeat(NamedTuple):
-    probability: float  # the estimate
-    shares: tuple[float, ...]  # R_k / N of each stage
-    cost: float  # of all paths
-    spread: bool  # the paths of the first stage differed. If not, the draws on the way do not matter
+Make = Callable[[Sequence[Ask]], Sequence[PartRow]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,7 +219,7 @@ class Splitting:
         entrances, cost, spread = [START], 0.0, True
         for stage in range(MOST_LEVELS):
             paths = self._paths(make, entrances, None, seed, stage)
-            cost += sum(path.cost for path in paths)
+            cost += sum(path.ticks for path in paths)
             scores = sorted(path.best for path in paths)
             if stage == 0:
                 spread = scores[0] != scores[-1]
@@ -246,12 +232,12 @@ class Splitting:
             entrances = [_entrance(path, level) for path in paths if reached(path.best, level)]
         return (*found, 0.0), cost, spread
 
-    def repeat(self, make: Make, levels: Sequence[float], seed: int) -> Repeat:
+    def repeat(self, make: Make, levels: Sequence[float], seed: int) -> RareRepeat:
         entrances, shares, cost, spread = [START], list[float](), 0.0, True
         probability = 1.0
         for stage, level in enumerate(levels):
             paths = self._paths(make, entrances, level, seed, stage)
-            cost += sum(path.cost for path in paths)
+            cost += sum(path.ticks for path in paths)
             if stage == 0:
                 spread = len({path.best for path in paths}) > 1
             entrances = [_entrance(path, level) for path in paths if reached(path.best, level)]
@@ -259,11 +245,11 @@ class Splitting:
             probability *= shares[-1]
             if not entrances:
                 break
-        return Repeat(probability, tuple(shares), cost, spread)
+        return RareRepeat(seed, probability, tuple(shares), cost, spread)
 
     def _paths(
         self, make: Make, entrances: Sequence[Entrance], level: float | None, seed: int, stage: int
-    ) -> list[SplitPath]:
+    ) -> list[PartRow]:
         """N paths from entrances that are chosen at random; who is at the level already is not made again."""
         asks = []
         for n in range(self.effort):
@@ -276,8 +262,8 @@ class Splitting:
         found = []
         for ask, known in zip(asks, over, strict=True):
             best, state = ask.start
-            path = SplitPath(best, () if state is None else ((best, state),), 0.0) if known else next(made)
-            found.append(path if known else path._replace(best=min(path.best, best)))
+            path = PartRow(best, [] if state is None else [(best, state)], 0) if known else next(made)
+            found.append(path if known else structs.replace(path, best=min(path.best, best)))
         return found
 
 
@@ -286,7 +272,7 @@ def reached(score: float, level: float) -> bool:
     return score < 0.0 if level == 0.0 else score <= level
 
 
-def _entrance(path: SplitPath, level: float) -> Entrance:
+def _entrance(path: PartRow, level: float) -> Entrance:
     first = next(((best, state) for best, state in path.places if reached(best, level)), None)
     return Entrance(path.best, None) if first is None else Entrance(*first)
 

@@ -79,7 +79,8 @@ class Shrinker:
             if json.dumps(self._tree) == before:
                 break
         last = self._run([self._tree])[0]
-        return Shrunk(self._scenario(self._tree), self._check, (_found(first, self._check), _found(last, self._check)),
+        least = parse_scenario(json.dumps(self._tree), self._name)
+        return Shrunk(least, self._check, (_found(first, self._check), _found(last, self._check)),
                       len(self._rows), steps, last.digest or "")  # fmt: skip
 
     def _failed(self, row: Row, check: str | None) -> str:
@@ -194,9 +195,6 @@ class Shrinker:
         self._engine.make(tasks, take, lambda: self._tell(self._doing, len(self._rows)))
         none = Row(seed=self._tree["seed"], status=FAILED, reason="the runs are used up")
         return [self._rows.get(key, none) for key in keys]
-
-    def _scenario(self, tree: Tree) -> Scenario:
-        return parse_scenario(json.dumps(tree), self._name)
 
 
 def tree_of(scenario: Scenario) -> Tree:

@@ -77,11 +77,6 @@ def scale(quantity: Quantity) -> float:
     return 100.0 if quantity.kind == "share" else 1.0
 
 
-def rough(value: float) -> str:
-    """A number with the digits that a small text has room for."""
-    return f"{value:.{min(4, _decimals(value))}f}"
-
-
 def _decimals(value: float) -> int:
     size = floor(log10(abs(value))) if value else 0
     return max(0, 2 - max(size, 0)) if size >= -1 else 1 - size

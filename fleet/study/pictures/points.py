@@ -16,7 +16,6 @@ from fleet.logs.records import Array
 from fleet.study.errors import StudyError
 from fleet.study.measures import MEASURES, find_columns
 from fleet.study.plan import MOST_RUNS
-from fleet.study.row import Row
 from fleet.study.statistics import Estimate, median, pass_rate
 from fleet.study.store import Store
 from fleet.study.summary import DEFAULT
@@ -171,7 +170,9 @@ def load(store: Store, measures: Sequence[str] = ()) -> Points:
     numbers = {}
     for name in (PASSED, *columns):
         numbers[name] = np.full(state.shape, np.nan)
-        numbers[name][point, at] = [_passed(row) if name == PASSED else row.number(name) for row in rows]
+        numbers[name][point, at] = [
+            (nan if row.passed is None else float(row.passed)) if name == PASSED else row.number(name) for row in rows
+        ]
         numbers[name][~np.isfinite(numbers[name])] = np.nan
         if name in columns and columns[name].missing_is_largest:
             numbers[name][np.isnan(numbers[name]) & (state == MADE)] = np.inf
@@ -181,10 +182,6 @@ def load(store: Store, measures: Sequence[str] = ()) -> Points:
     )
     units = {name: column.unit for name, column in columns.items()}
     return Points(dimensions, keys, state, numbers, units)
-
-
-def _passed(row: Row) -> float:
-    return nan if row.passed is None else float(row.passed)
 
 
 def _distinct(values: Sequence[Any], ordered: bool) -> Sequence[Any]:

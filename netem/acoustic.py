@@ -162,7 +162,6 @@ class AcousticChannel:
         return min((tick for tick in ticks if tick < until), default=None)
 
     def _advance(self, station: Station, now: int, faults: ActiveFaults) -> None:
-        """Let a modem do what it does at a tick: take a payload, give up waiting for an answer, start."""
         src = station.vehicle
         transfer = self._transfers.get(src)
         if transfer is not None and station.start_tick is None and now >= transfer.deadline_tick:
@@ -227,7 +226,6 @@ class AcousticChannel:
     def _lose_unsent(
         self, src: int, sent: Waiting, tick: int, cause: Cause, receivers: Sequence[int] | None = None
     ) -> None:
-        """Record a payload as lost, before it is transmitted, on every link of its sender or to some receivers."""
         for dst in self._links.receivers[src] if receivers is None else receivers:
             self._transit.lose(Fate(tick, src, dst, sent.seq, 0, sent.sent_tick, tick, 0, cause, False, sent.payload))
 
@@ -305,7 +303,6 @@ class AcousticChannel:
         self._air.transmit(src, start, airtime)
 
     def _decide_receptions(self, until: int, faults: ActiveFaults) -> None:
-        """Decide every reception that ends by tick `until`; delete transmissions that can overlap no other."""
         ended = sorted(r for r in self._receptions if self._end_tick(r) <= until)
         self._receptions = [r for r in self._receptions if self._end_tick(r) > until]
         for r in ended:

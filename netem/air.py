@@ -51,7 +51,6 @@ class Air:
         return None if a is None or b is None else _distance(a, b)
 
     def transmit(self, src: int, start: int, airtime_ns: int) -> None:
-        """A vehicle begins to transmit at tick `start`."""
         reach = self._acoustic.modem_of(src).interference_range
         away = ((i, _distance(self.places[src], place)) for i, place in sorted(self.places.items()) if i != src)
         heard = tuple((i, r, self._acoustic.delay_ns(r)) for i, r in away if r <= reach)
@@ -106,7 +105,6 @@ class Air:
         self.bursts = sorted(burst for burst in self.bursts if self._last_ns(burst) > before_ns)
 
     def _last_ns(self, burst: Burst) -> int:
-        """The end of a transmission [ns] at the farthest vehicle that it can disturb."""
         farthest = max((delay for _, _, delay in burst.heard), default=0)
         return burst.start_tick * self._tick_ns + burst.airtime_ns + farthest
 

@@ -86,7 +86,6 @@ class WorldFaultKind(StrEnum):
 
     @property
     def numbers(self) -> int:
-        """How many values a fault of this kind has."""
         return _NUMBERS.get(self, 0)
 
 

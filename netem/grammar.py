@@ -320,7 +320,6 @@ def _whole(reader: _Reader, what: str, example: str, least: int, most: int = _MO
 
 
 def _percents(reader: _Reader, names: tuple[str, ...]) -> dict[str, float]:
-    """As many percentages as there are, in the order of the names."""
     found: dict[str, float] = {}
     for name in names:
         if not reader.value_follows():

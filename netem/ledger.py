@@ -57,7 +57,6 @@ class Ledger:
         self.accounts: dict[Link, Account] = {link: Account() for link in sorted(links)}
 
     def enter(self, link: Link, *, sent: int = 0, duplicated: int = 0) -> None:
-        """Count packets that entered a link."""
         account = self.accounts[link]
         account.sent += sent
         account.duplicated += duplicated

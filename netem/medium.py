@@ -128,7 +128,6 @@ class IndependentLinks:
         self._transit = transit
 
     def carry(self, round_: MediumRound) -> None:
-        """Let every payload into all links of its sender."""
         for src in sorted(round_.transmissions):
             for payload in round_.transmissions[src]:
                 for dst in self._links.receivers[src]:

@@ -125,7 +125,6 @@ class AcousticConfig:
     ranging: RangingConfig | None = None  # None: modems measure no ranges
 
     def modem_of(self, vehicle: int) -> Modem:
-        """The modem that a vehicle carries."""
         return self.modems.get(vehicle, self.modem) if self.modems else self.modem
 
     def longest(self, tick_ns: int, vehicle: int | None = None) -> int:

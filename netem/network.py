@@ -115,7 +115,6 @@ class Netem:
         self._links.models[link].condition = condition
 
     def condition(self, link: Link) -> Condition:
-        """The condition of a link now."""
         return self._links.models[link].condition
 
     def _book(self, fates: list[Fate]) -> tuple[Fate, ...]:

@@ -82,7 +82,6 @@ class Rounds:
         return out, LinkReport(tick, False, False, fates, memory)
 
     def _speakers(self, tick: int) -> list[int] | None:
-        """Those whose transmission of a round must come: who is alive and not suspended."""
         where = self._alive.get(tick)
         return None if where is None else [i for i in where.alive if i not in where.paused]
 

@@ -29,7 +29,6 @@ class PendingPacket(NamedTuple):
     corrupted: bool
 
     def fate(self, final_tick: int, cause: Cause, measured: MeasuredRange | None = None) -> Fate:
-        """The record of the packet once its fate is final."""
         return Fate(
             final_tick,
             self.src,
@@ -47,7 +46,6 @@ class PendingPacket(NamedTuple):
 
     @property
     def name(self) -> tuple[int, int, int, int]:
-        """The identity of the packet within a run."""
         return self.dst, self.src, self.seq, self.copy
 
 

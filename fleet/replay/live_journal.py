@@ -50,7 +50,6 @@ class Missing:
         self._totals = _unpack_counts(data)
 
     def of(self, topic: str) -> int:
-        """How many messages of a topic did not come."""
         return self._gaps.get(topic, 0) + self._to_come(topic)
 
     @property
@@ -65,7 +64,6 @@ class Missing:
 
     @property
     def count(self) -> int:
-        """How many messages did not come."""
         return self.lost + self.to_come
 
     def _to_come(self, topic: str) -> int:
@@ -140,11 +138,9 @@ class LiveJournal:
         self._came.set()
 
     def wait(self, limit_s: float) -> None:
-        """Until something comes, but no longer than so."""
         self._came.wait(limit_s)
 
     def take(self) -> list[JournalMessage]:
-        """The messages that have come, in their order."""
         self._came.clear()
         waiting, found = self._waiting, []
         for _ in range(len(waiting)):

@@ -105,7 +105,6 @@ class Replay:
             hand_out(bus, self.keys, topics, {schema.name: schema.data for schema in tape.schemas.values()}, units)
 
     def unmatched(self) -> list[str]:
-        """The keys without a subscriber so far."""
         return [self.key_of[n] for n, publication in self._publications.items() if not publication.matched]
 
     def play(self, keyboard: Keyboard, line: StatusLine) -> None:

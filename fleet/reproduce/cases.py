@@ -242,7 +242,6 @@ class Outcome:
 
     @property
     def tumbled(self) -> str:
-        """Which vehicles tumbled, and when for the first time; empty: none."""
         found = [(i, row["tumbled_s"]) for i, row in enumerate(self.metrics, start=1) if row["tumbled_s"] is not None]
         return "tumbled: " + ", ".join(f"UUV {i} at {t:.2f} s" for i, t in found) if found else ""
 

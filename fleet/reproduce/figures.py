@@ -142,7 +142,6 @@ def _by_vehicle(o: Outcomes, shown: Sequence[Line], key: str, label: str, until_
 
 
 def _periods(o: Outcomes, sea: str, key: str, label: str) -> Figure:
-    """The same under the periodic disturbance: on the left the start, on the right the last two periods."""
     figure, axes = panels(4, 2, share="col", height=7.2)
     shown = _controllers(sea)
     end_s = float(o[shown[0].case].t[-1])

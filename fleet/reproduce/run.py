@@ -84,7 +84,6 @@ def _run_all(workers: Workers, names: Sequence[str], times: Any, tell: Tell) -> 
 
 
 def _possible(figure: str, outcomes: dict[str, Outcome]) -> bool:
-    """Whether anything of a figure's sea was run; a figure that lacks a run says so when it is drawn."""
     return any(CASES[name].sea == FIGURES[figure][1] for name in outcomes)
 
 

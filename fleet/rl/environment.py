@@ -31,7 +31,6 @@ def name_of(i: int) -> str:
 
 
 def observed(scenario: Scenario, i: int, choices: Choices) -> spaces.Dict:
-    """The space of what agent i sees."""
     config = scenario.agent_config(i)
     each: dict[str, spaces.Space[Any]] = {"message": _box(choices.numbers or STATE), "age": _box(1, -1.0)}
     if scenario.acoustic is not None:
@@ -50,7 +49,6 @@ def observed(scenario: Scenario, i: int, choices: Choices) -> spaces.Dict:
 
 
 def decided(scenario: Scenario, i: int, choices: Choices) -> spaces.Dict:
-    """The space of what agent i decides."""
     config = scenario.agent_config(i)
     if choices.move == "velocity":
         low, high = config.guidance.rho_lo, config.guidance.rho_hi

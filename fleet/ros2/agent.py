@@ -102,7 +102,6 @@ class RosAgent:
         return tuple(payloads)
 
     def decide(self, nav: Nav, deliveries: list[Delivery]) -> Decision:
-        """The node's answer, within the limits of the actuators."""
         ns = nav.tick * self._settings.tick_ns
         for delivery in deliveries:
             self._rx.publish(self._received(nav, delivery))

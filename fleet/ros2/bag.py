@@ -155,7 +155,6 @@ def write_bag(log: Path, folder: Path, share: Tell = lambda _: None) -> tuple[li
 
 
 def _profile(qos: Qos) -> Any:
-    """As rosbags has it."""
     from rosbags.interfaces import Qos as Profile
     from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 

@@ -142,7 +142,6 @@ def vehicle_of(topic: str) -> tuple[int, str] | None:
 
 
 def is_source(topic: str) -> bool:
-    """Whether a topic of the log becomes a topic of ROS."""
     found = vehicle_of(topic)
     return f"uuv/*/{found[1]}" in SOURCES if found else topic in SOURCES and link_of(topic) is None
 
@@ -261,7 +260,6 @@ class MessageMaker:
         return np.array(values)
 
     def _none(self, size: int) -> Any:
-        """A covariance that is not known: zeros."""
         if size not in self._zeros:
             self._zeros[size] = self._array([0.0] * size)
         return self._zeros[size]

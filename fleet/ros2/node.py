@@ -159,7 +159,6 @@ class RosNode:
         return None if answer is None else self.types.decode(f"{type_name}_Response", answer)
 
     def publishers_of(self, topic: str) -> bool:
-        """Whether anybody publishes on a topic with the type that is known here."""
         entity = self._types_of[topic]
         mangled = topic.replace("/", "%")
         found = self._bus.tokens(f"{TOKENS}/{self.domain}/*/*/*/MP/*/*/*/{mangled}/**")

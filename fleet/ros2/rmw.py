@@ -30,7 +30,6 @@ class Qos(NamedTuple):
     transient_local: bool = False
 
     def __str__(self) -> str:
-        """As a token has it: reliability, durability, history and depth, then what is never set here."""
         return f"{'2' if self.best_effort else ''}:{'1' if self.transient_local else ''}:,{self.depth}:,:,:,,"
 
 
@@ -67,7 +66,6 @@ class Entity(NamedTuple):
 
 
 def node_token(domain: int, session: str, node: str) -> str:
-    """The key of the liveliness token of a node without a namespace."""
     return f"{TOKENS}/{domain}/{session}/0/0/NN/%/%/{node}"
 
 
@@ -96,7 +94,6 @@ def read_token(token: str) -> tuple[str, str, Entity] | None:
 
 
 def pack(attachment: Attachment) -> bytes:
-    """The bytes of an attachment, 33 of them."""
     return _ATTACHMENT.pack(attachment.sequence, attachment.sent_ns, _GID_BYTES, attachment.gid)
 
 

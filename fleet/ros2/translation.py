@@ -202,7 +202,6 @@ class Translation:
         return found + [(t.name, t) for t in OF_FLEET if t.name not in there or there[t.name] in self._classes]
 
     def __call__(self, topic: str, at_ns: int, data: bytes) -> Iterator[RosMessage]:
-        """The messages of ROS that a message of the journal becomes; none if it is damaged."""
         cls = self._classes.get(topic)
         if cls is None:
             return
@@ -265,7 +264,6 @@ class Translation:
         return found
 
     def diagnosed(self, at_ns: int) -> RosMessage:
-        """The present knowledge of faults and checks."""
         return self._message(DIAGNOSTICS, at_ns, self.diagnostics.message(at_ns))
 
     @staticmethod

@@ -174,7 +174,6 @@ class Borders:
         return [(row.point % len(self.places), row.passed) for row in rows if row.passed is not None]
 
     def value(self, position: float) -> float:
-        """The value at a position from 0 to 1."""
         scaled = self._first + position * self._span
         return float(10.0**scaled) if self.record.log else scaled
 

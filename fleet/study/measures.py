@@ -190,7 +190,6 @@ class SignalMeasure:
 
 
 def is_signal(name: str) -> bool:
-    """Whether the name of a measure is one of a signal's."""
     return " " in name.strip()
 
 

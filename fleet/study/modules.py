@@ -96,7 +96,6 @@ def packed(modules: Modules) -> Modules:
 
 
 def _imported_from(place: ModulePlace) -> list[str]:
-    """The files of modules that were imported from a folder of the user's: what its laws need."""
     folder = Path(place.folder).resolve()
     found = []
     for name, module in list(sys.modules.items()):

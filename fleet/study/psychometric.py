@@ -122,7 +122,6 @@ class Walk:
         self._start = sorted({0, round(last / 3), round(2 * last / 3), last})
 
     def next_runs(self, runs: Sequence[tuple[int, bool]]) -> list[int]:
-        """The numbers of the positions of the next batch; none: enough is known."""
         if not runs:
             return self._start
         posterior = self.curve.posterior(runs)

@@ -250,7 +250,6 @@ class Splitting:
     def _paths(
         self, make: Make, entrances: Sequence[Entrance], level: float | None, seed: int, stage: int
     ) -> list[PartRow]:
-        """N paths from entrances that are chosen at random; who is at the level already is not made again."""
         asks = []
         for n in range(self.effort):
             start = entrances[bits(seed, PURPOSE, stage, n, 0) % len(entrances)]

@@ -104,5 +104,4 @@ def read_record(directory: Path) -> StudyRecord:
 
 
 def axis_record(axis: Axis) -> AxisRecord:
-    """How study.json has an axis."""
     return AxisRecord(axis.key, axis.unit if axis.numeric else None)

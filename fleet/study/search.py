@@ -135,7 +135,6 @@ class _Search:
         return self._doubt is not None
 
     def has(self, seed: int) -> bool:
-        """Whether a seed that is not counted yet has a row."""
         return seed in self._waiting
 
     def repeats(self) -> Iterator[Task]:

@@ -37,14 +37,12 @@ class Rule(NamedTuple):
         return [] if self.column is None else [self.column.name]
 
     def estimate(self, rows: Iterable[Row]) -> Estimate:
-        """Of the rows of one point."""
         judged = [row for row in rows if row.has_result]
         if self.column is None:
             return pass_rate(sum(row.passed is True for row in judged), len(judged))
         return median([self.column.number(row.number(self.column.name)) for row in judged])
 
     def met(self, found: Estimate) -> bool:
-        """Whether an estimate is narrow enough."""
         margin = self.margin * abs(found.value) if self.relative else self.margin
         return found.low == found.high or found.half <= margin
 

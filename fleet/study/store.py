@@ -204,7 +204,6 @@ class Store:
         return found
 
     def _connect(self, mode: str) -> sqlite3.Connection:
-        """Open the database with `ro` or `rw`; the first time also check it. Raises StudyError."""
         try:
             about = self._file.stat()
             if not S_ISREG(about.st_mode):
@@ -286,7 +285,6 @@ class Store:
 
     @property
     def folder(self) -> Path | None:
-        """Where laws are looked for besides the current directory."""
         return None if self.record.folder is None else Path(self.record.folder)
 
     @cached_property

@@ -69,7 +69,6 @@ def refuse_study(name: str) -> None:
 
 
 def is_study(source: Source) -> bool:
-    """Whether a text is a study rather than a scenario."""
     root, _ = read(source)
     return isinstance(root, Mapping) and _KEY in root.entries
 
@@ -107,11 +106,9 @@ class _Reader:
         self.problems.append(place.problem(message, hint))
 
     def expected(self, what: str, node: Node, key: str) -> None:
-        """Tell that a value is something else."""
         self.tell(node.place, f"{key}: expected {what}, got {describe_value(plain(node))}")
 
     def study(self, node: Node) -> dict[str, Any]:
-        """The values by key, without the wrong ones."""
         if not isinstance(node, Mapping):
             self.expected("a mapping with at least a scenario", node, _KEY)
             return {}
@@ -174,7 +171,6 @@ def is_file(scenario: str, folder: Path = Path()) -> bool:
 
 
 def _nested(text: str) -> Any:
-    """A mapping or list where the text is exactly that, so that reading the file gives the same text again."""
     if _NESTED.match(text):
         node, problems = read(Source("", text))
         if not problems and isinstance(node, Mapping | Items) and inline(plain(node)) == text:

@@ -58,7 +58,6 @@ class Progress:
 
     @property
     def passing(self) -> Estimate:
-        """The share of all runs so far, of whatever point, that passed."""
         return pass_rate(self.passed, self.judged)
 
     def count(self, row: Row) -> None:
@@ -267,7 +266,6 @@ def _tasks(store: Store, needed: Mapping[int, int], done: Set[tuple[int, int]], 
 
 
 def task_of(point: StudyPoint, seed: int, like: Task, log: str = "") -> Task:
-    """The run of a point with a seed; the rest of it is as in another one."""
     key = run_key(f"{point.scenario}\nseed {seed}")
     return like._replace(key=key, point=point.number, seed=seed, text=point.scenario, log=log)
 
@@ -350,7 +348,6 @@ def point_warnings(plan: Plan, scenarios: Sequence[Scenario]) -> list[str]:
 
 
 def _same(problem: Problem, point: Point) -> str:
-    """A text that is the same for the same mistake of another point."""
     words = _without_values(f"{problem.message}\n{problem.hint}", point)
     if problem.file.startswith("--"):  # its value may be the one that is varied, so columns differ
         return f"{_without_values(problem.file, point)}\n{words}"

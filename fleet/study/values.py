@@ -38,7 +38,6 @@ _UNIT = "|".join(map(re.escape, _UNITS))
 
 
 def _quantity(name: str) -> str:
-    """The pattern of a number and a unit, as groups `name` and `name_unit`."""
     return rf"(?P<{name}>{NUMBER.pattern})(?:\s*(?P<{name}_unit>{_UNIT}))?"
 
 

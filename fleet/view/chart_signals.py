@@ -35,7 +35,6 @@ class ChartSignal(NamedTuple):
     absolute: bool = False
 
     def value(self, message: Any) -> float | None:
-        """A signal's value in a message; None: it has none."""
         value = getattr(message, self.field)
         if self.component is None:
             return hypot(*(value if isinstance(value, Collection) else [value])) if self.absolute else float(value)

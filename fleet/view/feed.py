@@ -65,7 +65,6 @@ def checks_so_far(rows: list[Row]) -> Row:
 
 
 def checks_asked(scenario: Scenario) -> Row:
-    """The checks of a scenario as it writes them, none of them judged."""
     checks = yaml.safe_load(scenario.to_yaml()).get("checks") or {}
     rows = [{"check": name, "asked": _words(value), "passed": None, "found": ""} for name, value in checks.items()]
     return checks_so_far(rows)

@@ -47,7 +47,6 @@ class LogBridge:
         self._begun = False
 
     def run(self, keyboard: Keyboard, line: StatusLine) -> None:
-        """Play until an exception ends it."""
         while True:
             now = time.monotonic_ns()
             if away := keyboard.suspended_ns():

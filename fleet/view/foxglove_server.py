@@ -124,7 +124,6 @@ class FoxgloveServer:
 
     @property
     def viewers(self) -> int:
-        """How many clients want any message."""
         return len({client for _, client in self._wanted})
 
     @property
@@ -172,7 +171,6 @@ class FoxgloveServer:
         self._server.clear_session()
 
     def say(self, text: str, *, warning: bool = False) -> None:
-        """Show a sentence in every viewer."""
         self._server.publish_status(text, StatusLevel.Warning if warning else StatusLevel.Info)
 
     def fell_behind(self) -> bool:

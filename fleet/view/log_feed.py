@@ -120,7 +120,6 @@ def _one(signal: ChartSignal, values: Array) -> Array:
 
 
 def _column(log: Log, name: str, field: str) -> tuple[Array, Array]:
-    """Times [s] and values; none if the log has none that can be read."""
     try:
         topic = log[name]
         if len(topic) and np.issubdtype(topic[field].dtype, np.number) and topic[field].size:

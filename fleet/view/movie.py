@@ -142,7 +142,6 @@ def _grab(writer: GifWriter | FFMpegWriter, drawn: Iterator[int], tell: Callable
 
 
 def _charted(feed: LogFeed, name: str) -> tuple[str, dict[int, str]]:
-    """Unit and names by vehicle of a signal that all vehicles have."""
     names = feed.signals.of_all(name)
     return feed.signals.by_name[next(iter(names.values()))].unit, names
 

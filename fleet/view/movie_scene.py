@@ -101,7 +101,6 @@ class Canvas:
         self._add(LineCollection(segments, colors=colours, linewidths=widths, zorder=order, **style))
 
     def polygons(self, parts: Sequence[Any], order: float, **style: Any) -> None:
-        """Filled outlines (n, 2)."""
         self._add(PolyCollection(parts, zorder=order, **style))
 
     def discs(self, points: Sequence[Array], size: float, order: float, **style: Any) -> None:
@@ -141,7 +140,6 @@ class Canvas:
         return self._camera.project(frames[point.frame] + point[1:])[0, :2]
 
     def _cylinder(self, thing: CylinderShape, colour: str, deep: float) -> None:
-        """Its circles on the floor and above, and the sides between."""
         top = max(0.0, self._camera.centre[2] - 1.5 * self._camera.radius)
         across = thing.north + thing.radius * np.cos(TURNS), thing.east + thing.radius * np.sin(TURNS)
         low, high = (self._camera.project(np.column_stack([*across, np.full_like(TURNS, z)])) for z in (deep, top))
@@ -152,7 +150,6 @@ class Canvas:
 
 
 def sample(row: LegendRow) -> Line2D:
-    """The sample picture in a row of the legend."""
     if row.sign == "link":
         colour, width, dash = PRINT.links[LinkState(row.word)]
         return Line2D([], [], color=colour, linewidth=width, linestyle=(0, dash) if dash else "-", label=row.name)
@@ -167,7 +164,6 @@ def sample(row: LegendRow) -> Line2D:
 
 
 def hull(tail: Array, nose: Array, half: float) -> Array:
-    """The outline of a torpedo between two points."""
     along = nose - tail
     aside = np.array([-along[1], along[0]]) / (np.linalg.norm(along) or 1.0) * half
     sides = [tail + share * along + sign * wide * aside for sign in (1, -1) for share, wide in OUTLINE[::sign]]
@@ -499,13 +495,11 @@ def _short(text: str, most: int) -> str:
 
 
 def _step(value: float) -> float:
-    """The next lower of 1, 2, 5, 10, ..."""
     power = 10.0 ** floor(log10(value))
     return power * max(digit for digit in (1.0, 2.0, 5.0) if digit * power <= value)
 
 
 def _axis(row: list[Any], length: float) -> Array:
-    """Tail and nose of a vehicle of a frame (2, 3) [m]."""
     north, east, down, pitch, heading = row[1:6]
     half = length / 2 * np.array([cos(pitch) * cos(heading), cos(pitch) * sin(heading), -sin(pitch)])
     place = np.array([north, east, down])

@@ -64,12 +64,10 @@ def inject(words: str, lasts: str, run: str) -> str:
 
 
 def heal(name: str | None, run: str) -> str:
-    """The command that heals a fault, or all."""
     return shlex.join(["fleet", "heal", *([name] if name else []), "--run", run])
 
 
 def clock(do: str, value: float | None, run: str) -> str:
-    """The command that holds, steps or paces a run."""
     number = "max" if do == "speed" and value is None else "" if value is None else f"{value:g}"
     return shlex.join(["fleet", "clock", do, *([number] if number else []), "--run", run])
 
@@ -110,7 +108,6 @@ class FaultForm:
             self._lasts.on("keydown.enter", self._go)
 
     def open(self, kind: str, said: Row) -> None:
-        """Show it for what was clicked."""
         offered: dict[str, str] = {}
         match kind:
             case "link":
@@ -400,7 +397,6 @@ class Viewer:
                 self._play(feed, said)
 
     async def _give_whole(self) -> None:
-        """The curves of a log, as far as they are shown; those of the newest question come last."""
         feed = self._page.feed
         if isinstance(feed, LogFeed):
             async with self._page.wholes:

@@ -67,7 +67,6 @@ class PageProcess:
 
 
 def main() -> None:
-    """Show the run of a console until stdin ends."""
     values = json.loads(sys.stdin.buffer.readline())
     told: Queue[Path] = Queue()
     threading.Thread(target=_listen, args=(told,), daemon=True).start()

@@ -157,7 +157,6 @@ class PageListener:
 
     @property
     def address(self) -> str:
-        """The address to open, with the token."""
         host = self.host
         name = socket.gethostname() if _is_any(host) else f"[{host}]" if ":" in host else host
         return f"http://{name}:{self.port}/?token={self.token}"
@@ -272,7 +271,6 @@ class Browser:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine reaches an address."""
     try:
         return ip_address(host).is_loopback
     except ValueError:

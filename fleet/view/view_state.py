@@ -228,12 +228,10 @@ class ViewState:
         return [i, *_rounded(self._places[i]), *_rounded((theta, psi)), speed, *_rounded(roll)]
 
     def _label(self, i: int, state: str) -> tuple[int, str, str]:
-        """The vehicle, its number and what is wrong with it, and its depth, unless there is no room for it."""
         depth = "" if self.scenario.vehicles > MANY else depth_text(self._places[i][2])
         return i, f"{i}  {state}" if state else f"{i}", depth
 
     def frame(self) -> Row:
-        """The picture now, with the packets and samples that came since the frame before."""
         t = self.at_s
         errors, states = _errors(self.errors()), self._states()
         row: Row = {

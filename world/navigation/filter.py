@@ -236,7 +236,6 @@ class NavigationFilter:
         return sqrt(max(0.0, self.p[i][i]))
 
     def memory(self) -> list[list[float]]:
-        """All that the next steps depend on; settled or not."""
         since = [self.north, self.east, self.time, self.drifting]
         own = [float(self.mode), float(self.refused), *since, *map(float, self.kept)]
         return [list(self.x), own, *(list(row) for row in self.p)]

@@ -113,7 +113,6 @@ class Instruments:
         return True
 
     def pressure(self, tick: int) -> None:
-        """Draw a new error of the depth, if it is time."""
         if due(tick, self._tick_ns, self._depth_ns):
             self.depth = self._depth_sample(tick)
 

@@ -92,7 +92,6 @@ class Navigator:
             raise OverflowError("the estimate is not finite")
 
     def _velocity(self, state: State, phi: float) -> list[float]:
-        """The velocity [m/s, body] that the DVL measures: over ground, or through the water."""
         measure = self._instruments
         own = [state[5], state[6], state[7]]
         if measure.mode == WATER:
@@ -129,7 +128,6 @@ class Navigator:
         return (p[N][N], p[N][E], 0.0, p[N][PSI], p[E][E], 0.0, p[E][PSI], depth, 0.0, p[PSI][PSI])
 
     def take_fixes(self) -> tuple[Fix, ...]:
-        """The fixes since the last call."""
         if not self._tell:
             return ()
         taken = tuple(self._tell)

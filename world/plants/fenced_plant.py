@@ -119,7 +119,6 @@ class FencedPlant:
         self._take(tick, self._plant.pose, self._fence.call(tick, self._observed, self.state))
 
     def _moved(self, tau: Vec3, current: Vec3, wrenches: Iterable[Vec6], dt: float) -> tuple[Any, Any, Any, Any]:
-        """The plant's result for the next tick; only its state if the result cannot be used."""
         state, step, size = self.state, self._plant.step, len(self.state)
         for wrench in wrenches:
             answer = step(state, tau, Water(current, wrench), dt)

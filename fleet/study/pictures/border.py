@@ -57,7 +57,6 @@ def write_borders(borders: Borders, theories: Sequence[Theory]) -> Path:
 
 
 def _across(borders: Borders, every: Sequence[_One], varied: Sequence[AxisRecord], across: AxisRecord) -> Figure:
-    """One numeric key to the right; the last of the others as lines, the first as columns, the rest as rows."""
     *outer, lines = [axis for axis in varied if axis is not across] or [across]
     columns = _kinds(every, outer[:1])
     rows = _kinds(every, outer[1:])

@@ -61,7 +61,6 @@ def quantity_label(quantity: Quantity, width: int = WRAPPED) -> str:
 
 
 def interval_label(quantity: Quantity) -> str:
-    """The meaning of a picture's intervals, with their level."""
     if quantity.kind == "share":
         return f"{100 * CONFIDENCE:g} % interval"
     level = levels(cell.estimate for cell in quantity.cells.values())
@@ -73,7 +72,6 @@ def columns_of(panels: int) -> int:
 
 
 def scale(quantity: Quantity) -> float:
-    """The factor of numbers before they are shown."""
     return 100.0 if quantity.kind == "share" else 1.0
 
 
@@ -100,7 +98,6 @@ class Digits:
         return self._shown(estimate.value)
 
     def interval(self, estimate: Estimate) -> str:
-        """As `0.3..0.5`."""
         return f"{self._shown(estimate.low)}..{self._shown(estimate.high)}"
 
 

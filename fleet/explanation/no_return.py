@@ -138,7 +138,6 @@ def with_moments(scenario: Scenario) -> Scenario:
 
 
 def _every(scenario: Scenario) -> int:
-    """Ticks between two moments."""
     grid = snapshot_grid(scenario.spec)
     a_second = min(_EVERY_NS // scenario.tick_ns, scenario.ticks // _LEAST_MOMENTS)
     wanted = max(a_second, ceil(scenario.ticks / _MOST_MOMENTS))

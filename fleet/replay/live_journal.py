@@ -47,7 +47,10 @@ class Missing:
 
     def end(self, data: bytes) -> None:
         """The publisher's last sample; one of another form is ignored."""
-        self._totals = _unpack_counts(data)
+        try:
+            self._totals = {str(topic): int(count) for topic, count in msgpack.unpackb(data).items()}
+        except Exception:  # msgpack raises half a dozen unrelated types for bad bytes
+            self._totals = {}
 
     def of(self, topic: str) -> int:
         return self._gaps.get(topic, 0) + self._to_come(topic)
@@ -79,14 +82,6 @@ def pack_counts(counts: dict[str, int]) -> bytes:
     """The publisher's last sample: how many messages each topic had."""
     data: bytes = msgpack.packb(counts)
     return data
-
-
-def _unpack_counts(data: bytes) -> dict[str, int]:
-    try:
-        counts = msgpack.unpackb(data)
-        return {str(topic): int(count) for topic, count in counts.items()}
-    except Exception:  # msgpack raises half a dozen unrelated types for bad bytes
-        return {}
 
 
 MOST_WAITING = 50_000  # messages between two looks

@@ -225,16 +225,13 @@ def _convergence(sea: str, where: str) -> Callable[[Outcomes], Claim]:
             for name in OPTIMISED
             for key, limit in (("settle_10pct_s", "10 % of the initial error"), ("settle_5cm_s", "5 cm"))
         ]
+        crossing = " Who keeps crossing 5 cm in every period of the disturbance has not settled, however long the run."
         return Claim(
             f"The controllers with online optimisation converge faster, clearly for UUVs 2-4 ({sea}).",
             where,
             tuple(checks),
             "The printed cost penalises rho instead of its difference from the reference velocity, so near the goal "
-            "the gain falls to its floor (docs/background/paper.md, G10). Who keeps crossing 5 cm in every period of "
-            "the disturbance has not settled, however long the run."
-            if sea == D
-            else "The printed cost penalises rho instead of its difference from the reference velocity, so near the "
-            "goal the gain falls to its floor (docs/background/paper.md, G10).",
+            "the gain falls to its floor (docs/background/paper.md, G10)." + (crossing if sea == D else ""),
         )
 
     return claim

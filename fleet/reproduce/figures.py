@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from math import pi
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -103,16 +104,13 @@ def _controllers(sea: str) -> list[Line]:
     return [Line(f"{name}-{sea}", name, COLOURS[number], OF_CONTROLLERS[name]) for number, name in enumerate(NAMES)]
 
 
-def consensus_errors(o: Outcomes, sea: str) -> Figure:
-    """|e_i| of each vehicle under the five controllers."""
-    label = "consensus error |e| [m]"
-    return _by_vehicle(o, _controllers(sea), "e", label, START_S) if sea == U else _periods(o, sea, "e", label)
+def errors(o: Outcomes, sea: str, key: str, label: str, until_s: float) -> Figure:
+    """|e_i| or z_i of each vehicle under the five controllers."""
+    return _by_vehicle(o, _controllers(sea), key, label, until_s) if sea == U else _periods(o, sea, key, label)
 
 
-def velocity_errors(o: Outcomes, sea: str) -> Figure:
-    """z_i of each vehicle under the five controllers."""
-    label = "z [m/s, rad/s]"
-    return _by_vehicle(o, _controllers(sea), "z", label, FAST_S) if sea == U else _periods(o, sea, "z", label)
+consensus_errors = partial(errors, key="e", label="consensus error |e| [m]", until_s=START_S)
+velocity_errors = partial(errors, key="z", label="z [m/s, rad/s]", until_s=FAST_S)
 
 
 def readings(o: Outcomes, sea: str) -> Figure:

@@ -26,7 +26,6 @@ from fleet.ros2.types import RosTypes
 from fleet.scene.primitives import NED
 
 OK, WARN, ERROR, STALE = 0, 1, 2, 3  # diagnostic_msgs/DiagnosticStatus
-MOST_FAULTS = 10_000  # faults that are kept: a log may come from a stranger
 
 
 class Diagnostics:
@@ -37,8 +36,6 @@ class Diagnostics:
 
     def fault(self, event: Any) -> None:
         lasts = event.action == "begins"
-        if lasts and len(self._faults) >= MOST_FAULTS:
-            del self._faults[next(iter(self._faults))]
         if lasts or event.fault in self._faults:
             self._faults[event.fault] = (WARN, event.what) if lasts else (OK, f"over: {event.what}")
 
@@ -74,18 +71,11 @@ def _check(row: Mapping[str, Any]) -> tuple[int, str, str]:
 CUBE, SPHERE, CYLINDER, LINE_STRIP, TEXT = 1, 2, 3, 4, 9  # visualization_msgs/Marker
 LINE_M = 0.15  # a line has its width in pixels, and a marker in metres
 TEXT_M = 1.0
-MOST_MARKERS = 20_000  # markers of one message
 
 
 def marker_array(maker: MessageMaker, ns: int, scene: Any) -> Any:
-    """Markers of a scene at a time [ns]; a link's state is the text of its line. Raises ValueError: the scene has more
-    than is taken."""
-    found = []
-    for marker in _markers(maker, ns, scene):
-        found.append(marker)
-        if len(found) > MOST_MARKERS:
-            raise ValueError(f"a scene of more than {MOST_MARKERS} markers")
-    return maker.types.new("visualization_msgs/msg/MarkerArray", markers=found)
+    """Markers of a scene at a time [ns]; a link's state is the text of its line."""
+    return maker.types.new("visualization_msgs/msg/MarkerArray", markers=list(_markers(maker, ns, scene)))
 
 
 def _markers(maker: MessageMaker, ns: int, scene: Any) -> Iterator[Any]:

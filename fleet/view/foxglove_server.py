@@ -254,6 +254,10 @@ def _service(offer: ServiceOffer) -> Service:
             raise FleetError(f"{offer.name} takes a JSON object") from None
         if not isinstance(asked, dict):
             raise FleetError(f"{offer.name} takes a JSON object")
+        known = offer.request.get("properties", asked)  # a schema without them says nothing of keys
+        if unknown := [key for key in asked if key not in known]:
+            name = offer.name.rpartition("/")[2]
+            raise FleetError(f"{name} takes {', '.join(known) or 'nothing'}, not {unknown[0]:.40}")
         return json.dumps(offer.call(asked)).encode()
 
     return Service(

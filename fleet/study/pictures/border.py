@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from math import isfinite
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -83,7 +83,7 @@ def _across(borders: Borders, every: Sequence[_One], varied: Sequence[AxisRecord
             ax.set_xlabel(_label(across))
         if column == 0:
             ax.set_ylabel(_label(borders.along))
-    _legend(borders, figure, kinds, any(one.theory.reckoning is not None for one in every), single=len(kinds) == 1)
+    _legend(borders, figure, kinds, every, single=len(kinds) == 1)
     return figure
 
 
@@ -95,7 +95,7 @@ def _line(ax: Axes, borders: Borders, line: Sequence[_One], at: Sequence[int], k
     low = [max(bottom, min(one.border.low, top)) for one in line]
     high = [min(top, max(one.border.high, bottom)) for one in line]
     ax.fill_between(x, low, high, color=colour, alpha=0.12, linewidth=0)
-    ax.plot(x, y, color=colour, linestyle=_style(k), linewidth=NORMAL)
+    ax.plot(x, y, color=colour, linestyle=STYLES[k % len(STYLES)], linewidth=NORMAL)
     for place, one, value, least, most in zip(x, line, y, low, high, strict=True):
         mark = {"above": "^", "below": "v"}.get(one.border.where, _MARKS[k % len(_MARKS)])
         ax.plot([place, place], [least, most], color=colour, linewidth=NORMAL)
@@ -131,7 +131,7 @@ def _below_each_other(borders: Borders, every: Sequence[_One], varied: Sequence[
     ax.set_ylim(len(every) - 0.4, -0.6)
     ax.set_xlim(*_limits(borders))
     ax.set_xlabel(_label(borders.along))
-    _legend(borders, figure, [{}], any(one.theory.reckoning is not None for one in every), single=True)
+    _legend(borders, figure, [{}], every, single=True)
     return figure
 
 
@@ -145,11 +145,11 @@ def _runs(ax: Axes, borders: Borders, runs: Sequence[Run], at: int) -> None:
 
 
 def _legend(
-    borders: Borders, figure: Figure, kinds: Sequence[dict[str, float | str]], reckoning: bool, *, single: bool
+    borders: Borders, figure: Figure, kinds: Sequence[dict[str, float | str]], every: Sequence[_One], *, single: bool
 ) -> None:
     handles = [
-        Line2D([], [], color=COLOURS[k % len(COLOURS)], linestyle=_style(k), marker=_MARKS[k % len(_MARKS)],
-               markersize=4, label=_words(borders, kind))
+        Line2D([], [], color=COLOURS[k % len(COLOURS)], linestyle=STYLES[k % len(STYLES)],
+               marker=_MARKS[k % len(_MARKS)], markersize=4, label=_words(borders, kind))
         for k, kind in enumerate(kinds) if kind
     ]  # fmt: skip
     if single:
@@ -160,13 +160,9 @@ def _legend(
     hollow = Line2D([], [], color="0.3", linestyle="", marker="o", markerfacecolor="white", markersize=4,
                     label="hollow: the linear loop is unstable without loss")  # fmt: skip
     handles += [hollow, Line2D([], [], color="0.3", linestyle="", marker="^", markersize=4, label="beyond the range")]
-    if reckoning:
+    if any(one.theory.reckoning is not None for one in every):
         handles.append(Line2D([], [], color="0.3", linestyle=":", label="K τ ρ(A) = 1, τ with mean age under loss"))
     figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=LABEL_PT + 0.5)
-
-
-def _style(k: int) -> Any:
-    return STYLES[k % len(STYLES)]
 
 
 def _shunting(ones: Sequence[_One]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from itertools import chain, count
 from pathlib import Path
 from typing import NamedTuple
@@ -37,33 +38,25 @@ def draw(points: Points, log_scale: bool | None = None, share: Tell = lambda _: 
     have a logarithmic axis; None: numbers of a wide range have one. `share`: called before each picture with the share
     that is done."""
     measures = [name for name in points.numbers if name != PASSED]
-    todo: list[tuple[str, str, Callable[[], Iterator[Figure]]]] = []
+    todo: list[tuple[str, str, Callable[[], Quantity], bool | None]] = []
     if points.product:
-        todo = [(name, points.words(name), _pages(points, name, log_scale)) for name in points.numbers]
+        todo = [(name, points.words(name), partial(points.quantity, name), log_scale) for name in points.numbers]
     for place in factors(points):
         for name in measures:
             key = printable(points.dimensions[place].key)
             title = f"{points.words(name)}, values of {key} in pairs of runs with the same seed"
-            todo.append((f"compare-{_slug(key)}-{_slug(name)}", title, _pairs(points, place, name)))
+            todo.append((f"compare-{_slug(key)}-{_slug(name)}", title, partial(points.differences, place, name), None))
     taken: set[str] = set()
     if not points.product:
         reason = "its points are a sample and no grid; fleet.open_study(DIR).to_pandas() has every run"
         yield Picture("passed", points.words(PASSED), reason)
-    for number, (name, title, make) in enumerate(todo):
+    for number, (name, title, quantity, scale) in enumerate(todo):
         share(number / len(todo))
         try:
-            for figure in make():
+            for figure in _drawn(quantity(), scale):
                 yield Picture(_free(_slug(name), taken), title, figure)
         except NothingToDraw as reason:
             yield Picture(printable(name), title, str(reason))
-
-
-def _pages(points: Points, name: str, log_scale: bool | None) -> Callable[[], Iterator[Figure]]:
-    return lambda: _drawn(points.quantity(name), log_scale)
-
-
-def _pairs(points: Points, place: int, name: str) -> Callable[[], Iterator[Figure]]:
-    return lambda: _drawn(points.differences(place, name), None)
 
 
 def _drawn(quantity: Quantity, log_scale: bool | None) -> Iterator[Figure]:

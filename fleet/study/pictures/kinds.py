@@ -41,6 +41,7 @@ from fleet.study.pictures.marks import (
     room,
     scale,
     text,
+    used,
 )
 from fleet.study.pictures.points import Cell, Quantity, Value, value_words
 from fleet.study.statistics import Estimate
@@ -64,18 +65,12 @@ def boxes(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale:
     label = axis_label(layout.dimensions[layout.axes[0]]) if layout.axes else ""
     height = rows * max(_ROW_IN * drawn.count + 0.55, text_width_pt(label, TEXT_PT) / 72.0 + 0.1) + 0.3
     figure, axes = panels(rows, columns, COLUMN_IN if columns == 1 else PAGE_IN, height, share=False)
-    for k, ax in enumerate(axes):
-        if k >= len(shown):
-            ax.set_visible(False)
-            continue
+    for k, ax, panel in used(axes, shown):
         if quantity.kind == "difference":
             ax.axvline(0.0, color="0.45", linewidth=0.7, linestyle=(0, (4, 3)))
-        lacking = drawn.panel(ax, shown[k])
-        drawn.scales(ax, log_scale, lacking=lacking)
+        drawn.scales(ax, log_scale, lacking=drawn.panel(ax, panel))
         if k % columns == 0:
             ax.set_ylabel(label)
-        if shown[k].title:
-            ax.set_title(shown[k].title)
     figure.supxlabel(quantity_label(quantity, _WORDS if columns == 1 else 2 * _WORDS), fontsize=TEXT_PT)
     drawn.lacks.draw(lambda ax: ax.get_yaxis_transform())
     legend(figure, drawn.handles())
@@ -174,22 +169,17 @@ def curves(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale
     columns = columns_of(len(shown))
     rows = -(-len(shown) // columns)
     figure, axes = panels(rows, columns, COLUMN_IN if columns == 1 else PAGE_IN, 2.1 * rows + 0.2, share=False)
-    for k, ax in enumerate(axes):
-        if k >= len(shown):
-            ax.set_visible(False)
-            continue
+    for k, ax, panel in used(axes, shown):
         if quantity.kind == "difference":
             limit(ax, 0.0)
         strips = 0
         for number in range(len(drawn.names)):
-            strips += drawn.line(ax, shown[k], number, strips)
+            strips += drawn.line(ax, panel, number, strips)
         drawn.scales(ax, strips, log_scale)
         if k % columns == 0:
             ax.set_ylabel(quantity_label(quantity))
         if k + columns >= len(shown):
             ax.set_xlabel(axis_label(drawn.along))
-        if shown[k].title:
-            ax.set_title(shown[k].title)
     drawn.lacks.draw(lambda ax: ax.get_xaxis_transform())
     legend(figure, drawn.handles())
     return figure
@@ -330,9 +320,8 @@ def heat(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale: 
         drawings.append(_widths(quantity, tables))
     for number, (of, norm, colours, label) in enumerate(drawings):
         part = axes[number * rows * columns : (number + 1) * rows * columns]
-        for ax in part[len(shown) :]:
-            ax.set_visible(False)
-        for k, (ax, panel, table) in enumerate(zip(part, shown, tables, strict=False)):
+        for k, ax, _ in used(part, shown):
+            table = tables[k]
             image = [[np.nan if cell is None else of(cell.estimate) for cell in row] for row in table]
             found = np.array(image)
             _cells(ax, np.where(np.isfinite(found), found, np.nan), norm, colours)
@@ -350,8 +339,6 @@ def heat(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale: 
                 ax.set_ylabel(fill(axis_label(y), max(10, int(max(cells, 0.7) * 72.0 / _CHARACTER_PT))))
             if k + columns >= len(shown):
                 ax.set_xlabel(axis_label(x))
-            if panel.title:
-                ax.set_title(panel.title)
         bar = figure.colorbar(part[0].images[0], ax=part, location="top", aspect=25 * columns, pad=0.03, fraction=0.08)
         bar.set_label(label)
         bar.ax.grid(False)

@@ -136,6 +136,16 @@ class Lacks:
         ]
 
 
+def used(axes: Sequence[Axes], shown: Sequence[Panel]) -> Iterator[tuple[int, Axes, Panel]]:
+    """The axes that have a panel, with its title; the others are not seen."""
+    for ax in axes[len(shown) :]:
+        ax.set_visible(False)
+    for number, (ax, panel) in enumerate(zip(axes, shown, strict=False)):
+        if panel.title:
+            ax.set_title(panel.title)
+        yield number, ax, panel
+
+
 def room(ax: Axes, axis: Literal["x", "y"], share: float) -> None:
     """Leave a share of an axis free of what is drawn: of x at the right, of y below."""
     low, high = ax.get_xlim() if axis == "x" else ax.get_ylim()

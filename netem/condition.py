@@ -91,7 +91,6 @@ def condition_from_values(values: dict[str, Any]) -> Condition:
 # The sum ends when what is left is below 1e-12, and after 4096 terms, which only a rho below 0.5 % needs: then the
 # error is below 3e-5. With rho = 1 nothing ever changes: all or nothing, all with probability p.
 
-
 _TERMS = 4096
 _NEGLIGIBLE = 1e-12
 _SMALL = 0.1  # below this width the logarithm of sin(z)/z is its first four terms, of z^2, z^4, ...

@@ -36,7 +36,6 @@ class Cause(StrEnum):
 
 LOSSES = tuple(cause for cause in Cause if cause not in (Cause.DELIVERED, Cause.IN_FLIGHT))
 
-
 FaultKind = Literal["link", "down", "up", "partition", "mute", "deaf", "slow", "clock"]
 
 

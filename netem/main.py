@@ -21,7 +21,6 @@ from netem.wire.shell import Item, end_with_link, read_map
 # --- realtime process
 # The netem process of a realtime run: in the middle of each tick it hands out what is due at the next.
 
-
 REST_S = 0.1
 MOST_REST = 10_000
 

@@ -21,7 +21,6 @@ from netem.wire.messages import Fate
 # --- links
 # The directed links of a run: the receivers of each vehicle, the effect and the packet counts of each link.
 
-
 PERFECT = Condition()
 
 

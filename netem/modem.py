@@ -32,7 +32,6 @@ class Curve:
 # --- ranging
 # How modems measure ranges, as configured; `netem.ranges` measures them.
 
-
 Method = Literal["one-way", "two-way"]
 
 

@@ -56,7 +56,6 @@ from world.vectors import Vec3
 #
 # with the w that makes the trace of P+ least. A result that is not better than P is not used.
 
-
 Covariance = tuple[float, float, float]  # of north and east: nn, ne, ee [m^2]
 _LEAST_RANGE = 0.1  # m; nearer, a range has no direction
 _WEIGHTS = tuple(1.0 - 2.0 ** (-0.5 * k) for k in range(1, 25))  # of the own position: 0.29 to 0.9998
@@ -169,7 +168,6 @@ def _update(covariance: Covariance, n: float, e: float, noise: float) -> tuple[f
 # range adds half the difference of its normalised innovations squared. These are the likelihoods of a static
 # multiple-model estimator (Bar-Shalom, Li and Kirubarajan 2001, ch. 11.6). The determinants of both innovations are
 # nearly the same, so they are left out.
-
 
 Place = tuple[float, float]  # north, east [m]
 LEAST_SPREAD_M = 10.0  # of the line, as a standard deviation: with less its direction is not known

@@ -25,7 +25,6 @@ CHECK_S = 3  # simulated time of the distributed run that is compared with the i
 
 _shared: Any = None  # in a worker: simulated seconds of each case
 
-
 Tell = Callable[[str, float], None]  # (what is going on, share of everything that is done)
 
 

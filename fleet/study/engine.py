@@ -103,7 +103,6 @@ def _reason(task: Task, error: BaseException) -> str:
 
 # The workers of a Dask cluster that is there make the runs of a study.
 
-
 _OF_CLUSTERS = ("dask", "distributed")
 _AHEAD = 3  # runs per worker that are under way, so that none of them waits
 _CONNECT_S = 10

@@ -149,12 +149,10 @@ SEPARATION = MeasureColumn("separation_min_m", "m")  # least distance of two veh
 MORE_IS_BETTER = frozenset({"packets_delivered", "sim_s", SEPARATION.name})  # of all others less is
 STANDING = (*(measure.column for measure in MEASURES.values()), SEPARATION)  # of every study
 
-
 # Measures by signal: `p95 |error.e|` is a number of every run, computed from the samples that its log would have.
 #
 # A signal is named as in `fleet.scenario.sections.signals`, `error.e_norm` for that of all vehicles; here it may also
 # be that of one, `uuv/3/error.e_norm`.
-
 
 MOST_UNASKED = 4  # measures that are made because checks name their signals
 _EXAMPLE = '"p95 |error.e|", "max |control.u_err|", "final uuv/3/state.z" or "mean error.e_norm after 20 s"'

@@ -181,7 +181,6 @@ def _write(file: Path, known: RareFile) -> None:
 # used for the estimate: each is the margin that a given share of the paths gets to (F. Cerou, A. Guyader, "Adaptive
 # multilevel splitting for rare event analysis", 2007). Repeats are independent, and their spread gives the interval.
 
-
 PURPOSE = "split"  # of the draws
 MOST_LEVELS = 60
 NOWHERE = b""

@@ -273,7 +273,6 @@ def _words(value: Any) -> str:
 # scenario does. All parts of one size are tested side by side. Among those that fail it takes the first one, so the
 # speed of workers changes nothing.
 
-
 T = TypeVar("T")
 
 

@@ -314,7 +314,6 @@ def _keep_logs(work: Work, like: Task, kept: KeepLogs) -> None:
 # Two points have the same mistake if it differs only in the value that is varied, or in numbers. So a wrong key is
 # reported once, not per value.
 
-
 _NUMBER = re.compile(rf"(?<!\w){NUMBER.pattern}", re.ASCII)
 
 

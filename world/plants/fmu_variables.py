@@ -30,7 +30,6 @@ from world.signal import Signal
 # fmpy's reader is not used. It validates with native code, whose time grows with the square of the mistakes (10 kB with
 # 100,000 variables without names took minutes), and which no signal ends.
 
-
 MAX_VARIABLES = 200_000
 MAX_ELEMENTS = 2_000_000
 _MAX_DEPTH = 64

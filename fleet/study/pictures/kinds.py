@@ -48,7 +48,6 @@ from fleet.study.statistics import Estimate
 
 # Boxes by factor: every run as a point, the box of the middle half, and the median with its interval.
 
-
 MOST_ROWS = 60
 _ROW_IN = 0.24
 _LACK = 0.06  # width of the hatched part, of the axis
@@ -156,7 +155,6 @@ def _one(ax: Axes, quantity: Quantity, cell: Cell, at: float, width: float, colo
 
 
 # Curves with bands: a number and its interval over what is varied, one line for each word.
-
 
 _MARKERS = "osD^vP*"
 _MOST_BANDS, _MOST_BARS = 3, 12  # more lines have a bar at each place, if there are no more places
@@ -283,7 +281,6 @@ def _edges(places: Array, logs: bool) -> Array:
 
 # Heat maps: a number over two others, with its interval in each cell, or beside it where cells are small.
 
-
 _BAR = 48  # characters of a line above the bar
 _SMALL_PT = 5.0  # of intervals
 _MARGIN_PT, _TICKS_PT = 20.0, 26.0  # of a page, and of each panel: what is left of the cells
@@ -291,7 +288,6 @@ _MOST_WORDS = 1000  # cells
 _HATCHED = 0.1  # of the width of a cell: hatched where some of its runs lack the number
 _CHARACTER_PT = 4.6  # along an axis
 _CELL_PT = 21.0  # height of a cell with a value and an interval
-
 
 _WIDTHS = LinearSegmentedColormap.from_list("widths", ("0.92", "black"))  # white: there is no interval
 Tables = list[list[list[Cell | None]]]  # of each panel the rows, from below

@@ -191,7 +191,6 @@ def few_ticks(axis: Axis, names: Sequence[str], most: int) -> None:
 
 # How a study is shown best: which of its dimensions are axes, lines or panels.
 
-
 MOST_PANELS = 12  # of one picture; more go to further ones
 
 

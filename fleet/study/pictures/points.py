@@ -204,7 +204,6 @@ def _cell(kind: str, state: Array, values: Array) -> Cell:
 
 # Turns keys and values of a scenario into words for the axes, legends and titles of a study's pictures.
 
-
 _KEYS = {
     "vehicles": "number of vehicles",
     "network.period": "time between rounds",

@@ -182,11 +182,8 @@ class Cascade:
 
 
 def build(config: AgentConfig, notes: Notes, neighbours: NeighbourTable) -> Cascade | FencedController:
-    """The controller of one agent; `notes` takes (tick, text) of what a person should know about the laws.
-
-    Raises:
-        PluginError: one of its laws cannot be used.
-        ControllerError: one of its laws cannot be made.
+    """The controller of one agent; `notes` takes (tick, text) of what a person should know about the laws. Raises
+    PluginError if one of its laws cannot be used; ControllerError if one of its laws cannot be made.
     """
     if config.controller is not None:
         return FencedController(config, config.controller, notes)

@@ -35,22 +35,15 @@ WATCH_S = 0.2  # how often to look whether the run is still there
 
 
 def serve(joining: JoinFile, notify: Callable[[str], None], make: MakeCore | None = None) -> End:
-    """Serve as the agent of a join file until the world ends its life.
+    """Serve as the agent of a join file until the world ends its life. Returns the world's last message to this agent.
+    Raises NotYetError if the run is over, or expects no such agent now. Raises JoinError if the run asks for a law that
+    may not run, or went away. Raises SystemExit if the law failed; the console has a note about it by then.
 
     Args:
         joining: the content of the join file.
         notify: called with one line of text when the agent has joined.
-        make: takes the agent's configuration and the clock of the run, and makes the core that answers samples.
-            None: our agent.
-
-    Returns:
-        The world's last message to this agent.
-
-    Raises:
-        NotYetError: the run is over, or expects no such agent now.
-        JoinError: the run asks for a law that may not run, or went away.
-        SystemExit: the law failed; a note about it has been sent to the console by then.
-        KeyboardInterrupt: Ctrl-C; the session is closed.
+        make: takes the agent's configuration and the clock of the run, and makes the core that answers samples. None:
+            our agent.
     """
     keys = Keys(joining.run)
     bus = _connect(joining)

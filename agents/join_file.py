@@ -69,11 +69,8 @@ class JoinFile(msgspec.Struct, frozen=True):
 
     @classmethod
     def read(cls, path: Path) -> JoinFile:
-        """Read what `write` wrote.
-
-        Raises:
-            NotYetError: the file is missing, others can read it, or it is no join file.
-            JoinError: it cannot be read, or is of another protocol version.
+        """Read what `write` wrote. Raises NotYetError if the file is missing, others can read it, or it is no join
+        file; JoinError if it cannot be read, or is of another protocol version.
         """
         try:
             data = read_private(path, MAX_BYTES)

@@ -86,19 +86,14 @@ class AgentLoop:
         return self._nav is not None
 
     def remember(self, memory: bytes, *, anew: bool = False) -> None:
-        """Go on at the first tick with what an agent remembered before it in another run.
-
-        Args:
-            memory: the `state` of its Memory message.
-            anew: the core begins without memory: only deliveries that were not due yet are taken.
+        """Go on at the first tick with what an agent remembered before it in another run. `memory`: the `state` of its
+        Memory message. `anew`: the core begins without memory: only deliveries that were not due yet are taken.
         """
         self._deliveries = restore(None if anew else self.core, memory)
 
     def nav(self, nav: Nav) -> list[Answer]:
-        """Take the nav of the next tick, or of a later one when the agent was suspended in between.
-
-        Raises:
-            OutOfPlace: a later incarnation's, or a tick before the next.
+        """Take the nav of the next tick, or of a later one when the agent was suspended in between. Raises OutOfPlace
+        if it is of a later incarnation, or of a tick before the next.
         """
         if not self._is_mine(nav.incarnation):
             return []

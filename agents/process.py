@@ -88,11 +88,9 @@ class OneAgent:
         return end.incarnation >= self.loop.incarnation
 
     def take(self, key: str, message: Message) -> list[Answer]:
-        """Pass a nav or an inbox on; a late echo of a repeated probe needs no answer.
-
-        Raises:
-            SystemExit: a law failed, and the scenario says that the agent ends then.
-            Exception: whatever the controller raised; a note about it has been sent to the console by then.
+        """Pass a nav or an inbox on; a late echo of a repeated probe needs no answer. Raises SystemExit if a law
+        failed, and the scenario says that the agent ends then. Passes on whatever the controller raised; the console
+        has a note about it by then.
         """
         try:
             if isinstance(message, Nav):
@@ -138,9 +136,7 @@ class AgentProcess:
 
     def get_ready(self) -> None:
         """Probe until world and netem have both answered on this agent's own keys, then declare this agent ready.
-
-        Raises:
-            BusError: one of them does not answer.
+        Raises BusError if one of them does not answer.
         """
         channels = {WORLD: self._navs, NETEM: self._rx}
         probe = self._agent.hello
@@ -176,14 +172,8 @@ class AgentProcess:
 
 
 def knock(probe: bytes, puts: dict[str, Callable[[bytes], None]], heard: Callable[[list[str]], list[str]]) -> None:
-    """Probe until everybody has answered.
-
-    Args:
-        puts: who is to answer, and how a probe gets there.
-        heard: which of them have answered.
-
-    Raises:
-        BusError: one of them does not answer.
+    """Probe until everybody has answered. `puts`: who is to answer, and how a probe gets there. `heard`: which of them
+    have answered. Raises BusError if one of them does not answer.
     """
     awaited = [*puts]
     deadline = monotonic() + READY_TIMEOUT_S

@@ -62,15 +62,12 @@ class GaussMarkov:
 
 
 def gust(velocity: Vec3, over_s: float, t: float) -> Vec3:
-    """The current of a gust that rises and falls once.
+    """The current [m/s, NED] of a gust that rises and falls once.
 
     Args:
         velocity: V, its peak [m/s, NED].
         over_s: D, how long it blows [s].
         t: time since it began [s].
-
-    Returns:
-        The current [m/s, NED].
     """
     share = 0.5 * (1.0 - cos(2.0 * pi * t / over_s)) if t < over_s else 0.0
     return share * velocity[0], share * velocity[1], share * velocity[2]

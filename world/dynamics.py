@@ -146,7 +146,7 @@ def derivative(k: Coefficients, state: State, tau: Vec3, d: Vec5, current: Vec3 
 def rk4_step(
     k: Coefficients, state: State, tau: Vec3, d: tuple[Vec5, Vec5, Vec5], h: float, current: Vec3 = ZERO
 ) -> State:
-    """One classical Runge-Kutta step of fourth order.
+    """One classical Runge-Kutta step of fourth order: the state h later.
 
     Args:
         k: as for `derivative`.
@@ -155,9 +155,6 @@ def rk4_step(
         tau: likewise, held over the step.
         d: disturbance at the step's start, middle and end (the stage times).
         h: length of the step [s].
-
-    Returns:
-        The state h later.
     """
     d_start, d_middle, d_end = d
     half = 0.5 * h

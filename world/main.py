@@ -85,10 +85,8 @@ def join(
     speed: float,
     most_asked: int,
 ) -> None:
-    """Serve the sea of a run through a router that is there already; as `run` otherwise.
-
-    Raises:
-        BusError: the router does not let us in.
+    """Serve the sea of a run through a router that is there already; as `run` otherwise. Raises BusError if the router
+    does not let us in.
     """
     quiet_zenoh()
     bus = Bus.connect(endpoint, credentials)

@@ -231,10 +231,8 @@ class WorldProcess:
         sys.exit(1)
 
     def serve(self) -> None:
-        """Handle one message after the other, until the process is ended.
-
-        Raises:
-            IntegrationError: a vehicle cannot be moved, and the run is not to go on without it.
+        """Handle one message after the other, until the process is ended. Raises IntegrationError if a vehicle cannot
+        be moved, and the run is not to go on without it.
         """
         take, poll = self._in.get, self._in.poll
         while True:
@@ -375,7 +373,6 @@ class WorldProcess:
             self._nav[i](encode(nav))
 
     def _tell(self, i: int, incarnation: int, data: bytes) -> None:
-        """Send a message to a life of agent i, wherever it is."""
         if host := self._hosts.of(i, incarnation):
             self._hosts.put(host, [(i, data)])
         else:

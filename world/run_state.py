@@ -69,11 +69,7 @@ class FrameAssembly:
         self._next = tick
 
     def complete(self, memory: Callable[[int], bytes]) -> list[Frame]:
-        """The frames that have become complete, in order.
-
-        Args:
-            memory: gives what is remembered of the run before a tick.
-        """
+        """The frames that have become complete, in order. `memory`: gives what the run remembers before a tick."""
         frames = []
         while (rows := self._rows.get(self._next)) is not None and len(rows) == self._vehicles:
             tick, last = self._next, self._ticks
@@ -140,10 +136,8 @@ class RunState:
         return i in self._diverged or self.lives.without_agent(i, self.tick_of(i))
 
     def check(self, i: int, command: Command) -> None:
-        """Check that a command is of the right life and has the declared telemetry.
-
-        Raises:
-            OutOfPlace: it is not, or has not.
+        """Check that a command is of the right life and has the declared telemetry. Raises OutOfPlace if it is not, or
+        has not.
         """
         self.lives.check(i, self.world.tick(i), command.incarnation)
         size = self._telemetry_size[i]
@@ -151,10 +145,8 @@ class RunState:
             raise OutOfPlace("telemetry values", size, len(command.telemetry))
 
     def enter_tick(self, i: int, k: int) -> bool:
-        """Put into the next frame that vehicle i lost or got its agent, if it did so at tick k.
-
-        Returns:
-            Whether it has no agent at this tick.
+        """Put into the next frame that vehicle i lost or got its agent, if it did so at tick k. Returns whether it has
+        no agent at this tick.
         """
         # A vehicle that diverged has none for good: lives stay those that the console and netem know of.
         diverged = i in self._diverged
@@ -176,11 +168,7 @@ class RunState:
         return absent
 
     def effective(self, i: int, k: int, tau: tuple[float, ...]) -> Vec3:
-        """The command that takes effect at tick k [N, N m]: that of some ticks ago when the agent is slow.
-
-        Args:
-            tau: the command for this tick.
-        """
+        """The command that takes effect at tick k [N, N m]: that of some ticks ago when the agent is slow."""
         x, y, z = tau
         delayed = self._delayed[i]
         delay = self.world.slow(i, k)
@@ -247,10 +235,8 @@ class RunState:
         return VehicleFrame(i, *world.state(i), sensed[0], tau, command, world.of_plant(i), clock, sensed[1], fixes)
 
     def memory(self, i: int, agent: bytes | None) -> VehicleMemory | None:
-        """All that the next ticks of vehicle i depend on; None, with a note, where its plant cannot say that.
-
-        Args:
-            agent: what its agent remembers; None: that is still to come.
+        """All that the next ticks of vehicle i depend on; None, with a note, where its plant cannot say that. `agent`:
+        what its agent remembers; None: that is still to come.
         """
         try:
             motion = self.world.memory(i, moves=i not in self._diverged)
@@ -266,10 +252,8 @@ class RunState:
         return VehicleMemory(i, motion, list(self.tau[i]), delayed, condition, agent)
 
     def resume(self, tick: int, memory: dict[str, Any]) -> None:
-        """Go on at a tick with what was remembered before it in another run of the same vehicles.
-
-        Args:
-            memory: see `world.config`.
+        """Go on at a tick with what was remembered before it in another run of the same vehicles. `memory`: see
+        `world.config`.
         """
         self._tumbled.clear()
         self._tumblings.clear()

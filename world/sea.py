@@ -83,11 +83,8 @@ class World:
     """Truth, sensors, actuators and integration of every vehicle of one run."""
 
     def __init__(self, config: WorldConfig) -> None:
-        """Put every vehicle where it begins.
-
-        Raises:
-            PluginError: a plant cannot be used.
-            PlantError: it cannot be made or started.
+        """Put every vehicle where it begins. Raises PluginError if a plant cannot be used; PlantError if it cannot be
+        made or started.
         """
         self.config = config
         setups = sorted(config.vehicles, key=lambda setup: setup.id)
@@ -169,17 +166,9 @@ class World:
         return self._vehicles[i].navigation
 
     def actuate(self, i: int, tau: tuple[float, ...]) -> Vec3:
-        """The force and moments that the actuators of vehicle i apply for a command.
-
-        Args:
-            i: the vehicle's number.
-            tau: surge force [N], pitch and yaw moment [N m].
-
-        Returns:
-            The same within +-tau_max, and with the faults of the actuators.
-
-        Raises:
-            WorldError: not three finite numbers.
+        """The force and moments that the actuators of vehicle i apply for a command. `tau`: surge force [N], pitch and
+        yaw moment [N m]. They are within +-tau_max, and with the faults of the actuators. Raises WorldError if those
+        are not three finite numbers.
         """
         vehicle = self._vehicles[i]
         if len(tau) != 3 or not all(map(isfinite, tau)):
@@ -229,11 +218,9 @@ class World:
         self.clocks = Clocks.that_differ(self.config.clocks, faults, self.config.tick_ns)  # None: all are right
 
     def advance(self, i: int, tau: Vec3) -> None:
-        """Integrate vehicle i, and it alone, to its next tick with `tau` [N, N m] held.
-
-        Raises:
-            IntegrationError: the motion left the range of finite numbers; the state stays that of the tick before.
-            PlantError: the vehicle's plant failed; the state stays that of the tick before, too.
+        """Integrate vehicle i, and it alone, to its next tick with `tau` [N, N m] held. Raises IntegrationError if the
+        motion left the range of finite numbers; the state stays that of the tick before. Raises PlantError if the
+        vehicle's plant failed; the state stays that of the tick before, too.
         """
         vehicle = self._vehicles[i]
         k, tick, state = vehicle.k, vehicle.tick, vehicle.state
@@ -332,18 +319,10 @@ class World:
             plant.close()
 
     def memory(self, i: int, *, moves: bool = True) -> list[Any]:
-        """All that vehicle i's next ticks depend on besides its faults.
-
-        Args:
-            i: the vehicle's number.
-            moves: whether it is still integrated; a plant that failed is not asked what it remembers.
-
-        Returns:
-            MessagePack values [tick, state, held], and behind them what its plant remembers (None without one), and
-            its navigation, for `remember`.
-
-        Raises:
-            PlantError: its plant cannot say what it remembers.
+        """All that vehicle i's next ticks depend on besides its faults. `moves`: whether it is still integrated; a
+        plant that failed is not asked what it remembers. Returns messagePack values [tick, state, held], and behind
+        them what its plant remembers (None without one), and its navigation, for `remember`. Raises PlantError if its
+        plant cannot say what it remembers.
         """
         held = [[fault, list(values)] for (fault, j), values in sorted(self._held.items()) if j == i]
         vehicle = self._vehicles[i]

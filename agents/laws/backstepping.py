@@ -92,14 +92,9 @@ class _Backstepping:
         self._filters = tuple(RateFilter(config.tracking.tau_f, angle=True) for _ in range(4))
 
     def step(self, sample: Sample, command: VelocityCommand) -> tuple[Vec3, tuple[float, ...]]:
-        """Answer one sample, eqs. (24)-(47).
-
-        Args:
-            sample: own state and time; `eta` [m, rad, NED], `nu` [m/s, rad/s, body], `dt` [s].
-            command: commanded speed [m/s], pitch and course of the velocity [rad, NED].
-
-        Returns:
-            Surge force [N], pitch and yaw moment [N m] before the limits, and the values of `signals`, flat.
+        """Answer one sample, eqs. (24)-(47). `sample`: own state and time; `eta` [m, rad, NED], `nu` [m/s, rad/s,
+        body], `dt` [s]. `command`: commanded speed [m/s], pitch and course of the velocity [rad, NED]. Returns surge
+        force [N], pitch and yaw moment [N m] before the limits, and the values of `signals`, flat.
         """
         k = self._params
         m1, m2, m3, m4, m5, beta_u, beta_v, beta_w, beta_q, beta_r, beta_b = self._m
@@ -139,15 +134,13 @@ class _Backstepping:
         return (tau1, tau2, tau3), (u_err, theta_err, psi_err, q_err, r_err, *inner, tau1, tau2, tau3)
 
     def _act(self, errors: Vec3, commands: Vec3, dt: float) -> tuple[Vec3, Vec3]:
-        """The stabilising terms of one sample.
+        """The stabilising terms of one sample. Returns A1 [m/s^2], A2, A3 [rad/s^2]; and the three values that are
+        reported between errors and demand.
 
         Args:
             errors: u_err [m/s], q_err, r_err [rad/s].
             commands: u_cmd [m/s], q_cmd, r_cmd [rad/s].
             dt: time since the sample before [s].
-
-        Returns:
-            A1 [m/s^2], A2, A3 [rad/s^2]; and the three values that are reported between errors and demand.
         """
         raise NotImplementedError
 

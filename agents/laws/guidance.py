@@ -38,13 +38,8 @@ class FixedGuidance:
         self._rho: Vec3 | None = None
 
     def step(self, sample: Sample) -> tuple[Vec3, tuple[float, ...]]:
-        """Answer one sample, eq. (11).
-
-        Args:
-            sample: consensus error `e` [m, NED] and desired velocity [m/s, NED].
-
-        Returns:
-            The virtual control rho [m/s, NED], and the values of `signals`, flat.
+        """Answer one sample, eq. (11). `sample`: consensus error `e` [m, NED] and desired velocity [m/s, NED]. Returns
+        the virtual control rho [m/s, NED], and the values of `signals`, flat.
         """
         rho = virtual_control(sample.e, self._K, sample.desired.velocity)
         if self._params.slew > 0.0:

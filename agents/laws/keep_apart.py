@@ -225,15 +225,12 @@ class KeepApart:
         self.infeasible = 0
 
     def step(self, rho: Vec3, sample: Sample, neighbours: Iterable[Seen]) -> tuple[Vec3, tuple[float, ...]]:
-        """Answer one sample.
+        """Answer one sample. Returns the commanded velocity [m/s, NED], and the values of `signals`, flat.
 
         Args:
             rho: the commanded velocity of the guidance [m/s, NED].
             sample: the own pose `eta` [m, rad, NED] and `velocity` over ground [m/s, NED].
             neighbours: the neighbours heard so far.
-
-        Returns:
-            The commanded velocity [m/s, NED], and the values of `signals`, flat.
         """
         params, heading = self._params, sample.eta[4]
         ahead = Bound((cos(heading), sin(heading), 0.0), self._least_ahead, ZERO)

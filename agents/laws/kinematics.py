@@ -51,11 +51,8 @@ class RateFilter:
     __slots__ = ("_alpha", "_angle", "_dt", "_tau_f", "rate", "value")
 
     def __init__(self, tau_f: float, *, angle: bool = False) -> None:
-        """Begin without a sample.
-
-        Args:
-            tau_f: time constant [s]; 0 does not filter.
-            angle: the signal is an angle [rad]. Its differences are wrapped to (-pi, pi].
+        """Begin without a sample. `tau_f`: time constant [s]; 0 does not filter. `angle`: the signal is an angle [rad].
+        Its differences are wrapped to (-pi, pi].
         """
         self._tau_f = tau_f
         self._angle = angle
@@ -64,15 +61,7 @@ class RateFilter:
         self.rate = 0.0
 
     def step(self, value: float, dt: float) -> float:
-        """Take one sample.
-
-        Args:
-            value: the sample.
-            dt: time since the sample before [s].
-
-        Returns:
-            The rate [unit of the value per s].
-        """
+        """Take one sample. `dt`: time since the sample before [s]. Returns the rate [unit of the value per s]."""
         previous = self.value
         self.value = value
         if previous is None:

@@ -58,15 +58,12 @@ def consensus_error(position: Vec3, desired: Vec3, b: float, heard: Iterable[Nei
 
 
 def virtual_control(e: Vec3, K: Vec3, v_d: Vec3) -> Vec3:
-    """rho = -K e + v_d, eq. (11).
+    """rho = -K e + v_d [m/s, NED], eq. (11).
 
     Args:
         e: consensus error [m, NED].
         K: diagonal of the gain [1/s].
         v_d: velocity of the reference [m/s, NED].
-
-    Returns:
-        rho [m/s, NED].
     """
     return v_d[0] - K[0] * e[0], v_d[1] - K[1] * e[1], v_d[2] - K[2] * e[2]
 

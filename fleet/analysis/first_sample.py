@@ -45,10 +45,8 @@ def try_laws(scenario: Scenario) -> None:
 
 
 def try_plants(scenario: Scenario) -> None:
-    """Make the plant of each vehicle, start it, and let it make the first tick of a run, without a command.
-
-    Raises:
-        ScenarioError: plants raised, or returned what cannot be used; every one of them is in it.
+    """Make the plant of each vehicle, start it, and let it make the first tick of a run, without a command. Raises
+    ScenarioError if plants raised, or returned what cannot be used; every one of them is in it.
     """
     if not scenario.plants:
         return

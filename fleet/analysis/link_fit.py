@@ -91,11 +91,9 @@ class HiddenMarkov:
 
 
 def fit_losses(lost: Array, states: int) -> HiddenMarkov:
-    """The model with the largest likelihood among those that the search finds from a few fixed places.
-
-    Args:
-        lost: whether each packet was lost, shape (N,), N >= 1; some were and some were not.
-        states: 1 (losses independent of each other), 2 or 3.
+    """The model with the largest likelihood among those that the search finds from a few fixed places. `lost`: whether
+    each packet was lost, shape (N,), N >= 1; some were and some were not. `states`: 1 (losses independent of each
+    other), 2 or 3.
     """
     places = [_begin(lost, stay, factors) for factors in _FACTORS[states] for stay in _STAYS]
     found = [_improve(lost, *place, _FIRST_STEPS) for place in places]
@@ -234,13 +232,8 @@ def runs(flags: Array) -> Array:
 
 def fit(table: TraceTable, count: int, interval_ns: int | None = None) -> LinkFit:
     """Fit states to what a trace says was delivered; delays and rates are means over the packets of each state.
-
-    Args:
-        count: of states, 2 or 3.
-        interval_ns: between two packets; None: the median of those in the trace.
-
-    Raises:
-        FleetError: the trace does not say what was delivered, or when; it is too short, or its losses come alone.
+    `count`: of states, 2 or 3. `interval_ns`: between two packets; None: the median of those in the trace. Raises
+    FleetError if the trace does not say what was delivered, or when; it is too short, or its losses come alone.
     """
     if "delivered" not in table.columns:
         raise FleetError(f"no such column: delivered, which a fit needs; the trace has {', '.join(table.columns)}")
@@ -279,9 +272,7 @@ def _interval(table: TraceTable) -> tuple[int, bool]:
 
 def _generator(model: HiddenMarkov) -> tuple[Array, float]:
     """Rates of moves [1/interval], shape (S, S): log A without negative ones; and how far their exponential is from A.
-
-    Raises:
-        FleetError: some state is over before the next packet.
+    Raises FleetError if some state is over before the next packet.
     """
     values, vectors = np.linalg.eig(model.moves)
     if min(value.real for value in values) < _MIXED:

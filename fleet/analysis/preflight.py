@@ -263,7 +263,6 @@ def _idle_faults(scenario: Scenario) -> Iterator[str]:
 
 
 def _correlated(scenario: Scenario) -> Iterator[str]:
-    """The effect of a correlation on the numbers beside it, for every condition that differs."""
     given = [c for its in scenario.possible.values() for c in its]
     given += [f.condition for f in scenario.faults.network if f.condition is not None]
     found: dict[str, None] = {}

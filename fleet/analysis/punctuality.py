@@ -15,14 +15,8 @@ MOST_MISSED = 0.01  # share of its ticks that an agent may miss by default
 
 
 def measured(values: Mapping[str, Any], speed: float) -> Timing | None:
-    """The measurements of world and netem, with a label.
-
-    Args:
-        values: what both answered when the run ended.
-        speed: times real time that was asked.
-
-    Returns:
-        None: one of them did not answer.
+    """The measurements of world and netem, with a label. `values`: what both answered when the run ended. `speed`:
+    times real time that was asked. None: one of them did not answer.
     """
     if not (values.get("world") and values.get("netem")):
         return None

@@ -174,11 +174,8 @@ class Analysis:
 
 
 def analyse(scenario: Scenario, *, linear: bool = True, tell: Callable[[], None] = lambda: None) -> Analysis:
-    """Connectivity, eigenvalues and violated limits of a scenario.
-
-    Args:
-        linear: also make the whole linear loop, which takes longer than the rest.
-        tell: called now and then, also later, when a caller asks the loop for its limits.
+    """Connectivity, eigenvalues and violated limits of a scenario. `linear`: also make the whole linear loop, which
+    takes longer than the rest. `tell`: called now and then, also later, when a caller asks the loop for its limits.
     """
     A, M = matrices(scenario)
     values = sorted(eigenvalues(M).tolist(), key=lambda v: (v.real, v.imag))

@@ -155,10 +155,8 @@ class SeenVehicle:
         self._values, self._places, self._asked = values, places, asked
 
     def __getitem__(self, signal: str) -> Any:
-        """The value of a signal; None if the vehicle did not report it at this tick.
-
-        Raises:
-            LookupError: no such signal.
+        """The value of a signal; None if the vehicle did not report it at this tick. Raises LookupError if there is no
+        such signal.
         """
         place = self._places.get(signal)
         if place is None:
@@ -175,14 +173,8 @@ class RunningPythonCheck:
     """A check in Python, and how it came out so far."""
 
     def __init__(self, name: str, class_name: str, given: Mapping[str, Any], facts: Facts) -> None:
-        """Make it.
-
-        Args:
-            class_name: `package.module:Class`.
-            given: what the scenario has of it.
-
-        Raises:
-            CheckError: it cannot be made.
+        """`class_name` is `package.module:Class`, `given` what the scenario has of it. Raises CheckError if it cannot
+        be made.
         """
         self.name = name
         self.looked_at: dict[str, None] = {}  # signals
@@ -368,15 +360,9 @@ class OwnChecks:
 
     @classmethod
     def asked(cls, scenario: Scenario, begin: int = 0) -> OwnChecks | None:
-        """The checks that a scenario asks for; None: it has none.
-
-        Args:
-            scenario: the scenario.
-            begin: first tick of the run. Earlier samples do not count.
-
-        Raises:
-            SignalCheckError: no vehicle of the scenario has the signal of a check.
-            CheckError: a check in Python cannot be made.
+        """The checks that a scenario asks for; None: it has none. `begin`: first tick of the run. Earlier samples do
+        not count. Raises SignalCheckError if no vehicle of the scenario has the signal of a check; CheckError if a
+        check in Python cannot be made.
         """
         checks = scenario.spec.checks
         return cls(scenario, begin) if checks.signal or checks.python else None
@@ -425,11 +411,7 @@ class OwnChecks:
             self._fates.append(fate)
 
     def verdicts(self, *, over: bool) -> list[Verdict]:
-        """The verdicts so far, in the order of the scenario.
-
-        Args:
-            over: the run has come to its end.
-        """
+        """The verdicts so far, in the order of the scenario. `over`: the run has come to its end."""
         self._judge()
         found = []
         each: list[RunningSignalCheck | RunningPythonCheck] = [*self._signals, *self._python]
@@ -490,7 +472,6 @@ def reported(scenario: Scenario, i: int) -> VehicleSignals:
 
 
 def _ended(what: str) -> list[int]:
-    """The vehicles whose agents a fault has ended, or that have diverged."""
     kind, _, vehicles = what.partition(" ")
     if kind not in ("kill", DIVERGED):
         return []

@@ -93,11 +93,8 @@ class AlwaysMargin:
         return best[0][1] if self._since.setdefault(key, tick) <= first else None
 
     def found(self, longest: float | None, at: int | None) -> Margin | None:
-        """The margin so far.
-
-        Args:
-            longest: length of the longest stretch of bad samples [ticks].
-            at: first tick of that stretch.
+        """The margin so far. `longest`: length of the longest stretch of bad samples [ticks]. `at`: first tick of that
+        stretch.
         """
         asked = self._asked
         if in_time(asked):
@@ -186,8 +183,6 @@ class RunningSignalCheck:
         Args:
             name: name of the check.
             asked: the check.
-            scenario: the scenario of the run.
-            vehicles: the signals of each vehicle.
             begin: first tick of the run. Earlier samples do not count.
         """
         self.name, self.words, self.group = name, asked.words, asked.signal.group

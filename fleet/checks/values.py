@@ -33,14 +33,8 @@ class OffPlace(Protocol):
 
 
 def belief_values(row: VehicleFrame, error: OffPlace) -> tuple[float, ...]:
-    """The values of the topic `belief`, one after the other in the order of `BELIEF`.
-
-    Args:
-        row: the frame's row of the vehicle.
-        error: the vehicle's true formation error.
-
-    Returns:
-        The values; empty if no agent got a measurement of this vehicle at this tick.
+    """The values of the topic `belief` in the order of `BELIEF`; `error` is the true formation error. Empty if no agent
+    got a measurement of this vehicle at this tick.
     """
     if not row.nav:
         return ()

@@ -137,11 +137,8 @@ class Console:
         run: str,
         print_line: Callable[[str], None],
     ) -> None:
-        """Prepare a run; nothing is started.
-
-        Args:
-            run: its id; its keys begin with fleet/<run>/.
-            print_line: shows the operator a line that stays.
+        """Prepare a run; nothing is started. `run`: its id; its keys begin with fleet/<run>/. `print_line`: shows the
+        operator a line that stays.
         """
         self._scenario, self._journal, self._options = scenario, journal, options
         self._fleet = fleet = Supervisor(scenario, journal, directory, options, hosting, run, print_line)
@@ -158,12 +155,8 @@ class Console:
         return self._fleet.waiting
 
     def serve(self, policy: GrantPolicy, progress: Callable[[], None]) -> None:
-        """Run to the end.
-
-        Raises:
-            RunBroken: the run could not be completed.
-            StoppedError: the operator stopped it.
-            FleetError: the join file of an external agent cannot be written.
+        """Run to the end. Raises RunBroken if the run could not be completed; StoppedError if the operator stopped it;
+        FleetError if the join file of an external agent cannot be written.
         """
         began = time.monotonic()
         try:

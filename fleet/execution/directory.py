@@ -187,20 +187,16 @@ class PastRun(Struct, frozen=True):
 
 
 def past_runs(out: Path) -> list[PastRun]:
-    """The runs below a directory, the newest first. Links, and directories that are not ours, are left out.
-
-    Raises:
-        FleetError: the directory cannot be read.
+    """The runs below a directory, the newest first. Links, and directories that are not ours, are left out. Raises
+    FleetError if the directory cannot be read.
     """
     found = [_read(path, began) for path, began in _ours(out)]
     return sorted(found, key=lambda run: (run.began, run.name), reverse=True)
 
 
 def newest_run(out: Path) -> Path | None:
-    """The directory of the newest run: the target of `latest`, or else the run that began last.
-
-    Raises:
-        FleetError: the directory cannot be read.
+    """The directory of the newest run: the target of `latest`, or else the run that began last. Raises FleetError if
+    the directory cannot be read.
     """
     with suppress(OSError):
         path = out / (out / LATEST).readlink()

@@ -145,18 +145,11 @@ class _Run:
 
 
 def execute(scenario: Scenario, options: Options, terminal: Terminal | None = None) -> Result:
-    """Run a scenario to its verdict. Only a caller's mistake raises; a run that breaks is a result.
-
-    Args:
-        terminal: where progress is shown; None: stderr.
-
-    Raises:
-        ScenarioError: a plant cannot be started.
-        RunBroken: the port is taken.
-        LogError: the log cannot be created.
-        CheckError: a check in Python cannot be made.
-        FleetError: the run directory cannot be made, the journal cannot be published, or somebody else is to start an
-            agent of a run in one process.
+    """Run a scenario to its verdict. Only a caller's mistake raises; a run that breaks is a result. `terminal`: where
+    progress is shown; None: stderr. Raises ScenarioError if a plant cannot be started; RunBroken if the port is taken;
+    LogError if the log cannot be created; CheckError if a check in Python cannot be made; FleetError if the run
+    directory cannot be made, the journal cannot be published, or somebody else is to start an agent of a run in one
+    process.
     """
     try_plants(scenario)
     interrupts = DeferInterrupts()

@@ -59,14 +59,8 @@ class ExternalAgents:
     def open(
         self, endpoint: str, keys: Keys, credentials: Mapping[str, Credentials], folders: Mapping[int, JoinFolder]
     ) -> None:
-        """Write the join files; from now on the agents may join.
-
-        Args:
-            credentials: by role.
-            folders: with what agents join that have a certificate and no password, by vehicle.
-
-        Raises:
-            FleetError: a join file cannot be written.
+        """Write the join files; from now on the agents may join. `credentials`: by role. `folders`: with what agents
+        join that have a certificate and no password, by vehicle. Raises FleetError if a join file cannot be written.
         """
         self._keys, self._folders = keys, folders
         for i in self.vehicles:

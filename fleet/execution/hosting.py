@@ -79,7 +79,6 @@ def _plugged(control: Control) -> bool:
 
 
 def _shared(own: Sequence[int], most: int) -> Hosting:
-    """As few hosts as there can be, all about as full."""
     if most <= 1 or not own:
         return Hosting()
     count = ceil(len(own) / most)

@@ -99,12 +99,8 @@ class InProcess:
         self._post: deque[tuple[int, int, bytes]] = deque()  # (from, to, message) for agents
 
     def serve(self, policy: GrantPolicy, progress: Callable[[], None]) -> None:
-        """Run to the end.
-
-        Raises:
-            RunBroken: a core sent what cannot be used.
-            AgentError: an agent failed, and the scenario does not go on without it.
-            WorldError: the world failed.
+        """Run to the end. Raises RunBroken if a core sent what cannot be used; AgentError if an agent failed, and the
+        scenario does not go on without it; WorldError if the world failed.
         """
         began = time.monotonic()
         self.begin()
@@ -338,13 +334,8 @@ def in_process(
     salt: int = 0,
     judged: bool = True,
 ) -> InProcess:
-    """Make a run in this process, and its journal, which writes to `log`. The rest is as for `InProcess`.
-
-    Args:
-        judged: the user's own checks see everything, too.
-
-    Raises:
-        CheckError: a check in Python cannot be made.
+    """Make a run in this process, and its journal, which writes to `log`. The rest is as for `InProcess`. `judged`: the
+    user's own checks see everything, too. Raises CheckError if a check in Python cannot be made.
     """
     begin = 0 if start is None else start.snapshot.tick
     checks = OwnChecks.asked(scenario, begin) if judged else None
@@ -352,5 +343,4 @@ def in_process(
 
 
 def _over_the_wire(config: AgentConfig) -> AgentConfig:
-    """The configuration as an agent process would have received it."""
     return AgentConfig.from_values(msgpack.unpackb(msgpack.packb(config.to_values())))

@@ -72,10 +72,8 @@ class Notes:
         return False
 
     def receive(self, role: str, data: bytes, tick: int) -> Ended | None:
-        """Take a note of a role at a tick; `admit` has let it in.
-
-        Returns:
-            The report of a host that one of its agents has ended. None: it was a note, or was rejected.
+        """Take a note of a role at a tick; `admit` has let it in. Returns the report of a host that one of its agents
+        has ended. None: it was a note, or was rejected.
         """
         self._queued.release(role)
         try:

@@ -52,10 +52,8 @@ class RefusedError(FleetError):
 
 
 def checked_fault(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
-    """The fault that an entry of a scenario's `faults` without `at` describes, beginning at a tick.
-
-    Raises:
-        RefusedError: it is none, or none for this scenario; the text says what is wrong.
+    """The fault that an entry of a scenario's `faults` without `at` describes, beginning at a tick. Raises RefusedError
+    if it is none, or none for this scenario; the text says what is wrong.
     """
     if not isinstance(entry, dict) or "at" in entry:
         raise RefusedError("expected a fault without `at`, because it begins now")

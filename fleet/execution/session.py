@@ -78,13 +78,8 @@ CONNECT_TRY_MS = 500
 
 
 def connect_to_world(endpoint: str, credentials: Credentials, meanwhile: Callable[[], None]) -> Bus:
-    """Connect to the router that the world is starting.
-
-    Args:
-        meanwhile: called after each attempt that failed; it may raise a better explanation.
-
-    Raises:
-        RunBroken: there is no router within `CONNECT_S`.
+    """Connect to the router that the world is starting. `meanwhile`: called after each attempt that failed; it may
+    raise a better explanation. Raises RunBroken if there is no router within `CONNECT_S`.
     """
     deadline = time.monotonic() + CONNECT_S
     while True:
@@ -97,10 +92,8 @@ def connect_to_world(endpoint: str, credentials: Credentials, meanwhile: Callabl
 
 
 def connect_to_router(endpoint: str, credentials: Credentials, keys: Keys, events: EventQueue) -> Bus:
-    """Connect to a router that is there already.
-
-    Raises:
-        RunBroken: it does not let us in, or another run uses this run's keys there.
+    """Connect to a router that is there already. Raises RunBroken if it does not let us in, or another run uses this
+    run's keys there.
     """
     try:
         bus = Bus.connect(endpoint, credentials)
@@ -151,9 +144,7 @@ class Session:
         self, scenario: Scenario, clock: Clock, hosting: Hosting, external: ExternalAgents, events: EventQueue
     ) -> None:
         """Answer agents, and hosts, that ask for their slice of the scenario, and watch the tokens of external agents.
-
-        Raises:
-            PluginError: a law cannot be used.
+        Raises PluginError if a law cannot be used.
         """
         known = {} if clock is Clock.LOCKSTEP else {"clock": clock}
         slices = [scenario.agent_config(i).to_values() for i in range(1, scenario.vehicles + 1)]

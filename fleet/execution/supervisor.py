@@ -76,10 +76,8 @@ class Launch:
         directory: RunDirectory,
         children: Children,
     ) -> None:
-        """Choose endpoints, make credentials and the folder of the run's socket; nothing is started.
-
-        Raises:
-            RunBroken: the port is taken, or this machine allows too few open files, or has no place for the folder.
+        """Choose endpoints, make credentials and the folder of the run's socket; nothing is started. Raises RunBroken
+        if the port is taken, or this machine allows too few open files, or has no place for the folder.
         """
         self._scenario, self._options, self._hosting, self._keys = scenario, options, hosting, keys
         self._directory, self._children = directory, children
@@ -94,10 +92,8 @@ class Launch:
         self.endpoint = self._rendezvous.router or self._private.endpoint  # for the run's own processes
 
     def admit(self, external: ExternalAgents) -> None:
-        """Tell commands and external agents, in files, how to reach this run.
-
-        Raises:
-            FleetError: a file cannot be written.
+        """Tell commands and external agents, in files, how to reach this run. Raises FleetError if a file cannot be
+        written.
         """
         self._directory.write_connection(
             {
@@ -329,14 +325,10 @@ class Supervisor:
         return self._session
 
     def start(self, progress: Callable[[], None], meanwhile: Callable[[], None]) -> None:
-        """Start the processes, connect to the router, and let the operator and external agents in.
-
-        Args:
-            meanwhile: called between attempts to connect; it may raise a better explanation, such as the world's end.
-
-        Raises:
-            RunBroken: a process could not be started, or there is no router.
-            FleetError: the join file of an external agent cannot be written.
+        """Start the processes, connect to the router, and let the operator and external agents in. `meanwhile`: called
+        between attempts to connect; it may raise a better explanation, such as the world's end. Raises RunBroken if a
+        process could not be started, or there is no router; FleetError if the join file of an external agent cannot be
+        written.
         """
         self._launch = launch = Launch(
             self._scenario, self._options, self._hosting, self._keys, self._directory, self._children
@@ -445,10 +437,8 @@ class Supervisor:
             self._dismiss(i, over, 0, "its link had ended, and its life with it")
 
     def unregistered(self, i: int) -> None:
-        """Record that an external agent's liveliness token disappeared.
-
-        Raises:
-            RunBroken: the agent died, and the run does not go on without it.
+        """Record that an external agent's liveliness token disappeared. Raises RunBroken if the agent died, and the run
+        does not go on without it.
         """
         was_there = self.external.present(i)
         self.external.token(i, False)

@@ -145,14 +145,8 @@ def _every(scenario: Scenario) -> int:
 
 
 def remake(scenario: Scenario, progress: Callable[[float], None]) -> Remade:
-    """Make the run once more, in this process.
-
-    Args:
-        scenario: as `with_moments` gives it.
-        progress: called with the share that is done.
-
-    Raises:
-        CheckError: a check in Python cannot be made.
+    """Make the run once more, in this process. `scenario`: as `with_moments` gives it. `progress`: called with the
+    share that is done. Raises CheckError if a check in Python cannot be made.
     """
     watch = _Watch(scenario, _every(scenario))
     runner, log = in_process(scenario, watch), NoLog()
@@ -184,11 +178,7 @@ class HealingSearch:
         self._known: dict[int, HealedRun] = {}  # by tick
 
     def run(self, most_runs: int) -> NoReturn:
-        """Find it.
-
-        Raises:
-            StudyError: a run that is healed does not come to its end.
-        """
+        """Find it. Raises StudyError if a run that is healed does not come to its end."""
         if not self._scenario.spec.faults:
             return NoReturn("not needed", "the run had no fault, so there was nothing to heal")
         moments = self._moments

@@ -60,10 +60,8 @@ class Explanation:
     """The explanation of one log."""
 
     def __init__(self, question: Question, tell: Tell) -> None:
-        """Read the log, and make its run once more if that is possible.
-
-        Raises:
-            LogReadError, FleetError, ScenarioError: the log cannot be explained; the text says why.
+        """Read the log, and make its run once more if that is possible. Raises LogReadError, FleetError, ScenarioError
+        if the log cannot be explained; the text says why.
         """
         self._question, self._tell = question, tell
         self._notes: list[str] = []
@@ -87,15 +85,8 @@ class Explanation:
         self.modules = modules_of([self.scenario], None)
 
     def find(self, engine: Engine, modules: Modules) -> Why:
-        """Explain it.
-
-        Args:
-            engine: makes the healed runs.
-            modules: that they need, as the engine carries them.
-
-        Raises:
-            StudyError: a healed run does not come to its end.
-            LogReadError: the log cannot be read.
+        """Explain it. `engine`: makes the healed runs. `modules`: that they need, as the engine carries them. Raises
+        StudyError if a healed run does not come to its end; LogReadError if the log cannot be read.
         """
         return self._explained(self._no_return(engine, modules))
 

@@ -58,10 +58,8 @@ class TableColumn(NamedTuple):
 
 
 def columns(topic: Topic, undivided: Collection[str] = ()) -> list[TableColumn]:
-    """The table of what is held of a topic; the time comes first. Vectors in `undivided` stay one column.
-
-    Raises:
-        LogReadError: its messages cannot be decoded, or are too many to be held.
+    """The table of what is held of a topic; the time comes first. Vectors in `undivided` stay one column. Raises
+    LogReadError if its messages cannot be decoded, or are too many to be held.
     """
     found = [TableColumn("t", "s", "when the message was logged, in simulated time", topic.t)]
     for name in topic.fields:
@@ -107,14 +105,8 @@ _STANDARD = {
 
 
 def dataset(topic: Topic, table: list[TableColumn], run: Mapping[str, str]) -> xr.Dataset:
-    """The table of a topic as a Dataset.
-
-    Args:
-        table: columns of (samples,) each, the time first; bytes are left out.
-        run: what determined the run (`Log.run`).
-
-    Raises:
-        FleetError: xarray is not installed.
+    """The table of a topic as a Dataset. `table`: columns of (samples,) each, the time first; bytes are left out.
+    `run`: what determined the run (`Log.run`). Raises FleetError if xarray is not installed.
     """
     need("a Dataset", ("xarray",), EXTRA)
     import xarray as xr

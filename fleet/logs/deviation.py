@@ -127,10 +127,8 @@ def _plain(value: FieldValue | None) -> Plain:
 
 
 def first_difference(a: LogReader, b: LogReader, names: tuple[str, str] = ("a", "b")) -> Difference | None:
-    """The first message that is not the same in both logs; reads no further. Gaps and ends count as differences.
-
-    Raises:
-        LogReadError: one of them is no log.
+    """The first message that is not the same in both logs; reads no further. Gaps and ends count as differences. Raises
+    LogReadError if one of them is no log.
     """
     for number, (left, right) in enumerate(zip_longest(a, b)):
         if left != right:
@@ -284,10 +282,8 @@ class LogComparison:
 
 
 def compare(a: LogReader, b: LogReader, names: tuple[str, str] = ("a", "b")) -> LogComparison:
-    """Compare two logs to their ends; where one of the runs begins later, from there on.
-
-    Raises:
-        LogReadError: one of them is no log.
+    """Compare two logs to their ends; where one of the runs begins later, from there on. Raises LogReadError if one of
+    them is no log.
     """
     found = LogComparison()
     readers = a, b
@@ -357,7 +353,6 @@ class _Stream:
         return self._records[-1] if self._records else None
 
     def step(self) -> None:
-        """Go on behind it."""
         self._records.pop()
         self._slow -= 1
         self._skip(1)
@@ -416,7 +411,6 @@ class _Waiting:
                 yield old[0], len(gone)
 
     def take(self, key: Key) -> Record | None:
-        """A message that waits under a key."""
         kept = self.records.get(key)
         if kept is None:
             return None
@@ -434,7 +428,6 @@ def _meet(
     k: int,
     record: Record,
 ) -> None:
-    """A message of log k finds its other half, or waits for it."""
     key = _key(decoders[k], record)
     other = waiting[1 - k].take(key)
     if other is None:
@@ -500,7 +493,6 @@ def rows(found: LogComparison, most: int | None = None) -> Iterator[tuple[str, s
 
 
 def _alike(counts: Counter[str]) -> list[tuple[str, int]]:
-    """The same with all vehicles, and all links, in one."""
     total: Counter[str] = Counter()
     for name, count in counts.items():
         total[_NUMBERS.sub("*", name)] += count

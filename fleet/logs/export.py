@@ -43,18 +43,10 @@ _COLUMNS = ("time", "delivered", "delay")
 def write_traces(
     log: Log, folder: Path, *, force: bool = False, say: Callable[[str], None] = lambda _: None
 ) -> list[Path]:
-    """Write a trace for each directed link into a folder, made if need be, and how a scenario uses them all.
-
-    Args:
-        force: replace files of the same names.
-        say: hears what a trace does not hold.
-
-    Returns:
-        the files, `links.yaml` last.
-
-    Raises:
-        FleetError: something is in the way, the place cannot be written, or a link has too many packets.
-        LogReadError: the log is damaged.
+    """Write a trace for each directed link into a folder, made if need be, and how a scenario uses them all. `force`:
+    replace files of the same names. `say`: hears what a trace does not hold. Returns the files, `links.yaml` last.
+    Raises FleetError if something is in the way, the place cannot be written, or a link has too many packets;
+    LogReadError if the log is damaged.
     """
     if not log.links:
         raise FleetError(f"{log.path} has no packets: its network is ideal, or nobody hears anybody")

@@ -170,11 +170,8 @@ class McapWriter:
     """
 
     def __init__(self, target: IO[bytes], profile: str = "", library: str = "uuv-fleet") -> None:
-        """Write the header.
-
-        Args:
-            target: an empty file; the caller closes it.
-            library: what is named as the writer of the file; by default without a version, which would change bytes.
+        """Write the header. `target`: an empty file; the caller closes it. `library`: what is named as the writer of
+        the file; by default without a version, which would change bytes.
         """
         self._target = target
         self._chunk = bytearray()

@@ -65,10 +65,8 @@ class LogReader:
     _by_topic: dict[str, Channel] = field(default_factory=dict, init=False)
 
     def __iter__(self) -> Iterator[Record]:
-        """Every message of every complete chunk, in file order.
-
-        Raises:
-            LogReadError: the file cannot be opened, is no MCAP file, or declares more than MOST_KEPT bytes.
+        """Every message of every complete chunk, in file order. Raises LogReadError if the file cannot be opened, is no
+        MCAP file, or declares more than MOST_KEPT bytes.
         """
         for block in self.blocks():
             yield from self._records(block)
@@ -215,10 +213,8 @@ def log_path(path: Path) -> Path:
 
 
 def open_file(path: Path) -> IO[bytes]:
-    """Open a log file for reading, in binary mode; the caller closes it.
-
-    Raises:
-        LogReadError: it cannot be opened, or does not begin with the magic bytes of MCAP.
+    """Open a log file for reading, in binary mode; the caller closes it. Raises LogReadError if it cannot be opened, or
+    does not begin with the magic bytes of MCAP.
     """
     file = open_any(path)
     try:
@@ -239,10 +235,8 @@ def open_file(path: Path) -> IO[bytes]:
 
 
 def check_readable(paths: Sequence[Path]) -> None:
-    """Look at several logs before the first one is read.
-
-    Raises:
-        LogReadError: some cannot be opened or are no MCAP files; it says of each one why.
+    """Look at several logs before the first one is read. Raises LogReadError if some cannot be opened or are no MCAP
+    files; it says of each one why.
     """
     wrong = []
     for path in paths:
@@ -259,10 +253,8 @@ def check_readable(paths: Sequence[Path]) -> None:
 
 
 def open_any(path: Path) -> IO[bytes]:
-    """Open any regular file for reading, in binary mode; the caller closes it.
-
-    Raises:
-        LogReadError: it cannot be opened, or is no regular file.
+    """Open any regular file for reading, in binary mode; the caller closes it. Raises LogReadError if it cannot be
+    opened, or is no regular file.
     """
     try:
         if not stat.S_ISREG(path.stat().st_mode):  # opening a pipe would block

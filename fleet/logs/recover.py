@@ -42,10 +42,7 @@ class Recovered:
 
 def recover(path: Path, out: Path | None = None, tell: Tell = lambda _: None) -> Recovered:
     """Write what can be read of a log to `out`, by default `<log>.recovered.mcap` beside it; nothing if nothing can.
-
-    Raises:
-        LogReadError: the file cannot be opened.
-        FleetError: `out` exists or cannot be written.
+    Raises LogReadError if the file cannot be opened; FleetError if `out` exists or cannot be written.
     """
     path = log_path(path)
     out = out or path.with_name(f"{path.stem}.recovered.mcap")

@@ -198,10 +198,8 @@ class Salvage:
         return os.fstat(self.file.fileno()).st_size
 
     def _record(self, at: int, size: int) -> tuple[int, bytes, int]:
-        """(opcode, content, where the next one begins) of the record at a byte.
-
-        Raises:
-            EOFError: the file ends within it.
+        """(opcode, content, where the next one begins) of the record at a byte. Raises EOFError if the file ends within
+        it.
         """
         head = self._read(at, HEAD.size)
         if len(head) < HEAD.size:

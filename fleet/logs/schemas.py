@@ -150,11 +150,8 @@ class Doubles:
     """
 
     def __init__(self, columns: Sequence[MessageField], start: int = 0, field: int = 1) -> None:
-        """Lay out a message, or the part of one.
-
-        Args:
-            start: the number of the first column's first double.
-            field: the number of the first column in the message.
+        """Lay out a message, or the part of one. `start`: the number of the first column's first double. `field`: the
+        number of the first column in the message.
         """
         self.parts: list[bytes | int] = []  # the message: bytes as they are, and the numbers of the doubles
         layout = "<"
@@ -181,10 +178,8 @@ class Doubles:
 
 
 def pose_parts(frame_id: str, position: int, orientation: int) -> list[bytes | int]:
-    """The bytes behind the timestamp in Foxglove's PoseInFrame, as in `Doubles.parts`.
-
-    Args:
-        position: the number of the first of its three doubles; `orientation`: of its four.
+    """The bytes behind the timestamp in Foxglove's PoseInFrame, as in `Doubles.parts`. `position`: the number of the
+    first of its three doubles; `orientation`: of its four.
     """
     place = Doubles([MessageField(name, "", "") for name in "xyz"], position)
     turn = Doubles([MessageField(name, "", "") for name in "xyzw"], orientation)

@@ -21,14 +21,7 @@ RUN_NAME = re.compile(r"(?P<scenario>.+)-(?P<seed>\d+)-(?P<began>\d{8}-\d{6})(-\
 
 
 def run_name(log: Path) -> str:
-    """The name of a run.
-
-    Args:
-        log: its log; a link such as `latest` in its path is resolved.
-
-    Returns:
-        The name of the run directory, or of a log that is not called run.mcap as in such a directory.
-    """
+    """The name of the run directory, links such as `latest` resolved, or of a log that is not called run.mcap."""
     path = Path(os.path.realpath(log))
     return path.parent.name if path.name == "run.mcap" else path.stem
 
@@ -48,9 +41,7 @@ def begun_at(name: str) -> datetime | None:
 
 def signal_names(path: Path) -> list[str]:
     """Every signal of a vehicle as its channels declare it: `control.leads`; read from the beginning of the file.
-
-    Raises:
-        LogReadError: there is no log to read.
+    Raises LogReadError if there is no log to read.
     """
     reader = LogReader(log_path(path))
     next(iter(reader.blocks()), None)

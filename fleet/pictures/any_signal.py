@@ -100,10 +100,8 @@ def title(runs: Sequence[Run], name: SignalName) -> str:
 
 
 def draw(runs: Sequence[Run], view: View, name: SignalName) -> Figure:
-    """A line per vehicle, whole numbers as steps; checks of the signal, and where it failed them.
-
-    Raises:
-        NothingToDraw: no vehicle reports it.
+    """A line per vehicle, whole numbers as steps; checks of the signal, and where it failed them. Raises NothingToDraw
+    if no vehicle reports it.
     """
     found = next((one for run in runs if (one := _find(run, name)) is not None), None)
     if found is None:
@@ -247,7 +245,6 @@ def _unit(found: _Found, k: int | None) -> str:
 
 
 def _asked(ax: Axes, runs: Sequence[Run], name: SignalName) -> None:
-    """The limits that the checks set for it, as lines over the time at which they hold."""
     lines = []
     for run in runs:
         for check in (run.scenario.spec.checks.signal or ()) if run.scenario is not None else ():

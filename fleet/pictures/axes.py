@@ -116,10 +116,8 @@ def spread(series: Mapping[int, Series]) -> Band:
 
 
 def outliers(panels: Sequence[Band], log: bool) -> list[int]:
-    """The vehicles that are farthest from the median on average over time and panels, the worst first.
-
-    Args:
-        log: the signals are errors on a logarithmic axis: only more than the median counts, by its factor.
+    """The vehicles that are farthest from the median on average over time and panels, the worst first. `log`: the
+    signals are errors on a logarithmic axis: only more than the median counts, by its factor.
     """
     score: dict[int, float] = {}
     for one in panels:
@@ -187,7 +185,8 @@ def reach(lines: Iterable[Series], log: bool = False) -> float:
 def enveloped(
     t: Array, values: Array, span: tuple[float, float], whole: float, log: bool = False
 ) -> tuple[Series, Envelope | None]:
-    """What to draw of a signal.
+    """What to draw of a signal. Returns the line, which is the mean where the signal oscillates too fast, and the
+    envelope there; None: it never does.
 
     Args:
         t: times [s], ascending; NaN in gaps.
@@ -195,9 +194,6 @@ def enveloped(
         span: the time axis [s].
         whole: the `reach` of all lines of the axis.
         log: its axis is logarithmic.
-
-    Returns:
-        The line, which is the mean where the signal oscillates too fast, and the envelope there; None: it never does.
     """
     if len(t) < _TURNS * 2:
         return (t, values), None
@@ -279,20 +275,13 @@ def draw_lines(
     **style: Any,
 ) -> list[str]:
     """Draw one line per vehicle into each panel, in the vehicle's colour, or in the run's. Many vehicles make a band.
+    Returns words on vehicles that have no such signal. Raises NothingToDraw if no vehicle has it.
 
     Args:
         panel: the axes, each with the function that gets its signal.
-        runs: the runs to draw.
         view: the vehicles and the span of time.
         log: the signals are errors on a logarithmic axis. Outliers are chosen on this axis.
         exact: the line goes through every sample, also if a signal oscillates too fast to be seen.
-        style: style of each vehicle's line.
-
-    Returns:
-        words on vehicles that have no such signal.
-
-    Raises:
-        NothingToDraw: no vehicle has it.
     """
     by_run = len(runs) > 1
     each = [[_series(run, view, get) for _, get in panel] for run in runs]
@@ -332,15 +321,8 @@ def draw_lines(
 def _draw_bands(
     axes: Sequence[Axes], found: Sequence[Mapping[int, Series]], style: dict[str, Any], log: bool, *, name: bool
 ) -> tuple[dict[int, dict[str, Any]], list[Artist]]:
-    """A band of the many vehicles of a run on each axis.
-
-    Args:
-        found: the series of each vehicle, for each axis.
-        style: colour and dashes of the run.
-        name: whether outliers are drawn and named.
-
-    Returns:
-        the style of the line of each outlier, and the entries of the legend.
+    """A band of the many vehicles of a run on each axis. `style`: colour and dashes of the run. `name`: whether
+    outliers are drawn and named. Returns the style of the line of each outlier, and the entries of the legend.
     """
     spreads = [spread(signals) if signals else None for signals in found]
     for ax, one in zip(axes, spreads, strict=True):

@@ -322,10 +322,8 @@ def check_signals(what: Sequence[str], runs: Sequence[Run]) -> None:
 def draw(
     what: Sequence[str], runs: Sequence[Run], view: View, share: Tell = lambda _: None
 ) -> Iterator[tuple[str, str, Figure | str]]:
-    """(file name, what it shows, the figure or why there is none) of everything that is asked for.
-
-    Args:
-        share: called before each with the share that is done.
+    """(file name, what it shows, the figure or why there is none) of everything that is asked for. `share`: called
+    before each with the share that is done.
     """
     for name, title, _, figure in _each(what, runs, view, share):
         yield name, title, figure
@@ -378,14 +376,9 @@ def write(
     tell: Callable[[str], None],
     share: Tell = lambda _: None,
 ) -> list[Path]:
-    """Draw into a folder, which is made if need be; returns the files.
-
-    Args:
-        tell: called with a sentence about each picture that could not be drawn.
-        share: called before each picture with the share that is done.
-
-    Raises:
-        FleetError: the folder cannot be written.
+    """Draw into a folder, which is made if need be; returns the files. `tell`: called with a sentence about each
+    picture that could not be drawn. `share`: called before each picture with the share that is done. Raises FleetError
+    if the folder cannot be written.
     """
     paths: list[Path] = []
     try:

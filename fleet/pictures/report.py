@@ -322,11 +322,8 @@ class RunResult:
 
 
 def write(path: Path, runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> None:
-    """Write the page; `share` is called with the share of the pictures that is done.
-
-    Raises:
-        FleetError: the place cannot be written.
-        LogReadError: a log has gone meanwhile.
+    """Write the page; `share` is called with the share of the pictures that is done. Raises FleetError if the place
+    cannot be written; LogReadError if a log has gone meanwhile.
     """
     write_page(path, lambda: page(runs, view, share))
 
@@ -469,7 +466,6 @@ def _tables(run: Run, result: Result | None) -> list[tuple[str, Table]]:
 
 
 def _from_log(run: Run) -> tuple[dict[str, Account], dict[str, LinkAge]]:
-    """Ledger and ages as a result has them, from the packets whose fate the log holds."""
     ledger: dict[str, Account] = {}
     ages = Ages(run.log.links)
     tick_s = int(run.log.run.get("tick_ns", 0)) / 1e9

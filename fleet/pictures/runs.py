@@ -101,11 +101,7 @@ class Run:
 
     @cached_property
     def tick_s(self) -> float:
-        """The tick [s].
-
-        Raises:
-            NothingToDraw: the log is not one of ours.
-        """
+        """The tick [s]. Raises NothingToDraw if the log is not one of ours."""
         try:
             tick_s = int(self.log.run["tick_ns"]) / 1e9
             if not 0.0 < tick_s < inf:
@@ -130,14 +126,9 @@ class Run:
 def load(
     paths: Sequence[Path], share: Callable[[float], None] = lambda _: None, most_held: int = MOST_HELD
 ) -> list[Run]:
-    """Read logs; each is called after its scenario, or its directory where those are equal.
-
-    Args:
-        share: called now and then with the share of each file that was read.
-        most_held: bytes of each log that are held at once.
-
-    Raises:
-        LogReadError: one of them cannot be read.
+    """Read logs; each is called after its scenario, or its directory where those are equal. `share`: called now and
+    then with the share of each file that was read. `most_held`: bytes of each log that are held at once. Raises
+    LogReadError if one of them cannot be read.
     """
     check_readable(paths)
     # Poses are states in another form.

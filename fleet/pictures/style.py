@@ -58,10 +58,8 @@ def panels(
     ratios: Sequence[float] | None = None,
     share: bool | Literal["col"] = True,
 ) -> tuple[Figure, list[Axes]]:
-    """Make a figure with a grid of axes.
-
-    Args:
-        share: True: all axes share one horizontal axis. `col`: the axes of each column share one.
+    """Make a figure with a grid of axes. `share`: True: all axes share one horizontal axis. `col`: the axes of each
+    column share one.
     """
     figure = Figure(figsize=(width, height or 1.6 * rows + 0.5), layout="constrained")
     FigureCanvasAgg(figure)

@@ -114,9 +114,7 @@ def inputs(runs: Sequence[Run], view: View) -> Figure:
 
 def _keep_inside(ax: Axes, most: dict[str, float]) -> None:
     """No part of a line's width lies beyond the limit that its values keep; values that do not keep it are shown.
-
-    Args:
-        most: the limit of each vehicle's line by its gid; what belongs to all keeps the largest.
+    `most`: the limit of each vehicle's line by its gid; what belongs to all keeps the largest.
     """
     artists: list[Line2D | Collection] = [*ax.get_lines(), *ax.collections]
     for artist in artists:

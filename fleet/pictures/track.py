@@ -111,10 +111,8 @@ class Happening(NamedTuple):
 
 
 def happenings(run: Run, view: View, tracks: Mapping[int, tuple[Array, Array]]) -> list[Happening]:
-    """The events of the vehicles in a picture, in the order of time.
-
-    Args:
-        tracks: times [s] and positions (samples, 3) [m, NED] of each vehicle.
+    """The events of the vehicles in a picture, in the order of time. `tracks`: times [s] and positions (samples, 3) [m,
+    NED] of each vehicle.
     """
     found = []
     for fault in (*run.log.faults, *run.log.events):
@@ -286,7 +284,6 @@ def _draw_from_above(ax: Axes, tracks: list[VehicleTrack]) -> set[int]:
 
 
 def _believed(tracks: list[VehicleTrack], view: View) -> list[BelievedWay]:
-    """The ways that these vehicles believed in, as far as they had to."""
     found = (believed_way(track.run, track.vehicle, track.colour, view) for track in tracks)
     return [way for way in found if way is not None]
 
@@ -398,7 +395,6 @@ def exaggeration(across: float, deep: float) -> int:
 
 
 def _tracks(runs: Sequence[Run], view: View) -> tuple[list[VehicleTrack], list[Artist]]:
-    """The ways in the window, and the entries of a legend that tell them apart."""
     found: list[VehicleTrack] = []
     for run in runs:
         for i in run.vehicles(view):
@@ -472,7 +468,6 @@ def _extent(positions: Sequence[Array]) -> tuple[Array, Array]:
 
 
 def _happened(runs: Sequence[Run], view: View, tracks: Sequence[VehicleTrack]) -> list[tuple[Happening, str]]:
-    """The events of the vehicles, with the colour of each one's track."""
     found = []
     for run in runs:
         own = {track.vehicle: track for track in tracks if track.run is run}
@@ -489,8 +484,6 @@ def _explained(
     linked: bool,
     flat: bool,
 ) -> list[Artist]:
-    """The entries of a legend that say what the marks mean."""
-
     def mark(sign: Any, label: str, **style: Any) -> Line2D:
         look: dict[str, Any] = {"color": "0.3", "markersize": 4} | style
         return Line2D([], [], linestyle="", marker=sign, label=label, **look)

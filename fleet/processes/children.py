@@ -149,19 +149,15 @@ class Children:
         self._watcher: threading.Thread | None = None
 
     def start(self, role: str, title: str, log_path: Path, target: Callable[..., None], *args: Any) -> None:
-        """Start `target(*args)` as a process of its own.
+        """Start `target(*args)` as a process of its own. Raises TimeoutError if the fork server did not answer, and was
+        ended. Raises OSError, EOFError if the fork server has ended, and so what it started before; or there is no room
+        for another process. Raises KeyboardInterrupt that came meanwhile when the process was started. Raises RunBroken
+        if the system gives no thread.
 
         Args:
             role: the key of the process in `by_role`; that of a process that has ended may be used again.
             title: its name in `ps`.
             log_path: where its output goes.
-
-        Raises:
-            TimeoutError: the fork server did not answer, and was ended.
-            OSError, EOFError: the fork server has ended, and so what it started before; or there is no room for
-                another process.
-            KeyboardInterrupt: it came meanwhile; the process was started.
-            RunBroken: the system gives no thread.
         """
         _set_preload()
         process = self._context.Process(

@@ -47,13 +47,9 @@ def allow_most_open_files() -> None:
 
 
 def allow_open_files(vehicles: int, others: int = 0) -> None:
-    """Raise the soft limit of open files to the number that a run needs. Child processes inherit it.
-
-    Args:
-        others: number of connections from outside of the run. They get room as far as the hard limit allows.
-
-    Raises:
-        RunBroken: the hard limit is too low.
+    """Raise the soft limit of open files to the number that a run needs. Child processes inherit it. `others`: number
+    of connections from outside of the run. They get room as far as the hard limit allows. Raises RunBroken if the hard
+    limit is too low.
     """
     needed = FILES + FILES_PER_VEHICLE * vehicles
     limit = _raise_to(needed + others)
@@ -65,10 +61,8 @@ def allow_open_files(vehicles: int, others: int = 0) -> None:
 
 
 def allow_workers(count: int) -> None:
-    """Raise the soft limit as far as so many worker processes need it; each of them inherits it.
-
-    Raises:
-        RunBroken: the hard limit is too low.
+    """Raise the soft limit as far as so many worker processes need it; each of them inherits it. Raises RunBroken if
+    the hard limit is too low.
     """
     needed = len(os.listdir("/proc/self/fd")) + FILES + FILES_PER_WORKER * count
     limit = _raise_to(needed)

@@ -48,10 +48,8 @@ class Workers:
     """Some worker processes, which end with the context; they leave Ctrl-C to us and never outlive us."""
 
     def __init__(self, count: int, begin: Callable[[], None] | None = None) -> None:
-        """Prepare so many; a process starts when there is an item for it, and calls `begin` first.
-
-        Raises:
-            RunBroken: too few files may be open for so many.
+        """Prepare so many; a process starts when there is an item for it, and calls `begin` first. Raises RunBroken if
+        too few files may be open for so many.
         """
         self.count = count
         self._begin = begin

@@ -130,11 +130,7 @@ class Journal:
             self.connectivity.close(ticks)
 
     def frame(self, frame: Frame) -> None:
-        """Take the world's next frame.
-
-        Raises:
-            OutOfPlace: a frame is missing.
-        """
+        """Take the world's next frame. Raises OutOfPlace if a frame is missing."""
         expected = 0 if self.framed < 0 else min(self.framed + self._frame_every, self._last)
         if frame.tick != expected:
             raise OutOfPlace("frame", expected, frame.tick)
@@ -147,11 +143,7 @@ class Journal:
         self._write()
 
     def links(self, report: LinkReport) -> None:
-        """Take netem's next report.
-
-        Raises:
-            OutOfPlace: a report is missing.
-        """
+        """Take netem's next report. Raises OutOfPlace if a report is missing."""
         expected = 0 if self.reported < 0 else self.reported + self._round_ticks
         if not report.closing and report.until != expected:
             raise OutOfPlace("link report", expected, report.until)
@@ -209,7 +201,6 @@ class Journal:
         self._planned_deaths.update((absence.vehicle, absence.begin) for absence in absences)
 
     def _write_events(self, frame: Frame) -> None:
-        """Write the planned events up to this tick, and the unplanned ends of agents."""
         for life in frame.lives:
             i = life.vehicle
             if life.begins and i in self.deaths:

@@ -81,11 +81,7 @@ class LogFile:
     """
 
     def __init__(self, path: Path) -> None:
-        """Create the file.
-
-        Raises:
-            LogError: it exists already, or cannot be created.
-        """
+        """Create the file. Raises LogError if it exists already, or cannot be created."""
         self.path = path
         self.messages = 0
         self._digest = Digest()
@@ -159,11 +155,7 @@ class LogFile:
                 self._writer.flush()
 
     def close(self) -> None:
-        """Write the index and close the file.
-
-        Raises:
-            LogError: the rest of the file cannot be written.
-        """
+        """Write the index and close the file. Raises LogError if the rest of the file cannot be written."""
         with self._refused():
             self._writer.finish()
             self._file.close()

@@ -226,10 +226,8 @@ def _ends(thing: Primitive) -> list[Vec3]:
 
 def hull(i: int, mass: float, silent: bool) -> SceneEntity:
     """A torpedo around the origin of `uuv-<i>`, forward along x: body, nose, tail cone, cross of fins, and its number.
-
-    Args:
-        mass: of the vehicle [kg], which gives the size.
-        silent: the vehicle gets no command, because its agent is dead or suspended.
+    `mass`: of the vehicle [kg], which gives the size. `silent`: the vehicle gets no command, because its agent is dead
+    or suspended.
     """
     d = diameter(mass)
     length = SLENDER * d

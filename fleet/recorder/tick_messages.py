@@ -168,7 +168,6 @@ class TickMessages:
         """The messages of a tick, group by group, in each the vehicles in ascending order.
 
         Args:
-            errors: of every vehicle of the frame.
             groups: the topic groups that are due.
             at_ns: the time of the tick.
             stamp: the time as `fleet.logs.schemas.stamp_field` writes it.
@@ -210,10 +209,8 @@ class TickMessages:
         return Batch(at_ns, frame.tick, layout.channels, layout.bounds, records, digested)
 
     def _layout(self, groups: Sequence[str], stamp: int, there: Sequence[tuple[int, bool, bool, bool]]) -> _Layout:
-        """For the messages of these groups, with a timestamp of so many bytes.
-
-        Args:
-            there: vehicle after vehicle, and whether it has a measurement, a command, telemetry.
+        """For the messages of these groups, with a timestamp of so many bytes. `there`: vehicle after vehicle, and
+        whether it has a measurement, a command, telemetry.
         """
         key = (tuple(groups), stamp, tuple(there))
         if key in self._layouts:

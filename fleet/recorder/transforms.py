@@ -38,11 +38,8 @@ class Template:
     """
 
     def __init__(self, make: Callable[..., Any], count: int) -> None:
-        """Find the places of the doubles.
-
-        Args:
-            make: gives a protobuf message with each of its arguments in one field, in the order of the fields.
-            count: of its arguments.
+        """Find the places of the doubles. `make`: gives a protobuf message with each of its arguments in one field, in
+        the order of the fields. `count`: of its arguments.
         """
         self._make = make
         marks = [0.1234567 * (k + 1) for k in range(count)]

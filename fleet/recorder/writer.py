@@ -134,15 +134,13 @@ class LogWriter:
         tap: Tap | None = None,
         clock: Clock = Clock.LOCKSTEP,
     ) -> None:
-        """Write the scenario and declare all channels.
+        """Write the scenario and declare all channels. Raises LogError if the sink is a file and cannot be written; so
+        do all methods.
 
         Args:
             start: where the run goes on from a snapshot of another run.
             tap: receives a copy of every message.
             clock: of the run; its metadata names a wall clock.
-
-        Raises:
-            LogError: the sink is a file and cannot be written; so do all methods.
         """
         self._sink = sink
         self._tap = tap
@@ -180,7 +178,6 @@ class LogWriter:
         self._by_link = {link: self._channel(link_topic(link), packet) for link in scenario.graph.links}
 
     def _write_head(self, start: Start | None, clock: Clock) -> None:
-        """Write the scenario, the snapshot that the run goes on from, and the metadata."""
         self._sink.attachment("scenario.yaml", "application/yaml", self._scenario.to_yaml().encode())
         if start is not None:
             self._sink.attachment(START, "application/msgpack", start.snapshot.to_bytes())
@@ -199,10 +196,8 @@ class LogWriter:
         return drawn
 
     def _schemas(self, plants: Mapping[int, tuple[Signal, ...]]) -> dict[str, dict[int, Schema]]:
-        """The schema of every topic group and vehicle; vehicles that run the same share it.
-
-        Args:
-            plants: what the plant of each vehicle reports that has one.
+        """The schema of every topic group and vehicle; vehicles that run the same share it. `plants`: what the plant of
+        each vehicle reports that has one.
         """
         ids = range(1, self._scenario.vehicles + 1)
         state = dict.fromkeys(ids, flat_schema("State", STATE))

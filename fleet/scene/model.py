@@ -59,21 +59,15 @@ class PlaceBelief(NamedTuple):
 
     @classmethod
     def by_navigator(cls, off: Sequence[float], covariance: Sequence[float]) -> PlaceBelief:
-        """As the topic `belief` has it.
-
-        Args:
-            off: believed minus true position, NED [m].
-            covariance: of x, y, z and psi: upper triangle, row by row; or empty.
+        """As the topic `belief` has it. `off`: believed minus true position, NED [m]. `covariance`: of x, y, z and psi:
+        upper triangle, row by row; or empty.
         """
         north, east, down = off
         return cls((north, east, down), (*covariance[:2], covariance[4]) if len(covariance) == 10 else ())
 
     def by_ranges(self, off: Sequence[float], covariance: Sequence[float]) -> PlaceBelief:
-        """The belief of a vehicle that uses ranges, as the topic `located` has it. The depth is its navigator's.
-
-        Args:
-            off: believed minus true position, north and east [m].
-            covariance: nn, ne, ee [m^2].
+        """The belief of a vehicle that uses ranges, as the topic `located` has it. The depth is its navigator's. `off`:
+        believed minus true position, north and east [m]. `covariance`: nn, ne, ee [m^2].
         """
         north, east = off
         return PlaceBelief((north, east, self.off[2]), covariance)
@@ -123,11 +117,8 @@ def drawn_belief(i: int, belief: PlaceBelief) -> list[Primitive]:
 
 
 def ellipse(vehicle: int, place: Sequence[float], covariance: Sequence[float], frame: str = NED) -> AreaShape | None:
-    """The ellipse of a vehicle; None: it does not know how sure it is, or not at all.
-
-    Args:
-        place: where it believes it is: north, east, down [m], in the frame.
-        covariance: as in `PlaceBelief`.
+    """The ellipse of a vehicle; None: it does not know how sure it is, or not at all. `place`: where it believes it is:
+    north, east, down [m], in the frame. `covariance`: as in `PlaceBelief`.
     """
     if len(covariance) != 3:
         return None
@@ -206,10 +197,8 @@ class SceneModel:
         return [*self.obstacles, self.course(0.0, self.scenario.duration_ns / 1e9)]
 
     def moving(self, t: float, beliefs: Mapping[int, PlaceBelief] = NO_BELIEFS) -> list[Primitive]:
-        """The primitives at a time [s] that move with the fleet, without vehicles, links and packets.
-
-        Args:
-            beliefs: the positions that the vehicles themselves estimate.
+        """The primitives at a time [s] that move with the fleet, without vehicles, links and packets. `beliefs`: the
+        positions that the vehicles themselves estimate.
         """
         wanted = [(i, FramePoint(REFERENCE, *offset)) for i, offset in enumerate(self.offsets(t), start=1)]
         return [

@@ -123,7 +123,8 @@ class Bus:
     def connect(
         cls, endpoint: str, credentials: Credentials, *, timeout_ms: int = 5000, puts: Sequence[str] = ()
     ) -> Bus:
-        """A client session to a run's router.
+        """A client session to a run's router. Raises BusError if no router answers in time, or it refuses the
+        credentials or the certificate.
 
         Args:
             endpoint: address of the router. Several addresses are separated by commas; each is tried in turn.
@@ -132,9 +133,6 @@ class Bus:
             puts: key expressions. All publishers on keys of one expression are declared to the router as one. Without
                 this, a thousand declarations at once block zenoh: the thread that waits for room in the socket is the
                 one that would make room.
-
-        Raises:
-            BusError: no router answers in time, or it refuses the credentials or the certificate.
         """
         settings = {
             **client_settings(endpoint.split(","), credentials, timeout_ms),
@@ -162,21 +160,18 @@ class Bus:
         listener: Listener | None = None,
         hosts: Members = (),
     ) -> Bus:
-        """Open the router of a run: it listens on `endpoint`, checks users and enforces the access-control list.
+        """Open the router of a run: it listens on `endpoint`, checks users and enforces the access-control list. Raises
+        BusError if an endpoint is already in use, or this process may not listen on it; OSError if the file of users
+        cannot be written.
 
         Args:
             endpoint: address at which the run's own processes reach the router.
-            keys: the keys of the run.
             vehicles: the vehicle numbers.
             credentials: the users that may log in, by role.
             private: a directory of mode 0700. Zenoh reads the users from a file there. The file is removed as soon as
                 the session is open.
             listener: additional endpoints, for processes that do not belong to the run.
             hosts: the agents that share processes.
-
-        Raises:
-            BusError: an endpoint is already in use, or this process may not listen on it.
-            OSError: the file of users cannot be written.
         """
         users = users_file(private, credentials.values())
         endpoints = [endpoint, *(listener.endpoints if listener else ())]

@@ -23,16 +23,12 @@ class CertificateRouter:
     """Listens with mutual TLS, and passes messages between the agents of `listener.certified` and the run's router."""
 
     def __init__(self, run: Bus, keys: Keys, vehicles: tuple[int, ...], listener: Listener) -> None:
-        """Open the router.
+        """Open the router. Raises BusError if an endpoint is in use, or this process may not listen on it.
 
         Args:
             run: the session that hosts the router of the run.
-            keys: the keys of the run.
             vehicles: all vehicle numbers. An agent may join here if its role is in `listener.certified`.
             listener: the endpoints, with the certificates.
-
-        Raises:
-            BusError: an endpoint is in use, or this process may not listen on it.
         """
         agents = tuple(i for i in vehicles if agent_role(i) in listener.certified)
         settings = {

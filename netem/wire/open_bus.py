@@ -91,22 +91,15 @@ class OpenBus:
 
     @classmethod
     def listen(cls, endpoint: str) -> OpenBus:
-        """Open a router without credentials. Every process that reaches the endpoint may join.
-
-        Raises:
-            BusError: the endpoint is not valid, or it is in use.
+        """Open a router without credentials. Every process that reaches the endpoint may join. Raises BusError if the
+        endpoint is not valid, or it is in use.
         """
         return cls._listen(endpoint, OTHERS)
 
     @classmethod
     def host(cls, endpoint: str, keys: Keys, observer: Credentials, private: Path) -> OpenBus:
-        """A router where the observer may read the journal of a run; everything else is refused.
-
-        Args:
-            private: a directory of mode 0700, as for `Bus.host`.
-
-        Raises:
-            BusError: the endpoint is taken or none.
+        """A router where the observer may read the journal of a run; everything else is refused. `private`: a directory
+        of mode 0700, as for `Bus.host`. Raises BusError if the endpoint is taken or none.
         """
         users = users_file(private, [observer])
         settings = {
@@ -139,11 +132,8 @@ class OpenBus:
             raise BusError(f"{problem} {endpoint} ({reason(error)})") from None
 
     def publication(self, key: str, encoding: str, *, drop: bool) -> OpenPublication:
-        """Puts on `key`, in order. With `drop`, what a slow subscriber has no room for is lost to it; otherwise the
-        put waits, and zenoh closes the link to a subscriber that takes nothing for 5 s.
-
-        Raises:
-            BusError: the key is none.
+        """Puts on `key`, in order. With `drop`, what a slow subscriber has no room for is lost to it; otherwise the put
+        waits, and zenoh closes the link to a subscriber that takes nothing for 5 s. Raises BusError if the key is none.
         """
         control = zenoh.CongestionControl.DROP if drop else zenoh.CongestionControl.BLOCK
         try:
@@ -156,13 +146,8 @@ class OpenBus:
         return OpenPublication(publisher)
 
     def subscribe(self, key: str, handler: Callable[[Any], None]) -> Callable[[], None]:
-        """Call `handler` with zenoh's own sample, on a thread of zenoh; `sample_of` reads it later.
-
-        Returns:
-            A function that ends the subscription.
-
-        Raises:
-            BusError: the key expression is none.
+        """Call `handler` with zenoh's own sample, on a thread of zenoh; `sample_of` reads it later. Returns a function
+        that ends the subscription. Raises BusError if the key expression is none.
         """
         try:
             subscriber = self._session.declare_subscriber(key, handler)

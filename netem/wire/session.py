@@ -110,10 +110,8 @@ def client_tls(credentials: Credentials) -> dict[str, Any]:
 
 
 def server_tls(listener: Listener, *, mutual: bool) -> dict[str, Any]:
-    """The other side of `client_tls`; empty when the listener has no certificate.
-
-    Args:
-        mutual: whether everybody has to show a certificate.
+    """The other side of `client_tls`; empty when the listener has no certificate. `mutual`: whether everybody has to
+    show a certificate.
     """
     settings: dict[str, Any] = {}
     if listener.certificate:
@@ -150,13 +148,8 @@ def open_session(mode: Literal["client", "router"], settings: dict[str, Any]) ->
 
 
 def users_file(private: Path, credentials: Iterable[Credentials]) -> Path:
-    """Write the file that lists who may log in. The router reads it once.
-
-    Args:
-        private: a directory of mode 0700.
-
-    Raises:
-        OSError: it cannot be written.
+    """Write the file that lists who may log in. The router reads it once. `private`: a directory of mode 0700. Raises
+    OSError if it cannot be written.
     """
     users = private / "users"
     write_whole(users, "".join(f"{c.user}:{c.password}\n" for c in credentials).encode())

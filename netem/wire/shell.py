@@ -85,11 +85,7 @@ class Shell:
     """The queue of one process, with the bus that feeds it."""
 
     def __init__(self, bus: Bus, role: str, note_key: str) -> None:
-        """Make the queue; `subscribe` and `answer` fill it.
-
-        Args:
-            note_key: key expression of the notes to the console.
-        """
+        """Make the queue; `subscribe` and `answer` fill it. `note_key`: key expression of the notes to the console."""
         self.bus = bus
         self.role = role
         self.queue: SimpleQueue[Item] = SimpleQueue()
@@ -149,10 +145,8 @@ class Probes:
         self._left: dict[int, tuple[float, float]] = {}  # by agent: how many, at what time
 
     def spend(self, i: int) -> None:
-        """Count a probe of agent i.
-
-        Raises:
-            OutOfPlace: the agent has sent more than BURST, and more than PER_S a second since.
+        """Count a probe of agent i. Raises OutOfPlace if the agent has sent more than BURST, and more than PER_S a
+        second since.
         """
         now = self._now()
         left, since = self._left.get(i, (float(self.BURST), now))

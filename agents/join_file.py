@@ -38,8 +38,6 @@ class _Version(msgspec.Struct):
 
 
 class JoinFile(msgspec.Struct, frozen=True):
-    """The content of a join file."""
-
     endpoint: str  # of the run's router, as zenoh writes it; several have commas between them
     run: Name  # the run's id: its keys begin with fleet/<run>/
     vehicle: Annotated[int, Meta(ge=1)]

@@ -37,9 +37,7 @@ from netem.wire.session import quiet_zenoh
 from netem.wire.shell import Shell, end_with_link, read_map
 from world.errors import PluginError
 
-# --- host
-# A host: one process, and one session, for several agents in lockstep.
-#
+# --- host: one process, and one session, for several agents in lockstep
 # Each agent has its own core, loop and life. Their messages come together, and so do their answers, because a fleet of
 # a thousand processes spends its time on waking them.
 

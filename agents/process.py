@@ -25,9 +25,7 @@ from netem.wire.messages import PROTOCOL_VERSION, End, Hello, Inbox, Message, Na
 from netem.wire.queues import PutQueue, Stamped
 from netem.wire.shell import Shell
 
-# --- running
-# Which of its agents a host is computing, told to the console through a file that both map.
-#
+# --- running: which of its agents a host is computing, told to the console through a file that both map
 # A law that hangs, or ends the process, can tell nobody any more; what is in the file stays.
 
 

@@ -120,7 +120,6 @@ class Lockstep:
                 vehicles[i] = known
 
     def _complete_memory(self, i: int, k: int, agent: bytes) -> None:
-        """Add to what vehicle i remembers before tick k, if anything, what its agent does."""
         if (vehicles := self._memories.get(k)) is not None and i in vehicles:
             vehicles[i] = vehicles[i]._replace(agent=agent)
 

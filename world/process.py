@@ -46,9 +46,7 @@ from world.errors import IntegrationError
 from world.lockstep import Lockstep, NavTo, Out
 from world.realtime import RealtimeRun
 
-# --- turns
-# Turns of processes: the world asks a few processes at a time, each tick after tick up to the next round.
-#
+# --- turns: the world asks a few processes at a time, each tick after tick up to the next round
 # If a hundred processes wake in turn, each finds little of its memory in the processor's caches. The first sample after
 # the wake-up takes twice as long as the next one. Between two rounds no vehicle depends on another. So one agent may
 # answer several ticks while others wait.

@@ -16,8 +16,7 @@ from world.lockstep import Out
 from world.process import WorldProcess
 from world.realtime import RealtimeRun
 
-# --- tick schedule
-# When ticks begin on a wall clock. Nothing here reads a clock: the caller passes the time.
+# --- tick schedule: when ticks begin on a wall clock. Nothing here reads a clock: the caller passes the time.
 
 
 class TickSchedule:

@@ -18,8 +18,7 @@ from world.sea import World
 from world.tumble import tumbles
 from world.vectors import ZERO, Vec3
 
-# --- frames
-# Collects the parts of each frame until it is complete. A frame is the state of all vehicles at one tick.
+# --- frames: collects the parts of each frame until it is complete. A frame is the state of all vehicles at one tick.
 
 
 _Change = TypeVar("_Change", Life, Tumble)
@@ -52,7 +51,6 @@ class FrameAssembly:
         return tick % self._every == 0
 
     def row(self, tick: int, row: VehicleFrame) -> None:
-        """Add one vehicle at a tick that has a frame."""
         self._rows.setdefault(tick, []).append(row)
 
     def life(self, life: Life) -> None:
@@ -64,7 +62,6 @@ class FrameAssembly:
         self._tumbles.setdefault(self._frame_of(tumble.tick), []).append(tumble)
 
     def resume(self, tick: int) -> None:
-        """Go on with the frame of a tick."""
         self._tumbles.clear()
         self._next = tick
 

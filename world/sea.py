@@ -73,8 +73,6 @@ class _Vehicle:
 
 
 class _Vehicles(dict[int, _Vehicle]):
-    """The vehicles by number."""
-
     def __missing__(self, i: int) -> _Vehicle:
         raise WorldError(f"vehicle {i} is not in this world, which has {list(self)}")
 
@@ -179,7 +177,6 @@ class World:
         return self._with_actuator_faults(i, vehicle.tick, applied) if self._faults else applied
 
     def _with_actuator_faults(self, i: int, tick: int, tau: Vec3) -> Vec3:
-        """The force and moments [N, N m] that faulty actuators apply instead of `tau`."""
         for fault in self._active(i, tick):
             match fault.kind:
                 case WorldFaultKind.EFFICIENCY:
@@ -350,7 +347,6 @@ class World:
         self._held |= {(fault, i): tuple(known) for fault, known in held}
 
     def _stage_forces_at(self, tick: int) -> tuple[tuple[Vec5, Vec5, Vec5], ...]:
-        """The disturbance at start, middle and end of each RK4 step of a tick."""
         config = self.config
         n = config.substeps
         t = tick * config.tick_ns / 1e9

@@ -11,12 +11,10 @@ ZERO: Vec3 = (0.0, 0.0, 0.0)
 
 
 def plus(a: Vec3, b: Vec3) -> Vec3:
-    """a + b."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 def minus(a: Vec3, b: Vec3) -> Vec3:
-    """a - b."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 

@@ -29,9 +29,7 @@ from agents.sample import Sample, VelocityCommand
 from world.signal import Signal
 from world.vectors import Vec3
 
-# --- shunting
-# The shunting model, the bioinspired neuron that bounds and smooths an error (eqs. 43-47).
-#
+# --- shunting: the bioinspired neuron that bounds and smooths an error (eqs. 43-47).
 # | symbol | meaning | unit | paper |
 # |---|---|---|---|
 # | x | membrane state | unit of s | (43) |
@@ -190,8 +188,6 @@ class NeurodynamicTracking(_Backstepping):
 
 
 class _WithRates(_Backstepping):
-    """A with the derivatives of the commands."""
-
     signals: ClassVar[tuple[Signal, ...]] = (*_ERRORS, _RATES, _DEMAND)
 
     __slots__ = ("_command_rates",)

@@ -16,9 +16,7 @@ from math import atan2, cos, exp, hypot, pi, remainder, sin, sqrt
 
 from world.vectors import Vec3
 
-# --- filters
-# Angles and their measured rates.
-#
+# --- filters: angles and their measured rates
 # | symbol | meaning | unit | source |
 # |---|---|---|---|
 # | s_k | a sampled angle | rad | - |

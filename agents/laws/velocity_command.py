@@ -17,9 +17,7 @@ from math import atan2, hypot, sqrt
 from agents.sample import NeighbourState
 from world.vectors import Vec3
 
-# --- consensus
-# The consensus error of one vehicle (eq. 8).
-#
+# --- consensus error of one vehicle (eq. 8).
 # | symbol | meaning | unit | frame | paper |
 # |---|---|---|---|---|
 # | e_i | consensus error | m | NED | (8) |

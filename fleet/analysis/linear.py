@@ -157,7 +157,6 @@ def _velocity(s: Array) -> Array:
 
 
 def _numbers(memory: Any) -> Iterator[float]:
-    """Every number in plain values, in order."""
     if isinstance(memory, dict):
         for value in memory.values():
             yield from _numbers(value)

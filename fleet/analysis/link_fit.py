@@ -14,9 +14,7 @@ from fleet.scenario.sections.trace_table import TraceTable
 from netem.condition import Condition
 from netem.grammar import print_condition
 
-# --- hidden markov
-# Hidden Markov models of losses: each hidden state loses packets with a probability of its own.
-#
+# --- hidden markov: hidden Markov models of losses: each hidden state loses packets with a probability of its own
 # With two states this is the model of Gilbert (1960) and Elliott (1963). The parameters are fitted by expectation
 # maximisation (Baum and Welch; L. R. Rabiner, Proceedings of the IEEE 77, 1989, equations 37 to 40).
 #
@@ -113,7 +111,6 @@ def _begin(lost: Array, stay: float, factors: tuple[float, ...]) -> tuple[Array,
 
 
 def _improve(lost: Array, moves: Array, loses: Array, first: Array, steps: int) -> HiddenMarkov:
-    """Make at most `steps` steps; each step increases the likelihood."""
     before = -np.inf
     for step in range(steps + 1):
         likelihood, first_after, posterior, pairs = _expect(lost, moves, loses, first)
@@ -127,7 +124,6 @@ def _improve(lost: Array, moves: Array, loses: Array, first: Array, steps: int) 
 
 
 def _normalised(weights: Array) -> Array:
-    """Probabilities in proportion to weights, along the last axis."""
     raised = np.maximum(weights, _LEAST)
     normalised: Array = raised / raised.sum(axis=-1, keepdims=True)
     return normalised

@@ -21,8 +21,7 @@ from netem.condition import Condition, Link, effective
 from world.errors import PluginError
 from world.vectors import Vec3, plus
 
-# --- forgetting
-# Protocols that forget a neighbour after a silence: how long that must be for the loss of their links.
+# --- forgetting: protocols that forget a neighbour after a silence: how long that must be for the loss of their links
 
 
 PARAMETER = "forget_after_s"
@@ -77,8 +76,7 @@ def _forget_after_s(law: Law) -> float | None:
     return float(given) if isinstance(given, int | float) else None
 
 
-# --- keep apart
-# Limits of the section `keep_apart` in a scenario, as warnings before a run.
+# --- keep apart: limits of the section `keep_apart` in a scenario, as warnings before a run
 
 
 def keep_apart_warnings(scenario: Scenario) -> Iterator[str]:

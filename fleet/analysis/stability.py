@@ -35,8 +35,7 @@ from fleet.scenario.sections.per_vehicle import Control
 from netem.vehicle_clock import Clocks
 from world.vectors import Vec3
 
-# --- spectrum
-# The eigenvalues of a graph's matrices: fast and real where the graph allows it.
+# --- spectrum: the eigenvalues of a graph's matrices: fast and real where the graph allows it
 
 
 _SAME = 1e-9  # of a ratio's logarithm
@@ -54,7 +53,6 @@ def eigenvalues(M: Any) -> Any:
 
 
 def _symmetric(M: Any) -> Any | None:
-    """D M D^-1 that is symmetric, with D diagonal and positive; None: there is none."""
     linked = M != 0.0
     products = M * M.T
     if (linked & (products <= 0.0)).any():
@@ -77,9 +75,7 @@ def _symmetric(M: Any) -> Any | None:
     return np.sign(M) * np.sqrt(products)
 
 
-# --- slots
-# How far the clocks of a fleet may differ until time slots overlap.
-#
+# --- slots: how far the clocks of a fleet may differ until time slots overlap
 # | symbol | meaning | unit |
 # |---|---|---|
 # | S, A | slot; the longest airtime of a payload in it | s |

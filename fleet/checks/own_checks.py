@@ -33,9 +33,7 @@ from netem.wire.messages import Command, Fate, Frame
 from world.errors import PluginError
 from world.plugins.fence import Fence, shown
 
-# --- last messages
-# The last packets of every link, to tell which message made the difference to a vehicle.
-#
+# --- last messages: the last packets of every link, to tell which message made the difference to a vehicle
 # Only messages of the protocol that a check judges count. Which these are is told by the signals that the check looks
 # at:
 #
@@ -76,8 +74,6 @@ class LastMessages:
 
 
 class _LastOfLinks:
-    """The last fates of the messages of one protocol."""
-
     def __init__(self, links: Sequence[Link], tick_s: float) -> None:
         self._tick_s = tick_s
         self._into: dict[int, list[int]] = {}
@@ -121,8 +117,7 @@ class _LastOfLinks:
         return fate.cause == Cause.DELIVERED and not fate.corrupted
 
 
-# --- python check
-# A check in Python while it is judged: behind a fence, so that whatever it does becomes its verdict.
+# --- python check: a check while it is judged: behind a fence, so that whatever it does becomes its verdict
 
 
 BUDGET_S = 5.0  # of wall time, that one call may take
@@ -382,7 +377,6 @@ class OwnChecks:
         return frozenset(group for group, every in self._every.items() if tick % every == 0 or tick == self._last)
 
     def take(self, values: TickValues) -> None:
-        """Take the values of a tick."""
         self._judge()
         self._pending = values
 

@@ -119,7 +119,6 @@ class EventuallyMargin:
         self._least: tuple[float, int] | None = None
 
     def begin(self, tick: int) -> None:
-        """A wait begins."""
         self._begin = tick
         self._worst, self._since, self._best = {}, {}, {}
 

@@ -11,9 +11,7 @@ from netem.wire.messages import Command, Frame, VehicleFrame
 from world.signal import width_of
 from world.vectors import Vec3
 
-# --- belief
-# A vehicle's belief about its position against the truth: the values of its topic `belief` at a tick.
-#
+# --- belief: a vehicle's belief about its position against the truth: the values of its topic `belief` at a tick
 # | symbol | meaning | unit |
 # |---|---|---|
 # | P | covariance of the estimate of x, y, z (NED) and psi | m^2, m rad, rad^2 |
@@ -103,8 +101,6 @@ class Error(Protocol):
 
 
 class TickValues(Protocol):
-    """The values of one tick."""
-
     @property
     def tick(self) -> int: ...
 

@@ -29,7 +29,6 @@ class GrantPolicy:
 
     @classmethod
     def of(cls, scenario: Scenario, speed_limit: float | None = None, *, lead_ns: int = 0, begin: int = 0) -> Self:
-        """The policy for a scenario."""
         m = scenario.round_ticks
         return cls(scenario.ticks, scenario.tick_ns, m, frame_every(scenario), speed_limit, lead_ns, begin)
 

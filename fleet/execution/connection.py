@@ -166,7 +166,6 @@ class OpenConnection:
             raise RemoteError(f"{run.name} cannot be reached: {error}") from None
 
     def ask(self, op: str, **fields: Any) -> dict[str, Any]:
-        """As `ask`."""
         name = self._run.name
         answer = self._bus.ask(f"{Keys(self._run.run).op}/{op}", request(op, **fields), timeout_s=ASK_S)
         if answer is None:
@@ -177,7 +176,6 @@ class OpenConnection:
         return values
 
     def close(self) -> None:
-        """End it."""
         self._bus.close()
 
 

@@ -35,8 +35,7 @@ from netem.wire.codec import expect
 from netem.wire.messages import PROTOCOL_VERSION, Frames, Grant, Hello, LinkReport
 from netem.wire.shell import read_map
 
-# --- accounts
-# The account of a completed run: every message that one process sent, another received.
+# --- accounts of a completed run: every message that one process sent, another received
 
 
 def closing(world: dict[str, Any], network: dict[str, Any], rejected: dict[str, int]) -> Closing:
@@ -75,8 +74,7 @@ def lost_messages(counts: dict[str, Any], clock: Clock = Clock.LOCKSTEP) -> int:
     return sum(abs(sent - received) for sent, received in pairs)
 
 
-# --- readiness
-# Whether everyone is ready for the first tick.
+# --- readiness: whether everyone is ready for the first tick
 
 
 @dataclass(frozen=True, slots=True)

@@ -158,8 +158,7 @@ def _make_unique(out: Path, base: str) -> Path:
             return path
 
 
-# --- past runs
-# The runs below a directory: which there are, what they came to, how large they are, and which may go.
+# --- past runs: those below a directory: which there are, what they came to, how large they are, and which may go
 
 
 PASS, FAIL, BROKE, STOPPED, LIVE = VERDICTS = ("pass", "FAIL", "broke", "stopped", "live")

@@ -39,8 +39,7 @@ from fleet.terminal.table import GAP, Piece, shortened
 from netem.vehicle_clock import Clock
 from world.errors import WorldError
 
-# --- progress
-# The display of a run while it goes on: its time and speed, the formation error, packets and faults.
+# --- progress: the display of a run while it goes on: its time and speed, the formation error, packets and faults
 
 
 STILL_S = 60.0  # between plain lines when nothing moves
@@ -124,8 +123,6 @@ class ProgressLine:
 
 @dataclass(slots=True)
 class _Run:
-    """A run that is prepared, and what has become of it so far."""
-
     scenario: Scenario
     options: Options
     directory: RunDirectory

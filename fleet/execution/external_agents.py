@@ -33,7 +33,6 @@ def refuse(scenario: Scenario, what: str) -> None:
 
 
 def named(vehicles: Sequence[int]) -> str:
-    """`vehicle 3 is external`, `vehicles 3 and 4 are external`."""
     if len(vehicles) == 1:
         return f"vehicle {vehicles[0]} is external"
     return f"vehicles {', '.join(map(str, vehicles[:-1]))} and {vehicles[-1]} are external"

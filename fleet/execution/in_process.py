@@ -240,7 +240,6 @@ class InProcess:
         )
 
     def _loop(self, i: int, incarnation: int) -> AgentLife:
-        """The life `incarnation` of agent i, which is made when it is asked for."""
         if incarnation > self._loops[i].incarnation:
             begin = self._world.state.lives.gaps(i)[incarnation - 1][1]
             assert begin is not None  # otherwise no message would name this life

@@ -93,7 +93,6 @@ class Notes:
         return None
 
     def add(self, tick: int, who: str, text: str) -> None:
-        """Keep a note."""
         self.lines.append(note_text(tick, self._tick_ns, who, text))
 
 

@@ -32,8 +32,7 @@ from netem.faults import NetFault
 from netem.vehicle_clock import Clock
 from netem.wire.messages import WorldFault
 
-# --- fault request
-# A fault that is to begin in a run that goes on: checked by the rules of scenarios.
+# --- fault request: one that is to begin in a run that goes on: checked by the rules of scenarios
 
 
 BROKEN = 3  # the status of a refusal for which the asker can do nothing
@@ -103,9 +102,7 @@ class Fleet(Protocol):
         """Start vehicle i's agent again at a tick; it has been missing since tick `begin` (None: whenever)."""
 
 
-# --- live status
-# How the vehicles and the links of a live run are doing: what `fleet status` shows of them.
-#
+# --- live status: how the vehicles and the links of a live run are doing: what `fleet status` shows of them
 # Nothing of it is kept while the run goes on: it is computed when somebody asks, and for the worst rows only.
 
 

@@ -25,8 +25,7 @@ from netem.wire.keys import Keys
 from netem.wire.messages import Frames, Hello, LinkReport, Message
 from netem.wire.shell import read_map, request
 
-# --- events
-# The console's input: one queue of events, filled by the threads of zenoh and the watcher of processes.
+# --- events: the console's input, one queue of events, filled by the threads of zenoh and the watcher of processes
 
 
 class EventKind(StrEnum):
@@ -54,7 +53,6 @@ class EventQueue:
         self._queue: SimpleQueue[tuple[EventKind, Any]] = SimpleQueue()
 
     def put(self, kind: EventKind, data: Any) -> None:
-        """Add an event."""
         self._queue.put((kind, data))
 
     def take(self, timeout_s: float) -> Iterator[tuple[EventKind, Any]]:
@@ -167,5 +165,4 @@ class Session:
             self._bus.watch_tokens(self._keys.alive(agent_role(i)), partial(queue_token, i))
 
     def close(self) -> None:
-        """End the session."""
         self._bus.close()

@@ -539,7 +539,6 @@ class Supervisor:
         )
 
     def _gap(self, i: int) -> tuple[int, int | None] | None:
-        """The gap (begin, end) after the life of agent i that was started last, if there is one."""
         gaps = self._lives.gaps(i)
         life = self._incarnation[i]
         return gaps[life] if life < len(gaps) else None

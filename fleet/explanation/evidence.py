@@ -228,7 +228,6 @@ def _there(log: Log, name: str) -> Topic | None:
 
 
 def _sample(topic: Topic, at_s: float) -> int:
-    """The last sample up to a time; -1: there is none."""
     return int(np.searchsorted(topic.t, at_s + 1e-9, "right")) - 1
 
 

@@ -258,7 +258,6 @@ class HealingSearch:
         return low, next((k for k in tried if low is None or k > low), None)
 
     def _ordered(self) -> bool:
-        """Whether every tried moment that passes comes before every moment that fails."""
         found = [bool(self._known[tick].passed) for tick in sorted(self._known)]
         return found == sorted(found, reverse=True)
 
@@ -306,7 +305,6 @@ def _end(fault: Mapping[str, Any]) -> float:
 
 
 def _spread(first: int, last: int, count: int) -> list[int]:
-    """So many places between two, both included, evenly; fewer if there are no more."""
     count = max(1, min(count, last - first + 1))
     if count == 1:
         return [first]

@@ -57,8 +57,6 @@ Tell = Callable[[str, int], None]
 
 
 class Explanation:
-    """The explanation of one log."""
-
     def __init__(self, question: Question, tell: Tell) -> None:
         """Read the log, and make its run once more if that is possible. Raises LogReadError, FleetError, ScenarioError
         if the log cannot be explained; the text says why.
@@ -146,7 +144,6 @@ class Explanation:
 
 
 def _why_not(source: Recorded, question: Question) -> str:
-    """Why the run of a log cannot be made again; empty: it can."""
     external = source.script().external
     if external:
         vehicles = ", ".join(map(str, external))
@@ -172,15 +169,13 @@ def _chosen(path: Path, verdicts: Sequence[Verdict], check: str | None) -> tuple
     return chosen, [name for name in names if name != chosen.check]
 
 
-# --- words
-# An explanation in words: short lines, each with one fact of the log.
+# --- words: an explanation in words: short lines, each with one fact of the log
 
 
 _MOST_FAULTS, _MOST_GAPS, _MOST_VEHICLES, _MOST_LINKS, _MOST_HEARD = 8, 8, 12, 6, 6
 
 
 def lines(why: Why) -> list[str]:
-    """All of it."""
     return [*_verdict(why), "", *_faults(why), "", *_messages(why), "", *_vehicles(why), "",
             "the point of no return", f"  {why.no_return.words}", *_after(why)]  # fmt: skip
 

@@ -65,7 +65,6 @@ class Columnizer:
             raise LogReadError(f"{self._name}: a message is not what its schema {self._schema.name} says") from error
 
     def _structured(self, make: Callable[[], Any], data: bytes | bytearray, lengths: Array) -> Columns | None:
-        """All messages at once if each has the same layout of doubles; None if not."""
         fields = sorted(make().DESCRIPTOR.fields, key=lambda field: field.number)
         if not len(lengths) or any(field.type != FieldDescriptor.TYPE_DOUBLE for field in fields):
             return None

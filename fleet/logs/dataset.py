@@ -28,9 +28,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-# --- table
-# A topic as a table: a column for the time and one for each number, so that every column has one unit.
-#
+# --- table: of a topic, a column for the time and one for each number, so that every column has one unit
 # The first column is `t [s]`, the time at which the message was logged. Every other column is a field of the log; the
 # components of a vector each have their index: `tau_0 [N]`. A topic whose messages hold lists of messages
 # (`transforms`, `scene`) is no table.
@@ -45,8 +43,6 @@ def need(what: str, packages: tuple[str, ...], extra: str) -> None:
 
 
 class TableColumn(NamedTuple):
-    """One column of a table."""
-
     name: str
     unit: str
     meaning: str
@@ -157,7 +153,6 @@ def frame(topic: Topic) -> pd.DataFrame:
 
 
 def frame_attributes(table: list[TableColumn]) -> dict[str, dict[str, str]]:
-    """The attributes of a table as a DataFrame."""
     return {
         "units": {column.name: column.unit for column in table if column.unit},
         "meanings": {column.name: column.meaning for column in table if column.meaning},

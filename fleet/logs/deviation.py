@@ -24,8 +24,7 @@ from fleet.logs.reader import LogReader, Record
 from fleet.logs.records import Block, Message
 from fleet.logs.schemas import ANEW, FROM, FROM_TICK, START
 
-# --- first difference
-# Where two logs differ first: the first message that is not the same in both, field by field.
+# --- first difference of two logs: the first message that is not the same in both, field by field
 
 
 _MOST_BYTES = 24  # of a payload, shown
@@ -190,7 +189,6 @@ def begin_ns(reader: LogReader) -> int:
 
 
 def _stated(reader: LogReader, key: str) -> int:
-    """A number that the log states of its run; 0 if it does not."""
     text = reader.metadata.get("run", {}).get(key, "0")
     return int(text) if text.isascii() and text.isdigit() and len(text) < 20 else 0
 
@@ -344,7 +342,6 @@ class _Stream:
         self._block = next(self._blocks, None)
 
     def head(self) -> Record | None:
-        """The next message; None at the end."""
         if not self._records and self._block is not None:
             channels = self._reader.channels
             some = self._block.take(np.arange(self._at, min(self._at + _STEP, len(self._block))))

@@ -32,8 +32,7 @@ from fleet.scenario.text.yaml_reader import yaml_text
 from netem.fault_kinds import Cause
 from netem.private_file import write_whole
 
-# --- traces
-# `fleet export --traces`: what became of each packet of a link, as a trace that a scenario can use again.
+# --- traces: `fleet export --traces`: what became of each packet of a link, as a trace that a scenario can use again
 
 
 LINKS = "links.yaml"

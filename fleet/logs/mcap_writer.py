@@ -275,7 +275,6 @@ class McapWriter:
             self._end_chunk()
 
     def _end_chunk(self) -> None:
-        """Write the chunk and its indexes, unless it has no messages."""
         if not self._entries:
             return
         indexes = self._entries.indexes()

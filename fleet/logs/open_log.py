@@ -36,8 +36,7 @@ if TYPE_CHECKING:
     from fleet.scenario.scenario import Scenario
 
 
-# --- part
-# Which messages of a log are kept: those of a time, and one in a number of each topic.
+# --- part: which messages of a log are kept: those of a time, and one in a number of each topic
 
 
 class Part(NamedTuple):

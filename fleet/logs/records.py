@@ -121,7 +121,6 @@ class Block:
         return len(self.channel)
 
     def messages(self) -> Iterator[Message]:
-        """One by one."""
         columns = (self.channel, self.sequence, self.log_ns, self.publish_ns, self.begin, self.end)
         data = self.data
         for channel, sequence, log_ns, publish_ns, begin, end in zip(*(c.tolist() for c in columns), strict=True):

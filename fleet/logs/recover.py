@@ -163,7 +163,6 @@ class Copy:
         self._writer.finish()
 
     def _started(self, item: Item | None = None) -> McapWriter:
-        """The writer; the first item begins the file, with its own header if it is one."""
         if self._writer is None:
             header = item if isinstance(item, Header) else Header("", "uuv-fleet")
             self._writer = McapWriter(self._target, **asdict(header))

@@ -269,7 +269,6 @@ class Salvage:
         return self._next_chunk(at + 1, size)
 
     def _sound(self, at: int, size: int) -> bool:
-        """Whether records seem to follow on one another from here."""
         for _ in range(3):
             head = self._read(at, HEAD.size) if at < size else b""
             if len(head) < HEAD.size:

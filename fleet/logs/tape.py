@@ -106,17 +106,14 @@ class Tape:
 
     @property
     def channels(self) -> dict[int, Channel]:
-        """By number."""
         return self._reader.channels
 
     @property
     def schemas(self) -> dict[int, Schema]:
-        """By number."""
         return self._reader.schemas
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
-        """By name."""
         return self._reader.metadata
 
     @property

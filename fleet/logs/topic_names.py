@@ -12,8 +12,7 @@ from fleet.logs.reader import LogReader, log_path
 from fleet.scenario.sections.signals import GROUPS
 from netem.condition import Link
 
-# --- run name
-# The name of a run, which is that of its directory, and when it began, which only that name says.
+# --- run name: that of its directory, and when it began, which only that name says
 
 
 STAMP = "%Y%m%d-%H%M%S"  # in the names of run directories, UTC
@@ -35,8 +34,7 @@ def begun_at(name: str) -> datetime | None:
         return None
 
 
-# --- signal names
-# The names of the signals of a log, without reading all of it.
+# --- signal names: the names of the signals of a log, without reading all of it
 
 
 def signal_names(path: Path) -> list[str]:

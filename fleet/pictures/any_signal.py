@@ -77,8 +77,6 @@ def need(runs: Sequence[Run], name: SignalName) -> None:
 
 
 def picture(name: SignalName) -> Callable[[Sequence[Run], View], Figure]:
-    """How a signal is drawn."""
-
     def make(runs: Sequence[Run], view: View) -> Figure:
         if name.vehicle is None:
             return draw(runs, view, name)
@@ -88,7 +86,6 @@ def picture(name: SignalName) -> Callable[[Sequence[Run], View], Figure]:
 
 
 def file_name(name: SignalName) -> str:
-    """The name of its picture."""
     own = name.name if name.vehicle is None else f"uuv-{name.vehicle}-{name.name}"
     return f"norm-{own}" if name.absolute else own
 
@@ -272,7 +269,6 @@ def _as_asked(run: Run, check: SignalCheck, name: SignalName) -> AskedOfSignal |
 
 
 def _find_of(run: Run, i: int, name: SignalName) -> str | None:
-    """The unit of the signal of one vehicle; None: it does not report it."""
     found = _find(run, name)
     topic = _topic(run, i, name.group)
     if found is None or topic is None or found.field not in topic:

@@ -32,8 +32,7 @@ from fleet.pictures.style import (
     panels,
 )
 
-# --- failures
-# The times at which checks failed, marked on the axes over time.
+# --- failures: the times at which checks failed, marked on the axes over time
 
 
 MOST_MARKS = 6
@@ -65,8 +64,7 @@ def draw_failures(axes: Sequence[Axes], runs: Sequence[Run]) -> list[str]:
     return words + ([f"and at {len(shown) - MOST_MARKS} more times"] if len(shown) > MOST_MARKS else [])
 
 
-# --- bands
-# Many vehicles as a band with a median, and the few that differ most by name.
+# --- bands: many vehicles as a band with a median, and the few that differ most by name
 
 
 NAMED = 3  # outliers

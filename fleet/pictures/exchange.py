@@ -181,7 +181,6 @@ def _moment(run: Run, packets: dict[Link, tuple[Array, Array, Array, Array]]) ->
 
 
 def _life(ax: Axes, run: Run, i: int, row: int) -> None:
-    """A vehicle's line in time, dotted while its agent is dead or suspended."""
     absent = [
         (fault.begin, fault.end)
         for fault in run.log.faults

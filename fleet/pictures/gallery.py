@@ -37,8 +37,7 @@ from netem.condition import Link
 from netem.fault_kinds import Cause
 from netem.vehicle_clock import Clock
 
-# --- timing
-# How punctual a run on a wall clock was: how late each agent answered, and what a packet's delay became.
+# --- timing: how punctual a run on a wall clock was: how late each agent answered, and what a packet's delay became
 
 
 GREY = "#999999"
@@ -86,7 +85,6 @@ def on_wall_clock(run: Run) -> bool:
 
 
 def _timing(run: Run) -> Timing:
-    """The run's measurements of itself, from the result next to its log."""
     if not on_wall_clock(run):
         raise NothingToDraw("the run was in lockstep, where nothing can be late; see fleet run --clock real")
     try:
@@ -123,8 +121,7 @@ def _tail(ax: Axes, histogram: list[tuple[float, int]], below: int, colour: str,
     ax.plot(t, share, color=colour, linestyle=style, drawstyle="steps-post")
 
 
-# --- shares
-# The fate of the packets of each link over time: a strip per link with the share of every fate.
+# --- shares: the fate of the packets of each link over time: a strip per link with the share of every fate
 
 
 MOST_ROWS = 36  # links with a row of their own; of more, the worst have one, and the others one together

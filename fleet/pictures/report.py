@@ -47,8 +47,7 @@ from netem.fault_kinds import Cause
 from netem.ledger import Account
 from netem.wire.messages import Fate
 
-# --- telling
-# Which picture shows best what a run came to: the one at the top of a report.
+# --- telling: which picture shows best what a run came to: the one at the top of a report
 
 
 _OF_CHECKS = {
@@ -79,8 +78,7 @@ def _of(verdicts: Iterable[Verdict]) -> list[str]:
 _ERRORS = {"error.e_norm": "error", "error.formation_norm": "formation"}  # signals that have a picture of their own
 
 
-# --- report tables
-# The tables of a report: headings and rows, which the page's template turns into HTML.
+# --- report tables: headings and rows, which the page's template turns into HTML
 
 
 _Name = TypeVar("_Name", int, str)
@@ -301,7 +299,6 @@ def _by_vehicle(words: Sequence[str]) -> str:
 
 
 def _vehicles(numbers: Sequence[int]) -> str:
-    """`vehicle 3`, `vehicles 1-3, 5`; numbers ascending."""
     spans: list[list[int]] = []
     for number in numbers:
         if spans and spans[-1][-1] == number - 1:
@@ -351,7 +348,6 @@ def page(runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> str:
 
 
 def _section(number: int, run: Run, found: RunResult, kinds: Sequence[str], view: View, share: Tell) -> list[Block]:
-    """The section of a run: `number` counts from 1; 0 for the only one."""
     log, scenario, result = run.log, run.scenario, found.result
     name, path = run_name(log.path), log.path.resolve()
     first, pictures = _pictures(kinds, [run], view, share, [] if number else telling(run))
@@ -501,7 +497,6 @@ def _from_log(run: Run) -> tuple[dict[str, Account], dict[str, LinkAge]]:
 def _pictures(
     kinds: Sequence[str], runs: Sequence[Run], view: View, share: Tell, first: Sequence[str] = ()
 ) -> tuple[PageImage | None, SectionImages]:
-    """The first picture of those names that is drawn, and all others."""
     top, pictures = images(draw(kinds, runs, view, share), first)
     pictures.missing.extend(note for run in runs for note in run.notes)
     return top, pictures

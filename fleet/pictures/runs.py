@@ -111,7 +111,6 @@ class Run:
             raise NothingToDraw(f"{self.label} is not a log of uuv-fleet: it says nothing of a run") from None
 
     def vehicles(self, view: View) -> list[int]:
-        """The vehicles to show."""
         return [i for i in self.log.vehicles if view.vehicles is None or i in view.vehicles]
 
     def series(self, i: int, group: str, name: str) -> tuple[Array, Array] | None:
@@ -180,6 +179,5 @@ def origin(runs: Sequence[Run], title: str) -> Provenance:
 
 
 def first_words(names: Sequence[Any], most: int = 6) -> str:
-    """Some names in a sentence."""
     shown = ", ".join(map(str, names[:most]))
     return shown if len(names) <= most else f"{shown} and {len(names) - most} more"

@@ -26,8 +26,6 @@ _AT_LIMIT = 1.0 - 1e-6
 
 
 def component(group: str, name: str, k: int = 0) -> Get:
-    """One component of a signal."""
-
     def get(run: Run, i: int) -> tuple[Array, Array] | None:
         found = run.series(i, group, name)
         if found is None or found[1].shape[1] <= k:

@@ -233,7 +233,6 @@ def top(runs: Sequence[Run], view: View) -> Figure:
 
 
 def _sheet(low: Array, high: Array) -> tuple[Figure, Axes, bool]:
-    """A figure as large as what it shows asks for, and whether that is tall: then the legend stands beside it."""
     tall = (high - low)[0] > _TALL * (high - low)[1]
     room = 1.7 if tall else 2.85  # in, for the axes
     height = float(np.clip(room * (high - low)[0] / (high - low)[1], 1.0, 4.2))
@@ -429,7 +428,6 @@ def _tracks(runs: Sequence[Run], view: View) -> tuple[list[VehicleTrack], list[A
 
 
 def _worst(run: Run, shown: Sequence[int]) -> list[int]:
-    """The vehicles that are farthest from their places for most of the time."""
     errors = {i: run.series(i, "error", "formation_norm") for i in shown}
     known = {i: (one[0], one[1][:, 0]) for i, one in errors.items() if one is not None}
     return sorted(outliers([spread(known)], log=True)) if known else []
@@ -530,7 +528,6 @@ def _shapes(run: Run, view: View) -> list[tuple[Array, Array]]:
 
 
 def _standing(runs: Sequence[Run], view: View) -> list[Primitive]:
-    """The things that stand still: the courses of the references within the picture, and each obstacle once."""
     scenes = [(SceneModel(run.scenario), view.window or (0.0, run.log.end)) for run in runs if run.scenario is not None]
     obstacles = dict.fromkeys(one for scene, _ in scenes for one in scene.obstacles)
     return [*obstacles, *(scene.course(*window) for scene, window in scenes)]

@@ -245,7 +245,6 @@ def _forkserver_starting() -> Iterator[None]:
 
 
 def _left(processes: list[BaseProcess]) -> list[BaseProcess]:
-    """Wait until no further process has ended for a while. Returns the processes that are left."""
     remaining: dict[Any, BaseProcess] = {process.sentinel: process for process in processes}
     while remaining and (ended := wait(list(remaining), timeout=GRACE_S)):
         for sentinel in ended:

@@ -10,8 +10,7 @@ import threading
 from fleet.errors import RunBroken
 from netem.wire.listening import probe_address
 
-# --- ports
-# Free loopback ports.
+# --- ports: free loopback ports
 
 
 def free_port(wanted: int | None) -> int:

@@ -168,8 +168,6 @@ class Workers:
 
 
 class _Worker:
-    """A process, and what it does."""
-
     def __init__(self, begin: Callable[[], None] | None) -> None:
         context = multiprocessing.get_context("spawn")
         children_ignore_the_folder()

@@ -79,8 +79,7 @@ def junk_of(life: int) -> tuple[bytes, ...]:
     )
 
 
-# --- checks
-# The rules of `fleet protocol check`, and the form of a verdict.
+# --- checks: the rules of `fleet protocol check`, and the form of a verdict
 
 
 ASKS = "asks cfg for its slice"
@@ -215,7 +214,6 @@ class EmulatedFleet:
         return None
 
     def close(self) -> None:
-        """Close the router."""
         if self._second is not None:
             self._second.close()
         self._bus.close()

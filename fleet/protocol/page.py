@@ -200,9 +200,7 @@ def slice_page() -> str:
     return "\n".join(parts)
 
 
-# --- wire types
-# The declared messages and records as rows of a table: field, wire type, unit, meaning.
-#
+# --- wire types: declared messages and records as rows of a table: field, wire type, unit, meaning
 # A wire type is uint, bool, str, bin, the name of a record or of an enumeration of texts, or an array of one of these
 # or of reals: `real[3]` of a declared length, `real[..2]` of at most one, `[*]` of any. A field that may stay open is
 # `or nil`.

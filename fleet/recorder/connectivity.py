@@ -132,7 +132,6 @@ class Connectivity:
             self._now = tick
 
     def _look(self) -> None:
-        """Judge the window that ends now, as all do until the next change."""
         if not self._changed or self._now < self._first:
             return
         self._changed = False

@@ -292,8 +292,7 @@ def _command(data: bytes) -> Command:
     return command
 
 
-# --- watched
-# A run that is recorded and watched: what the journal writes is also shown to somebody who measures.
+# --- watched: a run that is recorded and watched: what the journal writes is also shown to somebody who measures
 
 
 class Watcher(Protocol):

@@ -14,8 +14,7 @@ from fleet.logs.mcap_writer import Batch, McapWriter
 from fleet.logs.records import Digest
 from fleet.logs.schemas import Schema
 
-# --- no log
-# The stand-in for a log in a run with `log: none`: it computes the digest, and writes nothing.
+# --- no log: the stand-in for a log in a run with `log: none`: it computes the digest, and writes nothing
 
 
 class NoLog:
@@ -40,7 +39,6 @@ class NoLog:
         """Nothing to do: the digest is of messages."""
 
     def channel(self, topic: str, schema: Schema) -> int:
-        """Number a topic."""
         self._topics.append(topic.encode())
         return len(self._topics) - 1
 
@@ -106,7 +104,6 @@ class LogFile:
             return 0
 
     def attachment(self, name: str, media_type: str, data: bytes) -> None:
-        """Write an attachment."""
         with self._refused():
             self._writer.attachment(Attachment(0, 0, name, media_type, data))
 

@@ -78,8 +78,6 @@ class _Places(NamedTuple):
 
 
 class _Vehicle(NamedTuple):
-    """The inputs that the errors of one vehicle are computed from."""
-
     plan: Offset  # p_i
     b: float
     neighbours: tuple[tuple[int, float], ...]  # j and a_ij

@@ -70,7 +70,6 @@ class LinkHistories:
         return state_of("".join(self._of[link]))
 
     def values(self) -> list[list[Any]]:
-        """All of it as plain values."""
         return [[src, dst, "".join(history)] for (src, dst), history in self._of.items()]
 
 
@@ -173,7 +172,6 @@ class Scene:
 
 
 def _link(link: Link) -> SceneEntity:
-    """The first part of the entity of a link."""
     return SceneEntity(frame_id=REFERENCE, id=f"link {link[0]}-{link[1]}", frame_locked=True)
 
 
@@ -219,7 +217,6 @@ def _believed(i: int, *values: float) -> SceneEntity:
 
 
 def _ends(thing: Primitive) -> list[Vec3]:
-    """The corners of an area, and the ends of a cross, in axes of `reference`."""
     points = [enu((point.north, point.east, point.down)) for point in points_of(thing)]
     return [(x + dx, y + dy, z) for x, y, z in points for dx, dy in _ARMS] if isinstance(thing, CrossShape) else points
 

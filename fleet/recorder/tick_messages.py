@@ -72,8 +72,6 @@ _Places = NDArray[np.int32]  # in the pool
 
 
 class VehicleTopic(NamedTuple):
-    """A topic of one vehicle."""
-
     channel: int
     name: str
 

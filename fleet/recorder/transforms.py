@@ -27,8 +27,7 @@ from fleet.scene.primitives import NED, REFERENCE
 from netem.wire.messages import Frame
 from world.vectors import Vec3
 
-# --- template
-# A protobuf message with changing doubles: encoded once, then new doubles are put in their places.
+# --- template: a protobuf message with changing doubles: encoded once, then new doubles are put in their places
 
 
 class Template:
@@ -80,8 +79,6 @@ _UPSIDE_DOWN = Quaternion(x=sqrt(0.5), y=sqrt(0.5))  # half a turn about north-e
 
 
 class Transforms:
-    """The transforms of one run."""
-
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
         self._ned = FrameTransform(parent_frame_id=MAP, child_frame_id=NED, rotation=_UPSIDE_DOWN).SerializeToString()

@@ -344,7 +344,6 @@ def _start_metadata(start: Start) -> dict[str, str]:
 
 
 def _plugin_metadata(scenario: Scenario) -> dict[str, str]:
-    """Whether the run can be resumed, and what identifies the laws that are not ours."""
     sources = {f"law {law.name}": law_class(kind, law) for kind, law in scenario.other_laws}
     sources |= {f"plant {name}": plant_class(name, plant.parameters or {}) for name, plant in scenario.plants.items()}
     return {"resumable": _resumable(scenario)} | {what: f"sha256 {fingerprint(c)}" for what, c in sources.items()}

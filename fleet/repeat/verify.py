@@ -43,9 +43,7 @@ from netem.medium import PERFECT
 from netem.wire.messages import Delivery, Nav
 from world.vectors import ZERO, Vec3
 
-# --- recorded agent
-# An agent that sends again what an external agent sent in a log, whose law is not available here.
-#
+# --- recorded agent: an agent that sends again what an external agent sent in a log, whose law is not available here
 # Its commands, telemetry and memory are recorded. Its transmissions follow from the packets of its links: at least one
 # link has each payload as it was sent, or with a flipped bit that can be turned back.
 
@@ -69,7 +67,6 @@ class RecordedAgent:
     known: float = inf  # what it sent after this tick may be missing
 
     def loop(self, incarnation: int, begin: int) -> AgentLoop:
-        """A life of it."""
         core = _RecordedCore(self)
         return AgentLoop(core, self.round_ticks, incarnation=incarnation, begin=begin, memories=self.memories)
 
@@ -130,8 +127,6 @@ def recorded_agents(reader: LogReader, scenario: Scenario, last_ns: int, *, whol
 
 
 class _Reading:
-    """Collects from the records of a log what its external agents sent."""
-
     def __init__(self, reader: LogReader, scenario: Scenario, last_ns: int) -> None:
         self._scenario, self._tick_ns, m = scenario, scenario.tick_ns, scenario.round_ticks
         self.agents = {i: RecordedAgent(i, scenario.layout(i), m, last_ns // self._tick_ns) for i in scenario.external}
@@ -406,7 +401,6 @@ def _run_again(
 
 
 def verification_lines(verification: Verification) -> list[str]:
-    """A verification in words."""
     lines = [f"{named([i])}: its commands and payloads were taken from the log" for i in verification.external]
     how_far = f"up to t = {verification.until_s:g} s"
     if verification.missing:

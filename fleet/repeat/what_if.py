@@ -154,8 +154,6 @@ def _check(path: Path, agent: int, scenario: Scenario, recorded: Scenario) -> No
 
 @dataclass(slots=True)
 class _Given:
-    """The input and the commands of the recorded agent."""
-
     navs: list[tuple[int, tuple[float, ...]]] = field(default_factory=list)  # tick; eta, nu and roll as measured
     beliefs: dict[int, tuple[float, ...]] = field(default_factory=dict)  # by tick: the covariance of its estimate
     commands: dict[int, tuple[float, ...]] = field(default_factory=dict)  # by tick

@@ -65,5 +65,4 @@ def write_junit(path: Path, suite: str, cases: Sequence[JUnitCase]) -> None:
 
 
 def _clean(text: str) -> str:
-    """Text without what XML cannot hold."""
     return _NOT_XML.sub("?", text)

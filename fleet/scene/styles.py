@@ -145,12 +145,10 @@ class Theme(NamedTuple):
     colours: Mapping[str, str]  # of all other colour words
 
     def colour(self, word: str) -> str:
-        """The colour of a word."""
         kind, _, number = word.partition(" ")
         return self.vehicle(int(number)) if kind == VEHICLE else self.colours[word]
 
     def vehicle(self, i: int) -> str:
-        """The colour of vehicle i."""
         return self.vehicles[(i - 1) % len(self.vehicles)]
 
 

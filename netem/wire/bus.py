@@ -33,9 +33,7 @@ from netem.wire.session import (
     users_file,
 )
 
-# --- linger
-# Connections of this process are closed without waiting.
-#
+# --- linger: connections of this process are closed without waiting
 # Zenoh 1.10 opens them with SO_LINGER, 10 s. Closing a connection with unsent bytes then waits for them, on the one
 # thread that does all of zenoh's work here. Behind a cable that was pulled they are never taken. While zenoh waits, it
 # gives no signs of life on its other links either, and these end, too, when that takes longer than their lease. Without
@@ -70,8 +68,7 @@ def _set(descriptor: int) -> None:
         stream.detach()
 
 
-# --- parts
-# Long messages in parts, because the transport carries no long ones.
+# --- parts: long messages in parts, because the transport carries no long ones
 
 
 PART_BYTES = 32_000  # of a long message; well below `netem.wire.session.MAX_BYTES`

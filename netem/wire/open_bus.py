@@ -13,8 +13,7 @@ from netem.wire.access import Credentials, observer_control
 from netem.wire.keys import Keys
 from netem.wire.session import OTHERS, UNIVERSAL, client_settings, listening, open_session, reason, users_file
 
-# --- key expressions
-# Zenoh's key expressions as patterns of names.
+# --- key expressions of zenoh, as patterns of names
 
 
 def matching(text: str) -> Callable[[str], bool]:

@@ -15,9 +15,7 @@ import zenoh
 from netem.private_file import write_whole
 from netem.wire.access import LEASE_MS, Credentials, Listener
 
-# --- settings
-# Zenoh's settings for our sessions, as paths and values, with the reasons.
-#
+# --- settings: zenoh's, for our sessions, as paths and values, with the reasons
 # * `transport/unicast/lowlatency` with QoS off: 20-40 % less per round trip; our messages have one priority.
 # * `transport/link/tx/lease` of one hour on loopback: with the default of 10 s a process that was only suspended loses
 #   its messages silently, and reconnects as if nothing had happened. A dead process shows by its exit and its closed

@@ -26,8 +26,7 @@ from netem.wire.keys import tail, vehicle_of
 from netem.wire.messages import Note
 from netem.wire.queues import Quota
 
-# --- link loss
-# A process ends when its link to the router does.
+# --- link loss: a process ends when its link to the router does
 
 
 LINK_LOST = 71  # exit status: the link to a router on another host has ended
@@ -49,8 +48,7 @@ def end_with_link(bus: Bus, credentials: Credentials) -> None:
         bus.on_lost(end)
 
 
-# --- control
-# Control requests and their answers: maps of plain values.
+# --- control: requests and their answers: maps of plain values
 
 
 def request(op: str, **fields: Any) -> bytes:

@@ -51,13 +51,9 @@ class AgentLoop:
         memory_ticks: int = 0,
         memories: Mapping[int, bytes] | None = None,
     ) -> None:
-        """Begin one life of an agent.
+        """Begin life `incarnation` (from 0) of an agent, with the nav of tick `begin`.
 
         Args:
-            core: answers samples.
-            round_ticks: ticks from one round to the next.
-            incarnation: the number of this life of the agent, from 0.
-            begin: tick of its first nav.
             ideal: packets arrive in the tick in which they are sent. The agent then transmits before it decides.
             memory_ticks: the agent sends its memory at multiples of this number of ticks. With 0 it never does.
             memories: by tick, the memories that a recorded agent sends in place of its own.

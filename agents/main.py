@@ -186,10 +186,9 @@ def begin_life(
     clock: Clock,
     core: AgentCore | None = None,
 ) -> AgentProcess:
-    """Make an agent that is ready: world and netem have both answered it. `core`: answers samples, for a program that
-    is not ours and gives no memory. None: the core that `config` names. `incarnation`: the number of this life of the
-    agent, from 0. Raises BusError if world or netem does not answer. Raises SystemExit if a law cannot be made; the
-    console has a note about it by then.
+    """Make an agent that is ready: world and netem have both answered it. `core` answers samples for a program that is
+    not ours and gives no memory; None: the core that `config` names. Raises BusError if world or netem does not answer;
+    SystemExit if a law cannot be made, of which the console has a note by then.
     """
     vehicle = config.id
     memory_ticks = config.memory_ticks if core is None else 0

@@ -77,9 +77,9 @@ class Lockstep:
         return self._with_frames(out)
 
     def command(self, i: int, command: Command, raw: bytes | None = None) -> list[Out]:
-        """Take vehicle i's command, advance it by one tick and return what follows. `raw`: the encoded command if the
-        caller has it, to save encoding it again for the frame. Raises OutOfPlace if the command does not answer the nav
-        that is waiting for one.
+        """Take vehicle i's command, advance it by one tick and return what follows. `raw` is the encoded command, if
+        there, to save encoding it again for the frame. Raises OutOfPlace if it does not answer the nav that is waiting
+        for one.
         """
         state = self.state
         nav = self._awaiting.get(i)
@@ -146,10 +146,7 @@ class Lockstep:
         self.state.integrate(i, k, tau)
 
     def _start(self, i: int, out: list[Out]) -> None:
-        """The next step of vehicle i: measure.
-
-        If it has no agent, or a suspended one, go on without it as far as the grant allows.
-        """
+        """Measure. Without an agent, or with a suspended one, vehicle i goes on as far as the grant allows."""
         state, world = self.state, self.state.world
         k = world.tick(i)
         while k < state.granted and i not in self._awaiting:

@@ -64,12 +64,8 @@ class Turns:
     """
 
     def __init__(self, round_ticks: int, most: int, process: Callable[[int, Nav], Hashable] = lambda i, _: i) -> None:
-        """Nobody has a turn.
-
-        Args:
-            round_ticks: ticks from one round to the next.
-            most: processes that have a turn at a time.
-            process: the process of the agent that gets a nav; by default each agent has its own.
+        """Nobody has a turn; at most `most` processes get one at a time. `process`: that of the agent that gets a nav;
+        by default each agent has its own.
         """
         self._round_ticks, self._most, self._process = round_ticks, most, process
         self._asked: dict[int, Hashable] = {}  # agents that have a turn, and where they are
@@ -175,12 +171,8 @@ class WorldProcess:
         most_asked: int | None = None,
         members: Members = (),
     ) -> None:
-        """Connect a run.
-
-        Args:
-            refusals: what the router refuses, if it lives here.
-            most_asked: processes that are asked at a time; None: all.
-            members: the vehicles of each host.
+        """`refusals`: what the router refuses, if it lives here. `most_asked`: processes that are asked at a time;
+        None: all. `members`: the vehicles of each host.
         """
         self._keys = keys
         self._grant_key = keys.grant

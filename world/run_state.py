@@ -28,12 +28,8 @@ class FrameAssembly:
     """Collects rows and changes by frame; a frame is complete once every vehicle has its row in it."""
 
     def __init__(self, vehicles: int, ticks: int, every: int) -> None:
-        """Begin with the frame of tick 0.
-
-        Args:
-            vehicles: number of vehicles, and of rows in a frame.
-            ticks: the end tick. It always has a frame.
-            every: ticks from one frame to the next.
+        """Begin with the frame of tick 0, of so many vehicles, one frame in `every` ticks; the end tick always has a
+        frame.
         """
         self._vehicles, self._ticks, self._every = vehicles, ticks, every
         self._next = 0  # tick of the next frame
@@ -182,13 +178,9 @@ class RunState:
         return taken
 
     def integrate(self, i: int, k: int, tau: Vec3) -> None:
-        """Move vehicle i from tick k to the next with `tau` [N, N m].
-
-        A vehicle that diverges stays in its place from then on.
-
-        Raises:
-            IntegrationError: its motion left the finite numbers, or its plant failed, and the run is not to go on
-                without it.
+        """Move vehicle i from tick k to the next with `tau` [N, N m]; one that diverges stays in its place from then
+        on. Raises IntegrationError if its motion left the finite numbers, or its plant failed, and the run is not to go
+        on without it.
         """
         if i in self._diverged:
             self.world.hold(i)
@@ -218,12 +210,8 @@ class RunState:
         return Nav(life, k, *world.sense(i), shown_ns, belief)
 
     def row(self, i: int, sensed: Sensed, tau: tuple[float, ...], command: bytes) -> VehicleFrame:
-        """Vehicle i in the frame of the tick that it has reached.
-
-        Args:
-            sensed: what its sensor reported, and the covariance.
-            tau: applied force and moments [N, N m].
-            command: the agent's, encoded.
+        """Vehicle i in the frame of the tick that it has reached: what its sensor reported, with the covariance; the
+        applied force and moments [N, N m]; the agent's command, encoded.
         """
         world = self.world
         clock = () if world.clocks is None else world.clock_error(i)

@@ -164,9 +164,8 @@ class World:
         return self._vehicles[i].navigation
 
     def actuate(self, i: int, tau: tuple[float, ...]) -> Vec3:
-        """The force and moments that the actuators of vehicle i apply for a command. `tau`: surge force [N], pitch and
-        yaw moment [N m]. They are within +-tau_max, and with the faults of the actuators. Raises WorldError if those
-        are not three finite numbers.
+        """The force and moments that the actuators of vehicle i apply for a command [N, N m]: within +-tau_max, and
+        with the faults of the actuators. Raises WorldError if `tau` is not three finite numbers.
         """
         vehicle = self._vehicles[i]
         if len(tau) != 3 or not all(map(isfinite, tau)):
@@ -216,8 +215,8 @@ class World:
 
     def advance(self, i: int, tau: Vec3) -> None:
         """Integrate vehicle i, and it alone, to its next tick with `tau` [N, N m] held. Raises IntegrationError if the
-        motion left the range of finite numbers; the state stays that of the tick before. Raises PlantError if the
-        vehicle's plant failed; the state stays that of the tick before, too.
+        motion left the range of finite numbers, PlantError if its plant failed; the state then stays that of the tick
+        before.
         """
         vehicle = self._vehicles[i]
         k, tick, state = vehicle.k, vehicle.tick, vehicle.state
@@ -316,10 +315,9 @@ class World:
             plant.close()
 
     def memory(self, i: int, *, moves: bool = True) -> list[Any]:
-        """All that vehicle i's next ticks depend on besides its faults. `moves`: whether it is still integrated; a
-        plant that failed is not asked what it remembers. Returns messagePack values [tick, state, held], and behind
-        them what its plant remembers (None without one), and its navigation, for `remember`. Raises PlantError if its
-        plant cannot say what it remembers.
+        """All that vehicle i's next ticks depend on besides its faults, as MessagePack values: [tick, state, held],
+        what its plant remembers (None without one), and its navigation. `moves`: whether it is still integrated; a
+        plant that failed is not asked. Raises PlantError if its plant cannot say what it remembers.
         """
         held = [[fault, list(values)] for (fault, j), values in sorted(self._held.items()) if j == i]
         vehicle = self._vehicles[i]
@@ -329,12 +327,8 @@ class World:
         return [vehicle.tick, list(vehicle.state), held, *own]
 
     def remember(self, i: int, values: list[Any]) -> None:
-        """Continue vehicle i from what `memory` returned, perhaps in another run.
-
-        A plant goes on from its state. Where the vehicle was something else, it begins with the same motion.
-
-        Raises:
-            PlantError: its plant cannot.
+        """Continue vehicle i from what `memory` returned, perhaps in another run. A plant goes on from its state; where
+        the vehicle was something else, it begins with the same motion. Raises PlantError if its plant cannot.
         """
         vehicle = self._vehicles[i]
         vehicle.tick, (x, y, z, theta, psi, u, v, w, q, r), held, *own = values

@@ -58,9 +58,8 @@ class FixedGuidance:
 
 
 class OptimalGuidance:
-    """The gain of rho = -K e + v_d from a QP, rho within its bounds: the guidance of NBOC and BOC.
-
-    Remembers the last gain and the last virtual control.
+    """The gain of rho = -K e + v_d from a QP, rho within its bounds: the guidance of NBOC and BOC. It remembers the
+    last gain and the last virtual control.
     """
 
     signals: ClassVar[tuple[Signal, ...]] = (
@@ -81,16 +80,9 @@ class OptimalGuidance:
         self.failures = 0
 
     def step(self, sample: Sample) -> tuple[Vec3, tuple[float, ...]]:
-        """Answer one sample, eqs. (11) and (17)-(23).
-
-        The optimisation runs on global ticks divisible by `qp_ticks`. At the first sample the own velocity stands
-        for the previous virtual control.
-
-        Args:
-            sample: consensus error `e` [m, NED] with its weight `c`, desired and own velocity [m/s, NED].
-
-        Returns:
-            The virtual control rho [m/s, NED], and the values of `signals`, flat.
+        """Answer one sample, eqs. (11) and (17)-(23): rho [m/s, NED], and the values of `signals`, flat. The
+        optimisation runs on global ticks divisible by `qp_ticks`. At the first sample the own velocity stands for the
+        previous virtual control.
         """
         params = self._params
         e, rho_d = sample.e, sample.desired.velocity

@@ -77,16 +77,13 @@ class Filtered(NamedTuple):
 
 
 def margin(age: float, speed: float, params: KeepApartParams) -> float:
-    """The extra distance [m] to a neighbour that is needed because its last state is old.
+    """The extra distance [m] to a neighbour that is needed because its last state is old: `age` [s], at most
+    `age_cap_s`.
 
-    Take a neighbour with an acceleration of at most alpha and a speed of at most V. A time A ago it had the velocity v.
-    Its velocity now differs from v by at most eta = min(alpha A, |v| + V). Its place now differs from the place at
-    constant velocity v by at most delta, the integral of eta. The constraint needs delta + (1/a + T) eta.
-
-    Args:
-        age: A [s]. A greater age than `age_cap_s` counts as `age_cap_s`.
-        speed: |v| [m/s] in the last state.
-        params: `acceleration` and `speed` are the limits alpha and V.
+    Take a neighbour with an acceleration of at most alpha and a speed of at most V, `acceleration` and `speed` of
+    `params`. A time A ago it had the velocity v, of size `speed`. Its velocity now differs from v by at most eta =
+    min(alpha A, |v| + V). Its place now differs from the place at constant velocity v by at most delta, the integral of
+    eta. The constraint needs delta + (1/a + T) eta.
     """
     alpha, span = params.acceleration, min(age, params.age_cap_s)
     most = speed + params.speed
@@ -97,15 +94,8 @@ def margin(age: float, speed: float, params: KeepApartParams) -> float:
 
 
 def bounds(position: Vec3, velocity: Vec3, neighbours: Iterable[Seen], params: KeepApartParams) -> list[Bound]:
-    """The constraint of each neighbour, then of each cylinder.
-
-    A neighbour or cylinder in exactly the same place counts as south of the vehicle, so that it has a direction.
-
-    Args:
-        position: the own position p_i [m, NED].
-        velocity: the own velocity over ground v_i [m/s, NED].
-        neighbours: the neighbours heard so far.
-        params: distances, gain, lag and limits.
+    """The constraint of each neighbour heard so far, then of each cylinder, from the own position [m, NED] and velocity
+    over ground [m/s, NED]. One in exactly the same place counts as south of the vehicle, so that it has a direction.
     """
     a, lag = params.gain, params.lag_s
     found = []

@@ -214,10 +214,9 @@ class LinearFleet:
         return 0.5 * (low + high)
 
     def delay_border(self, gain: float) -> int | None:
-        """The shortest delay of all links [ticks] at which a mode grows; None if there is none within MOST_DELAY_S.
-
-        Under rounds a little more delay can make an unstable fleet stable again, because the ages within a round
-        begin anew. So the delays are gone through, in steps that such an island does not fit into.
+        """The shortest delay of all links [ticks] at which a mode grows; None if there is none within MOST_DELAY_S. A
+        little more delay can make an unstable fleet stable again, because the ages within a round begin anew. So the
+        delays are gone through, in steps that such an island does not fit into.
         """
         reckons = any(member.reckons for member in self.members)
         stable, delay = 0, 1

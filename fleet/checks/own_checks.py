@@ -55,17 +55,9 @@ class LastMessages:
         (self._states if kind_of(fate.payload) == STATE else self._own).settle(fate)
 
     def of(self, vehicles: Collection[int], signals: Iterable[str]) -> LastMessage | None:
-        """The message that made the difference to some vehicles.
-
-        Take the links whose last packet was lost. Among them it is the last packet of the link with the longest time
-        since an arrival. If no last packet was lost, it is the packet that arrived last.
-
-        Args:
-            vehicles: that failed the check.
-            signals: that the check looks at, such as `control.leads` or `|error.e|`.
-
-        Returns:
-            None if the check judges no protocol, or no packet of it has had a fate yet.
+        """The message that made the difference to the vehicles that failed a check, of the signals that it looks at: of
+        the links whose last packet was lost, that of the link with the longest time since an arrival, else the packet
+        that arrived last. None if the check judges no protocol, or no packet of it has had a fate yet.
         """
         groups = {signal.lstrip("| ").partition(".")[0] for signal in signals}
         if "control" in groups:
@@ -207,13 +199,7 @@ class RunningPythonCheck:
         return self._failure
 
     def verdict(self, moment: Moment | None, now: int, *, over: bool) -> Verdict:
-        """The verdict so far.
-
-        Args:
-            moment: the tick of the failure.
-            now: the newest tick.
-            over: the run has come to its end.
-        """
+        """The verdict so far, at tick `now`; `moment` is that of the failure. `over`: the run has come to its end."""
         verdict = self._judged(moment, now, over=over)
         if self._sometimes and not self._broken:
             return verdict.of_sometimes(not verdict.passed and (over or self._failure is not None))
@@ -355,9 +341,8 @@ class OwnChecks:
 
     @classmethod
     def asked(cls, scenario: Scenario, begin: int = 0) -> OwnChecks | None:
-        """The checks that a scenario asks for; None: it has none. `begin`: first tick of the run. Earlier samples do
-        not count. Raises SignalCheckError if no vehicle of the scenario has the signal of a check; CheckError if a
-        check in Python cannot be made.
+        """The checks that a scenario asks for; None: it has none. Samples before `begin` do not count. Raises
+        SignalCheckError if no vehicle has the signal of a check; CheckError if a check in Python cannot be made.
         """
         checks = scenario.spec.checks
         return cls(scenario, begin) if checks.signal or checks.python else None

@@ -93,9 +93,7 @@ class AlwaysMargin:
         return best[0][1] if self._since.setdefault(key, tick) <= first else None
 
     def found(self, longest: float | None, at: int | None) -> Margin | None:
-        """The margin so far. `longest`: length of the longest stretch of bad samples [ticks]. `at`: first tick of that
-        stretch.
-        """
+        """The margin so far, of the longest stretch of bad samples [ticks], which began at tick `at`."""
         asked = self._asked
         if in_time(asked):
             took = (longest or 0) * self._tick_s
@@ -177,13 +175,7 @@ class RunningSignalCheck:
         vehicles: Mapping[int, Mapping[str, SignalPlace]],
         begin: int,
     ) -> None:
-        """Begin with the run.
-
-        Args:
-            name: name of the check.
-            asked: the check.
-            begin: first tick of the run. Earlier samples do not count.
-        """
+        """Begin with the run; samples before tick `begin` do not count."""
         self.name, self.words, self.group = name, asked.words, asked.signal.group
         self.signals = (str(asked.signal),)
         self._asked, self._tick_ns, self._last = asked, scenario.tick_ns, scenario.ticks
@@ -223,12 +215,8 @@ class RunningSignalCheck:
         return Failure(judge.failure, units, some_values)
 
     def verdict(self, moment: Moment | None, now: int, *, over: bool) -> Verdict:
-        """The verdict so far.
-
-        Args:
-            moment: the moment of its failure. None: it has not failed.
-            now: the newest tick.
-            over: the run has come to its end.
+        """The verdict so far, at tick `now`; `moment`, None: the check has not failed. `over`: the run has come to its
+        end.
         """
         judge = self._safety or self._liveness
         assert judge is not None

@@ -99,9 +99,9 @@ def published(file: str) -> list[Path]:
 
 
 def choose(run: str | None, file: str) -> Path:
-    """The directory of the one live run that the user means, among those with such a file. `run`: its directory; or of
-    the registered ones a name, a scenario or the beginning of a name that only one has; None: the only one. Raises
-    RemoteError if there is none, or there are several; RegistryError if it is not known which runs there are.
+    """The directory of the one live run that the user means, among those with such a file. `run` is its directory, or a
+    name, a scenario or the beginning of a name that only one registered run has; None: the only one. Raises RemoteError
+    if there is none, or there are several; RegistryError if it is not known which runs there are.
     """
     if run is not None and os.path.exists(Path(run) / file):  # unlike Path.exists it never raises
         directory = Path(run).resolve()  # `latest` is no name

@@ -48,16 +48,9 @@ def closing(world: dict[str, Any], network: dict[str, Any], rejected: dict[str, 
 
 
 def lost_messages(counts: dict[str, Any], clock: Clock = Clock.LOCKSTEP) -> int:
-    """How many messages left one process of a completed run and never arrived at the other.
-
-    Every nav is answered by one command; agents' own counts are not needed.
-
-    Args:
-        counts: by process (`world`, `netem`, `console`), how many messages of each kind it sent and received.
-        clock: on a wall clock an agent may skip navs, and commands are not counted.
-
-    Raises:
-        RunBroken: a process did not report what it sent and received.
+    """How many messages left one process of a completed run and never arrived at the other, from the counts that each
+    process gives by kind of message. Every nav is answered by one command; agents' own counts are not needed. On a wall
+    clock an agent may skip navs, and commands are not counted. Raises RunBroken if a process did not report.
     """
     try:
         world_sent, world_received = counts["world"]["sent"], counts["world"]["received"]
@@ -92,9 +85,8 @@ def readiness(
     awaited: Sequence[int],
     silent: Collection[str],
 ) -> Readiness:
-    """Find out from the answers of world and netem to `ready` which processes are ready.
-
-    A liveliness token only shows that a process lives. These answers show that messages arrive.
+    """Which processes are ready, by the answers of world and netem to `ready`. A liveliness token only shows that a
+    process lives; these answers show that messages arrive.
 
     Args:
         world: `ready` has (vehicle, incarnation) of each agent that greeted the world; `grant`: it hears grants.

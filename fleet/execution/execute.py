@@ -142,11 +142,10 @@ class _Run:
 
 
 def execute(scenario: Scenario, options: Options, terminal: Terminal | None = None) -> Result:
-    """Run a scenario to its verdict. Only a caller's mistake raises; a run that breaks is a result. `terminal`: where
-    progress is shown; None: stderr. Raises ScenarioError if a plant cannot be started; RunBroken if the port is taken;
+    """Run a scenario to its verdict; progress is shown on `terminal` (None: stderr). Only a caller's mistake raises; a
+    run that breaks is a result. Raises ScenarioError if a plant cannot be started; RunBroken if the port is taken;
     LogError if the log cannot be created; CheckError if a check in Python cannot be made; FleetError if the run
-    directory cannot be made, the journal cannot be published, or somebody else is to start an agent of a run in one
-    process.
+    directory cannot be made, the journal cannot be published, or an agent is external in a run in one process.
     """
     try_plants(scenario)
     interrupts = DeferInterrupts()

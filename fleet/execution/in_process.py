@@ -58,9 +58,8 @@ MakeLife = Callable[[int, int], AgentLife]  # (incarnation, begin) -> one life o
 
 
 class InProcess:
-    """A `Runner` for one run in this process.
-
-    A caller that looks at the run in between calls `begin`, `advance` and `end` in place of `serve`.
+    """A `Runner` for one run in this process. A caller that looks at the run in between calls `begin`, `advance` and
+    `end` in place of `serve`.
     """
 
     waiting = ""  # nobody waits for anybody here
@@ -75,12 +74,9 @@ class InProcess:
         agents: Mapping[int, MakeLife] | None = None,
         salt: int = 0,
     ) -> None:
-        """Prepare a run.
-
-        Args:
-            start: the snapshot of another run to go on from. None: the run begins at its beginning.
-            agents: by vehicle, functions that make an agent in place of the scenario's.
-            salt: changes all further draws of world and network. 0: the draws of every run with this seed.
+        """`start`: the snapshot of another run to go on from. `agents`: by vehicle, functions that make an agent in
+        place of the scenario's. `salt` changes all further draws of world and network; 0: the draws of every run with
+        this seed.
         """
         self._other_agents = agents or {}
         self._scenario, self.journal, self._begin = scenario, journal, start

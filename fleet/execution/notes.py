@@ -48,9 +48,8 @@ def folded(notes: Iterable[str]) -> list[str]:
 
 
 class Notes:
-    """The notes of one distributed run, from the console and from its processes.
-
-    A flood of notes costs bounded memory: at most `MOST_NOTES` per role wait, and at most as many are kept.
+    """The notes of one distributed run, from the console and from its processes. A flood costs bounded memory: at most
+    `MOST_NOTES` per role wait, and at most as many are kept.
     """
 
     def __init__(self, tick_ns: int) -> None:

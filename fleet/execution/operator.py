@@ -40,9 +40,8 @@ _ENTRY: TypeAdapter[FaultSection] = TypeAdapter(FaultEntry)
 
 
 class RefusedError(FleetError):
-    """A request that cannot be carried out; the text says why.
-
-    Its `status` is 2 when something else should have been asked for, 3 when the run cannot do it now.
+    """A request that cannot be carried out. `status` is 2 when something else should have been asked for, 3 when the
+    run cannot do it now.
     """
 
     def __init__(self, text: str, status: int = 2) -> None:

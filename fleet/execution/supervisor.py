@@ -228,13 +228,9 @@ def who_waits(
     log_is_behind: bool,
     computing: Callable[[str], int] = lambda _: 0,
 ) -> str:
-    """The agents or processes that have not answered, in words.
-
-    Args:
-        world, network: the answers of the world and netem to `waiting`. Empty: no answer.
-        external: vehicles with an external agent, which is no child process.
-        log_is_behind: the journal has received more than the log holds.
-        children, computing: as for `explain`.
+    """The agents or processes that have not answered, in words. `world` and `network` are their answers to `waiting`,
+    empty without one; `external` are vehicles without a child process. `log_is_behind`: the journal has received more
+    than the log holds. The rest is as for `explain`.
     """
     if not world:
         return "waiting for the world" + _condition(WORLD, children[WORLD])
@@ -325,10 +321,10 @@ class Supervisor:
         return self._session
 
     def start(self, progress: Callable[[], None], meanwhile: Callable[[], None]) -> None:
-        """Start the processes, connect to the router, and let the operator and external agents in. `meanwhile`: called
-        between attempts to connect; it may raise a better explanation, such as the world's end. Raises RunBroken if a
-        process could not be started, or there is no router; FleetError if the join file of an external agent cannot be
-        written.
+        """Start the processes, connect to the router, and let the operator and external agents in. `meanwhile` is
+        called between attempts to connect, and may raise a better explanation, such as the world's end. Raises
+        RunBroken if a process could not be started, or there is no router; FleetError if the join file of an external
+        agent cannot be written.
         """
         self._launch = launch = Launch(
             self._scenario, self._options, self._hosting, self._keys, self._directory, self._children
@@ -401,9 +397,8 @@ class Supervisor:
         return min([*planned, *self.starting.values()], default=self._scenario.ticks)
 
     def ended(self, exit_: Exit) -> bool:
-        """Record that a process ended. False: the run cannot go on without it.
-
-        If an agent died, the world decides the tick of its death.
+        """Record that a process ended. False: the run cannot go on without it. If an agent died, the world decides the
+        tick of its death.
         """
         own = [*self._hosting.agents(exit_.role)]
         if not own:

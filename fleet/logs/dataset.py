@@ -101,8 +101,8 @@ _STANDARD = {
 
 
 def dataset(topic: Topic, table: list[TableColumn], run: Mapping[str, str]) -> xr.Dataset:
-    """The table of a topic as a Dataset. `table`: columns of (samples,) each, the time first; bytes are left out.
-    `run`: what determined the run (`Log.run`). Raises FleetError if xarray is not installed.
+    """The table of a topic as a Dataset, from columns of (samples,) each, the time first; bytes are left out. `run` is
+    what determined the run (`Log.run`). Raises FleetError if xarray is not installed.
     """
     need("a Dataset", ("xarray",), EXTRA)
     import xarray as xr

@@ -55,12 +55,8 @@ class MessageIndexes(NamedTuple):
     last_ns: int  # and the latest
 
     def chunk_index(self, place: int, length: int, compressed: int, uncompressed: int) -> bytes:
-        """The chunk's record in the summary of the file.
-
-        Args:
-            place: where in the file the chunk begins; the indexes follow it.
-            length: of the chunk [bytes].
-            compressed: length of its messages as they are in the file, and `uncompressed` as they were.
+        """The record in the file's summary of a chunk that begins at `place` and has `length` bytes, with the lengths
+        of its messages as they are in the file and as they were; the indexes follow the chunk.
         """
         offsets = self.offsets.copy()
         offsets["offset"] += np.uint64(place + length)

@@ -43,10 +43,9 @@ class Record(NamedTuple):
 
 @dataclass(slots=True)
 class LogReader:
-    """Iterates over the messages of a log, once. The fields below are complete when the iteration is over.
-
-    The iteration stops at the first damaged place, so the messages are the beginning of the run without a gap.
-    `fleet.logs.recover` also reads what follows the damage.
+    """Iterates over the messages of a log, once; the fields below are complete after that. It stops at the first
+    damaged place, so the messages are the beginning of the run without a gap. `fleet.logs.recover` reads what follows,
+    too.
     """
 
     path: Path
@@ -189,12 +188,8 @@ def lost(salvage: Salvage) -> str:
 
 
 def digest(path: Path, tell: Tell = lambda _: None) -> str:
-    """SHA-256 over the ordered messages (topic, times, sequence, data), in hexadecimal, as `fleet run` prints it.
-
-    If the file is damaged, only the messages before the first damaged place count.
-
-    Raises:
-        LogReadError: see `LogReader`.
+    """SHA-256 over the ordered messages (topic, times, sequence, data), in hexadecimal, as `fleet run` prints it; those
+    before the first damaged place. Raises LogReadError as `LogReader` does.
     """
     total, reader = Digest(), LogReader(path, tell)
     for block in reader.blocks():

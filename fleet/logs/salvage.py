@@ -81,10 +81,8 @@ class _DamagedError(Exception):
 
 @dataclass(slots=True)
 class Salvage:
-    """Iterates a file's records once. The faults of the file are known when the iteration is over.
-
-    With `beyond`, goes on behind a damaged place: at the next record if the framing holds, else at the next chunk
-    that can be found.
+    """Iterates a file's records once; then the faults of the file are known. With `beyond`, goes on behind a damaged
+    place: at the next record if the framing holds, else at the next chunk that can be found.
     """
 
     file: IO[bytes]

@@ -169,11 +169,7 @@ class Doubles:
         return self._struct.size
 
     def decode(self, data: bytes) -> tuple[float, ...]:
-        """The values of this message's columns, in order.
-
-        Raises:
-            struct.error: it is none of these messages.
-        """
+        """The values of this message's columns, in order. Raises struct.error if it is none of these messages."""
         return self._struct.unpack(data)
 
 

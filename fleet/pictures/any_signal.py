@@ -45,10 +45,8 @@ class _Found(NamedTuple):
 
 
 def signals_of_checks(runs: Sequence[Run]) -> list[SignalName]:
-    """The signals to draw if the user names none: those of the runs' checks.
-
-    They are the signals that a check names, and the signals of laws and plants that a check in Python has read. Errors
-    with a picture of their own are left out, and signals that no log has. There are at most MOST_UNASKED.
+    """The signals to draw if the user names none, at most MOST_UNASKED: those that a check names, and those of laws and
+    plants that a check in Python has read, without errors that have a picture of their own and signals that no log has.
     """
     found = [
         name

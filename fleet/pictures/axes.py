@@ -114,8 +114,8 @@ def spread(series: Mapping[int, Series]) -> Band:
 
 
 def outliers(panels: Sequence[Band], log: bool) -> list[int]:
-    """The vehicles that are farthest from the median on average over time and panels, the worst first. `log`: the
-    signals are errors on a logarithmic axis: only more than the median counts, by its factor.
+    """The vehicles that are farthest from the median on average over time and panels, the worst first. With `log`, of
+    errors on a logarithmic axis, only more than the median counts, by its factor.
     """
     score: dict[int, float] = {}
     for one in panels:
@@ -183,15 +183,9 @@ def reach(lines: Iterable[Series], log: bool = False) -> float:
 def enveloped(
     t: Array, values: Array, span: tuple[float, float], whole: float, log: bool = False
 ) -> tuple[Series, Envelope | None]:
-    """What to draw of a signal. Returns the line, which is the mean where the signal oscillates too fast, and the
-    envelope there; None: it never does.
-
-    Args:
-        t: times [s], ascending; NaN in gaps.
-        values: of the same length.
-        span: the time axis [s].
-        whole: the `reach` of all lines of the axis.
-        log: its axis is logarithmic.
+    """The line of a signal over time [s] (ascending; NaN in gaps), which is the mean where it oscillates too fast, and
+    the envelope there; None: it never does. `span` is the time axis [s], `whole` the `reach` of all lines of the axis,
+    `log` whether that is logarithmic.
     """
     if len(t) < _TURNS * 2:
         return (t, values), None
@@ -272,14 +266,11 @@ def draw_lines(
     exact: bool = False,
     **style: Any,
 ) -> list[str]:
-    """Draw one line per vehicle into each panel, in the vehicle's colour, or in the run's. Many vehicles make a band.
-    Returns words on vehicles that have no such signal. Raises NothingToDraw if no vehicle has it.
+    """Draw one line per vehicle into each panel, axes with the function that gets their signal, in the vehicle's colour
+    or in the run's; many vehicles make a band. Returns words on vehicles that have no such signal.
 
-    Args:
-        panel: the axes, each with the function that gets its signal.
-        view: the vehicles and the span of time.
-        log: the signals are errors on a logarithmic axis. Outliers are chosen on this axis.
-        exact: the line goes through every sample, also if a signal oscillates too fast to be seen.
+    `log`: the signals are errors on a logarithmic axis, on which outliers are chosen. `exact`: the line goes through
+    every sample, also if a signal oscillates too fast to be seen. Raises NothingToDraw if no vehicle has it.
     """
     by_run = len(runs) > 1
     each = [[_series(run, view, get) for _, get in panel] for run in runs]
@@ -319,8 +310,8 @@ def draw_lines(
 def _draw_bands(
     axes: Sequence[Axes], found: Sequence[Mapping[int, Series]], style: dict[str, Any], log: bool, *, name: bool
 ) -> tuple[dict[int, dict[str, Any]], list[Artist]]:
-    """A band of the many vehicles of a run on each axis. `style`: colour and dashes of the run. `name`: whether
-    outliers are drawn and named. Returns the style of the line of each outlier, and the entries of the legend.
+    """A band of the many vehicles of a run on each axis; returns the style of the line of each outlier, and the entries
+    of the legend. `name`: whether outliers are drawn and named.
     """
     spreads = [spread(signals) if signals else None for signals in found]
     for ax, one in zip(axes, spreads, strict=True):

@@ -373,9 +373,8 @@ def write(
     tell: Callable[[str], None],
     share: Tell = lambda _: None,
 ) -> list[Path]:
-    """Draw into a folder, which is made if need be; returns the files. `tell`: called with a sentence about each
-    picture that could not be drawn. `share`: called before each picture with the share that is done. Raises FleetError
-    if the folder cannot be written.
+    """Draw into a folder, which is made if need be; returns the files. `tell` gets a sentence about each picture that
+    could not be drawn. Raises FleetError if the folder cannot be written.
     """
     paths: list[Path] = []
     try:

@@ -54,12 +54,8 @@ def check_view(runs: Sequence[Run], view: View) -> None:
 
 @dataclass
 class Run:
-    """One run to draw.
-
-    Attributes:
-        log: its log.
-        label: its name in a legend.
-        notes: lines of text for the user about parts that the picture lacks.
+    """One run to draw: `label` is its name in a legend, `notes` are lines for the user about parts that the picture
+    lacks.
     """
 
     log: Log
@@ -125,9 +121,8 @@ class Run:
 def load(
     paths: Sequence[Path], share: Callable[[float], None] = lambda _: None, most_held: int = MOST_HELD
 ) -> list[Run]:
-    """Read logs; each is called after its scenario, or its directory where those are equal. `share`: called now and
-    then with the share of each file that was read. `most_held`: bytes of each log that are held at once. Raises
-    LogReadError if one of them cannot be read.
+    """Read logs; each is called after its scenario, or its directory where those are equal. Of each at most `most_held`
+    bytes are held at once. Raises LogReadError if one of them cannot be read.
     """
     check_readable(paths)
     # Poses are states in another form.

@@ -111,9 +111,7 @@ def inputs(runs: Sequence[Run], view: View) -> Figure:
 
 
 def _keep_inside(ax: Axes, most: dict[str, float]) -> None:
-    """No part of a line's width lies beyond the limit that its values keep; values that do not keep it are shown.
-    `most`: the limit of each vehicle's line by its gid; what belongs to all keeps the largest.
-    """
+    """No part of a line's width lies beyond the limit of its gid in `most`; values that do not keep it are shown."""
     artists: list[Line2D | Collection] = [*ax.get_lines(), *ax.collections]
     for artist in artists:
         if artist.get_gid() == "bound":

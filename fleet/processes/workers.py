@@ -80,18 +80,10 @@ class Workers:
         wait: Callable[[], None] = lambda: None,
         limit_s: Callable[[I], float] = lambda _: inf,
     ) -> Iterator[tuple[I, Future[R]]]:
-        """Call the function for every item, in the order of the items, as workers become free.
-
-        Args:
-            wait: is called several times a second.
-            limit_s: wall time that an item may take; a worker that takes longer is killed.
-
-        Yields:
-            Each item with the future of its result, as they end. If a worker died `TIMES` times under an item, its
-            exception is a WorkerDied. If the item took too long, it is a WorkerLate.
-
-        Raises:
-            RunBroken: no process can be started, or each ends before it begins with its item, or one hangs there.
+        """Call the function for every item, in the order of the items, as workers become free; `wait` is called several
+        times a second. Yields each item with the future of its result, as they end. If a worker died `TIMES` times
+        under an item, its exception is a WorkerDied; if the item took longer than `limit_s` of it, a WorkerLate. Raises
+        RunBroken if no process can be started, or each ends before it begins with its item, or one hangs there.
         """
         new = ((item, 1) for item in items)
         again: deque[tuple[I, int]] = deque()

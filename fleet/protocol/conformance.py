@@ -145,12 +145,9 @@ class EmulatedFleet:
         answer: dict[str, Any],
         certified: Listener | None = None,
     ) -> None:
-        """Open the router and subscribe to what the agent puts. Raises BusError if the endpoint is taken.
-
-        Args:
-            private: a directory of mode 0700, as for `Bus.host`.
-            answer: to the query of cfg.
-            certified: where the agent may join with a certificate alone; None: nowhere.
+        """Open the router and subscribe to what the agent puts. `private` is a directory of mode 0700, as for
+        `Bus.host`; `answer` that to the query of cfg; `certified` where the agent may join with a certificate alone, or
+        None. Raises BusError if the endpoint is taken.
         """
         bus = self._bus = Bus.host(endpoint, keys, (vehicle,), {user.user: user}, private)
         self._second = CertificateRouter(bus, keys, (vehicle,), certified) if certified else None
@@ -241,15 +238,10 @@ class Examination:
         port: int | None = None,
         meeting: Rendezvous | None = None,
     ) -> None:
-        """Prepare the exchange; `run` carries it out. Raises FleetError if there is no such vehicle, the network is
-        ideal, or the file or the folder exists.
-
-        Args:
-            scenario: the agent is given the slice of one of its vehicles.
-            vehicle: number of that vehicle.
-            file: where the join file goes.
-            port: TCP port of the router on the loopback interface; None: any free one.
-            meeting: where the agent may join with a certificate alone; its folder goes beside `file`.
+        """Prepare the exchange; `run` carries it out. The agent is given the slice of a vehicle of the scenario, and a
+        join file. `port`: of the router on the loopback interface; None: any free one. `meeting`: where the agent may
+        join with a certificate alone; its folder goes beside `file`. Raises FleetError if there is no such vehicle, the
+        network is ideal, or the file or the folder exists.
         """
         if not 1 <= vehicle <= scenario.vehicles:
             raise FleetError(
@@ -276,9 +268,9 @@ class Examination:
         self.slowest_s = 0.0  # longest wait for an answer
 
     def run(self, timeout_s: float, show: Callable[[str], None]) -> list[ProtocolCheck]:
-        """Wait for the agent, examine it, and return a verdict for each of `CHECKS`. `timeout_s`: how long to wait for
-        the agent to be started. `show`: called with a line that names the join file. Raises FleetError if no agent
-        came, or the endpoint or the file cannot be made.
+        """Wait `timeout_s` for the agent to be started, examine it, and return a verdict for each of `CHECKS`. `show`
+        is called with a line that names the join file. Raises FleetError if no agent came, or the endpoint or the file
+        cannot be made.
         """
         i, begin = self._i, BEGIN_ROUNDS * self._m
         user = generate((i,))[agent_role(i)]
@@ -313,9 +305,8 @@ class Examination:
             self._fleet.close()
 
     def _take(self, deadline: float) -> tuple[str, Message | None] | None:
-        """As `EmulatedFleet.take`, up to a deadline; a malformed message is judged, and ends the exchange.
-
-        A deadline and not a span, because an agent may put messages without end that are no answer.
+        """As `EmulatedFleet.take`, up to a deadline, because an agent may put messages without end that are no answer;
+        a malformed message is judged, and ends the exchange.
         """
         while True:
             try:

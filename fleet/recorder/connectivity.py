@@ -39,13 +39,8 @@ class Connectivity:
     def __init__(
         self, links: Iterable[Link], roots: Iterable[int], wanted: Iterable[int], window: int, after: int = 0
     ) -> None:
-        """
-        Args:
-            links: of the graph.
-            roots: vehicles that follow the reference.
-            wanted: vehicles that must be reached.
-            window: W, in ticks.
-            after: first tick of the first window.
+        """`roots` follow the reference, `wanted` must be reached. `window` is W, in ticks; the first one begins at
+        `after`.
         """
         self._hearers: dict[int, list[int]] = {}
         for src, dst in links:

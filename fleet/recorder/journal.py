@@ -60,13 +60,8 @@ class Journal:
         whole: AbstractContextManager[None] | None = None,
         checks: OwnChecks | None = None,
     ) -> None:
-        """Begin an empty journal.
-
-        Args:
-            log: receives everything in order.
-            whole: is entered around writes that must not be interrupted half way.
-            checks: of the user's own, that see everything in the same order; None: there are none, or nothing is
-                judged.
+        """Begin an empty journal. `log` receives everything in order, and so do the user's `checks`; None: there are
+        none, or nothing is judged. `whole` is entered around writes that must not be interrupted half way.
         """
         self.log = log
         self.checks = checks

@@ -72,10 +72,8 @@ class LogError(FleetError):
 
 
 class LogFile:
-    """A new MCAP file; `LogWriter` writes its encoded messages into it.
-
-    `close` writes the end of the file; without it the file is truncated but readable. Every method that writes raises
-    LogError when the operating system reports an error.
+    """A new MCAP file; `LogWriter` writes its encoded messages into it. `close` writes the end of the file; without it
+    the file is truncated but readable. What writes raises LogError when the operating system reports an error.
     """
 
     def __init__(self, path: Path) -> None:

@@ -173,12 +173,8 @@ class Metrics:
         return {i: s.qp_failures for i, s in self.series.items() if self._vehicles[i].places.failures is not None}
 
     def settled(self, what: str, span: tuple[int, int], limit: float, vehicles: list[int] | None = None) -> Settled:
-        """When `e` or `formation` of every vehicle, or of some, settled below a limit within a span of ticks.
-
-        Args:
-            what: `e` or `formation`.
-            span: the first tick, and the one behind the last.
-            limit: in m.
+        """When `e` or `formation` of every vehicle, or of some, settled below a limit [m] in a span: first tick, behind
+        the last.
         """
         frames = range(bisect_left(self.times, span[0] * self._tick_s), bisect_left(self.times, span[1] * self._tick_s))
         if not frames:

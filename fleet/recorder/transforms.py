@@ -37,8 +37,8 @@ class Template:
     """
 
     def __init__(self, make: Callable[..., Any], count: int) -> None:
-        """Find the places of the doubles. `make`: gives a protobuf message with each of its arguments in one field, in
-        the order of the fields. `count`: of its arguments.
+        """Find the places of the doubles. `make` gives a protobuf message with each of its `count` arguments in one
+        field, in the order of the fields.
         """
         self._make = make
         marks = [0.1234567 * (k + 1) for k in range(count)]
@@ -61,9 +61,7 @@ class Template:
 
 
 def field(tag: bytes, data: bytes) -> bytes:
-    """A field that holds an encoded message.
-
-    Encoded messages may be cut and joined between fields: `data` can be several of them, as long as the numbers of the
+    """A field that holds an encoded message, or several that were cut between fields, as long as the numbers of the
     fields ascend.
     """
     return tag + varint(len(data)) + data

@@ -134,13 +134,9 @@ class LogWriter:
         tap: Tap | None = None,
         clock: Clock = Clock.LOCKSTEP,
     ) -> None:
-        """Write the scenario and declare all channels. Raises LogError if the sink is a file and cannot be written; so
-        do all methods.
-
-        Args:
-            start: where the run goes on from a snapshot of another run.
-            tap: receives a copy of every message.
-            clock: of the run; its metadata names a wall clock.
+        """Write the scenario and declare all channels. `start`: where the run goes on from a snapshot of another run.
+        `tap` receives a copy of every message. A wall `clock` is named in the metadata. Raises LogError if the sink is
+        a file and cannot be written; so do all methods.
         """
         self._sink = sink
         self._tap = tap

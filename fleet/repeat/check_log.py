@@ -44,10 +44,10 @@ def check_log(
     overrides: Sequence[str] = (),
     reading: Callable[[float], None] = lambda share: None,
 ) -> JudgedLog:
-    """Judge a log by its scenario's own checks, or by others. `overrides`: `checks...=...` as for `fleet run --set`.
-    `reading`: called with the share of the file that was read, twice from its beginning. Raises FleetError if there is
-    no log of ours, or nothing in it to judge; ScenarioError if an override is wrong, or the log's scenario is none for
-    this version; SignalCheckError, CheckError if a check makes no sense for this log, or cannot be made.
+    """Judge a log by its scenario's own checks, or by others: `overrides` are `checks...=...` as for `fleet run --set`.
+    `reading` gets the share of the file that was read, twice from its beginning. Raises FleetError if there is no log
+    of ours, or nothing in it to judge; ScenarioError if it has no scenario for this version, or an override is wrong;
+    CheckError or SignalCheckError if a check cannot be made, or makes no sense for this log.
     """
     _insist_on_checks(overrides)
     source = recorded(path, reading)

@@ -99,13 +99,9 @@ class _RecordedCore:
 
 
 def recorded_agents(reader: LogReader, scenario: Scenario, last_ns: int, *, whole: bool) -> dict[int, RecordedAgent]:
-    """The messages of a scenario's external agents in a log, by vehicle. Raises NotRecordedError if commands were
-    thinned, or a message is damaged; LogReadError if a schema is.
-
-    Args:
-        reader: of the log, not read yet.
-        last_ns: time of its last message.
-        whole: the log ends with the run, so that the fate of every packet is in it.
+    """The messages of a scenario's external agents in a log that was not read yet, by vehicle. `whole`: the log ends
+    with the run, so that the fate of every packet is in it. Raises NotRecordedError if commands were thinned, or a
+    message is damaged; LogReadError if a schema is.
     """
     if not scenario.external:
         return {}
@@ -226,10 +222,9 @@ def verify(
     tell: Tell = lambda at_s, end_s: None,
     reading: Callable[[float], None] = lambda share: None,
 ) -> Verification:
-    """Run a log again and compare. Raises LogReadError if there is no log to read. Raises FleetError if it holds no
-    scenario of ours, or no message. Raises ScenarioError if its scenario does not run here, because another version
-    wrote it, or because a law is not installed and not trusted. Raises NotRecordedError if it has an external agent,
-    but not all of its commands.
+    """Run a log again and compare. Raises LogReadError if there is no log to read; FleetError if it holds no scenario
+    of ours, or no message; ScenarioError if its scenario does not run here: another version wrote it, or a law is not
+    installed and not trusted; NotRecordedError if it lacks commands of an external agent.
     """
     source = recorded(path, reading)
     path, reader, last_ns = source.path, source.reader, source.last_ns

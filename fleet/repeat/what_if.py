@@ -109,10 +109,10 @@ def what_if(
     overrides: Sequence[str | Override] = (),
     progress: Callable[[float], None] = lambda _: None,
 ) -> WhatIf:
-    """Give a fresh agent what a recorded one was given. `overrides`: `key=value`, as for `fleet run --set`; they apply
-    to this agent alone. `progress`: called with the share of the work that is done: two readings of the log, then the
-    agent. Raises FleetError if there is no log of ours, the agent is not there, its navigation was thinned, or its law
-    may not run or failed; ScenarioError if an override is wrong.
+    """Give a fresh agent what a recorded one was given. `overrides` are `key=value`, as for `fleet run --set`, for this
+    agent alone. `progress` gets the share that is done: two readings of the log, then the agent. Raises FleetError if
+    there is no log of ours, the agent is not there, its navigation was thinned, or its law may not run or failed;
+    ScenarioError if an override is wrong.
     """
     path = log_path(path)
     source = read(path, progress)

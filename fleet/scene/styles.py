@@ -60,12 +60,8 @@ def state_of(marks: str) -> LinkState:
 
 
 def fate_of(cause: str, delay_s: float, corrupted: bool, round_s: float) -> str:
-    """The fate of a packet: ARRIVED, BEHIND (after the next one was sent), DAMAGED, GONE or CUT (the link was).
-
-    Args:
-        cause: the field `fate` of its message.
-        delay_s: time from sending until it can be used [s].
-        round_s: time between two packets [s].
+    """The fate of a packet: ARRIVED, BEHIND (after the next one was sent), DAMAGED, GONE or CUT (the link was). `cause`
+    is the field `fate` of its message; the times [s] are those until it can be used, and between two packets.
     """
     if cause in CUTS:
         return CUT

@@ -62,12 +62,8 @@ class OpenPublication:
         return bool(getattr(status, "matching", status))
 
     def put(self, payload: bytes, attachment: bytes | None, place: int | None = None) -> None:
-        """Put a sample.
-
-        Args:
-            payload: the sample's payload.
-            attachment: data beside the payload; None: none.
-            place: number of earlier puts on the key. Puts that were left out count, so that a reader notices them.
+        """Put a sample, with data beside the payload or None. `place` is the number of earlier puts on the key, those
+        that were left out included, so that a reader notices them.
         """
         source = None if place is None else zenoh.SourceInfo(self._publisher.id, place)
         self._publisher.put(payload, attachment=attachment, source_info=source)

@@ -93,9 +93,8 @@ class RosBus(OpenBus):
         return sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
 
     def watch_tokens(self, key: str, handler: Callable[[str, bool], None]) -> None:
-        """Report liveliness tokens. `key`: the tokens to watch, as a key expression. `handler`: called on a thread of
-        zenoh as `handler(key, there)`: once for each token that exists now, with True for each new token, and with
-        False for each token that ends.
+        """Call `handler(key, there)` on a thread of zenoh once for each liveliness token of a key expression that
+        exists now, with True for each new one, and with False for each that ends.
         """
 
         def receive(sample: zenoh.Sample) -> None:

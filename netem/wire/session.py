@@ -134,11 +134,7 @@ os.environ["ZENOH_RUNTIME"] = RUNTIME
 
 
 def open_session(mode: Literal["client", "router"], settings: dict[str, Any]) -> zenoh.Session:
-    """A session with `netem.wire.session.BASE`, changed by `settings`.
-
-    Raises:
-        zenoh.ZError: it cannot be opened.
-    """
+    """A session with `netem.wire.session.BASE`, changed by `settings`. Raises zenoh.ZError if it cannot be opened."""
     config = zenoh.Config()
     for key, value in ({"mode": mode} | BASE | settings).items():
         config.insert_json5(key, json.dumps(value))

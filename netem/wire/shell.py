@@ -33,10 +33,8 @@ LINK_LOST = 71  # exit status: the link to a router on another host has ended
 
 
 def end_with_link(bus: Bus, credentials: Credentials) -> None:
-    """Between hosts, end this process when its link to the router has ended.
-
-    Zenoh would make another one by itself, and what was on the way would be missing without a word. On one host a link
-    ends with a process only, and the console sees that.
+    """Between hosts, end this process when its link to the router has ended: zenoh would make another one by itself,
+    and what was on the way would be missing without a word. On one host the console sees the end of a process.
     """
 
     def end() -> None:
@@ -104,11 +102,7 @@ class Shell:
         self.bus.subscribe(key, receive)
 
     def take(self, timeout_s: float | None = None) -> Item:
-        """The next item; waits for it.
-
-        Raises:
-            queue.Empty: there was none in time.
-        """
+        """Wait for the next item. Raises queue.Empty if there was none in time."""
         item = self.queue.get(timeout=timeout_s)
         if item.respond is None:
             self._quota.release(item.key)

@@ -56,7 +56,6 @@ class Offset:
 
     @property
     def moving(self) -> bool:
-        """Whether it ever changes."""
         return bool(self.changes)
 
 

@@ -91,7 +91,6 @@ class LawChoice(Protocol):
 
 
 def laws(config: LawChoice) -> dict[str, Law]:
-    """The laws that an agent runs, by kind."""
     if config.agent is not None:
         return {"agent": config.agent}
     if config.controller is not None:

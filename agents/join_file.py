@@ -54,7 +54,6 @@ class JoinFile(msgspec.Struct, frozen=True):
 
     @property
     def credentials(self) -> Credentials:
-        """The credentials that the agent presents to the router."""
         return Credentials(self.user, self.password, self.ca, self.certificate, self.key, self.lease_ms)
 
     def __repr__(self) -> str:

@@ -82,7 +82,6 @@ class PluggedAgent(Brain):
         return {"last_tick": self._last_tick, "failed": self._failed, "agent": own}
 
     def restore(self, values: dict[str, Any]) -> None:
-        """Continue from `state()`."""
         self._last_tick = values["last_tick"]
         self._failed = values["failed"]
         if self._resumable and not self._failed:

@@ -78,7 +78,6 @@ class OneAgent:
 
     @property
     def hello(self) -> Hello:
-        """A probe of this agent."""
         return Hello("agent", self.vehicle, self.loop.incarnation, PROTOCOL_VERSION, False)
 
     def is_over(self, end: End) -> bool:

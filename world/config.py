@@ -80,7 +80,6 @@ class VehicleMemory(NamedTuple):
 
     @property
     def diverged(self) -> bool:
-        """Whether the vehicle is not integrated any more."""
         return self.condition == DIVERGED
 
     @property

@@ -78,7 +78,6 @@ class Turns:
 
     @property
     def idle(self) -> bool:
-        """Whether nobody has a turn."""
         return not self._asked
 
     def holds(self, i: int) -> bool:
@@ -114,7 +113,6 @@ class Turns:
             self._holders[process] -= 1
 
     def forget(self, i: int) -> None:
-        """Agent i has ended."""
         self.release(i)
         self._early = [item for item in self._early if item[0] != i]
         self._waiting = {

@@ -44,7 +44,6 @@ class Punctuality:
     row: int = 0  # of those just now
 
     def to_values(self) -> dict[str, Any]:
-        """The counts by name, for the result of the run."""
         values = asdict(self)
         del values["row"]
         return values
@@ -77,7 +76,6 @@ class RealtimeRun:
 
     @property
     def finished(self) -> bool:
-        """Whether the frame of the end tick has left."""
         return self.state.frames.finished
 
     def grant(self, until: int) -> list[Out]:

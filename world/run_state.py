@@ -39,22 +39,18 @@ class FrameAssembly:
 
     @property
     def finished(self) -> bool:
-        """Whether the frame of the end tick was complete."""
         return self._next > self._ticks
 
     def due(self, tick: int) -> bool:
-        """Whether a tick before the end tick has a frame."""
         return tick % self._every == 0
 
     def row(self, tick: int, row: VehicleFrame) -> None:
         self._rows.setdefault(tick, []).append(row)
 
     def life(self, life: Life) -> None:
-        """Add that a vehicle lost or got its agent."""
         self._lives.setdefault(self._frame_of(life.tick), []).append(life)
 
     def tumble(self, tumble: Tumble) -> None:
-        """Add that a vehicle began to tumble or came back."""
         self._tumbles.setdefault(self._frame_of(tumble.tick), []).append(tumble)
 
     def resume(self, tick: int) -> None:
@@ -117,7 +113,6 @@ class RunState:
         self.granted = max(self.granted, min(until, self.config.ticks))
 
     def tick_of(self, i: int) -> int:
-        """The tick that vehicle i has reached."""
         return self.world.tick(i)
 
     def incarnation(self, i: int) -> int:
@@ -202,7 +197,6 @@ class RunState:
             self.frames.row(k + 1, self.row(i, NOT_SENSED, (), b""))
 
     def nav(self, i: int, life: int, k: int) -> Nav:
-        """The nav of vehicle i's agent at tick k."""
         world = self.world
         shown_ns = None if world.clocks is None else world.clocks.reading_ns(i, k)
         navigation = world.navigation(i)

@@ -296,7 +296,6 @@ class World:
         return self._drifts[name]
 
     def paused(self, i: int, tick: int) -> bool:
-        """Whether vehicle i's agent is suspended at a tick by a fault."""
         return bool(self._faults) and any(fault.kind == WorldFaultKind.PAUSE for fault in self._active(i, tick))
 
     def slow(self, i: int, tick: int) -> int:

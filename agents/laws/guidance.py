@@ -49,11 +49,9 @@ class FixedGuidance:
         return rho, self._K
 
     def state(self) -> dict[str, Any]:
-        """Plain values of everything that the next sample depends on."""
         return {"rho": None if self._rho is None else list(self._rho)}
 
     def restore(self, values: dict[str, Any]) -> None:
-        """Continue from `state()`."""
         self._rho = _vec3(values["rho"])
 
 
@@ -104,12 +102,10 @@ class OptimalGuidance:
         return rho, (*self.K, float(status), float(self.failures))
 
     def state(self) -> dict[str, Any]:
-        """Plain values of everything that the next sample depends on."""
         rho = None if self._rho is None else list(self._rho)
         return {"K": list(self.K), "rho": rho, "failures": self.failures}
 
     def restore(self, values: dict[str, Any]) -> None:
-        """Continue from `state()`."""
         k1, k2, k3 = values["K"]
         self.K = (k1, k2, k3)
         self._rho = _vec3(values["rho"])

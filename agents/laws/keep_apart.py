@@ -244,12 +244,10 @@ class KeepApart:
         return north, east, max(-most, min(most, down))
 
     def state(self) -> dict[str, Any]:
-        """Plain values of everything that the next sample depends on."""
         answer = None if self._answer is None else list(self._answer)
         return {"answer": answer, "changes": self._changes, "infeasible": self.infeasible}
 
     def restore(self, values: dict[str, Any]) -> None:
-        """Continue from `state()`."""
         answer = values["answer"]
         self._answer = None if answer is None else (answer[0], answer[1], answer[2])
         self._changes = values["changes"]

@@ -75,11 +75,9 @@ class RateFilter:
         return rate
 
     def state(self) -> list[float | None]:
-        """Plain values of everything that the next sample depends on."""
         return [self.value, self.rate]
 
     def restore(self, values: list[float | None]) -> None:
-        """Continue from `state()`."""
         self.value, rate = values
         self.rate = rate or 0.0
 

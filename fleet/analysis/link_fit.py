@@ -220,7 +220,6 @@ class LinkFit:
 
 
 def runs(flags: Array) -> Array:
-    """The lengths of the runs of true values, in order."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0.0], flags, [0.0]])))
     lengths: Array = (edges[1::2] - edges[::2]).astype(np.float64)
     return lengths

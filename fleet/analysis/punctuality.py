@@ -75,7 +75,6 @@ def moved_share(timing: Timing) -> float:
 
 
 def summary(timing: Timing) -> str:
-    """In one line, what one wants to know first."""
     responses = [row.response for row in timing.vehicles.values() if row.response.count]
     hop, margin = timing.netem.hop, timing.netem.margin
     said = [f"clock: real, {timing.speed:g} x, a tick every {timing.world.period_ms:g} ms"]

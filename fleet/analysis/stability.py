@@ -164,7 +164,6 @@ class Analysis:
 
     @property
     def lambda_max(self) -> float:
-        """Largest absolute value of an eigenvalue of L + B."""
         return max(abs(value) for value in self.eigenvalues)
 
 
@@ -214,7 +213,6 @@ def matrices(scenario: Scenario) -> tuple[Any, Any]:
 
 
 def report(scenario: Scenario, found: Analysis) -> list[str]:
-    """The analysis in lines of text, without the warnings."""
     n = scenario.vehicles
     followers = [i for i in range(1, n + 1) if scenario.b[i - 1] > 0.0]
     one = "s" if len(followers) == 1 else ""

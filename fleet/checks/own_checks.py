@@ -51,7 +51,6 @@ class LastMessages:
         self._states, self._own = _LastOfLinks(links, tick_ns / 1e9), _LastOfLinks(links, tick_ns / 1e9)
 
     def settle(self, fate: Fate) -> None:
-        """Take a final fate."""
         (self._states if kind_of(fate.payload) == STATE else self._own).settle(fate)
 
     def of(self, vehicles: Collection[int], signals: Iterable[str]) -> LastMessage | None:
@@ -353,7 +352,6 @@ class OwnChecks:
         return frozenset(GROUPS) if self._python else frozenset(check.group for check in self._signals)
 
     def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, Error]) -> None:
-        """Take a frame, with all vehicles in it."""
         if due := self.due(frame.tick):
             self.take(FrameValues(frame, commands, errors, due))
 

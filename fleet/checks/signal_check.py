@@ -46,7 +46,6 @@ def inside(condition: SignalCondition, value: float) -> float:
 
 
 def in_time(asked: AskedOfSignal) -> bool:
-    """Whether the margin of a check is one in time."""
     condition = asked.condition
     timed = asked.within_ns is not None or asked.least_ns > 0
     return timed and (condition.over == "true" or condition.low == condition.high)
@@ -188,7 +187,6 @@ class RunningSignalCheck:
         self._liveness = None if self._safety else _Liveness(asked, scenario, self._after)
 
     def event(self, event: Event) -> None:
-        """A fault begins or ends."""
         if self._liveness is not None:
             self._liveness.event(event)
 

@@ -141,7 +141,6 @@ class FrameValues:
         self._rows, self._commands, self._errors, self._due = frame.vehicles, commands, errors, due
 
     def values(self, i: int, group: str) -> Values:
-        """The values of a topic group of vehicle i."""
         if group not in self._due:
             return ()
         return values_of(group, self._rows[i - 1], self._commands.get(i), self._errors[i])
@@ -156,5 +155,4 @@ class LoggedValues:
         self._found = found
 
     def values(self, i: int, group: str) -> Values:
-        """The values of a topic group of vehicle i."""
         return self._found.get((i, group), ())

@@ -150,7 +150,6 @@ def _choices(found: list[Path]) -> str:
 
 
 def is_live(run: LiveRun) -> bool:
-    """Whether a run has not ended."""
     return in_use(run.directory) and os.path.exists(run.directory / CONNECTION)
 
 

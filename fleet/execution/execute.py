@@ -59,7 +59,6 @@ class ProgressLine:
         self._shown, self._still_until_s = (-1, ""), 0.0  # what the last plain line was about
 
     def __call__(self) -> None:
-        """Show it if it is time to."""
         now = time.monotonic()
         if self._began_s is None or self._journal.written < 0:
             self._began_s = now  # waiting for agents to join is no part of the run

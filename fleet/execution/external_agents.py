@@ -85,7 +85,6 @@ class ExternalAgents:
         )
 
     def token(self, i: int, alive: bool) -> None:
-        """Record that a liveliness token appeared or disappeared."""
         (self._present.add if alive else self._present.discard)(i)
 
     def present(self, i: int) -> bool:
@@ -98,7 +97,6 @@ class ExternalAgents:
             self.joined(i)
 
     def joined(self, i: int) -> None:
-        """Record that the agent of vehicle i is ready."""
         if self._awaited.pop(i, None) is not None:
             self._print_line(f"agent {i} (external) has joined")
 
@@ -126,7 +124,6 @@ class ExternalAgents:
         return f"waiting for {self.awaited_text()} to join, {waited_s:.0f} s"
 
     def close(self) -> None:
-        """Remove the join files."""
         for i in self._files:
             self._directory.join(i).unlink(missing_ok=True)
             shutil.rmtree(self._directory.join_folder(i), ignore_errors=True)

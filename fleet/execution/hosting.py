@@ -31,7 +31,6 @@ class Hosting:
     members: tuple[tuple[int, ...], ...] = ()  # the vehicles of each host; host 1 comes first
 
     def role(self, i: int, incarnation: int = 0) -> str:
-        """The process of a life of agent i."""
         for h, group in enumerate(() if incarnation else self.members, start=1):
             if i in group:
                 return host_role(h)

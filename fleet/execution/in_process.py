@@ -161,12 +161,10 @@ class InProcess:
 
     @property
     def world(self) -> World:
-        """The sea, to look at."""
         return self._world.state.world
 
     @property
     def finished(self) -> bool:
-        """Whether the last tick is over."""
         return self._world.finished
 
     # What is done to the fleet between two ticks: `Fleet`.

@@ -25,7 +25,6 @@ def tick_text(tick: int, tick_ns: int) -> str:
 
 
 def note_text(tick: int, tick_ns: int, who: str, text: str) -> str:
-    """A note as the console and the result show it."""
     return f"{tick_text(tick, tick_ns)} {who}: {text}"
 
 

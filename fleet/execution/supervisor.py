@@ -350,7 +350,6 @@ class Supervisor:
         session.configure(self._scenario, self._options.clock, self._hosting, self.external, self.events)
 
     def close(self) -> None:
-        """End all processes, and the session."""
         try:
             with contextlib.suppress(MalformedMessage):
                 world = self._children.by_role.get(WORLD)
@@ -555,7 +554,6 @@ class Supervisor:
         return [f"{child.role}: {line}" for child in self._children.by_role.values() for line in child.tail()[-1:]][:10]
 
     def who_waits(self) -> str:
-        """The agents or processes that have not answered."""
         if self.starting:
             return "waiting for agents to start again: " + ", ".join(map(str, sorted(self.starting)))
         world, network = self.session.ask(WORLD, "waiting"), self.session.ask(NETEM, "waiting")
@@ -564,6 +562,5 @@ class Supervisor:
         return who_waits(world, network, processes, external, log_is_behind=behind, computing=self._computing)
 
     def explain(self, exits: Sequence[Exit]) -> RunBroken:
-        """Why the run cannot go on without these processes."""
         processes = self._hosting.children(self._children.by_role)
         return explain(exits, processes, self.notes.lines, self._now(), self._computing)

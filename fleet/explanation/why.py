@@ -89,13 +89,11 @@ class Explanation:
         return self._explained(self._no_return(engine, modules))
 
     def without_runs(self) -> Why:
-        """Explain it without any healed run."""
         why = self._why_not or "it was not looked for: --budget is 0"
         return self._explained(NoReturn("not possible", why))
 
     @property
     def searches(self) -> bool:
-        """Whether healed runs are to be made."""
         return self._remade is not None and self._question.most_runs > 0
 
     def _remake(self) -> Remade:

@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
 
 def need(what: str, packages: tuple[str, ...], extra: str) -> None:
-    """Raise FleetError if packages are not installed."""
     missing = [package for package in packages if find_spec(package) is None]
     if missing:
         listed = f"{', '.join(missing)}, which {'is' if len(missing) == 1 else 'are'} not installed"

@@ -136,7 +136,6 @@ def first_difference(a: LogReader, b: LogReader, names: tuple[str, str] = ("a", 
 
 
 def side(name: str, reader: LogReader, record: Record | None) -> Side:
-    """One side of a difference, decoded by the schema of its log."""
     tick_ns = tick_length(reader)
     if record is None:
         return Side(name, None, [], tick_ns, reader.missing)

@@ -190,7 +190,6 @@ class Sheet:
         return self.topic.cost - before
 
     def flush(self) -> None:
-        """Write what there is."""
         topic = self.topic
         if not topic.cost:
             return

@@ -85,7 +85,6 @@ class ChunkEntries:
         self._places.append(places)
 
     def clear(self) -> None:
-        """Forget all of them."""
         for entries in (self.single, self._channels, self._places, self._times):
             entries.clear()
 
@@ -183,7 +182,6 @@ class McapWriter:
         self._write(Header(profile, library))
 
     def schema(self, name: str, encoding: str, data: bytes) -> int:
-        """Declare a schema, and return its number."""
         self._schemas.append(Schema(data=data, encoding=encoding, id=len(self._schemas) + 1, name=name))
         self._chunk += _packed([self._schemas[-1]])
         self._end_long_chunk()

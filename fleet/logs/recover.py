@@ -170,7 +170,6 @@ class Copy:
 
 
 def recovery_text(found: Recovered) -> str:
-    """The result of a recovery, in words."""
     if found.nothing:
         return f"{found.path}: nothing can be recovered{f': {found.lost}' if found.lost else ', it holds no message'}"
     until = f"t = {found.until_s:g} s"

@@ -54,7 +54,6 @@ class Schema:
 
 
 def signal_columns(declared: tuple[Signal, ...]) -> tuple[MessageField, ...]:
-    """The columns of a topic group."""
     return tuple(MessageField(s.name, s.unit, s.meaning, 0 if s.width == 1 else s.width) for s in declared)
 
 
@@ -240,6 +239,5 @@ def stamp_field(ns: int) -> bytes:
 
 
 def stamp_of(ns: int) -> Timestamp:
-    """A time in ns."""
     seconds, nanos = divmod(ns, 1_000_000_000)
     return Timestamp(seconds=seconds, nanos=nanos)

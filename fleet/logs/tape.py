@@ -118,7 +118,6 @@ class Tape:
 
     @property
     def profile(self) -> str:
-        """The profile that the file states."""
         return self._reader.profile
 
     def due(self, number: int) -> int:

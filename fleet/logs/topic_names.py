@@ -62,7 +62,6 @@ BELIEFS = ("uuv/*/belief", "uuv/*/located")  # what vehicles believe of their pl
 
 
 def link_topic(link: Link) -> str:
-    """The topic of a link's packets."""
     return f"link/{link[0]}-{link[1]}"
 
 

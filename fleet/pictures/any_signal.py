@@ -89,7 +89,6 @@ def file_name(name: SignalName) -> str:
 
 
 def title(runs: Sequence[Run], name: SignalName) -> str:
-    """The content of its picture."""
     found = next((one for run in runs if (one := _find(run, name)) is not None), None)
     return f"{name}: {found.meaning}" if found is not None and found.meaning else str(name)
 

@@ -141,12 +141,10 @@ def draw_band(ax: Axes, found: Band, colour: str = COLOURS[0], style: Any = "-")
 
 
 def outlier_style(k: int) -> dict[str, Any]:
-    """How the `k`-th outlier is drawn."""
     return {"color": COLOURS[k + 1], "linestyle": STYLES[k + 1], "linewidth": THIN}
 
 
 def band_legend(vehicles: int, named: Sequence[int]) -> list[Artist]:
-    """The entries of a legend of one run's band."""
     return [
         Line2D([], [], color=COLOURS[0], linewidth=NORMAL, label=f"median of {vehicles}"),
         Patch(color=COLOURS[0], alpha=_ALL + _MOST, linewidth=0, label="10 to 90 %"),
@@ -359,7 +357,6 @@ def within(t: Array, values: Array, window: tuple[float, float] | None) -> Serie
 
 
 def legend_of(figure: Figure, entries: Sequence[tuple[str, Any, Any]]) -> None:
-    """One legend of lines above all axes."""
     marks_legend(figure, [Line2D([], [], color=c, linestyle=style, label=label) for label, c, style in entries])
 
 

@@ -144,7 +144,6 @@ class Row:
 
     @property
     def total(self) -> int:
-        """Packets in all bins."""
         return int(sum(counts.sum() for counts in self.bins.values()))
 
     @property

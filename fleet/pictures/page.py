@@ -128,7 +128,6 @@ def images(
 
 
 def png(figure: Figure) -> str:
-    """A figure as PNG in base 64."""
     file = BytesIO()
     figure.savefig(file, format="png", dpi=DPI, metadata={"Software": None})
     return base64.b64encode(file.getvalue()).decode("ascii")

@@ -155,7 +155,6 @@ def links_table(ledger: Mapping[str, Account], ages: Mapping[str, LinkAge]) -> T
 
 
 def kinds_table(kinds: Sequence[KindCount]) -> Table:
-    """The packets by kind of payload."""
     rows = [
         (one.kind, one.packets, one.delivered, f"{one.delivered / one.packets:.1%}", f"{one.size / one.packets:.4g}")
         for one in kinds[:MOST_ROWS]
@@ -326,7 +325,6 @@ def write(path: Path, runs: Sequence[Run], view: View, share: Tell = lambda _: N
 
 
 def page(runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> str:
-    """The whole page as HTML."""
     results = [_result(run) for run in runs]
     names = [run_name(run.log.path) for run in runs]
     blocks: list[Block] = []

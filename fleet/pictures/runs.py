@@ -64,7 +64,6 @@ class Run:
 
     @property
     def slug(self) -> str:
-        """The name as part of a file name."""
         return re.sub(r"[^\w.-]+", "-", self.label)
 
     @cached_property
@@ -78,7 +77,6 @@ class Run:
 
     @property
     def digest(self) -> str:
-        """The digest of the log, as `fleet run` prints it."""
         return self.log.digest
 
     @cached_property

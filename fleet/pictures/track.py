@@ -68,7 +68,6 @@ def believed_way(run: Run, i: int, colour: str, view: View) -> BelievedWay | Non
 
 
 def draw_ways(ax: Axes, ways: Sequence[BelievedWay]) -> None:
-    """Draw them from above."""
     for way in ways:
         p, gid = way.positions, f"belief-{way.vehicle}"
         ax.plot(p[:, 1], p[:, 0], color=way.colour, zorder=2.2, gid=gid, **_ELLIPSE_LINE)

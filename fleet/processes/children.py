@@ -60,7 +60,6 @@ class RunFolder(PrivateFolder):
 
     @property
     def endpoint(self) -> str:
-        """The endpoint of the run's router, as zenoh writes it."""
         return f"unixsock-stream/{self.path / _ROUTER}"
 
 
@@ -128,7 +127,6 @@ class Child:
         return self.process.pid
 
     def tail(self) -> list[str]:
-        """The last lines it printed."""
         try:
             lines = self.log_path.read_text("utf-8", "replace").splitlines()
         except OSError:

@@ -21,7 +21,6 @@ class HungUp(KeyboardInterrupt):
 
 
 def ending(number: int) -> KeyboardInterrupt:
-    """The exception that one of these signals raises."""
     return HungUp() if number == signal.SIGHUP else KeyboardInterrupt()
 
 

@@ -70,7 +70,6 @@ class Workers:
 
     @property
     def pids(self) -> list[int]:
-        """The process ids of the started workers."""
         return [worker.process.pid for worker in self._running if worker is not None and worker.process.pid is not None]
 
     def each(

@@ -58,7 +58,6 @@ class Connectivity:
         self.windows = 0
 
     def resume(self, tick: int) -> None:
-        """Judge windows that begin at a tick or later."""
         self._first = max(self._first, tick + self._window - 1)
 
     @property
@@ -79,7 +78,6 @@ class Connectivity:
         return cls(scenario.graph.links, roots, wanted, check.window // tick, -(-check.after // tick))
 
     def settle(self, fate: Fate) -> None:
-        """Take a final fate."""
         if fate.cause != Cause.DELIVERED or fate.corrupted:
             return
         if fate.due_tick > self._now:

@@ -304,6 +304,5 @@ class WatchedLog:
         self.packet, self.event, self.snapshot = log.packet, log.event, log.snapshot
 
     def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None:
-        """Pass a frame on, then show it."""
         self._log.frame(frame, commands, errors)
         self._watcher.frame(frame, commands, errors)

@@ -137,7 +137,6 @@ class Metrics:
 
     @property
     def formation(self) -> Formation:
-        """The formation errors of the newest frame."""
         off = {i: series.formation[-1] for i, series in self.series.items() if series.formation}
         if not off:
             return Formation()

@@ -153,7 +153,6 @@ class Scene:
         return self._beliefs[key](*values)
 
     def silent(self) -> frozenset[int]:
-        """The vehicles that nobody commands."""
         if self._seen is None:
             return frozenset()
         since = self._seen.tick - UNHEARD_NS // self._scenario.tick_ns

@@ -49,7 +49,6 @@ class Separation:
         return cls(sorted(set(some)), -(-check.after // scenario.tick_ns))
 
     def frame(self, frame: Frame) -> None:
-        """Take one frame with all vehicles in it."""
         if frame.tick < self._after or len(self._vehicles) < 2:
             return
         self._ticks.append(frame.tick)

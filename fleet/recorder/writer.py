@@ -286,7 +286,6 @@ class LogWriter:
                 self._add(self._fixes[row.id], at_ns, measured_ns, fix.measured, message.SerializeToString())
 
     def packet(self, fate: Fate) -> None:
-        """Write one packet's final fate."""
         self._scene.links.settle(fate)
         tick_ns = self._tick_ns
         final_ns = fate.final_tick * tick_ns
@@ -295,7 +294,6 @@ class LogWriter:
         self._sink.flush(final_ns)
 
     def event(self, event: Event) -> None:
-        """Write the beginning or end of a fault."""
         message = self._fault(fault=event.fault, action=event.action, what=event.what)
         at_ns = event.tick * self._tick_ns
         self._add(self._faults, at_ns, at_ns, event.tick, message.SerializeToString())

@@ -94,7 +94,6 @@ class WhatIf:
 
     @property
     def compared(self) -> OtherCommands:
-        """The comparison in numbers."""
         away = abs(self.found - self.recorded)
         components = {
             name: Component(unit, float(far.max()), float(self.t[far.argmax()]), float((far**2).mean() ** 0.5))

@@ -31,7 +31,6 @@ class JUnitCase:
 
 
 def junit_text(suite: str, cases: Sequence[JUnitCase]) -> bytes:
-    """A JUnit document of one suite."""
     counts = {"tests": len(cases), "failures": sum(bool(case.failure) for case in cases),
               "errors": sum(bool(case.error) for case in cases), "skipped": 0}  # fmt: skip
     numbers = {key: str(count) for key, count in counts.items()}

@@ -86,7 +86,6 @@ class NewestBeliefs:
         self.clear()
 
     def clear(self) -> None:
-        """Forget them all."""
         self._newest = {group: {} for group in self._lasts_s}
 
     def take(self, i: int, group: str, at_s: float, off: Sequence[float], covariance: Sequence[float]) -> None:
@@ -181,13 +180,11 @@ class SceneModel:
         return [plan.at(t).position for plan in self.scenario.plans]
 
     def course(self, begin_s: float, end_s: float) -> LineShape:
-        """The way of the reference between two times."""
         times = np.linspace(begin_s, end_s, COURSE_POINTS).tolist()
         return LineShape(COURSE, tuple(FramePoint(NED, *self.reference(t)) for t in times))
 
     @cached_property
     def obstacles(self) -> list[CylinderShape]:
-        """The obstacles, which vehicles have to avoid."""
         apart = self.scenario.spec.keep_apart
         return [CylinderShape(OBSTACLE, *one.at[:2], one.radius) for one in apart.obstacles] if apart else []
 

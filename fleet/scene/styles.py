@@ -81,7 +81,6 @@ class LinkHistory:
     arrived_s: float = 0.0  # when something arrived last
 
     def settle(self, fate: str, sent_s: float, due_s: float) -> None:
-        """Take one packet."""
         self.fates.append(fate)
         if fate in (ARRIVED, BEHIND):
             self.sent_s = max(self.sent_s, sent_s)

@@ -46,11 +46,9 @@ class Hosts:
             raise MalformedMessage("bundle", f"vehicle {i} is not on {host_role(h)}")
 
     def greet(self, h: int, echo: bytes) -> None:
-        """Answer a probe of host h."""
         self._puts[h](echo)
 
     def put(self, h: int, messages: Iterable[tuple[int, bytes]]) -> None:
-        """Send messages to agents on host h."""
         for data in bundles([BundlePart(i, message) for i, message in messages]):
             self._puts[h](data)
 

@@ -57,7 +57,6 @@ class OpenPublication:
 
     @property
     def matched(self) -> bool:
-        """Whether anybody subscribes to the key."""
         status: Any = self._publisher.matching_status  # the stub says bool, and the object is always true
         return bool(getattr(status, "matching", status))
 
@@ -192,7 +191,6 @@ def place_of(received: Any) -> int | None:
 
 
 def sample_of(received: Any) -> ZenohSample:
-    """Zenoh's sample as plain values."""
     attachment, stamp = received.attachment, received.timestamp
     return ZenohSample(
         str(received.key_expr),

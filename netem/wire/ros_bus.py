@@ -77,7 +77,6 @@ class RosBus(OpenBus):
 
     @property
     def id(self) -> str:
-        """Zenoh's id of the session."""
         return str(self._session.zid())
 
     def token(self, key: str) -> None:

@@ -109,7 +109,6 @@ class Shell:
         return item
 
     def answer(self, key: str) -> None:
-        """Queue every query on `key`."""
         put = self.queue.put
         self.bus.answer(key, lambda k, data, respond: put(Item(k, data, respond)))
 

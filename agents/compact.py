@@ -62,8 +62,7 @@ def encode(message: StateMessage, round_ticks: int) -> bytes:
 
 def decode(data: bytes, now: int, round_ticks: int, ahead: int = 0) -> StateMessage:
     """The state message in `data`, received at tick `now` of the receiver's clock; the sender's may be up to `ahead`
-    ticks ahead, at most half of `ROUNDS` rounds. Raises PayloadError for a wrong length, bad checksum or unknown
-    version.
+    ticks ahead, at most half of `ROUNDS` rounds. Raises PayloadError: wrong length, bad checksum or unknown version.
     """
     if len(data) != SIZE:
         raise PayloadError("length", f"expected {SIZE} bytes, got {len(data)}")

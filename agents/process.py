@@ -86,8 +86,8 @@ class OneAgent:
 
     def take(self, key: str, message: Message) -> list[Answer]:
         """Pass a nav or an inbox on; a late echo of a repeated probe needs no answer. Raises SystemExit if a law
-        failed, and the scenario says that the agent ends then. Passes on whatever the controller raised; the console
-        has a note about it by then.
+        failed, and the agent is to end then. What the controller raised passes on; the console has a note about it by
+        then.
         """
         try:
             if isinstance(message, Nav):

@@ -86,15 +86,8 @@ def derivative(k: Coefficients, state: State, tau: Vec3, d: Vec5, current: Vec3 
     cos(theta)). Its last element is r away from the vertical. Without that term turning in a current would need a
     force, and the law "a current only carries the whole motion along" would fail.
 
-    Args:
-        k: the vehicle's constants.
-        state: (x, y, z, theta, psi, u, v, w, q, r) [m, rad, m/s, rad/s].
-        tau: surge force, pitch and yaw moment [N, N m].
-        d: disturbance on each of the five equations [N, N m].
-        current: v_c [m/s, NED].
-
-    Returns:
-        The derivative in the same order [m/s, rad/s, m/s^2, rad/s^2].
+    `state` is (x, y, z, theta, psi, u, v, w, q, r) [m, rad, m/s, rad/s], and the answer in the same order per s;
+    `tau` and `d`, the disturbance on each of the five equations, are in N and N m, `current` is v_c [m/s, NED].
     """
     m1, m2, m3, m4, m5, beta_u, beta_v, beta_w, beta_q, beta_r, beta_b = k
     _, _, _, theta, psi, u, v, w, q, r = state

@@ -77,9 +77,8 @@ class Lockstep:
         return self._with_frames(out)
 
     def command(self, i: int, command: Command, raw: bytes | None = None) -> list[Out]:
-        """Take vehicle i's command, advance it by one tick and return what follows. `raw` is the encoded command, if
-        there, to save encoding it again for the frame. Raises OutOfPlace if it does not answer the nav that is waiting
-        for one.
+        """Take vehicle i's command, advance it by one tick and return what follows. `raw`: the encoded command, if
+        there, to save encoding it again. Raises OutOfPlace if it does not answer the nav that is waiting for one.
         """
         state = self.state
         nav = self._awaiting.get(i)

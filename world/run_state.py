@@ -174,8 +174,7 @@ class RunState:
 
     def integrate(self, i: int, k: int, tau: Vec3) -> None:
         """Move vehicle i from tick k to the next with `tau` [N, N m]; one that diverges stays in its place from then
-        on. Raises IntegrationError if its motion left the finite numbers, or its plant failed, and the run is not to go
-        on without it.
+        on. Raises IntegrationError if it does, and the run is not to go on without it.
         """
         if i in self._diverged:
             self.world.hold(i)

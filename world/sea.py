@@ -214,9 +214,8 @@ class World:
         self.clocks = Clocks.that_differ(self.config.clocks, faults, self.config.tick_ns)  # None: all are right
 
     def advance(self, i: int, tau: Vec3) -> None:
-        """Integrate vehicle i, and it alone, to its next tick with `tau` [N, N m] held. Raises IntegrationError if the
-        motion left the range of finite numbers, PlantError if its plant failed; the state then stays that of the tick
-        before.
+        """Integrate vehicle i alone to its next tick with `tau` [N, N m] held. Raises IntegrationError if the motion
+        left the finite numbers, PlantError if its plant failed; the state then stays that of the tick before.
         """
         vehicle = self._vehicles[i]
         k, tick, state = vehicle.k, vehicle.tick, vehicle.state

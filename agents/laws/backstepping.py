@@ -209,10 +209,8 @@ class BacksteppingTracking(_WithRates):
 
 
 class SlidingModeTracking(_WithRates):
-    """A = -K2 sat(err / phi) + d(command)/dt: backstepping sliding mode with a boundary layer phi.
-
-    The paper names BSMC and gives its three gains, not its law; this is the usual one. The sign function itself
-    (phi -> 0) chatters.
+    """A = -K2 sat(err / phi) + d(command)/dt: backstepping sliding mode with a boundary layer phi. The paper names BSMC
+    and gives its three gains, not its law; this is the usual one. The sign function itself (phi -> 0) chatters.
     """
 
     uses: ClassVar[frozenset[str]] = _COMMON | {"phi"}

@@ -111,17 +111,9 @@ def earth_velocity(eta: Sequence[float], nu: Sequence[float], phi: float = 0.0) 
 
 
 def flow_angles(u: float, v: float, w: float) -> Vec3:
-    """Speed and direction of the velocity in body axes, eqs. (3), (4).
+    """u_a [m/s], theta' and psi' [rad] of a velocity in body axes [m/s], eqs. (3), (4).
 
-    theta' = atan2(-w, hypot(u, v)), psi' = atan2(v, u). The paper prints arctan(v / u), which turns the
-    direction round when u < 0 and has no value at u = 0.
-
-    Args:
-        u: surge velocity [m/s, body].
-        v: sway velocity [m/s, body].
-        w: heave velocity [m/s, body].
-
-    Returns:
-        u_a [m/s], theta' and psi' [rad].
+    theta' = atan2(-w, hypot(u, v)), psi' = atan2(v, u). The paper prints arctan(v / u), which turns the direction round
+    when u < 0 and has no value at u = 0.
     """
     return sqrt(u * u + v * v + w * w), atan2(-w, hypot(u, v)), atan2(v, u)

@@ -333,9 +333,8 @@ def _part(loop: Complex, axes: tuple[int, ...]) -> Complex:
 
 
 def _slogdet(part: Complex) -> Any:
-    """Signs and logarithms of determinants.
-
-    On arm64, numpy 2.4.6 warns of a division by zero for each complex matrix with a real pivot. Its result is right.
+    """Signs and logarithms of determinants. On arm64, numpy 2.4.6 warns of a division by zero for each complex matrix
+    with a real pivot; its result is right.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.linalg.slogdet(part)

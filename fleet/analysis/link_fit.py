@@ -89,9 +89,8 @@ class HiddenMarkov:
 
 
 def fit_losses(lost: Array, states: int) -> HiddenMarkov:
-    """The model with the largest likelihood among those that the search finds from a few fixed places. `lost`: whether
-    each packet was lost, shape (N,), N >= 1; some were and some were not. `states`: 1 (losses independent of each
-    other), 2 or 3.
+    """The model of 1 (independent losses), 2 or 3 states with the largest likelihood that the search finds from a few
+    fixed places. `lost`: of each packet, shape (N,), N >= 1; some and not all.
     """
     places = [_begin(lost, stay, factors) for factors in _FACTORS[states] for stay in _STAYS]
     found = [_improve(lost, *place, _FIRST_STEPS) for place in places]
@@ -251,9 +250,8 @@ def fit(table: TraceTable, count: int, interval_ns: int | None = None) -> LinkFi
 
 
 def _interval(table: TraceTable) -> tuple[int, bool]:
-    """The time between two packets, and whether it is uneven: more than one in ten differs by a tenth.
-
-    It is the median; where most packets share their time with the one before, the mean.
+    """The time between two packets, and whether it is uneven: more than one in ten differs by a tenth. It is the
+    median; where most packets share their time with the one before, the mean.
     """
     times = np.array([row.time_ns for row in table.rows if row.time_ns is not None], np.float64)
     if len(times) < 2:

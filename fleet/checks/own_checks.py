@@ -433,10 +433,7 @@ class OwnChecks:
 
 
 def reported(scenario: Scenario, i: int) -> VehicleSignals:
-    """The signals of vehicle i in a log.
-
-    If the laws and plants of a log may not run, their signals are unknown here.
-    """
+    """The signals of vehicle i in a log; of laws and plants that may not run they are unknown here."""
     try:
         laws = scenario.layout(i)
     except PluginError:

@@ -90,9 +90,8 @@ class Remade:
     broken: str = ""  # why it ended early
 
     def failed_between(self, check: str) -> tuple[float, float]:
-        """The last time when the check held, and the first time when it had failed [s].
-
-        If only the end of the run shows the failure, both are the end.
+        """The last time when the check held, and the first when it had failed [s]; both are the end if only the end
+        shows that.
         """
         tick_s, end = self.scenario.tick_ns / 1e9, self.scenario.duration_ns / 1e9
         moments = self.moments.get(check, [])

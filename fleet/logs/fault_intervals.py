@@ -35,9 +35,8 @@ class FaultTime(Struct, frozen=True):
 
 
 def fault_intervals(topic: Topic, end: float) -> list[FaultInterval]:
-    """Faults and events of vehicles, in the order of their beginnings, from a message for each begin and each end. A
-    fault without an end of its own lasts to `end` of the log [s]. Raises LogReadError if there are more than
-    MOST_EVENTS messages.
+    """Faults and events of vehicles, in the order of their beginnings, from a message for each begin and each end. One
+    without an end lasts to `end` of the log [s]. Raises LogReadError for more than MOST_EVENTS messages.
     """
     if len(topic) > MOST_EVENTS:
         raise LogReadError(f"the log holds {len(topic)} events of faults, more than the {MOST_EVENTS} that are read")

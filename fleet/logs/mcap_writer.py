@@ -159,9 +159,8 @@ _FOOTER = Struct("<BQQQ").pack  # opcode, length of the rest, where the summary 
 
 
 class McapWriter:
-    """Writes a compressed, indexed file; chunks end after `CHUNK_BYTES`, or when `flush` is called.
-
-    Every method raises OSError as the target does.
+    """Writes a compressed, indexed file; chunks end after `CHUNK_BYTES`, or at `flush`. Every method raises OSError as
+    the target does.
     """
 
     def __init__(self, target: IO[bytes], profile: str = "", library: str = "uuv-fleet") -> None:

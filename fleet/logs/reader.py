@@ -44,8 +44,7 @@ class Record(NamedTuple):
 @dataclass(slots=True)
 class LogReader:
     """Iterates over the messages of a log, once; the fields below are complete after that. It stops at the first
-    damaged place, so the messages are the beginning of the run without a gap. `fleet.logs.recover` reads what follows,
-    too.
+    damaged place, so the messages are the beginning of the run without a gap (`fleet.logs.recover` reads on).
     """
 
     path: Path
@@ -198,9 +197,8 @@ def digest(path: Path, tell: Tell = lambda _: None) -> str:
 
 
 def log_path(path: Path) -> Path:
-    """The path of a log file; `path` is the file itself or the directory of its run.
-
-    A link such as `runs/latest` gives the run that it leads to now, since it leads to another one after the next run.
+    """The path of a log file; `path` is the file itself or the directory of its run. A link such as `runs/latest` gives
+    the run that it leads to now, since it leads to another one after the next run.
     """
     if not path.is_dir():
         return path

@@ -182,8 +182,7 @@ def enveloped(
     t: Array, values: Array, span: tuple[float, float], whole: float, log: bool = False
 ) -> tuple[Series, Envelope | None]:
     """The line of a signal over time [s] (ascending; NaN in gaps), which is the mean where it oscillates too fast, and
-    the envelope there; None: it never does. `span` is the time axis [s], `whole` the `reach` of all lines of the axis,
-    `log` whether that is logarithmic.
+    the envelope there, or None. `span` is the time axis [s], `whole` the `reach` of all its lines.
     """
     if len(t) < _TURNS * 2:
         return (t, values), None

@@ -147,9 +147,8 @@ def _name(log: Log) -> str:
 
 
 def with_gaps(t: Array, values: Array, step: float = 0.0) -> tuple[Array, Array]:
-    """The same with a NaN wherever samples are missing, so that no line is drawn across: an agent was dead.
-
-    Samples may be `step` [s] apart, or as far as they usually are.
+    """The same with a NaN wherever samples are missing, so that no line is drawn across. Samples may be `step` [s]
+    apart, or as far as they usually are.
     """
     if len(t) < 3:
         return t, values

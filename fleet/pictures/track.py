@@ -319,9 +319,8 @@ def space(runs: Sequence[Run], view: View) -> Figure:
 
 
 def _keep_inside(figure: Figure, ax: Any, sides: Sequence[float]) -> None:
-    """Leave room for the depths beside their axis, and make the box smaller until all labels are inside the figure.
-
-    The layout of a figure does neither for axes in three dimensions.
+    """Leave room for the depths beside their axis, and make the box smaller until all labels are inside the figure,
+    which the layout of a figure does not for axes in three dimensions.
     """
     figure.draw_without_rendering()
     widest = max((text.get_window_extent().width for text in ax.get_zticklabels()), default=0.0)
@@ -433,9 +432,8 @@ def _worst(run: Run, shown: Sequence[int]) -> list[int]:
 
 
 def _apart(tracks: list[VehicleTrack]) -> tuple[list[VehicleTrack], list[VehicleTrack]]:
-    """The tracks that are drawn together because they are many, and the tracks that are drawn one by one.
-
-    The first group has all tracks that the legend does not name. With several runs it can hold all tracks.
+    """The tracks that are drawn together because they are many, and those that are drawn one by one, which the legend
+    names.
     """
     if len({track.vehicle for track in tracks}) <= CROWD:
         return [], tracks

@@ -106,9 +106,8 @@ class LogFile:
             self._writer.attachment(Attachment(0, 0, name, media_type, data))
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write metadata, and pass everything written until now to the operating system.
-
-        So the file of a run that is killed within its first second holds at least the scenario.
+        """Write metadata, and pass everything written until now to the operating system, so that the file of a run that
+        is killed within its first second holds at least the scenario.
         """
         with self._refused():
             self._writer.metadata(name, values)

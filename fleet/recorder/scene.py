@@ -101,9 +101,8 @@ class Scene:
         self._formation = b""  # and how that is drawn
 
     def see(self, frame: Frame, commands: Mapping[int, Command]) -> None:
-        """Note a tick, and the commands of the vehicles. The end tick has no commands.
-
-        On a wall clock an agent may miss ticks. It is silent when it has missed them for a while.
+        """Note a tick, and the commands of the vehicles, of which the end tick has none. On a wall clock an agent may
+        miss ticks; it is silent when it has missed them for a while.
         """
         if self._locating:
             self._telemetry = {i: commands[i].telemetry for i in self._locating & commands.keys()}
@@ -133,10 +132,7 @@ class Scene:
         return (row for row in frame.vehicles if row.id in self._navigating)
 
     def _belief(self, row: VehicleFrame, place: Vec3) -> bytes:
-        """The vehicle's belief about its place.
-
-        At a tick without one the entity is empty and replaces the one before.
-        """
+        """The vehicle's belief about its place; at a tick without one an empty entity that replaces the one before."""
         drawn: list[Primitive] = []
         if row.nav:
             off = [believed - true for believed, true in zip(row.nav[:3], row.eta[:3], strict=True)]
@@ -221,9 +217,8 @@ def _ends(thing: Primitive) -> list[Vec3]:
 
 
 def hull(i: int, mass: float, silent: bool) -> SceneEntity:
-    """A torpedo around the origin of `uuv-<i>`, forward along x: body, nose, tail cone, cross of fins, and its number.
-    `mass`: of the vehicle [kg], which gives the size. `silent`: the vehicle gets no command, because its agent is dead
-    or suspended.
+    """A torpedo around the origin of `uuv-<i>`, forward along x: body, nose, tail cone, cross of fins, and its number,
+    of a size by `mass` [kg]. `silent`: the vehicle gets no command.
     """
     d = diameter(mass)
     length = SLENDER * d

@@ -102,8 +102,7 @@ def rerun(
     policy: Policy = READING,
 ) -> Scenario:
     """The scenario that gives what happened up to a time; `text` is what the log calls its scenario. Raises
-    ScenarioError if it is no scenario, or none for this version; or an override is wrong. Raises FleetError if a fault
-    that happened is none for this version.
+    ScenarioError if that is none for this version, or an override is wrong; FleetError of a fault that is none for it.
     """
     planned = parse_scenario(text, str(path))
     end_ns = planned.ticks * planned.tick_ns

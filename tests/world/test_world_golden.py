@@ -23,7 +23,7 @@ from fleet.scenario.loading import parse_scenario
 from fleet.scenario.text.overrides import FAULT, Override
 
 GOLDEN = ROOT / "tests" / "expected" / "world.json"
-# Vehicles 3 and 4 have six degrees of freedom; 2 and 4 are out of sight of the bottom; 5 and 6 know their pose.
+# Vehicles 3 and 4 have six degrees of freedom, 2 and 4 are out of sight of the bottom, 5 has the error of a trace.
 SEA = """\
 title: A sea with everything in it
 vehicles: 6
@@ -44,6 +44,7 @@ per_vehicle:
   "3": {vehicle: {plant: remus100}, profile: remus100}
   "2, 4": {navigation: {bottom: 900 m}}
   "4": {vehicle: {plant: bluerov2}}
+  "5": {navigation: {trace: "time [s],north [m],east [m],down [m],heading [deg]\\n0,0,0,0,1\\n2,.5,-1,.2,2\\n9,1,1,0,-1"}}
 navigation: {grade: mems, start: 50 cm, bottom: 60 m}
 """
 KNOWN = """\

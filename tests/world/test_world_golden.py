@@ -44,7 +44,8 @@ per_vehicle:
   "3": {vehicle: {plant: remus100}, profile: remus100}
   "2, 4": {navigation: {bottom: 900 m}}
   "4": {vehicle: {plant: bluerov2}}
-  "5": {navigation: {trace: "time [s],north [m],east [m],down [m],heading [deg]\\n0,0,0,0,1\\n2,.5,-1,.2,2\\n9,1,1,0,-1"}}
+  "5":
+    navigation: {trace: "time [s],north [m],east [m],down [m],heading [deg]\\n0,0,0,0,1\\n2,.5,-1,.2,2\\n9,1,1,0,-1"}
 navigation: {grade: mems, start: 50 cm, bottom: 60 m}
 """
 KNOWN = """\

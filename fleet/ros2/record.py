@@ -39,13 +39,9 @@ class BagWriter:
         self._topics: dict[str, Entity | None] = {}  # by key; None: it is left out
         self._names: set[str] = set()
         self._said: set[str] = set()
-        self._size = 0
+        self.size = 0
         self._flushed_ns = 0
         self._open = True
-
-    @property
-    def size(self) -> int:
-        return self._size
 
     def add(self, sample: ZenohSample, at_ns: int) -> None:
         """Append a sample that was received at `at_ns` [ns since 1970]. Raises FleetError: the disk is full."""
@@ -62,7 +58,7 @@ class BagWriter:
             return
         self._bag.write(entity.name, at_ns, sample.payload)
         self.samples += 1
-        self._size += len(sample.payload)
+        self.size += len(sample.payload)
         self.flush(at_ns)
 
     def flush(self, now_ns: int) -> None:

@@ -90,7 +90,7 @@ def search(
             over = seed > LARGEST_SEED or seed - scenario.seed >= most_runs or time.monotonic() > until
             if over or (keep is None and work.failing):
                 return
-            if not work.has(seed):
+            if seed not in work.waiting:
                 yield work.task(seed)
 
     def take(rows: list[Row]) -> None:
@@ -100,7 +100,7 @@ def search(
 
     try:
         engine.make(tasks(), take, lambda: tell(work.made))
-        while work.doubtful:
+        while work.doubt is not None:
             engine.make(tasks(), take, lambda: tell(work.made))
     finally:
         work.save()
@@ -117,8 +117,8 @@ class _Search:
         self.found = Searched(scenario.name, scenario.seed)
         self.found.reached = [Reached(name) for name in sometimes_names([scenario])]
         self.next_seed = scenario.seed
-        self._waiting: dict[int, Row] = {}  # rows behind a seed that has none yet
-        self._doubt: int | None = None  # the next seed, if its run fails and is being repeated
+        self.waiting: dict[int, Row] = {}  # rows behind a seed that has none yet
+        self.doubt: int | None = None  # the next seed, if its run fails and is being repeated
         self._repeats: list[Task] = []  # that no worker has yet
         self._sure: set[int] = set()  # seeds whose run was repeated
         self.failing = False  # whether a run has failed, perhaps behind such a seed
@@ -128,14 +128,7 @@ class _Search:
 
     @property
     def made(self) -> int:
-        return self.found.runs + self.found.without + len(self._waiting)
-
-    @property
-    def doubtful(self) -> bool:
-        return self._doubt is not None
-
-    def has(self, seed: int) -> bool:
-        return seed in self._waiting
+        return self.found.runs + self.found.without + len(self.waiting)
 
     def repeats(self) -> Iterator[Task]:
         """The runs that are to be repeated; each is given once."""
@@ -148,17 +141,17 @@ class _Search:
     def take(self, row: Row) -> None:
         """Take a row. Count the rows that are next in order, until one fails in a new way: it is repeated first."""
         seed = row.seed
-        if seed == self._doubt:
-            row, self._doubt = self._waiting[seed].compared(row), None
+        if seed == self.doubt:
+            row, self.doubt = self.waiting[seed].compared(row), None
             self._sure.add(seed)
-        self._waiting[seed] = row
-        self.failing = bool(self.found.kinds) or any(self._fails(row) for row in self._waiting.values())
-        while self._doubt is None and (known := self._waiting.get(self.next_seed)) is not None:
+        self.waiting[seed] = row
+        self.failing = bool(self.found.kinds) or any(self._fails(row) for row in self.waiting.values())
+        while self.doubt is None and (known := self.waiting.get(self.next_seed)) is not None:
             if self._is_new(known):
-                self._doubt, again = self.next_seed, self.task(self.next_seed)
+                self.doubt, again = self.next_seed, self.task(self.next_seed)
                 self._repeats.append(again._replace(key=run_key(f"{again.key}\nagain")))
                 break
-            self._count(self._waiting.pop(self.next_seed))
+            self._count(self.waiting.pop(self.next_seed))
             self.next_seed += 1
         if self._keep is not None and time.monotonic() - self._saved > _SAVE_S:
             self.save()
@@ -191,8 +184,8 @@ class _Search:
         """
         found = self.found
         if self._keep is None:
-            for seed in sorted(self._waiting):
-                self._count(self._waiting[seed])
+            for seed in sorted(self.waiting):
+                self._count(self.waiting[seed])
         if found.kinds:
             found.check = min(found.kinds, key=lambda check: found.kinds[check])
             found.seed = found.kinds[found.check]

@@ -82,18 +82,13 @@ def parse_study(source: Source, folder: Path | None = None) -> StudySpec:
     if isinstance(root, Mapping):
         for key in root.entries.keys() - {_KEY}:
             hint = f"keys of the scenario stand in set, below {_KEY}"
-            reader.tell(root.keys[key], f'unknown key "{shown(key)}": a study is the one key "{_KEY}"', hint)
+            reader.tell(root.keys[key], f'unknown key "{printable(key[:60])}": a study is the one key "{_KEY}"', hint)
         values = reader.study(root.entries.get(_KEY, root))
     elif root is not None:
         reader.expected(f'a mapping with the key "{_KEY}"', root, _KEY)
     if reader.problems:
         raise ScenarioError(sorted(reader.problems, key=lambda problem: (problem.line, problem.column)))
     return StudySpec(**values)
-
-
-def shown(text: str) -> str:
-    """A text of a stranger's file in a message."""
-    return printable(text[:60])
 
 
 class _Reader:
@@ -116,7 +111,7 @@ class _Reader:
         for key, value in node.entries.items():
             if key not in self._fields:
                 hint = nearest(key, self._fields) or f"known here: {', '.join(self._fields)}"
-                self.tell(node.keys[key], f'unknown key "{shown(key)}"', hint)
+                self.tell(node.keys[key], f'unknown key "{printable(key[:60])}"', hint)
             elif not (isinstance(value, Scalar) and value.value is None):
                 values[key] = self._value(self._fields[key], value)
         if "scenario" not in node.entries:

@@ -171,8 +171,7 @@ def show_vector(values: tuple[float, ...], dimension: Dimension) -> str:
 def curve(value: Any, x: Dimension, y: Dimension) -> tuple[tuple[float, float], ...]:
     """Points such as `12 m 95 %, 24 m 70 %`, one after the other or one per line, in SI units.
 
-    Raises:
-        QuantityError: not at least two points, or x does not ascend.
+    Raises QuantityError: not at least two points, or x does not ascend.
     """
     example = f"{x.example} {y.example}"
     if not isinstance(value, str):

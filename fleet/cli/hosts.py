@@ -63,8 +63,7 @@ def hosts_options(command: F) -> F:
 def rendezvous(scenario: Scenario, options: HostsOptions, *, in_process: bool) -> Rendezvous | None:
     """Where the processes meet, by the options of `hosts_options`; None if none of these options is given.
 
-    Raises:
-        FleetError: they do not go together, or with the scenario.
+    Raises FleetError: they do not go together, or with the scenario.
     """
     names = ("listen", "listen_certified", "router", "certs", "advertise", "mutual_tls", "credentials")
     given = [name for name in names if getattr(options, name)]

@@ -58,8 +58,7 @@ def _one(name: str | None, run: str | None) -> str | None:
 def answer(kind: type[D], found: LiveRun, op: str, **fields: Any) -> D:
     """The answer of a run as a document of this kind.
 
-    Raises:
-        RemoteError: it does not answer in time, refuses, or answers something else.
+    Raises RemoteError: it does not answer in time, refuses, or answers something else.
     """
     import msgspec
 
@@ -101,8 +100,7 @@ def fault_words(words: tuple[str, ...], run: str | None) -> tuple[str | None, st
 def clock_words(words: tuple[str, ...], run: str | None) -> tuple[str | None, str, str | None]:
     """The run, what its clock is to do, and how many ticks or how fast; `2x` is short for `speed 2`.
 
-    Raises:
-        UsageError: nothing of that.
+    Raises UsageError: nothing of that.
     """
     first, second, *_ = [*words, "", ""]
     rest = list(words)

@@ -34,11 +34,7 @@ def log_argument(command: F) -> F:
 
 
 def newest_log() -> Path:
-    """The directory of the newest run below `runs`, named on stderr.
-
-    Raises:
-        click.UsageError: there is none.
-    """
+    """The directory of the newest run below `runs`, named on stderr. Raises click.UsageError: there is none."""
     from fleet.execution.directory import newest_run
 
     found = newest_run(RUNS)

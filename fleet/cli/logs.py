@@ -387,15 +387,7 @@ def info(log: Path, as_json: bool) -> None:
 )  # fmt: skip
 @NO_PROGRESS
 def movie(
-    log: Path,
-    out: Path,
-    force: bool,
-    view: str,
-    begin: int,
-    end: int | None,
-    speed: float | None,
-    fps: int,
-    width: int,
+    log: Path, out: Path, force: bool, view: str, begin: int, end: int | None, speed: float | None, fps: int, width: int
 ) -> None:
     """Make a movie of LOG (an MCAP file, or a run directory) as fleet view shows it, as a GIF or an MP4.
 

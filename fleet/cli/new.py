@@ -181,8 +181,7 @@ def write_scenario(name: str, shipped: str | None, folder: Path) -> Path:
 def write_law(kind: str, name: str, folder: Path) -> list[Path]:
     """Write `name`.py and `name`.yaml into `folder`.
 
-    Raises:
-        FleetError: the name is none for a module, belongs to another one, or a file is in the way.
+    Raises FleetError: the name is none for a module, belongs to another one, or a file is in the way.
     """
     choice = f"{kind}: {name}:{_class_name(name, 'Law')}"
     other = {"guidance": "tracking: neurodynamic", "tracking": "guidance: optimal"}.get(kind)

@@ -182,8 +182,7 @@ def _recorded(
 ) -> tuple[str | None, Any, tuple[str, ...]]:
     """The endpoint to connect to, the credentials for it, and the keys to record.
 
-    Raises:
-        click.UsageError: there is no key, or options exclude each other.
+    Raises click.UsageError: there is no key, or options exclude each other.
     """
     if ros2 and run is not None:
         raise click.UsageError("--run records a run, and --ros2 records nodes of ROS 2: give one of them")

@@ -23,11 +23,7 @@ from fleet.terminal.table import stdout
 )
 @click.option("--jobs", metavar="N", type=Whole(1, 256), help="Runs at a time; by default one per core.")
 @click.option(
-    "--case",
-    "cases",
-    metavar="NAME",
-    multiple=True,
-    help="Only runs whose name begins with NAME; repeatable.",
+    "--case", "cases", metavar="NAME", multiple=True, help="Only runs whose name begins with NAME; repeatable."
 )
 @click.option("--format", "formats", type=click.Choice(["png", "svg", "pdf"]), multiple=True, default=("png",),
               show_default=True, help="Format of the pictures; repeatable.")  # fmt: skip

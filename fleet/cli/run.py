@@ -279,12 +279,7 @@ def _print_result(result: Result, *, as_json: bool, quiet: bool) -> None:
 
 
 def _load(
-    scenario: str | None,
-    begin: str | None,
-    changes: list[str | Override],
-    *,
-    quiet: bool,
-    only_shown: bool,
+    scenario: str | None, begin: str | None, changes: list[str | Override], *, quiet: bool, only_shown: bool
 ) -> tuple[Scenario, Start | None]:
     """The scenario to run, and where in a log it begins (`begin`: what --from says)."""
     from fleet.scenario.loading import load_scenario
@@ -313,8 +308,7 @@ def _warnings(scenario: Scenario, *, seed_given: bool) -> list[str]:
 def _check_clock(speed: float | None, clock: str, one_process: str) -> None:
     """Refuse options that do not go with the clock.
 
-    Args:
-        one_process: which option or key asks for a run in one process, or "".
+    `one_process`: which option or key asks for a run in one process, or "".
     """
     if clock != Clock.REAL:
         if is_given("max_missed"):

@@ -64,8 +64,7 @@ class Making:
     def showing(self, pieces: Callable[..., list[Piece]]) -> Iterator[Callable[..., None]]:
         """A function that shows how the work goes; call it as often as you like.
 
-        Args:
-            pieces: makes the status line of the line itself and of what the function is called with.
+        `pieces`: makes the status line of the line itself and of what the function is called with.
         """
         from rich.console import Console as Terminal
 
@@ -186,8 +185,7 @@ def _given(spec: Spec, options: Mapping[str, Any]) -> dict[str, Any]:
 def study_directory(name: str, asked: Asked[Any]) -> Path | None:
     """The directory of the study that goes on; None: the name is that of something new.
 
-    Raises:
-        click.UsageError: an option would change what the study runs.
+    Raises click.UsageError: an option would change what the study runs.
     """
     from fleet.scenario.catalogue import shipped_scenarios
     from fleet.study.catalogue import shipped_studies

@@ -15,11 +15,7 @@ if TYPE_CHECKING:
 
 
 def axis_columns(axes: Sequence[AxisRecord], rows: Sequence[Mapping[str, float | str]]) -> list[TerminalColumn]:
-    """A column for each key that is varied.
-
-    Args:
-        rows: the values of each row of the table by key.
-    """
+    """A column for each key that is varied. `rows`: the values of each row of the table by key."""
     columns = []
     for axis in axes:
         heading = axis.key.removeprefix("network.links.") + (f"\n[{axis.unit}]" if axis.unit else "")

@@ -39,12 +39,7 @@ _MOST_TOLD = 10  # logs that are not kept
 @click.option("--show-config", is_flag=True, help="Print the study as a file, with the options in it, and stop.")
 @making_options("Print only the study's directory; failures go to stderr.")
 def sweep(
-    scenario: str,
-    asked: Asked[StudySpec],
-    out: Path,
-    junit: Path | None,
-    show_config: bool,
-    how: Making,
+    scenario: str, asked: Asked[StudySpec], out: Path, junit: Path | None, show_config: bool, how: Making
 ) -> None:
     """Run SCENARIO at every combination of some values, with several seeds each, and print results with intervals.
 
@@ -177,11 +172,7 @@ def _run(store: Store, spec: StudySpec, modules: Modules | None, how: Making) ->
 
 
 def _nothing_varied(plan: Plan, how: Making) -> None:
-    """Say that runs differ by their seeds alone.
-
-    Raises:
-        click.UsageError: they do not even differ by these.
-    """
+    """Say that runs differ by their seeds alone. Raises click.UsageError: they do not even differ by these."""
     from fleet.analysis.seed import seeded
     from fleet.study.sweep import load_points
 

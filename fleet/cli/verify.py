@@ -42,10 +42,7 @@ def verify(log: Path, as_json: bool) -> None:
     from fleet.repeat.verify import verify as check
     from fleet.terminal.status_line import showing, showing_time
 
-    with (
-        showing(f"reading {log}") as reading,
-        showing_time("verified") as tell,
-    ):
+    with showing(f"reading {log}") as reading, showing_time("verified") as tell:
         found = check(log, tell, reading)
     if as_json:
         print_document(found)
@@ -148,12 +145,7 @@ def recover(log: Path, out: Path | None) -> None:
 @json_option
 @NO_PROGRESS
 def command(
-    log: Path,
-    agent: int,
-    controller: str | None,
-    overrides: tuple[str, ...],
-    plot: Path | None,
-    as_json: bool,
+    log: Path, agent: int, controller: str | None, overrides: tuple[str, ...], plot: Path | None, as_json: bool
 ) -> None:
     """Give another agent the navigation and messages of one in LOG, and compare their commands.
 

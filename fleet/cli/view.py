@@ -133,8 +133,7 @@ def page_process(*, asked: bool, stays: bool) -> Iterator[PageProcess | None]:
 
     It is to be told when the journal of the run can be read, and when the run is over.
 
-    Args:
-        stays: on a terminal, it stays until Ctrl-C when the run is over.
+    `stays`: on a terminal, it stays until Ctrl-C when the run is over.
     """
     if not asked:
         yield None

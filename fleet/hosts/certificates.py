@@ -80,20 +80,12 @@ def make(directory: Path, hosts: Sequence[str] = (), *, agents: int = 0, days: i
 
 
 def path(directory: Path, who: str, *, key: bool = False) -> Path:
-    """The file of a certificate, or of the key to it.
-
-    Args:
-        who: `CA`, `SERVER`, `OWN` or a role.
-    """
+    """The file of a certificate, or of the key to it. `who`: `CA`, `SERVER`, `OWN` or a role."""
     return directory / f"{who}{'-key' if key else ''}.pem"
 
 
 def host_name(text: str) -> str:
-    """A host name or address in the spelling of certificates.
-
-    Raises:
-        FleetError: it is neither.
-    """
+    """A host name or address in the spelling of certificates. Raises FleetError: it is neither."""
     with contextlib.suppress(ValueError):
         address = ipaddress.ip_address(text.removeprefix("[").removesuffix("]"))
         if address.is_unspecified:
@@ -108,11 +100,7 @@ def host_name(text: str) -> str:
 
 
 def read_ca(directory: Path) -> str:
-    """Read the CA's certificate, PEM.
-
-    Raises:
-        FleetError: there is none.
-    """
+    """Read the CA's certificate, PEM. Raises FleetError: there is none."""
     text = _read(path(directory, CA))
     _parse(path(directory, CA), text)
     return text
@@ -136,11 +124,7 @@ def read_server(directory: Path) -> ServerCertificate:
 
 
 def read_client(directory: Path, who: str) -> KeyPair:
-    """Read the certificate of a client with its key.
-
-    Raises:
-        FleetError: as for `read_server`.
-    """
+    """Read the certificate of a client with its key. Raises FleetError: as for `read_server`."""
     from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
     ca_path, certificate_path, key_path = path(directory, CA), path(directory, who), path(directory, who, key=True)
@@ -217,10 +201,7 @@ def _sign(hosts: list[str], clients: list[str], days: int) -> dict[str, tuple[by
         private = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
         return signed(named(name), key.public_key(), extensions), private
 
-    root = [
-        (x509.BasicConstraints(ca=True, path_length=0), True),
-        (may(key_cert_sign=True, crl_sign=True), True),
-    ]
+    root = [(x509.BasicConstraints(ca=True, path_length=0), True), (may(key_cert_sign=True, crl_sign=True), True)]
     made = {CA: (signed(issuer, ca_key.public_key(), root), b"")}
     made[SERVER] = leaf(hosts[0][:64], ExtendedKeyUsageOID.SERVER_AUTH, [_san(host) for host in hosts])
     for client in clients:

@@ -352,8 +352,7 @@ def new_credentials(run: str, vehicles: int) -> dict[str, Any]:
 def read_credentials(file: Path, vehicles: int) -> tuple[str, dict[str, Credentials]]:
     """The run's id and the credentials by role.
 
-    Raises:
-        FleetError: no such file, others can read it, it is damaged, or made for another number of vehicles.
+    Raises FleetError: no such file, others can read it, it is damaged, or made for another number of vehicles.
     """
     again = "make it with fleet hosts acl SCENARIO -o DIR"
     try:
@@ -374,8 +373,7 @@ def read_credentials(file: Path, vehicles: int) -> tuple[str, dict[str, Credenti
 def run_id(text: str) -> str:
     """Check a run's id, which is one piece of a key expression and the beginning of user names.
 
-    Raises:
-        FleetError: it has other characters, or too many.
+    Raises FleetError: it has other characters, or too many.
     """
     if not re.fullmatch(RUN_ID, text):
         raise FleetError(f"--run: expected letters, digits, - and _ such as sea-trial-3, got {text!r}")
@@ -392,8 +390,7 @@ def _advertised(host: str) -> str:
 def _reached(endpoint: RouterEndpoint, hosts: list[str], server: ServerCertificate, certs: Path) -> tuple[str, ...]:
     """The endpoints under which agents reach a tls listener, at `hosts` or else at those of its certificate.
 
-    Raises:
-        FleetError: a name that the certificate does not hold: every agent would refuse it later.
+    Raises FleetError: a name that the certificate does not hold: every agent would refuse it later.
     """
     named = server.hosts
     if not hosts:

@@ -56,8 +56,7 @@ def config(run: str, vehicles: int, listen: str, users: str, certs: Path | None,
 def write(directory: Path, run: str, vehicles: int, text: str, *, force: bool = False) -> None:
     """Write the configuration, the router's file of users, and the credentials file for `fleet run`.
 
-    Raises:
-        FleetError: files are in the way, or the directory cannot be written.
+    Raises FleetError: files are in the way, or the directory cannot be written.
     """
     credentials = new_credentials(run, vehicles)
     users = "".join(f"{user}:{password}\n" for user, password in credentials["users"].values())

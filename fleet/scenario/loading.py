@@ -344,10 +344,7 @@ def _python_file(path: Path) -> tuple[str, str]:
     beside = path.with_suffix(".yaml")
     if beside.exists():
         return wrong, f"did you mean {beside}?"
-    return (
-        wrong,
-        f'a scenario names what is in it, as in agent: "{path.stem}:MyAgent"; fleet new writes both',
-    )
+    return (wrong, f'a scenario names what is in it, as in agent: "{path.stem}:MyAgent"; fleet new writes both')
 
 
 def _instead(path: Path) -> str:

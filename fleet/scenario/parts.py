@@ -190,8 +190,7 @@ class Parts:
     def vehicle(self, entries: Entries) -> tuple[VehicleParams, Vec3]:
         """Parameters and limits [N, N m, N m] of the vehicles that these entries name.
 
-        Raises:
-            DataFileError: their model cannot be read.
+        Raises DataFileError: their model cannot be read.
         """
         if entries not in self._vehicles:
             section = self.choice(entries).vehicle

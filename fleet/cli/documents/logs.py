@@ -122,11 +122,7 @@ class Checked(Struct):
 
 
 def checked(scenario: Scenario, found: Analysis, warnings: list[str], refused: Sequence[Problem]) -> Checked:
-    """The document of a valid scenario.
-
-    Args:
-        refused: the laws that were not checked.
-    """
+    """The document of a valid scenario. `refused`: the laws that were not checked."""
     return Checked(
         valid=True,
         name=scenario.name,

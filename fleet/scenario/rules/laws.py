@@ -197,10 +197,7 @@ def velocity_bounds(parts: Parts, report: Report) -> None:
         if law != "optimal":
             continue
         preset = profile(name)[0]
-        bounds: dict[str, Vec3] = {
-            "rho_lo": section.rho_lo or preset.rho_lo,
-            "rho_hi": section.rho_hi or preset.rho_hi,
-        }
+        bounds: dict[str, Vec3] = {"rho_lo": section.rho_lo or preset.rho_lo, "rho_hi": section.rho_hi or preset.rho_hi}
         for bound_name, bound in bounds.items():
             sign, speeds = (1.0, low) if bound_name == "rho_lo" else (-1.0, high)
             for axis, limit, speed in zip("xyz", bound, speeds, strict=True):

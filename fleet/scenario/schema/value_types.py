@@ -70,9 +70,7 @@ class Text:
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_before_validator_function(
-            self._validate,
-            handler(source),
-            serialization=core_schema.plain_serializer_function_ser_schema(self.show),
+            self._validate, handler(source), serialization=core_schema.plain_serializer_function_ser_schema(self.show)
         )
 
     def _validate(self, value: Any) -> Any:

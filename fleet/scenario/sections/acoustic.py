@@ -122,8 +122,7 @@ def modem_values(section: ModemSection, folder: Path | None) -> Values:
 
     Units as in `netem.modem.Modem`; `folder` is that of the scenario.
 
-    Raises:
-        DataFileError: the modem file is missing or wrong.
+    Raises DataFileError: the modem file is missing or wrong.
     """
     base = load_modem(section.modem, folder).modem
     given = {key: getattr(section, key) for key in _KEYS if getattr(section, key) is not None}
@@ -237,8 +236,7 @@ def extent_m(plans: tuple[Offset, ...]) -> float:
 
     A formation that changes has several boxes: one at the start, and one after each change. The largest counts.
 
-    Args:
-        plans: the offset of each vehicle in the formation [m, NED].
+    `plans`: the offset of each vehicle in the formation [m, NED].
     """
     longest = 0.0
     stages = [[plan.start for plan in plans]]

@@ -48,8 +48,7 @@ class Graph:
 def reached(starts: Iterable[int], hearers: Mapping[int, Iterable[int]]) -> set[int]:
     """The vehicles that what `starts` say can reach, also through others; themselves included.
 
-    Args:
-        hearers: who receives from a vehicle; none where it is missing.
+    `hearers`: who receives from a vehicle; none where it is missing.
     """
     found = set(starts)
     left = list(found)

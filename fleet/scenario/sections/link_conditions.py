@@ -53,12 +53,7 @@ def load_trace(text: str, folder: Path | None = None) -> TraceTable:
 
 
 def read_trace(path: Path) -> TraceTable:
-    """The trace in a file.
-
-    Raises:
-        FileNotFoundError: there is none.
-        DataFileError: as `load_trace`.
-    """
+    """The trace in a file. Raises FileNotFoundError: there is none; DataFileError: as `load_trace`."""
     try:
         return read_csv(read_file(path, MOST_BYTES).decode("utf-8"), str(path))
     except FileNotFoundError:
@@ -72,8 +67,7 @@ def read_trace(path: Path) -> TraceTable:
 def changing(selector: str, section: LinkSection, traces: Traces) -> LinkStates | LinkTrace | None:
     """The conditions of a selector's links if they change by themselves; the section must be valid.
 
-    Raises:
-        DataFileError: the trace cannot be read.
+    Raises DataFileError: the trace cannot be read.
     """
     if section.states:
         return _states(selector, section.states, together=bool(section.together))

@@ -55,8 +55,7 @@ def _locate(spec: ScenarioSpec) -> bool:
 def memory_ticks(spec: ScenarioSpec, others: Iterable[tuple[str, Law]]) -> int:
     """Ticks between two snapshots; 0 for none, also where a law cannot save its state.
 
-    Args:
-        others: kind and law of the laws that are not built in.
+    `others`: kind and law of the laws that are not built in.
     """
     wanted = SNAPSHOT_NS if spec.log.snapshot is None else spec.log.snapshot
     if wanted == 0 or without_snapshots(others):

@@ -92,18 +92,13 @@ def shipped_modems() -> list[str]:
 def load_modem(name: str, folder: Path | None = None) -> ModemFile:
     """A shipped modem by its name, or that of a file in `folder` (the scenario's) or in the current directory.
 
-    Raises:
-        DataFileError: with every mistake that was found.
+    Raises DataFileError: with every mistake that was found.
     """
     return parse_modem(*data_files.find("modem", name, _PACKAGE, folder))
 
 
 def parse_modem(data: bytes, name: str) -> ModemFile:
-    """The modem in the bytes of a file.
-
-    Raises:
-        DataFileError: with every mistake that was found.
-    """
+    """The modem in the bytes of a file. Raises DataFileError: with every mistake that was found."""
     values, problems = data_files.read("modem", data, name, ("name", "title", "modem"))
     curves = data_files.curves(values, "modem", CURVES, problems)
     replaced = {key: 0.0 for curve in curves for key in _IN_PLACE.get(curve, ())}

@@ -77,11 +77,7 @@ def _content(text: str, folder: Path | None) -> tuple[str, str]:
 
 
 def parse_trace(text: str, name: str) -> tuple[TracePoint, ...]:
-    """The points in the text of a trace.
-
-    Raises:
-        DataFileError: with the first ten lines that are wrong.
-    """
+    """The points in the text of a trace. Raises DataFileError: with the first ten lines that are wrong."""
     lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
     if not lines:
         raise DataFileError(TRACE, name, ["it is empty"])
@@ -156,8 +152,7 @@ def shipped_grades() -> list[str]:
 def load_grade(name: str, folder: Path | None = None) -> GradeFile:
     """A shipped grade by its name, or that of a file in `folder` (the scenario's) or in the current directory.
 
-    Raises:
-        DataFileError: with every mistake that was found.
+    Raises DataFileError: with every mistake that was found.
     """
     data, path = data_files.find("grade", name, _PACKAGE, folder)
     values, problems = data_files.read("grade", data, path, ("name", "title", "grade"))
@@ -186,8 +181,7 @@ def grade_of(section: NavigationSection, folder: Path | None) -> Grade:
 def navigation_of(section: NavigationSection | None, folder: Path | None) -> Navigation | None:
     """How a vehicle with this section navigates; None: it knows where it is.
 
-    Raises:
-        DataFileError: a file is missing or wrong.
+    Raises DataFileError: a file is missing or wrong.
     """
     if section is None or section.ideal:
         return None

@@ -18,8 +18,7 @@ _ISOLATE = re.compile(r"isolate:\s*(\d{1,9})", re.ASCII)
 def partition(text: str, vehicles: int, seed: int, name: str, among: Iterable[Link] | None = None) -> set[Link]:
     """The directed links that a partition cuts, of all there could be, or of those given.
 
-    Raises:
-        TextError: the text names no partition of these vehicles.
+    Raises TextError: the text names no partition of these vehicles.
     """
     cut = _cut(text, vehicles, seed, name)
     return {(a, b) for a, b in (_all(vehicles) if among is None else among) if cut(a, b)}

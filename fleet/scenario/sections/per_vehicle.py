@@ -78,8 +78,7 @@ def shipped_vehicles() -> list[str]:
 def load_vehicle(name: str, folder: Path | None = None) -> VehicleModel:
     """A shipped vehicle by its name, or that of a file in `folder` (the scenario's) or in the current directory.
 
-    Raises:
-        DataFileError: with every mistake that was found.
+    Raises DataFileError: with every mistake that was found.
     """
     if name in shipped_vehicles():
         return _shipped(name)
@@ -92,11 +91,7 @@ def _shipped(name: str) -> VehicleModel:
 
 
 def parse_vehicle(data: bytes, name: str, *, shipped: bool = False) -> VehicleModel:
-    """The vehicle in the bytes of a file.
-
-    Raises:
-        DataFileError: with every mistake that was found.
-    """
+    """The vehicle in the bytes of a file. Raises DataFileError: with every mistake that was found."""
     values, problems = data_files.read("vehicle", data, name, ("name", "title", "parameters", "limits"))
     params = table(values, "parameters", PARAMETERS, problems)
     limits = table(values, "limits", LIMITS, problems)

@@ -10,12 +10,7 @@ from fleet.scenario.sections import data_files
 from fleet.scenario.sections.data_files import DataFileError, out_of_range, table
 
 _PACKAGE = "netem.sites"
-NUMBERS: dict[str, q.Dimension] = {
-    "spreading": q.NUMBER,
-    "excess": q.LEVEL,
-    "shadowing": q.LEVEL,
-    "rician": q.NUMBER,
-}
+NUMBERS: dict[str, q.Dimension] = {"spreading": q.NUMBER, "excess": q.LEVEL, "shadowing": q.LEVEL, "rician": q.NUMBER}
 _BOUNDS = {"spreading": (1.0, 3.0), "excess": (-100.0, 200.0), "shadowing": (0.0, 30.0), "rician": (0.0, 1e6)}
 
 
@@ -40,8 +35,7 @@ def shipped_sites() -> list[str]:
 def load_site(name: str, folder: Path | None = None) -> SiteFile:
     """A shipped site by its name, or that of a file in `folder` (the scenario's) or in the current directory.
 
-    Raises:
-        DataFileError: with every mistake that was found.
+    Raises DataFileError: with every mistake that was found.
     """
     data, path = data_files.find("site", name, _PACKAGE, folder)
     texts = ("name", "title", "fit", "source")

@@ -186,8 +186,7 @@ def link_fault(kind: str, selector: str, links: tuple[Link, ...], strength: floa
 def vehicle_fault(kind: str, who: int, strength: float, turn: float, ground: Ground) -> dict[str, Any]:
     """A fault of one vehicle.
 
-    Args:
-        turn: from 0 to 1, a draw in addition to the strength: a sign, a direction, or one of two forms.
+    `turn`: from 0 to 1, a draw in addition to the strength: a sign, a direction, or one of two forms.
     """
     make = _KINDS.get(kind)
     return {kind: str(who)} if make is None else {kind: make(who, strength, turn, ground)}
@@ -314,8 +313,7 @@ def span(nemesis: NemesisSection, ground: Ground) -> tuple[int, int]:
 def draw(nemesis: NemesisSection, ground: Ground, until: int | None = None) -> list[DrawnFault]:
     """The faults that the scenario's seed draws, in order of time.
 
-    Args:
-        until: when all have ended [ns]; None: as the nemesis says.
+    `until`: when all have ended [ns]; None: as the nemesis says.
     """
     seed, tick = ground.spec.seed, ground.spec.tick
     picks = picks_of(nemesis, ground)

@@ -93,11 +93,7 @@ class FaultPlan:
 
 
 def plan(spec: ScenarioSpec, links: Sequence[Link]) -> FaultPlan:
-    """The faults of a valid scenario.
-
-    Raises:
-        TextError: a partition cannot be made.
-    """
+    """The faults of a valid scenario. Raises TextError: a partition cannot be made."""
     all_parts: list[Part] = []
     events: list[Event] = []
     last = spec.duration // spec.tick
@@ -127,8 +123,7 @@ def begin_and_end(of_this: Sequence[Part], section: FaultSection, last: int) -> 
 def parts(section: FaultSection, name: str, spec: ScenarioSpec, links: Sequence[Link]) -> list[Part]:
     """The parts of one fault, called `name`, one for each core that it concerns.
 
-    Raises:
-        TextError: a partition cannot be made.
+    Raises TextError: a partition cannot be made.
     """
     begin = section.at // spec.tick
     end = None if section.for_ is None else begin + section.for_ // spec.tick

@@ -58,8 +58,7 @@ class FaultWordsError(FleetError):
 def read_fault(text: str) -> dict[str, Any]:
     """A fault as an entry of a scenario's `faults`, its values as text; whether they are right is not checked.
 
-    Raises:
-        FaultWordsError: the text has no kind of fault, or no target.
+    Raises FaultWordsError: the text has no kind of fault, or no target.
     """
     found: dict[str, Any] = plain(fault_entry(Source("fault", text)))
     return found
@@ -73,8 +72,7 @@ def fault_entry(source: Source) -> Mapping:
 def link_entries(source: Source) -> Mapping:
     """Selectors and conditions in words such as `1->2 delay 100ms, 2->1 down`, as entries of `network.links`.
 
-    Raises:
-        FaultWordsError: a selector has no condition.
+    Raises FaultWordsError: a selector has no condition.
     """
     return _Reader(source).links()
 

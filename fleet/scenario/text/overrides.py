@@ -318,8 +318,7 @@ def _with_value(steps: list[Step], value: Node, root: Mapping) -> Mapping:
 def _set(node: Node | None, steps: list[Step], value: Node, *, keep: bool) -> Node:
     """A copy of `node` with `value` at the end of the steps; missing mappings are made on the way.
 
-    Args:
-        keep: whether entries keep their place; otherwise those on the way become the last, which win where it matters.
+    `keep`: whether entries keep their place; otherwise those on the way become the last, which win where it matters.
     """
     if not steps:
         return value

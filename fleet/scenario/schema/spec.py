@@ -26,7 +26,7 @@ from fleet.scenario.schema.control import (
     TrackingSection,
     VehicleOverrides,
 )
-from fleet.scenario.schema.faults import FaultEntry, NemesisSection, SeaSection, SensorsSection, read_nemesis
+from fleet.scenario.schema.faults import FaultEntry, NemesisSection, SeaSection, SensorsSection
 from fleet.scenario.schema.groups import Group
 from fleet.scenario.schema.motion import (
     FormationSection,
@@ -38,7 +38,16 @@ from fleet.scenario.schema.motion import (
 )
 from fleet.scenario.schema.navigation import NavigationChoice
 from fleet.scenario.schema.network import NetworkSection, read_network, show_network
-from fleet.scenario.schema.value_types import Period, Section, Ticks, TicksOrNever, Time, VehicleNumbers, mistake
+from fleet.scenario.schema.value_types import (
+    Period,
+    Section,
+    Ticks,
+    TicksOrNever,
+    Time,
+    VehicleNumbers,
+    mistake,
+    word_for,
+)
 from fleet.scenario.schema.vehicle import ModelErrorSection, VehicleSection
 from netem.parsing import nearest
 from world.config import DEFAULT_SUBSTEPS
@@ -145,6 +154,6 @@ class ScenarioSpec(Section):
     log: Annotated[LogSection, BeforeValidator(_read_log), PlainSerializer(_show_log)] = LogSection()
     faults: list[FaultEntry] = []
     # Becomes explicit faults when the scenario is read.
-    nemesis: Annotated[NemesisSection, BeforeValidator(read_nemesis)] | None = None
+    nemesis: Annotated[NemesisSection, word_for("mode")] | None = None
     checks: ChecksSection = ChecksSection()
     expect: Literal["pass", "fail"] = "pass"  # fail: the run is meant to fail a check, and exits with 0 when it does

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from math import radians
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, InstanceOf, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler, InstanceOf, model_validator
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from fleet import quantities as q
@@ -39,9 +39,9 @@ class Section(BaseModel):
         return {} if value is None else value
 
 
-def named(value: Any) -> Any:
-    """A law may be given by its name alone."""
-    return {"law": value} if isinstance(value, str) else value
+def word_for(key: str) -> BeforeValidator:
+    """A section may be given by the text of one of its keys alone."""
+    return BeforeValidator(lambda value: {key: value} if isinstance(value, str) else value)
 
 
 def section_of(annotation: Any) -> type[Section] | None:

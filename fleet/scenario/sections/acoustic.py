@@ -27,7 +27,7 @@ from agents.config import Codec, Offset
 from agents.localization import payload as located
 from fleet.scenario.schema.network import AcousticSection, FadingSection, ModemSection, NetworkSection, RangingSection
 from fleet.scenario.sections.modem_files import CURVES, NUMBERS, Values, changed, load_modem, without_replaced
-from fleet.scenario.sections.site_files import SiteFile, load_site
+from fleet.scenario.sections.site_files import Site, load_site
 from netem.modem import DEFAULT_GUARD_NS, SOUND_SPEED, AcousticConfig, Modem, RangingConfig
 from netem.propagation import sound_speed
 
@@ -124,7 +124,7 @@ def modem_values(section: ModemSection, folder: Path | None) -> Values:
 
     Raises DataFileError: the modem file is missing or wrong.
     """
-    base = load_modem(section.modem, folder).modem
+    base = load_modem(section.modem, folder)
     given = {key: getattr(section, key) for key in _KEYS if getattr(section, key) is not None}
     changes = {key: value / 1e9 if key in _TIMES else value for key, value in given.items()}
     return changed({key: getattr(base, key) for key in _KEYS}, changes)
@@ -138,7 +138,7 @@ def inlined_modem(section: _Modem, folder: Path | None) -> _Modem:
     return section.model_copy(update={"modem": DEFAULT_MODEM, **written})
 
 
-def site_of(section: AcousticSection, folder: Path | None) -> SiteFile | None:
+def site_of(section: AcousticSection, folder: Path | None) -> Site | None:
     """The site of a section; None: it names none. Raises DataFileError: its file is missing or wrong."""
     water = section.water
     return None if water is None or water.site is None else load_site(water.site, folder)

@@ -6,8 +6,9 @@ import tomllib
 from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from importlib import resources
+from math import inf
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from fleet import quantities as q
 from fleet.errors import FleetError
@@ -17,6 +18,14 @@ from netem.private_file import read_file
 
 T = TypeVar("T")
 _MAX_BYTES = 100_000
+
+
+class Number(NamedTuple):
+    """A number of a file, and the range [SI units] in which the formulas hold: wider than that of any real thing."""
+
+    dimension: q.Dimension
+    low: float = -inf
+    high: float = inf
 
 
 class DataFileError(FleetError):
@@ -118,7 +127,7 @@ def read(kind: str, data: bytes, name: str, keys: Collection[str]) -> tuple[dict
 def table(
     values: dict[str, Any],
     section: str,
-    known: dict[str, q.Dimension],
+    known: Mapping[str, Number],
     problems: list[str],
     optional: Collection[str] = (),
 ) -> dict[str, float]:
@@ -127,7 +136,7 @@ def table(
     Args:
         values: the content of the file, from `read`.
         section: name of the TOML table.
-        known: the dimension of each number.
+        known: the numbers of the section.
         problems: one line of text is appended for each mistake.
         optional: keys that may be missing; what is in `optional` alone is no number, and is not looked at.
     """
@@ -139,7 +148,7 @@ def table(
         hint = nearest(key, [*known, *optional])
         problems.append(f"unknown {section}.{key}" + (f" ({hint})" if hint else ""))
     numbers = {}
-    for key, dimension in known.items():
+    for key, (dimension, *_) in known.items():
         entry = entries.get(key)
         if entry is None:
             if key not in optional:
@@ -162,14 +171,12 @@ def table(
     return numbers
 
 
-def out_of_range(
-    numbers: Mapping[str, float], known: Mapping[str, q.Dimension], bounds: Mapping[str, tuple[float, float]]
-) -> list[str]:
+def out_of_range(numbers: Mapping[str, float], known: Mapping[str, Number]) -> list[str]:
     """A line for each number that is outside its bounds, which belong to the range; all are in SI units."""
     problems = []
-    for key, (low, high) in bounds.items():
+    for key, (dimension, low, high) in known.items():
         if key in numbers and not low <= numbers[key] <= high:
-            least, most, value = (q.show(number, known[key]) for number in (low, high, numbers[key]))
+            least, most, value = (q.show(number, dimension) for number in (low, high, numbers[key]))
             problems.append(f"{key} must be between {least} and {most}, is {value}")
     return problems
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from functools import cache, reduce
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from agents.config import Extrapolation, GuidanceParams, KeepApartParams, Law, LocalizationParams, TrackingParams
 from agents.controllers import CONTROLLERS, GUIDANCE, TRACKING
@@ -25,7 +25,7 @@ from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.schema.value_types import Section
 from fleet.scenario.schema.vehicle import ModelErrorSection, PlantSection, VehicleSection
 from fleet.scenario.sections import data_files
-from fleet.scenario.sections.data_files import DataFileError, table
+from fleet.scenario.sections.data_files import DataFileError, Number, table
 from fleet.scenario.sections.navigation import navigation_over
 from world.config import VehicleParams
 from world.navigation.config import Navigation
@@ -48,26 +48,24 @@ from world.vectors import Vec3
 
 
 _PACKAGE = "world.vehicles"
-PARAMETERS: dict[str, q.Dimension] = {
+_DIMENSIONS = {
     "m": q.MASS, "Iy": q.INERTIA, "Iz": q.INERTIA,
     "beta_udot": q.MASS, "beta_vdot": q.MASS, "beta_wdot": q.MASS,
     "beta_qdot": q.INERTIA, "beta_rdot": q.INERTIA,
     "beta_u": q.DAMPING, "beta_v": q.DAMPING, "beta_w": q.DAMPING,
     "beta_q": q.ROTATION_DAMPING, "beta_r": q.ROTATION_DAMPING, "beta_b": q.MOMENT,
 }  # fmt: skip
-LIMITS: dict[str, q.Dimension] = {"surge_force": q.FORCE, "pitch_moment": q.MOMENT, "yaw_moment": q.MOMENT}
+PARAMETERS = {key: Number(dimension) for key, dimension in _DIMENSIONS.items()}
+LIMITS = {"surge_force": Number(q.FORCE), "pitch_moment": Number(q.MOMENT), "yaw_moment": Number(q.MOMENT)}
 # As in the schema: the merged scenario holds the numbers of a file as keys.
-NOT_NEGATIVE = frozenset(LIMITS) | {key for key, d in PARAMETERS.items() if d in (q.DAMPING, q.ROTATION_DAMPING)}
+NOT_NEGATIVE = frozenset(LIMITS) | {key for key, d in _DIMENSIONS.items() if d in (q.DAMPING, q.ROTATION_DAMPING)}
 
 
-@dataclass(frozen=True, slots=True)
-class VehicleModel:
+class VehicleModel(NamedTuple):
     """The numbers of a vehicle file, in SI units."""
 
-    name: str
     params: VehicleParams
     tau_max: Vec3  # N, N m, N m
-    shipped: bool
 
 
 def shipped_vehicles() -> list[str]:
@@ -87,10 +85,10 @@ def load_vehicle(name: str, folder: Path | None = None) -> VehicleModel:
 
 @cache
 def _shipped(name: str) -> VehicleModel:
-    return parse_vehicle(*data_files.find("vehicle", name, _PACKAGE, None), shipped=True)
+    return parse_vehicle(*data_files.find("vehicle", name, _PACKAGE, None))
 
 
-def parse_vehicle(data: bytes, name: str, *, shipped: bool = False) -> VehicleModel:
+def parse_vehicle(data: bytes, name: str) -> VehicleModel:
     """The vehicle in the bytes of a file. Raises DataFileError: with every mistake that was found."""
     values, problems = data_files.read("vehicle", data, name, ("name", "title", "parameters", "limits"))
     params = table(values, "parameters", PARAMETERS, problems)
@@ -102,12 +100,8 @@ def parse_vehicle(data: bytes, name: str, *, shipped: bool = False) -> VehicleMo
         problems += mass_problems(VehicleParams(**params))
     if problems:
         raise DataFileError("vehicle", name, problems)
-    return VehicleModel(
-        str(values.get("name", name)),
-        VehicleParams(**params),
-        (limits["surge_force"], limits["pitch_moment"], limits["yaw_moment"]),
-        shipped,
-    )
+    tau_max = limits["surge_force"], limits["pitch_moment"], limits["yaw_moment"]
+    return VehicleModel(VehicleParams(**params), tau_max)
 
 
 def mass_problems(params: VehicleParams) -> list[str]:

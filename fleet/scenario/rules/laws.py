@@ -14,7 +14,7 @@ from agents.trajectory import PathError
 from fleet.quantities import RATE, SPEED, QuantityError, show, show_vector, vehicle_numbers
 from fleet.scenario.parts import Parts, UnknownValueError
 from fleet.scenario.rules.report import Report, packed
-from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.schema.spec import ScenarioSpec, sections
 from fleet.scenario.sections.data_files import DataFileError
 from fleet.scenario.sections.per_vehicle import Entries, given, law_names, mass_problems, used, wrong_model
 from netem.parsing import nearest
@@ -75,7 +75,7 @@ def plugin(
 
 def plants(parts: Parts, report: Report) -> None:
     """Every plant that is named exists, and can be made with its parameters."""
-    for path, section in parts.sections("vehicle"):
+    for path, section in sections(parts.spec, "vehicle"):
         plant = section.plant
         if plant is not None:
             at = (*path, "vehicle", "plant")
@@ -149,7 +149,7 @@ def effective(parts: Parts, report: Report) -> None:
     """A parameter that no law reads is a mistake, not a comment."""
     spec = parts.spec
     for kind in ("guidance", "tracking"):
-        for path, section in parts.sections(kind):
+        for path, section in sections(parts.spec, kind):
             where = vehicle_numbers(path[1]) if path else range(spec.vehicles + 1)
             names = {law_names(parts.choice(entries)) for entries in {parts.entries(i) for i in where}}
             if any(n is not None and ":" in n[kind == "tracking"] for n in names):
@@ -259,6 +259,6 @@ def gain_bounds(parts: Parts, report: Report) -> None:
 
 
 def cosine_guard(parts: Parts, report: Report) -> None:
-    for path, section in parts.sections("tracking"):
+    for path, section in sections(parts.spec, "tracking"):
         if section.cos_eps is not None and section.cos_eps >= 1.0:
             report.add((*path, "tracking", "cos_eps"), f"is a cosine and must be below 1, got {section.cos_eps!r}")

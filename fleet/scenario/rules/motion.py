@@ -11,7 +11,7 @@ from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import Report, dotted
 from fleet.scenario.schema.motion import FORMATION, GRAPH, REFERENCE, FormationShape, ShapeKeys
 from fleet.scenario.schema.navigation import FixSection, NavigationSection
-from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.schema.spec import ScenarioSpec, sections
 from fleet.scenario.sections.data_files import DataFileError
 from fleet.scenario.sections.graph import parse_edge
 from fleet.scenario.sections.navigation import DEFAULTS, KINDS, NUMBERS, grade_of, grade_problems, navigation_of
@@ -32,7 +32,7 @@ _NOT_OF = {"gps": ("at", "noise_per_distance", "reach"), "usbl": ("depth",), "lb
 
 def navigation(parts: Parts, report: Report) -> None:
     """Every file is there, every number is possible, and fixes have what their kind needs."""
-    for parent, section in parts.sections("navigation"):
+    for parent, section in sections(parts.spec, "navigation"):
         if section is not None and not section.ideal:
             _section(parts, report, (*parent, "navigation"), section)
 
@@ -82,7 +82,7 @@ def _fixes(parts: Parts, report: Report, path: tuple[str, ...], kind: Any, secti
 def localization(parts: Parts, report: Report) -> None:
     """Localisation has ranges, messages that say how sure their sender is, and a covariance of its own."""
     network = parts.spec.network
-    for parent, section in parts.sections("agent"):
+    for parent, section in sections(parts.spec, "agent"):
         if section is None or section.localization is None:
             continue
         path = (*parent, "agent", "localization")

@@ -6,6 +6,7 @@ concern several keys at once are in `fleet.scenario.rules`.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer
@@ -157,3 +158,11 @@ class ScenarioSpec(Section):
     nemesis: Annotated[NemesisSection, word_for("mode")] | None = None
     checks: ChecksSection = ChecksSection()
     expect: Literal["pass", "fail"] = "pass"  # fail: the run is meant to fail a check, and exits with 0 when it does
+
+
+def sections(spec: ScenarioSpec, key: str) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """(path of its parent, section) of a section wherever it is written: for all vehicles, and for some."""
+    yield (), getattr(spec, key)
+    for entry, overrides in spec.per_vehicle.items():
+        if getattr(overrides, key) is not None:
+            yield ("per_vehicle", entry), getattr(overrides, key)

@@ -14,6 +14,7 @@ from fleet.quantities import vehicle_numbers
 from fleet.scenario.schema.checks import ChecksSection, SignalCheck
 from fleet.scenario.schema.faults import FaultSection, NemesisSection
 from fleet.scenario.sections import swarm
+from fleet.scenario.sections.graph import beside
 from fleet.scenario.sections.ground import Ground
 from netem.draws import bits, uniform
 
@@ -43,20 +44,17 @@ def core(nemesis: NemesisSection, ground: Ground) -> list[int]:
     if nemesis.core is not None:
         return vehicle_numbers(nemesis.core)
     spec = ground.spec
-    beside: dict[int, set[int]] = {}
-    for a, b in ground.pairs:
-        beside.setdefault(a, set()).add(b)
-        beside.setdefault(b, set()).add(a)
+    near = beside(ground.pairs)
 
     def drawn(i: int) -> tuple[float, int]:
         return uniform(spec.seed, PURPOSE, i, _CORE), i
 
     found = {min(ground.followers or range(1, spec.vehicles + 1), key=drawn)}
     while len(found) < spec.vehicles // 2 + 1:
-        near = {j for i in found for j in beside.get(i, ())} - found
-        if not near:
+        fresh = {j for i in found for j in near.get(i, ())} - found
+        if not fresh:
             break
-        found.add(min(near, key=drawn))
+        found.add(min(fresh, key=drawn))
     return sorted(found)
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fleet.cli.types import NO_PROGRESS, Duration
+from fleet.cli.types import FILE, NO_PROGRESS, TIME
 from fleet.terminal.table import say
 
 if TYPE_CHECKING:
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("trace", type=click.Path(path_type=Path, dir_okay=False))
+@click.argument("trace", type=FILE)
 @click.option("--states", type=click.Choice(("2", "3")), default="2", show_default=True, help="How many states.")
 @click.option(
-    "--interval", metavar="TIME", type=Duration(), help="Between two packets; by default the median in the trace.",
+    "--interval", metavar="TIME", type=TIME, help="Between two packets; by default the median in the trace.",
 )  # fmt: skip
 @click.option(
-    "--picture", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
+    "--picture", metavar="FILE", type=FILE,
     help="Draw the lengths of bursts, of TRACE and of the fit, into this file (png, svg, pdf).",
 )  # fmt: skip
 @NO_PROGRESS

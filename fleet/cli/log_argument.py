@@ -11,6 +11,7 @@ import click
 
 from fleet.cli import completion
 from fleet.cli.completion import RUNS
+from fleet.cli.types import PATH
 
 if TYPE_CHECKING:
     from fleet.view.source import LiveSource, LogSource
@@ -27,7 +28,7 @@ def log_argument(command: F) -> F:
         return command(*arguments, log=newest_log() if log is None else log, **options)
 
     argument = click.argument(
-        "log", type=click.Path(path_type=Path), required=False,
+        "log", type=PATH, required=False,
         help="An MCAP file or a run directory; by default the newest run below runs.",
     )  # fmt: skip
     return argument(with_log)  # type: ignore[return-value]

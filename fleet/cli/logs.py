@@ -13,7 +13,7 @@ from fleet.cli import completion
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument, newest_log
 from fleet.cli.study_pictures import check_options, export_study, is_study, measure_option, plot_study, report_study
-from fleet.cli.types import FORCE, NO_PROGRESS, Duration, PictureWords, Vehicles, Whole, Window, Words
+from fleet.cli.types import FILE, FOLDER, FORCE, NO_PROGRESS, PATH, TIME, VEHICLES, WINDOW, PictureWords, Whole, Words
 from fleet.terminal.table import say
 
 KINDS = (
@@ -27,7 +27,7 @@ _OF_LOGS = {name: f"--{name}" for name in ("what", "compare", "vehicles", "windo
 _OF_STUDIES = {"measures": "--measure"}
 
 
-_vehicles = click.option("--vehicles", metavar="LIST", type=Vehicles(), help="Only these, e.g. 1,3-5.")
+_vehicles = click.option("--vehicles", metavar="LIST", type=VEHICLES, help="Only these, e.g. 1,3-5.")
 _log_scale = click.option(
     "--log-scale/--linear",
     default=None,
@@ -37,7 +37,7 @@ _log_scale = click.option(
 _window = click.option(
     "--window",
     metavar="A..B",
-    type=Window(),
+    type=WINDOW,
     help="Only this time, e.g. 20s..40s. By default `messages` shows some rounds, and the other pictures the "
     "whole run.",
 )
@@ -57,7 +57,7 @@ def _folder(_: click.Context, __: click.Parameter, value: Path | None) -> Path |
 @click.command()
 @log_argument
 @click.option(
-    "-o", "--out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False), callback=_folder,
+    "-o", "--out", metavar="DIR", type=FOLDER, callback=_folder,
     help="The folder for pictures; by default `plots` next to the log.",
 )  # fmt: skip
 @click.option(
@@ -71,7 +71,7 @@ def _folder(_: click.Context, __: click.Parameter, value: Path | None) -> Path |
     help="Some of png, svg, pdf.",
 )  # fmt: skip
 @click.option(
-    "--compare", metavar="LOG2", type=click.Path(path_type=Path), multiple=True,
+    "--compare", metavar="LOG2", type=PATH, multiple=True,
     help="Another run on the same axes; repeatable.",
 )  # fmt: skip
 @measure_option
@@ -145,21 +145,21 @@ def _notes(runs: Sequence[Any]) -> Iterator[str]:
 
 @click.command()
 @log_argument
-@click.option("--csv", "csv", metavar="DIR", type=click.Path(path_type=Path, file_okay=False), help="Write CSV here.")
+@click.option("--csv", "csv", metavar="DIR", type=FOLDER, help="Write CSV here.")
 @click.option(
-    "--parquet", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
+    "--parquet", metavar="DIR", type=FOLDER,
     help="Write Parquet here; needs uuv-fleet[parquet].",
 )  # fmt: skip
 @click.option(
-    "--netcdf", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
+    "--netcdf", metavar="DIR", type=FOLDER,
     help="Write NetCDF here, by the CF conventions; needs uuv-fleet[tables].",
 )  # fmt: skip
 @click.option(
-    "--traces", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
+    "--traces", metavar="DIR", type=FOLDER,
     help="Write the fate of each packet here: a CSV file per directed link, which network.links can read.",
 )  # fmt: skip
 @click.option(
-    "--ros2", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
+    "--ros2", metavar="DIR", type=FOLDER,
     help="Write a bag of ROS 2 here; needs uuv-fleet[ros2].",
 )  # fmt: skip
 @click.option("--scenario", is_flag=True,
@@ -277,11 +277,11 @@ def _export_traces(log: Path, folder: Path, *, force: bool) -> None:
 
 @click.command()
 @click.argument(
-    "logs", metavar="[LOG]...", type=click.Path(path_type=Path), nargs=-1,
+    "logs", metavar="[LOG]...", type=PATH, nargs=-1,
     help="MCAP files or run directories; by default the newest run below runs.",
 )  # fmt: skip
 @click.option(
-    "-o", "--out", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), default=Path("report.html"),
+    "-o", "--out", metavar="FILE", type=FILE, default=Path("report.html"),
     show_default=True, help="The page.",
 )  # fmt: skip
 @FORCE
@@ -366,15 +366,13 @@ def info(log: Path, as_json: bool) -> None:
 @click.command()
 @log_argument
 @click.option(
-    "-o", "--out", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), default=Path("movie.gif"),
+    "-o", "--out", metavar="FILE", type=FILE, default=Path("movie.gif"),
     show_default=True, help="The movie: a .gif, or an .mp4 if ffmpeg is installed.",
 )  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace what is there.")
 @click.option("--view", type=click.Choice(["above", "3d"]), default="above", show_default=True, help="From where.")
-@click.option("--from", "begin", metavar="TIME", type=Duration(), default="0s", help="Begin at this time, e.g. 20s.")
-@click.option(
-    "--to", "end", metavar="TIME", type=Duration(), help="End at this time; by default at the end of the log."
-)
+@click.option("--from", "begin", metavar="TIME", type=TIME, default="0s", help="Begin at this time, e.g. 20s.")
+@click.option("--to", "end", metavar="TIME", type=TIME, help="End at this time; by default at the end of the log.")
 @click.option(
     "--speed", metavar="X", type=click.FloatRange(0.001, 1000.0),
     help="Times real time; by default so that the movie lasts 12 s, but never slower than real time.",

@@ -14,6 +14,7 @@ import click
 
 from fleet.cli.completion import scenarios
 from fleet.cli.group import ListingGroup
+from fleet.cli.types import FOLDER
 from fleet.errors import FleetError
 
 KINDS = ("controller", "guidance", "tracking", "agent")
@@ -42,12 +43,7 @@ _IMPORTED = {
 
 
 _folder = click.option(
-    "--dir",
-    "folder",
-    metavar="DIR",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path(),
-    help="Where to write; by default here.",
+    "--dir", "folder", metavar="DIR", type=FOLDER, default=Path(), help="Where to write; by default here."
 )
 
 

@@ -12,7 +12,7 @@ from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import print_document
 from fleet.cli.shrink import pieces
 from fleet.cli.study_options import Making, changing_options, making_options
-from fleet.cli.types import Duration, Whole
+from fleet.cli.types import FILE, TIME, Whole
 from fleet.terminal.table import say
 
 if TYPE_CHECKING:
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
               help="Independent estimates; their spread gives the interval.")  # fmt: skip
 @click.option("--effort", metavar="N", type=Whole(4, 100_000), default=100, show_default=True,
               help="The number of partial runs in each stage.")  # fmt: skip
-@click.option("--budget", metavar="TIME", type=Duration(), help="Begin no repeat after this wall time, e.g. '10 min'.")
+@click.option("--budget", metavar="TIME", type=TIME, help="Begin no repeat after this wall time, e.g. '10 min'.")
 @changing_options
-@click.option("-o", "--out", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
+@click.option("-o", "--out", metavar="FILE", type=FILE,
               help="The file for estimates; a later call continues it. By default NAME-rare.json.")  # fmt: skip
 @making_options()
 def rare(

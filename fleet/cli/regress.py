@@ -12,6 +12,7 @@ import click
 from fleet.cli import junit as cli_junit
 from fleet.cli.documents.output import print_document
 from fleet.cli.study_options import Making, making_options
+from fleet.cli.types import FOLDER
 from fleet.terminal.table import say
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path, file_okay=False))
+@click.argument("folder", metavar="DIR", type=FOLDER)
 @click.option("--accept", is_flag=True, help="Expect the present verdicts from now on.")
 @cli_junit.JUNIT
 @making_options()

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from fleet.cli.group import exit_status
-from fleet.cli.types import Whole
+from fleet.cli.types import FOLDER, Whole
 from fleet.processes.limits import processors
 from fleet.terminal.table import stdout
 
@@ -16,7 +16,7 @@ from fleet.terminal.table import stdout
 @click.option(
     "--out",
     metavar="DIR",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=FOLDER,
     default=Path("reproduction"),
     show_default=True,
     help="The folder for report.md, metrics.json and the pictures.",

@@ -16,7 +16,7 @@ from fleet.cli.documents.output import print_document
 from fleet.cli.junit import JUNIT
 from fleet.cli.shrink import MOST_RUNS, pieces, place_of, show_least, write_least
 from fleet.cli.study_options import Making, changing_options, least_options, making_options
-from fleet.cli.types import Budget
+from fleet.cli.types import BUDGET, FOLDER
 from fleet.terminal.table import say
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ NemesisMode = Literal["swarm", "liveness"] | None
 
 @click.command()
 @click.argument("scenario", shell_complete=scenarios)
-@click.option("--budget", metavar="RUNS|TIME", type=Budget(), default="200", show_default=True,
+@click.option("--budget", metavar="RUNS|TIME", type=BUDGET, default="200", show_default=True,
               help="The number of seeds to try, or the time in which new ones begin, e.g. '10 min'.")  # fmt: skip
 @click.option("--nemesis", is_flag=True, help="Add a nemesis to a scenario without one: a swarm of faults.")
 @click.option("--liveness", is_flag=True,
@@ -43,7 +43,7 @@ NemesisMode = Literal["swarm", "liveness"] | None
 @click.option("--check", metavar="NAME", help="The check that must fail; by default any.")
 @changing_options
 @least_options
-@click.option("--keep", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
+@click.option("--keep", metavar="DIR", type=FOLDER,
               help="Continue after a failure; keep the smallest scenario of each kind of failure in DIR.")  # fmt: skip
 @JUNIT
 @making_options()

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 import click
 
 from fleet.cli.documents.output import json_option
-from fleet.cli.types import FORCE, OVERRIDES, TRUST, Whole, disturbances, is_given
+from fleet.cli.types import FILE, FOLDER, FORCE, OVERRIDES, TRUST, Whole, disturbances, is_given
 from fleet.study.spec import BoundarySpec, Kind, Spec, SpecField, StudySpec, fields
 from fleet.terminal.table import say
 
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 F = TypeVar("F", bound=Callable[..., Any])
 S = TypeVar("S", StudySpec, BoundarySpec)
 OUT = click.option(
-    "-o", "--out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False), default=Path("studies"),
+    "-o", "--out", metavar="DIR", type=FOLDER, default=Path("studies"),
     show_default=True, help="The folder for studies; each gets a directory of its own.",
 )  # fmt: skip
 WORKERS = click.option("--workers", metavar="N", type=Whole(1, 1024), help="Runs at a time; by default one per core.")
 SCHEDULER = click.option("--scheduler", metavar="ADDRESS", help="Use an existing Dask cluster, e.g. tls://host:8786.")
-_LEAST = click.option("-o", "--out", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
+_LEAST = click.option("-o", "--out", metavar="FILE", type=FILE,
                       help="The file for the smallest scenario; by default NAME-least.yaml.")  # fmt: skip
 
 

@@ -10,7 +10,7 @@ import click
 
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument, newest_log
-from fleet.cli.types import NO_PROGRESS, OVERRIDES, TRUST, Whole, key_options
+from fleet.cli.types import NO_PROGRESS, OVERRIDES, PATH, TRUST, Whole, key_options
 from fleet.terminal.table import say
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _VERIFY = "Exit status: 0 reproduced, 1 not, 2 no log of ours or it cannot be run here, 3 no message is left in it."
 _DIFF = "Exit status: 0 the same (or within the tolerance), 1 different, 2 one of them is no log."
 _RECOVER = "Exit status: 0 whole, 1 nothing can be recovered, 2 usage, 3 something is lost."
-_log = click.Path(path_type=Path)
+_log = PATH
 
 
 @click.command(epilog=_VERIFY)
@@ -141,7 +141,7 @@ def recover(log: Path, out: Path | None) -> None:
 @click.option("--controller", metavar="LAW", help="Short for --set controller=LAW: a name, or package.module:Class.")
 @OVERRIDES
 @TRUST
-@click.option("--plot", type=click.Path(path_type=Path), help="Draw both commands into this file (png, svg, pdf).")
+@click.option("--plot", type=PATH, help="Draw both commands into this file (png, svg, pdf).")
 @json_option
 @NO_PROGRESS
 def command(

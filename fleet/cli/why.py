@@ -10,7 +10,7 @@ import click
 from fleet.cli.documents.output import print_document
 from fleet.cli.log_argument import log_argument
 from fleet.cli.study_options import Making, making_options
-from fleet.cli.types import Whole
+from fleet.cli.types import FILE, Whole
 from fleet.terminal.table import say
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ MOST_RUNS = 24
 @click.command()
 @log_argument
 @click.option("--check", metavar="NAME", help="The check that failed; by default the first one that did.")
-@click.option("--picture", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
+@click.option("--picture", metavar="FILE", type=FILE,
               help="Draw it into this file (png, svg, pdf).")  # fmt: skip
 @click.option("--budget", metavar="RUNS", type=Whole(0, 10_000), default=MOST_RUNS, show_default=True,
               help="Healed runs that are tried; 0: only what the log says.")  # fmt: skip

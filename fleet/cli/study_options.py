@@ -1,8 +1,8 @@
-"""Options of the commands that make many runs, as values with types: what is asked for, and how runs are made."""
+"""Options of the commands that make many runs, as values with types, and what these commands print."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import wraps
@@ -14,11 +14,15 @@ import click
 from fleet.cli.documents.output import json_option
 from fleet.cli.types import FILE, FOLDER, FORCE, OVERRIDES, TRUST, Whole, disturbances, is_given
 from fleet.study.spec import BoundarySpec, Kind, Spec, SpecField, StudySpec, fields
-from fleet.terminal.table import say
+from fleet.terminal.table import Piece, TerminalColumn, say
 
 if TYPE_CHECKING:
     from fleet.scenario.text.overrides import Override
     from fleet.study.engine import Engine
+    from fleet.study.record import AxisRecord
+    from fleet.study.store import Store
+    from fleet.study.sweep import Progress
+    from fleet.terminal.status_line import StatusLine
     from fleet.terminal.table import Piece
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -232,3 +236,39 @@ class _Text(click.ParamType[str]):
             return str(read(self._field, value))
         except StudyError as error:
             self.fail(str(error), param, ctx)
+
+
+def axis_columns(axes: Sequence[AxisRecord], rows: Sequence[Mapping[str, float | str]]) -> list[TerminalColumn]:
+    """A column for each key that is varied. `rows`: the values of each row of the table by key."""
+    columns = []
+    for axis in axes:
+        heading = axis.key.removeprefix("network.links.") + (f"\n[{axis.unit}]" if axis.unit else "")
+        cells = [cell(values[axis.key]) for values in rows]
+        columns.append(TerminalColumn(heading, cells, 0, "left" if axis.unit is None else "right"))
+    return columns
+
+
+def cell(value: float | str) -> str:
+    """A value of a key that is varied."""
+    return value if isinstance(value, str) else f"{value:g}"
+
+
+def progress_pieces(line: StatusLine, share: float, progress: Progress) -> list[Piece]:
+    """How far it is, how fast it goes, and how many runs have no result."""
+    from fleet.terminal.status_line import BAR, bar
+
+    rate = f"{progress.rate:.2g} {progress.doing}/s" if progress.new else ""
+    failed = f"{progress.failed} without result" if progress.failed else ""
+    return [
+        Piece(5, [bar(share), bar(share, BAR // 2), ""] if line.live else [""]),
+        Piece(3, [rate, ""]),
+        Piece(1, [failed, ""]),
+    ]
+
+
+def show_reached(store: Store) -> None:
+    """Say what some run had to reach, and whether one did."""
+    from fleet.study.summary import reached
+
+    for one in reached(store):
+        say(one.words if one.hits else f"{one.words}: that no check fails says little")

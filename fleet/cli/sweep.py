@@ -209,7 +209,7 @@ def _tell_what_is_missing(store: Store, logs: KeepLogs, not_kept: list[str]) -> 
 
 
 def _pieces(line: StatusLine, progress: Progress) -> list[Piece]:
-    from fleet.cli.study_output import progress_pieces
+    from fleet.cli.study_options import progress_pieces
     from fleet.terminal.table import Piece
 
     left = f"{timedelta(seconds=round(progress.left_s))} left" if isfinite(progress.left_s) else ""
@@ -220,7 +220,7 @@ def _pieces(line: StatusLine, progress: Progress) -> list[Piece]:
 
 
 def _show(store: Store, measures: list[MeasureColumn]) -> None:
-    from fleet.cli.study_output import axis_columns, show_reached
+    from fleet.cli.study_options import axis_columns, show_reached
     from fleet.study.statistics import LEAST, levels
     from fleet.study.summary import summarise
     from fleet.terminal.table import TerminalColumn, show

@@ -43,7 +43,7 @@ GROUPS: dict[str, dict[str, Verb]] = {
     "Prove and change": {
         "verify": Verb("verify", "Run a log's scenario again and compare every byte."),
         "diff": Verb("verify", "Compare two logs."),
-        "why": Verb("why", "Explain why a check failed."),
+        "why": Verb("verify", "Explain why a check failed."),
         "whatif": Verb("verify", "Compare another agent's commands with the log's."),
         "replay": Verb("replay", "Publish a log on zenoh again."),
         "recover": Verb("verify", "Save what is left of a damaged log."),
@@ -52,9 +52,9 @@ GROUPS: dict[str, dict[str, Verb]] = {
         "sweep": Verb("sweep", "Run a scenario at many values and seeds."),
         "boundary": Verb("boundary", "Find where a scenario begins to fail."),
         "search": Verb("search", "Try random faults until a check fails."),
-        "regress": Verb("regress", "Repeat the failures that a search has kept."),
-        "rare": Verb("rare", "Estimate how often a check fails, if it is rare."),
-        "shrink": Verb("shrink", "Make a failing run as small as possible."),
+        "regress": Verb("search", "Repeat the failures that a search has kept."),
+        "rare": Verb("search", "Estimate how often a check fails, if it is rare."),
+        "shrink": Verb("search", "Make a failing run as small as possible."),
     },
     "Other hosts and programs": {
         "agent": Verb("protocol", "Run an external vehicle's agent in this terminal."),

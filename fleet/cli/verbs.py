@@ -38,7 +38,7 @@ GROUPS: dict[str, dict[str, Verb]] = {
         "report": Verb("logs", "Write one HTML page about logs or a study."),
         "movie": Verb("logs", "Make a GIF or an MP4 of a log."),
         "export": Verb("logs", "Write a log as tables, or as a scenario."),
-        "fit": Verb("fit", "Fit link states to a trace of a link."),
+        "fit": Verb("logs", "Fit link states to a trace of a link."),
     },
     "Prove and change": {
         "verify": Verb("verify", "Run a log's scenario again and compare every byte."),

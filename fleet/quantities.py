@@ -92,11 +92,8 @@ class QuantityError(TextError):
 def parse(value: Any, dimension: Dimension, count: int = 1) -> tuple[Fraction, ...]:
     """`count` exact numbers in SI units.
 
-    Args:
-        value: what the YAML holds: text, or a bare number where the dimension has no unit.
-
-    Raises:
-        QuantityError: not a finite quantity of this dimension and length.
+    `value`: what the YAML holds: text, or a bare number where the dimension has no unit. Raises QuantityError: not a
+    finite quantity of this dimension and length.
     """
     example = dimension.vector_example(count)
     expected = f'expected {_phrase(dimension, count)} such as "{example}"'

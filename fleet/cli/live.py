@@ -130,9 +130,8 @@ def heal_words(words: tuple[str, ...], run: str | None) -> tuple[LiveRun, str | 
 
     One word is the name of a run if there is such a run, and else the id of a fault.
 
-    Raises:
-        UsageError: more than two words, or two runs.
-        RemoteError: there is no such run, or the word is the name of a run and a fault of the only one, too.
+    Raises UsageError: more than two words, or two runs; RemoteError: there is no such run, or the word is the name of a
+    run and a fault of the only one, too.
     """
     from fleet.execution.connection import RemoteError, ask, find, live_runs
 
@@ -371,9 +370,8 @@ def watch_run(found: LiveRun, every: bool, terminal: Console) -> None:
 def screen(status: RunStatus, every: bool, height: int | None = None) -> Group:
     """A status as a terminal shows it, in 80 columns.
 
-    Args:
-        every: the user asked for all vehicles and links.
-        height: of the screen that the text must fit [lines]; None: any length.
+    `every`: the user asked for all vehicles and links. `height`: of the screen that the text must fit [lines]; None:
+    any length.
     """
     from rich.console import Group
     from rich.text import Text

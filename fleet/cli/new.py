@@ -145,11 +145,8 @@ def scenario(name: str, shipped: str | None, folder: Path) -> None:
 def write_scenario(name: str, shipped: str | None, folder: Path) -> Path:
     """Write `name`.yaml into `folder`.
 
-    Args:
-        shipped: the name of the shipped scenario that is copied; None: the template.
-
-    Raises:
-        FleetError: the name is none for a scenario, there is no such shipped one, or a file is in the way.
+    `shipped`: the name of the shipped scenario that is copied; None: the template. Raises FleetError: the name is none
+    for a scenario, there is no such shipped one, or a file is in the way.
     """
     from importlib import resources
 
@@ -214,11 +211,8 @@ def _write_modules(
 
     In these, the_law and TheLaw stand for names; `more` gives further replacements.
 
-    Args:
-        templates: by what follows `name` in the name of the file.
-
-    Raises:
-        FleetError: the name is none for a module, belongs to another one, or a file is in the way.
+    `templates`: by what follows `name` in the name of the file. Raises FleetError: the name is none for a module,
+    belongs to another one, or a file is in the way.
     """
     if not name.isascii() or not name.isidentifier() or keyword.iskeyword(name):
         raise FleetError(f"{name!r} cannot name a Python module: letters, digits and _, not a digit first")

@@ -47,9 +47,8 @@ def plot_study(
 ) -> list[Path]:
     """Draw a study; returns the files, and tells what could not be drawn.
 
-    Raises:
-        StudyError: it is damaged, there is no such measure, or the extra `study` is not installed.
-        FleetError: the place cannot be written.
+    Raises StudyError: it is damaged, there is no such measure, or the extra `study` is not installed; FleetError: the
+    place cannot be written.
     """
     store = _open(directory)
     from fleet.study.pictures.gallery import write
@@ -66,9 +65,8 @@ def plot_study(
 def report_study(directory: Path, out: Path, measures: Sequence[str], log_scale: bool | None) -> None:
     """Write the page about a study.
 
-    Raises:
-        StudyError: it is damaged, there is no such measure, or the extra `study` is not installed.
-        FleetError: the place cannot be written.
+    Raises StudyError: it is damaged, there is no such measure, or the extra `study` is not installed; FleetError: the
+    place cannot be written.
     """
     store = _open(directory)
     from fleet.study.pictures.report import write
@@ -81,9 +79,8 @@ def report_study(directory: Path, out: Path, measures: Sequence[str], log_scale:
 def export_study(directory: Path, folder: Path, form: str, *, force: bool) -> Path:
     """Write the rows of a study as `csv` or `parquet`; returns the file.
 
-    Raises:
-        StudyError: it is damaged, or an extra is not installed.
-        FleetError: something is in the way, or the place cannot be written.
+    Raises StudyError: it is damaged, or an extra is not installed; FleetError: something is in the way, or the place
+    cannot be written.
     """
     from fleet.errors import FleetError
     from fleet.study.engine import need

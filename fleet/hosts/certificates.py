@@ -109,9 +109,8 @@ def read_ca(directory: Path) -> str:
 def read_server(directory: Path) -> ServerCertificate:
     """Read the router's certificate with its key.
 
-    Raises:
-        FleetError: a file is missing or damaged, the certificate is out of date or is not the CA's, the key is not
-            the certificate's, or others can read it.
+    Raises FleetError: a file is missing or damaged, the certificate is out of date or is not the CA's, the key is not
+    the certificate's, or others can read it.
     """
     x509 = _cryptography()
     ca, pair = read_ca(directory), read_client(directory, SERVER)

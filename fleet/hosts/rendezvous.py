@@ -148,11 +148,7 @@ class Rendezvous:
 def parse_endpoint(text: str, option: str) -> RouterEndpoint:
     """Read an endpoint as zenoh writes it.
 
-    Args:
-        option: where it was given, for the error.
-
-    Raises:
-        FleetError: it is none, or of another protocol.
+    `option`: where it was given, for the error. Raises FleetError: it is none, or of another protocol.
     """
     protocol, slash, place = text.partition("/")
     host, colon, port = place.rpartition(":")
@@ -269,11 +265,8 @@ def listening_for_certificates(
 def check_free(listen: str, option: str = "--listen") -> None:
     """Check that the world will be able to listen there.
 
-    Args:
-        option: where it was given, for the error.
-
-    Raises:
-        FleetError: the port is taken or not for us, or the address is not of this host.
+    `option`: where it was given, for the error. Raises FleetError: the port is taken or not for us, or the address is
+    not of this host.
     """
     endpoint = parse_endpoint(listen, option)
     try:

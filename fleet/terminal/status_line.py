@@ -41,9 +41,8 @@ class StatusLine:
     def __init__(self, terminal: Terminal, *, quiet: bool, first_s: float | None = None) -> None:
         """Prepare it; nothing is shown yet.
 
-        Args:
-            quiet: show nothing at all.
-            first_s: how long nothing is shown at first; by default 0 on a terminal, a while elsewhere.
+        `quiet`: show nothing at all. `first_s`: how long nothing is shown at first; by default 0 on a terminal, a while
+        elsewhere.
         """
         self._terminal, self._quiet = terminal, quiet or _hushed.get()
         self.live = rewritable(terminal)

@@ -106,9 +106,8 @@ def say(text: str, *, err: bool = False) -> None:
 def fold(text: str, width: int | None, indent: str = INDENT) -> str:
     """Lines folded between words; a word that is longer, a path for instance, stays whole.
 
-    Args:
-        width: in characters; None: nothing is folded.
-        indent: of the lines that go on, behind the indent of the line itself.
+    `width`: in characters; None: nothing is folded. `indent`: of the lines that go on, behind the indent of the line
+    itself.
     """
     if width is None:
         return text

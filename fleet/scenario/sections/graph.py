@@ -80,9 +80,7 @@ def parse_edge(text: str) -> Link | None:
 def build(section: GraphSection, places: tuple[Vec3, ...], seed: int) -> Graph:
     """The graph of a section that `Parts.graph` accepts.
 
-    Args:
-        places: the offsets at the start [m, NED], for `nearest`.
-        seed: of the scenario, for `random`.
+    `places`: the offsets at the start [m, NED], for `nearest`. `seed`: of the scenario, for `random`.
     """
     vehicles = len(places)
     weights: dict[Link, float] = {}

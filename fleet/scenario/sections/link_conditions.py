@@ -26,11 +26,8 @@ INSIDE = "in the scenario"  # the name of a trace that has no file
 def load_trace(text: str, folder: Path | None = None) -> TraceTable:
     """The trace that a scenario names, from `folder` (the scenario's) or the current directory.
 
-    Args:
-        text: the path of a file that ends in `.csv`, or CSV with a line break.
-
-    Raises:
-        DataFileError: there is no such file, it cannot be read, or it has mistakes, each with its line.
+    `text`: the path of a file that ends in `.csv`, or CSV with a line break. Raises DataFileError: there is no such
+    file, it cannot be read, or it has mistakes, each with its line.
     """
     if "\n" in text:
         return read_csv(text, INSIDE)

@@ -45,12 +45,8 @@ _MOST = 1e7  # s, m, deg: larger ones are slips
 def load_trace(text: str, folder: Path | None) -> tuple[TracePoint, ...]:
     """The points of a trace.
 
-    Args:
-        text: the name of a file, which is looked for in `folder` and in the current directory; or its content, which
-            has more than one line.
-
-    Raises:
-        DataFileError: the file is missing or wrong; with its lines.
+    `text`: the name of a file, which is looked for in `folder` and in the current directory; or its content, which has
+    more than one line. Raises DataFileError: the file is missing or wrong; with its lines.
     """
     return parse_trace(*_content(text, folder))
 

@@ -48,9 +48,8 @@ def parameters_of(given: Mapping[str, Any]) -> dict[str, Any]:
 def load_check(name: str, parameters: Mapping[str, Any]) -> type[Any]:
     """The class `package.module:Class` of a check that can be made with these parameters.
 
-    Raises:
-        UntrustedError: its module is not installed, and was not let in with `admit`.
-        PluginError: there is no such class, or it cannot be used.
+    Raises UntrustedError: its module is not installed, and was not let in with `admit`; PluginError: there is no such
+    class, or it cannot be used.
     """
     methods = {"step": ("tick",)}
     config = "what it may know of the scenario, fleet.checks.api.Facts"
@@ -121,11 +120,7 @@ class AskedOfSignal:
 def ask(check: SignalCheck, vehicles: Mapping[int, Mapping[str, SignalPlace]]) -> AskedOfSignal:
     """The meaning of a check in SI units.
 
-    Args:
-        vehicles: the signals of every vehicle of the scenario.
-
-    Raises:
-        SignalCheckError: it makes no sense.
+    `vehicles`: the signals of every vehicle of the scenario. Raises SignalCheckError: it makes no sense.
     """
     signal = parse_name(check.topic)
     if signal is None:

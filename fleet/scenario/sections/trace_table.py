@@ -50,9 +50,8 @@ class TraceRow:
     def condition(self, lost_below_db: float | None) -> Condition:
         """The condition of a link with these values.
 
-        Args:
-            lost_below_db: at or below this signal-to-noise ratio [dB] a packet is lost, too. None: only `delivered`
-                decides.
+        `lost_below_db`: at or below this signal-to-noise ratio [dB] a packet is lost, too. None: only `delivered`
+        decides.
         """
         lost = not self.delivered
         if lost_below_db is not None and self.snr_db is not None:
@@ -77,11 +76,7 @@ class TraceTable:
 def read_csv(text: str, name: str) -> TraceTable:
     """The trace in a text.
 
-    Args:
-        name: of the text, for errors.
-
-    Raises:
-        DataFileError: with the first mistakes that were found, each with its line.
+    `name`: of the text, for errors. Raises DataFileError: with the first mistakes that were found, each with its line.
     """
     reader = csv.reader(StringIO(text.removeprefix("\ufeff").rstrip("\r\n")), strict=True)
     lines: list[tuple[str, list[str]]] = []

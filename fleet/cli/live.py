@@ -72,17 +72,10 @@ def answer(kind: type[D], found: LiveRun, op: str, **fields: Any) -> D:
 
 
 def fault_words(words: tuple[str, ...], run: str | None) -> tuple[str | None, str]:
-    """The run that stands in front of a fault, if one does, and the fault.
+    """The run that stands in front of a fault, if one does, or that of --run, and the fault.
 
     A kind of fault in front is no run, unless another kind stands behind it: `partition kill 3` kills an agent of the
-    run `partition`.
-
-    Args:
-        words: as they were typed; the shell may have made one of several.
-        run: that of --run.
-
-    Raises:
-        UsageError: the first word begins no fault, and no fault stands behind it.
+    run `partition`. Raises UsageError: the first word begins no fault, and no fault stands behind it.
     """
     from fleet.scenario.schema.faults import ACTIONS
 

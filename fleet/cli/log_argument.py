@@ -58,13 +58,8 @@ SHOWN = click.argument(
 def find_shown(what: str | None, rate: float | None, *, control: bool, loop: bool) -> LiveSource | LogSource:
     """The run or the log to show.
 
-    Args:
-        what: as the argument `SHOWN` gives it.
-        rate, control, loop: the options of these names; a log cannot be disturbed, and a live run has its own pace.
-
-    Raises:
-        click.UsageError: an option is for the other kind.
-        FleetError: there is none, or the run is not published.
+    Raises click.UsageError: a log cannot be disturbed, and a live run has its own pace; FleetError: there is none, or
+    the run is not published.
     """
     from fleet.view.source import LiveSource, LogSource, find_source
 

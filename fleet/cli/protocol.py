@@ -218,14 +218,7 @@ def patiently(join: Callable[[], T], wait_s: float, path: Path, line: StatusLine
 
     A file of a run that is over is no reason to end: the next run may write another one there.
 
-    Args:
-        join: joins, serves, and returns what came of it.
-        wait_s: how long.
-        path: of the join file.
-
-    Raises:
-        NotYetError: it was not possible in that time.
-        JoinError: it is no use to wait.
+    Raises NotYetError: it was not possible in that time; JoinError: it is no use to wait.
     """
     from agents.join_file import NotYetError
 

@@ -206,15 +206,7 @@ def _execute(
 
 
 def _options(scenario: Scenario, start: Start | None, how: RunOptions, terminal: Terminal) -> Options:
-    """How to run a scenario.
-
-    Args:
-        start: where in a log it begins; None: at its beginning.
-        terminal: where warnings go.
-
-    Raises:
-        UsageError, FleetError: they do not go together, or with the scenario.
-    """
+    """How to run a scenario. Raises UsageError, FleetError: options do not go together, or with the scenario."""
     from fleet.execution.options import Options
 
     one_process = (

@@ -26,16 +26,7 @@ def is_study(path: Path) -> bool:
 
 
 def check_options(subject: Path, options: Mapping[str, str], only_for: str) -> None:
-    """Refuse options that were given, but do not belong to what is shown.
-
-    Args:
-        subject: what is shown.
-        options: of the command, by the name of their parameter.
-        only_for: what they belong to.
-
-    Raises:
-        click.UsageError: one of them was given.
-    """
+    """Refuse options that were given, by their parameters, if they are for what the subject is not: UsageError."""
     source = click.get_current_context().get_parameter_source
     given = [option for name, option in options.items() if source(name) not in (None, ParameterSource.DEFAULT)]
     if given:

@@ -143,13 +143,7 @@ def _columns(store: Store, spec: StudySpec) -> list[MeasureColumn]:
 
 
 def _run(store: Store, spec: StudySpec, modules: Modules | None, how: Making) -> None:
-    """Make the runs that are missing, then the logs.
-
-    Args:
-        store: the study.
-        spec: its settings.
-        modules: the modules that the runs need. None: they are looked for if a run is missing.
-    """
+    """Make the runs that are missing, then the logs. `modules`: that the runs need; None: they are looked for then."""
     from fleet.study.sweep import logs_to_make, modules_again, run_study
 
     missing = store.missing

@@ -50,10 +50,8 @@ def make(directory: Path, hosts: Sequence[str] = (), *, agents: int = 0, days: i
     Args:
         hosts: names and addresses of the router's host; loopback is always added.
         agents: if positive, agent-1 ... agent-N and the run's own processes get client certificates.
-        force: replace existing files.
 
-    Raises:
-        FleetError: a host that is none, files in the way, no place to write, or `cryptography` is missing.
+    Raises FleetError: a host that is none, files in the way, no place to write, or `cryptography` is missing.
     """
     names = list(dict.fromkeys([*map(host_name, hosts), *ALWAYS]))
     clients = [OWN, *(f"agent-{i}" for i in range(1, agents + 1))] if agents else []

@@ -52,15 +52,9 @@ class JoinFolder:
     pair: KeyPair
 
     def write(self, path: Path, keys: Keys, incarnation: int, begin: int) -> None:
-        """Make the folder, or replace its files one by one; only this user can enter it.
+        """Make the folder, or replace its files one by one; only this user can enter it. Raises OSError.
 
-        Args:
-            keys: of the run.
-            incarnation: which life of the agent is to join.
-            begin: tick of its first nav.
-
-        Raises:
-            OSError: it cannot be written.
+        `incarnation`: which life of the agent is to join; `begin`: tick of its first nav.
         """
         i, role = self.vehicle, agent_role(self.vehicle)
         lines = [
@@ -181,12 +175,9 @@ def listening(
         certs: for tls, the directory that `fleet hosts certs` has made.
         advertise: names or addresses that agents on other hosts use. Default: those of the certificate, or this host's
             address.
-        external: vehicles with an agent on another host.
-        mutual: these agents must show their own certificates.
-        lease_ms: the router drops a session after this time without a sign of life [ms].
+        external: vehicles with an agent on another host; `mutual`: these must show their own certificates.
 
-    Raises:
-        FleetError: the arguments contradict each other, or the certificates cannot be used.
+    Raises FleetError: the arguments contradict each other, or the certificates cannot be used.
     """
     endpoint = parse_endpoint(listen, "--listen")
     if endpoint.protocol == "tcp" and (certs or mutual):
@@ -229,12 +220,7 @@ def listening_for_certificates(
 ) -> Rendezvous:
     """The same rendezvous, where the run also listens for agents that have a certificate and no password.
 
-    Args:
-        rendezvous: of a run that hosts its router.
-        listen: an endpoint of its own, for tls; the others as for `listening`.
-
-    Raises:
-        FleetError: these do not go together; the certificates cannot be used, or an external agent has none.
+    Arguments as for `listening`; the endpoint is another one, for tls. Raises FleetError as well.
     """
     endpoint = parse_endpoint(listen, CERTIFIED)
     if endpoint.protocol != "tls":
@@ -290,17 +276,12 @@ def through_router(
     """The rendezvous of a run whose processes join an existing router.
 
     Args:
-        router: endpoint of the router.
         credentials: the file that `fleet hosts acl -o` wrote beside the router's configuration.
-        vehicles: number of vehicles of the scenario.
         certs: a directory with the CA of the router. For mutual TLS it also has the clients' certificates.
-        external: vehicles with an agent on another host.
-        mutual: clients must show certificates.
-        lease_ms: the router drops a session after this time without a sign of life [ms].
+        external: vehicles with an agent on another host; `mutual`: clients must show certificates.
 
-    Raises:
-        FleetError: the arguments contradict each other, the file is for another number of vehicles, or the
-            certificates cannot be used.
+    Raises FleetError: the arguments contradict each other, the file is for another number of vehicles, or the
+    certificates cannot be used.
     """
     endpoint = parse_endpoint(router, "--router")
     if endpoint.wildcard:

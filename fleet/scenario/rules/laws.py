@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -13,7 +14,7 @@ from agents.profiles import profile
 from agents.trajectory import PathError
 from fleet.quantities import RATE, SPEED, QuantityError, show, show_vector, vehicle_numbers
 from fleet.scenario.parts import Parts, UnknownValueError
-from fleet.scenario.rules.report import Report, packed
+from fleet.scenario.rules.report import Report, packed, vehicles_exist
 from fleet.scenario.schema.spec import ScenarioSpec, sections
 from fleet.scenario.sections.data_files import DataFileError
 from fleet.scenario.sections.per_vehicle import Entries, given, law_names, mass_problems, used, wrong_model
@@ -35,16 +36,9 @@ def plugin(
     shipped: Sequence[str],
     load: Callable[[], Any],
 ) -> bool:
-    """Report the mistakes of a plug-in. A plug-in that may not be imported now is left out.
+    """Report the mistakes of a plug-in; whether it can be used, as far as that is known.
 
-    Args:
-        at: its place in the scenario.
-        kind: controller, plant, check, ...
-        shipped: the names of the plug-ins that come with the package.
-        load: loads and checks its class, and raises PluginError.
-
-    Returns:
-        Whether it can be used, as far as that is known.
+    One that may not be imported now is left out. `load` loads and checks its class, and raises PluginError.
     """
     typed = report.typed(at)
     if not (name in shipped or typed or report.policy.imports):
@@ -105,18 +99,11 @@ def per_vehicle(parts: Parts, report: Report) -> None:
     spec = parts.spec
     seen: dict[str, str] = {}
     for text in report.keys("per_vehicle"):
-        try:
-            numbers = vehicle_numbers(text)
-        except QuantityError:
-            continue  # reported by the schema
+        with suppress(QuantityError):  # reported by the schema
+            vehicles_exist(spec, report, ("per_vehicle", text), text, key=True)
         if packed(text) in seen:
             report.add(("per_vehicle", text), f'the same vehicles as "{seen[packed(text)]}"', key=True)
         seen[packed(text)] = text
-        for number in numbers:
-            if not 1 <= number <= spec.vehicles:
-                message = f"there is no vehicle {number}: the vehicles are 1 to {spec.vehicles}"
-                report.add(("per_vehicle", text), message, key=True)
-                break
 
 
 def laws(parts: Parts, report: Report) -> None:

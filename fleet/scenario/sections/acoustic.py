@@ -118,9 +118,7 @@ SIZES: dict[Codec, int] = {"full": payload.SIZE, "compact": compact.SIZE, "locat
 
 
 def modem_values(section: ModemSection, folder: Path | None) -> Values:
-    """The values of a section's modem: those of its file, unless the section gives another value.
-
-    Units as in `netem.modem.Modem`; `folder` is that of the scenario.
+    """The values of a section's modem, as in `netem.modem.Modem`: those of its file, unless the section gives others.
 
     Raises DataFileError: the modem file is missing or wrong.
     """
@@ -153,17 +151,9 @@ def compile_acoustic(
     modems: dict[int, Modem],
     folder: Path | None = None,
 ) -> AcousticConfig:
-    """The configuration of the channel that a valid section describes.
+    """The configuration of the channel that a valid section describes; back-off and slot in whole ticks.
 
-    Args:
-        modems: of the vehicles that carry another one.
-        folder: of the scenario, where a site's file may lie.
-
-    Raises:
-        DataFileError: the site's file is missing or wrong.
-        codec: the encoding of the agents' payloads.
-        vehicles: number of vehicles on the channel.
-        tick_ns: control period [ns]; the back-off is rounded up to ticks, the slot down.
+    `modems`: of the vehicles that carry another one. Raises DataFileError: the site's file is missing or wrong.
     """
     backoff = backoff_ns(section, modem, codec, vehicles) if section.mac != "tdma" else 0
     site = site_of(section, folder)

@@ -15,7 +15,7 @@ from fleet.scenario.schema.checks import ChecksSection, SignalCheck
 from fleet.scenario.schema.faults import FaultSection, NemesisSection
 from fleet.scenario.sections import swarm
 from fleet.scenario.sections.graph import beside
-from fleet.scenario.sections.ground import Ground
+from fleet.scenario.sections.ground import Ground, free_name
 from netem.draws import bits, uniform
 
 PURPOSE = "nemesis liveness"  # of the draws
@@ -71,9 +71,7 @@ def faults(nemesis: NemesisSection, ground: Ground) -> list[FaultSection]:
         kind = kinds[bits(spec.seed, PURPOSE, i, _BREAKS) % len(kinds)]
         start = nemesis.start or 0
         at = int(start + (heal - start) * uniform(spec.seed, PURPOSE, i, _WHEN)) // spec.tick * spec.tick
-        name = f"broken-{i}"
-        while name in taken:
-            name += "x"
+        name = free_name(f"broken-{i}", taken)
         body = {kind: f"isolate:{i}" if kind == "partition" else str(i)}
         stay.append(FaultSection.model_validate({"id": name, "at": f"{at} ns", **body}))
     return sorted([*chaos, *stay], key=lambda fault: fault.at)

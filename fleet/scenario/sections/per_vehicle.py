@@ -218,14 +218,7 @@ def control(
     keep_apart: KeepApartParams | None,
     navigation: Navigation | None,
 ) -> Control:
-    """The data, laws and parameters of a vehicle of a valid scenario.
-
-    Args:
-        choice: every section as it holds for this vehicle.
-        vehicle: its parameters and its limits [N, N m, N m].
-        keep_apart: the filter of all vehicles.
-        navigation: of this vehicle.
-    """
+    """The data, laws and parameters of a vehicle of a valid scenario; `vehicle`: parameters, limits [N, N m, N m]."""
     assert choice.controller is not None and choice.guidance is not None and choice.tracking is not None
     assert choice.neighbours is not None and choice.vehicle is not None and choice.model_error is not None
     names = law_names(choice)

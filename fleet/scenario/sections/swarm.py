@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 from fleet.quantities import show_time
 from fleet.scenario.schema.faults import Aim, FaultSection, NemesisPick, NemesisSection
 from fleet.scenario.sections.graph import beside, reached
-from fleet.scenario.sections.ground import Ground, Pair
+from fleet.scenario.sections.ground import Ground, Pair, free_name
 from fleet.scenario.sections.partitions import DRAWN_PARTITIONS, partition
 from netem.condition import Condition, Link
 from netem.draws import bits, uniform
@@ -336,9 +336,7 @@ def written(drawn: Iterable[DrawnFault], ground: Ground) -> list[FaultSection]:
     for one in sorted(drawn, key=lambda fault: (fault.at, fault.number)):
         body, cut, silent = _body(one, ground, past)
         for piece, (at, lasts) in enumerate(_times(one, ground), start=1):
-            name = f"nemesis-{one.number}" + (f"-{piece}" if one.pieces > 1 else "")
-            while name in taken:
-                name += "x"
+            name = free_name(f"nemesis-{one.number}" + (f"-{piece}" if one.pieces > 1 else ""), taken)
             taken.add(name)
             if one.pick.drawn == "gust":
                 body = gust(one.strength, _turn(one, ground), lasts)

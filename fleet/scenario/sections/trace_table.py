@@ -95,16 +95,12 @@ def read_csv(text: str, name: str) -> TraceTable:
 def read_cells(
     headings: Sequence[str], rows: Iterable[tuple[str, Sequence[str]]], name: str, first: str = "the header"
 ) -> TraceTable:
-    """The trace in cells of text.
+    """The trace in cells of text. Raises DataFileError as `read_csv`.
 
     Args:
         headings: of the columns, with units.
         rows: the place of each row, in words, and its cells.
-        name: of the file, for errors.
         first: the place of the headings, in words.
-
-    Raises:
-        DataFileError: as `read_csv`.
     """
     if len(headings) > _MOST_COLUMNS:
         message = f"{first}: expected some of the columns {', '.join(_UNITS)}, got {len(headings)} columns"

@@ -67,9 +67,10 @@ def scale(before: Mapping, root: Mapping) -> Mapping:
     root = _scale_formation(root)
     root = _scale_initial(root)
     root = _scale_graph(root, new)
-    root = _scale_links(root, 0 if other_links else new)
-    root = _scale_per_vehicle(root, new)
-    return _scale_checks(root)
+    known = 0 if other_links else new
+    root = _pruned(root, lambda selector, _: all(n <= known for n in _numbers(selector)), "network", "links")
+    root = _pruned(root, lambda numbers, _: all(n <= new for n in _numbers(numbers)), "per_vehicle")
+    return _pruned(root, _about_all, "checks")
 
 
 def vehicle_count(root: Mapping) -> int | None:
@@ -114,7 +115,7 @@ def _scale_graph(root: Mapping, vehicles: int) -> Mapping:
             del entries[key]
     standby = entries.get("standby")
     who = standby.entries.get("vehicles") if isinstance(standby, Mapping) else None
-    if isinstance(who, Scalar) and any(int(n) > vehicles for n in _numbers(str(who.value))):
+    if isinstance(who, Scalar) and any(n > vehicles for n in _numbers(str(who.value))):
         del entries["standby"]
     followers = entries.get("reference")
     if isinstance(followers, Scalar) and followers.value != "all":
@@ -125,41 +126,23 @@ def _scale_graph(root: Mapping, vehicles: int) -> Mapping:
     return _replaced(root, "graph", entries)
 
 
-def _scale_links(root: Mapping, known: int) -> Mapping:
-    """Without the conditions of links of vehicles beyond the first `known`."""
-    network = root.entries.get("network")
-    links = network.entries.get("links") if isinstance(network, Mapping) else None
-    if not isinstance(network, Mapping) or not isinstance(links, Mapping):
+def _pruned(root: Mapping, keep: Callable[[str, Node], bool], *path: str) -> Mapping:
+    """Without the entries of the section at `path` for which `keep` is false."""
+    key, *below = path
+    section = root.entries.get(key)
+    if not isinstance(section, Mapping):
         return root
-    for selector in links.entries:
-        numbers = [int(n) for n in _numbers(selector)]
-        if numbers and max(numbers) > known:
-            links = links.without(selector)
-    return root.with_entry("network", root.keys["network"], network.with_entry("links", root.keys["vehicles"], links))
+    if below:
+        return root.with_entry(key, root.keys[key], _pruned(section, keep, *below))
+    kept = {name: node for name, node in section.entries.items() if keep(name, node)}
+    return root.with_entry(key, root.keys[key], Mapping(kept, section.keys, section.place))
 
 
-def _scale_per_vehicle(root: Mapping, vehicles: int) -> Mapping:
-    per_vehicle = root.entries.get("per_vehicle")
-    if not isinstance(per_vehicle, Mapping):
-        return root
-    for entry in per_vehicle.entries:
-        if any(int(n) > vehicles for n in _numbers(entry)):
-            per_vehicle = per_vehicle.without(entry)
-    return root.with_entry("per_vehicle", root.keys["per_vehicle"], per_vehicle)
-
-
-def _scale_checks(root: Mapping) -> Mapping:
-    """Without the checks of some vehicles, of some links and of a fault."""
-    checks = root.entries.get("checks")
-    if not isinstance(checks, Mapping):
-        return root
-    for name, check in checks.entries.items():
-        links = check.entries.get("links") if isinstance(check, Mapping) else None
-        some_links = isinstance(links, Scalar) and bool(_numbers(str(links.value)))
-        some_vehicles = isinstance(check, Mapping) and "vehicles" in check.entries
-        if name == "recovery_time" or some_links or some_vehicles:
-            checks = checks.without(name)
-    return root.with_entry("checks", root.keys["checks"], checks)
+def _about_all(name: str, check: Node) -> bool:
+    """Whether a check is not one of some vehicles, of some links or of a fault."""
+    links = check.entries.get("links") if isinstance(check, Mapping) else None
+    some_links = isinstance(links, Scalar) and bool(_numbers(str(links.value)))
+    return not (name == "recovery_time" or some_links or (isinstance(check, Mapping) and "vehicles" in check.entries))
 
 
 def _has_edges_without_chain(root: Mapping) -> bool:
@@ -216,8 +199,8 @@ def _above(node: Node, vehicles: int) -> bool:
     return isinstance(node, Scalar) and type(node.value) is int and node.value > vehicles
 
 
-def _numbers(selector: str) -> list[str]:
-    return re.findall(r"\d{1,9}", selector, re.ASCII)
+def _numbers(selector: str) -> list[int]:
+    return [int(n) for n in re.findall(r"\d{1,9}", selector, re.ASCII)]
 
 
 SET, NET, FAULT = "--set", "--net", "--fault"

@@ -98,14 +98,14 @@ class Dropout(Section):
     """The navigation sensor repeats its last measurement, with this probability at each tick."""
 
     vehicles: v.VehicleNumbers | None = None
-    probability: v.Probability
+    probability: Annotated[v.Probability, v.loss_once("probability")]
 
 
 class DvlFault(Section):
     """The DVL of vehicles that navigate: samples that are lost, biased, or jump."""
 
     vehicles: v.VehicleNumbers | None = None
-    lost: v.Probability = 0.0  # of each sample
+    lost: Annotated[v.Probability, v.loss_once("lost")] = 0.0  # of each sample
     bias: v.Velocity = (0.0, 0.0, 0.0)  # body
     jump: v.Speed = 0.0  # standard deviation on each axis
     chance: v.Probability = 0.1  # that a sample jumps
@@ -115,7 +115,7 @@ class CompassFault(Section):
     """The same of the heading sensor."""
 
     vehicles: v.VehicleNumbers | None = None
-    lost: v.Probability = 0.0
+    lost: Annotated[v.Probability, v.loss_once("lost")] = 0.0
     bias: v.SignedAngle = 0.0
     jump: v.Angle = 0.0
     chance: v.Probability = 0.1
@@ -125,7 +125,7 @@ class FixFault(Section):
     """The same of the fixes of the position."""
 
     vehicles: v.VehicleNumbers | None = None
-    lost: v.Probability = 0.0
+    lost: Annotated[v.Probability, v.loss_once("lost")] = 0.0
     bias: v.PlanPosition = (0.0, 0.0)  # north, east
     jump: v.Length = 0.0
     chance: v.Probability = 0.1

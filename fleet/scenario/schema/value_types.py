@@ -12,7 +12,16 @@ from dataclasses import dataclass
 from math import radians
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler, InstanceOf, model_validator
+from pydantic import (
+    AliasChoices,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    InstanceOf,
+    model_validator,
+)
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from fleet import quantities as q
@@ -53,6 +62,11 @@ def section_of(annotation: Any) -> type[Section] | None:
         if section is not None:
             return section
     return None
+
+
+def loss_once(name: str) -> Any:
+    """The key `loss` for a share that is lost, which was `name` once: old files are read, and logs keep the word."""
+    return Field(alias="loss", validation_alias=AliasChoices("loss", name))
 
 
 def mistake(message: str, column: int = 0, hint: str = "") -> PydanticCustomError:

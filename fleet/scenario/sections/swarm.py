@@ -192,7 +192,7 @@ def _clock(strength: float, turn: float, ground: Ground) -> dict[str, Any]:
 def _instrument(bias: Callable[[float, float], str]) -> _Make:
     def make(strength: float, turn: float, ground: Ground) -> dict[str, Any]:
         if turn < 0.5:
-            return {"lost": f"{between(5, 100, strength):g} %"}
+            return {"loss": f"{between(5, 100, strength):g} %"}
         return {"bias": bias(strength, tau * 2.0 * (turn - 0.5))}
 
     return make
@@ -218,7 +218,7 @@ _KINDS: dict[str, _Make] = {
     "fix": _instrument(_plane(1.0, 50.0, "m", "")),
     "bias": lambda strength, turn, _: {"position": _plane(0.1, 5.0, "m")(strength, tau * turn)},
     "noise": lambda strength, *_: {"position_noise": f"{between(0.01, 1.0, strength):g} m"},
-    "dropout": lambda strength, *_: {"probability": f"{between(10, 100, strength):g} %"},
+    "dropout": lambda strength, *_: {"loss": f"{between(10, 100, strength):g} %"},
     "efficiency": lambda strength, *_: dict.fromkeys(
         ("surge", "pitch", "yaw"), f"{between(0.1, 0.9, 1.0 - strength):g}"
     ),

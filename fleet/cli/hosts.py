@@ -103,12 +103,7 @@ def rendezvous(scenario: Scenario, options: HostsOptions, *, in_process: bool) -
         found = Rendezvous()
         if listen:
             found = listening(
-                listen,
-                advertise=options.advertise,
-                mutual=options.mutual_tls,
-                certs=certs,
-                external=external,
-                lease_ms=lease_ms,
+                listen, certs, options.advertise, external=external, mutual=options.mutual_tls, lease_ms=lease_ms
             )
             check_free(listen)
         if certified:
@@ -126,15 +121,8 @@ def rendezvous(scenario: Scenario, options: HostsOptions, *, in_process: bool) -
         raise FleetError("--advertise is for --listen: agents are told the endpoint of --router")
     if not options.credentials:
         raise FleetError("--router needs --credentials FILE, which fleet hosts acl SCENARIO -o DIR writes")
-    return through_router(
-        router,
-        options.credentials,
-        scenario.vehicles,
-        mutual=options.mutual_tls,
-        certs=certs,
-        external=external,
-        lease_ms=lease_ms,
-    )
+    known, mutual = options.credentials, options.mutual_tls
+    return through_router(router, known, scenario.vehicles, certs, external=external, mutual=mutual, lease_ms=lease_ms)
 
 
 @click.group(cls=ListingGroup)

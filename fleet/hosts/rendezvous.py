@@ -6,7 +6,7 @@ import contextlib
 import ipaddress
 import re
 import socket
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -152,10 +152,7 @@ def parse_endpoint(text: str, option: str) -> RouterEndpoint:
         raise FleetError(f"{option}: expected tls/HOST:PORT or tcp/HOST:PORT such as tls/0.0.0.0:7447, got {text!r}")
     endpoint = RouterEndpoint(protocol, host, int(port))
     if not endpoint.wildcard:
-        try:
-            host_name(host)
-        except FleetError as error:
-            raise FleetError(f"{option}: {error}") from None
+        _host(option, host)
     return endpoint
 
 
@@ -184,7 +181,7 @@ def listening(
         raise FleetError(
             f"--certs and --mutual-tls are for tls: --listen {RouterEndpoint('tls', endpoint.host, endpoint.port)}"
         )
-    hosts = [_advertised(host) for host in advertise]
+    hosts = [_host("--advertise", host) for host in advertise]
     if endpoint.protocol == "tcp":
         hosts = hosts or [_own_address() if endpoint.wildcard else endpoint.host]
         reached = ",".join(str(RouterEndpoint("tcp", host, endpoint.port)) for host in hosts)
@@ -199,9 +196,7 @@ def listening(
     server = read_server(certs)
     roles = [agent_role(i) for i in external] if mutual else []
     return Rendezvous(
-        listener=Listener(
-            (str(endpoint),), lease_ms, server.ca, server.pair.certificate, server.pair.key, certified=frozenset(roles)
-        ),
+        listener=_with_tls(endpoint, lease_ms, server, roles),
         reached=",".join(_reached(endpoint, hosts, server, certs)),
         ca=server.ca,
         certificates={role: read_client(certs, role) for role in roles},
@@ -233,19 +228,17 @@ def listening_for_certificates(
     if rendezvous.listener and any(parse_endpoint(e, "").port == endpoint.port for e in rendezvous.listener.endpoints):
         raise FleetError(f"--listen and {CERTIFIED} are two routers: give them a port each, not both {endpoint.port}")
     server = read_server(certs)
-    reached = _reached(endpoint, [_advertised(host) for host in advertise], server, certs)
+    reached = _reached(endpoint, [_host("--advertise", host) for host in advertise], server, certs)
     return replace(
         rendezvous,
-        certified=Listener(
-            (str(endpoint),),
-            lease_ms,
-            server.ca,
-            server.pair.certificate,
-            server.pair.key,
-            certified=frozenset(map(agent_role, external)),
-        ),
+        certified=_with_tls(endpoint, lease_ms, server, map(agent_role, external)),
         folders={i: JoinFolder(i, reached, lease_ms, server.ca, read_client(certs, agent_role(i))) for i in external},
     )
+
+
+def _with_tls(endpoint: RouterEndpoint, lease_ms: int, server: ServerCertificate, roles: Iterable[str]) -> Listener:
+    own = server.pair
+    return Listener((str(endpoint),), lease_ms, server.ca, own.certificate, own.key, certified=frozenset(roles))
 
 
 def check_free(listen: str, option: str = "--listen") -> None:
@@ -354,11 +347,11 @@ def run_id(text: str) -> str:
     return Keys(text).run
 
 
-def _advertised(host: str) -> str:
+def _host(option: str, host: str) -> str:
     try:
         return host_name(host)
     except FleetError as error:
-        raise FleetError(f"--advertise: {error}") from None
+        raise FleetError(f"{option}: {error}") from None
 
 
 def _reached(endpoint: RouterEndpoint, hosts: list[str], server: ServerCertificate, certs: Path) -> tuple[str, ...]:

@@ -114,6 +114,7 @@ def mass_problems(params: VehicleParams) -> list[str]:
 _PROFILE_TICK_NS = 10_000_000
 
 _NAMES = {"qp_period": "qp_ticks", "horizon": "horizon_s"}  # scenario key -> parameter
+_TIMES = ("horizon", "tau_f")  # ns in a scenario, s in parameters
 
 Entries = tuple[str, ...]  # keys of per_vehicle
 
@@ -286,21 +287,14 @@ def qp_period_ns(name: str, section: GuidanceSection, tick_ns: int) -> int:
 
 def guidance_params(name: str, law: str, section: GuidanceSection, tick_ns: int) -> GuidanceParams:
     """The guidance parameters of profile `name` for a law, changed as the section says."""
-    changes = _tuned(section)
     # At least 1: where no QP runs, nothing asks that the tick divides its period, or is no longer.
-    changes["qp_ticks"] = max(1, qp_period_ns(name, section, tick_ns) // tick_ns)
-    changes.pop("qp_period", None)
-    if "horizon" in changes:
-        changes["horizon_s"] = changes.pop("horizon") / 1e9
-    return replace(profile(name, guidance=law)[0], **changes)
+    qp_ticks = max(1, qp_period_ns(name, section, tick_ns) // tick_ns)
+    return replace(profile(name, guidance=law)[0], **_tuned(section) | {"qp_ticks": qp_ticks})
 
 
 def tracking_params(name: str, law: str, section: TrackingSection) -> TrackingParams:
     """The tracking parameters of profile `name` for a law, changed as the section says."""
-    changes = _tuned(section)
-    if "tau_f" in changes:
-        changes["tau_f"] /= 1e9
-    return replace(profile(name, tracking=law)[1], **changes)
+    return replace(profile(name, tracking=law)[1], **_tuned(section))
 
 
 def given(section: Section) -> dict[str, Any]:
@@ -309,22 +303,28 @@ def given(section: Section) -> dict[str, Any]:
 
 
 def _tuned(section: Section) -> dict[str, Any]:
-    return {key: value for key, value in given(section).items() if key not in ("law", "parameters")}
+    """The parameters that a section sets, but for the period of the QP."""
+    values = {key: value for key, value in given(section).items() if key not in ("law", "parameters", "qp_period")}
+    return {_NAMES.get(key, key): value / 1e9 if key in _TIMES else value for key, value in values.items()}
 
 
 def guidance_section(params: GuidanceParams, law: str, tick_ns: int) -> GuidanceSection:
     """Every parameter that a law uses, as a scenario would give it."""
-    values: dict[str, Any] = {key: getattr(params, key) for key in GuidanceSection.model_fields if hasattr(params, key)}
-    values |= {"qp_period": params.qp_ticks * tick_ns, "horizon": round(params.horizon_s * 1e9)}
-    return GuidanceSection.model_construct(**_only(values, used("guidance", law)))
+    values = _shown(GuidanceSection, "guidance", params, law)
+    return GuidanceSection.model_construct(
+        **{key: value * tick_ns if key == "qp_period" else value for key, value in values.items()}
+    )
 
 
 def tracking_section(params: TrackingParams, law: str) -> TrackingSection:
     """Every parameter that a law uses, as a scenario would give it."""
-    values: dict[str, Any] = {key: getattr(params, key) for key in TrackingSection.model_fields if hasattr(params, key)}
-    return TrackingSection.model_construct(
-        **_only(values | {"tau_f": round(params.tau_f * 1e9)}, used("tracking", law))
-    )
+    return TrackingSection.model_construct(**_shown(TrackingSection, "tracking", params, law))
+
+
+def _shown(section: type[Section], kind: str, params: GuidanceParams | TrackingParams, law: str) -> dict[str, Any]:
+    keys = sorted(used(kind, law).intersection(section.model_fields), key=[*section.model_fields].index)
+    values = {key: getattr(params, _NAMES.get(key, key)) for key in sorted(keys, key=_NAMES.__contains__)}
+    return {key: round(value * 1e9) if key in _TIMES else value for key, value in values.items()}
 
 
 def used(kind: str, law: str) -> frozenset[str]:
@@ -334,10 +334,6 @@ def used(kind: str, law: str) -> frozenset[str]:
     names: Iterable[str] = laws[law].uses if law in laws else (f.name for f in fields(params))
     back = {parameter: key for key, parameter in _NAMES.items()}
     return frozenset(back.get(name, name) for name in names)
-
-
-def _only(values: dict[str, Any], keys: frozenset[str]) -> dict[str, Any]:
-    return {key: value for key, value in values.items() if key in keys}
 
 
 def inlined_vehicle(section: VehicleSection, folder: Path | None) -> VehicleSection:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from math import isfinite
 
 from agents.config import AgentConfig
@@ -27,35 +27,18 @@ class Brain:
         x, y, z = config.tau_max
         self._tau_limits: tuple[Vec3, Vec3] = ((-x, -y, -z), (x, y, z))
 
-    def step(self, nav: Nav, deliveries: Iterable[Delivery]) -> Step:
-        """Answer one sample: payloads on round ticks, what was received is absorbed, tau is decided.
-
-        Args:
-            nav: own state at this tick.
-            deliveries: what became due at this tick, ordered by (due_tick, sent_tick, src, seq).
-
-        Raises:
-            ControllerError: the measurement is not finite, time went back, or a law failed and `on_error` is not coast.
-        """
+    def step(self, nav: Nav, deliveries: Sequence[Delivery]) -> Step:
+        """Answer one sample: payloads on round ticks, and the decision. Raises as `decide`."""
         payloads = self.transmit(nav) if nav.tick % self.config.round_ticks == 0 else ()
         tau, telemetry = self.decide(nav, deliveries)
         return Step(tau, telemetry, payloads)
 
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:
-        """The payloads to every neighbour.
-
-        Args:
-            nav: own state at this tick.
-        """
+        """The payloads to every neighbour."""
         raise NotImplementedError
 
-    def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> Decision:
-        """The same as `step` without the payloads.
-
-        Args:
-            nav: own state at this tick.
-            deliveries: as for `step`.
-        """
+    def decide(self, nav: Nav, deliveries: Sequence[Delivery]) -> Decision:
+        """The same as `step` without the payloads."""
         raise NotImplementedError
 
     def take_notes(self) -> list[tuple[int, str]]:
@@ -84,7 +67,6 @@ class Brain:
         return (tick - last) * self._tick_s
 
     def _coast(self, error: ControllerError) -> None:
-        """Let the vehicle coast from now on if `on_error` says so; otherwise raise the error."""
         if self.config.on_error != "coast":
             raise error
         self._failed = True
@@ -92,7 +74,6 @@ class Brain:
         self._notes.append((error.tick, f"{error.problem}{where}; it is not called again, the vehicle coasts"))
 
     def _check(self, tick: int, demand: Vec3, telemetry: tuple[float, ...]) -> None:
-        """Raise for the first value that is not finite, if there is one."""
         if isfinite(sum(telemetry, 0.0) + sum(demand, 0.0)):
             return
         for group, signal, place in self.layout.signals():

@@ -192,11 +192,7 @@ class AgentConfig:
     localization: LocalizationParams | None = None  # between navigation and guidance; None: nothing is there
 
     def desired(self, t: float) -> Motion:
-        """Where this vehicle should be at time t [s], and how it should move: pd_i = eta_1^d + p_i and its rate.
-
-        Raises:
-            ValueError: this agent does not know the reference.
-        """
+        """Where to be at time t [s], and how to move: pd_i = eta_1^d + p_i. Raises ValueError: it is not known."""
         if self.reference is None:
             raise ValueError(f"agent {self.id} is not told the reference (knows_reference: false), only what it hears")
         reference = self.reference.at(t)

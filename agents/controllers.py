@@ -68,11 +68,7 @@ class RunningLaw(Protocol):
 
 
 def law_class(kind: str, law: Law) -> type[Any]:
-    """The class of a law, ours or a user's.
-
-    Raises:
-        PluginError: there is none, or it cannot be used.
-    """
+    """The class of a law, ours or a user's. Raises PluginError: there is none, or it cannot be used."""
     ours = BUILT_IN[kind].get(law.name)
     return ours if ours is not None else load(kind, law)
 
@@ -104,11 +100,7 @@ def laws(config: LawChoice) -> dict[str, Law]:
 
 
 def layout(config: LawChoice) -> SignalLayout:
-    """The values that an agent with these laws reports.
-
-    Raises:
-        PluginError: one of its laws cannot be used.
-    """
+    """The values that an agent with these laws reports. Raises PluginError: one of its laws cannot be used."""
     signals = {kind: law_class(kind, law).signals for kind, law in laws(config).items()}
     if "agent" in signals:
         return SignalLayout((), signals["agent"])
@@ -143,12 +135,7 @@ class Cascade:
     """A guidance law followed by a tracking law, and by what keeps vehicles apart between them."""
 
     def __init__(self, config: AgentConfig, notes: Notes, neighbours: NeighbourTable | None = None) -> None:
-        """
-        Args:
-            config: the agent's slice of the scenario.
-            notes: takes (tick, text) of what a person should know about the laws.
-            neighbours: what is kept apart from; without them nothing is.
-        """
+        """Make both laws; `notes` as for `build`. Without `neighbours` nothing is kept apart."""
         self._params = config.tracking
         self.guidance = _make("guidance", config, config.guidance_law, "velocity", notes)
         self.tracking = _make("tracking", config, config.tracking_law, "(tau1, tau2, tau3)", notes)
@@ -195,12 +182,7 @@ class Cascade:
 
 
 def build(config: AgentConfig, notes: Notes, neighbours: NeighbourTable) -> Cascade | FencedController:
-    """The controller of one agent.
-
-    Args:
-        config: the agent's slice of the scenario.
-        notes: takes (tick, text) of what a person should know about the laws.
-        neighbours: what it knows of them.
+    """The controller of one agent; `notes` takes (tick, text) of what a person should know about the laws.
 
     Raises:
         PluginError: one of its laws cannot be used.

@@ -42,11 +42,7 @@ class FormationAgent:
     """The agent that a vehicle has if the user gives it no whole agent: it keeps the formation."""
 
     def __init__(self, config: AgentConfig) -> None:
-        """Make it.
-
-        Args:
-            config: the agent's own slice of the scenario.
-        """
+        """Make it of the agent's own slice of the scenario."""
         self._agent = Agent(replace(config, agent=None))
         layout: SignalLayout = self._agent.layout
         self._where = {signal.name: (signal.width, place) for _, signal, place in layout.signals()}
@@ -72,9 +68,8 @@ class FormationAgent:
         Raises:
             ControllerError: the measurement is not finite, time went back, or a law failed.
         """
-        self._agent.course = None if course is None else _motion(course)
         states = [d for d in deliveries if d.payload[:1] != _OWN]
-        tau, telemetry = self._agent.decide(by_simulated_time(nav), states)
+        tau, telemetry = self._agent.decide(by_simulated_time(nav), states, None if course is None else _motion(course))
         return tau, {
             name: telemetry[place.start] if width == 1 else telemetry[place]
             for name, (width, place) in self._where.items()

@@ -127,7 +127,6 @@ def _connect(joining: JoinFile) -> Bus:
 
 
 def _reached(endpoint: str) -> bool:
-    """Whether a process accepts connections at an endpoint; true if the endpoint is of another form."""
     parts = ENDPOINT.fullmatch(endpoint)
     if parts is None:
         return True

@@ -63,11 +63,7 @@ class JoinFile(msgspec.Struct, frozen=True):
         return f"JoinFile({self.endpoint!r}, run={self.run!r}, vehicle={self.vehicle}, password=***)"
 
     def write(self, path: Path) -> None:
-        """Make the file, or replace it as a whole; only this user can read it.
-
-        Raises:
-            OSError: it cannot be written.
-        """
+        """Make the file, or replace it as a whole; only this user can read it. Raises OSError: it cannot be written."""
         values = {key: value for key, value in msgspec.structs.asdict(self).items() if value != _ONE_HOST.get(key)}
         write_whole(path, (json.dumps(values, indent=2) + "\n").encode())
 

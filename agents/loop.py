@@ -108,11 +108,7 @@ class AgentLoop:
         return self._advance()
 
     def inbox(self, inbox: Inbox) -> list[Answer]:
-        """Take the next round's deliveries.
-
-        Raises:
-            OutOfPlace: a later incarnation's, or not the next round.
-        """
+        """Take the next round's deliveries. Raises OutOfPlace: a later incarnation's, or not the next round."""
         if not self._is_mine(inbox.incarnation):
             return []
         expected = max(0, self._known + self.round_ticks)
@@ -176,14 +172,7 @@ class AgentLoop:
 
 
 def restore(core: AgentCore | None, memory: bytes) -> list[Delivery]:
-    """Give an agent core what another one remembered.
-
-    Args:
-        core: the receiver of the memory; None: there is none.
-
-    Returns:
-        The deliveries in the memory that were not due yet.
-    """
+    """Give an agent core, if there is one, what another remembered; returns its deliveries that were not due yet."""
     state, deliveries = msgpack.unpackb(memory)
     if core is not None:
         core.restore(state)

@@ -111,7 +111,6 @@ class HostProcess:
                 parts.clear()
 
     def _pass(self, part: BundlePart) -> None:
-        """Pass a message on to its agent, if that lives, and keep the answers."""
         i = part.vehicle
         agent = self._agents.get(i)
         if agent is None:
@@ -139,7 +138,6 @@ class HostProcess:
                 to.append(BundlePart(i, encode(answer)))
 
     def _lose(self, i: int, status: int) -> None:
-        """An agent has ended by itself; the others go on."""
         del self._agents[i]
         self._note(encode(Ended(i, status)))
 

@@ -20,19 +20,16 @@ unstable. "reference" is stable for every delay. "hold" is stable and lags behin
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
-from agents.compact import decode as decode_compact
-from agents.config import Codec, Extrapolation, Neighbour, Offset
+from agents.codecs import FullCodec
+from agents.config import AgentConfig, Neighbour
 from agents.errors import PayloadError
 from agents.laws.keep_apart import Seen
-from agents.localization.payload import decode as decode_located
-from agents.localization.payload import is_located
-from agents.payload import CAUSES, StateMessage, decode
+from agents.payload import CAUSES, StateMessage
 from agents.sample import NeighbourState
-from agents.trajectory import Reference
-from netem.wire.messages import Delivery
+from netem.wire.messages import Delivery, Nav
 from world.vectors import Vec3, minus, plus
 
 AHEAD_S = 60.0  # by so much the clock of a neighbour may be ahead of the own one
@@ -40,44 +37,28 @@ _NO_RANGE = (None, None)
 _REFUSED = (*CAUSES, "wrong_sender", "from_future")
 
 
+def own_time(nav: Nav, tick_ns: int) -> tuple[int, float, int]:
+    """Tick and time [s] by a vehicle's clock, and by how many ticks a neighbour's may be ahead: 0 if all are right."""
+    if nav.clock_ns is None:
+        return nav.tick, nav.tick * tick_ns / 1e9, 0
+    return nav.clock_ns // tick_ns, nav.clock_ns / 1e9, round(AHEAD_S / (tick_ns / 1e9))
+
+
 class NeighbourTable:
     """The newest state of each in-neighbour, by its sending tick."""
 
-    def __init__(
-        self,
-        neighbours: Sequence[Neighbour],
-        extrapolation: Extrapolation,
-        reference: Reference | None,
-        offset: Offset,
-        tick_s: float,
-        age_cap_s: float = 0.0,
-        drop_after_s: float = 0.0,
-        codec: Codec = "full",
-        round_ticks: int = 1,
-    ) -> None:
-        """Begin with no neighbour heard.
-
-        Args:
-            neighbours: number, weight and offset of each.
-            extrapolation: the way to make up for the age of a message.
-            reference: eta_1^d. None: this agent does not know it.
-            offset: the own offset p_i [m, NED].
-            tick_s: control period Ts [s].
-            age_cap_s: extrapolation stops at this age [s]. With 0 it never stops.
-            drop_after_s: a neighbour whose last state is older [s] is left out. With 0 every neighbour counts.
-            codec: the format of the neighbours' payloads.
-            round_ticks: ticks from one round to the next.
-        """
+    def __init__(self, config: AgentConfig, codec: FullCodec) -> None:
+        """Begin with no neighbour heard; `codec` reads their payloads."""
         # One order for the sums, whatever the order of the configuration or of arrival.
-        self._neighbours = tuple(sorted(neighbours, key=lambda n: n.id))
-        self._extrapolation = extrapolation
-        self._reference = reference
-        self._offset = offset  # own: p_j = p_i - Delta_ij
-        self._tick_s = tick_s
-        self._compact_round = round_ticks if codec == "compact" else 0
+        self._neighbours = tuple(sorted(config.neighbours, key=lambda n: n.id))
+        self._extrapolation = config.extrapolation
+        self._reference = config.reference
+        self._offset = config.offset  # own: p_j = p_i - Delta_ij
+        self._codec = codec
+        self._tick_s = tick_s = config.tick_ns / 1e9
         # In ticks, so that neither depends on how a product of floats is rounded.
-        self._age_cap = round(age_cap_s / tick_s) if age_cap_s else None
-        self._drop_after = round(drop_after_s / tick_s) if drop_after_s else None
+        self._age_cap = round(config.age_cap_s / tick_s) if config.age_cap_s else None
+        self._drop_after = round(config.drop_after_s / tick_s) if config.drop_after_s else None
         self._newest: dict[int, StateMessage | None] = {n.id: None for n in self._neighbours}
         self._ranges: dict[int, tuple[float, float]] = {}  # with the newest state: range and standard deviation [m]
         self.counters = dict.fromkeys(("accepted", "duplicate", "superseded", *_REFUSED), 0)
@@ -85,13 +66,7 @@ class NeighbourTable:
         self.rejected = 0  # payloads that were refused so far: damaged, not ours, or not from who the network names
 
     def absorb(self, deliveries: Iterable[Delivery], now: int, ahead: int = 0) -> None:
-        """Take the packets that are due. Payloads that cannot be used are counted and dropped.
-
-        Args:
-            deliveries: the packets that are due.
-            now: the present tick by the own clock.
-            ahead: a neighbour's clock may be ahead of the own one by this many ticks. 0: all clocks are right.
-        """
+        """Take the packets that are due; those that cannot be used are counted. `now` and `ahead`: see `own_time`."""
         for delivery in deliveries:
             became = self._absorb(delivery, now, ahead)
             self.counters[became] += 1
@@ -99,12 +74,7 @@ class NeighbourTable:
 
     def _absorb(self, delivery: Delivery, now: int, ahead: int) -> str:
         try:
-            if is_located(delivery.payload):
-                message = decode_located(delivery.payload).state
-            elif self._compact_round:
-                message = decode_compact(delivery.payload, now, self._compact_round, ahead)
-            else:
-                message = decode(delivery.payload)
+            message = self._codec.decode(delivery.payload, now, ahead)
         except PayloadError as error:
             return error.cause
         # The network knows the sender of a packet. A payload that names another one is damaged or forged.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from math import nan
 from typing import Any
 
@@ -48,7 +48,7 @@ class PluggedAgent(Brain):
             return ()
         return tuple(payloads)
 
-    def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> Decision:
+    def decide(self, nav: Nav, deliveries: Sequence[Delivery]) -> Decision:
         """Forces from what it measures and receives; none once it has failed."""
         tick = nav.tick
         self._elapsed(tick)

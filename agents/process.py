@@ -171,7 +171,6 @@ class AgentProcess:
                 self._answer(key, message)
 
     def _answer(self, key: str, message: Message) -> None:
-        """Pass a nav or an inbox on, and publish the answers."""
         for answer in self._agent.take(key, message):
             (self._tx if isinstance(answer, (Transmission, Receipt)) else self._cmd)(encode(answer))
 

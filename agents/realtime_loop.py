@@ -37,11 +37,7 @@ class RealtimeLoop(AgentLoop):
         return [newest] if sends is newest else [sends, newest]
 
     def nav(self, nav: Nav) -> list[Answer]:
-        """Answer a nav.
-
-        Raises:
-            OutOfPlace: a later incarnation's, or not newer than the one before.
-        """
+        """Answer a nav. Raises OutOfPlace: a later incarnation's, or not newer than the one before."""
         if not self._is_mine(nav.incarnation):
             return []
         if nav.tick <= self._tick:

@@ -174,11 +174,6 @@ class Path:
 
     @cached_property
     def _pieces(self) -> tuple[list[float], list[_Piece], float]:
-        """Where each piece starts [m], the pieces, and the length of all.
-
-        Raises:
-            PathError: the arcs do not fit.
-        """
         points = self.points
         count = len(points)
         if count < (3 if self.closed else 2):

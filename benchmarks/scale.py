@@ -170,7 +170,8 @@ def _measured(scenario: Scenario, *, in_process: bool) -> tuple[_Meter, float]:
                 if in_process:
                     InProcess(scenario, journal).serve(GrantPolicy.of(scenario), meter)
                     return meter, 0.0
-                console = Console(scenario, directory, journal, options, "5ca1e", lambda _: None)
+                shared = hosting(scenario, options)
+                console = Console(scenario, directory, journal, options, shared, "5ca1e", lambda _: None)
                 console.serve(GrantPolicy.of(scenario), meter)
                 return meter, console.started_s
             except RunBroken as error:

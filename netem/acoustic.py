@@ -144,7 +144,6 @@ class AcousticChannel:
     # ---------------------------------------------------------------------------------- the modems
 
     def _accept(self, tick: int, src: int, payload: bytes, faults: ActiveFaults) -> None:
-        """Take a payload from an agent, and count it as sent on every link of the sender."""
         station = self._stations[src]
         sent = Waiting(tick + faults.slow.get(src, 0), station.seq, tick, payload)
         station.seq += 1
@@ -156,7 +155,6 @@ class AcousticChannel:
             station.late = sorted([*station.late, sent])
 
     def _next_event(self, alive: list[Station], until: int) -> int | None:
-        """The next tick before `until` with work for a modem; None if there is none."""
         ticks = [answer.start_tick for answer in self._answers]
         ticks += [query.start_tick for query in self._ranges.queries]
         for station in alive:
@@ -228,7 +226,6 @@ class AcousticChannel:
             self._schedule(station, station.free_tick)
 
     def _drop(self, tick: int, src: int, station: Station) -> None:
-        """Forget what is in the modem of a vehicle without an agent."""
         for sent in (*station.late, *station.waiting):
             self._lose_unsent(src, sent, tick, Cause.DEAD_SENDER)
         if (transfer := self._transfers.pop(src, None)) is not None:
@@ -350,7 +347,6 @@ class AcousticChannel:
         self._transit.hand_over(self._ranges.received(packet, r))
 
     def _answered(self, r: Reception, cause: Cause | None) -> None:
-        """Take in an acknowledgement that has ended at the sender of the payload."""
         transfer = self._transfers.get(r.dst)
         if cause is None and transfer is not None and (r.seq, r.src) == (transfer.sent.seq, transfer.to[0]):
             station = self._stations[r.dst]

@@ -70,11 +70,7 @@ class Ages:
         self.links: dict[Link, InformationAge] = {link: InformationAge() for link in sorted(links)}
 
     def settle(self, fate: Fate) -> None:
-        """Take a final fate.
-
-        Raises:
-            KeyError: it names a link that does not exist.
-        """
+        """Take a final fate. Raises KeyError: it names a link that does not exist."""
         if fate.cause == Cause.DELIVERED and not fate.corrupted:
             self.links[fate.src, fate.dst].hear(fate.sent_tick, fate.due_tick)
 

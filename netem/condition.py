@@ -173,7 +173,6 @@ def lost_share(condition: Condition) -> float:
 
 
 def _four_state_loss(model: FourState) -> float:
-    """The share of time in the two states that lose, by the balance of what enters and leaves each state."""
     gap, alone = 1.0, model.p14
     if not model.p13:
         burst = lost = 0.0

@@ -54,11 +54,7 @@ def fault_from_values(values: list[Any]) -> NetFault:
 
 
 def read_faults(values: Any) -> tuple[NetFault, ...]:
-    """Faults from the plain values of a request.
-
-    Raises:
-        MalformedMessage: they are no such values.
-    """
+    """Faults from the plain values of a request. Raises MalformedMessage: they are no such values."""
     try:
         faults = tuple(fault_from_values(fault) for fault in msgspec.convert(values, list[list[Any]]))
     except msgspec.ValidationError as error:

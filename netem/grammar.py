@@ -67,11 +67,7 @@ _SELECTOR = re.compile(r"\s*(\*|\d{1,9})\s*(<?->)\s*(\*|\d{1,9})\s*", re.ASCII)
 
 
 def parse_selector(text: str) -> Selector:
-    """The links that `text` names.
-
-    Raises:
-        TextError: the text is no selector.
-    """
+    """The links that `text` names. Raises TextError: the text is no selector."""
     if text.strip() == "*":
         return Selector(None, None)
     match = _SELECTOR.fullmatch(text)
@@ -309,7 +305,6 @@ _PARSERS: dict[str, Callable[[_Reader], dict[str, Any]]] = {
 
 
 def _number(reader: _Reader, what: str, example: str) -> tuple[Fraction, str, int]:
-    """The next number, its unit ("" without one) and its column."""
     column, got = reader.at, reader.peek()
     value = reader.value()
     if value is None:

@@ -250,7 +250,6 @@ class LinkModel:
         return x
 
     def _use(self, condition: Condition) -> None:
-        """Use a condition from now on: the link's own, or that of a fault."""
         self._used = condition
         # The condition of a fault must not seed the link anew.
         own = self._seed if self.condition.seed is None else self.condition.seed

@@ -99,13 +99,11 @@ class StateProcess:
         self._enter(0, self._drawn(0, self._states.shares))
 
     def _enter(self, number: int, state: int) -> None:
-        """The chain comes to its state number `number`, counted from 0."""
         u = unit(self._key + packed(number), self._of_stay)
         self._number, self._state, self._begin_ns = number, state, self._end_ns
         self._end_ns += max(1, round(-self._states.mean_ns[state] * log1p(-u)))
 
     def _drawn(self, number: int, chances: Sequence[float]) -> int:
-        """Draw a state; `chances` are the probabilities of the states."""
         if 1.0 in chances:  # of two states the other follows
             return chances.index(1.0)
         u = unit(self._key + packed(number), self._of_state)

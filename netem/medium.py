@@ -107,11 +107,7 @@ class Medium(Protocol):
     """Turns the payloads of a round into packets and losses in a `Transit`."""
 
     def carry(self, round_: MediumRound) -> None:
-        """Take the payloads of a round.
-
-        Raises:
-            ValueError: the medium needs positions, and there are none.
-        """
+        """Take the payloads of a round. Raises ValueError: the medium needs positions, and there are none."""
 
     def close(self, end_tick: int) -> None:
         """Hand over everything that the medium still holds when the run ends."""

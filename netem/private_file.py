@@ -6,6 +6,8 @@ import errno
 import os
 import re
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from secrets import token_hex
 from typing import IO, TypeVar
@@ -33,6 +35,25 @@ def write_whole(path: Path, data: bytes, mode: int = 0o600) -> None:
     except OSError:
         temporary.unlink(missing_ok=True)
         raise
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Where to write what shall become `path` at the end; an error or Ctrl-C on the way leaves nothing.
+
+    A link stays one: what it leads to is replaced. A device or a pipe is written to at once.
+    """
+    if path.exists() and not path.is_file():  # a device or a pipe, which cannot replace another file
+        yield path
+        return
+    path = Path(os.path.realpath(path))  # what a link points to is replaced, not the link
+    part = path.with_name(f"{path.stem}.part{path.suffix}")  # some writers go by the suffix
+    try:
+        yield part
+        part.replace(path)
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
 
 
 def open_file(path: Path) -> IO[bytes]:

@@ -145,7 +145,6 @@ class OneWay(NoRanges):
         return [(packet, MeasuredRange(distance + error, self._ranging.noise, self._tick, distance))]
 
     def _error(self, src: int, dst: int, seq: int) -> float:
-        """Noise and outlier [m] of the range of a packet."""
         ranging, seed = self._ranging, self._seed
         error = ranging.noise * normal(seed, NOISE, src, dst, seq) if ranging.noise else 0.0
         if ranging.outliers and uniform(seed, OUTLIER, src, dst, seq) < ranging.outliers:
@@ -222,7 +221,6 @@ class TwoWay(OneWay):
         return MeasuredRange(distance + error, self._ranging.noise, tick, distance)
 
     def _due(self, packet: PendingPacket, tick: int) -> PendingPacket:
-        """The packet when it is handed over at a tick, or later."""
         due = max(packet.due_tick, tick)
         return packet._replace(due_tick=due, delay_ns=max(packet.delay_ns, (due - packet.sent_tick) * self._tick_ns))
 

@@ -61,11 +61,7 @@ class Rounds:
         taken[i] = message.payloads
 
     def round(self, message: Round) -> None:
-        """Take from the world who is alive at a round tick.
-
-        Raises:
-            OutOfPlace: not the next round.
-        """
+        """Take from the world who is alive at a round tick. Raises OutOfPlace: not the next round."""
         if message.tick != self._next:
             raise OutOfPlace("round", self._next, message.tick)
         self._alive[message.tick] = message
@@ -112,7 +108,6 @@ class Rounds:
         self._next = tick
 
     def _memory(self, tick: int) -> bytes:
-        """The state of the network before a round, without the faults, which a log has anyway."""
         every = self.config.memory_ticks
         if not every or tick % every or tick == 0:
             return b""

@@ -99,7 +99,6 @@ class Clocks:
         return self._own.get(i, _RIGHT).drift + sum(drifts)
 
     def _concerning(self, i: int, tick: int) -> list[ClockChange]:
-        """The faults of vehicle i's clock that have begun."""
         return [f for f in self._faults if f.begin <= tick and (not f.vehicles or i in f.vehicles)]
 
 

@@ -124,7 +124,6 @@ class Lockstep:
         self.state.resume(tick, memory)
 
     def _note_memory(self, i: int, k: int, *, asked: bool) -> None:
-        """Note what vehicle i remembers before tick k, if it is time; an agent that is asked sends its own later."""
         if self._memory_ticks and k % self._memory_ticks == 0 and k:
             vehicles = self._memories.setdefault(k, {})
             if (known := self.state.memory(i, None if asked else b"")) is not None:
@@ -179,6 +178,5 @@ class Lockstep:
             k += 1
 
     def _with_frames(self, out: list[Out]) -> list[Out]:
-        """The next messages, followed by the frames that are complete now."""
         out += self.state.frames.complete(self._take_memory)
         return out

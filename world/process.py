@@ -286,7 +286,6 @@ class WorldProcess:
                 self._grant_heard = True
 
     def _from_host(self, h: int, message: Message) -> None:
-        """Do what the agents of a host ask for, and answer them together."""
         if isinstance(message, Hello):
             _check_version(message)
             self._probes.spend(-h)
@@ -305,11 +304,6 @@ class WorldProcess:
             self._publish(out)  # also when one vehicle cannot be moved: the others were
 
     def _from_agent(self, i: int, data: bytes) -> list[Out]:
-        """Take a message of agent i.
-
-        Returns:
-            The messages to be published next.
-        """
         message = expect(data, Command, Memory, Hello)
         if i not in self._nav:
             raise MalformedMessage("cmd", f"no vehicle {i} in this run")
@@ -373,7 +367,6 @@ class WorldProcess:
         return self._turns.holds(i)
 
     def _send_navs(self, turn: Turn) -> None:
-        """Send navs to agents of one process."""
         self._sent["nav"] += len(turn)
         i, nav = turn[0]
         if host := self._hosts.of(i, nav.incarnation):
@@ -450,7 +443,6 @@ class WorldProcess:
                 respond(msgpack.packb({"error": f"no operation {other!r:.40}"}))
 
     def _rejected(self) -> dict[str, int]:
-        """How many messages were dropped or refused, by key and reason."""
         # Copies, which are made in one piece: other threads count meanwhile.
         return {**self._shell.rejected.copy(), **self._refusals.counts.copy()}
 

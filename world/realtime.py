@@ -116,7 +116,6 @@ class RealtimeRun:
         return out
 
     def _is_to_get(self, i: int, k: int) -> bool:
-        """Whether vehicle i's agent gets its nav of tick k: always, unless it is silent."""
         whiles, rest = divmod(k - self._heard[i], self._patience)
         if not whiles:
             return True
@@ -201,7 +200,6 @@ class RealtimeRun:
         return [*state.frames.complete(lambda tick: b"")]
 
     def _count(self, i: int, *, in_time: bool) -> None:
-        """Count a tick: the answer of vehicle i's agent was, or was not, there at its end."""
         count = self.punctuality[i]
         if in_time:
             count.row = 0

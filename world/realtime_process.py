@@ -135,18 +135,12 @@ class RealtimeWorldProcess(WorldProcess):
         return self._realtime.command(i, command, data)
 
     def _wait(self, until_ns: int) -> None:
-        """Take what comes in until `until_ns`; what is there already, in any case."""
         while (left := until_ns - monotonic_ns()) > 0:
             self._take_next(left / 1e9)
         for _ in range(len(self._came)):
             self._take_next()
 
     def _wait_for_grant(self, k: int) -> bool:
-        """Take what comes in until tick k may start.
-
-        Returns:
-            Whether it had to wait.
-        """
         if self._state.granted > k:
             return False
         while self._state.granted <= k:

@@ -86,7 +86,6 @@ class FrameAssembly:
         return frames
 
     def _frame_of(self, tick: int) -> int:
-        """The frame that a change at a tick belongs to: of that tick, or the next one after it."""
         return min(-(-tick // self._every) * self._every, self._ticks)
 
 
@@ -289,12 +288,6 @@ class RunState:
         self.frames.resume(tick)
 
     def _watch_pitch(self, i: int, k: int, before: tuple[float, float], after: tuple[float, float]) -> None:
-        """Put into the next frame that vehicle i began to tumble or came back, if it did so on the way to tick k.
-
-        Args:
-            before: pitch theta [rad] and pitch rate q [rad/s] at tick k - 1.
-            after: the same at tick k.
-        """
         tumbled = i in self._tumbled
         if tumbles(tumbled, self._tumble_limits[i], before, after, self._tick_s) != tumbled:
             self._tumbled ^= {i}

@@ -380,13 +380,11 @@ class World:
 
 
 def _joined(measured: Measured) -> tuple[float, ...]:
-    """Eta, nu and roll, one after the other."""
     eta, nu, roll = measured
     return (*eta, *nu, *roll)
 
 
 def _of_plant(plant: Any) -> State:
-    """The 5-DOF part of where a plant is and how it moves."""
     x, y, z, _, theta, psi = plant.pose
     u, v, w, _, q, r = plant.velocity
     return x, y, z, theta, psi, u, v, w, q, r

@@ -53,7 +53,6 @@ def _range(before: tuple[float, float], after: tuple[float, float], h: float) ->
 
 
 def _roots(a: float, b: float, c: float) -> tuple[float, ...]:
-    """The real roots of a s^2 + b s + c."""
     discriminant = b * b - 4.0 * a * c
     if discriminant < 0.0:
         return ()

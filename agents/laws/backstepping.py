@@ -152,11 +152,9 @@ class _Backstepping:
         raise NotImplementedError
 
     def state(self) -> dict[str, Any]:
-        """Plain values of everything that the next sample depends on."""
         return {"filters": [f.state() for f in self._filters]}
 
     def restore(self, values: dict[str, Any]) -> None:
-        """Continue from `state()`."""
         for angle_rate, state in zip(self._filters, values["filters"], strict=True):
             angle_rate.restore(state)
 
@@ -258,5 +256,4 @@ class SlidingModeTracking(_WithRates):
 
 
 def _sat(s: float) -> float:
-    """`s` within [-1, 1]."""
     return max(-1.0, min(1.0, s))

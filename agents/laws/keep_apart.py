@@ -153,7 +153,6 @@ def apart(rho: Vec3, found: Sequence[Bound], ahead: Bound, params: KeepApartPara
 
 
 def _widest(rho: Vec3, params: KeepApartParams) -> Vec3:
-    """The greatest commanded velocity on each axis [m/s]; rho itself is within it."""
     x, y, z = rho
     return max(params.speed, abs(x)), max(params.speed, abs(y)), max(params.climb, abs(z))
 
@@ -195,7 +194,6 @@ def _aside(bound: Bound, rho: Vec3) -> Vec3:
 
 
 def _direction(away: Vec3) -> tuple[Vec3, float]:
-    """Unit vector and length."""
     length = sqrt(dot(away, away))
     return (scale(away, 1.0 / length), length) if length > 0.0 else ((1.0, 0.0, 0.0), 0.0)
 

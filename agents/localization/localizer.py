@@ -19,7 +19,7 @@ way since, from the localiser's history. The sender's position is carried on by 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from math import atan2, cos, exp, hypot, sin, sqrt
 from typing import Any, NamedTuple
 
@@ -318,7 +318,26 @@ _DRIFT_MPS = 0.05  # by which a sender's velocity is off, until the range is mea
 _NOTHING: Covariance = (0.0, 0.0, 0.0)
 
 
-class Localizer:
+class Navigated:
+    """A vehicle is where its navigator says; what it hears of others moves it nowhere."""
+
+    def located(self, nav: Nav) -> Nav:
+        return nav
+
+    def absorb(self, nav: Nav, deliveries: Sequence[Delivery]) -> Nav:
+        return nav
+
+    def telemetry(self) -> tuple[float, ...]:
+        return ()
+
+    def state(self) -> dict[str, Any]:
+        return {}
+
+    def restore(self, values: dict[str, Any]) -> None:
+        """Nothing is remembered."""
+
+
+class Localizer(Navigated):
     """The estimate of one vehicle. Call `located` at every sample, and `absorb` with what has come."""
 
     signals = (
@@ -420,7 +439,7 @@ class Localizer:
             fresh = self._alone and (self._tick - self._fixed) * self._tick_s <= _FRESH_S  # type: ignore[operator]
         return LocatedMessage(state, self.covariance, fresh)
 
-    def absorb(self, nav: Nav, deliveries: Iterable[Delivery]) -> Nav:
+    def absorb(self, nav: Nav, deliveries: Sequence[Delivery]) -> Nav:
         """Use the ranges that have come, and return the nav with the position from all information so far."""
         self.located(nav)
         now = nav.tick if nav.clock_ns is None else round(nav.clock_ns / (self._tick_s * 1e9))
@@ -500,20 +519,26 @@ class Localizer:
         mirror.settle()
 
     def telemetry(self) -> tuple[float, ...]:
-        """The values of `signals`."""
+        """The values of `signals`; none where no ranges are used."""
+        if self._params is None:
+            return ()
         mirror = 0.0 if self.mirror is None else self.mirror.probability
         return (*self._place, self._depth, *self.covariance, float(self.used), float(self.refused), mirror)
 
-    def state(self) -> list[Any]:
+    def state(self) -> dict[str, Any]:
         """Everything that the next sample depends on, as plain values."""
         numbers = [*self._place, *self._covariance, self._depth, *self._own, *self._velocity, *self._way]
         history = [list(kept) for kept in self._history]
         mirror = None if self.mirror is None else [*self._navigator, self.mirror.state()]
-        return [self._tick, numbers, history, self._fixed, self._alone, self.used, self.refused, mirror, self._span]
+        counted = self._fixed, self._alone, self.used, self.refused
+        return {"localizer": [self._tick, numbers, history, *counted, mirror, self._span]}
 
-    def restore(self, values: list[Any]) -> None:
-        """Continue from `state()`."""
-        self._tick, numbers, history, self._fixed, self._alone, self.used, self.refused, mirror, *span = values
+    def restore(self, values: dict[str, Any]) -> None:
+        """Continue from `state()`; from the beginning with the memory of a run without localization."""
+        if "localizer" not in values:
+            return
+        kept: list[Any] = values["localizer"]
+        self._tick, numbers, history, self._fixed, self._alone, self.used, self.refused, mirror, *span = kept
         self._span = (span[0][0], span[0][1]) if span and span[0] else None  # older logs have none
         if self.mirror is not None and mirror is not None:
             north, east, known = mirror

@@ -189,13 +189,13 @@ def line(found: Row) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="a few rows")
-    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--workers", type=int, default=1)
     asked = parser.parse_args()
     table = list(cases())[:: 12 if asked.quick else 1]
     print("| graph | round [ms] | limit of | at K | computed | loop | rate at 0.95 | at 1.05 | simulated |")
     print("|---|---|---|---|---|---|---|---|---|")
     wrong = 0
-    with ProcessPoolExecutor(asked.jobs) as pool:
+    with ProcessPoolExecutor(asked.workers) as pool:
         for found in pool.map(row, table):
             if found is not None:
                 print(line(found), flush=True)

@@ -317,8 +317,6 @@ class LinearFleet:
 
 
 class _Row(NamedTuple):
-    """The neighbours of a vehicle in the loop."""
-
     kind: VehicleRound
     links: list[tuple[int, float, int]]  # sender, weight, delay [ticks]
 

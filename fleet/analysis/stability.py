@@ -257,7 +257,6 @@ def report(scenario: Scenario, found: Analysis) -> list[str]:
 
 
 def _rules_of_thumb(scenario: Scenario, found: Analysis) -> list[str]:
-    """The rules that apply, with a title."""
     gain, rules = found.gain_max, []
     assert gain is not None
     decay = shunting_decay(scenario)
@@ -278,7 +277,6 @@ def _rules_of_thumb(scenario: Scenario, found: Analysis) -> list[str]:
 
 
 def _limits(scenario: Scenario, found: Analysis) -> list[str]:
-    """The limits of the whole linear loop, with a title."""
     fleet, most, settled = found.at_most, found.gain_max, found.settled
     if fleet is None or found.at_settled is None:
         return [f"limits of the linear loop: not computed, because {found.not_linear}"]
@@ -385,7 +383,6 @@ def _settled_gain(scenario: Scenario, i: int) -> Vec3 | None:
 
 
 def _most(gains: Sequence[Vec3 | None]) -> Vec3 | None:
-    """The largest gain per axis."""
     known = [gain for gain in gains if gain is not None]
     return (max(g[0] for g in known), max(g[1] for g in known), max(g[2] for g in known)) if known else None
 

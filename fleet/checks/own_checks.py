@@ -88,7 +88,6 @@ class _LastOfLinks:
 
     @property
     def any(self) -> bool:
-        """Whether there was one."""
         return bool(self._last)
 
     def settle(self, fate: Fate) -> None:
@@ -243,7 +242,6 @@ class RunningPythonCheck:
         return verdict if margin is None else verdict.with_margin(margin.value, margin.unit, margin.at_s)
 
     def _judged(self, moment: Moment | None, now: int, *, over: bool) -> Verdict:
-        """The verdict without its margin."""
         found, value = "as asked", 1.0  # it failed once
         method = getattr(self._check, "verdict", None)
         if self._failure is None and callable(method):
@@ -272,7 +270,6 @@ class RunningPythonCheck:
         self._broken, self._failure = True, _broken(error)
 
     def _margin(self, tick: int, method: Any, answer: Any) -> Margin | None:
-        """The margin that it returned, if that can be used."""
         if answer is None:
             return None
         try:
@@ -283,7 +280,6 @@ class RunningPythonCheck:
             raise self._fence.wrong(tick, method, f"returned {shown(answer)}: expected {expected}") from None
 
     def _checked(self, tick: int, method: Any, answer: Any) -> Failure | None:
-        """The return value of the check, if it can be used."""
         if answer is None:
             return None
         if not isinstance(answer, Failure):
@@ -445,7 +441,6 @@ class OwnChecks:
         return found
 
     def _judge(self) -> None:
-        """Show the checks the tick that is known by now."""
         values, self._pending = self._pending, None
         if values is None:
             return

@@ -334,7 +334,6 @@ class _Safety:
         return not self.failure, "; ".join(filter(None, (self.failure, words))), value, limit, unit
 
     def margin(self) -> Margin | None:
-        """By how much it holds so far."""
         if self._worst is None:
             return None
         return self._margin.found(*((None, None) if self._longest is None else (self._longest[0], self._longest[2])))
@@ -440,7 +439,6 @@ class _Liveness:
         return tuple(failed)
 
     def margin(self) -> Margin | None:
-        """By how much it holds so far."""
         asked = self._asked
         assert asked.within_ns is not None
         if not in_time(asked):

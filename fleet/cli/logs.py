@@ -19,10 +19,7 @@ from fleet.terminal.table import say
 if TYPE_CHECKING:
     from fleet.analysis.link_fit import LinkFit
 
-KINDS = (
-    "track", "error", "velocity", "attitude", "inputs", "commands", "gains", "links", "messages", "ages", "checks",
-    "timing",
-)  # fmt: skip
+KINDS = ("track", "error", "inputs", "links", "messages", "ages", "checks", "timing")
 PARTS = ("track-3d", "formation")  # single pictures of track and error
 FORMATS = ("png", "svg", "pdf")
 OTHER_FORMATS = ("bmp", "eps", "gif", "jpeg", "jpg", "ps", "tif", "tiff", "webp")  # of pictures, which are not written
@@ -34,7 +31,7 @@ _vehicles = click.option("--vehicles", metavar="LIST", type=VEHICLES, help="Only
 _log_scale = click.option(
     "--log-scale/--linear",
     default=None,
-    help="Errors, velocity errors and ages on a logarithmic axis, or all on a linear one. By default errors are "
+    help="Errors, other signals and ages on a logarithmic axis, or all on a linear one. By default errors are "
     "logarithmic, and a study's measures that span much.",
 )
 _window = click.option(
@@ -95,9 +92,9 @@ def plot(
 ) -> None:
     """Draw pictures of LOG (an MCAP file, or a run directory), as wide as a column of a journal.
 
-    The pictures are: tracks, consensus and formation errors with the limits of the checks, velocity errors, attitude,
-    inputs, commands and gains with their limits, shares of packets by fate, messages in space and time, ages of
-    information, the signals that the checks name, and any other signal. Faults are shaded. Prints the files.
+    The pictures are: tracks, consensus and formation errors with the limits of the checks, inputs with their limits,
+    shares of packets by fate, messages in space and time, ages of information, the signals that the checks name, and
+    any other signal. Faults are shaded. Prints the files.
 
     For the directory of a study it draws the pass rate and measures with intervals, as heat maps, curves or boxes,
     and differences in pairs of runs with the same seed. Hatched areas have runs without the number.
@@ -200,7 +197,7 @@ def export(
     """
     from fleet.logs.dataset import fits
     from fleet.logs.export import export as write
-    from fleet.logs.open_log import list_topics
+    from fleet.logs.open_log import Opening
     from fleet.terminal.status_line import showing
 
     tables = [(form, folder) for form, folder in (("csv", csv), ("parquet", parquet), ("netcdf", netcdf)) if folder]
@@ -229,7 +226,7 @@ def export(
     if not tables:
         return
     with showing(f"reading {log}") as tell:
-        found = list_topics(log, topics or None, tell)
+        found = Opening(log, topics or None, tell, hold_all=False).read()
     if topics and not len(found):
         raise click.BadParameter(f"no topic of {log} is like {', '.join(topics)}", param_hint="--topics")
     if found.missing:

@@ -222,7 +222,8 @@ def why(log: Path, check: str | None, picture: Path | None, budget: int, how: Ma
     from fleet.explanation.why import Explanation, Question
 
     if picture is not None:
-        from fleet.explanation.picture import draw, format_of
+        from fleet.explanation.picture import draw
+        from fleet.pictures.style import format_of
 
         format_of(picture)
     with how.showing(_pieces) as tell:

@@ -190,13 +190,7 @@ class OpenConnection:
 
 
 def ask(run: LiveRun, op: str, **fields: Any) -> dict[str, Any]:
-    """Ask the console of a run.
-
-    Args:
-        op: what `fleet.execution.operator.Operator.handle` understands.
-
-    Returns:
-        Its answer.
+    """Ask the console of a run; `op` is what `fleet.execution.operator.Operator.handle` understands.
 
     Raises:
         RemoteError: it does not answer in time, or refuses.

@@ -42,16 +42,7 @@ class RunDirectory:
     """`<out>/<scenario>-<seed>-<UTC time>/` with scenario.yaml, run.mcap, result.json and log/<process>.log."""
 
     def __init__(self, out: Path, scenario: str, seed: int) -> None:
-        """Make the directory.
-
-        Args:
-            out: where; it is made as well.
-            scenario: its name.
-            seed: of the scenario.
-
-        Raises:
-            FleetError: no directory can be made there.
-        """
+        """Make the directory in `out`, which is made as well. Raises FleetError: none can be made there."""
         stamp = time.strftime(STAMP, time.gmtime())
         base = f"{scenario}-{seed}-{stamp}"
         try:
@@ -254,7 +245,6 @@ def remove(out: Path, runs: Sequence[PastRun]) -> Iterator[PastRun]:
 
 
 def _mend_latest(out: Path) -> None:
-    """Let `latest` lead to the newest run that is left, if it leads nowhere."""
     link = out / LATEST
     if not link.is_symlink() or link.exists():
         return
@@ -306,7 +296,6 @@ def _read(path: Path, began: datetime) -> PastRun:
 
 
 def _size(path: Path) -> int:
-    """The sizes of all files below a directory [bytes], without the targets of links."""
     total = 0
     for folder, _, files in os.walk(path):
         for file in files:

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
-from pathlib import Path
 
 from rich.console import Console as Terminal
 
@@ -52,11 +51,7 @@ class ProgressLine:
     """Shows how a run goes on a status line; call it as often as you like."""
 
     def __init__(self, scenario: Scenario, journal: Journal, line: StatusLine, waiting: Callable[[], str]) -> None:
-        """Prepare it.
-
-        Args:
-            waiting: the waiting process and its cause, in words; empty: the run moves.
-        """
+        """Prepare it; `waiting` says in words who is waited for and why, or nothing while the run moves."""
         self._journal, self._waiting, self._line = journal, waiting, line
         self._tick_s = scenario.tick_ns / 1e9
         self._ticks = scenario.ticks
@@ -79,7 +74,6 @@ class ProgressLine:
         self._line.show(self._pieces(now - self._began_s, waiting))
 
     def _pieces(self, passed_s: float, waiting: str) -> list[Piece]:
-        """The parts of the display, `passed_s` of wall time after the start."""
         tick, begin = max(0, self._journal.written), self._journal.begin
         at_s = tick * self._tick_s
         speed = f"{(tick - begin) * self._tick_s / passed_s:.1f} x" if passed_s else ""
@@ -110,7 +104,6 @@ class ProgressLine:
         return [f"packets {short}{never_sent}", short]
 
     def _faults(self) -> list[str]:
-        """The active faults: some by name, or how many."""
         names = self._journal.active
         if not names:
             return [""]
@@ -121,75 +114,12 @@ class ProgressLine:
         return [*dict.fromkeys(forms), f"{len(names)} fault{'s' * (len(names) > 1)}"]
 
     def _events(self) -> list[str]:
-        """The vehicles that are tumbled or have diverged now: by number, or how many."""
         kinds = [(TUMBLED, sorted(self._journal.tumbled)), (DIVERGED, sorted(self._journal.diverged))]
         known = [(kind, vehicles) for kind, vehicles in kinds if vehicles]
         by_number = GAP.join(f"{kind} {', '.join(map(str, vehicles))}" for kind, vehicles in known)
         counted = GAP.join(f"{len(vehicles)} {kind}" for kind, vehicles in known)
         few = all(len(vehicles) <= MOST_FAULTS for _, vehicles in known)
         return [*([by_number] if few else []), counted, ""]
-
-
-# --- publication
-# The journal of a run on zenoh, while it goes on, or nothing of the kind.
-
-
-class NoPublication:
-    """A run that is not published."""
-
-    publisher = None
-
-    def open(self) -> None:
-        """Begin to publish."""
-
-    def wait(self) -> None:
-        """Wait for a subscriber, if the run is to."""
-
-    def close(self) -> None:
-        """End."""
-
-    def summary(self) -> Published | None:
-        """The result's entry about it."""
-        return None
-
-
-class Publication:
-    """A run that is published."""
-
-    def __init__(
-        self, run: str, observe: Path, scenario: str, print_line: Callable[[str], None], *, wait: bool
-    ) -> None:
-        """Prepare it; nothing is started.
-
-        Args:
-            run: its id; its keys begin with fleet/<run>/.
-            observe: the file that says, while the run lives, where and as whom to subscribe.
-            scenario: of the run, as YAML.
-            print_line: shows the operator a line that stays.
-            wait: the run begins when there is a subscriber.
-        """
-        self.publisher = LivePublisher(run, observe, scenario, wait=wait)  # what the log writer hands each message
-        self._observe, self._print_line = observe, print_line
-
-    def open(self) -> None:
-        """Begin to publish. Raises FleetError: that is not possible."""
-        self.publisher.open()
-        where = f"fleet/{self.publisher.run}/log/** at {self.publisher.endpoint}"
-        self._print_line(f"publishing {where}; how to join: {self._observe}")
-
-    def wait(self) -> None:
-        """Wait for a subscriber, if the user asked for that. Raises FleetError: the publisher ended meanwhile."""
-        if self.publisher.wait:
-            self._print_line("waiting for a subscriber")
-            self.publisher.heard()
-
-    def close(self) -> None:
-        """End, once everything is published."""
-        self.publisher.close()
-
-    def summary(self) -> Published | None:
-        """The result's entry about it."""
-        return Published(self.publisher.published, self.publisher.dropped)
 
 
 @dataclass(slots=True)
@@ -199,7 +129,7 @@ class _Run:
     scenario: Scenario
     options: Options
     directory: RunDirectory
-    publication: Publication | NoPublication
+    publisher: LivePublisher | None
     log: LogFile | NoLog
     journal: Journal
     runner: Runner
@@ -263,14 +193,15 @@ def _prepare(
         if not in_process:  # which answers nobody
             line.print(f"the run is not registered: {error}; commands find it with --run {directory.path}")
     number = (options.rendezvous and options.rendezvous.run) or secrets.token_hex(4)
-    publication: Publication | NoPublication = NoPublication()
-    if options.publish:
-        publication = Publication(number, directory.observe, text, line.print, wait=options.wait)
+    publisher = LivePublisher(number, directory.observe, text, wait=options.wait) if options.publish else None
     log = NoLog() if scenario.spec.log.none else LogFile(directory.log)
-    writer = LogWriter(log, scenario, options.start, publication.publisher, clock=options.clock)
-    publication.open()
-    if options.publish and options.on_published is not None:
-        options.on_published(directory.path)
+    writer = LogWriter(log, scenario, options.start, publisher, clock=options.clock)
+    if publisher is not None:
+        publisher.open()
+        where = f"fleet/{publisher.run}/log/** at {publisher.endpoint}"
+        line.print(f"publishing {where}; how to join: {directory.observe}")
+        if options.on_published is not None:
+            options.on_published(directory.path)
     journal = Journal(scenario, writer, interrupts, checks)
     runner: Runner
     if in_process:
@@ -278,7 +209,7 @@ def _prepare(
     else:
         from fleet.execution.console import Console  # and with it zenoh and multiprocessing
 
-        runner = Console(scenario, directory, journal, options, number, line.print)
+        runner = Console(scenario, directory, journal, options, shared, number, line.print)
     result = Result(
         run=directory.path.name,
         directory=directory.path,
@@ -286,14 +217,15 @@ def _prepare(
         seed=scenario.seed,
         status=Status.PASS,
     )
-    return _Run(scenario, options, directory, publication, log, journal, runner, line, result, in_process, shared)
+    return _Run(scenario, options, directory, publisher, log, journal, runner, line, result, in_process, shared)
 
 
 def _serve(run: _Run) -> None:
-    """Let the fleet run to the end of the scenario, or as far as it goes."""
     result, began = run.result, time.monotonic()
     try:
-        run.publication.wait()
+        if run.publisher is not None and run.publisher.wait:
+            run.line.print("waiting for a subscriber")
+            run.publisher.heard()
         began = time.monotonic()
         with run.line:
             progress = ProgressLine(run.scenario, run.journal, run.line, lambda: run.runner.waiting)
@@ -316,11 +248,11 @@ def _serve(run: _Run) -> None:
         result.status, result.reason = Status.BROKEN, no_thread(error).reason
     finally:
         run.wall_s = time.monotonic() - began
-        run.publication.close()
+        if run.publisher is not None:
+            run.publisher.close()
 
 
 def _judge(run: _Run) -> None:
-    """Judge the checks, and in real time how everyone kept up."""
     more, result = [], run.result
     if run.realtime:
         result.timing = punctuality.measured(run.runner.closing.timing, run.options.speed or 1.0)
@@ -330,13 +262,13 @@ def _judge(run: _Run) -> None:
 
 
 def _report(run: _Run) -> None:
-    """Write result.json."""
     runner, result = run.runner, run.result
     wall = Wall(in_process=run.in_process, startup_s=runner.started_s, run_s=run.wall_s - runner.started_s)
     if not run.in_process:
         wall.processes, wall.per_process = run.hosting.used(run.scenario)
     account_for(result, run.scenario, run.journal, run.log, runner, wall)
-    result.published = run.publication.summary()
+    if run.publisher is not None:
+        result.published = Published(run.publisher.published, run.publisher.dropped)
     try:
         write_result(result, run.directory.path)
     except OSError as error:

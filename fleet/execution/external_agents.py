@@ -24,14 +24,7 @@ from netem.wire.messages import PROTOCOL_VERSION
 
 
 def refuse(scenario: Scenario, what: str) -> None:
-    """Refuse a scenario with external agents, which only join distributed runs.
-
-    Args:
-        what: what is refused, for the error.
-
-    Raises:
-        FleetError: the scenario has some.
-    """
+    """Raise FleetError for a scenario with external agents, which only join distributed runs; `what` is refused."""
     if scenario.external:
         raise FleetError(
             f"{named(scenario.external)}: {what} cannot have agents that are started elsewhere; "
@@ -50,11 +43,7 @@ class ExternalAgents:
     """Which external agents have joined. Everything happens on the console's main thread, except for `answer`."""
 
     def __init__(self, scenario: Scenario, directory: RunDirectory, print_line: Callable[[str], None]) -> None:
-        """Prepare it; nothing is written.
-
-        Args:
-            print_line: shows the operator which agents the run waits for, and how to start them.
-        """
+        """Prepare it; nothing is written. `print_line` shows the operator whom the run waits for."""
         self.vehicles = scenario.external
         self._scenario, self._directory, self._print_line = scenario, directory, print_line
         self._files: dict[int, JoinFile] = {}
@@ -73,8 +62,6 @@ class ExternalAgents:
         """Write the join files; from now on the agents may join.
 
         Args:
-            endpoint: of the run's router, for external agents.
-            keys: of the run.
             credentials: by role.
             folders: with what agents join that have a certificate and no password, by vehicle.
 
@@ -88,15 +75,7 @@ class ExternalAgents:
             self.expect(i, 0, 0)
 
     def expect(self, i: int, incarnation: int, begin: int) -> None:
-        """Wait for the agent of vehicle i: write its join file.
-
-        Args:
-            incarnation: which life it is.
-            begin: tick of its first nav.
-
-        Raises:
-            FleetError: the join file cannot be written.
-        """
+        """Wait for the agent of vehicle i: write its join file. Raises FleetError: it cannot be written."""
         path, folder = self._directory.join(i), self._directory.join_folder(i)
         joining = self._files[i] = replace(self._files[i], incarnation=incarnation, begin=begin)
         try:

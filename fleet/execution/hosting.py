@@ -57,11 +57,7 @@ class Hosting:
 
 
 def hosting(scenario: Scenario, options: Options) -> Hosting:
-    """How the agents of a run share processes.
-
-    Raises:
-        FleetError: they are to, but not in a run like this.
-    """
+    """How the agents of a run share processes. Raises FleetError: they are to, but not in a run like this."""
     own = [i for i in range(1, scenario.vehicles + 1) if i not in scenario.external]
     most = scenario.spec.agents.per_process
     router = options.rendezvous is not None and options.rendezvous.router is not None
@@ -79,7 +75,6 @@ def hosting(scenario: Scenario, options: Options) -> Hosting:
 
 
 def _plugged(control: Control) -> bool:
-    """Whether a vehicle runs a law that is not built in."""
     return any(law.name not in BUILT_IN[kind] for kind, law in laws(control).items())
 
 

@@ -16,14 +16,15 @@ from typing import Protocol
 import msgpack
 
 from agents.config import AgentConfig
-from agents.errors import ControllerError
+from agents.errors import AgentError, ControllerError
 from agents.loop import AgentCore, AgentLoop, Answer
 from agents.make_agent import make_agent
+from fleet.checks.own_checks import OwnChecks
 from fleet.errors import RunBroken
 from fleet.execution.clock import GrantPolicy
 from fleet.execution.notes import note_text
 from fleet.execution.runner import Closing
-from fleet.recorder.journal import Journal
+from fleet.recorder.journal import Journal, JournalSink
 from fleet.recorder.snapshot import Start
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.sections.timeline import MOST_RESTARTS, Kill
@@ -34,6 +35,7 @@ from netem.lives import Absence
 from netem.rounds import Rounds
 from netem.wire.codec import decode, encode
 from netem.wire.messages import Command, Frame, Inbox, Memory, Nav, Round, Transmission, WorldFault
+from world.errors import WorldError
 from world.lockstep import Lockstep, NavTo
 from world.sea import World
 
@@ -76,14 +78,12 @@ class InProcess:
         """Prepare a run.
 
         Args:
-            scenario: the scenario of the run.
-            journal: receives everything that happens.
             start: the snapshot of another run to go on from. None: the run begins at its beginning.
             agents: by vehicle, functions that make an agent in place of the scenario's.
             salt: changes all further draws of world and network. 0: the draws of every run with this seed.
         """
         self._other_agents = agents or {}
-        self._scenario, self._journal, self._begin = scenario, journal, start
+        self._scenario, self.journal, self._begin = scenario, journal, start
         seed = salted(scenario.seed, salt)
         self._world = Lockstep(replace(scenario.world_config, seed=seed), frame_every=frame_every(scenario))
         self.rounds = Rounds(replace(scenario.netem_config, seed=seed))
@@ -110,12 +110,23 @@ class InProcess:
         self.begin()
         try:
             while not self._world.finished:
-                if not self.advance(policy.until(self._journal.written, time.monotonic() - began)):
+                if not self.advance(policy.until(self.journal.written, time.monotonic() - began)):
                     time.sleep(0.002)  # --speed: nothing to do until the wall clock moves on
                 progress()
         finally:
             self.release()
         self.end()
+
+    def to_end(self, progress: Callable[[], None], policy: GrantPolicy | None = None) -> RunBroken | None:
+        """As `serve`, as fast as it goes; returns what broke the run. None: it came to its end."""
+        begin = 0 if self._begin is None else self._begin.snapshot.tick
+        try:
+            self.serve(policy or GrantPolicy.of(self._scenario, begin=begin), progress)
+        except RunBroken as error:
+            return error
+        except (AgentError, WorldError) as error:
+            return RunBroken(str(error))
+        return None
 
     def begin(self) -> None:
         """Make the agents, unless they are there already; nothing moves yet."""
@@ -128,11 +139,7 @@ class InProcess:
             self._resume(self._begin)
 
     def advance(self, until: int) -> bool:
-        """Grant ticks below `until`, and let the fleet go so far. Raises as `serve` does.
-
-        Returns:
-            Whether an agent had something to do.
-        """
+        """Grant ticks below `until`, and go so far; returns whether an agent was asked. Raises as `serve`."""
         self._granted = max(self._granted, until)
         try:
             self._from_world(self._world.grant(until))
@@ -153,7 +160,7 @@ class InProcess:
 
     def end(self) -> None:
         """Account for what is on the way when the last tick is over."""
-        self._journal.links(self.rounds.close(self._scenario.ticks))
+        self.journal.links(self.rounds.close(self._scenario.ticks))
         self.closing = Closing(entered=self.rounds.netem.entered)
 
     def release(self) -> None:
@@ -170,7 +177,7 @@ class InProcess:
         """Whether the last tick is over."""
         return self._world.finished
 
-    # What is done to the fleet between two ticks: `Disturbed`.
+    # What is done to the fleet between two ticks: `Fleet`.
 
     @property
     def granted(self) -> int:
@@ -214,7 +221,7 @@ class InProcess:
         tick = snapshot.tick
         self._world.resume(tick, snapshot.world)
         self.rounds.resume(tick, snapshot.network)
-        self._journal.resume(snapshot)
+        self.journal.resume(snapshot)
         lives, memories = self._world.state.lives, snapshot.memories
         for i in sorted(set(self._loops) - set(memories)):  # it was gone there, and may be there now
             self._loops[i] = self._born(i, lives.incarnation(i, tick), tick)
@@ -245,7 +252,6 @@ class InProcess:
         return self._loops[i]
 
     def _died(self, i: int, error: ControllerError) -> None:
-        """Account for an agent that ended by itself, as its process would have."""
         deaths = self.deaths.setdefault(i, [])
         self._note(error.tick, f"agent {i}", f"controller failed: {error}")
         restart = self._scenario.spec.on_death == "restart" and len(deaths) < MOST_RESTARTS
@@ -257,7 +263,6 @@ class InProcess:
         self._from_world(self._world.end(i, self._loops[i].incarnation, until))
 
     def _deliver(self, sender: int, i: int, data: bytes) -> None:
-        """Give agent i a message, and its answers to the world and to netem."""
         self._speaker = sender
         message = decode(data)
         assert isinstance(message, Nav | Inbox)
@@ -306,7 +311,7 @@ class InProcess:
             if isinstance(out, NavTo):
                 navs.append((WORLD, out.id, encode(out.nav)))
             elif isinstance(out, Frame):
-                self._journal.frame(out)
+                self.journal.frame(out)
             elif not self._scenario.ideal:  # on an ideal network netem does not wait for the world
                 self.rounds.round(out)
                 self._exchange()
@@ -318,10 +323,32 @@ class InProcess:
             self._speaker = NETEM
             inboxes, report = outcome
             self._post.extend((NETEM, i, encode(inbox)) for i, inbox in inboxes)
-            self._journal.links(report)
+            self.journal.links(report)
 
     def _note(self, tick: int, who: str, text: str) -> None:
         self.notes.append(note_text(tick, self._scenario.tick_ns, who, text))
+
+
+def in_process(
+    scenario: Scenario,
+    log: JournalSink,
+    *,
+    start: Start | None = None,
+    agents: Mapping[int, MakeLife] | None = None,
+    salt: int = 0,
+    judged: bool = True,
+) -> InProcess:
+    """Make a run in this process, and its journal, which writes to `log`. The rest is as for `InProcess`.
+
+    Args:
+        judged: the user's own checks see everything, too.
+
+    Raises:
+        CheckError: a check in Python cannot be made.
+    """
+    begin = 0 if start is None else start.snapshot.tick
+    checks = OwnChecks.asked(scenario, begin) if judged else None
+    return InProcess(scenario, Journal(scenario, log, checks=checks), start, agents, salt)
 
 
 def _over_the_wire(config: AgentConfig) -> AgentConfig:

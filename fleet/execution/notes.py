@@ -72,12 +72,7 @@ class Notes:
         return False
 
     def receive(self, role: str, data: bytes, tick: int) -> Ended | None:
-        """Take a note that `admit` let in.
-
-        Args:
-            role: the process that owns the key of the note. The router refuses notes of other processes there.
-            data: the encoded note.
-            tick: the present tick; it stands in the report of a rejected note.
+        """Take a note of a role at a tick; `admit` has let it in.
 
         Returns:
             The report of a host that one of its agents has ended. None: it was a note, or was rejected.
@@ -105,7 +100,6 @@ class Notes:
 
 
 def _read(role: str, data: bytes) -> Note | Ended:
-    """Raises MalformedMessage: it is no note, or `role` speaks for another."""
     if role.startswith("host-"):
         ended = expect(data, Ended)
         assert isinstance(ended, Ended)

@@ -29,9 +29,8 @@ from fleet.scenario.schema.faults import FaultEntry, FaultSection
 from fleet.scenario.sections.timeline import Event, Kill, Part, action, begin_and_end, parts, with_end, words
 from fleet.scenario.sections.vehicle_events import vehicle_events
 from netem.faults import NetFault
-from netem.lives import Absence
 from netem.vehicle_clock import Clock
-from netem.wire.messages import Death, Restart, WorldFault
+from netem.wire.messages import WorldFault
 
 # --- fault request
 # A fault that is to begin in a run that goes on: checked by the rules of scenarios.
@@ -77,14 +76,10 @@ def checked_fault(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
 
 
 # --- fleet
-# A running fleet as its operator and its supervisor see it.
 
 
-class Disturbed(Protocol):
-    """A running fleet: the questions that an operator asks, and the changes that he makes.
-
-    `Console` and `InProcess` are such fleets.
-    """
+class Fleet(Protocol):
+    """A running fleet: what an operator asks of it, and changes in it. `Supervisor` and `InProcess` are such fleets."""
 
     @property
     def granted(self) -> int:
@@ -110,29 +105,6 @@ class Disturbed(Protocol):
         """Start vehicle i's agent again at a tick; it has been missing since tick `begin` (None: whenever)."""
 
 
-class Fleet(Disturbed, Protocol):
-    """The same as its supervisor sees it, on the console's main thread; `Console` is one."""
-
-    @property
-    def begun(self) -> bool:
-        """Whether everyone was ready and the clock runs. Before that no agent may end."""
-
-    def ask(self, role: str, op: str, **fields: Any) -> dict[str, Any]:
-        """The answer of world or netem to an operation; empty: no answer in time."""
-
-    def set_absences(self, absences: Sequence[Absence]) -> None:
-        """Replace what netem knows of who has an agent when. Raises RunBroken: it did not answer."""
-
-    def announce(self, message: Death | Restart) -> None:
-        """Notify the world that an agent ended or begins again."""
-
-    def computing(self, role: str) -> int:
-        """The vehicle whose agent a host computes, or computed when it ended. 0: no vehicle, or not a host."""
-
-    def start_agent(self, i: int, incarnation: int, begin: int) -> None:
-        """Start the next life of vehicle i's agent, from tick `begin` on."""
-
-
 # --- live status
 # How the vehicles and the links of a live run are doing: what `fleet status` shows of them.
 #
@@ -146,11 +118,7 @@ MOST_ROWS = 500  # of each kind in one answer, also when all are asked for
 def vehicle_rows(
     scenario: Scenario, journal: Journal, dead: Collection[int], *, every: bool = False
 ) -> list[dict[str, Any]]:
-    """A row for each vehicle; of many, those with the greatest formation errors. In the order of their numbers.
-
-    Args:
-        dead: vehicles without an agent.
-    """
+    """A row for each vehicle; of many, those with the greatest formation errors. In the order of their numbers."""
     series = journal.metrics.series
     worst = sorted((i for i in series if series[i].formation), key=lambda i: -badness(series[i].formation[-1]))
     ages = _oldest(scenario, journal)
@@ -242,7 +210,7 @@ class Operator:
     scenario: Scenario
     journal: Journal
     clock: LiveClock
-    fleet: Disturbed
+    fleet: Fleet
     stopping: bool = False  # the operator asked for the end of the run
     faults: list[Part] = field(default_factory=list)  # scripted and injected
     _words: dict[str, str] = field(default_factory=dict)
@@ -366,7 +334,6 @@ class Operator:
         return {"healed": sorted(healed), "at_s": self._seconds(acts)}
 
     def _chosen(self, name: Any, active: set[str]) -> set[str]:
-        """The ids of the faults that a request ends: the named one, or all."""
         if name is None:
             return active
         if not isinstance(name, str):
@@ -380,7 +347,6 @@ class Operator:
         return {name}
 
     def _round_of_restart(self, tick: int, kills: Sequence[Kill]) -> int:
-        """The first round tick, from `tick` on, at which killed agents can begin again."""
         m = self.scenario.round_ticks
         first = -(-tick // m) * m
         # Of a kill that begins right there, a process may have been ended already.
@@ -422,7 +388,6 @@ class Operator:
         return list(found.values())
 
     def _states(self) -> list[Event]:
-        """Lasting states of vehicles: tumbled, or diverged to a motion beyond the finite numbers."""
         return [*self.journal.tumbled.values(), *self.journal.diverged.values()]
 
     def _row(self, name: str, what: str, begin: int, end: int | None, state: str) -> dict[str, Any]:

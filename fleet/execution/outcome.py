@@ -27,12 +27,7 @@ def settle(journal: Journal, log: LogFile | NoLog, runner: Runner, result: Resul
 
 
 def judge_run(scenario: Scenario, journal: Journal, result: Result, *, lost: int, more: Sequence[Verdict] = ()) -> None:
-    """Judge a run that came to its end.
-
-    Args:
-        lost: messages that the middleware lost.
-        more: verdicts that are no checks of the scenario.
-    """
+    """Judge a run at its end; it lost so many messages. `more`: verdicts that are no checks of the scenario."""
     if result.status is not Status.PASS:
         return
     result.checks = [*judge(scenario, journal, middleware_lost=lost), *more]
@@ -59,11 +54,7 @@ def _close_log(file: LogFile | NoLog, result: Result) -> None:
 def account_for(
     result: Result, scenario: Scenario, journal: Journal, file: LogFile | NoLog, runner: Runner, wall: Wall
 ) -> None:
-    """Enter every number of a run into its result.
-
-    Args:
-        wall: its wall times; how many times real time it went is computed here.
-    """
+    """Enter every number of a run into its result. How many times real time it went is computed here."""
 
     def seconds(tick: int) -> float:
         return tick * scenario.tick_ns / 1e9

@@ -35,10 +35,7 @@ def folder() -> Path:
 
 
 def register(run: RunDirectory) -> Path:
-    """Add a run that lives.
-
-    Returns:
-        Its link, to be removed when the run is over.
+    """Add a run that lives; returns its link, to be removed when the run is over.
 
     Raises:
         RegistryError: the folder cannot be made, written or trusted, or the run could not be told from a dead one.
@@ -83,7 +80,6 @@ def registered() -> list[Path]:
 
 
 def _check(place: Path) -> None:
-    """Raise RegistryError if other users can enter the folder."""
     found = place.lstat()
     if not stat.S_ISDIR(found.st_mode):
         raise RegistryError(f"{place} is no folder; remove it")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -26,23 +26,11 @@ class Runner(Protocol):
     def waiting(self) -> str:
         """The processes that the run waits for, in words. Empty: the run moves."""
 
-    @property
-    def started_s(self) -> float:
-        """Wall time until everyone was ready [s]."""
-
-    @property
-    def closing(self) -> Closing: ...
-
-    @property
-    def notes(self) -> Sequence[str]: ...
-
-    @property
-    def deaths(self) -> Mapping[int, list[str]]:
-        """By vehicle, how agents ended that were not asked to."""
-
-    @property
-    def middleware_lost(self) -> int:
-        """Messages that zenoh lost; any makes the run invalid."""
+    started_s: float  # wall time until everyone was ready [s]
+    closing: Closing
+    notes: list[str]
+    deaths: dict[int, list[str]]  # by vehicle, how agents ended that were not asked to
+    middleware_lost: int  # messages that zenoh lost; any makes the run invalid
 
     def serve(self, policy: GrantPolicy, progress: Callable[[], None]) -> None:
         """Run to the end; `progress` is called all the time.

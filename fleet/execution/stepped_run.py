@@ -15,16 +15,15 @@ from typing import Any, NamedTuple, Never, Self
 
 from agents.errors import AgentError
 from fleet.analysis.verdicts import judge, standing
-from fleet.checks.own_checks import OwnChecks
 from fleet.errors import FleetError, RunBroken
 from fleet.execution.clock import GrantPolicy, LiveClock
 from fleet.execution.external_agents import refuse
-from fleet.execution.in_process import InProcess, MakeLife
+from fleet.execution.in_process import MakeLife, in_process
 from fleet.execution.operator import Operator, RefusedError
 from fleet.execution.outcome import account_for, judge_run, settle
 from fleet.notebook import html_table
 from fleet.quantities import QuantityError, show_time, time_ns
-from fleet.recorder.journal import Journal, WatchedLog, Watcher
+from fleet.recorder.journal import WatchedLog, Watcher
 from fleet.recorder.log_file import LogFile, NoLog
 from fleet.recorder.writer import LogWriter
 from fleet.result.result import Result, Status, Wall
@@ -141,8 +140,8 @@ class Run:
         self._file = log or NoLog()
         writer = LogWriter(self._file, scenario)
         recorded = writer if watcher is None else WatchedLog(writer, watcher)
-        self._journal = Journal(scenario, recorded, checks=OwnChecks.asked(scenario))
-        self._runner = InProcess(scenario, self._journal, agents=agents)
+        self._runner = in_process(scenario, recorded, agents=agents)
+        self._journal = self._runner.journal
         self._policy = GrantPolicy.of(scenario)
         self._operator = Operator(scenario, self._journal, LiveClock(self._policy, 0.0), self._runner)
         self._result = Result(scenario=scenario.name, seed=scenario.seed, status=Status.PASS)

@@ -1,4 +1,4 @@
-"""The supervisor of agents' lives in a distributed run: who ended, who is to end, and who takes over.
+"""The processes of a distributed run: who is started, who ended, who is to end, and who takes over.
 
 World and netem receive every life by tick, so that all three agree on who has an agent when (`netem.lives`).
 """
@@ -11,6 +11,7 @@ import signal
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 from typing import Any
 
@@ -24,9 +25,9 @@ from fleet.execution.directory import RunDirectory
 from fleet.execution.external_agents import ExternalAgents
 from fleet.execution.hosting import Hosting
 from fleet.execution.notes import Notes, folded, tick_text, without_agent
-from fleet.execution.operator import Fleet
 from fleet.execution.options import Options
-from fleet.hosts.rendezvous import JoinFolder, Rendezvous
+from fleet.execution.session import EventKind, EventQueue, Session, connect_to_router, connect_to_world
+from fleet.hosts.rendezvous import Rendezvous
 from fleet.processes.children import (
     FORKSERVER_LOST,
     Child,
@@ -43,10 +44,13 @@ from fleet.processes.limits import allow_open_files, free_port, processors
 from fleet.recorder.journal import Journal
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.sections.timeline import MOST_RESTARTS, Kill
+from netem.errors import MalformedMessage
+from netem.faults import NetFault, fault_values
 from netem.lives import Absence, Lives
-from netem.wire.access import LEASE_MS, NETEM, OPERATOR, WORLD, Credentials, Listener, agent_role, generate, host_role
+from netem.wire.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, WORLD, Listener, agent_role, generate, host_role
+from netem.wire.bus import Bus
 from netem.wire.keys import Keys
-from netem.wire.messages import Death, Restart
+from netem.wire.messages import RUN_OVER, Death, Restart, WorldFault, WorldFaults
 from netem.wire.session import PENDING
 
 # --- launch
@@ -54,9 +58,8 @@ from netem.wire.session import PENDING
 
 
 FORKSERVER_S = 0.2  # how long to wait for the end of a fork server that does not answer
-ASKED_PER_CPU = (
-    3  # processes of agents that the world asks at a time; more of them find colder caches, fewer leave processors idle
-)
+# Processes of agents that the world asks at a time; more of them find colder caches, fewer leave processors idle.
+ASKED_PER_CPU = 3
 
 Target = tuple[Callable[..., None], tuple[Any, ...]]  # a function that a process runs, and its arguments
 
@@ -90,37 +93,34 @@ class Launch:
         self._private = RunFolder()
         self.endpoint = self._rendezvous.router or self._private.endpoint  # for the run's own processes
 
-    @property
-    def external_endpoint(self) -> str:
-        """For agents that somebody else starts."""
-        return self._rendezvous.reached or (self._listener.endpoints[0] if self._listener else self.endpoint)
+    def admit(self, external: ExternalAgents) -> None:
+        """Tell commands and external agents, in files, how to reach this run.
 
-    @property
-    def external_credentials(self) -> dict[str, Credentials]:
-        """For agents that somebody else starts, by role."""
-        return {role: self._rendezvous.external_credentials(role, known) for role, known in self.credentials.items()}
-
-    @property
-    def join_folders(self) -> dict[int, JoinFolder]:
-        """For agents that somebody else starts and that may join with a certificate alone, by vehicle."""
-        return self._rendezvous.folders
-
-    @property
-    def connection(self) -> dict[str, Any]:
-        """The connection data that `fleet status`, `fleet inject` and the like need to reach this run."""
-        return {
-            "endpoint": self.endpoint,
-            "run": self._keys.run,
-            "scenario": self._scenario.name,
-            "pid": os.getpid(),
-            **self.credentials[OPERATOR].to_values(),
-        }
+        Raises:
+            FleetError: a file cannot be written.
+        """
+        self._directory.write_connection(
+            {
+                "endpoint": self.endpoint,
+                "run": self._keys.run,
+                "scenario": self._scenario.name,
+                "pid": os.getpid(),
+                **self.credentials[OPERATOR].to_values(),
+            }
+        )
+        meeting = self._rendezvous
+        endpoint = meeting.reached or (self._listener.endpoints[0] if self._listener else self.endpoint)
+        credentials = {role: meeting.external_credentials(role, known) for role, known in self.credentials.items()}
+        external.open(endpoint, self._keys, credentials, meeting.folders)
 
     def targets(self) -> dict[str, Target]:
         """The function of each process, by role. The processes start in this order."""
-        targets = {WORLD: self._world(), NETEM: self._netem()}
-        for h in range(1, len(self._hosting.members) + 1):
-            targets[host_role(h)] = self._host(h, host_role(h))
+        here = self.endpoint, self._keys.run
+        network = self._scenario.netem_config, self._options.clock, self._hosting.members
+        targets: dict[str, Target] = {WORLD: self._world()}
+        targets[NETEM] = netem.main.run, (*here, self.credentials[NETEM], *network)
+        for h, role in enumerate(map(host_role, range(1, len(self._hosting.members) + 1)), start=1):
+            targets[role] = agents.main.run_host, (*here, h, self.credentials[role], self._private.path / role)
         elsewhere = {*self._scenario.external, *chain(*self._hosting.members)}
         for i in range(1, self._scenario.vehicles + 1):
             if i not in elsewhere:
@@ -138,11 +138,7 @@ class Launch:
         return running(self._private.path / role)
 
     def start(self, role: str, target: Target) -> None:
-        """Start a process, named in `ps` after its role and the scenario.
-
-        Raises:
-            RunBroken: it could not be started.
-        """
+        """Start a process, named in `ps` after its role and the scenario. Raises RunBroken: it could not be started."""
         function, arguments = target
         title = f"fleet {role.replace('-', ' ')} [{self._scenario.name}]"
         try:
@@ -168,16 +164,7 @@ class Launch:
         listening = self._listener, self._rendezvous.certified, self._hosting.members
         return world.main.run, (self.endpoint, self._keys.run, clients, self._private.path, *sea, *listening)
 
-    def _netem(self) -> Target:
-        network = self._scenario.netem_config, self._options.clock, self._hosting.members
-        return netem.main.run, (self.endpoint, self._keys.run, self.credentials[NETEM], *network)
-
-    def _host(self, h: int, role: str) -> Target:
-        here = self.endpoint, self._keys.run
-        return agents.main.run_host, (*here, h, self.credentials[role], self._private.path / role)
-
     def _other_endpoints(self) -> Listener | None:
-        """Where the run's own router listens besides its Unix socket."""
         listener = self._rendezvous.listener
         if self._options.port is None or self.joins_router:
             return listener
@@ -204,13 +191,11 @@ def explain(
     at: str,
     computing: Callable[[str], int] = lambda _: 0,
 ) -> RunBroken:
-    """The error for processes that ended: which one ended first, how, and its last lines.
+    """The error for processes that ended at about the same time: which one ended first, how, and its last lines.
 
     Args:
-        exits: all processes that ended at about the same time, at least one.
         children: the processes by role. If an agent shares a process, its role has that process.
-        notes: the notes of the run. The error repeats the notes about the agent that ended, and names other agents with
-            the same note.
+        notes: of the run. The error repeats those about the agent that ended, and names other agents with the same.
         at: the time in the run, in words.
         computing: returns the agent that a host was computing when it ended. 0: none, or the process is no host.
     """
@@ -238,11 +223,6 @@ def explain(
     return RunBroken(reason, lines)
 
 
-def last_lines(children: Mapping[str, Child]) -> list[str]:
-    """The last line of each process, of the first ten that printed one."""
-    return [f"{child.role}: {line}" for child in children.values() for line in child.tail()[-1:]][:10]
-
-
 def who_waits(
     world: Mapping[str, Any],
     network: Mapping[str, Any],
@@ -256,10 +236,9 @@ def who_waits(
 
     Args:
         world, network: the answers of the world and netem to `waiting`. Empty: no answer.
-        children: the processes by role. If an agent shares a process, its role has that process.
-        external: vehicles with an external agent. Such an agent is no child process.
+        external: vehicles with an external agent, which is no child process.
         log_is_behind: the journal has received more than the log holds.
-        computing: returns the agent that a host is computing. 0: none, or the process is no host.
+        children, computing: as for `explain`.
     """
     if not world:
         return "waiting for the world" + _condition(WORLD, children[WORLD])
@@ -304,25 +283,35 @@ POLL_S = 0.02
 
 
 class Supervisor:
-    """Ends and restarts the agents of one run. Everything happens on the console's main thread.
+    """Starts, ends and restarts the processes of one run: what its operator acts on, as a `Fleet`.
 
-    An agent's lives count from 0. It is *ended* when the scenario or the operator wants its vehicle without an agent;
-    when it ends by itself, that is a *death*, and the scenario's `on_death` says what follows.
+    Everything happens on the console's main thread. An agent's lives count from 0. It is *ended* when the scenario or
+    the operator wants its vehicle without an agent; when it ends by itself, that is a *death*, and the scenario's
+    `on_death` says what follows.
     """
 
     def __init__(
         self,
-        fleet: Fleet,
         scenario: Scenario,
         journal: Journal,
-        children: Children,
-        external: ExternalAgents,
-        notes: Notes,
+        directory: RunDirectory,
+        options: Options,
         hosting: Hosting,
+        run: str,
+        print_line: Callable[[str], None],
     ) -> None:
-        self._hosting = hosting
-        self._fleet, self._scenario, self._journal = fleet, scenario, journal
-        self._children, self._external, self._notes = children, external, notes
+        """Prepare it; nothing is started. The arguments are those of the console."""
+        self._scenario, self._journal, self._directory = scenario, journal, directory
+        self._options, self._hosting, self._keys = options, hosting, Keys(run)
+        self.events = EventQueue()
+        self.external = ExternalAgents(scenario, directory, print_line)
+        self.notes = Notes(scenario.tick_ns)
+        self._children = Children(partial(self.events.put, EventKind.EXIT))
+        self._launch: Launch | None = None
+        self._session: Session | None = None
+        self.granted = 0  # ticks below it may have begun
+        self.waiting = ""  # the processes that the run waits for, in words; empty: the run moves
+        self.begun = False  # everyone was ready and the clock runs; before that no agent may end
         self._vehicles = tuple(range(1, scenario.vehicles + 1))
         self._lives = Lives(scenario.faults.absences)
         self._incarnation = dict.fromkeys(self._vehicles, 0)  # of the agent that was started last
@@ -333,28 +322,86 @@ class Supervisor:
         self._restarts: dict[int, int] = {}  # vehicle -> how often because of on_death
         self.deaths: dict[int, list[str]] = {}  # vehicle -> how its agents died
 
+    @property
+    def session(self) -> Session:
+        """On the bus, since the world was started."""
+        assert self._session is not None
+        return self._session
+
+    def start(self, progress: Callable[[], None], meanwhile: Callable[[], None]) -> None:
+        """Start the processes, connect to the router, and let the operator and external agents in.
+
+        Args:
+            meanwhile: called between attempts to connect; it may raise a better explanation, such as the world's end.
+
+        Raises:
+            RunBroken: a process could not be started, or there is no router.
+            FleetError: the join file of an external agent cannot be written.
+        """
+        self._launch = launch = Launch(
+            self._scenario, self._options, self._hosting, self._keys, self._directory, self._children
+        )
+        own = launch.credentials[CONSOLE]
+        if launch.joins_router:
+            self._open(connect_to_router(launch.endpoint, own, self._keys, self.events))
+        targets = launch.targets()
+        for number, (role, target) in enumerate(targets.items()):
+            self.waiting = f"starting processes, {number} of {len(targets)}"
+            progress()
+            launch.start(role, target)
+            if number == 0:
+                self._children.watch()
+            if role == WORLD and not launch.joins_router:
+                # Now, because an agent whose question for its configuration finds no answer keeps asking.
+                self._open(connect_to_world(launch.endpoint, own, meanwhile))
+        launch.admit(self.external)
+
+    def _open(self, bus: Bus) -> None:
+        self._session = session = Session(bus, self._keys)
+        session.listen(self.events, self.notes)
+        session.configure(self._scenario, self._options.clock, self._hosting, self.external, self.events)
+
+    def close(self) -> None:
+        """End all processes, and the session."""
+        try:
+            with contextlib.suppress(MalformedMessage):
+                world = self._children.by_role.get(WORLD)
+                joined = [[i, self._incarnation[i], 0] for i in self.external.vehicles if self.external.present(i)]
+                if joined and self._session is not None and world is not None and world.process.is_alive():
+                    self._session.ask(WORLD, "dismiss", agents=joined, reason=RUN_OVER)
+        finally:
+            self._children.stop()
+            if self._session is not None:
+                self._session.close()
+            self._directory.connection.unlink(missing_ok=True)
+            self.external.close()
+            if self._launch is not None:
+                self._launch.close()
+
+    # What the operator asks for: `Fleet`.
+
+    def set_network_faults(self, faults: Sequence[NetFault]) -> bool:
+        return "tick" in self.session.ask(NETEM, "faults", faults=[fault_values(fault) for fault in faults])
+
+    def set_world_faults(self, faults: Sequence[WorldFault]) -> None:
+        # On the key of the grants, so it arrives before any tick that is granted later.
+        self.session.put(WorldFaults(tuple(faults)))
+
     def without_agent(self) -> list[int]:
-        """The vehicles that have no agent now."""
         return [i for i in self._vehicles if self._lives.without_agent(i, max(0, self._journal.framed))]
 
     def end_agents(self, kill: Kill) -> None:
-        """End agents because the operator asks for it."""
         for absence in kill.absences:
             self._lives.add(absence)
-            self._fleet.announce(Death(absence.vehicle, kill.begin, 0, kill.end))
-        self._fleet.set_absences(self._lives.absences)
+            self.session.put(Death(absence.vehicle, kill.begin, 0, kill.end))
+        self._set_absences()
 
     def restart_agent(self, i: int, begin: int | None, tick: int) -> None:
-        """Start vehicle i's agent again at a tick because the operator asks for it.
-
-        Args:
-            i: number of the vehicle.
-            begin: it has been missing since this tick. None: the tick does not matter.
-            tick: it begins at this tick.
-        """
         self._lives.restart(i, begin, tick)
-        self._fleet.announce(Restart(i, begin, tick))
-        self._fleet.set_absences(self._lives.absences)
+        self.session.put(Restart(i, begin, tick))
+        self._set_absences()
+
+    # Lives.
 
     def next_restart(self) -> int:
         """The first begin of an agent that is not ready yet, as a tick. The clock stops before it."""
@@ -378,7 +425,7 @@ class Supervisor:
         how, where = describe_exit(exit_.code), f"pid {child.pid}"
         if child.role != agent_role(own[0] if own else 0):
             where = f"{child.role}, {where}"
-        if computing := self._fleet.computing(exit_.role):
+        if computing := self._computing(exit_.role):
             how += f" while agent {computing} computed"
         last = f"; last line of {child.log_path}: {line}" if (line := "".join(child.tail()[-1:])) else ""
         for i in died:
@@ -392,9 +439,9 @@ class Supervisor:
         A session whose link was cut links again by itself, with its token, but what it missed is lost. So an agent
         whose life is over is dismissed; otherwise it would keep others from joining.
         """
-        self._external.token(i, True)
+        self.external.token(i, True)
         over = self._incarnation[i] - (i not in self._gone)
-        if self._fleet.begun and over >= 0:
+        if self.begun and over >= 0:
             self._dismiss(i, over, 0, "its link had ended, and its life with it")
 
     def unregistered(self, i: int) -> None:
@@ -403,23 +450,23 @@ class Supervisor:
         Raises:
             RunBroken: the agent died, and the run does not go on without it.
         """
-        was_there = self._external.present(i)
-        self._external.token(i, False)
+        was_there = self.external.present(i)
+        self.external.token(i, False)
         if not was_there:
             return
-        if not self._fleet.begun:
-            self._external.expect(i, 0, 0)  # another one may join in its place
+        if not self.begun:
+            self.external.expect(i, 0, 0)  # another one may join in its place
         elif i not in self.starting and i not in self._gone:
             if self._scenario.spec.on_death == "abort":
                 raise RunBroken(f"agent {i} (external) left at {self._now()}")
             self._died(i, f"agent {i} (external) left", "left: its session ended", "")
             self._gone.add(i)
 
-    def dismiss_external(self, reason: str) -> None:
-        """Notify the external agents that have joined that no nav will follow."""
-        joined = [[i, self._incarnation[i], 0] for i in self._external.vehicles if self._external.present(i)]
-        if joined:
-            self._fleet.ask(WORLD, "dismiss", agents=joined, reason=reason)
+    def note(self, role: str, data: bytes) -> None:
+        """Take a note of a process; that an agent on a host has ended is an event like the end of a process."""
+        ended = self.notes.receive(role, data, self._journal.framed)
+        if ended is not None and ended.vehicle in self._hosting.agents(role):
+            self.events.put(EventKind.EXIT, Exit(agent_role(ended.vehicle), ended.status, 0))
 
     def poll(self) -> None:
         """End the agents whose time has come, and start their successors; cheap when nothing is due."""
@@ -428,11 +475,11 @@ class Supervisor:
         self._polled_s = time.monotonic()
         if self.starting:
             self._note_ready()
-        granted = self._fleet.granted
+        granted = self.granted
         due = {i: gap for i in self._vehicles if (gap := self._gap(i)) is not None and gap[0] <= granted}
         alive = [i for i in due if i not in self._ending | self._gone]
         # The world asks for no command from the gap's first tick on: once it has reached it, nothing is lost.
-        reached = dict(self._fleet.ask(WORLD, "ticks").get("ticks", ())) if alive else {}
+        reached = dict(self.session.ask(WORLD, "ticks").get("ticks", ())) if alive else {}
         for i, (begin, end) in due.items():
             if i in alive and i not in self.starting and reached.get(i, -1) >= begin:
                 self._ending.add(i)
@@ -443,24 +490,24 @@ class Supervisor:
                 self._gone.discard(i)
                 self._incarnation[i] += 1
                 self.starting[i] = end
-                self._fleet.start_agent(i, self._incarnation[i], end)
+                self._start_agent(i, self._incarnation[i], end)
+
+    def _start_agent(self, i: int, incarnation: int, begin: int) -> None:
+        if i in self.external.vehicles:
+            self.external.expect(i, incarnation, begin)
+            return
+        assert self._launch is not None
+        self._launch.start(agent_role(i), self._launch.agent(i, incarnation, begin))
 
     def _note_ready(self) -> None:
-        ready = {(i, life) for i, life in self._fleet.ask(WORLD, "ready").get("ready", ())}
+        ready = {(i, life) for i, life in self.session.ask(WORLD, "ready").get("ready", ())}
         for i in [i for i in self.starting if (i, self._incarnation[i]) in ready]:
-            if i not in self._external.vehicles or self._external.present(i):
+            if i not in self.external.vehicles or self.external.present(i):
                 del self.starting[i]
-                self._external.joined(i)
+                self.external.joined(i)
 
     def _died(self, i: int, who: str, how: str, last: str) -> None:
-        """Account for an agent that ended by itself.
-
-        Args:
-            who: the agent and what happened, for a note.
-            how: what happened, for the result.
-            last: its last words, for the note.
-        """
-        life, granted = self._incarnation[i], self._fleet.granted
+        life, granted = self._incarnation[i], self.granted
         gap = self._gap(i)
         begin = self.starting.pop(i, None)
         until = None
@@ -473,17 +520,17 @@ class Supervisor:
             since = max(self._journal.framed, 0 if life == 0 else self._lives.gaps(i)[life - 1][1] or 0)
             self._lives.add(Absence(i, since, gap[1] if until is None and gap else until))
         # An agent that was never ready got no nav: its life ends where it would have begun.
-        self._fleet.announce(Death(i, begin, life, until))
+        self.session.put(Death(i, begin, life, until))
         if until is not None:
-            self._fleet.set_absences(self._lives.absences)
+            self._set_absences()
         self.deaths.setdefault(i, []).append(how)
         then = f", another one takes over at {tick_text(until, self._scenario.tick_ns)}" if until is not None else ""
         fate = "is not integrated any more" if i in self._journal.diverged else f"drifts without thrust{then}"
-        self._notes.add(self._journal.framed, who, f"its vehicle {fate}{last}")
+        self.notes.add(self._journal.framed, who, f"its vehicle {fate}{last}")
 
     def _end(self, i: int, tick: int) -> None:
         """End the agent of a vehicle. One elsewhere or on a host is dismissed, and ignored from then on."""
-        if i in self._external.vehicles or self._hosting.role(i, self._incarnation[i]) != agent_role(i):
+        if i in self.external.vehicles or self._hosting.role(i, self._incarnation[i]) != agent_role(i):
             self._dismiss(i, self._incarnation[i], tick, "it was killed by a fault of the scenario or the operator")
             self._gone.add(i)
             return
@@ -491,12 +538,11 @@ class Supervisor:
             os.kill(self._children.by_role[agent_role(i)].pid, signal.SIGKILL)
 
     def _dismiss(self, i: int, incarnation: int, tick: int, reason: str) -> None:
-        self._fleet.ask(WORLD, "dismiss", agents=[[i, incarnation, tick]], reason=reason)
+        self.session.ask(WORLD, "dismiss", agents=[[i, incarnation, tick]], reason=reason)
 
     def _survivable(self, exit_: Exit) -> bool:
-        """Whether the run goes on without this agent."""
         return (
-            self._fleet.begun
+            self.begun
             and self._scenario.spec.on_death != "abort"
             and exit_.code != FORKSERVER_LOST
             and (exit_.code != CONTROLLER_FAILED or self._scenario.spec.on_controller_error == "die")
@@ -508,5 +554,32 @@ class Supervisor:
         life = self._incarnation[i]
         return gaps[life] if life < len(gaps) else None
 
+    def _set_absences(self) -> None:
+        if "tick" not in self.session.ask(NETEM, "absences", absences=[list(one) for one in self._lives.absences]):
+            raise RunBroken("netem did not answer")
+
+    def _computing(self, role: str) -> int:
+        return 0 if self._launch is None else self._launch.computing(role)
+
     def _now(self) -> str:
         return tick_text(self._journal.framed, self._scenario.tick_ns)
+
+    # Words for a person.
+
+    def last_lines(self) -> list[str]:
+        """The last line of each process, of the first ten that printed one."""
+        return [f"{child.role}: {line}" for child in self._children.by_role.values() for line in child.tail()[-1:]][:10]
+
+    def who_waits(self) -> str:
+        """The agents or processes that have not answered."""
+        if self.starting:
+            return "waiting for agents to start again: " + ", ".join(map(str, sorted(self.starting)))
+        world, network = self.session.ask(WORLD, "waiting"), self.session.ask(NETEM, "waiting")
+        behind = self._journal.written < self._journal.framed
+        processes, external = self._hosting.children(self._children.by_role), self.external.vehicles
+        return who_waits(world, network, processes, external, log_is_behind=behind, computing=self._computing)
+
+    def explain(self, exits: Sequence[Exit]) -> RunBroken:
+        """Why the run cannot go on without these processes."""
+        processes = self._hosting.children(self._children.by_role)
+        return explain(exits, processes, self.notes.lines, self._now(), self._computing)

@@ -18,12 +18,9 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from msgspec import Meta, Struct
 
-from agents.errors import AgentError
 from fleet.analysis.verdicts import standing
-from fleet.checks.own_checks import OwnChecks
-from fleet.errors import RunBroken, ScenarioError
-from fleet.execution.clock import GrantPolicy
-from fleet.execution.in_process import InProcess
+from fleet.errors import ScenarioError
+from fleet.execution.in_process import in_process
 from fleet.execution.outcome import judge_run, settle
 from fleet.quantities import show_time, time_ns
 from fleet.recorder.journal import Journal
@@ -48,7 +45,6 @@ from fleet.study.shrink import Tree, tree_of
 from netem.lives import Lives
 from netem.wire.messages import Command, Fate, Frame
 from world.config import vehicle_memories
-from world.errors import WorldError
 
 RUNS = "runs that are healed"  # what is being made, for `tell`
 _FIRST, _THEN = 6, 3  # moments that are tried together
@@ -142,7 +138,6 @@ def with_moments(scenario: Scenario) -> Scenario:
 
 
 def _every(scenario: Scenario) -> int:
-    """Ticks between two moments."""
     grid = snapshot_grid(scenario.spec)
     a_second = min(_EVERY_NS // scenario.tick_ns, scenario.ticks // _LEAST_MOMENTS)
     wanted = max(a_second, ceil(scenario.ticks / _MOST_MOMENTS))
@@ -160,14 +155,11 @@ def remake(scenario: Scenario, progress: Callable[[float], None]) -> Remade:
         CheckError: a check in Python cannot be made.
     """
     watch = _Watch(scenario, _every(scenario))
-    watch.journal = journal = Journal(scenario, watch, checks=OwnChecks.asked(scenario))
-    runner, log = InProcess(scenario, journal), NoLog()
+    runner, log = in_process(scenario, watch), NoLog()
+    watch.journal = journal = runner.journal
     result = Result(scenario=scenario.name, seed=scenario.seed, status=Status.PASS)
-    try:
-        runner.serve(GrantPolicy.of(scenario), lambda: progress(max(0, journal.written) / scenario.ticks))
-    except (RunBroken, AgentError, WorldError) as error:
-        result.status = Status.BROKEN
-        return Remade(scenario, broken=str(error))
+    if broken := runner.to_end(lambda: progress(max(0, journal.written) / scenario.ticks)):
+        return Remade(scenario, broken=broken.reason)
     settle(journal, log, runner, result)
     judge_run(scenario, journal, result, lost=0)
     return Remade(scenario, result.checks, watch.moments)

@@ -9,27 +9,18 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
-from fleet.errors import FleetError
 from fleet.explanation.evidence import ON_THE_WAY, TOPICS
 from fleet.explanation.why import Why
 from fleet.logs.open_log import Log, open_log
 from fleet.palette import COLOURS
 from fleet.pictures.runs import with_gaps
 from fleet.pictures.shades import shade
-from fleet.pictures.style import FORMATS, LABEL_PT, PAGE_IN, THIN, Provenance, legend, line, panels, save
+from fleet.pictures.style import LABEL_PT, PAGE_IN, THIN, Provenance, format_of, legend, line, panels, save_as
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signals import parse_name
 
 _MOST_LINKS, _MOST_VEHICLES = 20, 12
 _FAILED, _PASSES = "#c0392b", "#1e8449"
-
-
-def format_of(path: Path) -> str:
-    """The form of a picture. Raises FleetError: its suffix is none."""
-    form = path.suffix.removeprefix(".")
-    if form not in FORMATS:
-        raise FleetError(f"{path}: a picture ends in one of {', '.join('.' + f for f in FORMATS)}")
-    return form
 
 
 def draw(why: Why, log_path: Path, scenario: Scenario, path: Path) -> None:
@@ -38,7 +29,8 @@ def draw(why: Why, log_path: Path, scenario: Scenario, path: Path) -> None:
     Raises:
         FleetError: the file cannot be written, or its suffix is none of a picture.
     """
-    form, log = format_of(path), open_log(log_path, TOPICS)
+    format_of(path)  # before the work
+    log = open_log(log_path, TOPICS)
     links = _silent(why)
     height = 0.5 + 0.14 * max(4, len(links))
     figure, (above, below) = panels(2, 1, PAGE_IN, height + 3.0, [height, 1.9])
@@ -58,10 +50,7 @@ def draw(why: Why, log_path: Path, scenario: Scenario, path: Path) -> None:
         handles = [Patch(color=_colour(cause, causes), label=cause) for cause in list(causes)[:6]]
         above.legend(handles=handles, loc="upper left", fontsize=LABEL_PT, ncols=len(handles), frameon=True)
     facts = (("scenario", why.scenario), ("seed", str(why.seed)), ("digest", log.digest))
-    try:
-        save(figure, path.with_suffix(""), (form,), Provenance(f"Why {why.check} failed", facts))
-    except OSError as error:
-        raise FleetError(f"cannot write {path}: {error.strerror}") from None
+    save_as(figure, path, Provenance(f"Why {why.check} failed", facts))
 
 
 def _silent(why: Why) -> list[str]:

@@ -376,7 +376,6 @@ def _reached(endpoint: RouterEndpoint, hosts: list[str], server: ServerCertifica
 
 
 def _own_address() -> str:
-    """The address of this host as others would see it; nothing is sent."""
     with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.connect(("192.0.2.1", 9))
         return str(probe.getsockname()[0])

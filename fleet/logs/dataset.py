@@ -9,16 +9,15 @@ arrive at the same time, `sample` numbers the rows.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-import fleet.logs.topic as held
 from fleet.errors import FleetError
-from fleet.logs.columns import Columns
+from fleet.logs.columns import objects
 from fleet.logs.reader import LogReadError
 from fleet.logs.records import Array
 from fleet.logs.topic import Topic
@@ -58,19 +57,17 @@ class TableColumn(NamedTuple):
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
 
-def columns(topic: Topic) -> list[TableColumn]:
-    """The table of a topic; the time comes first.
+def columns(topic: Topic, undivided: Collection[str] = ()) -> list[TableColumn]:
+    """The table of what is held of a topic; the time comes first. Vectors in `undivided` stay one column.
 
     Raises:
         LogReadError: its messages cannot be decoded, or are too many to be held.
     """
-    return table(topic, topic.t, {name: topic[name] for name in topic.fields})
-
-
-def table(topic: Topic, t: Array, fields: Columns) -> list[TableColumn]:
-    """The table of fields of a topic, with the time [s] of each sample."""
-    found = [TableColumn("t", "s", "when the message was logged, in simulated time", t)]
-    for name, values in fields.items():
+    found = [TableColumn("t", "s", "when the message was logged, in simulated time", topic.t)]
+    for name in topic.fields:
+        values = topic[name]
+        if name in undivided and values.ndim > 1:
+            values = objects(map(tuple, values.tolist()))
         unit, meaning = topic.declaration(name)
         name = "t_" if name == "t" else name
         if values.ndim == 1:
@@ -136,14 +133,14 @@ def dataset(topic: Topic, table: list[TableColumn], run: Mapping[str, str]) -> x
     return found
 
 
-def tree(path: Path, topics: Iterable[Topic], run: Mapping[str, str]) -> xr.DataTree:
+def tree(path: Path, topics: Iterable[Topic], run: Mapping[str, str], most: int) -> xr.DataTree:
     """The topics of a log that are tables, by their names; as `Log.to_xarray`."""
     need("a DataTree", ("xarray",), EXTRA)
     import xarray as xr
 
     chosen = [topic for topic in topics if fits(topic)]
     size = sum(topic.size for topic in chosen)
-    if size > held.MOST_HELD:
+    if size > most:
         raise LogReadError(
             f"{path}: these topics hold {size / 1e6:.0f} MB, more than is held at once: choose some, as in "
             "open_log(path, ['uuv/*/state']), or a part with start, end or every"

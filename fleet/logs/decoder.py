@@ -139,8 +139,14 @@ def _unlike(cls: Any, columns: Iterable[MessageField], *, lacking: bool) -> str:
 
 def units_of(channel: Channel) -> dict[str, str]:
     """The unit of each field that has one, by the channel's metadata. Empty if the metadata cannot be read."""
+    return {name: unit for name, (unit, _) in declared_by(channel).items()}
+
+
+def declared_by(channel: Channel) -> dict[str, tuple[str, str]]:
+    """(unit, meaning) of each field that has them, by the channel's metadata; empty of a channel that is not ours."""
     try:
-        return {name: str(unit) for name, (unit, _) in json.loads(channel.metadata.get(UNITS, "{}")).items()}
+        declared = json.loads(channel.metadata.get(UNITS, "{}")).items()
+        return {name: (str(unit), str(meaning)) for name, (unit, meaning) in declared}
     except (ValueError, TypeError, AttributeError):
         return {}
 

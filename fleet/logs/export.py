@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import csv
 import json
-from array import array
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from io import StringIO
@@ -20,10 +19,9 @@ from typing import IO, Any
 
 import numpy as np
 
-import fleet.logs.topic as held
 from fleet.errors import FleetError
 from fleet.logs.columns import objects
-from fleet.logs.dataset import EXTRA, TableColumn, dataset, fits, frame_attributes, need, table
+from fleet.logs.dataset import EXTRA, TableColumn, columns, dataset, fits, frame_attributes, need
 from fleet.logs.open_log import Log
 from fleet.logs.reader import LogReader, Tell
 from fleet.logs.records import Array, Block
@@ -111,7 +109,7 @@ def link_trace(topic: Topic, tick_ns: int, say: Callable[[str], None] = lambda _
 INDEX = "export.json"
 MOST_OPEN = 200  # tables that are written at once: Parquet keeps its files open
 _LARGE = 1 << 20  # bytes of a cell
-_HELD = 32 << 20  # bytes of messages that wait to be written
+_HELD = 12 << 20  # bytes of messages that wait to be written
 
 
 def export(log: Log, folder: Path, form: str, *, force: bool = False, share: Tell = lambda _: None) -> list[Path]:
@@ -143,7 +141,7 @@ def export(log: Log, folder: Path, form: str, *, force: bool = False, share: Tel
     index_part = folder / f"{INDEX}.part"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for some in batched(sheets.values(), MOST_OPEN, held.MOST_HELD if form == "netcdf" else inf):
+        for some in batched(sheets.values(), MOST_OPEN, log.most_held if form == "netcdf" else inf):
             _stream(log.path, some, share)
             if again := [sheet for sheet in some if sheet.begin_again()]:
                 _stream(log.path, again, share)
@@ -168,7 +166,6 @@ def export(log: Log, folder: Path, form: str, *, force: bool = False, share: Tel
 
 
 def _stream(path: Path, sheets: Iterable[Sheet], share: Tell) -> None:
-    """Fill tables while the log is read."""
     by_topic = {sheet.topic.name: sheet for sheet in sheets}
     reader = LogReader(path, share)
     held = 0
@@ -192,7 +189,6 @@ class Sheet:
     def __init__(self, topic: Topic, path: Path, run: Mapping[str, str]) -> None:
         self.topic, self.path, self.part = topic, path, path.with_name(f"{path.name}.part")
         self._run = run
-        self._columnize = topic.columnizer()
         self._mixed: set[str] = set()  # vectors that are not always as long, so that their parts are no columns
         self._restart()
 
@@ -201,42 +197,32 @@ class Sheet:
         self._wrong = False
         self._rows = 0
         self._headings: dict[str, list[str]] = {}
-        self._empty()
-
-    def _empty(self) -> None:
-        self._data, self._lengths, self._times = bytearray(), array("I"), array("Q")
+        self.topic.drop()
 
     def add(self, block: Block) -> int:
         """Take more messages; how many bytes they hold."""
-        data = block.payloads()
-        self._data += data
-        self._lengths.frombytes((block.end - block.begin).astype(np.uint32).tobytes())
-        self._times.frombytes(block.log_ns.tobytes())
-        return len(data) + 12 * len(block)
+        before = self.topic.cost
+        self.topic.add(block)
+        return self.topic.cost - before
 
     def flush(self) -> None:
         """Write what there is."""
-        if not self._times:
+        topic = self.topic
+        if not topic.cost:
             return
-        t = np.array(self._times, np.uint64).astype(np.int64) / 1e9
-        fields = self._columnize(self._data, np.array(self._lengths, np.uint32))
-        self._empty()
-        for name in self._mixed & fields.keys():
-            if fields[name].ndim > 1:
-                fields[name] = objects(map(tuple, fields[name].tolist()))
-        shapes = {name: values.shape[1:] for name, values in fields.items()}
+        shapes = {name: topic[name].shape[1:] if name not in self._mixed else () for name in topic.fields}
         if self._shapes is not None and shapes != self._shapes:
             self._wrong = True
             self._mixed |= {name for name, shape in shapes.items() if shape != self._shapes[name]}
-        if self._wrong:
-            return
-        columns = table(self.topic, t, fields)
-        if self._shapes is None:
-            self._headings = {column.name: [column.unit, column.meaning] for column in columns}
-            self._begin(columns)
-        self._shapes = shapes
-        self._rows += len(t)
-        self._write(columns)
+        if not self._wrong:
+            found = columns(topic, self._mixed)
+            if self._shapes is None:
+                self._headings = {column.name: [column.unit, column.meaning] for column in found}
+                self._begin(found)
+            self._shapes = shapes
+            self._rows += len(topic)
+            self._write(found)
+        topic.drop()
 
     def begin_again(self) -> bool:
         """Whether the table must be written again: a vector turned out to have no fixed length."""
@@ -252,7 +238,7 @@ class Sheet:
         }  # fmt: skip
 
     def _begin(self, columns: list[TableColumn]) -> None:
-        raise NotImplementedError
+        """Nothing is written before the first rows."""
 
     def _write(self, columns: list[TableColumn]) -> None:
         raise NotImplementedError
@@ -321,15 +307,13 @@ class NetcdfSheet(Sheet):
     """NetCDF-3, the form that everything reads; it is written when all of it is there."""
 
     def _restart(self) -> None:
-        super()._restart()
-        self._parts: list[list[TableColumn]] = []
-
-    def _begin(self, columns: list[TableColumn]) -> None:
-        if self.topic.size > held.MOST_HELD:
+        if self.topic.size > self.topic.most_held:
             raise FleetError(
                 f"{self.topic.name} is too large for NetCDF ({self.topic.size / 1e6:.0f} MB): use --parquet, or choose "
                 "others with --topics"
             )
+        super()._restart()
+        self._parts: list[list[TableColumn]] = []
 
     def _write(self, columns: list[TableColumn]) -> None:
         self._parts.append(columns)

@@ -115,7 +115,6 @@ def info_text(info: Info) -> str:
 
 
 def _happened(info: Info) -> list[str]:
-    """The faults, and apart from them what happened to vehicles."""
     lines = ["faults"] if info.faults else []
     if info.unread:
         limits = f"the first {MOST_EVENTS}, or {_MOST_TEXT >> 20} MiB, of them"

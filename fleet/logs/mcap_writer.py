@@ -128,7 +128,6 @@ class ChunkEntries:
 
 
 def _put(data: NDArray[np.uint8], places: NDArray[np.int64], records: NDArray[np.void]) -> None:
-    """Write each record at its place."""
     size = records.dtype.itemsize
     data[places[:, None] + np.arange(size)] = records.view(np.uint8).reshape(-1, size)
 

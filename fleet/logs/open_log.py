@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cached_property
 from math import inf
@@ -19,11 +20,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-import fleet.logs.topic as held
 from fleet.logs.fault_intervals import FaultInterval, fault_intervals
 from fleet.logs.reader import LogReader, LogReadError, Tell, digest, log_path
 from fleet.logs.records import Block, Digest
-from fleet.logs.topic import LogKeyError, Topic
+from fleet.logs.topic import STEP, LogKeyError, Topic
 from fleet.logs.topic_names import link_of
 from fleet.notebook import html_table
 from fleet.scenario.sections.vehicle_events import is_fault
@@ -59,6 +59,8 @@ class Part(NamedTuple):
         return block if self.every == 1 else block.take(np.arange(-seen % self.every, len(block), self.every))
 
 
+ALL = Part()
+MOST_HELD = 320 << 20  # bytes of a log that are held at once
 BUCKETS = 4000  # spans of time that a picture can show, at most
 _AT_ONCE = 16 << 20  # bytes whose messages are handed out together: a chunk has one or two of each of many topics
 
@@ -77,11 +79,12 @@ class Log:
             and the versions of what computed it. Empty for a log of another program.
         missing: why the log is not whole, in words; empty if it is whole.
         scenario_text: the merged scenario as YAML; empty if the log holds none.
+        most_held: bytes of its messages that are held at once.
     """
 
-    def __init__(self, path: Path, topics: dict[str, Topic], reader: LogReader) -> None:
+    def __init__(self, path: Path, topics: dict[str, Topic], reader: LogReader, most_held: int) -> None:
         """Logs are made by `open_log`."""
-        self.path = path
+        self.path, self.most_held = path, most_held
         self.run = reader.metadata.get("run", {})
         self.missing = reader.missing
         self._topics = topics
@@ -159,7 +162,7 @@ class Log:
         """
         from fleet.logs.dataset import tree
 
-        return tree(self.path, self._topics.values(), self.run)
+        return tree(self.path, self._topics.values(), self.run, self.most_held)
 
     def to_pandas(self, topic: str) -> pd.DataFrame:
         """A topic as a table; `attrs["units"]` and `attrs["meanings"]` have those of its columns.
@@ -212,7 +215,6 @@ class Log:
 
     @cached_property
     def _intervals(self) -> list[FaultInterval]:
-        """Faults and events, as the topic `faults` has them."""
         return fault_intervals(self["faults"], self.end) if "faults" in self else []
 
 
@@ -258,88 +260,61 @@ def open_log(
         raise LogReadError(f"every={every}: it is the number of messages of which one is kept, 1 or more")
     if not start <= end:
         raise LogReadError(f"start={start:g} s, end={end:g} s: the start comes first")
-    return _Opening(log_path(Path(path)), topics, progress, share, Part(start, end, every)).read()
+    return Opening(Path(path), topics, share, progress=progress, part=Part(start, end, every)).read()
 
 
-def open_drawn(path: Path, topics: Iterable[str], share: Tell, fields: Mapping[str, frozenset[str]]) -> Log:
-    """Read a log for pictures.
+@dataclass
+class Opening:
+    """How a log is read: once, and topics again if they could not all be held."""
 
-    A log may be too large for memory. Then each signal keeps its visible part: the first and last sample and the
-    extremes of short spans of time.
+    path: Path  # an MCAP file, or a run directory
+    topics: Iterable[str] | None = None  # patterns of those to keep; None: all
+    share: Tell = lambda _: None  # called with the share of the file that was read
+    progress: Callable[[float], None] = lambda _: None  # called with the simulated time reached [s]
+    part: Part = ALL
+    # For pictures: pattern of topics -> the fields that are kept of them if the log is too large. Each signal then
+    # keeps its visible part: the first and last sample and the extremes of short spans of time.
+    drawn: Mapping[str, frozenset[str]] | None = None
+    hold_all: bool = True  # False: messages are counted; a topic is read when one of its fields is used
+    most_held: int = MOST_HELD  # bytes
 
-    Args:
-        path: an MCAP file, or a run directory.
-        topics: patterns of the topics to keep.
-        share: called with the share of the file that was read.
-        fields: pattern of topics -> the fields that are kept of them if the log is too large.
-
-    Raises:
-        LogReadError: there is no log to read.
-    """
-    return _Opening(log_path(path), topics, lambda _: None, share, Part(), fields).read()
-
-
-def list_topics(path: Path, topics: Iterable[str] | None, share: Tell) -> Log:
-    """A log whose messages are counted and not held; a topic is read when one of its fields is used.
-
-    Raises:
-        LogReadError: there is no log to read.
-    """
-    opening = _Opening(log_path(path), topics, lambda _: None, share, Part())
-    opening.hold_all = False
-    return opening.read()
-
-
-class _Opening:
-    """Reads a log once, and topics again if they could not all be held."""
-
-    def __init__(
-        self,
-        path: Path,
-        topics: Iterable[str] | None,
-        progress: Callable[[float], None],
-        share: Tell,
-        part: Part,
-        drawn: Mapping[str, frozenset[str]] | None = None,
-    ) -> None:
-        self._path, self._progress, self._share, self._part, self._drawn = path, progress, share, part, drawn
-        self._wanted = None if topics is None else [topics] if isinstance(topics, str) else list(topics)
+    def __post_init__(self) -> None:
+        self.path = log_path(self.path)
+        self.topics = [self.topics] if isinstance(self.topics, str) else self.topics and list(self.topics)
         self._topics: dict[str, Topic | None] = {}
         self._held: list[Topic] = []  # those that were fetched, the oldest first
         self._seen: Counter[str] = Counter()
-        self.hold_all = True
 
     def read(self) -> Log:
-        """The log, with what could be held."""
-        reader = LogReader(self._path, self._share)
-        total = None if self._drawn is None else Digest()  # a picture says of which log it is
-        plain = self._drawn is None and self._part == Part()
+        """The log, with what could be held. Raises LogReadError if there is none."""
+        reader = LogReader(self.path, self.share)
+        total = None if self.drawn is None else Digest()  # a picture says of which log it is
+        plain = self.drawn is None and self.part == ALL
         for block in reader.gathered(_AT_ONCE):
             if total is not None:
                 total.add_block(block, reader.topics_of(block))
-            if plain and self._wanted is None and self._path.stat().st_size > held.MOST_HELD:
+            if plain and self.topics is None and self.path.stat().st_size > self.most_held:
                 self.hold_all = False  # it would be given up later
             take = self._count if plain and not self.hold_all else self._take
             take(reader, block)
-            self._progress(int(block.log_ns[-1]) / 1e9)
-            if (self.hold_all or total is not None) and self._cost() > held.MOST_HELD:
+            self.progress(int(block.log_ns[-1]) / 1e9)
+            if (self.hold_all or total is not None) and self._cost() > self.most_held:
                 self._relieve()
         # In the order of the channels, with those that hold nothing.
         ordered = {channel.topic: None for channel in reader.channels.values()}
         kept = {name: self._topic(reader, name) for name in ordered}
-        log = Log(self._path, {name: topic for name, topic in kept.items() if topic is not None}, reader)
+        log = Log(self.path, {name: topic for name, topic in kept.items() if topic is not None}, reader, self.most_held)
         if total is not None:
             log.digest = total.hexdigest()
         return log
 
     def _take(self, reader: LogReader, block: Block) -> None:
-        """Count the messages of a block that are kept, and hold them."""
         for name, some in self._of(reader, block):
             topic = self._topic(reader, name)
             if topic is None:
                 continue
             topic.count(len(some), int((some.end - some.begin).sum()), int(some.log_ns.max()))
-            if self.hold_all or (self._drawn is not None and not topic.too_many):
+            if self.hold_all or (self.drawn is not None and not topic.too_many):
                 topic.add(some)
 
     def _count(self, reader: LogReader, block: Block) -> None:
@@ -359,19 +334,17 @@ class _Opening:
         return self._topics[name]
 
     def _made(self, reader: LogReader, name: str) -> Topic | None:
-        if self._wanted is not None and not any(fnmatchcase(name, pattern) for pattern in self._wanted):
+        if self.topics is not None and not any(fnmatchcase(name, pattern) for pattern in self.topics):
             return None
         channel = reader.channel(name)
         assert channel is not None  # the name is that of one
-        topic = Topic(name, channel, reader.schemas.get(channel.schema_id))
-        topic.fetch = self._fetch
-        return topic
+        return Topic(name, channel, reader.schemas.get(channel.schema_id), self._fetch, self.most_held)
 
     def _of(self, reader: LogReader, block: Block) -> Iterator[tuple[str, Block]]:
         """The messages of a block by topic, as far as they are kept."""
-        for number, some in self._part.within(block).by_channel():
+        for number, some in self.part.within(block).by_channel():
             name = reader.channels[number].topic
-            kept = self._part.thinned(some, self._seen[name])
+            kept = self.part.thinned(some, self._seen[name])
             self._seen[name] += len(some)
             if len(kept):
                 yield name, kept
@@ -383,12 +356,12 @@ class _Opening:
         """Too much is held: forget all of it, or what a picture does not show."""
         self.hold_all = False
         topics = [topic for topic in self._topics.values() if topic is not None and not topic.too_many]
-        if self._drawn is None:
+        if self.drawn is None:
             for topic in topics:
                 topic.drop()
             return
         for topic in topics:
-            for pattern, fields in self._drawn.items():
+            for pattern, fields in self.drawn.items():
                 if fnmatchcase(topic.name, pattern):
                     topic.fields_kept = fields
             try:
@@ -397,24 +370,24 @@ class _Opening:
                 topic.refuse()
                 continue
             if topic.doubles and len(topic):
-                topic.thin(max(50, min(BUCKETS, held.MOST_HELD // (5000 * len(topics)))))
+                topic.thin(max(50, min(BUCKETS, self.most_held // (5000 * len(topics)))))
         for topic in sorted(topics, key=lambda topic: -topic.cost):
-            if self._cost() <= held.MOST_HELD // 4 * 3:
+            if self._cost() <= self.most_held // 4 * 3:
                 break
             topic.refuse()
 
     def _fetch(self, topic: Topic) -> None:
         """Read one topic again; raises LogReadError if it is too large by itself."""
-        while self._held and sum(topic.cost for topic in self._held) > held.MOST_HELD // 2:
+        while self._held and sum(topic.cost for topic in self._held) > self.most_held // 2:
             self._held.pop(0).drop()
-        reader = LogReader(self._path, self._share)
+        reader = LogReader(self.path, self.share)
         self._seen.clear()
         for block in reader.gathered(_AT_ONCE):
             its = [number for number, channel in reader.channels.items() if channel.topic == topic.name]
             for _, some in self._of(reader, block.take(np.isin(block.channel, np.array(its, np.uint16)))):
                 topic.add(some)
-                topic.compact(held.STEP * 2)
-                if topic.cost > held.MOST_HELD:
+                topic.compact(STEP * 2)
+                if topic.cost > self.most_held:
                     topic.drop()
                     raise topic.too_large()
         self._held.append(topic)

@@ -6,6 +6,7 @@ import hashlib
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from struct import Struct
 from struct import error as struct_error
 from typing import Any, NamedTuple
@@ -13,8 +14,9 @@ from typing import Any, NamedTuple
 import lz4.frame
 import numpy as np
 import zstandard
+from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, DataEnd, Header, Metadata, Schema
+from mcap.records import Attachment, Channel, Chunk, DataEnd, Header, Metadata, Schema
 
 from fleet.errors import FleetError
 
@@ -80,14 +82,16 @@ _SHORT = 1024  # bytes of payloads that are gathered by numpy
 HEAD = Struct("<BQ")
 CHUNK = Struct("<QQQI")  # first and last time [ns], unpacked size, CRC
 MESSAGE = Struct("<HIQQ")
-U16, U32, U64 = Struct("<H"), Struct("<I"), Struct("<Q")
+U32, U64 = Struct("<I"), Struct("<Q")
+_LENGTH = Struct("<xQ")  # of a record, behind its opcode
 _RECORD = np.dtype([
     ("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log_ns", "<u8"),
     ("publish_ns", "<u8"),
 ])  # fmt: skip
-_BROKEN = (struct_error, ValueError, RuntimeError, zstandard.ZstdError)  # lz4 raises RuntimeError
+BROKEN = (struct_error, ValueError, RuntimeError, zstandard.ZstdError)  # lz4 raises RuntimeError
 
 Array = np.ndarray[Any, np.dtype[Any]]
+Record = Schema | Channel | Chunk | Header | Metadata | Attachment | DataEnd
 
 
 class Message(NamedTuple):
@@ -174,112 +178,55 @@ class NonsenseError(FleetError):
     """The content of a chunk is not a sequence of records."""
 
 
-def inside(offset: int, data: bytes, places: Array | None = None) -> Iterator[Block | Schema | Channel]:
-    """The records of a chunk at an offset, in order.
-
-    Args:
-        offset: of the chunk in the file.
-        data: the unpacked content of the chunk.
-        places: where in it an index says that the messages are. It is quicker to check this than to go from record
-            to record, and the result is the same: a wrong index is not used.
+def inside(offset: int, data: bytes) -> Iterator[Block | Schema | Channel]:
+    """The records of a chunk in order; `offset` is that of the chunk in the file, `data` its unpacked content.
 
     Raises:
         NonsenseError: from some place on these are no records; what stands before was yielded.
     """
-    indexed = None if places is None else _indexed(offset, data, places)
-    yield from _walked(offset, data) if indexed is None else indexed
+    at, size, head, unpack = 0, len(data), HEAD.size, _LENGTH.unpack_from  # looked up once, not per message
+    while at < size:
+        begins: list[int] = []
+        try:
+            for _ in range(MOST_IN_BLOCK):
+                begins.append(at)
+                at += head + unpack(data, at)[0]
+                if at >= size:
+                    break
+        except struct_error:
+            at = size + 1
+        if at > size:  # the last one does not end here
+            begins.pop()
+        if begins:
+            whole = np.array(begins, np.int64)
+            yield from _items(offset, data, whole, np.append(whole[1:], size if at > size else at))
+        if at > size:
+            raise NonsenseError
 
 
-def _indexed(offset: int, data: bytes, places: Array) -> list[Block | Schema | Channel] | None:
-    """The records of a chunk whose messages are at these places; None if they are not, or if others are there too."""
-    size = len(data)
-    if not 0 < len(places) <= MOST_IN_BLOCK or int(places.max()) > size - _RECORD.itemsize:
-        return None
-    begin = np.sort(places).astype(np.int64)
-    records = _at(data, begin, _RECORD)
-    lengths = records["length"]
-    if (records["opcode"] != int(Opcode.MESSAGE)).any() or lengths.min() < MESSAGE.size or lengths.max() > size:
-        return None
-    end = begin + (HEAD.size + lengths.astype(np.int64))
-    before, after = np.append(0, end), np.append(begin, size)  # between them other records stand, or nothing
-    if (before > after).any():
-        return None
-    found: list[Block | Schema | Channel] = []
+def _items(offset: int, data: bytes, begin: Array, end: Array) -> Iterator[Block | Schema | Channel]:
+    opcode = np.frombuffer(data, np.uint8)[begin]
+    message = opcode == int(Opcode.MESSAGE)
     first = 0
-    for row in np.flatnonzero(before < after).tolist():
-        items = _others(data, int(before[row]), int(after[row]))
-        if items is None:
-            return None
-        if items and first < row:
-            found.append(_block(offset, data, records[first:row], begin[first:row], end[first:row]))
-            first = row
-        found += items
+    for row in np.flatnonzero(~message | (end - begin < _RECORD.itemsize)).tolist():
+        if first < row:
+            yield _block(offset, data, begin[first:row], end[first:row])
+        first = row + 1
+        if message[row]:
+            raise NonsenseError
+        if opcode[row] in (Opcode.SCHEMA, Opcode.CHANNEL):
+            try:
+                item = parse(int(opcode[row]), data[begin[row] + HEAD.size : end[row]])
+            except BROKEN:
+                raise NonsenseError from None
+            assert isinstance(item, Schema | Channel)
+            yield item
     if first < len(begin):
-        found.append(_block(offset, data, records[first:], begin[first:], end[first:]))
-    return found
+        yield _block(offset, data, begin[first:], end[first:])
 
 
-def _others(data: bytes, at: int, end: int) -> list[Schema | Channel] | None:
-    """The declarations between two places; None if messages stand there, or anything but records."""
-    found: list[Schema | Channel] = []
-    try:
-        while at < end:
-            opcode, length = HEAD.unpack_from(data, at)
-            begin, at = at + HEAD.size, at + HEAD.size + length
-            if at > end or opcode == Opcode.MESSAGE:
-                return None
-            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                item = parse(opcode, data[begin:at])
-                assert isinstance(item, Schema | Channel)
-                found.append(item)
-    except (struct_error, ValueError):
-        return None
-    return found
-
-
-def _walked(offset: int, data: bytes) -> Iterator[Block | Schema | Channel]:
-    """The same without an index, from record to record."""
-    at, size = 0, len(data)
-    message, head, fields = int(Opcode.MESSAGE), HEAD.size, MESSAGE.size  # looked up once, not per message
-    unpack = HEAD.unpack_from
-    places: list[int] = []
-    try:
-        while at < size:
-            opcode, length = unpack(data, at)
-            place, begin = at, at + head
-            at = begin + length
-            if at > size:
-                raise ValueError
-            if opcode == message:
-                if length < fields:
-                    raise ValueError
-                places.append(place)
-                if len(places) < MOST_IN_BLOCK:
-                    continue
-            elif opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
-                continue
-            if places:
-                yield _placed(offset, data, places)
-                places = []
-            if opcode != message:
-                item = parse(opcode, data[begin:at])
-                assert isinstance(item, Schema | Channel)
-                yield item
-    except (struct_error, ValueError):
-        if places:
-            yield _placed(offset, data, places)
-        raise NonsenseError from None
-    if places:
-        yield _placed(offset, data, places)
-
-
-def _placed(offset: int, data: bytes, places: list[int]) -> Block:
-    begin = np.array(places, np.int64)
+def _block(offset: int, data: bytes, begin: Array, end: Array) -> Block:
     records = _at(data, begin, _RECORD)
-    return _block(offset, data, records, begin, begin + (HEAD.size + records["length"].astype(np.int64)))
-
-
-def _block(offset: int, data: bytes, records: Array, begin: Array, end: Array) -> Block:
     channel, sequence, log_ns, publish_ns = (
         np.ascontiguousarray(records[name]) for name in ("channel", "sequence", "log_ns", "publish_ns")
     )
@@ -309,99 +256,68 @@ def content(body: bytes) -> bytes:
             say which, and are empty of a damaged one.
     """
     try:
-        _, _, size, crc = CHUNK.unpack_from(body)
-        compression, at = string(body, CHUNK.size)
-        (length,) = U64.unpack_from(body, at)
-        packed = memoryview(body)[at + U64.size :]
-    except _BROKEN:
+        chunk = parse(Opcode.CHUNK, body)
+    except BROKEN:
         raise ValueError("") from None
+    assert isinstance(chunk, Chunk)
+    size, crc = chunk.uncompressed_size, chunk.uncompressed_crc
     if size > MOST_BYTES:
         raise ValueError(f"a chunk that unpacks to {size} bytes, more than the {MOST_BYTES} that are read")
-    if compression not in _UNPACK:
-        raise ValueError(f"a chunk with the compression {compression[:20]!r}, which is not known here")
+    if chunk.compression not in _UNPACK:
+        raise ValueError(f"a chunk with the compression {chunk.compression[:20]!r}, which is not known here")
     try:
-        data = _UNPACK[compression](packed, size) if length == len(packed) and size else b""
-    except _BROKEN:
+        data = _UNPACK[chunk.compression](chunk.data, size) if size else b""
+    except BROKEN:
         raise ValueError("") from None
-    if length != len(packed) or len(data) != size or (crc and zlib.crc32(data) != crc):
+    if len(data) != size or (crc and zlib.crc32(data) != crc):
         raise ValueError("")
     return data
 
 
-def _zstd(packed: memoryview, size: int) -> bytes:
+def _zstd(packed: bytes, size: int) -> bytes:
     # The frame states its size too; unchecked it would be allocated.
     if zstandard.get_frame_parameters(packed).content_size not in (size, zstandard.CONTENTSIZE_UNKNOWN):
         raise ValueError
     return zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
 
 
-def _lz4(packed: memoryview, size: int) -> bytes:
+def _lz4(packed: bytes, size: int) -> bytes:
     found: bytes = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
     return found
 
 
-_UNPACK: dict[str, Callable[[memoryview, int], bytes]] = {
+_UNPACK: dict[str, Callable[[bytes, int], bytes]] = {
     "zstd": _zstd,
     "lz4": _lz4,
-    "": lambda packed, size: bytes(packed),
+    "": lambda packed, size: packed,
 }
 
 
-def parse(opcode: int, body: bytes) -> Schema | Channel | Header | Metadata | Attachment | DataEnd:
-    """A record from its content; raises `struct.error` or `ValueError` if it is none."""
-    match opcode:
-        case Opcode.HEADER:
-            profile, at = string(body, 0)
-            library, at = string(body, at)
-            return Header(profile, library)
-        case Opcode.SCHEMA:
-            name, at = string(body, 2)
-            encoding, at = string(body, at)
-            return Schema(id=U16.unpack_from(body)[0], name=name, encoding=encoding, data=_prefixed(body, at)[0])
-        case Opcode.CHANNEL:
-            topic, at = string(body, 4)
-            encoding, at = string(body, at)
-            number, schema = U16.unpack_from(body)[0], U16.unpack_from(body, 2)[0]
-            return Channel(id=number, topic=topic, message_encoding=encoding, metadata=_map(body, at), schema_id=schema)
-        case Opcode.METADATA:
-            name, at = string(body, 0)
-            return Metadata(name=name, metadata=_map(body, at))
-        case Opcode.ATTACHMENT:
-            name, at = string(body, 16)
-            media_type, at = string(body, at)
-            (length,) = U64.unpack_from(body, at)
-            data = body[at + 8 : at + 8 + length]
-            (crc,) = U32.unpack(body[at + 8 + length :])
-            if len(data) != length or (crc and zlib.crc32(memoryview(body)[:-4]) != crc):
-                raise ValueError
-            log_time, create_time = U64.unpack_from(body)[0], U64.unpack_from(body, 8)[0]
-            return Attachment(create_time=create_time, log_time=log_time, name=name, media_type=media_type, data=data)
-        case Opcode.DATA_END:
-            return DataEnd(U32.unpack(body)[0])
-    raise ValueError
+_KINDS: dict[int, Callable[[ReadDataStream], Record]] = {
+    Opcode.HEADER: Header.read, Opcode.SCHEMA: Schema.read, Opcode.CHANNEL: Channel.read, Opcode.CHUNK: Chunk.read,
+    Opcode.METADATA: Metadata.read, Opcode.ATTACHMENT: Attachment.read, Opcode.DATA_END: DataEnd.read,
+}  # fmt: skip
 
 
-def _prefixed(body: bytes, at: int) -> tuple[bytes, int]:
-    (length,) = U32.unpack_from(body, at)
-    end = at + 4 + length
-    if end > len(body):
+class _Exact(ReadDataStream):
+    """The content of a record, which gives no fewer bytes than it is asked for."""
+
+    def read(self, length: int) -> bytes:
+        data = self._stream.read(length)
+        if len(data) < length:
+            raise ValueError
+        self._count += length
+        return data
+
+
+def parse(opcode: int, body: bytes) -> Record:
+    """A record from its content; raises one of `BROKEN` if it is none."""
+    if opcode not in _KINDS:
         raise ValueError
-    return body[at + 4 : end], end
-
-
-def string(body: bytes, at: int) -> tuple[str, int]:
-    """A text with its length before it, and where it ends."""
-    data, end = _prefixed(body, at)
-    return data.decode("utf-8"), end
-
-
-def _map(body: bytes, at: int) -> dict[str, str]:
-    data, end = _prefixed(body, at)
-    if end != len(body):
+    stream = _Exact(BytesIO(body))
+    item = _KINDS[opcode](stream)
+    if stream.count < len(body) and opcode not in (Opcode.HEADER, Opcode.SCHEMA):
         raise ValueError
-    found: dict[str, str] = {}
-    at = 0
-    while at < len(data):
-        key, at = string(data, at)
-        found[key], at = string(data, at)
-    return found
+    if opcode == Opcode.ATTACHMENT and (crc := U32.unpack(body[-4:])[0]) and zlib.crc32(memoryview(body)[:-4]) != crc:
+        raise ValueError
+    return item

@@ -17,7 +17,7 @@ from fleet.errors import FleetError
 from fleet.logs.mcap_writer import McapWriter
 from fleet.logs.reader import GAPS, LOST, RECOVERY, Tell, log_path, lost, open_any
 from fleet.logs.records import MAGIC, Block, Message
-from fleet.logs.salvage import ChunkEnd, Item, Salvage, declarations
+from fleet.logs.salvage import ChunkEnd, Item, Salvage
 
 _YEAR_1973_S = 1e8
 
@@ -93,7 +93,7 @@ def _copy(path: Path, out: Path, salvage: Salvage, target: IO[bytes], magic: boo
         for message in item.messages():
             if not known and not copy.declared(message):
                 known = True  # the chunk that declared it is damaged: the index repeats it
-                for declaration in declarations(salvage.file):
+                for declaration in salvage.declarations():
                     copy.take(declaration)
             copy.message(message)
     found.places = [str(damage) for damage in salvage.damage]

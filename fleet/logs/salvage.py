@@ -12,23 +12,21 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from struct import Struct
-from struct import error as struct_error
 from typing import IO, NamedTuple
 
 import numpy as np
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, DataEnd, Header, Metadata, Schema
+from mcap.records import Attachment, Channel, Chunk, DataEnd, Header, Metadata, Schema
 
 from fleet.logs.records import (
+    BROKEN,
     CHUNK,
     HEAD,
     MAGIC,
     MESSAGE,
     MOST_BYTES,
-    MOST_IN_BLOCK,
     U32,
     U64,
-    Array,
     Block,
     NonsenseError,
     content,
@@ -37,77 +35,8 @@ from fleet.logs.records import (
     span_of,
 )
 
-# --- message indexes
-# The message indexes behind a chunk of an MCAP file: where in the chunk they say that messages are.
-
-
-_HEAD = Struct("<BQHI")  # how a message index begins: opcode, length of the rest, channel, bytes of its entries
-_INDEX_WINDOW = 1 << 18  # bytes of message indexes that are looked at together
-_ALIKE = 16  # so many indexes of one length in a row are probably the beginning of more
-
-
-def read_indexes(read: Callable[[int, int], bytes], at: int, most: int) -> tuple[int, Array | None]:
-    """Find the sound message indexes from a byte on; a chunk has one per channel.
-
-    Args:
-        read: returns the bytes of the file from a place on: as many as asked for, fewer at the end of the file.
-        at: where the first index begins.
-        most: the largest number of places that is returned.
-
-    Returns:
-        Where the last sound index ends, and the places of the messages in the chunk; None if there are more than
-        `most`.
-    """
-    index, head, unpack = int(Opcode.MESSAGE_INDEX), _HEAD.size, _HEAD.unpack_from
-    parts: list[Array] = []
-    count = 0
-    while True:
-        window = read(at, _INDEX_WINDOW)
-        begin, last = 0, len(window) - head
-        begins: list[int] = []  # of indexes since the last run of equal ones
-        runs: list[Array] = []
-        opcode, size, alike = index, 0, 0
-        while begin <= last:
-            opcode, length, _, entries = unpack(window, begin)
-            end = begin + head + entries
-            if opcode != index or length != entries + 6 or entries % 16 or end > len(window):
-                break
-            begins.append(begin)
-            size, alike = end - begin, alike + 1 if end - begin == size else 0
-            begin = end
-            if alike == _ALIKE:
-                more = _alike(window, begin, size)
-                runs += [np.array(begins), np.arange(begin, begin + more * size, size)]
-                begins, begin, alike = [], begin + more * size, 0
-        at += begin
-        if begin and count <= most:
-            parts.append(_entries(window, np.concatenate([*runs, np.array([*begins, begin])])))
-            count += len(parts[-1])
-        if not begin or len(window) < _INDEX_WINDOW or opcode != index:
-            return at, np.concatenate(parts) if parts and count <= most else None
-
-
-def _alike(window: bytes, begin: int, size: int) -> int:
-    """How many indexes follow at a byte that begin as the one before it, but for the channel.
-
-    A log of a thousand vehicles has ten million indexes of one message each.
-    """
-    whole = (len(window) - begin) // size
-    rows = np.frombuffer(window, np.uint8, (whole + 1) * size, begin - size).reshape(-1, size)
-    same = rows[1:, : _HEAD.size] == rows[0, : _HEAD.size]
-    same[:, 9:11] = True  # the channel
-    fits = same.all(axis=1)
-    return whole if fits.all() else int(fits.argmin())
-
-
-def _entries(indexes: bytes, bounds: Array) -> Array:
-    """The places that message indexes state, one behind the other; each entry is a time and a place."""
-    counts = (np.diff(bounds) - _HEAD.size) // 16
-    first = np.repeat(bounds[:-1] + _HEAD.size - 16 * (np.cumsum(counts) - counts), counts)
-    at = first + 16 * np.arange(len(first)) + 8
-    return np.ndarray((max(0, len(indexes) - 7),), "<u8", indexes, strides=(1,))[at]
-
-
+_INDEX = Struct("<BQHI")  # how a message index begins: opcode, length of the rest, channel, bytes of its entries
+_INDEX_WINDOW = 1 << 16  # bytes of message indexes that are looked at together
 _FOOTER = HEAD.size + 20  # [bytes]
 _ZSTD = b"\x04\x00\x00\x00zstd"  # in a chunk, behind its lengths: what it is recognised by when the framing is lost
 _WINDOW = 1 << 20
@@ -211,10 +140,9 @@ class Salvage:
                         yield from self._gathered()
                 elif opcode == Opcode.CHUNK:
                     yield from self._gathered()
-                    after, places = read_indexes(self._read, behind, MOST_IN_BLOCK)
-                    yield from self._chunk(body, places)
-                    if not self.damage:
-                        behind = after
+                    yield from self._chunk(body)
+                    if not self.damage:  # or else each index counts what is lost
+                        behind = self._behind_indexes(behind)
                 else:
                     yield from self._gathered()
                     yield from self._one(opcode, body)
@@ -233,7 +161,7 @@ class Salvage:
                 if found is None:
                     return
                 self.at = found
-        self._summary(self.at, size)
+        self.indexed, self.stated = self._summary(self.at, size, [])
 
     def _one(self, opcode: int, body: bytes) -> Iterator[Item]:
         if opcode == Opcode.MESSAGE:
@@ -296,14 +224,14 @@ class Salvage:
             self.file.seek(at)
         return self.file.read(length)
 
-    def _chunk(self, body: bytes, places: Array | None) -> Iterator[Item]:
+    def _chunk(self, body: bytes) -> Iterator[Item]:
         self._chunked = True
         try:
             data = content(body)
         except ValueError as error:
             raise _DamagedError(str(error) or "a damaged chunk", span_of(body)) from None
         try:
-            yield from inside(self.at, data, places)
+            yield from inside(self.at, data)
         except NonsenseError:
             raise _DamagedError("a chunk whose content makes no sense") from None
         yield ChunkEnd()
@@ -311,14 +239,29 @@ class Salvage:
     def _plain(self, opcode: int, body: bytes) -> Iterator[Item]:
         try:
             item = parse(opcode, body)
-        except (struct_error, ValueError):
+        except BROKEN:
             raise _DamagedError(f"a damaged {Opcode(opcode).name.lower().replace('_', ' ')}") from None
-        if isinstance(item, DataEnd):
-            self.ended = True
+        assert not isinstance(item, Chunk)
+        self.ended = isinstance(item, DataEnd)
         yield item
 
+    def _behind_indexes(self, at: int) -> int:
+        """Where the sound message indexes end that begin at a byte: a log of a thousand vehicles has ten million."""
+        index, head, unpack = int(Opcode.MESSAGE_INDEX), _INDEX.size, _INDEX.unpack_from
+        while True:
+            window = self._read(at, _INDEX_WINDOW)
+            begin, last = 0, len(window) - head
+            while begin <= last:
+                opcode, length, _, entries = unpack(window, begin)
+                end = begin + head + entries
+                if opcode != index or length != entries + 6 or entries % 16 or end > len(window):
+                    break
+                begin = end
+            at += begin
+            if not begin or len(window) < _INDEX_WINDOW:
+                return at
+
     def _behind(self, at: int, size: int) -> int | None:
-        """Where to go on behind a damaged record."""
         head = self._read(at, HEAD.size)
         if len(head) == HEAD.size:
             length: int = HEAD.unpack(head)[1]
@@ -362,59 +305,40 @@ class Salvage:
             at += _WINDOW - before - len(_ZSTD)
         return None
 
-    def _summary(self, at: int, size: int) -> None:
-        """Check what stands behind the data: only the count of messages is taken from it."""
-        total = 0
+    def declarations(self) -> list[Schema | Channel]:
+        """Schemas and channels as the summary repeats them; none if the file has no summary that can be read."""
+        size = self._size()
+        place = size - len(MAGIC) - _FOOTER + HEAD.size  # of the byte where the summary begins
+        found: list[Schema | Channel] = []
+        if place < 0:
+            return found
+        (at,) = U64.unpack(self._read(place, U64.size))
+        return found if 0 < at < place and self._summary(at, size, found)[0] else []
+
+    def _summary(self, at: int, size: int, declared: list[Schema | Channel]) -> tuple[bool, int | None]:
+        """Whether what stands behind the data is undamaged, and how many messages it counts."""
+        total, stated = 0, None
         try:
             while True:
                 head = self._read(at, HEAD.size)
                 opcode, length = HEAD.unpack(head)
                 if length > min(size - at - HEAD.size, MOST_BYTES):
-                    return
+                    return False, stated
                 body = self._read(at + HEAD.size, length)
                 at += HEAD.size + length
                 if opcode == Opcode.FOOTER:
                     crc = U32.unpack_from(body, 16)[0]
                     whole = not crc or zlib.crc32(head + body[:16], total) == crc
-                    self.indexed = whole and self._read(at, len(MAGIC) + 1) == MAGIC
-                    return
+                    return whole and self._read(at, len(MAGIC) + 1) == MAGIC, stated
                 if opcode == Opcode.STATISTICS:
-                    self.stated = U64.unpack_from(body)[0]
+                    stated = U64.unpack_from(body)[0]
+                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    item = parse(opcode, body)
+                    assert isinstance(item, Schema | Channel)
+                    declared.append(item)
                 total = zlib.crc32(head + body, total)
-        except struct_error:
-            return
-
-
-def declarations(file: IO[bytes]) -> list[Schema | Channel]:
-    """Schemas and channels as the summary repeats them; none if the file has no summary that can be read."""
-    found: list[Schema | Channel] = []
-    try:
-        end = os.fstat(file.fileno()).st_size - len(MAGIC) - _FOOTER
-        file.seek(end)
-        footer = file.read(_FOOTER)
-        opcode, length = HEAD.unpack_from(footer)
-        (at,), (crc,) = U64.unpack_from(footer, HEAD.size), U32.unpack_from(footer, _FOOTER - U32.size)
-        if opcode != Opcode.FOOTER or length != _FOOTER - HEAD.size or not 0 < at <= end:
-            return []
-        file.seek(at)
-        total = 0
-        while at < end:
-            head = file.read(HEAD.size)
-            opcode, length = HEAD.unpack(head)
-            at += HEAD.size + length
-            if at > end or length > MOST_BYTES:
-                return []
-            body = file.read(length)
-            total = zlib.crc32(head + body, total)
-            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                item = parse(opcode, body)
-                assert isinstance(item, Schema | Channel)
-                found.append(item)
-        if crc and zlib.crc32(footer[: -U32.size], total) != crc:
-            return []
-    except (OSError, struct_error, ValueError):
-        return []
-    return found
+        except BROKEN:
+            return False, stated
 
 
 def _index_entries(body: bytes) -> int:

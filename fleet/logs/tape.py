@@ -39,8 +39,6 @@ class Entry(NamedTuple):
 
 
 class _Stretch(NamedTuple):
-    """A part of the file, unpacked."""
-
     block: Block
     due: Array  # when each message is due [ns]: never earlier than one before it
 

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from array import array
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from functools import cached_property
 
 import numpy as np
 from mcap.records import Channel, Schema
 
 from fleet.logs.columns import Columnizer, Columns, cost, extremes, joined
+from fleet.logs.decoder import declared_by
 from fleet.logs.reader import LogReadError
 from fleet.logs.records import Array, Block
 from netem.parsing import nearest
 
-MOST_HELD = 320 << 20  # bytes of a log that are held at once
 STEP = 8 << 20  # bytes that are decoded at once
 
 
@@ -48,21 +47,25 @@ class Topic:
         size: bytes of all its messages in the log.
         last_ns: the latest log time of a message [ns]; -1 without any.
         step_ns: time between the samples of a thinned topic [ns]; 0: all samples are there.
+        most_held: bytes that it may take in memory.
 
     Raises:
         LogReadError: from every access to data, if the messages cannot be decoded or are too many to be held.
     """
 
-    def __init__(self, name: str, channel: Channel, schema: Schema | None) -> None:
+    def __init__(
+        self, name: str, channel: Channel, schema: Schema | None, fetch: Callable[[Topic], None], most_held: int
+    ) -> None:
         self.name = name
+        self.fetch: Callable[[Topic], None] = fetch  # reads what is not held
+        self.most_held = most_held
         self.schema = schema.name if schema is not None else ""
         self.size = 0
         self.last_ns = -1
         self.step_ns = 0
         self._count = 0
         self._declared = schema if schema is not None and _is_protobuf(channel, schema) else None
-        self._declarations: dict[str, tuple[str, str]] = _units(channel.metadata)
-        self.fetch: Callable[[Topic], None] | None = None  # reads what is not held
+        self._declarations = declared_by(channel)
         self.fields_kept: frozenset[str] | None = None  # None: all
         self._columnizer: Columnizer | None = None
         self.drop()
@@ -122,7 +125,7 @@ class Topic:
             part = self._columnizer(bytes(memoryview(self._data)[at:behind]), lengths[first:stop])
             self._parts.append(part)
             self._cost += cost(part, behind - at)
-            if self._cost > MOST_HELD:
+            if self._cost > self.most_held:
                 raise self.too_large()
             at, first = behind, stop
         del lengths
@@ -155,7 +158,7 @@ class Topic:
 
     def too_large(self) -> TooLargeError:
         """The error of a topic that is too large, with arguments of `open_log` that make it smaller."""
-        every = max(2, -(-4 * self.size // MOST_HELD))
+        every = max(2, -(-4 * self.size // self.most_held))
         return TooLargeError(
             f"{self.name} holds {self._count} messages of {self.size / 1e6:.0f} MB, more than is held at once: open "
             f"one of {every} messages, or a part: open_log(path, [{self.name!r}], every={every}) or (..., start=0, "
@@ -234,7 +237,7 @@ class Topic:
         return np.array(getattr(self, name), np.uint64).astype(np.int64)
 
     def _need(self) -> None:
-        if not self._held and self._count and self.fetch is not None:
+        if not self._held and self._count:
             self.fetch(self)
 
     def declaration(self, field: str) -> tuple[str, str]:
@@ -280,10 +283,3 @@ def _refuse(topic: Topic) -> None:
 
 def _is_protobuf(channel: Channel, schema: Schema) -> bool:
     return bool(channel.message_encoding == "protobuf" and schema.encoding == "protobuf")
-
-
-def _units(metadata: Mapping[str, str]) -> dict[str, tuple[str, str]]:
-    try:
-        return {name: (str(unit), str(meaning)) for name, (unit, meaning) in json.loads(metadata["units"]).items()}
-    except (KeyError, ValueError, TypeError, AttributeError):
-        return {}  # a channel that is not ours

@@ -36,8 +36,6 @@ _LINE = 52  # characters that fit below a picture
 
 
 class _Found(NamedTuple):
-    """A signal in a log."""
-
     name: str  # as the log has it, or a component of that
     field: str
     component: int | None  # None: the whole
@@ -220,7 +218,6 @@ def _getter(name: SignalName, found: _Found, k: int | None) -> Get:
 
 
 def _whole(samples: Sequence[Array]) -> bool:
-    """Whether all values are whole numbers."""
     good = [values[np.isfinite(values)] for values in samples]
     return any(map(len, good)) and all((values == np.rint(values)).all() for values in good)
 

@@ -19,7 +19,18 @@ from fleet.logs.records import Array
 from fleet.palette import COLOURS
 from fleet.pictures.runs import NothingToDraw, Run, View, first_words
 from fleet.pictures.shades import shade
-from fleet.pictures.style import COLUMN_IN, LABEL_PT, LEGEND_PT, NORMAL, STYLE_NAMES, STYLES, TEXT_PT, THIN, panels
+from fleet.pictures.style import (
+    COLUMN_IN,
+    LABEL_PT,
+    LEGEND_PT,
+    NORMAL,
+    STYLE_NAMES,
+    STYLES,
+    TEXT_PT,
+    THIN,
+    limit,
+    panels,
+)
 
 # --- failures
 # The times at which checks failed, marked on the axes over time.
@@ -225,7 +236,6 @@ def enveloped(
 
 
 def _seen(values: Array, log: bool) -> Array:
-    """Values as the axis shows them."""
     return np.log10(np.maximum(np.abs(values), SMALLEST)) if log else values
 
 
@@ -264,7 +274,6 @@ def draw_lines(
     panel: Sequence[tuple[Axes, Get]],
     runs: Sequence[Run],
     view: View,
-    whose: str = "",
     log: bool = False,
     exact: bool = False,
     **style: Any,
@@ -275,7 +284,6 @@ def draw_lines(
         panel: the axes, each with the function that gets its signal.
         runs: the runs to draw.
         view: the vehicles and the span of time.
-        whose: the laws that report such a signal; for the message if no vehicle reports it.
         log: the signals are errors on a logarithmic axis. Outliers are chosen on this axis.
         exact: the line goes through every sample, also if a signal oscillates too fast to be seen.
         style: style of each vehicle's line.
@@ -291,7 +299,7 @@ def draw_lines(
     if not any(signals for found in each for signals in found):
         if not any(run.vehicles(view) for run in runs):
             raise NothingToDraw("the log has no such vehicle" if view.vehicles else "the log has no vehicles")
-        raise NothingToDraw(f"no vehicle reports it{f': {whose}' if whose else ''}")
+        raise NothingToDraw("no vehicle reports it")
     entries: list[Artist] = []
     notes = []
     too_fast = False
@@ -366,7 +374,6 @@ def _draw_line(ax: Axes, gid: str, series: Series, whole: float, log: bool, styl
 
 
 def _series(run: Run, view: View, get: Get) -> dict[int, Series]:
-    """A signal of each vehicle that reports it, in the window."""
     found = {i: get(run, i) for i in run.vehicles(view)}
     return {i: within(*one, view.window) for i, one in found.items() if one is not None}
 
@@ -415,7 +422,7 @@ def bounds(ax: Axes, values: Sequence[tuple[float, float]], what: str, unit: str
     limits = sorted({value for pair in values for value in pair})
     near = [value for value in limits if abs(value) <= 2.5 * reach]
     for value in near:
-        ax.axhline(value, color="0.35", linewidth=0.7, linestyle=(0, (4, 3)), gid="bound")
+        limit(ax, value)
     if near:
         room = 0.06 * (max(high, *near) - min(low, *near))  # so that a bound is not the frame
         ax.set_ylim(min(low, near[0] - room), max(high, near[-1] + room))

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from fleet.errors import FleetError
-from fleet.pictures.style import COLUMN_IN, FORMATS, Provenance, legend, line, panels, plain_decades, save
+from fleet.pictures.style import COLUMN_IN, Provenance, format_of, legend, line, panels, plain_decades, save_as
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -34,19 +33,14 @@ def draw_bursts(
     Raises:
         FleetError: the file cannot be written, or its suffix is none of a picture.
     """
-    form = path.suffix.removeprefix(".")
-    if form not in FORMATS:
-        raise FleetError(f"{path}: a picture ends in one of {', '.join('.' + f for f in FORMATS)}")
+    format_of(path)  # before the work
     figure, axes = panels(len(measured), 1, COLUMN_IN, 2.1 * len(measured) + 0.4, share=False)
     for ax, (kind, lengths) in zip(axes, measured.items(), strict=True):
         _panel(ax, what, lengths, {name: kinds[kind] for name, kinds in models.items()})
         ax.set_xlabel(f"{kind}: n [packets]")
         ax.set_ylabel("share of n or more")
     legend(figure, axes[0], 1)
-    try:
-        save(figure, path.with_suffix(""), (form,), Provenance(f"Bursts of losses: {what}"))
-    except OSError as error:
-        raise FleetError(f"cannot write {path}: {error.strerror}") from None
+    save_as(figure, path, Provenance(f"Bursts of losses: {what}"))
 
 
 def _panel(ax: Axes, what: str, lengths: Array, models: Mapping[str, Array]) -> None:

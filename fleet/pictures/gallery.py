@@ -299,11 +299,7 @@ WHAT: dict[str, tuple[_Picture, ...]] = {
         ("error", "Consensus error of each vehicle, from true positions", time_series.consensus),
         ("formation", "Distance of each vehicle from its place in the formation", time_series.formation),
     ),
-    "velocity": (("velocity", "Velocity tracking errors z", time_series.velocity),),
-    "attitude": (("attitude", "Roll, pitch and heading of the hulls", time_series.attitude),),
     "inputs": (("inputs", "Force and moments as applied, limits, and where a limit was met", time_series.inputs),),
-    "commands": (("commands", "Velocity commands and the bounds that the optimisation keeps", time_series.commands),),
-    "gains": (("gains", "Gains that the optimisation chooses, and their bounds", time_series.gains),),
     "links": (("links", "What became of the packets of each link, as shares over time", timeline),),
     "messages": (("messages", "Messages between the agents in space and time", exchange.spacetime),),
     "ages": (("ages", "Age of what was last heard on each link", exchange.ages),),
@@ -311,7 +307,7 @@ WHAT: dict[str, tuple[_Picture, ...]] = {
     "timing": (("timing", "On a wall clock: how late agents answered, what delays became", punctuality),),
 }
 # Those that are left out where everything is asked for, if they hold for none of the runs.
-_ONLY_IF: dict[str, Callable[[Run], bool]] = {"timing": on_wall_clock, "attitude": time_series.rolls}
+_ONLY_IF: dict[str, Callable[[Run], bool]] = {"timing": on_wall_clock}
 PER_RUN = frozenset({"links", "messages", "timing"})  # those that show one run only: of several, each has its own
 
 
@@ -338,7 +334,6 @@ def draw(
 def _each(
     what: Sequence[str], runs: Sequence[Run], view: View, share: Tell
 ) -> Iterator[tuple[str, str, Sequence[Run], Figure | str]]:
-    """As `draw`, with the runs that a picture shows."""
     asked_for_all = set(what) == set(WHAT)
     begun: set[str] = set()
     single = {picture[0]: (picture,) for pictures in WHAT.values() for picture in pictures}
@@ -364,7 +359,6 @@ def _each(
 
 
 def _pictures(kind: str, runs: Sequence[Run], single: Mapping[str, tuple[_Picture, ...]]) -> Sequence[_Picture]:
-    """The pictures of a kind, or of a signal."""
     if kind in WHAT or kind in single:
         named = any_signal.signals_of_checks(runs) if kind == "checks" else []
         found = WHAT.get(kind, ()) or single.get(kind, ())

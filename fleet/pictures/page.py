@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from importlib.metadata import version
 from importlib.resources import files
 from io import BytesIO
@@ -13,10 +13,51 @@ from typing import Any, NamedTuple
 from matplotlib.figure import Figure
 
 from fleet.errors import FleetError
-from fleet.pictures.style import DPI
-from fleet.pictures.whole_file import whole_file
+from fleet.pictures.style import COLUMN_IN, DPI
+from netem.private_file import whole_file
 
-_SHARED = ("page.html", "parts.html")
+
+class Heading(NamedTuple):
+    """A heading; `anchor` is where links lead."""
+
+    text: str
+    level: int = 3
+    anchor: str = ""
+
+
+class Text(NamedTuple):
+    """A paragraph, in which a command stands between backticks; `kind` is `warn`, `verdict` or neither."""
+
+    text: str
+    kind: str = ""
+
+
+class Contents(NamedTuple):
+    """Links within the page: anchor, name, and what stands behind it."""
+
+    entries: list[tuple[str, str, str]]
+
+
+class Mark(NamedTuple):
+    """A word in the colour of a pass or of a failure."""
+
+    good: bool
+    word: str
+
+
+class Table(NamedTuple):
+    """Rows under headings, or without any; a cell is a `Mark`, or is shown as text."""
+
+    headings: Sequence[str]
+    rows: Sequence[Sequence[Any]]
+    kind: str = ""  # `words`, `numbers`, `last` (which is words) or nothing
+
+
+class Listing(NamedTuple):
+    """Text as it is, folded away if it has a title."""
+
+    text: str
+    title: str = ""
 
 
 class PageImage(NamedTuple):
@@ -32,6 +73,9 @@ class SectionImages(NamedTuple):
 
     drawn: list[PageImage]
     missing: list[str]
+
+
+Block = Heading | Text | Contents | Mark | Table | PageImage | SectionImages | Listing
 
 
 def check_place(path: Path, *, force: bool) -> None:
@@ -57,27 +101,37 @@ def write_page(path: Path, make: Callable[[], str]) -> None:
         raise FleetError(f"cannot write {path}: {error.strerror}; choose another place with -o FILE") from error
 
 
-def render(room: str, template: str, **values: Any) -> str:
-    """A page as HTML; every value is escaped.
+def render(title: str, blocks: Sequence[Block], conventions: str = "") -> str:
+    """A page as HTML; every value is escaped."""
+    # Here, since every command that draws would pay for the import.
+    from jinja2 import Environment, StrictUndefined
+
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True)
+    template = environment.from_string(files("fleet.pictures").joinpath("page.html").read_text("utf-8"))
+    return template.render(
+        title=title,
+        blocks=[(type(block).__name__, block) for block in blocks],
+        conventions=conventions,
+        version=version("uuv-fleet"),
+    )
+
+
+def images(
+    drawn: Iterable[tuple[str, str, Figure | str]], first: Sequence[str] | None = None
+) -> tuple[PageImage | None, SectionImages]:
+    """The first picture of those names that is drawn, of any name if None, and all others with what is missing.
 
     Args:
-        room: the package that holds the template.
-        template: its file.
-        values: what it shows, and `title`.
+        drawn: name, title, and the picture or why there is none.
     """
-    # Here, since every command that draws would pay for the import.
-    from jinja2 import DictLoader, Environment, StrictUndefined
-
-    texts = {name: files("fleet.pictures").joinpath(name).read_text("utf-8") for name in _SHARED}
-    texts[template] = files(room).joinpath(template).read_text("utf-8")
-    environment = Environment(
-        loader=DictLoader(texts),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        keep_trailing_newline=True,
-    )
-    return environment.get_template(template).render(version=version("uuv-fleet"), **values)
+    found, missing = dict[str, PageImage](), []
+    for name, title, figure in drawn:
+        if isinstance(figure, str):
+            missing.append(f"{name}: {figure}")
+        else:
+            found[name] = PageImage(title, png(figure), figure.get_figwidth() > COLUMN_IN)
+    top = next((found.pop(name) for name in (list(found) if first is None else first) if name in found), None)
+    return top, SectionImages(list(found.values()), missing)
 
 
 def png(figure: Figure) -> str:

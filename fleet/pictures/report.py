@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 from msgspec import convert, structs
 
@@ -18,7 +18,20 @@ from fleet.logs.topic_names import begun_at, link_topic, run_name
 from fleet.pictures.any_signal import file_name
 from fleet.pictures.beliefs import beliefs
 from fleet.pictures.gallery import PER_RUN, WHAT, draw
-from fleet.pictures.page import PageImage, SectionImages, png, render, write_page
+from fleet.pictures.page import (
+    Block,
+    Contents,
+    Heading,
+    Listing,
+    Mark,
+    PageImage,
+    SectionImages,
+    Table,
+    Text,
+    images,
+    render,
+    write_page,
+)
 from fleet.pictures.runs import Run, View, first_words
 from fleet.quantities import vehicle_numbers
 from fleet.result.file import ResultError, read_result
@@ -73,20 +86,6 @@ _ERRORS = {"error.e_norm": "error", "error.formation_norm": "formation"}  # sign
 _Name = TypeVar("_Name", int, str)
 MOST_ROWS = 40  # of a table of vehicles or links
 _ONLY_IF_ANY = ("duplicated", "in flight", "corrupted")  # columns that are left out where every link has a 0
-
-
-class Mark(NamedTuple):
-    """A cell with a word in the colour of a pass or of a failure."""
-
-    good: bool
-    word: str
-
-
-class Table(NamedTuple):
-    """Rows under headings, or without any; a cell is a `Mark`, or is shown as text."""
-
-    headings: Sequence[str]
-    rows: Sequence[Sequence[Any]]
 
 
 def side_by_side(runs: Sequence[Run], results: Sequence[Result | None]) -> Table:
@@ -173,7 +172,7 @@ def checks_table(verdicts: Sequence[Verdict]) -> Table:
         (one.check, Mark(one.passed, "pass" if one.passed else "FAIL"), one.asked, one.found)
         for one in sorted(verdicts, key=lambda one: one.passed)
     ]
-    return Table(("check", "verdict", "asked", "found"), rows)
+    return Table(("check", "verdict", "asked", "found"), rows, "words")
 
 
 def worst(rows: Mapping[_Name, Any], how_bad: Mapping[_Name, float]) -> list[_Name]:
@@ -233,7 +232,7 @@ def network_facts(scenario: Scenario) -> list[tuple[str, Any]]:
 def conditions_table(scenario: Scenario) -> Table:
     """A row per selector of links, in the words of the scenario; no row where every link is perfect."""
     links = {} if scenario.ideal else show_network(scenario.spec.network).get("links", {})
-    return Table(("links", "condition"), [(selector, _condition(shown)) for selector, shown in links.items()])
+    return Table(("links", "condition"), [(selector, _condition(shown)) for selector, shown in links.items()], "words")
 
 
 def _condition(shown: Any) -> str:
@@ -313,9 +312,6 @@ def _vehicles(numbers: Sequence[int]) -> str:
     return f"vehicle{'' if len(numbers) == 1 else 's'} {text}"
 
 
-TEMPLATE = "report.html"
-
-
 @dataclass(slots=True)
 class RunResult:
     """The result of a run, if there is one and it is of this log."""
@@ -323,33 +319,6 @@ class RunResult:
     result: Result | None
     why_none: str
     digest: str
-
-
-@dataclass(frozen=True, slots=True)
-class ReportSection:
-    """The part of the page about one run."""
-
-    anchor: str
-    name: str
-    missing: str  # of the log; "" if it is whole
-    end: str  # of the log [s]
-    title: str
-    facts: Table
-    network: Table
-    conditions: Table
-    conditions_note: str
-    no_verdicts: str  # why there are none; "" if there are
-    status: Mark | None
-    reason: str
-    first: PageImage | None  # that shows best what was found
-    checks: Table
-    faults: Table
-    events: Table  # of vehicles
-    tables: list[tuple[str, Table]]  # with their headings
-    pictures: SectionImages
-    place: str  # of the log, as a shell reads it
-    metadata: Table
-    scenario_text: str
 
 
 def write(path: Path, runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> None:
@@ -365,28 +334,77 @@ def write(path: Path, runs: Sequence[Run], view: View, share: Tell = lambda _: N
 def page(runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> str:
     """The whole page as HTML."""
     results = [_result(run) for run in runs]
-    together = None
+    names = [run_name(run.log.path) for run in runs]
+    blocks: list[Block] = []
     if len(runs) > 1:
-        together = {
-            "table": side_by_side(runs, [one.result for one in results]),
-            "pictures": _pictures([k for k in WHAT if k not in PER_RUN], runs, view, share)[1],
-        }
+        titles = [f": {run.scenario.title}" if run.scenario and run.scenario.title else "" for run in runs]
+        entries = [
+            (f"run-{n}", name, title) for n, (name, title) in enumerate(zip(names, titles, strict=True), start=1)
+        ]
+        blocks += [
+            Contents([("together", "The runs together", ""), *entries]),
+            Heading("The runs together", 2, "together"),
+            side_by_side(runs, [one.result for one in results]),
+            _pictures([k for k in WHAT if k not in PER_RUN], runs, view, share)[1],
+        ]
     kinds = list(WHAT) if len(runs) == 1 else sorted(PER_RUN)
-    numbered = enumerate(zip(runs, results, strict=True), start=1 if len(runs) > 1 else 0)
-    return render(
-        "fleet.pictures",
-        TEMPLATE,
-        title="uuv-fleet: " + ", ".join(run_name(run.log.path) for run in runs),
-        together=together,
-        runs=[_section(n, run, result, kinds, view, share) for n, (run, result) in numbered],
-    )
+    for n, (run, result) in enumerate(zip(runs, results, strict=True), start=1 if len(runs) > 1 else 0):
+        blocks += _section(n, run, result, kinds, view, share)
+    return render("uuv-fleet: " + ", ".join(names), blocks, "; positions are north, east, down")
 
 
-def _section(number: int, run: Run, found: RunResult, kinds: Sequence[str], view: View, share: Tell) -> ReportSection:
+def _section(number: int, run: Run, found: RunResult, kinds: Sequence[str], view: View, share: Tell) -> list[Block]:
     """The section of a run: `number` counts from 1; 0 for the only one."""
     log, scenario, result = run.log, run.scenario, found.result
     name, path = run_name(log.path), log.path.resolve()
-    facts = scenario_facts(scenario) if scenario is not None else []
+    first, pictures = _pictures(kinds, [run], view, share, [] if number else telling(run))
+    blocks: list[Block] = [Heading(name, 2, f"run-{number}")]
+    if log.missing:
+        blocks.append(Text(f"The log is not whole: {log.missing}. It ends at {log.end:g} s.", "warn"))
+    if scenario is not None and scenario.title:
+        blocks.append(Text(scenario.title))
+    blocks.append(Text(found.why_none, "warn") if result is None else Mark(result.passed, result.words))
+    if first is not None:
+        blocks.append(first)
+    if result is not None:
+        blocks += [Heading("Verdicts"), *([Text(result.reason)] if result.reason else [])]
+        blocks.append(checks_table(result.checks) if result.checks else Text("No check was judged."))
+    faults = [(fault.id, f"{fault.begin:g}", f"{fault.end:g}", fault.what) for fault in log.faults]
+    blocks.append(Heading("Faults"))
+    blocks.append(Table(("fault", "from [s]", "to [s]", "what"), faults, "last") if faults else Text(_NO_FAULT))
+    if events := vehicle_events((event.what, event.begin) for event in log.events):
+        rows = [(event.what, event.times, f"{event.first_s:.10g}") for event in events]
+        blocks += [Heading("What happened to vehicles"), Table(("event", "times", "first at [s]"), rows)]
+    blocks += [Heading("Scenario"), Table((), _facts(number, run, found), "words")]
+    if scenario is not None:
+        blocks += [Heading("Network"), Table((), network_facts(scenario), "words")]
+        if (conditions := conditions_table(scenario)).rows:
+            blocks += [Heading("Conditions of the links"), conditions]
+        if note := conditions_note(scenario):
+            blocks.append(Text(note))
+    for heading, table in _tables(run, result):
+        blocks += [Heading(heading), table]
+    place = shlex.quote(str(path.parent if path.name == "run.mcap" else path))
+    blocks += [
+        pictures,
+        Heading("How to repeat it"),
+        Text(_REPEATED),
+        Listing(f"fleet export {place} --scenario > again.yaml\nfleet run again.yaml"),
+        Table((), sorted(log.run.items()), "words"),
+    ]
+    return blocks + ([Listing(log.scenario_text, "scenario.yaml")] if log.scenario_text else [])
+
+
+_NO_FAULT = "There was no fault."
+_REPEATED = (
+    "The log holds the merged scenario; with the faults that were injected while it ran it is what "
+    "`fleet export --scenario` prints. The same scenario and the same versions give the same digest."
+)
+
+
+def _facts(number: int, run: Run, found: RunResult) -> list[tuple[str, Any]]:
+    name, path = run_name(run.log.path), run.log.path.resolve()
+    facts = scenario_facts(run.scenario) if run.scenario is not None else []
     # The log holds simulated time only, so that it is the same each time.
     begun = begun_at(name)
     facts += [
@@ -396,32 +414,7 @@ def _section(number: int, run: Run, found: RunResult, kinds: Sequence[str], view
     ]
     if number and run.label != name:
         facts.append(("in tables and pictures of several runs", run.label))
-    faults = [(fault.id, f"{fault.begin:g}", f"{fault.end:g}", fault.what) for fault in log.faults]
-    events = vehicle_events((event.what, event.begin) for event in log.events)
-    first, pictures = _pictures(kinds, [run], view, share, [] if number else telling(run))
-    return ReportSection(
-        anchor=f"run-{number}",
-        name=name,
-        missing=log.missing,
-        end=f"{log.end:g}",
-        title=scenario.title if scenario is not None else "",
-        facts=Table((), facts),
-        network=Table((), network_facts(scenario) if scenario is not None else ()),
-        conditions=conditions_table(scenario) if scenario is not None else Table((), ()),
-        conditions_note=conditions_note(scenario) if scenario is not None else "",
-        no_verdicts=found.why_none,
-        status=None if result is None else Mark(result.passed, result.words),
-        reason="" if result is None else result.reason,
-        first=first,
-        checks=checks_table([] if result is None else result.checks),
-        faults=Table(("fault", "from [s]", "to [s]", "what"), faults),
-        events=Table(("event", "times", "first at [s]"), [(e.what, e.times, f"{e.first_s:.10g}") for e in events]),
-        tables=_tables(run, result),
-        pictures=pictures,
-        place=shlex.quote(str(path.parent if path.name == "run.mcap" else path)),
-        metadata=Table((), sorted(log.run.items())),
-        scenario_text=log.scenario_text,
-    )
+    return facts
 
 
 def _result(run: Run) -> RunResult:
@@ -439,7 +432,6 @@ def _result(run: Run) -> RunResult:
 
 
 def _tables(run: Run, result: Result | None) -> list[tuple[str, Table]]:
-    """Tables of vehicles and of links, each with its heading."""
     tables: list[tuple[str, Table]] = []
     reported = [i for i in run.log.vehicles if f"uuv/{i}/error" in run.log]
     if result and result.vehicles:
@@ -514,11 +506,6 @@ def _pictures(
     kinds: Sequence[str], runs: Sequence[Run], view: View, share: Tell, first: Sequence[str] = ()
 ) -> tuple[PageImage | None, SectionImages]:
     """The first picture of those names that is drawn, and all others."""
-    drawn, missing = dict[str, PageImage](), []
-    for name, title, figure in draw(kinds, runs, view, share):
-        if isinstance(figure, str):
-            missing.append(f"{name}: {figure}")
-        else:
-            drawn[name] = PageImage(title, png(figure))
-    top = next((drawn.pop(name) for name in first if name in drawn), None)
-    return top, SectionImages(list(drawn.values()), missing + [note for run in runs for note in run.notes])
+    top, pictures = images(draw(kinds, runs, view, share), first)
+    pictures.missing.extend(note for run in runs for note in run.notes)
+    return top, pictures

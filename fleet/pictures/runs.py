@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from fleet.errors import FleetError
-from fleet.logs.open_log import Log, open_drawn
+from fleet.logs.open_log import MOST_HELD, Log, Opening
 from fleet.logs.reader import check_readable
 from fleet.logs.records import Array
 from fleet.logs.topic_names import run_name
@@ -127,18 +127,21 @@ class Run:
         return with_gaps(t, values.reshape(len(t), -1), self.log[topic].step_ns / 1e9)
 
 
-def load(paths: Sequence[Path], share: Callable[[float], None] = lambda _: None) -> list[Run]:
+def load(
+    paths: Sequence[Path], share: Callable[[float], None] = lambda _: None, most_held: int = MOST_HELD
+) -> list[Run]:
     """Read logs; each is called after its scenario, or its directory where those are equal.
 
     Args:
         share: called now and then with the share of each file that was read.
+        most_held: bytes of each log that are held at once.
 
     Raises:
         LogReadError: one of them cannot be read.
     """
     check_readable(paths)
     # Poses are states in another form.
-    logs = [open_drawn(path, _WANTED, share, _DRAWN) for path in paths]
+    logs = [Opening(path, _WANTED, share, drawn=_DRAWN, most_held=most_held).read() for path in paths]
     names = [_name(log) for log in logs]
     often = Counter(names)
     labels = [name if often[name] == 1 else run_name(log.path) for name, log in zip(names, logs, strict=True)]

@@ -14,8 +14,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from fleet.errors import FleetError
 from fleet.palette import COLOURS
-from fleet.pictures.whole_file import whole_file
+from netem.private_file import whole_file
 
 STYLES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (7, 2)))
 STYLE_NAMES = ("solid", "dashed", "dash-dot", "dotted", "dash-dot-dot", "densely dotted", "long dashes")
@@ -75,8 +76,8 @@ def line(ax: Axes, number: int, t: Any, values: Any, label: str, **style: Any) -
 
 
 def limit(ax: Axes, value: float, label: str | None = None) -> None:
-    """A bound as a thin grey line."""
-    ax.axhline(value, color="0.45", linewidth=THIN, linestyle=(0, (4, 3)), label=label)
+    """A bound as a thin grey dashed line."""
+    ax.axhline(value, color="0.4", linewidth=THIN, linestyle=(0, (4, 3)), label=label, gid="bound")
 
 
 def plain_decades(axis: Axis) -> None:
@@ -128,3 +129,19 @@ def save(figure: Figure, stem: Path, formats: Sequence[str] = ("png",), origin: 
             figure.savefig(part, format=form, dpi=DPI, metadata=metadata(form, origin))
         paths.append(path)
     return paths
+
+
+def format_of(path: Path) -> str:
+    """The form of a picture. Raises FleetError: its suffix is none."""
+    form = path.suffix.removeprefix(".")
+    if form not in FORMATS:
+        raise FleetError(f"{path}: a picture ends in one of {', '.join('.' + f for f in FORMATS)}")
+    return form
+
+
+def save_as(figure: Figure, path: Path, origin: Provenance) -> None:
+    """Write a figure into one file. Raises FleetError: it cannot be written, or its suffix is none of a picture."""
+    try:
+        save(figure, path.with_suffix(""), (format_of(path),), origin)
+    except OSError as error:
+        raise FleetError(f"cannot write {path}: {error.strerror}") from None

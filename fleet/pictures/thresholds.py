@@ -8,6 +8,7 @@ from typing import NamedTuple
 from matplotlib.axes import Axes
 
 from fleet.pictures.runs import Run
+from fleet.pictures.shades import union
 from fleet.pictures.style import LABEL_PT, NORMAL
 from fleet.scenario.schema.checks import EVERY, Below, Recovery
 
@@ -36,11 +37,8 @@ def thresholds(runs: Sequence[Run], error: str) -> list[Threshold]:
         below: Below | None = getattr(checks, f"{error}_error")
         if below is not None:
             after = below.after / 1e9
-            found.append(
-                Threshold(
-                    below.below, after, run.log.end, f"from {after:g} s{_of(below.vehicles)}", _below(below.below)
-                )
-            )
+            words = f"from {after:g} s{_of(below.vehicles)}"
+            found.append(Threshold(below.below, after, run.log.end, words, _below(below.below)))
         for check in checks.recovery_time or ():
             if check.error == error:
                 found += _recoveries(check, run)
@@ -55,11 +53,8 @@ def _recoveries(check: Recovery, run: Run) -> list[Threshold]:
         if check.fault in (EVERY, fault.id) and fault.end < run.log.end:
             later = (other.begin for other in faults if other.id != fault.id and other.begin >= fault.end)
             words = f"{allowed:g} s after {fault.id}{_of(check.vehicles)}"
-            found.append(
-                Threshold(
-                    check.within, fault.end + allowed, min(later, default=run.log.end), words, _below(check.within)
-                )
-            )
+            end = min(later, default=run.log.end)
+            found.append(Threshold(check.within, fault.end + allowed, end, words, _below(check.within)))
     return found
 
 
@@ -77,7 +72,7 @@ def draw_thresholds(ax: Axes, asked: Sequence[Threshold]) -> None:
     shown = [one for one in asked if one.begin < last and one.end > first]
     for k, value in enumerate(sorted({one.value for one in shown})):
         same = [one for one in shown if one.value == value]
-        for begin, end in _union([(max(one.begin, first), min(one.end, last)) for one in same]):
+        for begin, end in union([(max(one.begin, first), min(one.end, last)) for one in same]):
             ax.plot([begin, end], [value, value], color="black", linewidth=NORMAL,
                     linestyle=(0, (3, 1.5)), zorder=4, gid="check")  # fmt: skip
         va, off = ("top", -2) if k == 0 and len(shown) > len(same) else ("bottom", 2)
@@ -89,13 +84,3 @@ def draw_thresholds(ax: Axes, asked: Sequence[Threshold]) -> None:
             textcoords="offset points", ha="right", va=va, fontsize=LABEL_PT, zorder=5, gid="check-name",
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5},
         )  # fmt: skip
-
-
-def _union(spans: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """The same times without overlaps: dashes drawn twice would fill each other's gaps."""
-    found: list[tuple[float, float]] = []
-    for begin, end in sorted(spans):
-        if found and begin <= found[-1][1]:
-            begin, end = found[-1][0], max(end, found.pop()[1])
-        found.append((begin, end))
-    return found

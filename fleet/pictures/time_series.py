@@ -1,8 +1,8 @@
-"""Signals of the vehicles over time: errors, inputs and commands with their limits, gains."""
+"""Signals of the vehicles over time: errors with the limits of checks, inputs with their limits."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,26 +16,23 @@ from fleet.pictures.axes import MOST_NAMED, SMALLEST, Get, draw_lines, finish, o
 from fleet.pictures.axes import bounds as draw_bounds
 from fleet.pictures.beliefs import beliefs
 from fleet.pictures.runs import Run, View, with_gaps
-from fleet.pictures.style import HEAVY, LABEL_PT, plain_decades
+from fleet.pictures.style import HEAVY, plain_decades
 from fleet.pictures.thresholds import draw_thresholds, thresholds
 from fleet.scenario.sections.per_vehicle import Control
 
 FORCES = (("surge force", "N"), ("pitch moment", "N m"), ("yaw moment", "N m"))
-NED = ("north", "east", "down")
-BELOW = "below $k_{min}$: the bounds on $\\rho$ come first"  # see agents/laws/gain_qp.py
-_TEXT_SHARE = 0.15  # of an axis: what a line of text needs
 HEAVY_SUFFIX = "-saturated"
 _AT_LIMIT = 1.0 - 1e-6
 
 
-def component(group: str, name: str, k: int = 0, change: Callable[[Array], Array] = lambda v: v) -> Get:
+def component(group: str, name: str, k: int = 0) -> Get:
     """One component of a signal."""
 
     def get(run: Run, i: int) -> tuple[Array, Array] | None:
         found = run.series(i, group, name)
         if found is None or found[1].shape[1] <= k:
             return None
-        return found[0], change(found[1][:, k])
+        return found[0], found[1][:, k]
 
     return get
 
@@ -52,7 +49,6 @@ def formation(runs: Sequence[Run], view: View) -> Figure:
 
 
 def _believed_formation(run: Run, i: int) -> tuple[Array, Array] | None:
-    """The formation error of a vehicle as it believes it."""
     known = beliefs(run.log, i)
     if known is None:
         return None
@@ -89,44 +85,6 @@ def _logarithmic(ax: Axes) -> None:
 
 def _values(ax: Axes) -> list[Array]:
     return [np.asarray(line.get_ydata(), float) for line in ax.get_lines()]
-
-
-def velocity(runs: Sequence[Run], view: View) -> Figure:
-    """z_i = (speed, pitch rate, yaw rate) minus what is commanded."""
-    rows = (
-        ("u_err", "speed $z_u$", "m/s"),
-        ("q_err", "pitch rate $z_q$", "rad/s"),
-        ("r_err", "yaw rate $z_r$", "rad/s"),
-    )
-    figure, axes = over_time(3, runs, view)
-    change: Callable[[Array], Array] = np.abs if view.log_scale else lambda v: v
-    panel = [(ax, component("control", name, change=change)) for ax, (name, _, _) in zip(axes, rows, strict=True)]
-    whose = "u_err, q_err and r_err are signals of the tracking laws that ship"
-    notes = draw_lines(figure, panel, runs, view, whose, log=bool(view.log_scale))
-    for ax, (_, label, unit) in zip(axes, rows, strict=True):
-        ax.set_ylabel(f"{label} [{unit}]" if not view.log_scale else f"|{label}| [{unit}]")
-        if view.log_scale:
-            _logarithmic(ax)
-    finish(figure, axes, runs, notes)
-    return figure
-
-
-def rolls(run: Run) -> bool:
-    """Whether a vehicle of a run has roll."""
-    return run.scenario is not None and bool(run.scenario.plants)
-
-
-def attitude(runs: Sequence[Run], view: View) -> Figure:
-    """Attitude of each hull: roll, of vehicles that have it, pitch and heading."""
-    rows = [("phi", "roll")] if any(map(rolls, runs)) else []
-    rows += [("theta", "pitch"), ("psi", "heading")]
-    figure, axes = over_time(len(rows), runs, view)
-    panel = [(ax, component("state", name, change=np.degrees)) for ax, (name, _) in zip(axes, rows, strict=True)]
-    notes = draw_lines(figure, panel, runs, view)
-    for ax, (_, label) in zip(axes, rows, strict=True):
-        ax.set_ylabel(f"{label} [deg]")
-    finish(figure, axes, runs, notes)
-    return figure
 
 
 def inputs(runs: Sequence[Run], view: View) -> Figure:
@@ -172,7 +130,6 @@ def _keep_inside(ax: Axes, most: dict[str, float]) -> None:
 
 
 def _largest(artist: Line2D | Collection) -> float:
-    """The largest magnitude of what an artist draws."""
     if isinstance(artist, Line2D):
         heights = np.asarray(artist.get_ydata(), float)
     else:
@@ -201,75 +158,7 @@ def _heavy(ax: Axes, run: Run, view: View, i: int, k: int, limit: float) -> bool
     return True
 
 
-def commands(runs: Sequence[Run], view: View) -> Figure:
-    """rho in north, east and down with its bounds, and the commanded speed."""
-    figure, axes = over_time(4, runs, view)
-    panel = [(ax, component("guidance", "rho", k)) for k, ax in enumerate(axes[:3])]
-    panel.append((axes[3], component("guidance", "u_cmd")))
-    notes = draw_lines(figure, panel, runs, view, "rho and u_cmd are signals of the guidance laws that ship")
-    for k, ax in enumerate(axes[:3]):
-        limits = [(c.guidance.rho_lo[k], c.guidance.rho_hi[k]) for c in _optimal(runs, view)]
-        ax.set_ylabel(f"$\\rho$ {NED[k]} [m/s]")
-        if far := draw_bounds(ax, limits, f"bounds of rho {NED[k]}", "m/s"):
-            notes.append(far)
-    axes[3].set_ylabel("speed $u_c$ [m/s]")
-    finish(figure, axes, runs, notes)
-    return figure
-
-
-def gains(runs: Sequence[Run], view: View) -> Figure:
-    """The diagonal of K and its bounds; where K is below its k_min, the reason."""
-    figure, axes = over_time(3, runs, view)
-    panel = [(ax, component("guidance", "K", k)) for k, ax in enumerate(axes)]
-    notes = draw_lines(figure, panel, runs, view, "K is a signal of the guidance laws that ship")
-    for k, ax in enumerate(axes):
-        ax.set_ylabel(f"$K$ {NED[k]} [1/s]")
-        limits = [(c.guidance.k_min, c.guidance.k_max) for c in _optimal(runs, view)]
-        if far := draw_bounds(ax, limits, f"bounds of K {NED[k]}", "1/s"):
-            notes.append(far)
-        if low := [found for run in runs for found in _below(run, view, k)]:
-            _explain(ax, max(low))
-    finish(figure, axes, runs, notes)
-    return figure
-
-
-def _below(run: Run, view: View, k: int) -> list[float]:
-    """k_min of each vehicle whose optimised gain is below it in the window; a fixed gain has no bounds."""
-    found = []
-    for i, control in _controls(run, view):
-        series = run.series(i, "guidance", "K")
-        if series is None or not _is_optimal(control):
-            continue
-        _, values = within(series[0], series[1][:, k], view.window)
-        if np.nanmin(values, initial=np.inf) < control.guidance.k_min * _AT_LIMIT:
-            found.append(control.guidance.k_min)
-    return found
-
-
-def _explain(ax: Axes, k_min: float) -> None:
-    """Shade what is below k_min, and say there why a gain is."""
-    low, high = ax.get_ylim()
-    ax.axhspan(low, k_min, color="#E69F00", alpha=0.12, linewidth=0, zorder=0, gid="below-k_min")
-    ax.set_ylim(low, high)
-    inside = (k_min - low) / (high - low) > _TEXT_SHARE
-    ax.annotate(
-        BELOW, (1.0, k_min), xycoords=("axes fraction", "data"), xytext=(-2, -2 if inside else 2), ha="right",
-        va="top" if inside else "bottom", textcoords="offset points", fontsize=LABEL_PT, color="0.25",
-        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.6, "pad": 0.5}, gid="below-k_min",
-    )  # fmt: skip
-
-
 def _controls(run: Run, view: View) -> list[tuple[int, Control]]:
     if run.scenario is None:
         return []
     return [(i, run.scenario.controls[i - 1]) for i in run.vehicles(view) if i <= run.scenario.vehicles]
-
-
-def _optimal(runs: Sequence[Run], view: View) -> list[Control]:
-    """Of the vehicles whose guidance keeps bounds."""
-    found = [control for run in runs for _, control in _controls(run, view)]
-    return [control for control in found if _is_optimal(control)]
-
-
-def _is_optimal(control: Control) -> bool:
-    return control.cascade and control.guidance_law.name == "optimal"

@@ -252,7 +252,6 @@ def _sheet(low: Array, high: Array) -> tuple[Figure, Axes, bool]:
 
 
 def _paint(ax: Any, thing: Primitive) -> None:
-    """Paint what stands still, from above."""
     match thing:
         case CylinderShape(north=north, east=east, radius=radius):
             ax.add_patch(Circle((east, north), radius, **_CYLINDER))
@@ -363,7 +362,6 @@ def _turn(ax: Any, low: Array, high: Array) -> tuple[int, list[float]]:
 
 
 def _paint_in_space(ax: Any, thing: Primitive) -> None:
-    """Paint what stands still, in three dimensions."""
     match thing:
         case CylinderShape(north=north, east=east, radius=radius):
             turns = np.linspace(0.0, 2.0 * np.pi, 37)
@@ -453,7 +451,6 @@ def _apart(tracks: list[VehicleTrack]) -> tuple[list[VehicleTrack], list[Vehicle
 
 
 def _ends(tracks: Sequence[VehicleTrack]) -> Array:
-    """Where each of them is at last (tracks, 3) [m, NED]."""
     return np.array([track.positions[-1] for track in tracks])
 
 
@@ -516,7 +513,6 @@ def _explained(
 
 
 def _finish(figure: Figure, runs: Sequence[Run], happened: Sequence[Happening], notes: Sequence[str]) -> None:
-    """Words below everything."""
     cut = [f"{run.label}: the log is not whole, it ends at {run.log.end:g} s" for run in runs if run.log.missing]
     if words := [*notes, *told(happened), *cut]:
         figure.supxlabel("\n".join(words), fontsize=LEGEND_PT)

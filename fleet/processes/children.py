@@ -49,11 +49,7 @@ class RunFolder(PrivateFolder):
     """The folder of one run, from its beginning to its end."""
 
     def __init__(self) -> None:
-        """Make the folder.
-
-        Raises:
-            RunBroken: no folder can be made for it.
-        """
+        """Make the folder. Raises RunBroken: no folder can be made for it."""
         place = _place()
         try:
             super().__init__(place=place)
@@ -247,7 +243,6 @@ def _set_preload() -> None:
 
 @contextlib.contextmanager
 def _forkserver_starting() -> Iterator[None]:
-    """The conditions of starting the fork server."""
     own_folder_for_multiprocessing()
     with without_main(), out_of_reach(), _named_console():
         yield
@@ -309,11 +304,7 @@ def _forkserver_pid() -> int | None:
 
 
 def forkserver_death(patience_s: float = 0.0) -> str | None:
-    """How the fork server ended, or None while it lives.
-
-    Args:
-        patience_s: how long to wait for it, because its sockets close a moment before it can be reaped.
-    """
+    """How the fork server ended; None: it lives. Its sockets close a moment before it can be reaped."""
     pid = _forkserver_pid()
     if pid is None:
         return None
@@ -347,7 +338,6 @@ def ended(pid: int) -> bool:
 
 
 def _status(pid: int) -> str:
-    """The state of a process as psutil names it; empty: there is no such process."""
     import psutil  # only when a run stands still
 
     try:

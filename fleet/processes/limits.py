@@ -91,11 +91,7 @@ def _raise_to(wanted: int) -> int:
 
 
 def start_thread(thread: threading.Thread) -> None:
-    """Start a thread.
-
-    Raises:
-        RunBroken: the system allows no more.
-    """
+    """Start a thread. Raises RunBroken: the system allows no more."""
     try:
         thread.start()
     except (RuntimeError, MemoryError) as error:

@@ -48,12 +48,7 @@ class Workers:
     """Some worker processes, which end with the context; they leave Ctrl-C to us and never outlive us."""
 
     def __init__(self, count: int, begin: Callable[[], None] | None = None) -> None:
-        """Prepare them; a process starts when there is an item for it.
-
-        Args:
-            count: how many.
-            begin: called first in each process. It takes things that only a starting
-                process can take, such as an array in shared memory.
+        """Prepare so many; a process starts when there is an item for it, and calls `begin` first.
 
         Raises:
             RunBroken: too few files may be open for so many.
@@ -142,7 +137,6 @@ class Workers:
                 self._stop(place)
 
     def _give(self, place: int, job: bytes, limit_s: float) -> None:
-        """Give a job to the worker of a place, which is started if there is none."""
         worker = self._running[place]
         if worker is not None and not worker.process.is_alive():  # somebody killed it while it had nothing to do
             self._stop(place)
@@ -158,7 +152,6 @@ class Workers:
         worker.give(job, limit_s)
 
     def _heard(self, under_way: Iterable[int]) -> list[tuple[int, _Worker]]:
-        """The workers, by place, that have sent something; waits for a while at most."""
         workers = {place: worker for place in under_way if (worker := self._running[place]) is not None}
         left = min(worker.deadline for worker in workers.values()) - time.monotonic()
         sources = [source for worker in workers.values() for source in (worker.connection, worker.process.sentinel)]
@@ -180,7 +173,6 @@ class _Worker:
     """A process, and what it does."""
 
     def __init__(self, begin: Callable[[], None] | None) -> None:
-        """Start it. Raises OSError."""
         context = multiprocessing.get_context("spawn")
         children_ignore_the_folder()
         self.connection, theirs = context.Pipe()
@@ -199,7 +191,6 @@ class _Worker:
             theirs.close()
 
     def give(self, job: bytes, limit_s: float) -> None:
-        """Let it do something, as soon as it can take it."""
         self._job, self._limit_s, self._begun = job, limit_s, False
         self.deadline = time.monotonic() + _BEGIN_S
         if self._ready:
@@ -232,12 +223,10 @@ class _Worker:
 
     @property
     def ended(self) -> str:
-        """How the process ended."""
         code = self.process.exitcode
         return f"signal {-code}" if code is not None and code < 0 else f"exit status {code}"
 
     def end(self, grace_s: float) -> None:
-        """Wait for its end, and kill it then."""
         self.dead = True
         self.connection.close()
         if grace_s:
@@ -262,7 +251,6 @@ class _Worker:
 
 
 def _work(connection: Connection, parent: int, begin: Callable[[], None] | None) -> None:
-    """Do what the parent asks for, until it closes the pipe."""
     die_with_parent(parent)
     if begin is not None:
         begin()

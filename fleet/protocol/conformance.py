@@ -276,9 +276,7 @@ class Examination:
         self._config = replace(scenario.agent_config(vehicle), memory_ticks=2 * self._m)
         self._telemetry = scenario.layout(vehicle).size
         self._state = scenario.initial[vehicle - 1]
-        self._roll: tuple[float, ...] = ()
-        self._clock_ns: int | None = None
-        self._belief: tuple[float, ...] = ()
+        self._more: tuple[Any, ...] = ()  # the further fields of a nav: roll, clock_ns, belief
         self._neighbours = [neighbour.id for neighbour in self._config.neighbours]
         self._i, self._file, self._port = vehicle, file, port
         self._keys = Keys(token_hex(4))
@@ -350,13 +348,12 @@ class Examination:
         self._failed.setdefault(check, (expected, str(got)))
 
     def _verdicts(self) -> list[ProtocolCheck]:
-        found = []
-        for check in CHECKS:
-            if check in self._failed:
-                found.append(ProtocolCheck(check, False, *self._failed[check]))
-            else:
-                found.append(ProtocolCheck(check, True if check in self._reached else None))
-        return found
+        return [
+            ProtocolCheck(check, False, *self._failed[check])
+            if check in self._failed
+            else ProtocolCheck(check, True if check in self._reached else None)
+            for check in CHECKS
+        ]
 
     # ------------------------------------------------------------------------------------- the script
 
@@ -373,7 +370,6 @@ class Examination:
         self._silence(PARTS, begin + 1, "no answer while more of the inbox is to come")
         self._send_inbox()
         self._answer(begin + 1, DAMAGED)
-        self._reached.add(DAMAGED)
         tick = begin + 2 * m + 1
         for k in range(begin + 2, tick):
             self._ask(k)
@@ -381,7 +377,6 @@ class Examination:
             self._fleet.nav(junk)
             self._fleet.rx(junk)
         self._ask(tick, MALFORMED)
-        self._reached.add(MALFORMED)
         self._fleet.nav(encode(Nav(LIFE - 1, tick + 1, *self._state)))
         self._fleet.rx(encode(Inbox(LIFE - 1, self._known + m, False, ())))
         self._fleet.nav(encode(End(LIFE - 1, tick + 1, "this life is over long ago")))
@@ -389,19 +384,14 @@ class Examination:
         self._ask(tick + 1, EARLIER)
         tick += 2 * m + 2
         self._ask(tick, GAP)
-        self._reached.add(GAP)
-        self._roll = (0.05, 0.01)
-        self._ask(tick + 1, ROLLS)
-        self._reached.add(ROLLS)
-        self._clock_ns = 20_000_001
-        self._ask(tick + 2, SHOWS)
-        self._reached.add(SHOWS)
-        self._belief = (0.25, 0.0, 0.0, 0.01, 0.25, 0.0, 0.0, 0.01, 0.0, 0.001)
-        self._ask(tick + 3, BELIEVES)
-        self._reached.add(BELIEVES)
-        for k in range(tick + 4, tick + 3 * m + 1):
+        belief = (0.25, 0.0, 0.0, 0.01, 0.25, 0.0, 0.0, 0.01, 0.0, 0.001)
+        for check, field in ((ROLLS, (0.05, 0.01)), (SHOWS, 20_000_001), (BELIEVES, belief)):
+            self._more = *self._more, field
+            tick += 1
+            self._ask(tick, check)
+        for k in range(tick + 1, tick + 3 * m - 2):
             self._ask(k)
-        self._end(tick + 3 * m + 1)
+        self._end(tick + 3 * m - 2)
 
     def _handshake(self, timeout_s: float) -> None:
         asked = ready = False
@@ -444,7 +434,6 @@ class Examination:
             raise _BrokenOffError
 
     def _ask(self, tick: int, blame: str = COMMANDS) -> None:
-        """Send the nav of a tick with the inbox that covers it, and judge the answer."""
         while self._known < tick:
             self._send_inbox()
         self._send_nav(tick)
@@ -484,10 +473,10 @@ class Examination:
                     if tick % self._m == 0 and not transmitted:
                         self._fail(TRANSMITS, f"tx of round tick {tick} before its cmd", "the cmd")
                     self.slowest_s = max(self.slowest_s, time.monotonic() - began)
+                    self._reached.add(blame)
                     return
 
     def _silence(self, check: str, tick: int, expected: str) -> None:
-        """Judge that nothing comes before the nav of a tick may be answered."""
         self._reached.add(check)
         deadline = time.monotonic() + max(SILENCE_S, min(_SLOWER * self.slowest_s, ANSWER_S))
         while (taken := self._take(deadline)) is not None:
@@ -514,7 +503,7 @@ class Examination:
                 self._fail(UNASKED, "nothing after the end", _shown(taken[1]))
 
     def _send_nav(self, tick: int) -> None:
-        self._fleet.nav(encode(Nav(LIFE, tick, *self._state, self._roll, self._clock_ns, self._belief)))
+        self._fleet.nav(encode(Nav(LIFE, tick, *self._state, *self._more)))
 
     def _send_inbox(self, deliveries: tuple[Delivery, ...] = (), *, more: bool = False) -> None:
         self._fleet.rx(encode(Inbox(LIFE, self._known + self._m, more, deliveries)))

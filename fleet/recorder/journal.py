@@ -286,7 +286,6 @@ class Journal:
 
 
 def _joined(parts: list[Frame]) -> Frame:
-    """The frame that came in parts."""
     return structs.replace(
         parts[-1],
         vehicles=tuple(row for part in parts for row in part.vehicles),

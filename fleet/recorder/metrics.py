@@ -243,7 +243,6 @@ def _error(i: int, vehicle: _Vehicle, spots: Mapping[int, tuple[tuple[float, ...
 
 
 def _take(series: Series, places: _Places, telemetry: tuple[float, ...]) -> None:
-    """Take what an agent reported with one command."""
     if places.u_cmd is not None:
         speed = telemetry[places.u_cmd]
         if isfinite(speed) and (series.u_cmd_max is None or speed > series.u_cmd_max):

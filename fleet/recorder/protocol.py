@@ -11,8 +11,6 @@ from fleet.scenario.sections.signals import checked_signals
 
 
 class _Reported(NamedTuple):
-    """A signal of one number."""
-
     name: str
     unit: str
     place: int  # in the telemetry

@@ -239,7 +239,6 @@ class TickMessages:
         return layout
 
     def _message(self, group: str, i: int, stamp: int) -> tuple[_Places, _Places]:
-        """Where the bytes of a message come from: of its record, and of what is digested."""
         key = group, i, stamp if group == "pose" else 0
         if key not in self._messages:
             channel, name = self._topics[group][i]
@@ -265,7 +264,6 @@ class TickMessages:
         return self._encoded[key]
 
     def _constant(self, data: bytes) -> range:
-        """Where these bytes are in the pool."""
         if data not in self._constants:
             self._constants[data] = self._size
             self._size += len(data)
@@ -275,7 +273,6 @@ class TickMessages:
 
 
 def _parts(group: str, kind: _Kind) -> list[bytes | int]:
-    """The parts of a message of a topic group."""
     agent, plant, navigates = kind
     if group in ("belief", "located"):
         behind = _TELEMETRY + agent.size + (0 if plant is None else 2 * len(ROLL) + width_of(plant))

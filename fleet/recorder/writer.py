@@ -282,7 +282,6 @@ class LogWriter:
             self._tap.flush()
 
     def _write_fixes(self, frame: Frame, at_ns: int) -> None:
-        """Write the fixes that came since the frame before."""
         tick_s = self._tick_ns / 1e9
         for row in frame.vehicles:
             for fix in row.fixes:

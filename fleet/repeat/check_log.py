@@ -91,7 +91,6 @@ def check_log(
 
 
 def _insist_on_checks(overrides: Sequence[str]) -> None:
-    """Raises FleetError: an override is about something else."""
     for text in overrides:
         if (key := text.partition("=")[0].strip()).partition(".")[0] != "checks":
             hint = f"another run is fleet run --set {key}"
@@ -99,11 +98,6 @@ def _insist_on_checks(overrides: Sequence[str]) -> None:
 
 
 def _checks(scenario: Scenario, first: int, refused: Sequence[Problem]) -> OwnChecks | None:
-    """The checks of the user's own, from tick `first` on; None: there are none.
-
-    Raises:
-        SignalCheckError, CheckError: one makes no sense for this log, perhaps because a law may not run (`refused`).
-    """
     try:
         return OwnChecks.asked(scenario, first)
     except SignalCheckError as error:
@@ -116,7 +110,6 @@ def _checks(scenario: Scenario, first: int, refused: Sequence[Problem]) -> OwnCh
 
 
 def _not_judged(asked: Scenario, recorded: Scenario) -> list[str]:
-    """The checks that an override asks for and that only a run can judge."""
     now, before = (one.spec.checks.model_dump(exclude={"signal", "python"}) for one in (asked, recorded))
     return [key for key, check in now.items() if ":" not in key and check is not None and check != before.get(key)]
 
@@ -125,7 +118,6 @@ class _Feed:
     """Shows checks what a log holds, in its order: the faults of a tick, its values, and its fates."""
 
     def __init__(self, scenario: Scenario, checks: OwnChecks, first: int) -> None:
-        """`first`: the first tick of the log."""
         self._checks, self._tick_ns, self._end = checks, scenario.tick_ns, scenario.ticks + 1
         self._links = {link_topic(link): link for link in scenario.graph.links}
         self._samples = {
@@ -190,7 +182,6 @@ class _Feed:
         self._found[i, group] = tuple(values)
 
     def _show(self) -> None:
-        """The values of the tick are known: what follows is something else."""
         if not self._found:
             return
         self._take(self._tick, self._found)

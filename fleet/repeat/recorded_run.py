@@ -155,7 +155,6 @@ def _recoveries(planned: Scenario, ended: set[str]) -> list[str]:
 
 
 def _entries(events: list[tuple[int, Any]], end_ns: int) -> list[dict[str, Any]]:
-    """One entry per fault, in the order of their beginnings."""
     entries: dict[str, dict[str, Any]] = {}
     for at_ns, event in events:
         if not is_fault(event.what) or event.what.startswith("lost "):

@@ -17,21 +17,19 @@ from typing import Annotated, Any
 from msgspec import Meta, Struct
 from msgspec import field as entry
 
-from agents.errors import AgentError
 from agents.loop import AgentLoop
 from agents.sample import Decision
 from agents.signals import SignalLayout
-from fleet.errors import FleetError, RunBroken
+from fleet.errors import FleetError
 from fleet.execution.clock import GrantPolicy
 from fleet.execution.external_agents import named
-from fleet.execution.in_process import InProcess
+from fleet.execution.in_process import in_process
 from fleet.logs.decoder import Decoder
 from fleet.logs.deviation import Difference, Side, difference, side
 from fleet.logs.mcap_writer import Batch
 from fleet.logs.reader import GAPS, RECOVERY, LogReader, Record
 from fleet.logs.schemas import COMMAND, PACKET, SNAPSHOT, Doubles, MessageField, Schema, signal_columns
 from fleet.logs.topic_names import link_of
-from fleet.recorder.journal import Journal
 from fleet.recorder.snapshot import TOPIC, Snapshot, Start
 from fleet.recorder.writer import LogWriter, run_metadata
 from fleet.repeat.recorded_run import Recorded, recorded
@@ -43,7 +41,6 @@ from netem.condition import Link
 from netem.impairment import LinkModel
 from netem.medium import PERFECT
 from netem.wire.messages import Delivery, Nav
-from world.errors import WorldError
 from world.vectors import ZERO, Vec3
 
 # --- recorded agent
@@ -152,7 +149,6 @@ class _Reading:
         }
 
     def take(self, record: Record) -> None:
-        """Take one record. Raises ValueError, struct.error: it is damaged."""
         tick = record.log_ns // self._tick_ns
         head, _, rest = record.topic.partition("/")
         if head == "uuv":
@@ -304,17 +300,6 @@ class _Comparison:
     def __init__(
         self, verification: Verification, scenario: Scenario, reader: LogReader, last_ns: int, tell: Tell
     ) -> None:
-        """Read what external agents sent.
-
-        Args:
-            verification: is filled in.
-            reader: of the log, read to its end.
-            last_ns: time of the last recorded message.
-            tell: receives how far the comparison has come.
-
-        Raises:
-            NotRecordedError: the log does not hold all commands of an external agent.
-        """
         self._verification, self._tell = verification, tell
         self._tick_ns, self._last_ns = scenario.tick_ns, last_ns
         self._first = reader
@@ -335,16 +320,10 @@ class _Comparison:
         """Nothing to compare: `_compare_metadata` has done so."""
 
     def channel(self, topic: str, schema: Schema) -> int:
-        """Number a topic."""
         self._topics.append(topic)
         return len(self._topics) - 1
 
     def message(self, channel: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
-        """Compare a message with the recorded one.
-
-        Raises:
-            _Over: it differs, or was the last one.
-        """
         here = Record(self._topics[channel], log_ns, publish_ns, sequence, data)
         expected = self._expected
         if expected is None and not self._complete:
@@ -365,12 +344,10 @@ class _Comparison:
             raise _Over
 
     def batch(self, batch: Batch) -> None:
-        """Compare messages that have their times in common. Raises _Over as `message` does."""
         for message in batch.messages():
             self.message(*message)
 
     def flush(self, at_ns: int) -> None:
-        """Report how far the comparison has come."""
         if at_ns > self._reported_ns:
             self._reported_ns = at_ns
             self._tell(at_ns / 1e9, self._last_ns / 1e9)
@@ -404,14 +381,14 @@ class _Comparison:
 def _run_again(
     comparison: _Comparison, verification: Verification, scenario: Scenario, last_ns: int, start: Start | None
 ) -> None:
-    """Run until everything is compared."""
     tick = last_ns // scenario.tick_ns
-    journal = Journal(scenario, LogWriter(comparison, scenario, start))
     # No further than the recording went: it may have ended because the next tick cannot be computed.
     every, m = frame_every(scenario), scenario.round_ticks
     until = min(scenario.ticks, max(-(-tick // every) * every, -(-tick // m) * m) + 1)
     policy = GrantPolicy(until, scenario.tick_ns, m, every)
-    seen = -2
+    agents = {i: agent.loop for i, agent in comparison.external.items()}
+    runner = in_process(scenario, LogWriter(comparison, scenario, start), start=start, agents=agents, judged=False)
+    journal, seen = runner.journal, -2
 
     def moved() -> None:
         nonlocal seen
@@ -420,17 +397,13 @@ def _run_again(
         seen = journal.written
 
     try:
-        agents = {i: agent.loop for i, agent in comparison.external.items()}
-        InProcess(scenario, journal, start, agents).serve(policy, moved)
+        if (broken := runner.to_end(moved, policy)) is not None:
+            verification.reason = broken.reason
     except _Over:
         pass
     except NotRecordedError as error:
         verification.unknown = str(error)
         return
-    except RunBroken as error:
-        verification.reason = error.reason
-    except (AgentError, WorldError) as error:
-        verification.reason = str(error)
     comparison.finish()
 
 

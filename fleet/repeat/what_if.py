@@ -205,7 +205,6 @@ class _OtherAgent:
             )
 
     def step(self, tick: int, measured: tuple[float, ...]) -> None:
-        """One sample. Raises FleetError."""
         try:
             life = self._lives.incarnation(self._agent, tick)
             if self._core is None or life != self._life:
@@ -244,7 +243,6 @@ class _OtherAgent:
         return due
 
     def found(self) -> WhatIf:
-        """What both commanded."""
         return WhatIf(
             self._agent,
             self._scenario,

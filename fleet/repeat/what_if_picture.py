@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fleet.errors import FleetError
 from fleet.logs.fault_intervals import FaultInterval
 from fleet.pictures.shades import shade
-from fleet.pictures.style import COLUMN_IN, FORMATS, Provenance, legend, limit, line, panels, save
+from fleet.pictures.style import COLUMN_IN, Provenance, format_of, legend, limit, line, panels, save_as
 from fleet.repeat.what_if import COMPONENTS, WhatIf
 from fleet.scenario.scenario import timeline
 
@@ -21,9 +20,7 @@ def draw(found: WhatIf, path: Path, digest: str) -> None:
     Raises:
         FleetError: the file cannot be written, or its suffix is none of a picture.
     """
-    form = path.suffix.removeprefix(".")
-    if form not in FORMATS:
-        raise FleetError(f"{path}: a picture ends in one of {', '.join('.' + f for f in FORMATS)}")
+    format_of(path)  # before the work
     figure, axes = panels(3, 1, COLUMN_IN, 4.6)
     for k, (ax, (name, unit)) in enumerate(zip(axes, COMPONENTS, strict=True)):
         line(ax, 0, found.t, found.recorded[:, k], f"agent {found.agent} of {found.scenario.name}, recorded")
@@ -41,7 +38,4 @@ def draw(found: WhatIf, path: Path, digest: str) -> None:
     axes[-1].set_xlabel("\n".join(["time [s]", *numbered]))
     legend(figure, axes[0], 1)
     facts = (("scenario", found.scenario.name), ("seed", str(found.scenario.seed)), ("digest", digest))
-    try:
-        save(figure, path.with_suffix(""), (form,), Provenance(f"What if: agent {found.agent}", facts))
-    except OSError as error:
-        raise FleetError(f"cannot write {path}: {error.strerror}") from None
+    save_as(figure, path, Provenance(f"What if: agent {found.agent}", facts))

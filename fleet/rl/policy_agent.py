@@ -9,16 +9,17 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple
 
-from agents import compact
 from agents.agent import Agent
+from agents.codecs import codec
+from agents.compact import OutOfRange
 from agents.config import AgentConfig
 from agents.errors import PayloadError
 from agents.laws.kinematics import earth_velocity
 from agents.laws.velocity_command import clip
 from agents.loop import AgentLoop, Answer
 from agents.message import pack, unpack
-from agents.neighbours import AHEAD_S, NeighbourTable
-from agents.payload import StateMessage, encode
+from agents.neighbours import NeighbourTable, own_time
+from agents.payload import StateMessage
 from agents.sample import Decision
 from agents.trajectory import Motion
 from netem.wire.messages import Delivery, Inbox, Nav
@@ -76,10 +77,8 @@ class PolicyAgent:
         self._tick_s = config.tick_ns / 1e9
         # The scenario's own law: it turns a velocity into forces, or computes along.
         self.resident = Agent(config) if choices.resident or choices.move == "velocity" else None
-        self._states = NeighbourTable(
-            config.neighbours, "hold", None, config.offset, self._tick_s,
-            codec=config.codec, round_ticks=config.round_ticks,
-        )  # fmt: skip
+        self._codec = codec(config)
+        self._states = NeighbourTable(replace(config, extrapolation="hold", drop_after_s=0.0), self._codec)
         self._numbers: dict[int, tuple[int, HeardMessage]] = {}  # by sender: tick of sending, and the message
         self._limits: tuple[Vec3, Vec3] = (_negative(config.tau_max), config.tau_max)
         self._foreseen: tuple[int, dict[str, Any], tuple[bytes, ...], Decision] | None = None
@@ -87,7 +86,7 @@ class PolicyAgent:
 
     def look(self, nav: Nav, due: list[Delivery]) -> None:
         """Learn what is known at a tick before the policy decides. It is taken in once more with the decision."""
-        seat, now = self._seat, self._now(nav)
+        seat, now = self._seat, own_time(nav, self.config.tick_ns)[0]
         seat.nav = nav
         self._absorb(nav, due)
         if seat.choices.numbers:
@@ -122,12 +121,11 @@ class PolicyAgent:
             return (pack(KIND, list(action.message)),)
         x, y, z, vx, vy, vz = action.message
         message = self._own_state(nav)._replace(position=(x, y, z), velocity=(vx, vy, vz))
-        if self.config.codec == "full":
-            return (encode(message),)
         try:
-            return (compact.encode(message, self.config.round_ticks),)
-        except compact.OutOfRange as error:
-            self._notes.append((nav.tick, f"a message that the compact payload cannot hold is not sent: {error}"))
+            return (self._codec.encode(message),)
+        except OutOfRange as error:
+            text = f"a message that the {self.config.codec} payload cannot hold is not sent: {error}"
+            self._notes.append((nav.tick, text))
             return ()
 
     def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> Decision:
@@ -138,8 +136,7 @@ class PolicyAgent:
         if self._seat.choices.move == "velocity":
             assert self.resident is not None
             x, y, z = nav.eta[:3]
-            self.resident.course = Motion((x, y, z), move)
-            return self.resident.decide(nav, due)
+            return self.resident.decide(nav, due, Motion((x, y, z), move))
         tau = clip(move, *self._limits)
         if self.resident is None:
             return Decision(tau, ())
@@ -169,19 +166,16 @@ class PolicyAgent:
     def _is_foreseen(self, tick: int) -> bool:
         return self._foreseen is not None and self._foreseen[0] == tick
 
-    def _now(self, nav: Nav) -> int:
-        return nav.tick if nav.clock_ns is None else nav.clock_ns // self.config.tick_ns
-
     def _own_state(self, nav: Nav) -> StateMessage:
         x, y, z, theta, psi = nav.eta
         u, v, w, q, r = nav.nu
         velocity = earth_velocity((x, y, z, theta, psi), (u, v, w, q, r), nav.roll[0] if nav.roll else 0.0)
-        return StateMessage(self.config.id, self._now(nav), (x, y, z), velocity)
+        return StateMessage(self.config.id, own_time(nav, self.config.tick_ns)[0], (x, y, z), velocity)
 
     def _absorb(self, nav: Nav, due: list[Delivery]) -> None:
         if not self._seat.choices.numbers:
-            ahead = 0 if nav.clock_ns is None else round(AHEAD_S / self._tick_s)
-            self._states.absorb(due, self._now(nav), ahead)
+            now, _, ahead = own_time(nav, self.config.tick_ns)
+            self._states.absorb(due, now, ahead)
             return
         for one in due:
             try:

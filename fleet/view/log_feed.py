@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from fleet.logs.fault_intervals import MOST_EVENTS
-from fleet.logs.open_log import Log, open_drawn
+from fleet.logs.open_log import Log, Opening
 from fleet.logs.reader import LogReadError
 from fleet.logs.records import Array
 from fleet.logs.tape import Tape, Track
@@ -53,7 +53,7 @@ def samples(path: Path, end_s: float, vehicles: int, neighbours: Mapping[int, Co
         LogReadError: the log cannot be read.
     """
     names = [f"uuv/{i}/error" for i in range(1, vehicles + 1)]
-    log = open_drawn(path, [*names, "link/*"], _nobody, {"uuv/*": frozenset({"formation_norm"}), "link/*": _LINK})
+    log = Opening(path, [*names, "link/*"], drawn={"uuv/*": frozenset({"formation_norm"}), "link/*": _LINK}).read()
     at = np.linspace(0.0, end_s, 1 + max(1, min(_most(vehicles), round(end_s / LEAST_S))))
     errors = [_at(at, _column(log, name, "formation_norm")) for name in names]
     if not any(np.isfinite(some).any() for some in errors):
@@ -76,7 +76,7 @@ def curves(path: Path, signals: Collection[ChartSignal]) -> dict[str, Points]:
     if not signals:
         return {}
     fields = {one.topic: frozenset(other.field for other in signals if other.topic == one.topic) for one in signals}
-    log = open_drawn(path, list(fields), _nobody, fields)
+    log = Opening(path, list(fields), drawn=fields).read()
     most = _most(len(signals))
     found: dict[str, Points] = {}
     for signal in signals:
@@ -111,15 +111,12 @@ def first_above(path: Path, vehicles: Collection[int], limit: float, after_s: fl
         LogReadError: the log cannot be read.
     """
     names = [f"uuv/{i}/error" for i in vehicles]
-    log = open_drawn(path, names, _nobody, {"uuv/*": frozenset({"formation_norm"})})
+    log = Opening(path, names, drawn={"uuv/*": frozenset({"formation_norm"})}).read()
     times = []
     for name in names:
         t, error = _column(log, name, "formation_norm")
         times += t[(t >= after_s) & ~(error < limit)][:1].tolist()
     return min(times, default=None)
-
-
-_nobody: Callable[[float], None] = lambda _: None  # noqa: E731 - who is told how far the reading is
 
 
 def _most(curves: int) -> int:

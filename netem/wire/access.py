@@ -122,7 +122,6 @@ def access_control(
 
 
 def _alone(vehicles: Sequence[int], hosts: Members) -> list[int]:
-    """The vehicles whose agents have a login of their own."""
     hosted = {i for members in hosts for i in members}
     return [i for i in vehicles if i not in hosted]
 
@@ -252,7 +251,6 @@ class _List:
         self._subjects: list[dict[str, Any]] = []
 
     def allow(self, role: str, subject: dict[str, Any], *grants: Grant) -> None:
-        """Let the sessions that have everything that `subject` names do what `grants` say."""
         names = [f"{self._prefix}{role}:{number}" for number in range(len(grants))]
         for name, (flow, messages, key_exprs) in zip(names, grants, strict=True):
             self._rules.append(

@@ -44,11 +44,7 @@ class Hosts:
         return self._by_key.get(key, 0)
 
     def check(self, h: int, i: int) -> None:
-        """Let host h speak for its own agents only.
-
-        Raises:
-            MalformedMessage: agent i is not on host h.
-        """
+        """Let host h speak for its own agents only. Raises MalformedMessage: agent i is not on host h."""
         if self._of.get(i) != h:
             raise MalformedMessage("bundle", f"vehicle {i} is not on {host_role(h)}")
 

@@ -63,11 +63,7 @@ def decode(data: bytes) -> Message:
 
 
 def expect(data: bytes, *kinds: type) -> Message:
-    """Decode a message that must be of one of the given kinds.
-
-    Raises:
-        MalformedMessage: it is not.
-    """
+    """Decode a message that must be of one of the given kinds. Raises MalformedMessage: it is not."""
     message = decode(data)
     if not isinstance(message, kinds):
         raise MalformedMessage(
@@ -77,11 +73,6 @@ def expect(data: bytes, *kinds: type) -> Message:
 
 
 def _kind_of(data: bytes) -> str:
-    """The kind of a message that cannot be decoded.
-
-    Raises:
-        MalformedMessage: it has none.
-    """
     try:
         values = msgspec.msgpack.decode(data)
     except Exception as error:  # bytes that are no MessagePack, in one of many ways

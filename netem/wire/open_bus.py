@@ -126,11 +126,7 @@ class OpenBus:
 
     @classmethod
     def connect(cls, endpoint: str, credentials: Credentials | None = None, *, timeout_ms: int = 5000) -> OpenBus:
-        """A client of a router or peer.
-
-        Raises:
-            BusError: there is no router, or it refuses the credentials.
-        """
+        """A client of a router or peer. Raises BusError: there is no router, or it refuses the credentials."""
         settings = client_settings([endpoint], credentials, timeout_ms) | OTHERS
         return cls._open("client", endpoint, settings, "nobody answers, or lets us in, at")
 

@@ -60,11 +60,7 @@ def request(op: str, **fields: Any) -> bytes:
 
 
 def read_map(data: bytes) -> dict[str, Any]:
-    """A control request or answer.
-
-    Raises:
-        MalformedMessage: not a MessagePack map with text keys.
-    """
+    """A control request or answer. Raises MalformedMessage: not a MessagePack map with text keys."""
     try:
         values = msgpack.unpackb(data)
     except Exception as error:  # msgpack raises half a dozen unrelated types for bad bytes

@@ -14,11 +14,12 @@ import msgpack
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from loops import PARAMS, REFERENCE, WEIGHTS, Delivery, Link, Nav, agent_config, run_loop, world_config
+from loops import PARAMS, WEIGHTS, Delivery, Link, Nav, agent_config, run_loop, world_config
 from repository import GOLDEN
 
 from agents.agent import Agent
 from agents.api import NeighbourState, Sample, VelocityCommand
+from agents.codecs import FullCodec
 from agents.config import AgentConfig, Neighbour, Offset
 from agents.controllers import CONTROLLERS
 from agents.errors import AgentError, ControllerError, PayloadError
@@ -267,7 +268,8 @@ def delivery(
 
 def table(extrapolation: Any = "hold") -> NeighbourTable:
     neighbours = (Neighbour(3, 0.8, Offset((0.0, 0.0, 0.0))), Neighbour(1, 1.0, Offset((0.0, -10.0, 0.0))))
-    return NeighbourTable(neighbours, extrapolation, REFERENCE, Offset((0.0, 0.0, 0.0)), 0.01)
+    config = replace(agent_config(1), neighbours=neighbours, extrapolation=extrapolation)
+    return NeighbourTable(config, FullCodec())
 
 
 def test_what_a_neighbour_does_not_say_is_not_known() -> None:
@@ -308,7 +310,8 @@ def test_a_duplicate_is_ignored_and_a_late_message_is_superseded() -> None:
 def test_extrapolation_ends_at_its_cap_and_silence_ends_a_neighbours_weight() -> None:
     """Sim time, not wall time: the same ticks whatever the machine; and the next message brings the neighbour back."""
     neighbours = (Neighbour(1, 1.0, Offset((0.0, 0.0, 0.0))),)
-    t = NeighbourTable(neighbours, "neighbour", REFERENCE, Offset((0.0, 0.0, 0.0)), 0.01, 0.5, 2.0)
+    config = replace(agent_config(1), neighbours=neighbours, extrapolation="neighbour")
+    t = NeighbourTable(replace(config, age_cap_s=0.5, drop_after_s=2.0), FullCodec())
     t.absorb([delivery(1, 0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))], 1)
     assert [t.heard(k)[0].position[0] for k in (40, 50, 51, 200)] == pytest.approx([0.4, 0.5, 0.5, 0.5])
     assert t.heard(200)[0].age == pytest.approx(2.0)

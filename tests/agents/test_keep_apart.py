@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from small_scenario import SMALL, only_problem, small
 
 from agents.api import Sample
-from agents.config import AgentConfig, Cylinder, KeepApartParams, Offset
+from agents.codecs import FullCodec
+from agents.config import AgentConfig, Cylinder, KeepApartParams
 from agents.controllers import layout
 from agents.laws.keep_apart import SLACK, Bound, KeepApart, Seen, apart, bounds, margin
 from agents.neighbours import NeighbourTable
@@ -174,8 +175,7 @@ def test_who_lies_commands_no_more_than_the_limits() -> None:
 
 def test_the_table_gives_states_as_they_were_sampled_and_leaves_out_whom_it_drops() -> None:
     scenario = small("neighbours={extrapolate: neighbour, drop_after: 1 s}")
-    neighbours = scenario.agent_config(2).neighbours
-    table = NeighbourTable(neighbours, "neighbour", None, Offset(ZERO), 0.01, drop_after_s=1.0)
+    table = NeighbourTable(scenario.agent_config(2), FullCodec())
     state = StateMessage(3, 5, (1.0, 2.0, 3.0), (0.5, 0.0, 0.0))
     table.absorb([Delivery(30, 5, 3, 0, 0, encode(state))], 30)
     table.heard(30)

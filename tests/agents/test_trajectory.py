@@ -13,6 +13,7 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from loops import agent_config
 
+from agents.codecs import FullCodec
 from agents.config import AgentConfig, Neighbour, Offset, OffsetChange
 from agents.neighbours import NeighbourTable
 from agents.payload import StateMessage, encode
@@ -53,6 +54,13 @@ offsets = st.builds(
     st.lists(st.floats(0.0, 20.0), min_size=3, max_size=3),
     st.lists(st.floats(1.0, 20.0), min_size=3, max_size=3),
 )
+
+
+def table_of(delta: Offset, extrapolation: Any, reference: Reference, own: Offset) -> NeighbourTable:
+    """What a vehicle at `own` knows of its neighbour 2."""
+    neighbours = (Neighbour(2, 1.0, delta),)
+    config = replace(agent_config(1), neighbours=neighbours, reference=reference, offset=own)
+    return NeighbourTable(replace(config, extrapolation=extrapolation), FullCodec())
 
 
 @given(references(), st.floats(0.0, 500.0))
@@ -251,7 +259,7 @@ def test_reference_extrapolation_is_exact_in_formation(reference: Reference, dat
     def place(tick: int) -> tuple[float, float, float]:
         return plus(reference.at(tick * 0.01).position, others.at(tick * 0.01).position)
 
-    table = NeighbourTable((Neighbour(2, 1.0, delta),), "reference", reference, own, 0.01)
+    table = table_of(delta, "reference", reference, own)
     payload = encode(StateMessage(2, sent, place(sent), (0.0, 0.0, 0.0)))
     table.absorb([Delivery(sent + age, sent, 2, 0, 0, payload)], sent + age)
     (heard,) = table.heard(sent + age)
@@ -267,7 +275,7 @@ def test_only_the_reference_knows_the_turn_and_the_change(mode: Any, in_place: b
     own = Offset((0.0, 0.0, 0.0), (OffsetChange(10.0, 20.0, (0.0, 4.0, 0.0)),))
     other = Offset((-5.0, 0.0, 0.0), (OffsetChange(10.0, 20.0, (0.0, 9.0, 2.0)),))
     delta = Offset((5.0, 0.0, 0.0), (OffsetChange(10.0, 20.0, (0.0, -5.0, -2.0)),))
-    table = NeighbourTable((Neighbour(2, 1.0, delta),), mode, circle, own, 0.01)
+    table = table_of(delta, mode, circle, own)
     then, now = (
         [plus(a, b) for a, b in zip(circle.at(t), other.at(t), strict=True)] for t in (18.0, 20.0)
     )  # position, velocity

@@ -122,7 +122,7 @@ def invoke(*arguments: str) -> Result:
 # --- reading -----------------------------------------------------------------
 
 READING = (
-    ["plot", "LOG", "--what", "track,error,inputs,commands,gains", "-o", "plots"],
+    ["plot", "LOG", "--what", "track,error,inputs,guidance.K", "-o", "plots"],
     ["report", "LOG", "-o", "page.html"],
     ["export", "LOG", "--scenario"],
     ["export", "LOG", "--csv", "tables"],
@@ -139,7 +139,7 @@ def test_reading_runs_nothing(
 ) -> None:
     """All that a reader shows stands in the log, the signals of laws that it never sees, too."""
     log, mark, name = victim
-    monkeypatch.setattr("fleet.pictures.report.WHAT", {"gains": WHAT["gains"]})  # `plot` draws more of the same
+    monkeypatch.setattr("fleet.pictures.report.WHAT", {"inputs": WHAT["inputs"]})  # `plot` draws more of the same
     if where == "installed":
         monkeypatch.syspath_prepend(str(mark.parent / "site"))
         write_laws(mark.parent / "site", name)

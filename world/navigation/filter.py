@@ -210,7 +210,6 @@ class NavigationFilter:
                     self.p[a][b] += by
 
     def _forget(self, i: int) -> None:
-        """Remove the past position whose north is x_i."""
         del self.kept[(i - SIZE) // 2]
         del self.x[i : i + 2]
         del self.p[i : i + 2]

@@ -48,7 +48,6 @@ class Navigator:
         self._tell: list[Fix] = []  # fixes that nobody has asked for yet
 
     def _begin(self, state: State) -> NavigationFilter:
-        """The filter of a vehicle that is told where it is, and reads its heading sensor."""
         start, purpose = self._config.start, START
         off = [start * normal(self._seed, purpose, self._i, axis) if start else 0.0 for axis in range(2)]
         self._instruments.turn_rates(0)

@@ -156,11 +156,6 @@ class FencedPlant:
         return state, plant.pose(state), plant.velocity(state), plant.report(state) if self._signals else {}
 
     def _take(self, tick: int, method: Any, said: tuple[Any, Any, Any, Any]) -> None:
-        """Check what the plant says of its next tick, and take it all or nothing.
-
-        Args:
-            method: that gave the state.
-        """
         fence, plant = self._fence, self._plant
         state, size = _numbers(said[0]), len(self.state)
         if len(state) != size:
@@ -199,7 +194,6 @@ def _failure_without_line(vehicle: int, tick: int, problem: str, where: str) -> 
 
 
 def _numbers(value: Any) -> tuple[float, ...]:
-    """`value` as a tuple of numbers; () if it is anything else."""
     if type(value) is tuple and all(type(number) is float for number in value):
         return value
     return tuple(numbers_of(value))

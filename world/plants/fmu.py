@@ -166,11 +166,7 @@ class FmuPlant:
         return saved
 
     def restore(self, values: bytes) -> None:
-        """Go on from what `state` gave.
-
-        Raises:
-            FmuError: the unit could not give its state, or does not take it.
-        """
+        """Go on from what `state` gave. Raises FmuError: the unit could not give its state, or does not take it."""
         if not values or not self.facts.saves:
             problem = "cannot save its state (canGetAndSetFMUstate, canSerializeFMUstate): its run cannot be resumed"
             raise FmuError(problem, "run it from the start")
@@ -213,8 +209,6 @@ class FmuPlant:
 
 
 def _started(private: PrivateFolder) -> tuple[subprocess.Popen[bytes], Connection]:
-    """A process for the unit in a folder, which it owns, too. Its standard input ends with this one, and Ctrl-C is not
-    for it."""
     ours, theirs = Pipe()
     with theirs:
         number = theirs.fileno()

@@ -70,7 +70,6 @@ class _Unit:
         self._begun = False
 
     def start(self, initial: list[float]) -> list[float]:
-        """Begin at time 0, with the values of the initial variables; the values of the outputs there."""
         fmu = self._fmu
         if self._begun:
             fmu.reset()
@@ -88,7 +87,6 @@ class _Unit:
         return list(self._get(self._outputs))
 
     def step(self, time_s: float, dt_s: float, inputs: list[float]) -> list[float]:
-        """Go one step; the values of the outputs at its end."""
         if self._inputs:
             self._set(self._inputs, inputs)
         answer = self._fmu.doStep(currentCommunicationPoint=time_s, communicationStepSize=dt_s)
@@ -97,7 +95,6 @@ class _Unit:
         return list(self._get(self._outputs))
 
     def save(self) -> bytes:
-        """The unit's state."""
         fmu = self._fmu
         if self._version == 2:
             state = fmu.getFMUstate()
@@ -112,7 +109,6 @@ class _Unit:
             fmu.freeFMUState(state)
 
     def load(self, saved: bytes) -> None:
-        """Go on from a state that `save` gave, perhaps in another process."""
         fmu = self._fmu
         if self._version == 2:
             state = fmu.deSerializeFMUstate(saved)
@@ -126,8 +122,6 @@ class _Unit:
 
 
 def _end_with_parent(folder: str) -> threading.Thread:
-    """The thread that ends this process when the other side has gone."""
-
     def watch() -> None:
         while os.read(0, 1):
             pass

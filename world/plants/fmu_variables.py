@@ -82,11 +82,7 @@ class Description:
 
 
 def parse(data: bytes) -> Description:
-    """A model description from its XML.
-
-    Raises:
-        FmuError: it is not of FMI 2 or 3, or it is too large.
-    """
+    """A model description from its XML. Raises FmuError: it is not of FMI 2 or 3, or it is too large."""
     reader = _Description()
     parser = expat.ParserCreate()
     parser.buffer_text = True

@@ -210,7 +210,6 @@ def revolution(X: float, u: float) -> float:
 
 
 def _fin(angle: float) -> float:
-    """An angle [rad] within the limit of the fins."""
     return max(-FIN_LIMIT, min(FIN_LIMIT, angle))
 
 

@@ -139,7 +139,6 @@ def check_class(
 
 
 def _check_method(kind: str, name: str, plugin_class: type[Any], method: str, arguments: tuple[str, ...]) -> None:
-    """Check that a method takes these arguments and returns its answer directly."""
     function = inspect.getattr_static(plugin_class, method)
     if not inspect.isfunction(function):  # decorated, or written in C: calling it will show
         return

@@ -15,16 +15,14 @@ from typing import Any
 from fleet.errors import printable
 from fleet.logs.reader import Tell
 from fleet.logs.topic_names import STAMP
-from fleet.pictures.page import PageImage, SectionImages, png, render, write_page
-from fleet.pictures.report import Mark, Table, rest
-from fleet.pictures.style import COLUMN_IN
+from fleet.pictures.page import Block, Heading, Listing, Mark, Table, Text, images, render, write_page
+from fleet.pictures.report import rest
 from fleet.study.pictures.gallery import draw
 from fleet.study.pictures.points import NOT_MADE, NOT_NEEDED, PASSED, Points, Quantity, VariedKey, factors, load, minus
 from fleet.study.row import Row
 from fleet.study.statistics import Estimate, compare, levels
 from fleet.study.store import Store
 
-TEMPLATE = "study.html"
 MOST_POINTS, MOST_REASONS, MOST_VALUES = 200, 30, 12
 _LONGEST = 400  # characters of a reason
 
@@ -55,26 +53,51 @@ def page(store: Store, points: Points, log_scale: bool | None = None, share: Tel
     """The whole page as HTML. Raises StudyError: the study is damaged."""
     rows = store.rows(["wall_s"], checks=True, details=True)
     directory = store.directory.resolve()
-    pictures = _pictures(points, log_scale, share)
-    return render(
-        "fleet.study.pictures",
-        TEMPLATE,
-        title=f"uuv-fleet: study {directory.name}",
-        verdict=_verdict(rows),
-        first=pictures.drawn[0] if pictures.drawn else None,
-        failed=_failed(rows),
-        facts=Table((), _facts(store, points, rows)),
-        axes=Table(("what varies", "unit", "values"), [_axis(each) for each in points.dimensions]),
-        missing=int((points.state == NOT_MADE).sum()),
-        border=store.record.border is not None,
-        place=shlex.quote(str(directory)),
-        results=_results(points),
-        comparisons=_comparisons(points),
-        pictures=pictures._replace(drawn=pictures.drawn[1:]),
-        reasons=_reasons(rows),
-        again=_again(directory, rows),
-        scenario=store.points[0].scenario if store.points else "",
-    )
+    first, pictures = images(draw(points, log_scale, share))
+    place = shlex.quote(str(directory))
+    blocks: list[Block] = [Text(_verdict(rows), "verdict"), *([first] if first else [])]
+    if (failed := _failed(rows)).rows:
+        blocks += [Heading("Why runs failed", 2), failed]
+    blocks += [Heading("What was run", 2), Table((), _facts(store, points, rows), "words")]
+    if store.record.border is not None:
+        blocks.append(Text(_BORDER.format(place=place)))
+    if missing := int((points.state == NOT_MADE).sum()):
+        blocks.append(Text(f"{missing} runs are not made yet; `fleet sweep {place}` makes them.", "warn"))
+    if axes := [_axis(each) for each in points.dimensions]:
+        blocks += [Heading("What varies", 2), Table(("what varies", "unit", "values"), axes, "words")]
+    blocks += [Heading("Results", 2), Text(_STATISTICS)]
+    if pictures.drawn or pictures.missing:
+        blocks.append(pictures)
+    blocks += [Heading("All points"), _results(points)]
+    if comparisons := _comparisons(points):
+        blocks += [Heading("In pairs", 2), Text(_IN_PAIRS)]
+        blocks += [block for key, table in comparisons for block in (Heading(key), table)]
+    reasons = _reasons(rows)
+    blocks += [Heading("Runs that came to no end", 2), reasons if reasons.rows else Text("There is none.")]
+    blocks.append(Heading("How to make a run again", 2))
+    if again := _again(directory, rows):
+        blocks += [Text(_AGAIN), Listing(again)]
+    blocks.append(Text("All rows: `fleet.open_study(...).to_pandas()`."))
+    if store.points:
+        blocks.append(Listing(store.points[0].scenario, "The scenario of point 0"))
+    return render(f"uuv-fleet: study {directory.name}", blocks)
+
+
+_BORDER = (
+    "This study looks for a border, so not every point is run with every seed; `fleet boundary {place}` shows what it "
+    "found, and makes runs that are missing."
+)
+_STATISTICS = (
+    "Shares of runs that passed with the Wilson score interval, medians with the one between two of their ordered "
+    "values, which has the level that stands beside it. A median of fewer than six runs has none. A run without a "
+    "result counts in neither; `inf`: half of the runs or more do not have the number, which counts as larger than "
+    "every other."
+)
+_IN_PAIRS = (
+    "Runs with the same seed meet the same network and sea, so values are compared run by run, at equal values of all "
+    "else. Fewer than six pairs that differ cannot show a difference (p < 0.05)."
+)
+_AGAIN = "With its log, below `runs/`; the digest is that of the row. Then `fleet plot` shows it."
 
 
 def _facts(store: Store, points: Points, rows: Sequence[Row]) -> list[tuple[str, Any]]:
@@ -164,7 +187,7 @@ def _results(points: Points) -> Table:
         counts = [cell.runs - cell.lack.not_made, cell.lack.failed]
         rows.append((number, *varied, *counts, _share(cell.estimate), *(_number(each, key) for each in medians)))
     rows += rest(len(points.keys) - len(rows), "which fleet.open_study has")
-    return Table(headings, rows)
+    return Table(headings, rows, "numbers")
 
 
 def _number(quantity: Quantity, key: tuple[float | str, ...]) -> str:
@@ -207,21 +230,11 @@ def _comparisons(points: Points) -> list[tuple[str, Table]]:
                     difference, smaller = f"only {first}: {only[0]}, only {other}: {only[1]}", ""
                 p = f"{result.p:.2g}" if isfinite(result.p) else result.note
                 rows.append((minus(other, first), points.words(name), result.difference.runs, difference, smaller, p))
-        found.append((dimension.key, Table(_COMPARED, rows)))
+        found.append((dimension.key, Table(_COMPARED, rows, "words")))
     return found
 
 
 _COMPARED = ("values", "of what", "pairs", "median difference, interval (level)", "difference below 0", "p (Wilcoxon)")
-
-
-def _pictures(points: Points, log_scale: bool | None, share: Tell) -> SectionImages:
-    drawn, missing = [], []
-    for name, title, figure in draw(points, log_scale, share):
-        if isinstance(figure, str):
-            missing.append(f"{name}: {figure}")
-        else:
-            drawn.append(PageImage(title, png(figure), figure.get_figwidth() > COLUMN_IN))
-    return SectionImages(drawn, missing)
 
 
 def _reasons(rows: Sequence[Row]) -> Table:
@@ -236,7 +249,7 @@ def _reasons(rows: Sequence[Row]) -> Table:
         for (status, reason), some in most[:MOST_REASONS]
     ]  # fmt: skip
     table += rest(len(most) - len(table), "reasons of fewer runs")
-    return Table(("status", "runs", "the first", "reason"), table)
+    return Table(("status", "runs", "the first", "reason"), table, "last")
 
 
 def _again(directory: Path, rows: Sequence[Row]) -> str:

@@ -85,14 +85,14 @@ def test_equal_vehicles_have_multiple_zeros() -> None:
     """On the complete graph of four all modes but one come three times."""
     links = [tuple(Link(j, 1.0, 2) for j in range(4) if j != i) for i in range(4)]
     fleet = LinearFleet(tuple(Member(PAPER, 1.0, own, True, None, np.eye(3)) for own in links), 3, 0.01)
-    for gain in (1.0, 1.6, 1.7, 2.0, 3.0):
+    for gain in (1.0, 1.65, 3.0):
         sizes = np.abs(eigenvalues(fleet, gain))
         assert fleet.unstable(gain) == int((sizes > 1.0).sum())
 
 
 @pytest.mark.filterwarnings("ignore:Generating overly large repr")
 @given(fleets())
-@settings(max_examples=15)
+@settings(max_examples=8)
 def test_the_mode_at_the_border_is_the_eigenvalue_that_leaves_the_circle(fleet: LinearFleet) -> None:
     """Whether vehicles excite each other, or one of them grows by itself."""
     gain = fleet.gain_border(1.0)
@@ -151,17 +151,17 @@ def test_a_division_by_zero_that_changes_no_result_is_no_warning(monkeypatch: py
 
 
 @pytest.mark.parametrize(
-    ("what", "case"),
+    ("what", "case", "seconds"),
     [
-        ("gain", Case("path", 10, 1.0)),
-        pytest.param("gain", Case("star", 200, 1.0), marks=pytest.mark.slow),
-        pytest.param("gain", Case("ring", 100, 1.0, 0, "reference"), marks=pytest.mark.slow),
-        pytest.param("delay", Case("ring", 100, 0.9), marks=pytest.mark.slow),
+        ("gain", Case("path", 10, 1.0), 20.0),
+        pytest.param("gain", Case("star", 200, 1.0), 40.0, marks=pytest.mark.slow),
+        pytest.param("gain", Case("ring", 100, 1.0, 0, "reference"), 40.0, marks=pytest.mark.slow),
+        pytest.param("delay", Case("ring", 100, 0.9), 40.0, marks=pytest.mark.slow),
     ],
 )
-def test_the_simulation_decays_below_the_limit_and_grows_above(what: str, case: Case) -> None:
+def test_the_simulation_decays_below_the_limit_and_grows_above(what: str, case: Case, seconds: float) -> None:
     """5 % below and above the computed border; all rows are in docs/background/stability.md."""
-    found = gain_row(case, 40.0) if what == "gain" else delay_row(case, 40.0)
+    found = gain_row(case, seconds) if what == "gain" else delay_row(case, seconds)
     assert found is not None
     assert found.holds, line(found)
 

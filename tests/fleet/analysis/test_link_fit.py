@@ -87,8 +87,6 @@ def test_two_states_are_found_again_and_the_entry_can_be_pasted() -> None:
     pasted = states_of(found.section())
     assert pasted.mean_ns == found.mean_ns
     assert pasted.conditions == found.conditions
-    again = link_fit.fit(trace_of(states_of(TWO), 10_000), 2)
-    assert again.section() == found.section()
 
 
 def test_three_states_are_found_again() -> None:
@@ -134,7 +132,7 @@ def test_on_the_command_line(tmp_path: Path) -> None:
     pictures = [tmp_path / "a.png", tmp_path / "b.png"]
     results = [CliRunner().invoke(cli, ["fit", str(trace), "--picture", str(path)]) for path in pictures]
     assert results[0].exit_code == 0, results[0].output
-    assert pictures[0].read_bytes() == pictures[1].read_bytes()
+    assert pictures[0].read_bytes() == pictures[1].read_bytes() and results[0].stdout == results[1].stdout
     network = plain(read(Source("y", results[0].stdout))[0])  # type: ignore[arg-type]
     assert isinstance(states_of(network["network"]["links"]["*"]).conditions[0], Condition)
     for words in ("1000 packets, one every 0.5 s", "log-likelihood", "mean burst of losses", "bad:"):

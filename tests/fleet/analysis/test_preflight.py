@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
+from in_process_runs import Alone
 from small_scenario import small
 
 from fleet.analysis.preflight import LARGE_MB, log_mb, warnings
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.scenario.catalogue import list_scenarios
 from fleet.scenario.loading import load_scenario
 
@@ -113,11 +110,11 @@ def test_nothing_is_doubted_of_what_ships() -> None:
     assert {row.name: found for row in list_scenarios() if (found := warnings(load_scenario(row.name)))} == {}
 
 
-def test_the_size_of_a_log_is_foreseen(tmp_path: Path) -> None:
+def test_the_size_of_a_log_is_foreseen(made: Alone) -> None:
     """Within a third of what it becomes, and the result says what it was."""
     for n, every in enumerate(("1 tick", "10 ticks")):
-        scenario = load_scenario("rough-sea", ["duration=5 s", "checks={}", f"log.every={every}"])
-        result = execute(scenario, Options(tmp_path / str(n), in_process=True, quiet=True))
+        asked = ["duration=5 s", "checks={}", f"log.every={every}"]
+        scenario, result = load_scenario("rough-sea", asked), made("rough-sea", *asked)
         written = result.values["log_bytes"]
         assert written == (result.directory / "run.mcap").stat().st_size
         # The index and the topics' declarations weigh more in a short log.

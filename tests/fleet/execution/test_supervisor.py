@@ -5,18 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+from unittest.mock import ANY, MagicMock
 
 import pytest
 
 from fleet.errors import RunBroken
 from fleet.execution import supervisor as module
 from fleet.execution.hosting import Hosting
-from fleet.execution.notes import Notes
+from fleet.execution.options import Options
 from fleet.execution.supervisor import CONTROLLER_FAILED, Supervisor
 from fleet.processes.children import FORKSERVER_LOST, Exit
 from fleet.recorder.journal import Journal
 from fleet.scenario.loading import load_scenario
-from netem.lives import Absence
+from netem.wire.access import agent_role
 from netem.wire.messages import Death, Restart
 
 
@@ -55,32 +56,31 @@ class External:
     def joined(self, i: int) -> None: ...
 
 
-class RecordingFleet:
-    """A fleet that writes down what its supervisor asks for, and answers what the test says."""
+class Processes:
+    """Session and launch of a supervisor: they write down what it asks for, and answer what the test says."""
 
     def __init__(self) -> None:
-        self.begun, self.granted, self.waiting = True, 50, ""
-        self.answers: dict[str, dict[str, Any]] = {}
+        self.answers: dict[str, dict[str, Any]] = {"absences": {"tick": 40}}
         self.asked: list[tuple[str, str, dict[str, Any]]] = []
         self.announced: list[Death | Restart] = []
-        self.absences: list[Absence] = []
         self.started: list[tuple[int, int, int]] = []
 
     def ask(self, role: str, op: str, **fields: Any) -> dict[str, Any]:
         self.asked.append((role, op, fields))
         return self.answers.get(op, {})
 
-    def set_absences(self, absences: Sequence[Absence]) -> None:
-        self.absences = list(absences)
-
-    def announce(self, message: Death | Restart) -> None:
+    def put(self, message: Death | Restart) -> None:
         self.announced.append(message)
 
     def computing(self, role: str) -> int:
         return 2 if role == "host-1" else 0
 
-    def start_agent(self, i: int, incarnation: int, begin: int) -> None:
-        self.started.append((i, incarnation, begin))
+    def agent(self, i: int, incarnation: int, begin: int) -> tuple[int, int, int]:
+        return i, incarnation, begin
+
+    def start(self, role: str, target: tuple[int, int, int]) -> None:
+        assert role == agent_role(target[0])
+        self.started.append(target)
 
 
 class Rig:
@@ -94,14 +94,20 @@ class Rig:
         hosts: tuple[tuple[int, ...], ...] = (),
     ) -> None:
         scenario = load_scenario("paper", ["duration=4 s", "checks={}", *overrides])
-        self.fleet, self.external, self.killed = RecordingFleet(), External(*external), []
-        self.notes = Notes(scenario.tick_ns)
         journal = Journal(scenario, None)  # type: ignore[arg-type]  # nothing is written
         journal.framed = 40
-        shared = Hosting(hosts)
-        self.supervisor = Supervisor(
-            self.fleet, scenario, journal, Children(shared, 4), self.external, self.notes, shared  # type: ignore[arg-type]
-        )  # fmt: skip
+        shared, self.fleet, self.external = Hosting(hosts), Processes(), External(*external)
+        supervisor = Supervisor(scenario, journal, MagicMock(), Options(), shared, "canned", print)
+        self.supervisor: Any = supervisor
+        self.notes, self.killed = supervisor.notes, []
+        vars(supervisor).update(
+            begun=True,
+            granted=50,
+            external=self.external,
+            _children=Children(shared, 4),
+            _session=self.fleet,
+            _launch=self.fleet,
+        )
         monkeypatch.setattr(module, "POLL_S", -1.0)
         monkeypatch.setattr(module.os, "kill", lambda pid, number: self.killed.append(pid))
 
@@ -124,16 +130,17 @@ def test_an_agent_that_dies_under_restart_gets_another_life_three_times(monkeypa
     """The clock stops before the tick at which the next life begins, until that one is ready."""
     rig = Rig(monkeypatch, "on_death=restart")
     for life in range(4):
-        rig.fleet.granted = 50 + 100 * life
+        rig.supervisor.granted = 50 + 100 * life
         assert rig.supervisor.ended(Exit("agent-2", -9, 7))
         if life == 3:
             break
         begin = rig.fleet.announced[-1].until  # type: ignore[union-attr]
         assert rig.fleet.announced[-1] == Death(2, None, life, begin)
-        assert begin is not None and begin >= rig.fleet.granted and begin % 10 == 0
+        assert begin is not None and begin >= rig.supervisor.granted and begin % 10 == 0
         assert rig.supervisor.next_restart() == begin
-        assert rig.fleet.absences[-1].end == begin
-        rig.fleet.granted = begin
+        assert rig.fleet.asked[-1][1:] == ("absences", {"absences": ANY})
+        assert rig.fleet.asked[-1][2]["absences"][-1][2] == begin
+        rig.supervisor.granted = begin
         rig.supervisor.poll()
         assert rig.fleet.started[-1] == (2, life + 1, begin)
         rig.fleet.answers["ready"] = {"ready": [[2, life + 1]]}
@@ -164,14 +171,14 @@ def test_ends_that_end_the_run(
 
 def test_no_agent_may_die_before_the_run_has_begun(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, "on_death=continue")
-    rig.fleet.begun = False
+    rig.supervisor.begun = False
     assert not rig.supervisor.ended(Exit("agent-1", 1, 7))
 
 
 def test_a_scripted_kill_waits_until_the_world_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
     """The process is ended once the world asks it for nothing more, and the next one begins at its tick."""
     rig = Rig(monkeypatch, "faults=[{at: 1 s, for: 1 s, kill: 3}]")
-    rig.fleet.granted, rig.fleet.answers["ticks"] = 100, {"ticks": [[3, 99]]}
+    rig.supervisor.granted, rig.fleet.answers["ticks"] = 100, {"ticks": [[3, 99]]}
     rig.supervisor.poll()
     assert rig.killed == []
     rig.fleet.answers["ticks"] = {"ticks": [[3, 100]]}
@@ -181,7 +188,7 @@ def test_a_scripted_kill_waits_until_the_world_is_there(monkeypatch: pytest.Monk
     assert (rig.supervisor.deaths, rig.fleet.announced) == ({}, [])  # it was asked for
     rig.supervisor.poll()
     assert rig.fleet.started == []
-    rig.fleet.granted = 200
+    rig.supervisor.granted = 200
     rig.supervisor.poll()
     assert rig.fleet.started == [(3, 1, 200)]
 
@@ -190,10 +197,10 @@ def test_a_host_that_dies_takes_its_living_agents_along(monkeypatch: pytest.Monk
     """Vehicle 1's agent ended before, so it had a process of its own; each life after the first has."""
     rig = Rig(monkeypatch, "on_death=restart", hosts=((1, 2, 3), (4,)))
     assert rig.supervisor.ended(Exit("agent-1", CONTROLLER_FAILED - 1, 0))
-    rig.fleet.granted = 100
+    rig.supervisor.granted = 100
     rig.supervisor.poll()
     assert rig.supervisor.ended(Exit("host-1", -11, 7))
-    rig.fleet.granted = 200
+    rig.supervisor.granted = 200
     rig.supervisor.poll()
     assert rig.supervisor.deaths == {
         1: ["exited with status 69"],
@@ -206,11 +213,11 @@ def test_a_host_that_dies_takes_its_living_agents_along(monkeypatch: pytest.Monk
 
 def test_a_kill_of_an_agent_on_a_host_ends_its_life_only(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, "faults=[{at: 1 s, for: 1 s, kill: 3}]", hosts=((1, 2, 3, 4),))
-    rig.fleet.granted, rig.fleet.answers["ticks"] = 100, {"ticks": [[3, 100]]}
+    rig.supervisor.granted, rig.fleet.answers["ticks"] = 100, {"ticks": [[3, 100]]}
     rig.supervisor.poll()
     reason = "it was killed by a fault of the scenario or the operator"
     assert (rig.killed, rig.fleet.asked[-1][1:]) == ([], ("dismiss", {"agents": [[3, 0, 100]], "reason": reason}))
-    rig.fleet.granted = 200
+    rig.supervisor.granted = 200
     rig.supervisor.poll()
     assert (rig.fleet.started, rig.supervisor.deaths) == ([(3, 1, 200)], {})
 
@@ -230,7 +237,7 @@ def test_an_external_agent_that_leaves(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_before_the_run_another_external_agent_may_come(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, "on_death=abort", external=[3])
-    rig.fleet.begun = False
+    rig.supervisor.begun = False
     rig.supervisor.unregistered(3)
     assert (rig.external.expected, rig.supervisor.deaths) == ([(3, 0, 0)], {})
     rig.supervisor.unregistered(3)  # a token that was not there cannot go

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from contextlib import nullcontext
 from pathlib import Path
+from shutil import copytree
 
 import pytest
 from click.testing import CliRunner, Result
@@ -40,16 +41,23 @@ def call(*args: object) -> Result:
     return CliRunner().invoke(cli, ["why", *map(str, args)])
 
 
-@pytest.fixture
-def small_log(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def small_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A push of 1.5 s that takes vehicle 1 out of its place."""
-    (tmp_path / "small.yaml").write_text(LONGER + PUSH + TIGHT, "utf-8")
-    return recorded(tmp_path, str(tmp_path / "small.yaml"))
+    folder = tmp_path_factory.mktemp("small")
+    (folder / "small.yaml").write_text(LONGER + PUSH + TIGHT, "utf-8")
+    return recorded(folder, str(folder / "small.yaml"))
+
+
+@pytest.fixture(scope="module")
+def why(small_log: Path) -> Why:
+    """Its explanation."""
+    return explained(small_log)
 
 
 def test_a_partition(tmp_path: Path) -> None:
     """From 3 to 15 s 1 and 2 do not hear 3 and 4. After 5 s of silence both halves claim place 4."""
-    why = explained(recorded(tmp_path, "auction-partition", "duration=12 s"), "NoConflict")
+    why = explained(recorded(tmp_path, "auction-partition", "duration=9600 ms"), "NoConflict")
     assert (pytest.approx(9.45), why.others) == (why.at_s, ["AllVisited"])
     assert [(f.id, f.from_s, f.on) for f in why.faults] == [("split", 3.0, True)]
     (gap,) = why.gaps
@@ -96,8 +104,7 @@ def test_a_drift(tmp_path: Path) -> None:
     assert all(one.from_snapshot for one in why.no_return.tried[1:])
 
 
-def test_a_push(small_log: Path) -> None:
-    why = explained(small_log)
+def test_a_push(why: Why) -> None:
     assert (why.check, why.faults[0].id, why.faults[0].on) == ("formation_error", "push", True)
     assert why.held_until_s < why.at_s
     found = why.no_return
@@ -122,9 +129,9 @@ def test_from_a_snapshot_or_from_the_start_is_the_same(small_log: Path) -> None:
 
 
 @pytest.mark.parametrize("backwards", [False, True])
-def test_whoever_makes_the_runs(small_log: Path, backwards: bool) -> None:
+def test_whoever_makes_the_runs(small_log: Path, why: Why, backwards: bool) -> None:
     explanation = Explanation(Question(small_log, None, 24), lambda doing, runs: None)
-    assert explanation.find(Here(backwards=backwards), NO_MODULES) == explained(small_log)
+    assert explanation.find(Here(backwards=backwards), NO_MODULES) == why
 
 
 def test_where_passing_has_no_order_that_is_said(small_log: Path) -> None:
@@ -185,21 +192,22 @@ def test_what_cannot_be_explained(small_log: Path, tmp_path: Path) -> None:
         assert said in " ".join(result.stderr.split())
 
 
-def test_a_log_without_snapshots(small_log: Path, tmp_path: Path) -> None:
+def test_a_log_without_snapshots(small_log: Path, why: Why, tmp_path: Path) -> None:
     """The run that is made again has some."""
     bare = recorded(tmp_path / "bare", str(small_log / "scenario.yaml"), "log.snapshot=0 s")
-    assert explained(bare).no_return == explained(small_log).no_return
+    assert explained(bare).no_return == why.no_return
 
 
 def test_a_run_that_cannot_be_made_again_is_explained_by_its_log(
-    small_log: Path, monkeypatch: pytest.MonkeyPatch
+    small_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("fleet.explanation.why._why_not", lambda *_: "the agent of vehicle 3 is external")
     why = explained(small_log)
     assert (why.check, why.no_return.how) == ("formation_error", "not possible")
     assert why.no_return.words == "the agent of vehicle 3 is external"
-    (small_log / "result.json").unlink()
-    result = call(small_log)
+    copytree(small_log, tmp_path / "bare")
+    (tmp_path / "bare" / "result.json").unlink()
+    result = call(tmp_path / "bare")
     assert result.exit_code == 2
     assert "what its checks came to is not known" in " ".join(result.stderr.split())
 

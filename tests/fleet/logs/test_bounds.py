@@ -18,32 +18,28 @@ from google.protobuf import struct_pb2
 from huge_log import again, blobs, bomb, chunk, record, text, write
 from hypothesis import given
 from hypothesis import strategies as st
+from in_process_runs import Alone, log_of
 from mcap.opcode import Opcode
 from waiting import wait_for
 
 import fleet
 from fleet.cli.main import cli
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.logs import columns, decoder, deviation, export, open_log, reader, records, tape, topic
 from fleet.logs.info import info_text, read_info
+from fleet.logs.open_log import Opening, Part
 from fleet.logs.reader import LogReader, LogReadError
 from fleet.pictures.gallery import draw
 from fleet.pictures.runs import View, load
-from fleet.pictures.whole_file import whole_file
-from fleet.scenario.loading import load_scenario
 from fleet.terminal import status_line
+from netem.private_file import whole_file
 
 MIB = 1 << 20
 LIMIT_S = 60.0
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("runs")
-    faults = "faults=[{at: 1 s, for: 500 ms, id: crash, kill: 2}]"
-    scenario = load_scenario("paper", ["duration=3 s", "checks={}", faults])
-    return execute(scenario, Options(out, in_process=True, quiet=True)).directory / "run.mcap"
+def run(made: Alone) -> Path:
+    return log_of(made("paper", "duration=3 s", "checks={}", "faults=[{at: 1 s, for: 500 ms, id: crash, kill: 2}]"))
 
 
 @pytest.fixture(scope="module")
@@ -166,9 +162,8 @@ def equal(a: Any, b: Any) -> bool:
 
 def test_a_log_that_cannot_be_held_is_read_by_topic(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = fleet.open_log(run)
-    monkeypatch.setattr(topic, "MOST_HELD", 300_000)
     monkeypatch.setattr(topic, "STEP", 10_000)
-    log = fleet.open_log(run)
+    log = Opening(run, most_held=300_000).read()
     assert (log.topics, log.messages, log.end, log.vehicles) == (
         whole.topics,
         whole.messages,
@@ -184,13 +179,13 @@ def test_a_log_that_cannot_be_held_is_read_by_topic(run: Path, monkeypatch: pyte
     assert log.faults == whole.faults
 
 
-def test_a_topic_that_cannot_be_held_says_what_to_do(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(topic, "MOST_HELD", 20_000)
-    log = fleet.open_log(run)
+def test_a_topic_that_cannot_be_held_says_what_to_do(run: Path) -> None:
+    log = Opening(run, most_held=20_000).read()
     with pytest.raises(LogReadError, match=r"uuv/1/state holds \d+ messages of .* MB, more than .*every=\d+") as told:
         _ = log["uuv/1/state"].x
     every = int(str(told.value).split("every=")[1].split(")")[0])
-    assert len(fleet.open_log(run, ["uuv/1/state"], every=every)["uuv/1/state"].x) > 5
+    part = Opening(run, ["uuv/1/state"], part=Part(every=every), most_held=20_000).read()
+    assert len(part["uuv/1/state"].x) > 5
 
 
 def test_a_part_of_a_log(run: Path) -> None:
@@ -223,9 +218,8 @@ def test_extremes_are_those_of_each_bucket(rows: list[tuple[int, float]]) -> Non
 def test_pictures_of_a_log_that_cannot_be_held(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every extreme is there, packets are counted, and what is drawn takes little."""
     (whole,) = load([run])
-    monkeypatch.setattr(topic, "MOST_HELD", 600_000)
     monkeypatch.setattr(open_log, "BUCKETS", 20)
-    (thin,) = load([run])
+    (thin,) = load([run], most_held=600_000)
     state, full = thin.log["uuv/1/state"], whole.log["uuv/1/state"]
     assert 20 < len(state.x) < len(full.x) / 1.5
     for name in full.fields:
@@ -239,9 +233,8 @@ def test_pictures_of_a_log_that_cannot_be_held(run: Path, monkeypatch: pytest.Mo
     assert not np.isnan(np.asarray(line.get_ydata(), float)).any()  # thinned is not silent
 
 
-def test_links_that_cannot_be_held_are_no_picture(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(topic, "MOST_HELD", 2000)
-    (thin,) = load([run])
+def test_links_that_cannot_be_held_are_no_picture(run: Path) -> None:
+    (thin,) = load([run], most_held=2000)
     found = {name: figure for name, _, figure in draw(["links", "ages"], [thin], View())}
     assert found
     for figure in found.values():
@@ -368,10 +361,5 @@ def test_a_topic_of_huge_messages(tmp_path: Path) -> None:
     """Each of them fits; together they do not, and are never held together."""
     path = blobs(tmp_path / "blobs.mcap", 4, 2 * MIB)
     assert [len(data) for data in fleet.open_log(path)["camera"].data] == [2 * MIB - 4096] * 4
-    before = topic.MOST_HELD
-    topic.MOST_HELD = 4 * MIB
-    try:
-        with pytest.raises(LogReadError, match="camera holds 4 messages of 8 MB"):
-            _ = fleet.open_log(path)["camera"].data
-    finally:
-        topic.MOST_HELD = before
+    with pytest.raises(LogReadError, match="camera holds 4 messages of 8 MB"):
+        _ = Opening(path, most_held=4 * MIB).read()["camera"].data

@@ -13,11 +13,10 @@ from in_process_runs import alone as alone
 from mcap.writer import Writer
 
 import fleet
-import fleet.logs.topic as held
 from fleet.errors import FleetError
 from fleet.logs.dataset import columns
 from fleet.logs.export import export
-from fleet.logs.open_log import Log
+from fleet.logs.open_log import Log, Opening
 from fleet.logs.reader import LogReadError
 from fleet.logs.schemas import UINT32, MessageField, flat_schema
 
@@ -118,9 +117,9 @@ def test_netcdf_of_another_programs_log(tmp_path: Path) -> None:
         assert read["large"].values.tolist() == [2**32 - 1] and "source" not in read.attrs
 
 
-def test_what_is_too_large_is_refused(log: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_too_large_is_refused(log: Log, tmp_path: Path) -> None:
     """With what to do; nothing is left behind."""
-    monkeypatch.setattr(held, "MOST_HELD", 1000)
+    log = Opening(log.path, most_held=1000).read()
     with pytest.raises(LogReadError, match=r"choose some, as in open_log\(path, \['uuv/\*/state'\]\)"):
         log.to_xarray()
     with pytest.raises(FleetError, match=r"too large for NetCDF .* use --parquet"):

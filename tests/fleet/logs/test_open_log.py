@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from foreign_log import foreign
+from in_process_runs import Alone
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
@@ -19,29 +20,20 @@ from repository import ROOT
 
 import fleet
 from fleet.errors import ScenarioError
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.logs.export import export
 from fleet.logs.fault_intervals import FaultInterval
-from fleet.logs.open_log import LogKeyError, open_drawn
+from fleet.logs.open_log import LogKeyError, Opening
 from fleet.logs.reader import LogReader, LogReadError, digest
 from fleet.logs.records import Digest
 from fleet.scenario.loading import load_scenario
 
 
-def logged(out: Path, name: str, *overrides: str) -> Path:
-    """A run in this process; its directory."""
-    return execute(load_scenario(name, ["checks={}", *overrides]), Options(out, in_process=True, quiet=True)).directory
-
-
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def run(made: Alone) -> Path:
     """Lost and corrupted packets, a dead agent, and vehicles whose laws report different things."""
     faults = "faults=[{at: 1 s, for: 500 ms, id: crash, kill: 2}, {at: 1.2 s, down: '3->4'}]"
     links = "network.links={'*': delay 30ms loss 20% corrupt 20%}"
-    return logged(
-        tmp_path_factory.mktemp("runs"), "paper", "duration=2 s", faults, links, "per_vehicle.3.controller=bsmc"
-    )
+    return made("paper", "checks={}", "duration=2 s", faults, links, "per_vehicle.3.controller=bsmc").directory
 
 
 def expected(log: Path) -> dict[str, list[tuple[int, Any]]]:
@@ -126,7 +118,7 @@ def test_the_digest_is_that_of_the_messages(run: Path, tmp_path: Path, cut: int)
     total = Digest()
     for one in LogReader(log):
         total.add(one.topic.encode(), one.log_ns, one.publish_ns, one.sequence, one.data)
-    drawn = open_drawn(log, ["uuv/1/*"], lambda _: None, {})
+    drawn = Opening(log, ["uuv/1/*"], drawn={}).read()
     assert fleet.open_log(log).digest == digest(log) == drawn.digest == total.hexdigest()
 
 
@@ -165,8 +157,10 @@ def test_a_cut_log_gives_what_is_left(run: Path, tmp_path: Path) -> None:
     assert "NOT WHOLE" in repr(log)
 
 
-def test_thinned_log_and_topics_without_a_message(tmp_path: Path) -> None:
-    log = fleet.open_log(logged(tmp_path, "ideal", "duration=1 s", "log={every: 10 ticks, command: 25 ticks}"))
+def test_thinned_log_and_topics_without_a_message(made: Alone, tmp_path: Path) -> None:
+    log = fleet.open_log(
+        made("ideal", "checks={}", "duration=1 s", "log={every: 10 ticks, command: 25 ticks}").directory
+    )
     assert log["uuv/1/state"].t == pytest.approx(np.arange(11) / 10)
     assert log["uuv/1/command"].t == pytest.approx([0.0, 0.25, 0.5, 0.75])
     empty = log["faults"]

@@ -19,6 +19,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
+from in_process_runs import Alone, log_of
 from live import LiveRun
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
@@ -27,12 +28,9 @@ from repository import SUPPORT
 
 from fleet.cli.main import cli
 from fleet.errors import FleetError
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.logs.reader import GAPS, LOST, RECOVERY, LogReader, LogReadError, Record
 from fleet.logs.records import MAGIC, MOST_BYTES
 from fleet.logs.recover import Recovered, recover, recovery_text
-from fleet.scenario.loading import load_scenario
 
 # Three chunks, as small as they get.
 SMALL = ["vehicles=2", "duration=2.5 s", "log.every=50 ticks", "network.period=500 ms", "checks={}"]
@@ -40,10 +38,9 @@ CUT = "the file is cut: the run was killed while it was written, or it is still 
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def log(made: Alone) -> Path:
     """A whole log of three chunks."""
-    out = tmp_path_factory.mktemp("small")
-    return execute(load_scenario("paper", SMALL), Options(out, in_process=True, quiet=True)).directory / "run.mcap"
+    return log_of(made("paper", *SMALL))
 
 
 def tool(*arguments: object) -> Result:
@@ -117,16 +114,16 @@ def test_beside_the_log_by_default(log: Path, tmp_path: Path) -> None:
 # --- cut --------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("every", [11, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("every", [41, pytest.param(1, marks=pytest.mark.slow)])
 def test_cut_at_every_byte_of_the_last_chunk(every: int, log: Path, tmp_path: Path) -> None:
     """Reading gives every complete chunk and nothing else; only the uncut file is whole. (Behind the chunk stands what
-    is only an index: every 13th byte of that.)"""
+    is only an index: every 29th byte of that.)"""
     data = log.read_bytes()
     whole = list(LogReader(log))
     (_, behind), (begin, end) = chunks(data)[-2:]
     before = len(read(tmp_path / "a", data[:begin])[0])
     assert 0 < before < len(whole)
-    for size in [*range(behind, end - 1, every), end - 1, end, *range(end + 1, len(data), 13)]:
+    for size in [*range(behind, end - 1, every), end - 1, end, *range(end + 1, len(data), 29)]:
         found, missing = read(tmp_path / "a", data[:size])
         assert found == whole[: len(whole) if size >= end else before], size
         assert missing in (CUT, "the index is missing or damaged"), size

@@ -9,18 +9,16 @@ import numpy as np
 import pytest
 from click.shell_completion import ShellComplete
 from click.testing import CliRunner
+from in_process_runs import Alone
 from matplotlib.figure import Figure
 
 from fleet.cli.main import cli
 from fleet.errors import FleetError
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.logs.topic_names import signal_names
 from fleet.pictures.any_signal import signals_of_checks
 from fleet.pictures.gallery import WHAT, check_signals, draw
 from fleet.pictures.report import page, telling
 from fleet.pictures.runs import Run, View, load
-from fleet.scenario.loading import load_scenario
 
 CHECKS = (
     "checks={signal: ["
@@ -31,10 +29,9 @@ CHECKS = (
 
 
 @pytest.fixture(scope="module")
-def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def directory(made: Alone) -> Path:
     """Five vehicles elect a leader; that it is nobody fails."""
-    scenario = load_scenario("election", ["duration=6 s", "faults=[]", CHECKS])
-    return execute(scenario, Options(tmp_path_factory.mktemp("signals"), in_process=True, quiet=True)).directory
+    return made("election", "duration=6 s", "faults=[]", CHECKS).directory
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +103,7 @@ def test_signals_of_checks_are_drawn_without_asking(run: Run) -> None:
 
 
 def test_the_report_begins_with_the_verdict_a_picture_and_the_reason(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fleet.pictures.report.WHAT", {"checks": WHAT["checks"], "gains": WHAT["gains"]})
+    monkeypatch.setattr("fleet.pictures.report.WHAT", {"checks": WHAT["checks"]})
     text = page([run], View())
     places = [
         text.index(part) for part in ('class="fail">2 of 7 checks failed', "<figure", ">shallow<", ">near<", ">Faults<")

@@ -6,16 +6,14 @@ import re
 from pathlib import Path
 
 import pytest
+from in_process_runs import Alone
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.logs.info import info_text, read_info
 from fleet.pictures import exchange, gallery, track
 from fleet.pictures.report import MOST_ROWS, _tables
 from fleet.pictures.runs import Run, View, load
-from fleet.scenario.loading import load_scenario
 
 N = 60
 LINKS = 2 * (N - 1)
@@ -24,10 +22,9 @@ WHOLE = View(None, None, None)
 
 
 @pytest.fixture(scope="module")
-def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def directory(made: Alone) -> Path:
     settings = [f"vehicles={N}", "tick=100 ms", "duration=2 s", "checks={}"]
-    scenario = load_scenario("paper", [*settings, f"network.links={{'{BAD}': loss 90%}}"])
-    return execute(scenario, Options(tmp_path_factory.mktemp("many"), in_process=True, quiet=True)).directory
+    return made("paper", *settings, f"network.links={{'{BAD}': loss 90%}}").directory
 
 
 @pytest.fixture(scope="module")
@@ -48,14 +45,6 @@ def test_tracks_name_the_worst_and_draw_the_others_together(run: Run, draw: obje
     assert found.count("others") == 1
     (others,) = [artist for artist in figure.findobj(LineCollection) if artist.get_gid() == "others"]
     assert len(others._paths if draw is track.top else others._segments3d) == N - 3  # type: ignore[attr-defined]
-
-
-def test_messages_are_those_about_the_worst_link(run: Run) -> None:
-    figure = exchange.spacetime([run], WHOLE)
-    names = [label.get_text() for label in figure.axes[0].get_yticklabels()]
-    assert len(names) == 20
-    assert {"UUV 30", "UUV 31"} <= set(names)
-    assert f"20 of {N} vehicles" in figure.axes[0].get_xlabel()
 
 
 def test_the_oldest_links_have_a_row(run: Run) -> None:
@@ -90,3 +79,11 @@ def test_info_folds_topics_that_differ_by_numbers(directory: Path) -> None:
     states = sum(count for topic, (_, count) in info.topics.items() if re.fullmatch(r"uuv/\d+/state", topic))
     assert re.search(rf"uuv/\*/state \({N} topics\) +{states}  uuv_fleet.State", text)
     assert re.search(rf"link/\*-\* \({LINKS} topics\)", text)
+
+
+def test_messages_are_those_about_the_worst_link(run: Run) -> None:
+    figure = exchange.spacetime([run], WHOLE)
+    names = [label.get_text() for label in figure.axes[0].get_yticklabels()]
+    assert len(names) == 20
+    assert {"UUV 30", "UUV 31"} <= set(names)
+    assert f"20 of {N} vehicles" in figure.axes[0].get_xlabel()

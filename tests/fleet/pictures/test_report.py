@@ -22,7 +22,7 @@ from fleet.scenario.loading import load_scenario
 @pytest.fixture(autouse=True)
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """One picture, since they take most of the time."""
-    monkeypatch.setattr("fleet.pictures.report.WHAT", {"gains": WHAT["gains"]})
+    monkeypatch.setattr("fleet.pictures.report.WHAT", {"inputs": WHAT["inputs"]})
 
 
 def test_report_names_the_run_that_latest_is_and_says_when_it_began(tmp_path: Path) -> None:

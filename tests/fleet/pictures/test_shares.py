@@ -4,26 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from in_process_runs import Alone
 from matplotlib.colors import to_hex
 
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.pictures.exchange import FATES
 from fleet.pictures.gallery import LATE, MOST_ROWS, Row, fold, strips, time_bins, timeline
 from fleet.pictures.runs import Run, View, load
-from fleet.scenario.loading import load_scenario
 from netem.fault_kinds import Cause
 
 BEGIN_S, END_S = 2.53, 3.17  # of the partition: no edge of an even bin
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def run(made: Alone) -> Run:
     """Links with 30 % loss and jitter, and a partition."""
     faults = f"faults=[{{at: {BEGIN_S} s, for: {END_S - BEGIN_S:.2f} s, partition: halves}}]"
     changes = ["checks={}", "duration=6 s", faults, "network.links={'*': delay 150ms 100ms loss 30%}"]
-    options = Options(tmp_path_factory.mktemp("runs"), in_process=True, quiet=True)
-    return load([execute(load_scenario("paper", changes), options).directory])[0]
+    return load([made("paper", *changes).directory])[0]
 
 
 def test_shares_are_those_of_the_log(run: Run) -> None:

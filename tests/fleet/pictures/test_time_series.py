@@ -1,24 +1,20 @@
-"""Errors with what the checks ask, inputs within their limits, gains below their k_min."""
+"""Errors with what the checks ask, inputs within their limits."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from in_process_runs import Alone
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import to_rgb
 
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.logs.fault_intervals import FaultInterval
 from fleet.pictures import time_series
 from fleet.pictures.runs import Run, View, load
 from fleet.pictures.style import panels
 from fleet.pictures.thresholds import Threshold, draw_thresholds, thresholds
-from fleet.scenario.loading import load_scenario
 
 CHECKS = (
     "checks={formation_error: {below: 50 cm, after: 3 s}, "
@@ -27,10 +23,10 @@ CHECKS = (
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    changes = ["duration=5 s", "faults=[{at: 1 s, for: 1 s, id: crash, kill: 2}]", CHECKS]
-    options = Options(tmp_path_factory.mktemp("runs"), in_process=True, quiet=True)
-    return load([execute(load_scenario("paper", changes), options).directory])[0]
+def run(made: Alone) -> Run:
+    return load([made("paper", "duration=5 s", "faults=[{at: 1 s, for: 1 s, id: crash, kill: 2}]", CHECKS).directory])[
+        0
+    ]
 
 
 def lines(ax: Axes, gid: str) -> list[Any]:
@@ -88,21 +84,6 @@ def test_no_line_of_an_input_reaches_beyond_its_limit(run: Run) -> None:
         assert coloured(int(limit) - 6, int(limit))
 
 
-def test_a_gain_below_its_k_min_is_explained_there(run: Run) -> None:
-    k_min = run.log.scenario.controls[0].guidance.k_min
-    figure = time_series.gains([run], View())
-    told = 0
-    for k, ax in enumerate(figure.axes):
-        gains = np.concatenate([run.log[f"uuv/{i}/guidance"]["K"][:, k] for i in run.log.vehicles])
-        words = [text.get_text() for text in ax.texts if text.get_gid() == "below-k_min"]
-        shaded = [patch for patch in ax.patches if patch.get_gid() == "below-k_min"]
-        assert bool(words) == bool(shaded) == bool(gains.min() < 0.999 * k_min)
-        told += len(words)
-        assert all("the bounds on $\\rho$ come first" in word for word in words)
-        assert all(to_rgb(patch.get_facecolor()[:3]) == to_rgb("#E69F00") for patch in shaded)
-    assert told >= 1
-
-
 def test_every_recovery_has_a_line_until_the_next_fault(run: Run) -> None:
     text = run.log.scenario_text.replace("fault: crash", "fault: every")
     other = Run(run.log, "other")
@@ -119,31 +100,6 @@ def test_every_recovery_has_a_line_until_the_next_fault(run: Run) -> None:
         other.log.scenario_text = before
         for name in ("_intervals", "scenario"):
             other.log.__dict__.pop(name, None)
-
-
-def test_the_reason_for_a_low_gain_is_true(run: Run) -> None:
-    """Where the optimisation chose a gain below k_min, rho is at one of its bounds."""
-    guidance = run.log.scenario.controls[0].guidance
-    chosen = 0
-    for i in run.log.vehicles:
-        found = run.log[f"uuv/{i}/guidance"]
-        for k in range(3):
-            low = (found["K"][:, k] < 0.999 * guidance.k_min) & (found["qp_status"] == 1)
-            rho = found["rho"][low, k]
-            off = np.minimum(abs(rho - guidance.rho_lo[k]), abs(rho - guidance.rho_hi[k]))
-            assert off.max(initial=0.0) < 1e-6
-            chosen += int(low.sum())
-    assert chosen > 10
-
-
-def test_a_fixed_gain_has_no_k_min(tmp_path: Path) -> None:
-    """One vehicle with a fixed gain below the k_min of the others, whose own gains are above it."""
-    fixed = "per_vehicle={'1': {controller: nbc, guidance: {K0: 0.05 0.05 0.05 1/s}}}"
-    options = Options(tmp_path, in_process=True, quiet=True)
-    mixed = load([execute(load_scenario("paper", ["duration=10 s", "checks={}", fixed]), options).directory])[0]
-    assert (mixed.log["uuv/1/guidance"]["K"] == 0.05).all()
-    figure = time_series.gains([mixed], View(window=(9.0, 10.0)))
-    assert not [text for ax in figure.axes for text in ax.texts if text.get_gid() == "below-k_min"]
 
 
 def test_an_input_beyond_the_limit_is_shown(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -176,10 +132,9 @@ def test_checks_of_one_value_are_one_line() -> None:
     assert [list(line.get_xdata()) for line in lines(ax, "check")] == [[10.0, 20.0], [65.0, 90.0]]
 
 
-def test_no_heavy_line_joins_the_two_limits(tmp_path: Path) -> None:
+def test_no_heavy_line_joins_the_two_limits(made: Alone) -> None:
     """A command that goes from one limit to the other between two samples of a thin log."""
-    scenario = load_scenario("paper", ["checks={}", "vehicles=20", "duration=1 s", "log={every: 20 ticks}"])
-    run = load([execute(scenario, Options(tmp_path, in_process=True, quiet=True)).directory])[0]
+    run = load([made("paper", "checks={}", "vehicles=20", "duration=1 s", "log={every: 20 ticks}").directory])[0]
     figure = time_series.inputs([run], View(vehicles=(14,)))
     heavy = [
         line for ax in figure.axes for line in ax.get_lines() if str(line.get_gid()).endswith(time_series.HEAVY_SUFFIX)

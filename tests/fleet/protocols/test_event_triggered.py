@@ -13,6 +13,7 @@ from protocol_network import delivery
 from small_scenario import small
 
 from agents.api import Delivery, FormationAgent, Nav, Vec3, pack
+from agents.codecs import FullCodec
 from agents.neighbours import NeighbourTable
 from agents.payload import decode
 from fleet.protocols.event_triggered import EventTriggered
@@ -98,10 +99,7 @@ def test_in_each_round_who_heard_what_was_sent_is_off_by_the_threshold_at_most(
     """However the vehicle is pushed about; and there is a round at least from one message to the next."""
     scenario = small(f"neighbours.extrapolate={extrapolate}", *more)
     agent = EventTriggered(scenario.agent_config(1), threshold, ahead_s=ahead)
-    hearer = scenario.agent_config(2)
-    table = NeighbourTable(
-        hearer.neighbours, hearer.extrapolation, hearer.reference, hearer.offset, 0.01, hearer.age_cap_s
-    )
+    table = NeighbourTable(scenario.agent_config(2), FullCodec())
     place, velocity, sent = (0.0, 0.0, 5.0), (0.5, 0.0, 0.0), []
     for k, push in enumerate(pushes):
         now = k * ROUND

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from in_process_runs import Alone, log_of
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from repository import ROOT
@@ -25,7 +26,6 @@ from fleet.logs.reader import LogReader
 from fleet.recorder.scene import LinkHistories, Scene, hull
 from fleet.recorder.transforms import quaternion
 from fleet.repeat.resume import continuation
-from fleet.result.result import Result
 from fleet.scenario.loading import load_scenario
 from fleet.scene.model import diameter
 from fleet.scene.styles import CUTS, FOXGLOVE, HISTORY
@@ -36,14 +36,9 @@ FAULTS = "faults=[{at: 1.5 s, for: 1 s, partition: halves}, {at: 2 s, for: 600 m
 LOSSY = "network.links={'*': 'delay 30ms', '1->2': 'delay 30ms loss 40%'}"
 
 
-def run(out: Path, *overrides: str) -> Result:
-    scenario = load_scenario("paper", ["checks={}", "duration=4 s", "log.snapshot=1 s", *overrides])
-    return execute(scenario, Options(out, in_process=True, quiet=True))
-
-
 @pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return run(tmp_path_factory.mktemp("runs"), FAULTS, LOSSY).directory / "run.mcap"
+def log(made: Alone) -> Path:
+    return log_of(made("paper", "checks={}", "duration=4 s", "log.snapshot=1 s", FAULTS, LOSSY))
 
 
 @pytest.fixture(scope="module")
@@ -232,7 +227,7 @@ def test_a_corrupted_packet_is_a_lost_one() -> None:
 # --- as a part of the log ----------------------------------------------------
 
 
-def test_what_is_drawn_can_be_thinned_and_left_out(tmp_path: Path) -> None:
+def test_what_is_drawn_can_be_thinned_and_left_out(made: Alone) -> None:
     assert {k: v for k, v in small().log_every.items() if k in ("transforms", "scene")} == {
         "transforms": 10,
         "scene": 50,
@@ -242,8 +237,8 @@ def test_what_is_drawn_can_be_thinned_and_left_out(tmp_path: Path) -> None:
     assert small("log.every=200 ticks", "duration=4 s").log_every["scene"] == 200
     assert small("log.scene=0 ticks").log_every["scene"] == 0
     assert "must be 0 or more" in only_problem("log.scene=-1 tick")
-    without = run(tmp_path, "log.scene=0 ticks", "log.transforms=25 ticks", "duration=1 s").directory
-    log = fleet.open_log(without)
+    without = made("paper", "checks={}", "log.scene=0 ticks", "log.transforms=25 ticks", "duration=1 s")
+    log = fleet.open_log(without.directory)
     assert "scene" not in log
     assert log["transforms"].t.tolist() == [0.0, 0.25, 0.5, 0.75, 1.0]
 

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from io import StringIO
 from math import exp, inf, nan, pi, sin
-from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from in_process_runs import Alone
 from rich.console import Console as Terminal
 
 from fleet.cli.result_table import show
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.recorder.settling import least_s, settling_time
-from fleet.scenario.loading import load_scenario
 from world.config import Harmonic
 from world.disturbance import PAPER
 
@@ -71,10 +68,10 @@ def test_how_long_is_long_enough() -> None:
 
 
 @pytest.mark.slow
-def test_a_run_that_ends_just_below_the_limit_is_not_settled(tmp_path: Path) -> None:
+def test_a_run_that_ends_just_below_the_limit_is_not_settled(made: Alone) -> None:
     """BOC in the paper's disturbance crosses 5 cm in every period, the last time 3 s before the end of a minute."""
     overrides = ["controller=boc", "sea.disturbance=paper", "checks={}", "log.every=10 ticks"]
-    result = execute(load_scenario("ideal", overrides), Options(tmp_path, in_process=True, quiet=True))
+    result = made("ideal", *overrides)
     rows = result.values["vehicles"].values()
     assert [row["settle_10pct_s"] for row in rows] == pytest.approx([7.71, 6.91, 7.05, 7.82], abs=0.11)
     assert [row["settle_5cm_s"] for row in rows] == [None] * 4

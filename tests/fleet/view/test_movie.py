@@ -175,7 +175,7 @@ def test_a_part_of_a_log_at_a_rate(log: Path, tmp_path: Path) -> None:
         ("a", {}, "ends in .gif or .mp4"),
         ("a.gif", {"window": (0.5, 2.0)}, "no time from 0.5 s to 2 s in the log, which lasts from 0 s to 1 s"),
         ("a.gif", {"window": (1.0, None)}, "no time from 1 s to 1 s"),
-        ("a.gif", {"rate": 0.001, "fps": 50}, "3.8 GB of memory, and 1 GB are allowed: choose a higher --speed"),
+        ("a.gif", {"speed": 0.001, "fps": 50}, "3.8 GB of memory, and 1 GB are allowed: choose a higher --speed"),
         ("none/a.gif", {}, "No such file or directory; choose another place with -o FILE"),
     ],
 )

@@ -72,7 +72,10 @@ def with_record(log: Path, more: bytes, path: Path) -> Path:
 @pytest.mark.parametrize("kind", STRANGE)
 def test_commands_say_what_is_wrong_and_take_little_memory(kind: str, alone: Alone, tmp_path: Path) -> None:
     log = with_record(log_of(alone("paper", "duration=500 ms", "checks={}")), STRANGE[kind](), tmp_path / "a.mcap")
-    for arguments in (["movie", "--fps", "1", "--width", "320", "-o", "a.gif"], ["plot", "--what", "gains", "-o", "p"]):
+    for arguments in (
+        ["movie", "--fps", "1", "--width", "320", "-o", "a.gif"],
+        ["plot", "--what", "inputs", "-o", "p"],
+    ):
         verb, *options = arguments
         command = [sys.executable, "-c", LIMITED.format(MEMORY), verb, str(log), *options]
         ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=100, check=False)

@@ -48,7 +48,7 @@ _KEY = re.compile(r"([a-z_]+)[=:]")
 
 
 class FaultWordsError(FleetError):
-    """Words that are no fault, or no condition of links."""
+    """Words that are no fault or no condition of links, or an override that cannot be applied."""
 
     def __init__(self, problem: Problem) -> None:
         super().__init__(f"{problem.message}; {problem.hint}" if problem.hint else problem.message)

@@ -266,17 +266,9 @@ def apply(root: Mapping, overrides: Sequence[str | Override]) -> tuple[Mapping, 
     for change in (*changes, *words):
         try:
             root = change(root)
-        except (FaultWordsError, _MistakeError) as error:
+        except FaultWordsError as error:
             problems.append(error.problem)
     return root, problems
-
-
-class _MistakeError(Exception):
-    """An override that cannot be applied."""
-
-    def __init__(self, problem: Problem) -> None:
-        super().__init__(problem.message)
-        self.problem = problem
 
 
 def _steps(path: str, source: Source) -> list[Step]:
@@ -317,11 +309,11 @@ def _set(node: Node | None, steps: list[Step], value: Node, *, keep: bool) -> No
         index = int(key) if key.isascii() and key.isdigit() and len(key) < 6 else 0
         if not 1 <= index <= len(node.items):
             message = f'expected an entry of the list, from 1 to {len(node.items)}, got "{key}"'
-            raise _MistakeError(place.problem(message))
+            raise FaultWordsError(place.problem(message))
         items = list(node.items)
         items[index - 1] = _set(items[index - 1], rest, value, keep=keep)
         return Items(tuple(items), node.place)
-    raise _MistakeError(
+    raise FaultWordsError(
         place.problem(f'there is no "{key}" here: the scenario has {describe_value(node.value)}, not a mapping')
     )
 
@@ -353,7 +345,7 @@ def _with_link_word(source: Source, root: Mapping) -> Mapping:
         known = ", ".join(links.entries)
         hint = "--net '* loss 30%' takes the place of all conditions of a link"
         message = f'network.links has no condition for "{selector}"; it has conditions for {known}'
-        raise _MistakeError(start.shifted(match.start("selector")).problem(message, hint))
+        raise FaultWordsError(start.shifted(match.start("selector")).problem(message, hint))
     before = None if same is None else links.entries[same]
     if match["state"] is not None or isinstance(before, Mapping):
         return _with_state_word(source, root, match, same or selector, before)
@@ -375,7 +367,7 @@ def _with_word(source: Source, match: re.Match[str], text: str) -> Scalar:
         return Scalar(with_word(text, word, value), start.shifted(match.end() + 1))
     except TextError as error:
         column = match.start("word") if not value.strip() or word not in WORDS else match.end() + 1 + error.column
-        raise _MistakeError(start.shifted(column).problem(error.message, error.hint)) from None
+        raise FaultWordsError(start.shifted(column).problem(error.message, error.hint)) from None
 
 
 def _with_state_word(source: Source, root: Mapping, match: re.Match[str], name: str, links: Node | None) -> Mapping:
@@ -384,12 +376,14 @@ def _with_state_word(source: Source, root: Mapping, match: re.Match[str], name: 
     states = links.entries.get("states") if isinstance(links, Mapping) else None
     if not isinstance(states, Mapping):
         what = "a trace" if isinstance(links, Mapping) and "trace" in links.entries else "no states"
-        raise _MistakeError(place.problem(f'the links "{name}" have {what}, so there is no word of a state to change'))
+        raise FaultWordsError(
+            place.problem(f'the links "{name}" have {what}, so there is no word of a state to change')
+        )
     state = None if match["state"] is None else states.entries.get(match["state"])
     if not isinstance(state, Mapping):
         known = ", ".join(states.entries)
         hint = f"as in network.links.{name}.states.{next(iter(states.entries), 'bad')}.{match['word']}"
-        raise _MistakeError(place.problem(f'the links "{name}" have the states {known}: say which', hint))
+        raise FaultWordsError(place.problem(f'the links "{name}" have the states {known}: say which', hint))
     before = state.entries.get("condition")
     text = "" if before is None else plain(before)
     if not isinstance(text, str):  # reported when it is read
@@ -403,7 +397,7 @@ def _network(root: Mapping, start: TextPlace) -> tuple[Mapping | None, Mapping |
     network = root.entries.get("network")
     if isinstance(network, Scalar) and network.value == "ideal":
         hint = "give it a period first, as in --set 'network={period: 100 ms}'"
-        raise _MistakeError(start.problem("the network of this scenario is ideal and has no links", hint))
+        raise FaultWordsError(start.problem("the network of this scenario is ideal and has no links", hint))
     if isinstance(network, Scalar) and network.value == "acoustic":
         network = Mapping({"acoustic": Mapping({}, {}, network.place)}, {"acoustic": network.place}, network.place)
     section = _mapping(network, start)
@@ -434,7 +428,7 @@ def _with_fault(source: Source, root: Mapping) -> Mapping:
     """The tree with one fault more; faults that are no list stay, and are reported when they are read."""
     fault, start = fault_entry(source), TextPlace(source, 1, 1)
     if "at" not in fault.entries:
-        raise _MistakeError(start.problem("when does it begin?", "write at and a time in front, as in at 20s"))
+        raise FaultWordsError(start.problem("when does it begin?", "write at and a time in front, as in at 20s"))
     faults = root.entries.get("faults")
     if isinstance(faults, Mapping) or (isinstance(faults, Scalar) and faults.value is not None):
         return root

@@ -19,8 +19,7 @@ from fleet.scenario.sections.acoustic import (
 )
 from fleet.scenario.sections.data_files import DataFileError
 from fleet.scenario.sections.graph import reached
-from fleet.scenario.sections.modem_files import modem_of, modem_problems
-from fleet.scenario.sections.site_files import load_site
+from fleet.scenario.sections.modem_files import load_site, modem_of, modem_problems
 from fleet.scenario.sections.trace_table import TraceTable
 from netem.errors import TextError
 from netem.grammar import parse_selector

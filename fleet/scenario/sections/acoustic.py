@@ -26,8 +26,16 @@ from agents import compact, payload
 from agents.config import Codec, Offset
 from agents.localization import payload as located
 from fleet.scenario.schema.network import AcousticSection, FadingSection, ModemSection, NetworkSection, RangingSection
-from fleet.scenario.sections.modem_files import CURVES, NUMBERS, Values, changed, load_modem, without_replaced
-from fleet.scenario.sections.site_files import Site, load_site
+from fleet.scenario.sections.modem_files import (
+    CURVES,
+    NUMBERS,
+    Site,
+    Values,
+    changed,
+    load_modem,
+    load_site,
+    without_replaced,
+)
 from netem.modem import DEFAULT_GUARD_NS, SOUND_SPEED, AcousticConfig, Modem, RangingConfig
 from netem.propagation import sound_speed
 

@@ -27,8 +27,7 @@ MOST_ROWS = 100_000
 _MOST_PROBLEMS = 5
 _MOST_COLUMNS = 20  # of which each is looked at
 _HEADING = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?\s*")
-_MEASURED = {"delay": q.TIME, "rate": q.BIT_RATE, "snr": q.LEVEL}
-_UNITS = {"time": q.TIME, "delivered": q.NUMBER, **_MEASURED}
+_UNITS = {"time": q.TIME, "delivered": q.NUMBER, "delay": q.TIME, "rate": q.BIT_RATE, "snr": q.LEVEL}
 _PRINTED = {"time": "s", "delivered": "", "delay": "ms", "rate": "bit/s", "snr": "dB"}
 _NS = 10**9
 # Limits of what a column may hold, in SI units; delays and rates as in the grammar of conditions.

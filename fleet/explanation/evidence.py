@@ -104,11 +104,8 @@ class Evidence(NamedTuple):
 
 
 def evidence(log: Log, at_s: float, signals: Sequence[str], *, protocol: bool) -> Evidence:
-    """Collect the evidence of a log about a time.
-
-    Args:
-        signals: the signals of the check.
-        protocol: whether to add the signals of the agents' own protocol.
+    """Collect the evidence of a log about a time. `signals`: the signals of the check. `protocol`: whether to add the
+    signals of the agents' own protocol.
     """
     faults = [FaultThen(f.id, f.what, f.begin, f.end, f.end > at_s) for f in log.faults if f.begin <= at_s]
     each = {link: _Packets.of(log[link_topic(link)], at_s) for link in log.links}
@@ -231,7 +228,6 @@ def _there(log: Log, name: str) -> Topic | None:
 
 
 def _sample(topic: Topic, at_s: float) -> int:
-    """The last sample up to a time; -1: there is none."""
     return int(np.searchsorted(topic.t, at_s + 1e-9, "right")) - 1
 
 

@@ -37,11 +37,7 @@ class Info(Struct, frozen=True):
 
 
 def read_info(path: Path, tell: Tell = lambda _: None) -> Info:
-    """Read a log, whole or cut.
-
-    Raises:
-        LogReadError: there is no log to read.
-    """
+    """Read a log, whole or cut. Raises LogReadError if there is no log to read."""
     path = log_path(path)
     reader = LogReader(path, tell)
     counts: Counter[str] = Counter()

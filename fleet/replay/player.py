@@ -42,18 +42,9 @@ class Player:
         now: int = 0,
         before: Callable[[int], int] | None = None,
     ) -> None:
-        """Begin at `begin_ns`.
-
-        Args:
-            times: when each message is due [ns of log time].
-            begin_ns: of log time, as `end_ns`.
-            end_ns: the last message may be due then.
-            rate: log seconds per wall second; 0: as fast as possible.
-            loop: begin again at the end.
-            paused: begin paused.
-            now: wall time [ns].
-            before: how many messages are due before a time, if that is known without a search through all times.
-        """
+        """Begin at `begin_ns`. `times`: when each message is due [ns of log time]. `rate`: log seconds per wall second;
+        0: as fast as possible. `before`: how many messages are due before a time, if that is known without a search
+        through all times."""
         self._times = times
         self._before = before or (lambda ns: bisect_left(times, ns))
         self.begin_ns, self.end_ns = begin_ns, max(begin_ns, end_ns)
@@ -81,7 +72,6 @@ class Player:
 
     @property
     def left(self) -> int:
-        """Messages left in this lap."""
         return self._stop - self._next
 
     def position(self, now: int) -> int:
@@ -119,19 +109,16 @@ class Player:
         return self._wait_for(int(self._times[self._next]) if self._next < self._stop else self.end_ns, now)
 
     def pause(self, now: int) -> None:
-        """Hold the position."""
         if not self._paused:
             self._origin = now, self.position(now)
             self._paused = True
 
     def resume(self, now: int) -> None:
-        """Go on from the position."""
         if self._paused:
             self._origin = now, self._origin[1]
             self._paused = False
 
     def toggle(self, now: int) -> None:
-        """Pause or resume."""
         if self._paused:
             self.resume(now)
         else:
@@ -157,7 +144,6 @@ class Player:
         self._origin = now, at
 
     def set_rate(self, now: int, rate: float) -> None:
-        """Go on at another rate from the position."""
         self._origin = now, self.position(now)
         self._rate = min(max(rate, SLOWEST), FASTEST) if rate else 0.0
 

@@ -18,8 +18,7 @@ from fleet.result.verdict import Verdict
 from netem.ledger import Account, Count
 from netem.vehicle_clock import Clock
 
-# --- timing
-# How everybody kept up in a run on a wall clock, as the world and the network measure it.
+# --- timing: how everybody kept up in a run on a wall clock, as the world and the network measure it
 
 
 Counts = dict[str, Count]  # by vehicle
@@ -98,8 +97,7 @@ class Timing(Struct, kw_only=True):
     netem: NetworkTiming
 
 
-# --- json text
-# JSON as files and `--json` have it.
+# --- JSON as files and `--json` have it
 
 
 def json_text(document: Any) -> str:

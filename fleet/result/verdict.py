@@ -26,7 +26,6 @@ class LastMessage(Struct, frozen=True):
 
     @property
     def words(self) -> str:
-        """In words."""
         link, when = f"{self.src}->{self.dst}", f"sent at {self.sent_s:g} s"
         if self.fate == Cause.DELIVERED:
             return f"the last message that vehicle {self.dst} received: {link}, {when}, due at {self.at_s:g} s"
@@ -61,7 +60,6 @@ class Margin(Struct, frozen=True):
 
     @property
     def words(self) -> str:
-        """In words."""
         return f"{self.value:.3g}" + ("" if self.unit == "1" else f" {self.unit}")
 
 

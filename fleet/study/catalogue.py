@@ -30,17 +30,14 @@ class ListedStudy(Struct, frozen=True):
 
 
 def shipped_studies() -> list[str]:
-    """The names of the studies that come with the package."""
     return _FILES.names
 
 
 def study_text(name: str) -> str:
-    """The text of a shipped study, with its comments."""
     return _FILES.text(name)
 
 
 def list_studies() -> list[ListedStudy]:
-    """Every study that ships, by name."""
     return [_listed(name) for name in shipped_studies()]
 
 

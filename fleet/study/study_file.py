@@ -44,12 +44,8 @@ class NamedStudy(NamedTuple):
 
 
 def study_named(name: str) -> NamedStudy | None:
-    """The study of a shipped name or of a file; None: it may be the name of a scenario.
-
-    Raises:
-        ScenarioError: with every mistake in the file.
-        StudyError: the name is nearly that of a study.
-    """
+    """The study of a shipped name or of a file; None: it may be the name of a scenario. Raises ScenarioError: with
+    every mistake in the file; StudyError: the name is nearly that of a study."""
     if name in shipped_studies():
         return NamedStudy(parse_study(Source(f"{name}.yaml", study_text(name))))
     path = Path(name)
@@ -66,31 +62,20 @@ def study_named(name: str) -> NamedStudy | None:
 
 
 def refuse_study(name: str) -> None:
-    """Refuse a name or a file, where a scenario is needed; a directory is not looked into.
-
-    Raises:
-        StudyError: it is a study.
-        ScenarioError: it is one with mistakes.
-    """
+    """Refuse a name or a file, where a scenario is needed; a directory is not looked into. Raises StudyError: it is a
+    study; ScenarioError: it is one with mistakes."""
     if not Path(name).is_dir() and study_named(name) is not None:
         raise StudyError(f"{name} is a study, not a scenario: fleet sweep {name} runs it")
 
 
 def is_study(source: Source) -> bool:
-    """Whether a text is a study rather than a scenario."""
     root, _ = read(source)
     return isinstance(root, Mapping) and _KEY in root.entries
 
 
 def parse_study(source: Source, folder: Path | None = None) -> StudySpec:
-    """The study that a text describes.
-
-    Args:
-        folder: where the file of a scenario is looked for; None: only scenarios that ship are known.
-
-    Raises:
-        ScenarioError: with every mistake that was found, in the order of the text.
-    """
+    """The study that a text describes. `folder`: where the file of a scenario is looked for; None: only scenarios that
+    ship are known. Raises ScenarioError: with every mistake that was found, in the order of the text."""
     root, problems = read(source)
     reader = _Reader(problems, folder)
     values: dict[str, Any] = {}
@@ -118,15 +103,12 @@ class _Reader:
         self.problems, self._folder, self._fields = problems, folder, fields(StudySpec)
 
     def tell(self, place: TextPlace, message: str, hint: str = "") -> None:
-        """Tell a mistake."""
         self.problems.append(place.problem(message, hint))
 
     def expected(self, what: str, node: Node, key: str) -> None:
-        """Tell that a value is something else."""
         self.tell(node.place, f"{key}: expected {what}, got {describe_value(plain(node))}")
 
     def study(self, node: Node) -> dict[str, Any]:
-        """The values by key, without the wrong ones."""
         if not isinstance(node, Mapping):
             self.expected("a mapping with at least a scenario", node, _KEY)
             return {}
@@ -189,7 +171,6 @@ def is_file(scenario: str, folder: Path = Path()) -> bool:
 
 
 def _nested(text: str) -> Any:
-    """A mapping or list where the text is exactly that, so that reading the file gives the same text again."""
     if _NESTED.match(text):
         node, problems = read(Source("", text))
         if not problems and isinstance(node, Mapping | Items) and inline(plain(node)) == text:

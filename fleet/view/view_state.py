@@ -120,11 +120,8 @@ class ViewState:
             self._beliefs.take(i, group, at_s, tuple(message.off), tuple(message.covariance))
 
     def packet(self, link: Link, message: Any, *, moving: bool = True) -> None:
-        """Take a message of a topic `link/<src>-<dst>`.
-
-        Args:
-            moving: whether it is to be seen on its way; not while a moment of a log is looked up.
-        """
+        """Take a message of a topic `link/<src>-<dst>`. `moving`: whether it is to be seen on its way; not while a
+        moment of a log is looked up."""
         if link not in self.links or message.fate == "in flight":
             return
         fate = fate_of(message.fate, message.due - message.sent, message.corrupted, self._round_s)
@@ -141,11 +138,8 @@ class ViewState:
             self._packets.append([self._numbers[link], round(message.sent, 4), late_s, fate])
 
     def faults(self, rows: Iterable[Mapping[str, Any]]) -> None:
-        """Take the list of faults, and of states of vehicles that last.
-
-        Args:
-            rows: id, what, from_s, to_s and until_healed, as `fleet status --all` has them.
-        """
+        """Take the list of faults, and of states of vehicles that last. `rows`: id, what, from_s, to_s and
+        until_healed, as `fleet status --all` has them."""
         keys = ("id", "what", "from_s", "to_s", "until_healed")
         plain = [{key: row[key] for key in keys} for row in rows]
         known = [row for row in plain if is_fault(row["what"])]
@@ -234,12 +228,10 @@ class ViewState:
         return [i, *_rounded(self._places[i]), *_rounded((theta, psi)), speed, *_rounded(roll)]
 
     def _label(self, i: int, state: str) -> tuple[int, str, str]:
-        """The vehicle, its number and what is wrong with it, and its depth, unless there is no room for it."""
         depth = "" if self.scenario.vehicles > MANY else depth_text(self._places[i][2])
         return i, f"{i}  {state}" if state else f"{i}", depth
 
     def frame(self) -> Row:
-        """The picture now, with the packets and samples that came since the frame before."""
         t = self.at_s
         errors, states = _errors(self.errors()), self._states()
         row: Row = {
@@ -295,7 +287,6 @@ class ViewState:
 
     @property
     def known_faults(self) -> list[Row]:
-        """All that are known: over, active and to come."""
         return self._faults
 
     @property

@@ -180,7 +180,7 @@ class PastRun(Struct, frozen=True):
     verdict: Annotated[str, Meta(description="pass, FAIL, broke (also: left no result), stopped or live.")]
     sim_s: Annotated[float | None, Meta(description="Simulated time that was reached; null: there is no result.")]
     size: Annotated[int, Meta(description="Size of all files in the directory [bytes].")] = field(name="size_bytes")
-    began: Annotated[datetime, Meta(description="When it began, UTC, as ISO 8601 writes it.")]
+    began: Annotated[datetime, Meta(description="UTC, ISO 8601.")]
     age_s: float
 
 

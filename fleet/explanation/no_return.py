@@ -58,7 +58,7 @@ class HealedRun(Struct, frozen=True):
     """A run that was healed at a moment."""
 
     at_s: Annotated[float, Meta(description="No fault was on from this time on.")]
-    passed: Annotated[bool | None, Meta(description="Whether it passed the check; null: it could not be judged.")]
+    passed: Annotated[bool | None, Meta(description="null: it could not be judged.")]
     from_snapshot: Annotated[bool, Meta(description="Whether only the rest of the run was made, from a snapshot.")]
 
 
@@ -69,7 +69,7 @@ class NoReturn(Struct, frozen=True):
     words: str
     passes_s: Annotated[float | None, Meta(description="The last moment from which it passes; null: none.")] = None
     fails_s: Annotated[float | None, Meta(description="The next tried moment, from which it fails.")] = None
-    tried: Annotated[list[HealedRun], Meta(description="The runs that were made, by moment.")] = []
+    tried: list[HealedRun] = []
 
 
 class HealMoment(NamedTuple):

@@ -29,8 +29,8 @@ class Why(Struct, frozen=True):
     scenario: str
     seed: int
     check: str
-    asked: Annotated[str, Meta(description="What was asked, in words.")]
-    found: Annotated[str, Meta(description="What was found, in words.")]
+    asked: str
+    found: str
     others: list[str]
     held_until_s: Annotated[float, Meta(description="Up to when the check is known to have held.")]
     failed_s: float
@@ -38,9 +38,9 @@ class Why(Struct, frozen=True):
     faults: list[FaultThen]
     sent: int
     lost: Annotated[dict[str, int], Meta(description="By cause, how many of these had not arrived.")]
-    gaps: Annotated[list[Gap], Meta(description="Messages in a row that did not arrive, the most important first.")]
+    gaps: Annotated[list[Gap], Meta(description="The most important first.")]
     vehicles: list[VehicleThen]
-    no_return: Annotated[NoReturn, Meta(description="The last moment at which healing helps.")]
+    no_return: NoReturn
     notes: list[str]
 
 

@@ -58,7 +58,7 @@ class MessageRow(Struct, frozen=True):
     topic: str
     at_s: float
     sent_s: float
-    sequence: Annotated[int, Meta(description="Tick, or number of the packet.")]
+    sequence: Annotated[int, Meta(description="Tick, or packet.")]
 
 
 class FieldRow(Struct, frozen=True):
@@ -66,18 +66,18 @@ class FieldRow(Struct, frozen=True):
 
     field: str
     unit: str
-    a: Annotated[Plain, Meta(description="Value in the first log, or as recorded; null: none, or not finite.")]
-    b: Annotated[Plain, Meta(description="Value in the second log, or of the re-run; null: none, or not finite.")]
+    a: Annotated[Plain, Meta(description="First log, or as recorded.")]
+    b: Annotated[Plain, Meta(description="Second log, or of the re-run.")]
 
 
 class Difference(Struct, frozen=True):
     """The first message that differs."""
 
     number: int
-    a: Annotated[MessageRow | None, Meta(description="In the first log, or as recorded; null: it has ended.")]
-    b: Annotated[MessageRow | None, Meta(description="In the second log, or of the re-run; null: it has ended.")]
+    a: Annotated[MessageRow | None, Meta(description="First log, or as recorded; null: it has ended.")]
+    b: Annotated[MessageRow | None, Meta(description="Second log, or of the re-run; null: it has ended.")]
     fields: list[FieldRow]
-    words: Annotated[str, Meta(description="The same in words, with values.")]
+    words: str
 
     def __str__(self) -> str:
         return self.words
@@ -387,11 +387,7 @@ class _Waiting:
 
 
 def _meet(
-    found: LogComparison,
-    decoders: tuple[Decoder, Decoder],
-    waiting: tuple[_Waiting, _Waiting],
-    k: int,
-    record: Record,
+    found: LogComparison, decoders: tuple[Decoder, Decoder], waiting: tuple[_Waiting, _Waiting], k: int, record: Record
 ) -> None:
     key = _key(decoders[k], record)
     other = waiting[1 - k].take(key)

@@ -33,16 +33,14 @@ class JudgedLog(Struct, frozen=True):
 
     path: Path = field(name="log")
     passed: bool
-    until_s: Annotated[float, Meta(description="Simulated time up to which it was judged.")]
+    until_s: Annotated[float, Meta(description="Judged up to then.")]
     end_s: float
-    missing: Annotated[str, Meta(description="Missing parts of the file; empty: it is whole.")]
+    missing: Annotated[str, Meta(description="Empty: the file is whole.")]
     verdicts: list[Verdict] = field(name="checks")
 
 
 def check_log(
-    path: Path,
-    overrides: Sequence[str] = (),
-    reading: Callable[[float], None] = lambda share: None,
+    path: Path, overrides: Sequence[str] = (), reading: Callable[[float], None] = lambda share: None
 ) -> JudgedLog:
     """Judge a log by its scenario's own checks, or by others: `overrides` are `checks...=...` as for `fleet run --set`.
     `reading` gets the share of the file that was read, twice from its beginning. Raises FleetError if there is no log

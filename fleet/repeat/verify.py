@@ -200,13 +200,13 @@ class Verification(Struct):
     """`fleet verify --json`: how far a log was reproduced."""
 
     path: Path = entry(name="log")
-    until_s: Annotated[float, Meta(description="Simulated time of the last recorded message.")]
+    until_s: Annotated[float, Meta(description="Of the last recorded message.")]
     end_s: float
     reproduced: Annotated[bool, Meta(description="Whether everything that was compared is the same.")] = False
     messages: int = 0
-    missing: Annotated[str, Meta(description="Missing parts of the file; empty: it is whole.")] = ""
+    missing: Annotated[str, Meta(description="Empty: the file is whole.")] = ""
     skipped: Annotated[int, Meta(description="Messages that the re-run gave where the file has gaps.")] = 0
-    difference: Annotated[Difference | None, Meta(description="The first difference; null: there is none.")] = None
+    difference: Annotated[Difference | None, Meta(description="null: there is none.")] = None
     reason: Annotated[str, Meta(description="Why the re-run ended early; empty: it did not.")] = ""
     contradictions: Annotated[list[str], Meta(description="Between the log's metadata and its scenario.")] = []
     versions: Annotated[list[str], Meta(description="Those that are not as they were when it was recorded.")] = []
@@ -218,9 +218,7 @@ Tell = Callable[[float, float], None]  # sim time that is verified, and up to wh
 
 
 def verify(
-    path: Path,
-    tell: Tell = lambda at_s, end_s: None,
-    reading: Callable[[float], None] = lambda share: None,
+    path: Path, tell: Tell = lambda at_s, end_s: None, reading: Callable[[float], None] = lambda share: None
 ) -> Verification:
     """Run a log again and compare. Raises LogReadError if there is no log to read; FleetError if it holds no scenario
     of ours, or no message; ScenarioError if its scenario does not run here: another version wrote it, or a law is not
@@ -281,12 +279,7 @@ class _Comparison:
     """A sink of the log writer that compares each message with the recorded one, and writes nothing."""
 
     def __init__(
-        self,
-        verification: Verification,
-        scenario: Scenario,
-        reader: LogReader,
-        last_ns: int,
-        tell: Tell,
+        self, verification: Verification, scenario: Scenario, reader: LogReader, last_ns: int, tell: Tell
     ) -> None:
         self._verification, self._tell = verification, tell
         self._tick_ns, self._last_ns = scenario.tick_ns, last_ns

@@ -51,9 +51,9 @@ class Component(Struct, frozen=True):
     """How far one component of the commands is from the recorded one."""
 
     unit: str
-    max: Annotated[float | None, Meta(description="The most, in the unit; null: it is not finite.")]
+    max: float | None
     at_s: float
-    rms: Annotated[float | None, Meta(description="Root mean square, in the unit; null: it is not finite.")]
+    rms: float | None
 
 
 class OtherCommands(Struct, frozen=True):
@@ -103,10 +103,7 @@ class WhatIf:
 
 
 def what_if(
-    path: Path,
-    agent: int,
-    overrides: Sequence[str | Override] = (),
-    progress: Callable[[float], None] = lambda _: None,
+    path: Path, agent: int, overrides: Sequence[str | Override] = (), progress: Callable[[float], None] = lambda _: None
 ) -> WhatIf:
     """Give a fresh agent what a recorded one was given. `overrides` are `key=value`, as for `fleet run --set`, for this
     agent alone. `progress` gets the share that is done: two readings of the log, then the agent. Raises FleetError if

@@ -23,7 +23,7 @@ class ListedStudy(Struct, frozen=True):
     """One study that ships."""
 
     name: str
-    title: Annotated[str, Meta(description="What it asks.")]
+    title: str
     scenario: str
     runs: int
     core_s: Annotated[float, Meta(description="Time that all runs take one compiled core, roughly.")]

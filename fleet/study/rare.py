@@ -46,8 +46,8 @@ class RareFile(Struct):
     """The results so far: the file of `fleet rare`, which goes on with the missing ones."""
 
     key: Annotated[str, Meta(description="Of scenario, check and options.")]
-    scenario: Annotated[str, Meta(description="Name of the scenario.")]
-    check: Annotated[str, Meta(description="The check.")]
+    scenario: str
+    check: str
     levels: Annotated[tuple[float, ...], Meta(description="Margins of the stages, in the unit of the check.")] = ()
     pilot_ticks: Annotated[float, Meta(description="Ticks that the pilot simulated.")] = 0.0
     repeats: Annotated[list[RareRepeat], Meta(description="The estimates so far.")] = []
@@ -56,14 +56,14 @@ class RareFile(Struct):
 class RareFound(Struct, frozen=True):
     """`fleet rare --json`: the probability that a run fails a check."""
 
-    scenario: Annotated[str, Meta(description="Name of the scenario.")]
-    check: Annotated[str, Meta(description="The check.")]
-    probability: Annotated[float, Meta(description="Mean of the repeats.")]
+    scenario: str
+    check: str
+    probability: float
     low: Annotated[float, Meta(description="95 % interval, from the spread of the repeats.")]
     high: Annotated[float | None, Meta(description="The same; null: too few repeats, or none reached a failure.")]
-    repeats: Annotated[int, Meta(description="Independent estimates.")]
+    repeats: int
     levels: Annotated[tuple[float, ...], Meta(description="Margins of the stages, in the unit of the check.")]
-    runs: Annotated[float, Meta(description="What all cost, in whole runs.")]
+    runs: Annotated[float, Meta(description="Cost, in whole runs.")]
     counting: Annotated[float | None, Meta(description="Runs that counting needs for that interval; null: unknown.")]
     decided: Annotated[int, Meta(description="Repeats in which nothing that is drawn on the way made a difference.")]
 

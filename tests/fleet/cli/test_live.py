@@ -162,15 +162,9 @@ def test_a_kind_of_fault_in_front_is_a_run_only_before_another_kind(asked: list[
 @pytest.mark.parametrize(
     ("typed", "said"),
     [
-        (
-            ("inject", "mut", "3"),
-            ('did you mean "mute"?', "too: fleet inject mut kill 3"),
-        ),
+        (("inject", "mut", "3"), ('did you mean "mute"?', "too: fleet inject mut kill 3")),
         (("inject", "paper"), ("If it is a run, name the fault, too: fleet inject paper kill 3",)),
-        (
-            ("clock", "puase"),
-            ('did you mean "pause"?', "what its clock does: fleet clock puase pause"),
-        ),
+        (("clock", "puase"), ('did you mean "pause"?', "what its clock does: fleet clock puase pause")),
         (("clock", "paper", "2"), ("expected pause, resume, step [TICKS], speed X", "got 2")),
         (("clock", "pause", "3"), ("expected pause, resume", "got pause 3")),
         (("heal", "a", "b", "c"), ("expected a run and the id of a fault at most, got a b c",)),
@@ -223,8 +217,7 @@ def test_a_run_that_does_not_answer(answers: dict[str, Any], tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("values", "status"),
-    [({"error": "no", "status": 2}, 2), ({"error": "no", "status": 3}, 3), ({"error": "no"}, 3)],
+    ("values", "status"), [({"error": "no", "status": 2}, 2), ({"error": "no", "status": 3}, 3), ({"error": "no"}, 3)]
 )
 def test_the_kind_of_a_refusal_is_its_status(
     values: dict[str, Any], status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -100,11 +100,7 @@ def test_the_fork_server_imports_while_the_scenario_is_read(tmp_path: Path, monk
     """Only where there will be processes, as far as that is known before the scenario is."""
     done: list[str] = []
     monkeypatch.setattr("fleet.processes.children.start_forkserver", lambda: done.append("started"))
-    for options, expected in (
-        ([], ["started", "read"]),
-        (["--in-process"], ["read"]),
-        (["--show-config"], ["read"]),
-    ):
+    for options, expected in (([], ["started", "read"]), (["--in-process"], ["read"]), (["--show-config"], ["read"])):
         done.clear()
         monkeypatch.setattr("fleet.scenario.loading.load_scenario", lambda *_, **__: done.append("read") or _refuse())
         result = invoke("run", "paper", *options, "--out", tmp_path)

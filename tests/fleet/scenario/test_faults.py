@@ -175,11 +175,7 @@ kinds = st.sampled_from(["link", "down", "partition", "mute", "deaf"])
 @given(
     st.lists(
         st.tuples(
-            kinds,
-            st.integers(0, 60),
-            st.integers(1, 40),
-            st.sets(st.sampled_from(LINKS)),
-            st.sets(st.integers(1, 3)),
+            kinds, st.integers(0, 60), st.integers(1, 40), st.sets(st.sampled_from(LINKS)), st.sets(st.integers(1, 3))
         ),
         max_size=6,
     ),

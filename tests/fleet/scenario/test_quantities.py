@@ -148,11 +148,7 @@ def test_ticks() -> None:
 
 @given(st.one_of(st.text(), st.text("0123456789.e+-ms /Ndeg", max_size=20)), st.sampled_from(q.DIMENSIONS))
 def test_any_text_is_a_quantity_or_a_quantity_error(text: str, dimension: q.Dimension) -> None:
-    for read in (
-        lambda: q.scalar(text, dimension),
-        lambda: q.vector(text, dimension),
-        lambda: q.time_ns(text),
-    ):
+    for read in (lambda: q.scalar(text, dimension), lambda: q.vector(text, dimension), lambda: q.time_ns(text)):
         try:
             read()
         except q.QuantityError as error:

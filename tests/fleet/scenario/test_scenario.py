@@ -464,10 +464,7 @@ def test_ten_mistakes_in_one_pass(monkeypatch: pytest.MonkeyPatch) -> None:
         ("initial=[{}, {position: 0 0 0 m}, {position: 0 0 0 m}]", '"position" is missing in "initial.1"'),
         ("initial.pitch=3 deg", 'unknown key "initial.pitch"'),
         ("guidance.k_min=3 1/s", "k_min 3 1/s is above k_max 2 1/s"),
-        (
-            "guidance.rho_lo=0.5 -1 -1 m/s",
-            "below the reference velocity 0.5 0 0 m/s on every axis; it is not on x",
-        ),
+        ("guidance.rho_lo=0.5 -1 -1 m/s", "below the reference velocity 0.5 0 0 m/s on every axis; it is not on x"),
         ("reference.velocity=0 0 2 m/s", "set guidance.rho_"),
         ("guidance.horizn=3 s", 'did you mean "horizon"?'),
         ("tracking.cos_eps=1", "must be below 1"),
@@ -592,10 +589,7 @@ def test_anchors_work() -> None:
         ("a: " + "{a: " * 50, "nested more than 30 deep"),
         ("a" * 1_000_001, "longer than"),
         ("[" + "1," * 30_000 + "]", "more than 20000 values"),
-        (
-            "\n".join(["a0: &a0 [1, 1]"] + [f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]" for i in range(1, 40)]),
-            "values",
-        ),
+        ("\n".join(["a0: &a0 [1, 1]"] + [f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]" for i in range(1, 40)]), "values"),
     ],
 )
 def test_hostile_yaml_is_refused_at_once(text: str, words: str) -> None:

@@ -158,15 +158,9 @@ class Agent(Brain):
             return ()
 
     def decide(self, nav: Nav, deliveries: Sequence[Delivery], course: Motion | None = None) -> Decision:
-        """Absorb what is due at this tick and decide the forces.
-
-        Args:
-            nav: own state at this tick.
-            deliveries: what became due at this tick, ordered by (due_tick, sent_tick, src, seq).
-            course: where to be and how to move at this sample, alone. None: in formation.
-
-        Raises:
-            ControllerError: the measurement is not finite, time went back, or a law failed and `on_error` is not coast.
+        """Absorb the deliveries of this tick, ordered by (due_tick, sent_tick, src, seq), and decide the forces.
+        `course`: where to be and how to move at this sample, alone; None: in formation. Raises ControllerError if the
+        measurement is not finite, time went back, or a law failed and `on_error` is not coast.
         """
         nav = self._localizer.absorb(nav, deliveries)
         tick = nav.tick

@@ -34,7 +34,6 @@ class Brain:
         return Step(tau, telemetry, payloads)
 
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:
-        """The payloads to every neighbour."""
         raise NotImplementedError
 
     def decide(self, nav: Nav, deliveries: Sequence[Delivery]) -> Decision:

@@ -17,12 +17,8 @@ class FullCodec:
         return payload.encode(message)
 
     def decode(self, data: bytes, now: int, ahead: int) -> StateMessage:
-        """The message in a payload, also in a located one, or PayloadError.
-
-        Args:
-            data: the payload as received.
-            now: tick of its reception, by the receiver's clock.
-            ahead: the sender's clock may be ahead of the receiver's by this many ticks.
+        """The message in a payload, also in a located one, or PayloadError. `now` is the receiver's tick at its
+        reception; the sender's clock may be up to `ahead` ticks ahead of it.
         """
         return located.decode(data).state if located.is_located(data) else payload.decode(data)
 

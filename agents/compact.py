@@ -43,14 +43,8 @@ class OutOfRange(AgentError):
 
 
 def encode(message: StateMessage, round_ticks: int) -> bytes:
-    """The 15 bytes of a state message sampled at a round tick.
-
-    Args:
-        message: position [m, NED], velocity [m/s, NED], sender and tick.
-        round_ticks: ticks from one round to the next.
-
-    Raises:
-        OutOfRange: position, velocity or vehicle number is beyond the range of its field.
+    """The 15 bytes of a state message that was sampled at a round tick. Raises OutOfRange if position [m, NED],
+    velocity [m/s, NED] or vehicle number is beyond the range of its field.
     """
     if not 0 <= message.sender < 1024:
         raise OutOfRange(f"vehicle {message.sender} is beyond 1023")
@@ -67,16 +61,8 @@ def encode(message: StateMessage, round_ticks: int) -> bytes:
 
 
 def decode(data: bytes, now: int, round_ticks: int, ahead: int = 0) -> StateMessage:
-    """The state message in `data`.
-
-    Args:
-        data: the payload as received.
-        now: tick of its reception, by the receiver's clock.
-        round_ticks: ticks from one round to the next.
-        ahead: the sender's clock may be ahead of the receiver's by this many ticks; at most half of `ROUNDS` rounds.
-
-    Raises:
-        PayloadError: wrong length, bad checksum, or unknown version.
+    """The state message in `data`, received at tick `now` of the receiver's clock; the sender's may be up to `ahead`
+    ticks ahead, at most half of `ROUNDS` rounds. Raises PayloadError: wrong length, bad checksum or unknown version.
     """
     if len(data) != SIZE:
         raise PayloadError("length", f"expected {SIZE} bytes, got {len(data)}")

@@ -15,8 +15,7 @@ from agents.trajectory import Motion, Reference, reference_type
 from world.config import VehicleParams
 from world.vectors import ZERO, Vec3, minus, moved, plus, scale
 
-# --- offset
-# The desired place of a vehicle in the formation, and its changes over time.
+# --- offset: the desired place of a vehicle in the formation, and its changes over time
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +56,6 @@ class Offset:
 
     @property
     def moving(self) -> bool:
-        """Whether it ever changes."""
         return bool(self.changes)
 
 

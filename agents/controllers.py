@@ -91,7 +91,6 @@ class LawChoice(Protocol):
 
 
 def laws(config: LawChoice) -> dict[str, Law]:
-    """The laws that an agent runs, by kind."""
     if config.agent is not None:
         return {"agent": config.agent}
     if config.controller is not None:
@@ -182,11 +181,8 @@ class Cascade:
 
 
 def build(config: AgentConfig, notes: Notes, neighbours: NeighbourTable) -> Cascade | FencedController:
-    """The controller of one agent; `notes` takes (tick, text) of what a person should know about the laws.
-
-    Raises:
-        PluginError: one of its laws cannot be used.
-        ControllerError: one of its laws cannot be made.
+    """The controller of one agent; `notes` takes (tick, text) of what a person should know about the laws. Raises
+    PluginError if one of its laws cannot be used; ControllerError if one of its laws cannot be made.
     """
     if config.controller is not None:
         return FencedController(config, config.controller, notes)

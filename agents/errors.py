@@ -17,9 +17,8 @@ class PayloadError(AgentError):
 
 
 class ControllerError(AgentError):
-    """An agent cannot answer a sample: the measurement, or the answer of a law, cannot be used.
-
-    `where` is the file and line at fault, or "".
+    """An agent cannot answer a sample: measurement or answer cannot be used. `where` is the file and line at fault, or
+    "".
     """
 
     def __init__(self, agent: int, tick: int, problem: str, where: str = "") -> None:

@@ -35,22 +35,12 @@ WATCH_S = 0.2  # how often to look whether the run is still there
 
 
 def serve(joining: JoinFile, notify: Callable[[str], None], make: MakeCore | None = None) -> End:
-    """Serve as the agent of a join file until the world ends its life.
+    """Serve as the agent of a join file until the world ends its life; returns the world's last message to it. `notify`
+    gets a line when the agent has joined. `make` takes the configuration and the clock of the run, and makes the core;
+    None: our agent.
 
-    Args:
-        joining: the content of the join file.
-        notify: called with one line of text when the agent has joined.
-        make: takes the agent's configuration and the clock of the run, and makes the core that answers samples.
-            None: our agent.
-
-    Returns:
-        The world's last message to this agent.
-
-    Raises:
-        NotYetError: the run is over, or expects no such agent now.
-        JoinError: the run asks for a law that may not run, or went away.
-        SystemExit: the law failed; a note about it has been sent to the console by then.
-        KeyboardInterrupt: Ctrl-C; the session is closed.
+    Raises NotYetError if the run is over, or expects no such agent now; JoinError if it asks for a law that may not
+    run, or went away; SystemExit if the law failed, of which the console has a note by then.
     """
     keys = Keys(joining.run)
     bus = _connect(joining)
@@ -89,10 +79,8 @@ def _admit(config: AgentConfig) -> None:
 
 
 def _outcome(lost: Event, ended: SimpleQueue[End | BaseException]) -> End:
-    """Wait for the end of the agent's life or of its link.
-
-    An agent that lost its link has left the run: zenoh would link to the router again by itself, and messages that were
-    on the way would be missing without notice.
+    """Wait for the end of the agent's life or of its link. An agent that lost its link has left the run: zenoh would
+    link again by itself, and messages that were on the way would be missing without notice.
     """
     link_lost = False
     while True:

@@ -38,8 +38,6 @@ class _Version(msgspec.Struct):
 
 
 class JoinFile(msgspec.Struct, frozen=True):
-    """The content of a join file."""
-
     endpoint: str  # of the run's router, as zenoh writes it; several have commas between them
     run: Name  # the run's id: its keys begin with fleet/<run>/
     vehicle: Annotated[int, Meta(ge=1)]
@@ -56,7 +54,6 @@ class JoinFile(msgspec.Struct, frozen=True):
 
     @property
     def credentials(self) -> Credentials:
-        """The credentials that the agent presents to the router."""
         return Credentials(self.user, self.password, self.ca, self.certificate, self.key, self.lease_ms)
 
     def __repr__(self) -> str:
@@ -69,11 +66,8 @@ class JoinFile(msgspec.Struct, frozen=True):
 
     @classmethod
     def read(cls, path: Path) -> JoinFile:
-        """Read what `write` wrote.
-
-        Raises:
-            NotYetError: the file is missing, others can read it, or it is no join file.
-            JoinError: it cannot be read, or is of another protocol version.
+        """Read what `write` wrote. Raises NotYetError if the file is missing, others can read it, or it is no join
+        file; JoinError if it cannot be read, or is of another protocol version.
         """
         try:
             data = read_private(path, MAX_BYTES)

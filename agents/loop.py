@@ -51,13 +51,9 @@ class AgentLoop:
         memory_ticks: int = 0,
         memories: Mapping[int, bytes] | None = None,
     ) -> None:
-        """Begin one life of an agent.
+        """Begin life `incarnation` (from 0) of an agent, with the nav of tick `begin`.
 
         Args:
-            core: answers samples.
-            round_ticks: ticks from one round to the next.
-            incarnation: the number of this life of the agent, from 0.
-            begin: tick of its first nav.
             ideal: packets arrive in the tick in which they are sent. The agent then transmits before it decides.
             memory_ticks: the agent sends its memory at multiples of this number of ticks. With 0 it never does.
             memories: by tick, the memories that a recorded agent sends in place of its own.
@@ -86,19 +82,14 @@ class AgentLoop:
         return self._nav is not None
 
     def remember(self, memory: bytes, *, anew: bool = False) -> None:
-        """Go on at the first tick with what an agent remembered before it in another run.
-
-        Args:
-            memory: the `state` of its Memory message.
-            anew: the core begins without memory: only deliveries that were not due yet are taken.
+        """Go on at the first tick with what an agent remembered before it in another run. `memory`: the `state` of its
+        Memory message. `anew`: the core begins without memory: only deliveries that were not due yet are taken.
         """
         self._deliveries = restore(None if anew else self.core, memory)
 
     def nav(self, nav: Nav) -> list[Answer]:
-        """Take the nav of the next tick, or of a later one when the agent was suspended in between.
-
-        Raises:
-            OutOfPlace: a later incarnation's, or a tick before the next.
+        """Take the nav of the next tick, or of a later one when the agent was suspended in between. Raises OutOfPlace
+        if it is of a later incarnation, or of a tick before the next.
         """
         if not self._is_mine(nav.incarnation):
             return []

@@ -37,9 +37,7 @@ from netem.wire.session import quiet_zenoh
 from netem.wire.shell import Shell, end_with_link, read_map
 from world.errors import PluginError
 
-# --- host
-# A host: one process, and one session, for several agents in lockstep.
-#
+# --- host: one process, and one session, for several agents in lockstep
 # Each agent has its own core, loop and life. Their messages come together, and so do their answers, because a fleet of
 # a thousand processes spends its time on waking them.
 
@@ -48,11 +46,8 @@ class HostProcess:
     """Passes what comes in to its agents and publishes what comes out."""
 
     def __init__(self, bus: Bus, keys: Keys, number: int, agents: Iterable[OneAgent], running: Running) -> None:
-        """Connect; the agents are ready to be asked.
-
-        Args:
-            number: of the host, from 1.
-            running: receives the number of the agent that computes.
+        """Connect; the agents are ready to be asked. `number`: of the host, from 1. `running`: receives the number of
+        the agent that computes.
         """
         role = host_role(number)
         self._bus, self._number, self._running = bus, number, running
@@ -66,10 +61,8 @@ class HostProcess:
         self._to_netem: list[BundlePart] = []
 
     def get_ready(self) -> None:
-        """Probe until world and netem have both answered, then declare the agents ready.
-
-        Raises:
-            BusError: one of them does not answer.
+        """Probe until world and netem have both answered, then declare the agents ready. Raises BusError if one of them
+        does not answer.
         """
         probe = encode(Hello("host", self._number, 0, PROTOCOL_VERSION, False))
         knock(probe, {WORLD: self._cmd, NETEM: self._tx}, self._heard)
@@ -145,11 +138,8 @@ class HostProcess:
 def run(
     endpoint: str, run_id: str, vehicle: int, credentials: Credentials, incarnation: int = 0, begin: int = 0
 ) -> None:
-    """Join a run as agent `vehicle` and answer navs, from tick `begin` on, until the process is ended.
-
-    Raises:
-        BusError: the run cannot be joined.
-        Exception: whatever the controller raised; a note about it has been sent to the console by then.
+    """Join a run as agent `vehicle` and answer navs, from tick `begin` on, until the process is ended. Raises BusError
+    if the run cannot be joined. Passes on whatever the controller raised; the console has a note about it by then.
     """
     quiet_zenoh()
     keys = Keys(run_id)
@@ -161,13 +151,8 @@ def run(
 
 
 def run_host(endpoint: str, run_id: str, number: int, credentials: Credentials, running: Path) -> None:
-    """Join a run as host `number`, and answer the navs of its agents in lockstep until the process is ended.
-
-    Args:
-        running: a file that says at any time which of them is computing.
-
-    Raises:
-        BusError: the run cannot be joined.
+    """Join a run as host `number`, and answer the navs of its agents in lockstep until the process is ended. `running`:
+    a file that says at any time which of them is computing. Raises BusError if the run cannot be joined.
     """
     quiet_zenoh()
     keys = Keys(run_id)
@@ -201,15 +186,9 @@ def begin_life(
     clock: Clock,
     core: AgentCore | None = None,
 ) -> AgentProcess:
-    """Make an agent that is ready: world and netem have both answered it.
-
-    Args:
-        core: answers samples, for a program that is not ours and gives no memory. None: the core that `config` names.
-        incarnation: the number of this life of the agent, from 0.
-
-    Raises:
-        BusError: world or netem does not answer.
-        SystemExit: a law cannot be made; a note about it has been sent to the console by then.
+    """Make an agent that is ready: world and netem have both answered it. `core` answers samples for a program that is
+    not ours and gives no memory; None: the core that `config` names. Raises BusError if world or netem does not answer;
+    SystemExit if a law cannot be made, of which the console has a note by then.
     """
     vehicle = config.id
     memory_ticks = config.memory_ticks if core is None else 0

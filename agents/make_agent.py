@@ -8,10 +8,7 @@ from agents.plugged_agent import PluggedAgent
 
 
 def make_agent(config: AgentConfig) -> Agent | PluggedAgent:
-    """Make the core of an agent: ours, or a user's whole agent where the configuration names one.
-
-    Raises:
-        PluginError: one of its laws cannot be used.
-        ControllerError: one of its laws cannot be made.
+    """Make the core of an agent: ours, or a user's whole agent where the configuration names one. Raises PluginError if
+    one of its laws cannot be used; ControllerError if one of its laws cannot be made.
     """
     return Agent(config) if config.agent is None else PluggedAgent(config, config.agent)

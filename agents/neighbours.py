@@ -150,13 +150,11 @@ class NeighbourTable:
         return drift
 
     def state(self) -> dict[str, Any]:
-        """Plain values of what has been heard and counted."""
         newest = [[*m[:2], *m.position, *m.velocity] for m in self._newest.values() if m is not None]
         ranges = {"ranges": [[i, *measured] for i, measured in self._ranges.items()]} if self._ranges else {}
         return {"newest": newest, "counters": dict(self.counters), **ranges}
 
     def restore(self, values: dict[str, Any]) -> None:
-        """Continue from `state()`."""
         self._newest = dict.fromkeys(self._newest)
         for sender, sent_tick, x, y, z, vx, vy, vz in values["newest"]:
             self._newest[sender] = StateMessage(sender, sent_tick, (x, y, z), (vx, vy, vz))

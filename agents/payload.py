@@ -47,10 +47,8 @@ def encode(message: StateMessage) -> bytes:
 
 
 def decode(data: bytes) -> StateMessage:
-    """The state message in `data`.
-
-    Raises:
-        PayloadError: wrong length, bad checksum, unknown version, or a number that is not finite or beyond any sea.
+    """The state message in `data`. Raises PayloadError for a wrong length, bad checksum, unknown version, or a number
+    that is not finite or beyond any sea.
     """
     if len(data) != SIZE:
         raise PayloadError("length", f"expected {SIZE} bytes, got {len(data)}")

@@ -76,15 +76,12 @@ class PluggedAgent(Brain):
 
     def state(self) -> dict[str, Any]:
         """Everything that the next sample depends on; the agent's own is None when it has no state(), or has failed.
-
-        Raises:
-            ControllerError: its state() raised, took too long, or returned what a log cannot hold.
+        Raises ControllerError if its state() raised, took too long, or returned what a log cannot hold.
         """
         own = self._fence.remembered(self._user.state) if self._resumable and not self._failed else None
         return {"last_tick": self._last_tick, "failed": self._failed, "agent": own}
 
     def restore(self, values: dict[str, Any]) -> None:
-        """Continue from `state()`."""
         self._last_tick = values["last_tick"]
         self._failed = values["failed"]
         if self._resumable and not self._failed:

@@ -25,9 +25,7 @@ from netem.wire.messages import PROTOCOL_VERSION, End, Hello, Inbox, Message, Na
 from netem.wire.queues import PutQueue, Stamped
 from netem.wire.shell import Shell
 
-# --- running
-# Which of its agents a host is computing, told to the console through a file that both map.
-#
+# --- running: which of its agents a host is computing, told to the console through a file that both map
 # A law that hangs, or ends the process, can tell nobody any more; what is in the file stays.
 
 
@@ -80,7 +78,6 @@ class OneAgent:
 
     @property
     def hello(self) -> Hello:
-        """A probe of this agent."""
         return Hello("agent", self.vehicle, self.loop.incarnation, PROTOCOL_VERSION, False)
 
     def is_over(self, end: End) -> bool:
@@ -88,11 +85,9 @@ class OneAgent:
         return end.incarnation >= self.loop.incarnation
 
     def take(self, key: str, message: Message) -> list[Answer]:
-        """Pass a nav or an inbox on; a late echo of a repeated probe needs no answer.
-
-        Raises:
-            SystemExit: a law failed, and the scenario says that the agent ends then.
-            Exception: whatever the controller raised; a note about it has been sent to the console by then.
+        """Pass a nav or an inbox on; a late echo of a repeated probe needs no answer. Raises SystemExit if a law
+        failed, and the agent is to end then. What the controller raised passes on; the console has a note about it by
+        then.
         """
         try:
             if isinstance(message, Nav):
@@ -138,9 +133,7 @@ class AgentProcess:
 
     def get_ready(self) -> None:
         """Probe until world and netem have both answered on this agent's own keys, then declare this agent ready.
-
-        Raises:
-            BusError: one of them does not answer.
+        Raises BusError if one of them does not answer.
         """
         channels = {WORLD: self._navs, NETEM: self._rx}
         probe = self._agent.hello
@@ -176,14 +169,8 @@ class AgentProcess:
 
 
 def knock(probe: bytes, puts: dict[str, Callable[[bytes], None]], heard: Callable[[list[str]], list[str]]) -> None:
-    """Probe until everybody has answered.
-
-    Args:
-        puts: who is to answer, and how a probe gets there.
-        heard: which of them have answered.
-
-    Raises:
-        BusError: one of them does not answer.
+    """Probe until everybody has answered. `puts`: who is to answer, and how a probe gets there. `heard`: which of them
+    have answered. Raises BusError if one of them does not answer.
     """
     awaited = [*puts]
     deadline = monotonic() + READY_TIMEOUT_S

@@ -101,15 +101,8 @@ PROFILES: dict[str, tuple[GuidanceParams, TrackingParams]] = {
 def profile(
     name: str, guidance: str = "optimal", tracking: str = "neurodynamic"
 ) -> tuple[GuidanceParams, TrackingParams]:
-    """The guidance and tracking parameters of a profile, with the defaults of the two laws applied.
-
-    Args:
-        name: a key of `PROFILES`.
-        guidance: name of the guidance law.
-        tracking: name of the tracking law. A name without an entry in `LAW_DEFAULTS` changes nothing.
-
-    Raises:
-        AgentError: there is no such profile.
+    """The guidance and tracking parameters of a key of `PROFILES`, with the defaults of the two laws applied; a law
+    without an entry in `LAW_DEFAULTS` changes nothing. Raises AgentError if there is no such profile.
     """
     if name not in PROFILES:
         raise AgentError(f"no profile is called {name!r}; there are {', '.join(PROFILES)}")

@@ -21,10 +21,8 @@ class RealtimeLoop(AgentLoop):
         self._at_ns: dict[tuple[int, int, int], int] = {}  # when each delivery that is kept came in
 
     def arrive(self, inbox: Inbox, at_ns: int) -> None:
-        """Keep what came in at `at_ns` [ns, CLOCK_MONOTONIC] until it is due.
-
-        Raises:
-            OutOfPlace: a later incarnation's.
+        """Keep what came in at `at_ns` [ns, CLOCK_MONOTONIC] until it is due. Raises OutOfPlace if it is of a later
+        incarnation.
         """
         if self._is_mine(inbox.incarnation):
             self._deliveries += inbox.deliveries

@@ -8,8 +8,7 @@ from typing import NamedTuple
 from agents.trajectory import Motion
 from world.vectors import Vec3, Vec5
 
-# --- decision
-# An agent's answer to one sample.
+# --- decision: an agent's answer to one sample
 
 
 class Decision(NamedTuple):

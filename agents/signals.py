@@ -16,7 +16,6 @@ class SignalLayout(NamedTuple):
 
     @property
     def size(self) -> int:
-        """How many values there are."""
         return sum(signal.width for group in self for signal in group)
 
     def signals(self) -> Iterator[tuple[str, Signal, slice]]:
@@ -32,7 +31,6 @@ class SignalLayout(NamedTuple):
         return next((place for _, signal, place in self.signals() if signal.name == name), None)
 
     def group(self, name: str) -> slice:
-        """Where the values of a group are."""
         first = sum(signal.width for signal in self.guidance)
         return slice(0, first) if name == "guidance" else slice(first, self.size)
 

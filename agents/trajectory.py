@@ -236,10 +236,8 @@ _REFERENCES: dict[str, type[StraightLine] | type[Circle] | type[Path]] = {
 
 
 def reference_type(values: dict[str, Any] | None) -> type[StraightLine] | type[Circle] | type[Path] | None:
-    """The class of a reference that travels as plain values, by its `kind`; None of none.
-
-    Raises:
-        ValueError: there is no such kind.
+    """The class of a reference that travels as plain values, by its `kind`; None of none. Raises ValueError if there is
+    no such kind.
     """
     if values is None:
         return None

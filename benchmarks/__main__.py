@@ -15,7 +15,7 @@ import msgspec
 from msgspec import Struct
 
 from benchmarks.figures import Comparison, compare, read, show_comparison, show_figures
-from fleet.cli.types import Numbers, Whole
+from fleet.cli.types import Whole, numbers
 from fleet.errors import FleetError
 from fleet.terminal.table import stdout
 
@@ -29,7 +29,7 @@ _quick = click.option("--quick", is_flag=True, help="Only a few ticks each: a tr
 
 
 def _agents(default: str) -> Callable[[Any], Any]:
-    sizes = Numbers(1, 3000, "4,20,100", whole=True)
+    sizes = numbers(1, 3000, "4,20,100", whole=True)
     return click.option("--agents", metavar="N,N,...", type=sizes, default=default, show_default=True)
 
 

@@ -25,7 +25,7 @@ from rich.table import Table
 from soak import Soak, result_of
 
 from agents.join_file import JoinFile
-from fleet.cli.types import Numbers
+from fleet.cli.types import numbers
 from fleet.terminal.table import stdout
 from netem.errors import BusError
 from netem.wire.bus import Bus
@@ -239,7 +239,7 @@ def stress_table(rows: Sequence[StressRow]) -> Table:
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
-@click.option("--agents", metavar="N,N,...", type=Numbers(1, 1000, "4,20,100", whole=True), default="100,300",
+@click.option("--agents", metavar="N,N,...", type=numbers(1, 1000, "4,20,100", whole=True), default="100,300",
               show_default=True, help="Fleet sizes.")  # fmt: skip
 @click.option("--suspend", metavar="SECONDS", type=click.FloatRange(0.1, 3600.0), default=30.0, show_default=True,
               help="How long the console is stopped.")  # fmt: skip

@@ -1,59 +1,7 @@
-"""The errors of the whole program, drawn, and those of them that several rooms of `fleet` raise.
+"""The errors that several rooms of `fleet` raise.
 
-Each package has one base. An error keeps its data in fields, so that a caller can print its own words.
-
-```
-Exception
-├── AgentError
-│   ├── ControllerError
-│   ├── JoinError
-│   │   └── NotYetError
-│   ├── OutOfRange
-│   ├── PathError
-│   └── PayloadError
-├── FleetError
-│   ├── CheckError
-│   ├── DataFileError
-│   ├── FaultWordsError
-│   ├── LogError
-│   ├── LogReadError
-│   │   ├── LogKeyError
-│   │   └── TooLargeError
-│   ├── NonsenseError
-│   ├── NotLinear
-│   ├── NotRecordedError
-│   ├── NothingToDraw
-│   ├── RefusedError
-│   ├── RegistryError
-│   ├── RemoteError
-│   ├── ResultError
-│   ├── RunBroken
-│   ├── ScenarioError
-│   ├── SignalCheckError
-│   ├── SignalError
-│   ├── StoppedError
-│   ├── StudyError
-│   ├── UnknownValueError
-│   ├── WorkerDied
-│   └── WorkerLate
-├── NetemError
-│   ├── BusError
-│   ├── DamagedFile
-│   ├── ExposedFile
-│   ├── MalformedMessage
-│   ├── OutOfPlace
-│   └── TextError
-│       └── QuantityError
-├── OutputError
-└── WorldError
-    ├── FmuError
-    ├── IntegrationError
-    │   └── PlantError
-    └── PluginError
-        └── UntrustedError
-KeyboardInterrupt
-└── HungUp
-```
+Each package has one base: `FleetError`, `AgentError`, `NetemError`, `WorldError`. An error keeps its data in
+fields, so that a caller can print its own words.
 
 `HungUp` stands for a signal, and `OutputError` means that nothing can be printed: neither is caught with `FleetError`.
 """

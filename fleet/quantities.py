@@ -92,11 +92,8 @@ class QuantityError(TextError):
 def parse(value: Any, dimension: Dimension, count: int = 1) -> tuple[Fraction, ...]:
     """`count` exact numbers in SI units.
 
-    Args:
-        value: what the YAML holds: text, or a bare number where the dimension has no unit.
-
-    Raises:
-        QuantityError: not a finite quantity of this dimension and length.
+    `value`: what the YAML holds: text, or a bare number where the dimension has no unit. Raises QuantityError: not a
+    finite quantity of this dimension and length.
     """
     example = dimension.vector_example(count)
     expected = f'expected {_phrase(dimension, count)} such as "{example}"'
@@ -171,8 +168,7 @@ def show_vector(values: tuple[float, ...], dimension: Dimension) -> str:
 def curve(value: Any, x: Dimension, y: Dimension) -> tuple[tuple[float, float], ...]:
     """Points such as `12 m 95 %, 24 m 70 %`, one after the other or one per line, in SI units.
 
-    Raises:
-        QuantityError: not at least two points, or x does not ascend.
+    Raises QuantityError: not at least two points, or x does not ascend.
     """
     example = f"{x.example} {y.example}"
     if not isinstance(value, str):

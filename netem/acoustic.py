@@ -74,11 +74,7 @@ class _State(Struct, omit_defaults=True):
 
 
 class AcousticChannel:
-    """The acoustic channel of one run, a `netem.medium.Medium`.
-
-    Raises:
-        ValueError: `config` has no acoustic channel, or the network is ideal.
-    """
+    """The acoustic channel of one run, a `netem.medium.Medium`. Raises ValueError: `config` has none, or is ideal."""
 
     def __init__(self, config: NetemConfig, links: Links, transit: Transit) -> None:
         if config.acoustic is None or config.ideal:
@@ -98,11 +94,8 @@ class AcousticChannel:
         self._ranges = make_ranges(config, self._air, links.receivers)
 
     def carry(self, round_: MediumRound) -> None:
-        """Transmit the payloads that start in a round, and decide the receptions that end in it.
-
-        Raises:
-            ValueError: the round has no positions of the vehicles.
-        """
+        """Transmit the payloads that start in a round, and decide the receptions that end in it. Raises ValueError: the
+        round has no positions of the vehicles."""
         tick, until, transmissions, positions, faults, clocks = round_
         if positions is None:
             raise ValueError("an acoustic channel needs the vehicles' positions")
@@ -169,7 +162,6 @@ class AcousticChannel:
         return min((tick for tick in ticks if tick < until), default=None)
 
     def _advance(self, station: Station, now: int, faults: ActiveFaults) -> None:
-        """Let a modem do what it does at a tick: take a payload, give up waiting for an answer, start."""
         src = station.vehicle
         transfer = self._transfers.get(src)
         if transfer is not None and station.start_tick is None and now >= transfer.deadline_tick:
@@ -190,7 +182,6 @@ class AcousticChannel:
             self._start(station, now, faults)
 
     def _schedule(self, station: Station, earliest: int) -> None:
-        """Fix the next start of a modem that has something to send, unless it is fixed or waits for an answer."""
         if station.start_tick is None and station.waiting and station.vehicle not in self._transfers:
             station.start_tick = self._access.next_start(station, max(earliest, station.free_tick))
 
@@ -235,7 +226,6 @@ class AcousticChannel:
     def _lose_unsent(
         self, src: int, sent: Waiting, tick: int, cause: Cause, receivers: Sequence[int] | None = None
     ) -> None:
-        """Record a payload as lost, before it is transmitted, on every link of its sender or to some receivers."""
         for dst in self._links.receivers[src] if receivers is None else receivers:
             self._transit.lose(Fate(tick, src, dst, sent.seq, 0, sent.sent_tick, tick, 0, cause, False, sent.payload))
 
@@ -259,7 +249,6 @@ class AcousticChannel:
             self._schedule(station, now)
 
     def _answer(self, now: int, faults: ActiveFaults) -> None:
-        """Send the acknowledgements, requests and replies that are due, unless their modem transmits already."""
         due = [Query(*answer, ANSWER) for answer in self._answers if answer.start_tick <= now]
         self._answers = [answer for answer in self._answers if answer.start_tick > now]
         for start, src, dst, seq, kind in due + self._ranges.take_due(now):
@@ -281,7 +270,6 @@ class AcousticChannel:
     # ---------------------------------------------------------------------------------- the channel
 
     def _transmit(self, src: int, start: int, sent: Waiting, transfer: Transfer | None, faults: ActiveFaults) -> None:
-        """Transmit a payload: on each link of the sender it is either lost at once or becomes a reception."""
         tick_ns = self._config.tick_ns
         airtime = self._acoustic.modem_of(src).airtime_ns(len(sent.payload))
         number = sent.seq + (TRY * (transfer.tried - 1) if transfer is not None else 0)
@@ -315,7 +303,6 @@ class AcousticChannel:
         self._air.transmit(src, start, airtime)
 
     def _decide_receptions(self, until: int, faults: ActiveFaults) -> None:
-        """Decide every reception that ends by tick `until`; delete transmissions that can overlap no other."""
         ended = sorted(r for r in self._receptions if self._end_tick(r) <= until)
         self._receptions = [r for r in self._receptions if self._end_tick(r) > until]
         for r in ended:
@@ -377,11 +364,8 @@ class AcousticChannel:
         return values
 
     def restore(self, values: dict[str, Any]) -> None:
-        """Set the state from values that `state` returned.
-
-        Raises:
-            msgspec.ValidationError: the values have another form.
-        """
+        """Set the state from values that `state` returned. Raises msgspec.ValidationError: the values have another
+        form."""
         state = msgspec.convert(values, _State)
         self._stations = {station.vehicle: station for station in state.stations}
         self._air.places, self._air.bursts = dict(state.places), state.air

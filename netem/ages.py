@@ -46,7 +46,6 @@ class InformationAge:
             self.heard = sent_tick
 
     def count(self, until: int) -> None:
-        """Count the ticks below `until`."""
         first, last = self.counted - self.heard, until - 1 - self.heard
         if last < first:
             return

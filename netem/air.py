@@ -19,17 +19,13 @@ _SHORT = {ANSWER: "acknowledgement", REQUEST: "range request", REPLY: "range rep
 
 def draws(acoustic: AcousticConfig, ranges: Iterable[float] | None = None) -> list[str]:
     """The purposes of the draws that decide on packets, beside those of fading; none if all seeds give the same.
-
-    Args:
-        ranges: from sender to receiver [m]; None: all up to that of the modem.
-    """
+    `ranges`: from sender to receiver [m]; None: all up to that of the modem."""
     modems = [acoustic.modem, *acoustic.modems.values()]
     found = [CAPTURE] if any(modem.captured is not None for modem in modems) else []
     return [*found, SNR] if any(_noisy(acoustic, modem, ranges) for modem in modems) else found
 
 
 def _noisy(acoustic: AcousticConfig, modem: Modem, ranges: Iterable[float] | None) -> bool:
-    """Whether a draw may decide on a packet that nobody else disturbs."""
     if modem.delivery is not None:
         return any(undecided(share) for _, share in modem.delivery.points)
     if acoustic.shadowing or acoustic.rician is not None:
@@ -55,7 +51,6 @@ class Air:
         return None if a is None or b is None else _distance(a, b)
 
     def transmit(self, src: int, start: int, airtime_ns: int) -> None:
-        """A vehicle begins to transmit at tick `start`."""
         reach = self._acoustic.modem_of(src).interference_range
         away = ((i, _distance(self.places[src], place)) for i, place in sorted(self.places.items()) if i != src)
         heard = tuple((i, r, self._acoustic.delay_ns(r)) for i, r in away if r <= reach)
@@ -98,7 +93,6 @@ class Air:
         return None
 
     def _gain(self, src: int, dst: int, start_tick: int) -> float:
-        """The gain [dB] that fading adds to the level of a transmission."""
         acoustic = self._acoustic
         if not acoustic.shadowing and acoustic.rician is None:
             return 0.0
@@ -111,7 +105,6 @@ class Air:
         self.bursts = sorted(burst for burst in self.bursts if self._last_ns(burst) > before_ns)
 
     def _last_ns(self, burst: Burst) -> int:
-        """The end of a transmission [ns] at the farthest vehicle that it can disturb."""
         farthest = max((delay for _, _, delay in burst.heard), default=0)
         return burst.start_tick * self._tick_ns + burst.airtime_ns + farthest
 

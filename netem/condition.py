@@ -70,11 +70,8 @@ def condition_values(condition: Condition) -> dict[str, Any]:
 
 
 def condition_from_values(values: dict[str, Any]) -> Condition:
-    """The inverse of `condition_values`.
-
-    Raises:
-        msgspec.ValidationError: a value does not have the type that is declared for it.
-    """
+    """The inverse of `condition_values`. Raises msgspec.ValidationError: a value does not have the type that is
+    declared for it."""
     match values.get("loss_model"):
         case [name, {**model}]:
             values = values | {"loss_model": {"type": name, **model}}
@@ -93,7 +90,6 @@ def condition_from_values(values: dict[str, Any]) -> Condition:
 #
 # The sum ends when what is left is below 1e-12, and after 4096 terms, which only a rho below 0.5 % needs: then the
 # error is below 3e-5. With rho = 1 nothing ever changes: all or nothing, all with probability p.
-
 
 _TERMS = 4096
 _NEGLIGIBLE = 1e-12

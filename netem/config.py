@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class NetemConfig:
-    """Everything that determines netem's part of a run."""
-
     seed: int
     tick_ns: int
     round_ticks: int

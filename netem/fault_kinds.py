@@ -36,7 +36,6 @@ class Cause(StrEnum):
 
 LOSSES = tuple(cause for cause in Cause if cause not in (Cause.DELIVERED, Cause.IN_FLIGHT))
 
-
 FaultKind = Literal["link", "down", "up", "partition", "mute", "deaf", "slow", "clock"]
 
 
@@ -86,7 +85,6 @@ class WorldFaultKind(StrEnum):
 
     @property
     def numbers(self) -> int:
-        """How many values a fault of this kind has."""
         return _NUMBERS.get(self, 0)
 
 

@@ -40,11 +40,8 @@ def fault_values(fault: NetFault) -> list[Any]:
 
 
 def fault_from_values(values: list[Any]) -> NetFault:
-    """The inverse of `fault_values`.
-
-    Raises:
-        msgspec.ValidationError: a value does not have the type that is declared for it.
-    """
+    """The inverse of `fault_values`. Raises msgspec.ValidationError: a value does not have the type that is declared
+    for it."""
     plain = [*values]
     condition = None
     if len(plain) > _CONDITION and plain[_CONDITION] is not None:
@@ -82,12 +79,8 @@ NO_FAULTS = ActiveFaults({}, {}, frozenset(), frozenset(), frozenset(), {})
 
 
 def active_faults(faults: tuple[NetFault, ...], tick: int) -> ActiveFaults:
-    """The joint effect of the faults that are active at a tick.
-
-    Args:
-        faults: all faults, ordered by their begin. If two faults contradict each other, the later one applies.
-        tick: the tick.
-    """
+    """The joint effect of the faults that are active at a tick. `faults`: all faults, ordered by their begin. If two
+    faults contradict each other, the later one applies."""
     active = [fault for fault in faults if fault.active(tick)]
     if not active:
         return NO_FAULTS

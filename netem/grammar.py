@@ -143,11 +143,8 @@ class _Reader:
 
 
 def parse_condition(text: str) -> Condition:
-    """The condition that `text` describes; what it does not mention is perfect.
-
-    Raises:
-        TextError: unknown or unsupported words, wrong units, values out of range or without effect.
-    """
+    """The condition that `text` describes; what it does not mention is perfect. Raises TextError: unknown or
+    unsupported words, wrong units, values out of range or without effect."""
     found, places = _read(text)
     if found.get("reorder") and not found.get("delay_ns"):
         raise TextError("reorder sends some packets at once, so the others need a delay", places["reorder"].start)
@@ -183,7 +180,6 @@ def with_word(text: str, word: str, value: str) -> str:
 
 
 def _read(text: str) -> tuple[dict[str, Any], dict[str, slice]]:
-    """The values of a condition, and where each of its words stands with what is behind it."""
     reader = _Reader(text)
     if reader.done():
         raise TextError('expected a link condition such as "delay 200ms 50ms loss 30%", got nothing')
@@ -324,7 +320,6 @@ def _whole(reader: _Reader, what: str, example: str, least: int, most: int = _MO
 
 
 def _percents(reader: _Reader, names: tuple[str, ...]) -> dict[str, float]:
-    """As many percentages as there are, in the order of the names."""
     found: dict[str, float] = {}
     for name in names:
         if not reader.value_follows():
@@ -348,9 +343,7 @@ def _time(reader: _Reader, what: str, example: str) -> int:
     number, unit, column = _number(reader, what, example)
     if not unit:
         raise TextError(
-            f'the {what} "{got}" has no unit',
-            column,
-            f'write "{got}ms", or "{got}us", which is how tc reads it',
+            f'the {what} "{got}" has no unit', column, f'write "{got}ms", or "{got}us", which is how tc reads it'
         )
     if unit not in _TIME_NS:
         raise TextError(f'the {what} takes us, ms or s, got "{unit}"', column, nearest(unit, _TIME_NS))

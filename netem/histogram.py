@@ -24,7 +24,6 @@ class Histogram:
         self._buckets: Counter[int] = Counter()
 
     def add(self, ns: int) -> None:
-        """Count one duration."""
         self.count += 1
         if ns < 0:
             self.negative += 1

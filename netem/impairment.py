@@ -84,8 +84,6 @@ class LinkOutcome(NamedTuple):
 
 @dataclass(slots=True)
 class LinkMemory:
-    """The values that a link remembers from packet to packet."""
-
     last: dict[str, float] = field(default_factory=dict)  # the last correlated number of each purpose
     loss_model: str = ""  # whose `loss_state` is
     loss_state: int = 0  # GOOD, or 0 for the four-state model's first GAP
@@ -93,13 +91,11 @@ class LinkMemory:
     leaving_ns: list[int] = field(default_factory=list)  # when each packet in the queue leaves, ascending
 
     def to_values(self) -> list[Any]:
-        """Plain values of everything."""
         last = sorted(map(list, self.last.items()))
         return [last, self.loss_model, self.loss_state, self.since_reordered, list(self.leaving_ns)]
 
     @classmethod
     def from_values(cls, values: list[Any]) -> LinkMemory:
-        """The inverse of `to_values`."""
         last, model, loss_state, since, leaving = values
         return cls(dict(last), model, loss_state, since, list(leaving))
 
@@ -123,12 +119,9 @@ class LinkModel:
         return self._state
 
     def enter(self, now_ns: int, seq: int, payload: bytes, over: Condition | None = None) -> list[LinkOutcome]:
-        """The outcome of packet `seq`, sent at `now_ns`; a second outcome if the link duplicates it.
-
-        `over` is the condition of a fault that lies over the link's own.
-
-        A packet that is both duplicated and lost goes on as one, as in the kernel.
-        """
+        """The outcome of packet `seq`, sent at `now_ns`; a second outcome if the link duplicates it. `over` is the
+        condition of a fault that lies over the link's own. A packet that is both duplicated and lost goes on as one, as
+        in the kernel."""
         c = self.condition if over is None else over
         self._use(c)
         if not c.up:

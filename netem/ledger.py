@@ -57,7 +57,6 @@ class Ledger:
         self.accounts: dict[Link, Account] = {link: Account() for link in sorted(links)}
 
     def enter(self, link: Link, *, sent: int = 0, duplicated: int = 0) -> None:
-        """Count packets that entered a link."""
         account = self.accounts[link]
         account.sent += sent
         account.duplicated += duplicated
@@ -67,12 +66,8 @@ class Ledger:
         self.accounts[link] = msgspec.convert(values, Account)
 
     def settle(self, fates: Iterable[Fate]) -> None:
-        """Count final fates.
-
-        Raises:
-            KeyError: a fate names a link that does not exist.
-            ValueError: a fate's cause is not a declared one.
-        """
+        """Count final fates. Raises KeyError: a fate names a link that does not exist; ValueError: a fate's cause is
+        not a declared one."""
         for fate in fates:
             account = self.accounts[(fate.src, fate.dst)]
             if fate.cause == Cause.DELIVERED:
@@ -86,11 +81,9 @@ class Ledger:
                 raise ValueError(f"undeclared cause {fate.cause!r} on link {fate.src}->{fate.dst}")
 
     def unbalanced(self) -> dict[Link, int]:
-        """The links whose entries and exits differ, with the difference."""
         return {link: account.balance for link, account in self.accounts.items() if account.balance}
 
     def total(self) -> Account:
-        """The sum over all links."""
         total = Account()
         for account in self.accounts.values():
             total.sent += account.sent

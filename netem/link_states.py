@@ -83,7 +83,6 @@ class StateProcess:
         self._restart()
 
     def state(self, at_ns: int) -> int:
-        """The number of the state at a time."""
         if at_ns < self._begin_ns:
             self._restart()
         while at_ns >= self._end_ns:
@@ -91,7 +90,6 @@ class StateProcess:
         return self._state
 
     def condition(self, at_ns: int, seq: int) -> Condition:
-        """The condition for a packet that enters the link at a time."""
         return self._states.conditions[self.state(at_ns)]
 
     def _restart(self) -> None:

@@ -32,7 +32,6 @@ class Lives:
             self._add_up(i)
 
     def without_agent(self, i: int, tick: int) -> bool:
-        """Whether vehicle i has no agent at a tick."""
         return i in self._gaps and any(begin <= tick < end for begin, end in self._gaps[i])
 
     def incarnation(self, i: int, tick: int) -> int:
@@ -40,11 +39,8 @@ class Lives:
         return sum(end <= tick for _, end in self._gaps[i]) if i in self._gaps else 0
 
     def check(self, i: int, tick: int, incarnation: int) -> int:
-        """The incarnation of vehicle i's agent at a tick, which a message of it must name.
-
-        Raises:
-            OutOfPlace: the message names another incarnation.
-        """
+        """The incarnation of vehicle i's agent at a tick, which a message of it must name. Raises OutOfPlace: the
+        message names another incarnation."""
         expected = self.incarnation(i, tick)
         if incarnation != expected:
             raise OutOfPlace("incarnation", expected, incarnation)
@@ -55,18 +51,12 @@ class Lives:
         return [(int(begin), None if end == inf else int(end)) for begin, end in self._gaps.get(i, ())]
 
     def add(self, absence: Absence) -> None:
-        """Add an absence."""
         self.absences.append(absence)
         self._add_up(absence.vehicle)
 
     def end(self, i: int, tick: int, until: int | None = None) -> None:
-        """Vehicle i's agent ended at a tick on its own.
-
-        Args:
-            i: number of the vehicle.
-            tick: the first tick without the agent.
-            until: another agent takes over at this tick. None: the next planned restart brings the agent back.
-        """
+        """Vehicle i's agent ended at a tick on its own. `tick`: the first tick without the agent. `until`: another
+        agent takes over at this tick. None: the next planned restart brings the agent back."""
         if until is not None:
             self.add(Absence(i, tick, until))
         elif not self.without_agent(i, tick):

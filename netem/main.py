@@ -21,7 +21,6 @@ from netem.wire.shell import Item, end_with_link, read_map
 # --- realtime process
 # The netem process of a realtime run: in the middle of each tick it hands out what is due at the next.
 
-
 REST_S = 0.1
 MOST_REST = 10_000
 
@@ -100,15 +99,9 @@ class RealtimeNetemProcess(NetworkProcess[RealtimeRounds]):
 def run(
     endpoint: str, run_id: str, credentials: Credentials, config: NetemConfig, clock: Clock, members: Members = ()
 ) -> None:
-    """Serve the network of a run until the process is ended.
-
-    Args:
-        clock: with `real`, ticks begin when the world says.
-        members: the vehicles of each process that hosts several agents; in lockstep only.
-
-    Raises:
-        BusError: there is no router at the endpoint, or it refuses the credentials.
-    """
+    """Serve the network of a run until the process is ended. `clock`: with `real`, ticks begin when the world says.
+    `members`: the vehicles of each process that hosts several agents; in lockstep only. Raises BusError: there is no
+    router at the endpoint, or it refuses the credentials."""
     quiet_zenoh()
     keys = Keys(run_id)
     bus = Bus.connect(endpoint, credentials, puts=[keys.rx("*"), keys.host("*")])

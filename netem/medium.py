@@ -21,7 +21,6 @@ from netem.wire.messages import Fate
 # --- links
 # The directed links of a run: the receivers of each vehicle, the effect and the packet counts of each link.
 
-
 PERFECT = Condition()
 
 
@@ -128,7 +127,6 @@ class IndependentLinks:
         self._transit = transit
 
     def carry(self, round_: MediumRound) -> None:
-        """Let every payload into all links of its sender."""
         for src in sorted(round_.transmissions):
             for payload in round_.transmissions[src]:
                 for dst in self._links.receivers[src]:

@@ -19,7 +19,6 @@ class Curve:
     points: tuple[tuple[float, float], ...]
 
     def at(self, x: float) -> float:
-        """The value at x."""
         points = self.points
         after = bisect_left(points, x, key=lambda point: point[0])
         if after == 0:
@@ -32,7 +31,6 @@ class Curve:
 
 # --- ranging
 # How modems measure ranges, as configured; `netem.ranges` measures them.
-
 
 Method = Literal["one-way", "two-way"]
 
@@ -126,7 +124,6 @@ class AcousticConfig:
     ranging: RangingConfig | None = None  # None: modems measure no ranges
 
     def modem_of(self, vehicle: int) -> Modem:
-        """The modem that a vehicle carries."""
         return self.modems.get(vehicle, self.modem) if self.modems else self.modem
 
     def longest(self, tick_ns: int, vehicle: int | None = None) -> int:
@@ -156,10 +153,7 @@ class AcousticConfig:
         gain_db: float = 0.0,
     ) -> float:
         """The probability that a payload of `size` bytes cannot be decoded at a range [m], if nobody else talks.
-
-        Args:
-            gain_db: what fading adds to the level at this moment.
-        """
+        `gain_db`: what fading adds to the level at this moment."""
         modem = self.modem if receiver is None else receiver
         if modem.delivery is not None:
             return 1.0 - modem.delivery.at(range_m)
@@ -167,7 +161,6 @@ class AcousticConfig:
         return propagation.packet_error_rate(snr, 8 * size, modem.lost_below, modem.clear_above)
 
     def snr(self, range_m: float, sender: Modem | None = None, receiver: Modem | None = None) -> float:
-        """The signal-to-noise ratio [dB] at a range [m]."""
         modem = self.modem if receiver is None else receiver
         return self.received_level(range_m, sender) - (self.noise_level(receiver) - modem.directivity)
 

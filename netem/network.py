@@ -50,8 +50,6 @@ class _State(Struct, omit_defaults=True):
 
 
 class Netem:
-    """The impaired network of one run."""
-
     def __init__(self, config: NetemConfig) -> None:
         self.config = config
         self._clocks: Clocks | None = None
@@ -78,10 +76,7 @@ class Netem:
         return {link: (account.sent, account.duplicated) for link, account in self._links.ledger.accounts.items()}
 
     def exchange(
-        self,
-        tick: int,
-        transmissions: Mapping[int, tuple[bytes, ...]],
-        positions: Mapping[int, Place] | None = None,
+        self, tick: int, transmissions: Mapping[int, tuple[bytes, ...]], positions: Mapping[int, Place] | None = None
     ) -> Exchange:
         """One round: take the payloads sent at round tick `tick`, hand out what falls due until the next.
 
@@ -120,7 +115,6 @@ class Netem:
         self._links.models[link].condition = condition
 
     def condition(self, link: Link) -> Condition:
-        """The condition of a link now."""
         return self._links.models[link].condition
 
     def _book(self, fates: list[Fate]) -> tuple[Fate, ...]:
@@ -146,11 +140,8 @@ class Netem:
         return values | self._medium.state()
 
     def restore(self, values: dict[str, Any]) -> None:
-        """The inverse of `state`, into a core built from the same configuration.
-
-        Raises:
-            msgspec.ValidationError: they are no such values.
-        """
+        """The inverse of `state`, into a core built from the same configuration. Raises msgspec.ValidationError: they
+        are no such values."""
         state, links, transit = msgspec.convert(values, _State), self._links, self._transit
         self._round = state.round
         self.faults = tuple(fault_from_values(fault) for fault in state.faults)

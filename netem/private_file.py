@@ -21,11 +21,8 @@ from netem.errors import NetemError
 
 
 def write_whole(path: Path, data: bytes, mode: int = 0o600) -> None:
-    """Make a file, or replace it: no reader sees a part of it, and it never has another mode.
-
-    Raises:
-        OSError: it cannot be written; nothing is left behind, and what was there before stays.
-    """
+    """Make a file, or replace it: no reader sees a part of it, and it never has another mode. Raises OSError: it cannot
+    be written; nothing is left behind, and what was there before stays."""
     temporary = path.with_name(f".{path.name}-{token_hex(4)}")
     descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
     try:
@@ -57,11 +54,8 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def open_file(path: Path) -> IO[bytes]:
-    """A regular file to read. A pipe would be waited for, and some devices never end.
-
-    Raises:
-        OSError: it is none, or cannot be opened.
-    """
+    """A regular file to read. A pipe would be waited for, and some devices never end. Raises OSError: it is none, or
+    cannot be opened."""
     file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC), "rb")
     mode = os.fstat(file.fileno()).st_mode
     if stat.S_ISREG(mode):
@@ -72,11 +66,8 @@ def open_file(path: Path) -> IO[bytes]:
 
 
 def read_file(path: Path, most: int) -> bytes:
-    """The content of a regular file, up to a number of bytes.
-
-    Raises:
-        OSError: it is none, it is larger, or it cannot be read.
-    """
+    """The content of a regular file, up to a number of bytes. Raises OSError: it is none, it is larger, or it cannot be
+    read."""
     with open_file(path) as file:
         return read_bounded(file, most)
 
@@ -101,12 +92,8 @@ class DamagedFile(NetemError):
 
 
 def read_private(path: Path, most: int) -> bytes:
-    """The content of a regular file that only its owner can read, up to a number of bytes.
-
-    Raises:
-        OSError: it is no regular file, it is larger, or it cannot be read.
-        ExposedFile: others can read it.
-    """
+    """The content of a regular file that only its owner can read, up to a number of bytes. Raises OSError: it is no
+    regular file, it is larger, or it cannot be read; ExposedFile: others can read it."""
     with open_file(path) as file:
         mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
         data = read_bounded(file, most)
@@ -118,11 +105,8 @@ def read_private(path: Path, most: int) -> bytes:
 
 
 def parse_json(data: bytes, kind: type[T]) -> T:
-    """JSON as a value of a type that msgspec can check; fields that it does not have are ignored.
-
-    Raises:
-        DamagedFile: it is not JSON, or a field is missing, has another type or is out of its range.
-    """
+    """JSON as a value of a type that msgspec can check; fields that it does not have are ignored. Raises DamagedFile:
+    it is not JSON, or a field is missing, has another type or is out of its range."""
     try:
         return msgspec.json.decode(data, type=kind)
     except msgspec.ValidationError as error:
@@ -132,7 +116,6 @@ def parse_json(data: bytes, kind: type[T]) -> T:
 
 
 def _words(text: str) -> str:
-    """msgspec's `Expected `int`, got `str` - at `$.vehicle`` as `vehicle: expected int, got str`."""
     if missing := re.fullmatch(r"Object missing required field `(\w+)`.*", text):
         return f"it has no {missing[1]!r}"
     what, _, where = text.partition(" - at `$")

@@ -24,15 +24,9 @@ class PrivateFolder:
     """A folder of mode 0700, from its making to `close`, or to the end of the process that made it."""
 
     def __init__(self, kind: str = "", place: Path | None = None) -> None:
-        """Remove what killed processes left, and make the folder.
-
-        Args:
-            kind: its purpose, as part of its name, which is then `uuv-fleet-<kind>-...`.
-            place: the folder to make it in; None: TMPDIR.
-
-        Raises:
-            OSError: it cannot be made there.
-        """
+        """Remove what killed processes left, and make the folder. `kind`: its purpose, as part of its name, which is
+        then `uuv-fleet-<kind>-...`. `place`: the folder to make it in; None: TMPDIR. Raises OSError: it cannot be made
+        there."""
         sweep()
         prefix = f"{PREFIX}{kind}-" if kind else PREFIX
         self.path = Path(tempfile.mkdtemp(prefix=prefix, dir=place))

@@ -109,7 +109,6 @@ class NetworkProcess(ABC, Generic[R]):
                 os._exit(1)
 
     def _host_put(self, h: int, message: Message) -> None:
-        """Handle a put of a host: a Hello, or a Bundle of what its agents would put."""
         if isinstance(message, Hello):
             _check_probe(message)
             self._probes.spend(-h)
@@ -124,7 +123,6 @@ class NetworkProcess(ABC, Generic[R]):
                 self._shell.reject(self._keys.tx(part.vehicle), self._rounds.tick, error)
 
     def _agent_put(self, i: int, data: bytes) -> None:
-        """Handle a put of agent i: a Transmission, a Hello, or in real time a Receipt."""
         message = expect(data, Transmission, Hello, Receipt)
         if i not in self._inbox:
             raise MalformedMessage("tx", f"no vehicle {i} in this run")
@@ -138,7 +136,6 @@ class NetworkProcess(ABC, Generic[R]):
             self._from_agent(i, message)
 
     def _world_put(self, data: bytes) -> None:
-        """Handle a put of the world: a Round, a Hello, or in real time a Pace."""
         message = expect(data, Round, Hello, Pace)
         if isinstance(message, Hello):
             self._round_heard = True
@@ -151,7 +148,6 @@ class NetworkProcess(ABC, Generic[R]):
         self._from_world(message)
 
     def _whole(self, part: Round) -> Round | None:
-        """A round after its last part has come, or None."""
         self._round_parts.append(part)
         if part.more:
             return None

@@ -120,5 +120,4 @@ def power(level_db: float) -> float:
 
 
 def decibels(ratio: float) -> float:
-    """The inverse of `power`."""
     return 10.0 * log10(ratio)

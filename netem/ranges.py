@@ -208,7 +208,6 @@ class TwoWay(OneWay):
         return [(self._due(packet, deadlines[packet.name]), None) for packet, _ in super().give_up(until)]
 
     def _measured(self, reply: Reception, asked_tick: int) -> MeasuredRange:
-        """The range that a reply gives to the packet that was asked for at a tick."""
         distance, sound_speed = reply.range_m, self._acoustic.sound_speed
         error = self._error(reply.src, reply.dst, reply.seq)
         if self._clocks is not None:

@@ -60,7 +60,6 @@ class RealtimeRounds:
 
     @property
     def tick(self) -> int:
-        """The tick that is exchanged next."""
         return self._tick
 
     @property
@@ -74,11 +73,8 @@ class RealtimeRounds:
         return self._round is not None and self._tick < self._round.tick + self.config.round_ticks
 
     def transmission(self, i: int, message: Transmission) -> None:
-        """Take vehicle i's transmission, whenever it comes.
-
-        Raises:
-            OutOfPlace: not a round tick, a tick that was taken already or lies in the future, or another incarnation.
-        """
+        """Take vehicle i's transmission, whenever it comes. Raises OutOfPlace: not a round tick, a tick that was taken
+        already or lies in the future, or another incarnation."""
         self.lives.check(i, message.tick, message.incarnation)
         m = self.config.round_ticks
         last = self._sent[i]
@@ -132,14 +128,9 @@ class RealtimeRounds:
         return inboxes
 
     def receipt(self, i: int, receipt: Receipt, due_ns: Callable[[int], int]) -> None:
-        """Take the report of vehicle i about the deliveries that it used at a tick.
-
-        Args:
-            due_ns: returns the begin of a tick [ns, CLOCK_MONOTONIC].
-
-        Raises:
-            OutOfPlace: the report is from another incarnation, or names a delivery that the agent did not get.
-        """
+        """Take the report of vehicle i about the deliveries that it used at a tick. `due_ns`: returns the begin of a
+        tick [ns, CLOCK_MONOTONIC]. Raises OutOfPlace: the report is from another incarnation, or names a delivery that
+        the agent did not get."""
         self.lives.check(i, receipt.tick, receipt.incarnation)
         tick_ns = self.config.tick_ns
         for arrival in receipt.arrivals:

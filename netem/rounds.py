@@ -32,7 +32,6 @@ class Rounds:
 
     @property
     def tick(self) -> int:
-        """The round tick waited for."""
         return self._next
 
     @property
@@ -42,11 +41,8 @@ class Rounds:
         return [i for i in self._speakers(self._next) or self.config.vehicles if i not in have]
 
     def transmission(self, i: int, message: Transmission) -> None:
-        """Take vehicle i's transmission.
-
-        Raises:
-            OutOfPlace: not a round tick, a tick that was already exchanged or taken, or another incarnation.
-        """
+        """Take vehicle i's transmission. Raises OutOfPlace: not a round tick, a tick that was already exchanged or
+        taken, or another incarnation."""
         incarnation = self.lives.check(i, message.tick, message.incarnation)
         m = self.config.round_ticks
         # An agent needs the inbox of one round to transmit in the next, but for its first, while others lag behind.
@@ -86,7 +82,6 @@ class Rounds:
         return out, LinkReport(tick, False, False, fates, memory)
 
     def _speakers(self, tick: int) -> list[int] | None:
-        """Those whose transmission of a round must come: who is alive and not suspended."""
         where = self._alive.get(tick)
         return None if where is None else [i for i in where.alive if i not in where.paused]
 

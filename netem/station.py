@@ -47,7 +47,6 @@ class Transfer(Struct, array_like=True):
     cause: Cause | None = None  # why the last try to the first failed
 
     def missing(self) -> list[int]:
-        """The neighbours that do not have it."""
         return self.to[1:] if self.arrived else self.to
 
 

@@ -29,7 +29,6 @@ class PendingPacket(NamedTuple):
     corrupted: bool
 
     def fate(self, final_tick: int, cause: Cause, measured: MeasuredRange | None = None) -> Fate:
-        """The record of the packet once its fate is final."""
         return Fate(
             final_tick,
             self.src,
@@ -47,7 +46,6 @@ class PendingPacket(NamedTuple):
 
     @property
     def name(self) -> tuple[int, int, int, int]:
-        """The identity of the packet within a run."""
         return self.dst, self.src, self.seq, self.copy
 
 
@@ -73,13 +71,11 @@ class Transit:
         self.ranges: dict[tuple[int, int, int, int], MeasuredRange] = {}  # of packets without a final fate
 
     def add(self, packet: PendingPacket, measured: MeasuredRange | None = None) -> None:
-        """A packet is on its way to its receiver, perhaps with the range that its modem has measured."""
         heapq.heappush(self.pending[packet.dst], packet)
         if measured is not None:
             self.ranges[packet.name] = measured
 
     def hand_over(self, packets: Iterable[tuple[PendingPacket, MeasuredRange | None]]) -> None:
-        """The same of several packets."""
         for packet, measured in packets:
             self.add(packet, measured)
 
@@ -91,10 +87,7 @@ class Transit:
         self, alive: Collection[int], until: int, faults: ActiveFaults, clocks: Clocks | None = None
     ) -> tuple[dict[int, tuple[Delivery, ...]], list[Fate]]:
         """Inboxes of the living with what is due up to tick `until`, and what is lost at receivers that cannot hear.
-
-        Args:
-            clocks: that stamp what is sent; None: all are right.
-        """
+        `clocks`: that stamp what is sent; None: all are right."""
         inboxes = {}
         unheard = []
         for i in sorted(self.pending):
@@ -116,7 +109,6 @@ class Transit:
         return inboxes, unheard
 
     def settle(self, until: int) -> list[Fate]:
-        """The fates that are final up to tick `until`, each once."""
         due = [packet for packet in self.announced if packet.due_tick <= until]
         if due:
             self.announced = [packet for packet in self.announced if packet.due_tick > until]

@@ -38,8 +38,6 @@ CLOCK = "clock"  # the kind of a fault
 
 @dataclass(frozen=True, slots=True)
 class VehicleClock:
-    """The clock of one vehicle."""
-
     offset_ns: int = 0  # theta, by which it is ahead at the start
     drift: float = 0.0  # rho, s/s
 
@@ -60,8 +58,6 @@ class ClockChange(Protocol):
 
 
 class Clocks:
-    """The clocks of a fleet, and the faults that change them."""
-
     def __init__(self, own: Mapping[int, VehicleClock], faults: Iterable[ClockChange], tick_ns: int) -> None:
         """Take the clocks that are set and the faults of kind `clock` among all; other vehicles have right clocks."""
         self._own = own

@@ -13,9 +13,7 @@ from world.navigation.config import Navigation
 from world.tumble import LIMIT_RAD
 from world.vectors import Vec3, Vec5
 
-# --- vehicle
-# The data of a vehicle: the numbers of the 5-DOF model and of its actuators.
-#
+# --- vehicle: the numbers of the 5-DOF model and of its actuators
 # | symbol | meaning | unit | paper |
 # |---|---|---|---|
 # | m, Iy, Iz | rigid-body mass, moments of inertia in pitch and yaw | kg, kg m^2 | Table I |
@@ -55,9 +53,7 @@ class VehicleParams:
         )
 
 
-# --- run memory
-# The world's memory of a run before a tick. Another run can continue from it.
-#
+# --- run memory: the world's memory of a run before a tick. Another run can continue from it.
 # As MessagePack a memory is a map with one key, `vehicles`: an array of `VehicleMemory`, ascending by number.
 
 
@@ -84,7 +80,6 @@ class VehicleMemory(NamedTuple):
 
     @property
     def diverged(self) -> bool:
-        """Whether the vehicle is not integrated any more."""
         return self.condition == DIVERGED
 
     @property
@@ -94,7 +89,6 @@ class VehicleMemory(NamedTuple):
 
 
 def vehicle_memories(memory: dict[str, Any]) -> Iterator[VehicleMemory]:
-    """The vehicles in a memory, by number."""
     return map(VehicleMemory._make, memory["vehicles"])
 
 

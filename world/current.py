@@ -33,14 +33,8 @@ class GaussMarkov:
     """A drift round zero; its value at a tick is a function of (seed, purpose, tick) alone."""
 
     def __init__(self, sigma: Vec3, time_constant_s: float, tick_s: float, seed: int, purpose: str) -> None:
-        """Begin a drift.
-
-        Args:
-            sigma: standard deviation on each axis [m/s, NED].
-            time_constant_s: T [s].
-            tick_s: Ts [s].
-            seed: the run's seed.
-            purpose: distinguishes this drift from all other draws.
+        """`sigma` is the standard deviation on each axis [m/s, NED]; `purpose` distinguishes this drift from all other
+        draws of the run.
         """
         self._sigma, self._seed, self._purpose = sigma, seed, purpose
         self._phi = exp(-tick_s / time_constant_s)
@@ -62,15 +56,8 @@ class GaussMarkov:
 
 
 def gust(velocity: Vec3, over_s: float, t: float) -> Vec3:
-    """The current of a gust that rises and falls once.
-
-    Args:
-        velocity: V, its peak [m/s, NED].
-        over_s: D, how long it blows [s].
-        t: time since it began [s].
-
-    Returns:
-        The current [m/s, NED].
+    """The current [m/s, NED] `t` [s] after the begin of a gust that rises to `velocity` and falls once, within
+    `over_s`.
     """
     share = 0.5 * (1.0 - cos(2.0 * pi * t / over_s)) if t < over_s else 0.0
     return share * velocity[0], share * velocity[1], share * velocity[2]

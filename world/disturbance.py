@@ -25,14 +25,8 @@ PAPER: tuple[Harmonic, ...] = (
 
 
 def disturbance(harmonics: tuple[Harmonic, ...], t: float) -> Vec5:
-    """The disturbance at a time.
-
-    Args:
-        harmonics: one for each equation of motion, or fewer; none: no disturbance.
-        t: time [s].
-
-    Returns:
-        d1..d5 [N, N m, body]; 0 on an equation without a harmonic.
+    """The disturbance at a time. `harmonics`: one for each equation of motion, or fewer; none: no disturbance. `t`:
+    time [s]. Returns d1..d5 [N, N m, body]; 0 on an equation without a harmonic.
     """
     if not harmonics:
         return NO_FORCE

@@ -54,14 +54,12 @@ def coefficients(params: VehicleParams) -> Coefficients:
 
 
 def turn_per_yaw(cth: float) -> float:
-    """psi' / r near the vertical: (1 - (1 - s^2)^5) / (s c), s = cos(theta) / c, c = NEAR_VERTICAL.
+    """psi' / r near the vertical, for |cth| <= NEAR_VERTICAL: (1 - (1 - s^2)^5) / (s c), s = cos(theta) / c, c =
+    NEAR_VERTICAL.
 
     It is 1 / cos(theta) at |s| = 1, where its first four derivatives are also those of 1 / cos(theta), so that RK4
-    keeps its order across the bound. Between it is odd, at most 1.53 / c in size, and 0 at the vertical: there the
-    yaw rate of a vehicle that cannot roll turns no heading. Derived in docs/background/paper.md.
-
-    Args:
-        cth: cos(theta), |cth| <= NEAR_VERTICAL.
+    keeps its order across the bound. Between it is odd, at most 1.53 / c in size, and 0 at the vertical: there the yaw
+    rate of a vehicle that cannot roll turns no heading. Derived in docs/background/paper.md.
     """
     s = cth / NEAR_VERTICAL
     s2 = s * s
@@ -88,15 +86,8 @@ def derivative(k: Coefficients, state: State, tau: Vec3, d: Vec5, current: Vec3 
     cos(theta)). Its last element is r away from the vertical. Without that term turning in a current would need a
     force, and the law "a current only carries the whole motion along" would fail.
 
-    Args:
-        k: the vehicle's constants.
-        state: (x, y, z, theta, psi, u, v, w, q, r) [m, rad, m/s, rad/s].
-        tau: surge force, pitch and yaw moment [N, N m].
-        d: disturbance on each of the five equations [N, N m].
-        current: v_c [m/s, NED].
-
-    Returns:
-        The derivative in the same order [m/s, rad/s, m/s^2, rad/s^2].
+    `state` is (x, y, z, theta, psi, u, v, w, q, r) [m, rad, m/s, rad/s], and the answer in the same order per s;
+    `tau` and `d`, the disturbance on each of the five equations, are in N and N m, `current` is v_c [m/s, NED].
     """
     m1, m2, m3, m4, m5, beta_u, beta_v, beta_w, beta_q, beta_r, beta_b = k
     _, _, _, theta, psi, u, v, w, q, r = state
@@ -146,18 +137,8 @@ def derivative(k: Coefficients, state: State, tau: Vec3, d: Vec5, current: Vec3 
 def rk4_step(
     k: Coefficients, state: State, tau: Vec3, d: tuple[Vec5, Vec5, Vec5], h: float, current: Vec3 = ZERO
 ) -> State:
-    """One classical Runge-Kutta step of fourth order.
-
-    Args:
-        k: as for `derivative`.
-        state: likewise.
-        current: likewise, held over the step.
-        tau: likewise, held over the step.
-        d: disturbance at the step's start, middle and end (the stage times).
-        h: length of the step [s].
-
-    Returns:
-        The state h later.
+    """One classical Runge-Kutta step of fourth order: the state `h` [s] later. `tau` and `current` are held over the
+    step, `d` is the disturbance at its start, middle and end (the stage times); units as for `derivative`.
     """
     d_start, d_middle, d_end = d
     half = 0.5 * h

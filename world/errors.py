@@ -8,9 +8,8 @@ class WorldError(Exception):
 
 
 class IntegrationError(WorldError):
-    """The vehicle's motion cannot be integrated over a tick; the world stays as it was before the tick.
-
-    `vehicle` and `tick` are -1 where the equations are used outside a world.
+    """The vehicle's motion cannot be integrated over a tick; the world stays as it was before the tick. `vehicle` and
+    `tick` are -1 where the equations are used outside a world.
     """
 
     def __init__(self, reason: str, theta: float, vehicle: int = -1, tick: int = -1) -> None:

@@ -62,10 +62,8 @@ class Lockstep:
         return self._with_frames(out)
 
     def end(self, i: int, incarnation: int, until: int | None = None) -> list[Out]:
-        """Vehicle i's agent has ended: from the first tick without a command it drifts.
-
-        Args:
-            until: another agent takes over at this tick. None: as planned.
+        """Vehicle i's agent has ended: from the first tick without a command it drifts. `until`: another agent takes
+        over at this tick. None: as planned.
         """
         state = self.state
         if incarnation != state.incarnation(i) or state.without_agent(i):
@@ -79,13 +77,8 @@ class Lockstep:
         return self._with_frames(out)
 
     def command(self, i: int, command: Command, raw: bytes | None = None) -> list[Out]:
-        """Take vehicle i's command, advance it by one tick and return what follows.
-
-        Args:
-            raw: the encoded command if the caller has it, to save encoding it again for the frame.
-
-        Raises:
-            OutOfPlace: the command does not answer the nav that is waiting for one.
+        """Take vehicle i's command, advance it by one tick and return what follows. `raw`: the encoded command, if
+        there, to save encoding it again. Raises OutOfPlace if it does not answer the nav that is waiting for one.
         """
         state = self.state
         nav = self._awaiting.get(i)
@@ -109,11 +102,7 @@ class Lockstep:
         return self._with_frames(out)
 
     def remember(self, i: int, memory: Memory) -> None:
-        """Take what agent i remembers before the command that it owes.
-
-        Raises:
-            OutOfPlace: it owes none for that tick.
-        """
+        """Take what agent i remembers before the command that it owes. Raises OutOfPlace if it owes none then."""
         nav = self._awaiting.get(i)
         if nav is None or (memory.incarnation, memory.tick) != (nav.incarnation, nav.tick):
             raise OutOfPlace("memory of tick", "none" if nav is None else nav.tick, memory.tick)
@@ -130,7 +119,6 @@ class Lockstep:
                 vehicles[i] = known
 
     def _complete_memory(self, i: int, k: int, agent: bytes) -> None:
-        """Add to what vehicle i remembers before tick k, if anything, what its agent does."""
         if (vehicles := self._memories.get(k)) is not None and i in vehicles:
             vehicles[i] = vehicles[i]._replace(agent=agent)
 
@@ -157,10 +145,7 @@ class Lockstep:
         self.state.integrate(i, k, tau)
 
     def _start(self, i: int, out: list[Out]) -> None:
-        """The next step of vehicle i: measure.
-
-        If it has no agent, or a suspended one, go on without it as far as the grant allows.
-        """
+        """Measure. Without an agent, or with a suspended one, vehicle i goes on as far as the grant allows."""
         state, world = self.state, self.state.world
         k = world.tick(i)
         while k < state.granted and i not in self._awaiting:

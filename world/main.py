@@ -37,13 +37,9 @@ def run(
     """Host the router and serve the sea of a run until the process is ended.
 
     Args:
-        endpoint: address of the router, as zenoh writes it.
-        run_id: the run's number; all keys begin with it.
         credentials: the logins of all processes that may connect, by role.
         private: a folder that only this user can read, for the router's files.
-        config: the world's part of the scenario.
         frame_every: ticks from one frame to the next.
-        clock: decides when a tick begins.
         speed: how fast ticks begin on a wall clock, times real time.
         most_asked: in lockstep, the number of processes that have a turn at the same time.
         listener: further addresses of the router. None: it has only `endpoint`.
@@ -85,10 +81,8 @@ def join(
     speed: float,
     most_asked: int,
 ) -> None:
-    """Serve the sea of a run through a router that is there already; as `run` otherwise.
-
-    Raises:
-        BusError: the router does not let us in.
+    """Serve the sea of a run through a router that is there already; as `run` otherwise. Raises BusError if the router
+    does not let us in.
     """
     quiet_zenoh()
     bus = Bus.connect(endpoint, credentials)

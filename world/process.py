@@ -46,9 +46,7 @@ from world.errors import IntegrationError
 from world.lockstep import Lockstep, NavTo, Out
 from world.realtime import RealtimeRun
 
-# --- turns
-# Turns of processes: the world asks a few processes at a time, each tick after tick up to the next round.
-#
+# --- turns: the world asks a few processes at a time, each tick after tick up to the next round
 # If a hundred processes wake in turn, each finds little of its memory in the processor's caches. The first sample after
 # the wake-up takes twice as long as the next one. Between two rounds no vehicle depends on another. So one agent may
 # answer several ticks while others wait.
@@ -66,12 +64,8 @@ class Turns:
     """
 
     def __init__(self, round_ticks: int, most: int, process: Callable[[int, Nav], Hashable] = lambda i, _: i) -> None:
-        """Nobody has a turn.
-
-        Args:
-            round_ticks: ticks from one round to the next.
-            most: processes that have a turn at a time.
-            process: the process of the agent that gets a nav; by default each agent has its own.
+        """Nobody has a turn; at most `most` processes get one at a time. `process`: that of the agent that gets a nav;
+        by default each agent has its own.
         """
         self._round_ticks, self._most, self._process = round_ticks, most, process
         self._asked: dict[int, Hashable] = {}  # agents that have a turn, and where they are
@@ -84,7 +78,6 @@ class Turns:
 
     @property
     def idle(self) -> bool:
-        """Whether nobody has a turn."""
         return not self._asked
 
     def holds(self, i: int) -> bool:
@@ -120,7 +113,6 @@ class Turns:
             self._holders[process] -= 1
 
     def forget(self, i: int) -> None:
-        """Agent i has ended."""
         self.release(i)
         self._early = [item for item in self._early if item[0] != i]
         self._waiting = {
@@ -177,12 +169,8 @@ class WorldProcess:
         most_asked: int | None = None,
         members: Members = (),
     ) -> None:
-        """Connect a run.
-
-        Args:
-            refusals: what the router refuses, if it lives here.
-            most_asked: processes that are asked at a time; None: all.
-            members: the vehicles of each host.
+        """`refusals`: what the router refuses, if it lives here. `most_asked`: processes that are asked at a time;
+        None: all. `members`: the vehicles of each host.
         """
         self._keys = keys
         self._grant_key = keys.grant
@@ -231,10 +219,8 @@ class WorldProcess:
         sys.exit(1)
 
     def serve(self) -> None:
-        """Handle one message after the other, until the process is ended.
-
-        Raises:
-            IntegrationError: a vehicle cannot be moved, and the run is not to go on without it.
+        """Handle one message after the other, until the process is ended. Raises IntegrationError if a vehicle cannot
+        be moved, and the run is not to go on without it.
         """
         take, poll = self._in.get, self._in.poll
         while True:
@@ -375,7 +361,6 @@ class WorldProcess:
             self._nav[i](encode(nav))
 
     def _tell(self, i: int, incarnation: int, data: bytes) -> None:
-        """Send a message to a life of agent i, wherever it is."""
         if host := self._hosts.of(i, incarnation):
             self._hosts.put(host, [(i, data)])
         else:

@@ -44,7 +44,6 @@ class Punctuality:
     row: int = 0  # of those just now
 
     def to_values(self) -> dict[str, Any]:
-        """The counts by name, for the result of the run."""
         values = asdict(self)
         del values["row"]
         return values
@@ -54,11 +53,8 @@ class RealtimeRun:
     """Moves the vehicles tick by tick with the commands that are there."""
 
     def __init__(self, config: WorldConfig, *, frame_every: int = 1, patience: int = 50) -> None:
-        """Begin before tick 0.
-
-        Args:
-            frame_every: ticks from one frame to the next.
-            patience: ticks without an answer after which an agent is silent.
+        """Begin before tick 0. `frame_every`: ticks from one frame to the next. `patience`: ticks without an answer
+        after which an agent is silent.
         """
         self.config = config
         self.state = RunState(config, frame_every)
@@ -80,7 +76,6 @@ class RealtimeRun:
 
     @property
     def finished(self) -> bool:
-        """Whether the frame of the end tick has left."""
         return self.state.frames.finished
 
     def grant(self, until: int) -> list[Out]:
@@ -128,9 +123,7 @@ class RealtimeRun:
 
     def command(self, i: int, command: Command, raw: bytes | None = None) -> list[Out]:
         """Take vehicle i's command: it acts over the tick that is under way, if no newer one comes before its end.
-
-        Raises:
-            OutOfPlace: no nav of this tick was sent, or this nav already has an answer.
+        Raises OutOfPlace if no nav of this tick was sent, or this nav already has an answer.
         """
         self.state.check(i, command)
         if command.tick > self._tick or command.tick == self._answered[i]:
@@ -156,10 +149,8 @@ class RealtimeRun:
         return taken
 
     def end(self, i: int, incarnation: int, until: int | None = None) -> list[Out]:
-        """Vehicle i's agent has ended: from the first tick without a command it drifts.
-
-        Args:
-            until: another agent takes over at this tick. None: as planned.
+        """Vehicle i's agent has ended: from the first tick without a command it drifts. `until`: another agent takes
+        over at this tick. None: as planned.
         """
         state = self.state
         if incarnation != state.incarnation(i) or state.without_agent(i):

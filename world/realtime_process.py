@@ -16,8 +16,7 @@ from world.lockstep import Out
 from world.process import WorldProcess
 from world.realtime import RealtimeRun
 
-# --- tick schedule
-# When ticks begin on a wall clock. Nothing here reads a clock: the caller passes the time.
+# --- tick schedule: when ticks begin on a wall clock. Nothing here reads a clock: the caller passes the time.
 
 
 class TickSchedule:
@@ -38,18 +37,10 @@ class TickSchedule:
         return self._at_ns + (tick - self._tick) * self.period_ns
 
     def begin(self, tick: int, now_ns: int, *, held: bool) -> int:
-        """Begin a tick.
+        """Begin the next tick; returns how late it is [ns]. `held`: it was granted only now.
 
         A world that is up to a period late shortens the tick and so catches up. Beyond that, or when the console held
         the clock, the schedule is moved: every tick has its whole length, and the run takes longer.
-
-        Args:
-            tick: the next tick.
-            now_ns: the time [ns].
-            held: the tick was granted only now.
-
-        Returns:
-            How late the tick is [ns].
         """
         late = now_ns - self.at_ns(tick)
         if held:
@@ -80,12 +71,8 @@ class RealtimeWorldProcess(WorldProcess):
         speed: float,
         refusals: Refusals | None = None,
     ) -> None:
-        """Make the world of a run.
-
-        Args:
-            frame_every: ticks from one frame to the next.
-            speed: how fast ticks begin, times real time.
-            refusals: counts the router's refusals, if the router lives here.
+        """`frame_every`: ticks from one frame to the next. `speed`: how fast ticks begin, times real time. `refusals`:
+        counts the router's refusals, if the router lives here.
         """
         self._schedule = TickSchedule(round(config.tick_ns / speed))
         patience = max(LEAST_PATIENCE, PATIENCE_NS // self._schedule.period_ns)

@@ -18,8 +18,7 @@ from world.sea import World
 from world.tumble import tumbles
 from world.vectors import ZERO, Vec3
 
-# --- frames
-# Collects the parts of each frame until it is complete. A frame is the state of all vehicles at one tick.
+# --- frames: collects the parts of each frame until it is complete. A frame is the state of all vehicles at one tick.
 
 
 _Change = TypeVar("_Change", Life, Tumble)
@@ -29,12 +28,8 @@ class FrameAssembly:
     """Collects rows and changes by frame; a frame is complete once every vehicle has its row in it."""
 
     def __init__(self, vehicles: int, ticks: int, every: int) -> None:
-        """Begin with the frame of tick 0.
-
-        Args:
-            vehicles: number of vehicles, and of rows in a frame.
-            ticks: the end tick. It always has a frame.
-            every: ticks from one frame to the next.
+        """Begin with the frame of tick 0, of so many vehicles, one frame in `every` ticks; the end tick always has a
+        frame.
         """
         self._vehicles, self._ticks, self._every = vehicles, ticks, every
         self._next = 0  # tick of the next frame
@@ -44,36 +39,26 @@ class FrameAssembly:
 
     @property
     def finished(self) -> bool:
-        """Whether the frame of the end tick was complete."""
         return self._next > self._ticks
 
     def due(self, tick: int) -> bool:
-        """Whether a tick before the end tick has a frame."""
         return tick % self._every == 0
 
     def row(self, tick: int, row: VehicleFrame) -> None:
-        """Add one vehicle at a tick that has a frame."""
         self._rows.setdefault(tick, []).append(row)
 
     def life(self, life: Life) -> None:
-        """Add that a vehicle lost or got its agent."""
         self._lives.setdefault(self._frame_of(life.tick), []).append(life)
 
     def tumble(self, tumble: Tumble) -> None:
-        """Add that a vehicle began to tumble or came back."""
         self._tumbles.setdefault(self._frame_of(tumble.tick), []).append(tumble)
 
     def resume(self, tick: int) -> None:
-        """Go on with the frame of a tick."""
         self._tumbles.clear()
         self._next = tick
 
     def complete(self, memory: Callable[[int], bytes]) -> list[Frame]:
-        """The frames that have become complete, in order.
-
-        Args:
-            memory: gives what is remembered of the run before a tick.
-        """
+        """The frames that have become complete, in order. `memory`: gives what the run remembers before a tick."""
         frames = []
         while (rows := self._rows.get(self._next)) is not None and len(rows) == self._vehicles:
             tick, last = self._next, self._ticks
@@ -128,7 +113,6 @@ class RunState:
         self.granted = max(self.granted, min(until, self.config.ticks))
 
     def tick_of(self, i: int) -> int:
-        """The tick that vehicle i has reached."""
         return self.world.tick(i)
 
     def incarnation(self, i: int) -> int:
@@ -140,10 +124,8 @@ class RunState:
         return i in self._diverged or self.lives.without_agent(i, self.tick_of(i))
 
     def check(self, i: int, command: Command) -> None:
-        """Check that a command is of the right life and has the declared telemetry.
-
-        Raises:
-            OutOfPlace: it is not, or has not.
+        """Check that a command is of the right life and has the declared telemetry. Raises OutOfPlace if it is not, or
+        has not.
         """
         self.lives.check(i, self.world.tick(i), command.incarnation)
         size = self._telemetry_size[i]
@@ -151,10 +133,8 @@ class RunState:
             raise OutOfPlace("telemetry values", size, len(command.telemetry))
 
     def enter_tick(self, i: int, k: int) -> bool:
-        """Put into the next frame that vehicle i lost or got its agent, if it did so at tick k.
-
-        Returns:
-            Whether it has no agent at this tick.
+        """Put into the next frame that vehicle i lost or got its agent, if it did so at tick k. Returns whether it has
+        no agent at this tick.
         """
         # A vehicle that diverged has none for good: lives stay those that the console and netem know of.
         diverged = i in self._diverged
@@ -176,11 +156,7 @@ class RunState:
         return absent
 
     def effective(self, i: int, k: int, tau: tuple[float, ...]) -> Vec3:
-        """The command that takes effect at tick k [N, N m]: that of some ticks ago when the agent is slow.
-
-        Args:
-            tau: the command for this tick.
-        """
+        """The command that takes effect at tick k [N, N m]: that of some ticks ago when the agent is slow."""
         x, y, z = tau
         delayed = self._delayed[i]
         delay = self.world.slow(i, k)
@@ -197,13 +173,8 @@ class RunState:
         return taken
 
     def integrate(self, i: int, k: int, tau: Vec3) -> None:
-        """Move vehicle i from tick k to the next with `tau` [N, N m].
-
-        A vehicle that diverges stays in its place from then on.
-
-        Raises:
-            IntegrationError: its motion left the finite numbers, or its plant failed, and the run is not to go on
-                without it.
+        """Move vehicle i from tick k to the next with `tau` [N, N m]; one that diverges stays in its place from then
+        on. Raises IntegrationError if it does, and the run is not to go on without it.
         """
         if i in self._diverged:
             self.world.hold(i)
@@ -225,7 +196,6 @@ class RunState:
             self.frames.row(k + 1, self.row(i, NOT_SENSED, (), b""))
 
     def nav(self, i: int, life: int, k: int) -> Nav:
-        """The nav of vehicle i's agent at tick k."""
         world = self.world
         shown_ns = None if world.clocks is None else world.clocks.reading_ns(i, k)
         navigation = world.navigation(i)
@@ -233,12 +203,8 @@ class RunState:
         return Nav(life, k, *world.sense(i), shown_ns, belief)
 
     def row(self, i: int, sensed: Sensed, tau: tuple[float, ...], command: bytes) -> VehicleFrame:
-        """Vehicle i in the frame of the tick that it has reached.
-
-        Args:
-            sensed: what its sensor reported, and the covariance.
-            tau: applied force and moments [N, N m].
-            command: the agent's, encoded.
+        """Vehicle i in the frame of the tick that it has reached: what its sensor reported, with the covariance; the
+        applied force and moments [N, N m]; the agent's command, encoded.
         """
         world = self.world
         clock = () if world.clocks is None else world.clock_error(i)
@@ -247,10 +213,8 @@ class RunState:
         return VehicleFrame(i, *world.state(i), sensed[0], tau, command, world.of_plant(i), clock, sensed[1], fixes)
 
     def memory(self, i: int, agent: bytes | None) -> VehicleMemory | None:
-        """All that the next ticks of vehicle i depend on; None, with a note, where its plant cannot say that.
-
-        Args:
-            agent: what its agent remembers; None: that is still to come.
+        """All that the next ticks of vehicle i depend on; None, with a note, where its plant cannot say that. `agent`:
+        what its agent remembers; None: that is still to come.
         """
         try:
             motion = self.world.memory(i, moves=i not in self._diverged)
@@ -266,10 +230,8 @@ class RunState:
         return VehicleMemory(i, motion, list(self.tau[i]), delayed, condition, agent)
 
     def resume(self, tick: int, memory: dict[str, Any]) -> None:
-        """Go on at a tick with what was remembered before it in another run of the same vehicles.
-
-        Args:
-            memory: see `world.config`.
+        """Go on at a tick with what was remembered before it in another run of the same vehicles. `memory`: see
+        `world.config`.
         """
         self._tumbled.clear()
         self._tumblings.clear()

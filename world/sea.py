@@ -73,8 +73,6 @@ class _Vehicle:
 
 
 class _Vehicles(dict[int, _Vehicle]):
-    """The vehicles by number."""
-
     def __missing__(self, i: int) -> _Vehicle:
         raise WorldError(f"vehicle {i} is not in this world, which has {list(self)}")
 
@@ -83,11 +81,8 @@ class World:
     """Truth, sensors, actuators and integration of every vehicle of one run."""
 
     def __init__(self, config: WorldConfig) -> None:
-        """Put every vehicle where it begins.
-
-        Raises:
-            PluginError: a plant cannot be used.
-            PlantError: it cannot be made or started.
+        """Put every vehicle where it begins. Raises PluginError if a plant cannot be used; PlantError if it cannot be
+        made or started.
         """
         self.config = config
         setups = sorted(config.vehicles, key=lambda setup: setup.id)
@@ -169,17 +164,8 @@ class World:
         return self._vehicles[i].navigation
 
     def actuate(self, i: int, tau: tuple[float, ...]) -> Vec3:
-        """The force and moments that the actuators of vehicle i apply for a command.
-
-        Args:
-            i: the vehicle's number.
-            tau: surge force [N], pitch and yaw moment [N m].
-
-        Returns:
-            The same within +-tau_max, and with the faults of the actuators.
-
-        Raises:
-            WorldError: not three finite numbers.
+        """The force and moments that the actuators of vehicle i apply for a command [N, N m]: within +-tau_max, and
+        with the faults of the actuators. Raises WorldError if `tau` is not three finite numbers.
         """
         vehicle = self._vehicles[i]
         if len(tau) != 3 or not all(map(isfinite, tau)):
@@ -190,7 +176,6 @@ class World:
         return self._with_actuator_faults(i, vehicle.tick, applied) if self._faults else applied
 
     def _with_actuator_faults(self, i: int, tick: int, tau: Vec3) -> Vec3:
-        """The force and moments [N, N m] that faulty actuators apply instead of `tau`."""
         for fault in self._active(i, tick):
             match fault.kind:
                 case WorldFaultKind.EFFICIENCY:
@@ -229,11 +214,8 @@ class World:
         self.clocks = Clocks.that_differ(self.config.clocks, faults, self.config.tick_ns)  # None: all are right
 
     def advance(self, i: int, tau: Vec3) -> None:
-        """Integrate vehicle i, and it alone, to its next tick with `tau` [N, N m] held.
-
-        Raises:
-            IntegrationError: the motion left the range of finite numbers; the state stays that of the tick before.
-            PlantError: the vehicle's plant failed; the state stays that of the tick before, too.
+        """Integrate vehicle i alone to its next tick with `tau` [N, N m] held. Raises IntegrationError if the motion
+        left the finite numbers, PlantError if its plant failed; the state then stays that of the tick before.
         """
         vehicle = self._vehicles[i]
         k, tick, state = vehicle.k, vehicle.tick, vehicle.state
@@ -313,7 +295,6 @@ class World:
         return self._drifts[name]
 
     def paused(self, i: int, tick: int) -> bool:
-        """Whether vehicle i's agent is suspended at a tick by a fault."""
         return bool(self._faults) and any(fault.kind == WorldFaultKind.PAUSE for fault in self._active(i, tick))
 
     def slow(self, i: int, tick: int) -> int:
@@ -332,18 +313,9 @@ class World:
             plant.close()
 
     def memory(self, i: int, *, moves: bool = True) -> list[Any]:
-        """All that vehicle i's next ticks depend on besides its faults.
-
-        Args:
-            i: the vehicle's number.
-            moves: whether it is still integrated; a plant that failed is not asked what it remembers.
-
-        Returns:
-            MessagePack values [tick, state, held], and behind them what its plant remembers (None without one), and
-            its navigation, for `remember`.
-
-        Raises:
-            PlantError: its plant cannot say what it remembers.
+        """All that vehicle i's next ticks depend on besides its faults, as MessagePack values: [tick, state, held],
+        what its plant remembers (None without one), and its navigation. `moves`: whether it is still integrated; a
+        plant that failed is not asked. Raises PlantError if its plant cannot say what it remembers.
         """
         held = [[fault, list(values)] for (fault, j), values in sorted(self._held.items()) if j == i]
         vehicle = self._vehicles[i]
@@ -353,12 +325,8 @@ class World:
         return [vehicle.tick, list(vehicle.state), held, *own]
 
     def remember(self, i: int, values: list[Any]) -> None:
-        """Continue vehicle i from what `memory` returned, perhaps in another run.
-
-        A plant goes on from its state. Where the vehicle was something else, it begins with the same motion.
-
-        Raises:
-            PlantError: its plant cannot.
+        """Continue vehicle i from what `memory` returned, perhaps in another run. A plant goes on from its state; where
+        the vehicle was something else, it begins with the same motion. Raises PlantError if its plant cannot.
         """
         vehicle = self._vehicles[i]
         vehicle.tick, (x, y, z, theta, psi, u, v, w, q, r), held, *own = values
@@ -371,7 +339,6 @@ class World:
         self._held |= {(fault, i): tuple(known) for fault, known in held}
 
     def _stage_forces_at(self, tick: int) -> tuple[tuple[Vec5, Vec5, Vec5], ...]:
-        """The disturbance at start, middle and end of each RK4 step of a tick."""
         config = self.config
         n = config.substeps
         t = tick * config.tick_ns / 1e9

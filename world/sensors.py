@@ -28,19 +28,9 @@ def draws(noise: NavNoise, purpose: str = PURPOSE) -> list[str]:
 
 
 def measure(true: Measured, noise: NavNoise, seed: int, vehicle: int, tick: int, purpose: str = PURPOSE) -> Measured:
-    """The report of a vehicle's sensor at a tick. If the noise is off, it is the truth.
-
-    Args:
-        true: the true values. Pose: x, y, z [m, NED], theta, psi [rad]. Velocity: u, v, w [m/s, body, over ground],
-            q, r [rad/s]. Roll: phi [rad], p [rad/s], or nothing.
-        noise: the standard deviations of the noise.
-        seed: the run's seed.
-        vehicle: number of the vehicle.
-        tick: tick of the measurement.
-        purpose: distinguishes this noise from all other draws.
-
-    Returns:
-        The measured values, in the form of `true`.
+    """The report of a vehicle's sensor at a tick, in the form of `true`, which it is if the noise is off: pose x, y, z
+    [m, NED], theta, psi [rad]; velocity u, v, w [m/s, body, over ground], q, r [rad/s]; roll phi [rad], p [rad/s], or
+    nothing. `purpose` distinguishes this noise from all other draws.
     """
     if noise.off:
         return true

@@ -17,5 +17,4 @@ class Signal:
 
 
 def width_of(signals: Iterable[Signal]) -> int:
-    """How many numbers these signals are together."""
     return sum(signal.width for signal in signals)

@@ -20,14 +20,8 @@ HYSTERESIS_RAD = radians(10.0)
 
 
 def tumbles(tumbled: bool, limit: float, before: tuple[float, float], after: tuple[float, float], h: float) -> bool:
-    """Whether a vehicle is tumbled after a tick.
-
-    Args:
-        tumbled: whether it was before the tick.
-        limit: |pitch| beyond which it is tumbled [rad].
-        before: (theta, q) at the beginning of the tick [rad, rad/s].
-        after: the same at its end.
-        h: length of the tick [s].
+    """Whether a vehicle is tumbled, beyond the |pitch| `limit` [rad], after a tick of `h` [s] between two (theta, q)
+    [rad, rad/s]; `tumbled`: it was before.
     """
     theta = after[0]
     if tumbled:

@@ -11,12 +11,10 @@ ZERO: Vec3 = (0.0, 0.0, 0.0)
 
 
 def plus(a: Vec3, b: Vec3) -> Vec3:
-    """a + b."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 def minus(a: Vec3, b: Vec3) -> Vec3:
-    """a - b."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
@@ -26,7 +24,6 @@ def moved(a: Vec3, direction: Vec3, length: float) -> Vec3:
 
 
 def scale(a: Vec3, factor: float) -> Vec3:
-    """`a` times a number."""
     return a[0] * factor, a[1] * factor, a[2] * factor
 
 
@@ -36,5 +33,4 @@ def perpendicular(a: Vec3, ahead: Vec3) -> Vec3:
 
 
 def dot(a: Vec3, b: Vec3) -> float:
-    """The scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

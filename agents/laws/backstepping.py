@@ -29,9 +29,7 @@ from agents.sample import Sample, VelocityCommand
 from world.signal import Signal
 from world.vectors import Vec3
 
-# --- shunting
-# The shunting model, the bioinspired neuron that bounds and smooths an error (eqs. 43-47).
-#
+# --- shunting: the bioinspired neuron that bounds and smooths an error (eqs. 43-47).
 # | symbol | meaning | unit | paper |
 # |---|---|---|---|
 # | x | membrane state | unit of s | (43) |
@@ -43,21 +41,10 @@ from world.vectors import Vec3
 
 
 def shunting_step(x: float, s: float, a: float, b_up: float, b_down: float, dt: float) -> float:
-    """The state dt [s] later with s held: the exact solution, which is stable for every dt.
+    """The state [unit of s] `dt` [s] later with s held: the exact solution, which is stable for every dt.
 
-    x <- x_ss + (x - x_ss) exp(-(a + |s|) dt), x_ss = b s / (a + |s|), with b' for b where s < 0. Being a
-    convex combination it keeps x within [-b_down, b_up].
-
-    Args:
-        x: the state [unit of s].
-        s: the input, held [m/s or rad/s].
-        a: passive decay [1/s], > 0.
-        b_up: b, upper bound of x [unit of s].
-        b_down: b', minus the lower bound of x [unit of s].
-        dt: time [s].
-
-    Returns:
-        x after dt [unit of s].
+    x <- x_ss + (x - x_ss) exp(-(a + |s|) dt), x_ss = b s / (a + |s|), with b' (`b_down`) for b (`b_up`) where s < 0.
+    Being a convex combination it keeps x within [-b_down, b_up].
     """
     decay = a + abs(s)
     settled = (b_up if s >= 0.0 else b_down) * s / decay
@@ -79,7 +66,7 @@ _COMMON = frozenset(
 
 
 class _Backstepping:
-    """The common part of both flavours. Each has its own `_act`, and its own signals between errors and demand."""
+    """The common part. Each flavour has its own `_act`, and its own signals between errors and demand."""
 
     __slots__ = ("_exact", "_filters", "_m", "_params")
 
@@ -92,14 +79,8 @@ class _Backstepping:
         self._filters = tuple(RateFilter(config.tracking.tau_f, angle=True) for _ in range(4))
 
     def step(self, sample: Sample, command: VelocityCommand) -> tuple[Vec3, tuple[float, ...]]:
-        """Answer one sample, eqs. (24)-(47).
-
-        Args:
-            sample: own state and time; `eta` [m, rad, NED], `nu` [m/s, rad/s, body], `dt` [s].
-            command: commanded speed [m/s], pitch and course of the velocity [rad, NED].
-
-        Returns:
-            Surge force [N], pitch and yaw moment [N m] before the limits, and the values of `signals`, flat.
+        """Answer one sample, eqs. (24)-(47): surge force [N], pitch and yaw moment [N m] before the limits, and the
+        values of `signals`, flat.
         """
         k = self._params
         m1, m2, m3, m4, m5, beta_u, beta_v, beta_w, beta_q, beta_r, beta_b = self._m
@@ -139,15 +120,8 @@ class _Backstepping:
         return (tau1, tau2, tau3), (u_err, theta_err, psi_err, q_err, r_err, *inner, tau1, tau2, tau3)
 
     def _act(self, errors: Vec3, commands: Vec3, dt: float) -> tuple[Vec3, Vec3]:
-        """The stabilising terms of one sample.
-
-        Args:
-            errors: u_err [m/s], q_err, r_err [rad/s].
-            commands: u_cmd [m/s], q_cmd, r_cmd [rad/s].
-            dt: time since the sample before [s].
-
-        Returns:
-            A1 [m/s^2], A2, A3 [rad/s^2]; and the three values that are reported between errors and demand.
+        """A1 [m/s^2], A2, A3 [rad/s^2], and the three values that are reported between errors and demand. `errors` are
+        those of surge [m/s], pitch and yaw rate [rad/s]; `commands` likewise.
         """
         raise NotImplementedError
 
@@ -197,8 +171,6 @@ class NeurodynamicTracking(_Backstepping):
 
 
 class _WithRates(_Backstepping):
-    """A with the derivatives of the commands."""
-
     signals: ClassVar[tuple[Signal, ...]] = (*_ERRORS, _RATES, _DEMAND)
 
     __slots__ = ("_command_rates",)
@@ -237,10 +209,8 @@ class BacksteppingTracking(_WithRates):
 
 
 class SlidingModeTracking(_WithRates):
-    """A = -K2 sat(err / phi) + d(command)/dt: backstepping sliding mode with a boundary layer phi.
-
-    The paper names BSMC and gives its three gains, not its law; this is the usual one. The sign function itself
-    (phi -> 0) chatters.
+    """A = -K2 sat(err / phi) + d(command)/dt: backstepping sliding mode with a boundary layer phi. The paper names BSMC
+    and gives its three gains, not its law; this is the usual one. The sign function itself (phi -> 0) chatters.
     """
 
     uses: ClassVar[frozenset[str]] = _COMMON | {"phi"}

@@ -71,15 +71,8 @@ class NoSolution(NamedTuple):
 
 
 def build_qp(e: Vec3, c: float, rho_d: Vec3, rho0: Vec3, K0: Vec3, params: GuidanceParams) -> GainProblem:
-    """The problem of one vehicle at one sample, eqs. (17)-(22).
-
-    Args:
-        e: consensus error [m, NED].
-        c: total weight of the terms in e [1].
-        rho_d: velocity of the reference [m/s, NED].
-        rho0: virtual control of the previous sample [m/s, NED].
-        K0: previous optimal gain [1/s].
-        params: weights, bounds, prediction step and the kind of cost.
+    """The problem of one vehicle at one sample, eqs. (17)-(22): see the table for units; `rho0` and `K0` are of the
+    sample before.
     """
     s = c * params.horizon_s
     pull = 1.0 if params.cost == "printed" else 0.0
@@ -109,10 +102,8 @@ def build_qp(e: Vec3, c: float, rho_d: Vec3, rho0: Vec3, K0: Vec3, params: Guida
 
 
 def solve(problem: GainProblem) -> Solution | NoSolution:
-    """The gain that minimises a problem, or the reason why there is none.
-
-    The answer depends on the problem alone: every call sets up its own solver, because a solver that is
-    updated instead gives last bits that depend on the problems before.
+    """The gain that minimises a problem, or the reason why there is none. Every call sets up its own solver: one that
+    is updated instead gives last bits that depend on the problems before.
     """
     P, q, lo, hi, e = problem
     K = [0.0, 0.0, 0.0]

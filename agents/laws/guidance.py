@@ -38,13 +38,8 @@ class FixedGuidance:
         self._rho: Vec3 | None = None
 
     def step(self, sample: Sample) -> tuple[Vec3, tuple[float, ...]]:
-        """Answer one sample, eq. (11).
-
-        Args:
-            sample: consensus error `e` [m, NED] and desired velocity [m/s, NED].
-
-        Returns:
-            The virtual control rho [m/s, NED], and the values of `signals`, flat.
+        """Answer one sample, eq. (11). `sample`: consensus error `e` [m, NED] and desired velocity [m/s, NED]. Returns
+        the virtual control rho [m/s, NED], and the values of `signals`, flat.
         """
         rho = virtual_control(sample.e, self._K, sample.desired.velocity)
         if self._params.slew > 0.0:
@@ -54,18 +49,15 @@ class FixedGuidance:
         return rho, self._K
 
     def state(self) -> dict[str, Any]:
-        """Plain values of everything that the next sample depends on."""
         return {"rho": None if self._rho is None else list(self._rho)}
 
     def restore(self, values: dict[str, Any]) -> None:
-        """Continue from `state()`."""
         self._rho = _vec3(values["rho"])
 
 
 class OptimalGuidance:
-    """The gain of rho = -K e + v_d from a QP, rho within its bounds: the guidance of NBOC and BOC.
-
-    Remembers the last gain and the last virtual control.
+    """The gain of rho = -K e + v_d from a QP, rho within its bounds: the guidance of NBOC and BOC. It remembers the
+    last gain and the last virtual control.
     """
 
     signals: ClassVar[tuple[Signal, ...]] = (
@@ -86,16 +78,9 @@ class OptimalGuidance:
         self.failures = 0
 
     def step(self, sample: Sample) -> tuple[Vec3, tuple[float, ...]]:
-        """Answer one sample, eqs. (11) and (17)-(23).
-
-        The optimisation runs on global ticks divisible by `qp_ticks`. At the first sample the own velocity stands
-        for the previous virtual control.
-
-        Args:
-            sample: consensus error `e` [m, NED] with its weight `c`, desired and own velocity [m/s, NED].
-
-        Returns:
-            The virtual control rho [m/s, NED], and the values of `signals`, flat.
+        """Answer one sample, eqs. (11) and (17)-(23): rho [m/s, NED], and the values of `signals`, flat. The
+        optimisation runs on global ticks divisible by `qp_ticks`. At the first sample the own velocity stands for the
+        previous virtual control.
         """
         params = self._params
         e, rho_d = sample.e, sample.desired.velocity
@@ -117,12 +102,10 @@ class OptimalGuidance:
         return rho, (*self.K, float(status), float(self.failures))
 
     def state(self) -> dict[str, Any]:
-        """Plain values of everything that the next sample depends on."""
         rho = None if self._rho is None else list(self._rho)
         return {"K": list(self.K), "rho": rho, "failures": self.failures}
 
     def restore(self, values: dict[str, Any]) -> None:
-        """Continue from `state()`."""
         k1, k2, k3 = values["K"]
         self.K = (k1, k2, k3)
         self._rho = _vec3(values["rho"])

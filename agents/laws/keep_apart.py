@@ -77,16 +77,13 @@ class Filtered(NamedTuple):
 
 
 def margin(age: float, speed: float, params: KeepApartParams) -> float:
-    """The extra distance [m] to a neighbour that is needed because its last state is old.
+    """The extra distance [m] to a neighbour that is needed because its last state is old: `age` [s], at most
+    `age_cap_s`.
 
-    Take a neighbour with an acceleration of at most alpha and a speed of at most V. A time A ago it had the velocity v.
-    Its velocity now differs from v by at most eta = min(alpha A, |v| + V). Its place now differs from the place at
-    constant velocity v by at most delta, the integral of eta. The constraint needs delta + (1/a + T) eta.
-
-    Args:
-        age: A [s]. A greater age than `age_cap_s` counts as `age_cap_s`.
-        speed: |v| [m/s] in the last state.
-        params: `acceleration` and `speed` are the limits alpha and V.
+    Take a neighbour with an acceleration of at most alpha and a speed of at most V, `acceleration` and `speed` of
+    `params`. A time A ago it had the velocity v, of size `speed`. Its velocity now differs from v by at most eta =
+    min(alpha A, |v| + V). Its place now differs from the place at constant velocity v by at most delta, the integral of
+    eta. The constraint needs delta + (1/a + T) eta.
     """
     alpha, span = params.acceleration, min(age, params.age_cap_s)
     most = speed + params.speed
@@ -97,15 +94,8 @@ def margin(age: float, speed: float, params: KeepApartParams) -> float:
 
 
 def bounds(position: Vec3, velocity: Vec3, neighbours: Iterable[Seen], params: KeepApartParams) -> list[Bound]:
-    """The constraint of each neighbour, then of each cylinder.
-
-    A neighbour or cylinder in exactly the same place counts as south of the vehicle, so that it has a direction.
-
-    Args:
-        position: the own position p_i [m, NED].
-        velocity: the own velocity over ground v_i [m/s, NED].
-        neighbours: the neighbours heard so far.
-        params: distances, gain, lag and limits.
+    """The constraint of each neighbour heard so far, then of each cylinder, from the own position [m, NED] and velocity
+    over ground [m/s, NED]. One in exactly the same place counts as south of the vehicle, so that it has a direction.
     """
     a, lag = params.gain, params.lag_s
     found = []
@@ -124,18 +114,14 @@ def bounds(position: Vec3, velocity: Vec3, neighbours: Iterable[Seen], params: K
 
 
 def apart(rho: Vec3, found: Sequence[Bound], ahead: Bound, params: KeepApartParams) -> Filtered:
-    """The commanded velocity that keeps every constraint, or misses the worst of them by as little as possible.
+    """The commanded velocity [m/s, NED] that keeps every constraint, or misses the worst of them by as little as
+    possible.
 
-    If rho keeps all constraints, the answer is rho. Otherwise the answer is the velocity nearest to a target. Take the
-    constraint that rho misses most. The vehicle must lose some velocity along its direction. The target is rho plus
-    half as much velocity across it. So a vehicle turns aside instead of stopping, and two vehicles that meet head-on
-    pass each other.
-
-    Args:
-        rho: the commanded velocity of the guidance [m/s, NED].
-        found: the constraints.
-        ahead: the least commanded velocity along the vehicle, since it cannot hover. If rho has less, that counts.
-        params: the limits of the commanded velocity.
+    If rho, that of the guidance, keeps all constraints, the answer is rho. Otherwise the answer is the velocity nearest
+    to a target. Take the constraint that rho misses most. The vehicle must lose some velocity along its direction. The
+    target is rho plus half as much velocity across it. So a vehicle turns aside instead of stopping, and two vehicles
+    that meet head-on pass each other. `ahead` is the least velocity along the vehicle, since it cannot hover; if rho
+    has less, that counts.
     """
     missed = [bound.least - dot(bound.n, rho) for bound in found]
     worst = max(missed, default=0.0)
@@ -158,9 +144,8 @@ def _widest(rho: Vec3, params: KeepApartParams) -> Vec3:
 
 
 def _nearest(target: Vec3, found: Sequence[Bound], ahead: tuple[Vec3, float], widest: Vec3) -> Vec3 | None:
-    """The velocity [m/s, NED] nearest to `target` with the least slack; None: PIQP has no solution.
-
-    Every call sets up its own solver, for the reason that agents/laws/gain_qp.py gives.
+    """The velocity [m/s, NED] nearest to `target` with the least slack; None: PIQP has no solution. Every call sets up
+    its own solver, for the reason that agents/laws/gain_qp.py gives.
     """
     along, least = ahead
     solver: Any = piqp.DenseSolver()
@@ -199,10 +184,8 @@ def _direction(away: Vec3) -> tuple[Vec3, float]:
 
 
 class KeepApart:
-    """The filter of one vehicle.
-
-    While the filter changes the command, it also limits the rate of change to `slew`. It therefore remembers its last
-    answer. It counts the samples at which no velocity kept every constraint.
+    """The filter of one vehicle. While it changes the command, it also limits the rate of change to `slew`, so it
+    remembers its last answer. It counts the samples at which no velocity kept every constraint.
     """
 
     signals: ClassVar[tuple[Signal, ...]] = (
@@ -213,11 +196,7 @@ class KeepApart:
     )
 
     def __init__(self, params: KeepApartParams, least_ahead: float) -> None:
-        """
-        Args:
-            params: distances, gain, lag and limits.
-            least_ahead: the least commanded velocity along the vehicle [m/s].
-        """
+        """`least_ahead` is the least commanded velocity along the vehicle [m/s]."""
         self._params = params
         self._least_ahead = least_ahead
         self._answer: Vec3 | None = None  # to the sample before
@@ -225,15 +204,8 @@ class KeepApart:
         self.infeasible = 0
 
     def step(self, rho: Vec3, sample: Sample, neighbours: Iterable[Seen]) -> tuple[Vec3, tuple[float, ...]]:
-        """Answer one sample.
-
-        Args:
-            rho: the commanded velocity of the guidance [m/s, NED].
-            sample: the own pose `eta` [m, rad, NED] and `velocity` over ground [m/s, NED].
-            neighbours: the neighbours heard so far.
-
-        Returns:
-            The commanded velocity [m/s, NED], and the values of `signals`, flat.
+        """The commanded velocity [m/s, NED] for that of the guidance, and the values of `signals`, flat. Of the sample
+        it takes `eta` and `velocity`.
         """
         params, heading = self._params, sample.eta[4]
         ahead = Bound((cos(heading), sin(heading), 0.0), self._least_ahead, ZERO)
@@ -257,12 +229,10 @@ class KeepApart:
         return north, east, max(-most, min(most, down))
 
     def state(self) -> dict[str, Any]:
-        """Plain values of everything that the next sample depends on."""
         answer = None if self._answer is None else list(self._answer)
         return {"answer": answer, "changes": self._changes, "infeasible": self.infeasible}
 
     def restore(self, values: dict[str, Any]) -> None:
-        """Continue from `state()`."""
         answer = values["answer"]
         self._answer = None if answer is None else (answer[0], answer[1], answer[2])
         self._changes = values["changes"]

@@ -16,9 +16,7 @@ from math import atan2, cos, exp, hypot, pi, remainder, sin, sqrt
 
 from world.vectors import Vec3
 
-# --- filters
-# Angles and their measured rates.
-#
+# --- filters: angles and their measured rates
 # | symbol | meaning | unit | source |
 # |---|---|---|---|
 # | s_k | a sampled angle | rad | - |
@@ -51,11 +49,8 @@ class RateFilter:
     __slots__ = ("_alpha", "_angle", "_dt", "_tau_f", "rate", "value")
 
     def __init__(self, tau_f: float, *, angle: bool = False) -> None:
-        """Begin without a sample.
-
-        Args:
-            tau_f: time constant [s]; 0 does not filter.
-            angle: the signal is an angle [rad]. Its differences are wrapped to (-pi, pi].
+        """Begin without a sample. `tau_f`: time constant [s]; 0 does not filter. `angle`: the signal is an angle [rad].
+        Its differences are wrapped to (-pi, pi].
         """
         self._tau_f = tau_f
         self._angle = angle
@@ -64,15 +59,7 @@ class RateFilter:
         self.rate = 0.0
 
     def step(self, value: float, dt: float) -> float:
-        """Take one sample.
-
-        Args:
-            value: the sample.
-            dt: time since the sample before [s].
-
-        Returns:
-            The rate [unit of the value per s].
-        """
+        """Take one sample. `dt`: time since the sample before [s]. Returns the rate [unit of the value per s]."""
         previous = self.value
         self.value = value
         if previous is None:
@@ -88,11 +75,9 @@ class RateFilter:
         return rate
 
     def state(self) -> list[float | None]:
-        """Plain values of everything that the next sample depends on."""
         return [self.value, self.rate]
 
     def restore(self, values: list[float | None]) -> None:
-        """Continue from `state()`."""
         self.value, rate = values
         self.rate = rate or 0.0
 
@@ -126,17 +111,9 @@ def earth_velocity(eta: Sequence[float], nu: Sequence[float], phi: float = 0.0) 
 
 
 def flow_angles(u: float, v: float, w: float) -> Vec3:
-    """Speed and direction of the velocity in body axes, eqs. (3), (4).
+    """u_a [m/s], theta' and psi' [rad] of a velocity in body axes [m/s], eqs. (3), (4).
 
-    theta' = atan2(-w, hypot(u, v)), psi' = atan2(v, u). The paper prints arctan(v / u), which turns the
-    direction round when u < 0 and has no value at u = 0.
-
-    Args:
-        u: surge velocity [m/s, body].
-        v: sway velocity [m/s, body].
-        w: heave velocity [m/s, body].
-
-    Returns:
-        u_a [m/s], theta' and psi' [rad].
+    theta' = atan2(-w, hypot(u, v)), psi' = atan2(v, u). The paper prints arctan(v / u), which turns the direction round
+    when u < 0 and has no value at u = 0.
     """
     return sqrt(u * u + v * v + w * w), atan2(-w, hypot(u, v)), atan2(v, u)

@@ -17,9 +17,7 @@ from math import atan2, hypot, sqrt
 from agents.sample import NeighbourState
 from world.vectors import Vec3
 
-# --- consensus
-# The consensus error of one vehicle (eq. 8).
-#
+# --- consensus error of one vehicle (eq. 8).
 # | symbol | meaning | unit | frame | paper |
 # |---|---|---|---|---|
 # | e_i | consensus error | m | NED | (8) |
@@ -30,18 +28,8 @@ from world.vectors import Vec3
 
 
 def consensus_error(position: Vec3, desired: Vec3, b: float, heard: Iterable[NeighbourState]) -> tuple[Vec3, float]:
-    """e_i = sum_j a_ij (pos_i - pos_j - Delta_ij) + b_i (pos_i - pd_i), and c_i.
-
-    A neighbour that is not in `heard` counts neither in e_i nor in c_i.
-
-    Args:
-        position: own position pos_i [m, NED].
-        desired: pd_i [m, NED].
-        b: b_i [1].
-        heard: the neighbours heard so far.
-
-    Returns:
-        e_i [m, NED] and c_i [1].
+    """e_i = sum_j a_ij (pos_i - pos_j - Delta_ij) + b_i (pos_i - pd_i) [m, NED], and c_i [1]. A neighbour that is not
+    in `heard` counts in neither.
     """
     x, y, z = position
     dx, dy, dz = desired
@@ -58,16 +46,7 @@ def consensus_error(position: Vec3, desired: Vec3, b: float, heard: Iterable[Nei
 
 
 def virtual_control(e: Vec3, K: Vec3, v_d: Vec3) -> Vec3:
-    """rho = -K e + v_d, eq. (11).
-
-    Args:
-        e: consensus error [m, NED].
-        K: diagonal of the gain [1/s].
-        v_d: velocity of the reference [m/s, NED].
-
-    Returns:
-        rho [m/s, NED].
-    """
+    """rho = -K e + v_d [m/s, NED], eq. (11), with K [1/s] and e [m, NED]."""
     return v_d[0] - K[0] * e[0], v_d[1] - K[1] * e[1], v_d[2] - K[2] * e[2]
 
 
@@ -89,19 +68,11 @@ def slew(rho: Vec3, previous: Vec3, step: float) -> Vec3:
 
 
 def direction_command(rho: Vec3, theta_held: float, psi_held: float, rho_eps: float) -> Vec3:
-    """u_cmd = |rho|, theta_cmd = -atan2(rho_z, h), psi_cmd = atan2(rho_y, rho_x), h = hypot(rho_x, rho_y).
+    """u_cmd = |rho| [m/s], theta_cmd = -atan2(rho_z, h), psi_cmd = atan2(rho_y, rho_x) [rad], h = hypot(rho_x, rho_y).
 
-    A velocity near zero has no direction. If |rho| <= rho_eps, theta_cmd is theta_held; if h <= rho_eps, psi_cmd is
-    psi_held. The paper computes the course with arcsin, which is wrong for rho_x < 0.
-
-    Args:
-        rho: commanded velocity [m/s, NED].
-        theta_held: commanded pitch of the previous sample [rad].
-        psi_held: commanded course of the previous sample [rad].
-        rho_eps: speed above which the direction is computed from rho [m/s].
-
-    Returns:
-        u_cmd [m/s], theta_cmd [rad] and psi_cmd [rad], in this order.
+    A velocity near zero has no direction. If |rho| <= rho_eps [m/s], theta_cmd is theta_held, that of the previous
+    sample; if h <= rho_eps, psi_cmd is psi_held. The paper computes the course with arcsin, which is wrong for rho_x <
+    0.
     """
     x, y, z = rho
     h = hypot(x, y)
@@ -112,18 +83,9 @@ def direction_command(rho: Vec3, theta_held: float, psi_held: float, rho_eps: fl
 
 
 def floor_speed(u_cmd: float, v: float, w: float, u_floor: float) -> float:
-    """Raise u_cmd [m/s], if needed, so that its forward component is at least u_floor.
-
-    The result is max(u_cmd, sqrt(v^2 + w^2 + u_floor^2)). The speed law divides by the cosine of the angle between the
-    vehicle's longitudinal axis and its velocity. A commanded speed below sqrt(v^2 + w^2) would make it zero.
-
-    Args:
-        u_cmd: commanded speed [m/s].
-        v: sway velocity [m/s, body].
-        w: heave velocity [m/s, body].
-        u_floor: minimum forward component [m/s].
-
-    Returns:
-        The commanded speed for the tracking law [m/s].
+    """The commanded speed u_cmd [m/s], raised if needed so that its forward component is at least u_floor [m/s]:
+    max(u_cmd, sqrt(v^2 + w^2 + u_floor^2)), with sway and heave velocity [m/s, body]. The speed law divides by the
+    cosine of the angle between the vehicle's longitudinal axis and its velocity; a commanded speed below sqrt(v^2 +
+    w^2) would make it zero.
     """
     return max(u_cmd, sqrt(v * v + w * w + u_floor * u_floor))

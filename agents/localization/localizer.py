@@ -56,7 +56,6 @@ from world.vectors import Vec3
 #
 # with the w that makes the trace of P+ least. A result that is not better than P is not used.
 
-
 Covariance = tuple[float, float, float]  # of north and east: nn, ne, ee [m^2]
 _LEAST_RANGE = 0.1  # m; nearer, a range has no direction
 _WEIGHTS = tuple(1.0 - 2.0 ** (-0.5 * k) for k in range(1, 25))  # of the own position: 0.29 to 0.9998
@@ -170,7 +169,6 @@ def _update(covariance: Covariance, n: float, e: float, noise: float) -> tuple[f
 # multiple-model estimator (Bar-Shalom, Li and Kirubarajan 2001, ch. 11.6). The determinants of both innovations are
 # nearly the same, so they are left out.
 
-
 Place = tuple[float, float]  # north, east [m]
 LEAST_SPREAD_M = 10.0  # of the line, as a standard deviation: with less its direction is not known
 _CREDIBLE = 9.21  # chi-square with 2 degrees of freedom, 99 %: a mirror image that the navigator contradicts is none
@@ -234,15 +232,9 @@ class MirrorImage:
             self.odds = 0.5 * (against - distance(own.place, navigator))
 
     def judge(self, nis: float, other_nis: float) -> bool:
-        """Weigh both positions by how well a range fits them.
-
-        Args:
-            nis: normalised innovation squared of the range at the estimate.
-            other_nis: the same at the mirror image.
-
-        Returns:
-            Whether the mirror image is now at least twenty times as likely as the estimate.
-        """
+        """Weigh both positions by how well a range fits them. `nis`: normalised innovation squared of the range at the
+        estimate. `other_nis`: the same at the mirror image. Returns whether the mirror image is now at least twenty
+        times as likely as the estimate."""
         self.odds += 0.5 * (min(other_nis, _MOST_NIS) - min(nis, _MOST_NIS))
         return self.odds < -_SWAPPED
 
@@ -278,7 +270,6 @@ class MirrorImage:
         return [other, self.odds, list(self._sums), self._settled]
 
     def restore(self, values: list[Any]) -> None:
-        """Continue from `state()`."""
         other, self.odds, sums, self._settled = values
         count, n, e, nn, ne, ee = sums
         self._sums = count, n, e, nn, ne, ee

@@ -47,11 +47,8 @@ def is_located(data: bytes) -> bool:
 
 
 def encode(message: LocatedMessage) -> bytes:
-    """The bytes of a message.
-
-    Raises:
-        OutOfRange: position, velocity, tick or vehicle number is beyond the range of its field.
-    """
+    """The bytes of a message. Raises OutOfRange: position, velocity, tick or vehicle number is beyond the range of its
+    field."""
     state, covariance, fixed = message
     place = [round(1000.0 * value) for value in state.position]
     speed = [round(1000.0 * value) for value in state.velocity]
@@ -67,11 +64,8 @@ def encode(message: LocatedMessage) -> bytes:
 
 
 def decode(data: bytes) -> LocatedMessage:
-    """The message in `data`.
-
-    Raises:
-        PayloadError: wrong length, bad checksum, unknown version, or a covariance that is none.
-    """
+    """The message in `data`. Raises PayloadError: wrong length, bad checksum, unknown version, or a covariance that is
+    none."""
     if len(data) != SIZE:
         raise PayloadError("length", f"expected {SIZE} bytes, got {len(data)}")
     version, sender, sent_tick, x, y, z, vx, vy, vz, nn, ne, ee, fixed, checksum = _WHOLE.unpack(data)

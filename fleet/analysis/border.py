@@ -165,11 +165,8 @@ class LinearFleet:
     tell: Callable[[], None] = lambda: None  # called now and then while something is computed
 
     def unstable(self, gain: float, delay: int | None = None) -> int:
-        """How many modes grow.
-
-        Args:
-            gain: K [1/s], the largest of all vehicles and axes.
-            delay: of all links [ticks], in place of their own.
+        """How many modes grow. `gain`: K [1/s], the largest of all vehicles and axes. `delay`: of all links [ticks], in
+        place of their own.
         """
         return self._survey(gain, delay)[0]
 
@@ -217,10 +214,9 @@ class LinearFleet:
         return 0.5 * (low + high)
 
     def delay_border(self, gain: float) -> int | None:
-        """The shortest delay of all links [ticks] at which a mode grows; None if there is none within MOST_DELAY_S.
-
-        Under rounds a little more delay can make an unstable fleet stable again, because the ages within a round
-        begin anew. So the delays are gone through, in steps that such an island does not fit into.
+        """The shortest delay of all links [ticks] at which a mode grows; None if there is none within MOST_DELAY_S. A
+        little more delay can make an unstable fleet stable again, because the ages within a round begin anew. So the
+        delays are gone through, in steps that such an island does not fit into.
         """
         reckons = any(member.reckons for member in self.members)
         stable, delay = 0, 1
@@ -322,7 +318,6 @@ class _Row(NamedTuple):
 
 
 def _groups(loop: Complex) -> list[tuple[int, ...]]:
-    """The axes, taken together where they mix."""
     points, N, outputs = loop.shape[:3]
     size = np.abs(loop).reshape(points, N, outputs // 3, 3, N, outputs // 3, 3).max(axis=(0, 1, 2, 4, 5))
     mixed = size + size.T > 1e-6 * size.max()
@@ -332,16 +327,14 @@ def _groups(loop: Complex) -> list[tuple[int, ...]]:
 
 
 def _part(loop: Complex, axes: tuple[int, ...]) -> Complex:
-    """The rows and columns of some axes, as square matrices."""
     points, N, outputs = loop.shape[:3]
     chosen = [3 * kind + axis for kind in range(outputs // 3) for axis in axes]
     return loop[:, :, chosen][:, :, :, :, chosen].reshape(points, N * len(chosen), N * len(chosen))
 
 
 def _slogdet(part: Complex) -> Any:
-    """Signs and logarithms of determinants.
-
-    On arm64, numpy 2.4.6 warns of a division by zero for each complex matrix with a real pivot. Its result is right.
+    """Signs and logarithms of determinants. On arm64, numpy 2.4.6 warns of a division by zero for each complex matrix
+    with a real pivot; its result is right.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.linalg.slogdet(part)
@@ -350,14 +343,9 @@ def _slogdet(part: Complex) -> Any:
 def linear_fleet(
     scenario: Scenario, gains: Sequence[Vec3 | None], tell: Callable[[], None] = lambda: None
 ) -> LinearFleet:
-    """The linear map of a scenario's fleet, without loss, jitter, noise, disturbance and faults.
-
-    Args:
-        gains: K of each vehicle [1/s, NED], or anything in proportion to it; None: a law that is not ours.
-        tell: called now and then while something is computed of it.
-
-    Raises:
-        NotLinear: there is none; the message says why.
+    """The linear map of a scenario's fleet, without loss, jitter, noise, disturbance and faults. `gains`: K of each
+    vehicle [1/s, NED], or anything in proportion to it; None: a law that is not ours. `tell`: called now and then while
+    something is computed of it. Raises NotLinear if there is none; the message says why.
     """
     if scenario.vehicles > MOST_VEHICLES:
         raise NotLinear(f"the fleet has more than {MOST_VEHICLES} vehicles")

@@ -18,13 +18,10 @@ from world.vectors import ZERO
 
 
 def try_laws(scenario: Scenario) -> None:
-    """Make each law that is not built in for the first vehicle that runs it, and give it the first sample of a run.
-
-    The sample is the initial state as it is, without noise and without messages. On an ideal network, where an agent
-    hears at once, the law is only made. Laws that may not run, and those of external agents, are left out.
-
-    Raises:
-        ScenarioError: laws raised, or returned what cannot be used; every one of them is in it.
+    """Make each law that is not built in for the first vehicle that runs it, and give it the first sample of a run: the
+    initial state without noise and messages. On an ideal network, where an agent hears at once, the law is only made.
+    Laws that may not run, and those of external agents, are left out. Raises ScenarioError with every law that raised,
+    or returned what cannot be used.
     """
     tried: list[dict[str, Law]] = []
     problems = []
@@ -45,10 +42,8 @@ def try_laws(scenario: Scenario) -> None:
 
 
 def try_plants(scenario: Scenario) -> None:
-    """Make the plant of each vehicle, start it, and let it make the first tick of a run, without a command.
-
-    Raises:
-        ScenarioError: plants raised, or returned what cannot be used; every one of them is in it.
+    """Make the plant of each vehicle, start it, and let it make the first tick of a run, without a command. Raises
+    ScenarioError if plants raised, or returned what cannot be used; every one of them is in it.
     """
     if not scenario.plants:
         return

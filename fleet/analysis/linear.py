@@ -69,10 +69,8 @@ class Linear(NamedTuple):
 
 
 def linearise(flight: Flight) -> Linear:
-    """The linear map of a vehicle.
-
-    Raises:
-        NotLinear: a tracking law that is not ours, or no steady flight at this velocity.
+    """The linear map of a vehicle. Raises NotLinear for a tracking law that is not ours, or without steady flight at
+    this velocity.
     """
     if flight.config.tracking_law.name not in TRACKING:
         raise NotLinear(f"the tracking law {flight.config.tracking_law.name} does not ship with the package")
@@ -159,7 +157,6 @@ def _velocity(s: Array) -> Array:
 
 
 def _numbers(memory: Any) -> Iterator[float]:
-    """Every number in plain values, in order."""
     if isinstance(memory, dict):
         for value in memory.values():
             yield from _numbers(value)

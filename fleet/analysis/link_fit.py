@@ -14,9 +14,7 @@ from fleet.scenario.sections.trace_table import TraceTable
 from netem.condition import Condition
 from netem.grammar import print_condition
 
-# --- hidden markov
-# Hidden Markov models of losses: each hidden state loses packets with a probability of its own.
-#
+# --- hidden markov: hidden Markov models of losses: each hidden state loses packets with a probability of its own
 # With two states this is the model of Gilbert (1960) and Elliott (1963). The parameters are fitted by expectation
 # maximisation (Baum and Welch; L. R. Rabiner, Proceedings of the IEEE 77, 1989, equations 37 to 40).
 #
@@ -91,11 +89,8 @@ class HiddenMarkov:
 
 
 def fit_losses(lost: Array, states: int) -> HiddenMarkov:
-    """The model with the largest likelihood among those that the search finds from a few fixed places.
-
-    Args:
-        lost: whether each packet was lost, shape (N,), N >= 1; some were and some were not.
-        states: 1 (losses independent of each other), 2 or 3.
+    """The model of 1 (independent losses), 2 or 3 states with the largest likelihood that the search finds from a few
+    fixed places. `lost`: of each packet, shape (N,), N >= 1; some and not all.
     """
     places = [_begin(lost, stay, factors) for factors in _FACTORS[states] for stay in _STAYS]
     found = [_improve(lost, *place, _FIRST_STEPS) for place in places]
@@ -115,7 +110,6 @@ def _begin(lost: Array, stay: float, factors: tuple[float, ...]) -> tuple[Array,
 
 
 def _improve(lost: Array, moves: Array, loses: Array, first: Array, steps: int) -> HiddenMarkov:
-    """Make at most `steps` steps; each step increases the likelihood."""
     before = -np.inf
     for step in range(steps + 1):
         likelihood, first_after, posterior, pairs = _expect(lost, moves, loses, first)
@@ -129,7 +123,6 @@ def _improve(lost: Array, moves: Array, loses: Array, first: Array, steps: int) 
 
 
 def _normalised(weights: Array) -> Array:
-    """Probabilities in proportion to weights, along the last axis."""
     raised = np.maximum(weights, _LEAST)
     normalised: Array = raised / raised.sum(axis=-1, keepdims=True)
     return normalised
@@ -226,7 +219,6 @@ class LinkFit:
 
 
 def runs(flags: Array) -> Array:
-    """The lengths of the runs of true values, in order."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0.0], flags, [0.0]])))
     lengths: Array = (edges[1::2] - edges[::2]).astype(np.float64)
     return lengths
@@ -234,13 +226,8 @@ def runs(flags: Array) -> Array:
 
 def fit(table: TraceTable, count: int, interval_ns: int | None = None) -> LinkFit:
     """Fit states to what a trace says was delivered; delays and rates are means over the packets of each state.
-
-    Args:
-        count: of states, 2 or 3.
-        interval_ns: between two packets; None: the median of those in the trace.
-
-    Raises:
-        FleetError: the trace does not say what was delivered, or when; it is too short, or its losses come alone.
+    `count`: of states, 2 or 3. `interval_ns`: between two packets; None: the median of those in the trace. Raises
+    FleetError if the trace does not say what was delivered, or when; it is too short, or its losses come alone.
     """
     if "delivered" not in table.columns:
         raise FleetError(f"no such column: delivered, which a fit needs; the trace has {', '.join(table.columns)}")
@@ -263,9 +250,8 @@ def fit(table: TraceTable, count: int, interval_ns: int | None = None) -> LinkFi
 
 
 def _interval(table: TraceTable) -> tuple[int, bool]:
-    """The time between two packets, and whether it is uneven: more than one in ten differs by a tenth.
-
-    It is the median; where most packets share their time with the one before, the mean.
+    """The time between two packets, and whether it is uneven: more than one in ten differs by a tenth. It is the
+    median; where most packets share their time with the one before, the mean.
     """
     times = np.array([row.time_ns for row in table.rows if row.time_ns is not None], np.float64)
     if len(times) < 2:
@@ -279,9 +265,7 @@ def _interval(table: TraceTable) -> tuple[int, bool]:
 
 def _generator(model: HiddenMarkov) -> tuple[Array, float]:
     """Rates of moves [1/interval], shape (S, S): log A without negative ones; and how far their exponential is from A.
-
-    Raises:
-        FleetError: some state is over before the next packet.
+    Raises FleetError if some state is over before the next packet.
     """
     values, vectors = np.linalg.eig(model.moves)
     if min(value.real for value in values) < _MIXED:

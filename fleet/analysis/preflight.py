@@ -21,8 +21,7 @@ from netem.condition import Condition, Link, effective
 from world.errors import PluginError
 from world.vectors import Vec3, plus
 
-# --- forgetting
-# Protocols that forget a neighbour after a silence: how long that must be for the loss of their links.
+# --- forgetting: protocols that forget a neighbour after a silence: how long that must be for the loss of their links
 
 
 PARAMETER = "forget_after_s"
@@ -77,8 +76,7 @@ def _forget_after_s(law: Law) -> float | None:
     return float(given) if isinstance(given, int | float) else None
 
 
-# --- keep apart
-# Limits of the section `keep_apart` in a scenario, as warnings before a run.
+# --- keep apart: limits of the section `keep_apart` in a scenario, as warnings before a run
 
 
 def keep_apart_warnings(scenario: Scenario) -> Iterator[str]:
@@ -263,7 +261,6 @@ def _idle_faults(scenario: Scenario) -> Iterator[str]:
 
 
 def _correlated(scenario: Scenario) -> Iterator[str]:
-    """The effect of a correlation on the numbers beside it, for every condition that differs."""
     given = [c for its in scenario.possible.values() for c in its]
     given += [f.condition for f in scenario.faults.network if f.condition is not None]
     found: dict[str, None] = {}

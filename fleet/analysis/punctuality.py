@@ -15,14 +15,8 @@ MOST_MISSED = 0.01  # share of its ticks that an agent may miss by default
 
 
 def measured(values: Mapping[str, Any], speed: float) -> Timing | None:
-    """The measurements of world and netem, with a label.
-
-    Args:
-        values: what both answered when the run ended.
-        speed: times real time that was asked.
-
-    Returns:
-        None: one of them did not answer.
+    """The measurements of world and netem, with a label. `values`: what both answered when the run ended. `speed`:
+    times real time that was asked. None: one of them did not answer.
     """
     if not (values.get("world") and values.get("netem")):
         return None
@@ -81,7 +75,6 @@ def moved_share(timing: Timing) -> float:
 
 
 def summary(timing: Timing) -> str:
-    """In one line, what one wants to know first."""
     responses = [row.response for row in timing.vehicles.values() if row.response.count]
     hop, margin = timing.netem.hop, timing.netem.margin
     said = [f"clock: real, {timing.speed:g} x, a tick every {timing.world.period_ms:g} ms"]

@@ -35,8 +35,7 @@ from fleet.scenario.sections.per_vehicle import Control
 from netem.vehicle_clock import Clocks
 from world.vectors import Vec3
 
-# --- spectrum
-# The eigenvalues of a graph's matrices: fast and real where the graph allows it.
+# --- spectrum: the eigenvalues of a graph's matrices: fast and real where the graph allows it
 
 
 _SAME = 1e-9  # of a ratio's logarithm
@@ -46,15 +45,13 @@ def eigenvalues(M: Any) -> Any:
     """The eigenvalues of a real matrix (n, n) as an array (n,), real if `M` is a symmetric matrix in other units.
 
     A graph has such a matrix if its links go both ways and the weights around each cycle are equal in both directions.
-    The general method is slow (1,000 vehicles: 4 s instead of 0.2 s), and gives a long chain small imaginary parts that
-    are not there.
+    The general method is slow (1,000 vehicles: 4 s instead of 0.2 s), and adds small imaginary parts for a long chain.
     """
     symmetric = _symmetric(M)
     return np.linalg.eigvals(M) if symmetric is None else np.linalg.eigvalsh(symmetric)
 
 
 def _symmetric(M: Any) -> Any | None:
-    """D M D^-1 that is symmetric, with D diagonal and positive; None: there is none."""
     linked = M != 0.0
     products = M * M.T
     if (linked & (products <= 0.0)).any():
@@ -77,9 +74,7 @@ def _symmetric(M: Any) -> Any | None:
     return np.sign(M) * np.sqrt(products)
 
 
-# --- slots
-# How far the clocks of a fleet may differ until time slots overlap.
-#
+# --- slots: how far the clocks of a fleet may differ until time slots overlap
 # | symbol | meaning | unit |
 # |---|---|---|
 # | S, A | slot; the longest airtime of a payload in it | s |
@@ -169,16 +164,12 @@ class Analysis:
 
     @property
     def lambda_max(self) -> float:
-        """Largest absolute value of an eigenvalue of L + B."""
         return max(abs(value) for value in self.eigenvalues)
 
 
 def analyse(scenario: Scenario, *, linear: bool = True, tell: Callable[[], None] = lambda: None) -> Analysis:
-    """Connectivity, eigenvalues and violated limits of a scenario.
-
-    Args:
-        linear: also make the whole linear loop, which takes longer than the rest.
-        tell: called now and then, also later, when a caller asks the loop for its limits.
+    """Connectivity, eigenvalues and violated limits of a scenario. `linear`: also make the whole linear loop, which
+    takes longer than the rest. `tell`: called now and then, also later, when a caller asks the loop for its limits.
     """
     A, M = matrices(scenario)
     values = sorted(eigenvalues(M).tolist(), key=lambda v: (v.real, v.imag))
@@ -222,7 +213,6 @@ def matrices(scenario: Scenario) -> tuple[Any, Any]:
 
 
 def report(scenario: Scenario, found: Analysis) -> list[str]:
-    """The analysis in lines of text, without the warnings."""
     n = scenario.vehicles
     followers = [i for i in range(1, n + 1) if scenario.b[i - 1] > 0.0]
     one = "s" if len(followers) == 1 else ""

@@ -33,9 +33,7 @@ from netem.wire.messages import Command, Fate, Frame
 from world.errors import PluginError
 from world.plugins.fence import Fence, shown
 
-# --- last messages
-# The last packets of every link, to tell which message made the difference to a vehicle.
-#
+# --- last messages: the last packets of every link, to tell which message made the difference to a vehicle
 # Only messages of the protocol that a check judges count. Which these are is told by the signals that the check looks
 # at:
 #
@@ -53,21 +51,12 @@ class LastMessages:
         self._states, self._own = _LastOfLinks(links, tick_ns / 1e9), _LastOfLinks(links, tick_ns / 1e9)
 
     def settle(self, fate: Fate) -> None:
-        """Take a final fate."""
         (self._states if kind_of(fate.payload) == STATE else self._own).settle(fate)
 
     def of(self, vehicles: Collection[int], signals: Iterable[str]) -> LastMessage | None:
-        """The message that made the difference to some vehicles.
-
-        Take the links whose last packet was lost. Among them it is the last packet of the link with the longest time
-        since an arrival. If no last packet was lost, it is the packet that arrived last.
-
-        Args:
-            vehicles: that failed the check.
-            signals: that the check looks at, such as `control.leads` or `|error.e|`.
-
-        Returns:
-            None if the check judges no protocol, or no packet of it has had a fate yet.
+        """The message that made the difference to the vehicles that failed a check, of the signals that it looks at: of
+        the links whose last packet was lost, that of the link with the longest time since an arrival, else the packet
+        that arrived last. None if the check judges no protocol, or no packet of it has had a fate yet.
         """
         groups = {signal.lstrip("| ").partition(".")[0] for signal in signals}
         if "control" in groups:
@@ -76,8 +65,6 @@ class LastMessages:
 
 
 class _LastOfLinks:
-    """The last fates of the messages of one protocol."""
-
     def __init__(self, links: Sequence[Link], tick_s: float) -> None:
         self._tick_s = tick_s
         self._into: dict[int, list[int]] = {}
@@ -121,8 +108,7 @@ class _LastOfLinks:
         return fate.cause == Cause.DELIVERED and not fate.corrupted
 
 
-# --- python check
-# A check in Python while it is judged: behind a fence, so that whatever it does becomes its verdict.
+# --- python check: a check while it is judged: behind a fence, so that whatever it does becomes its verdict
 
 
 BUDGET_S = 5.0  # of wall time, that one call may take
@@ -155,10 +141,8 @@ class SeenVehicle:
         self._values, self._places, self._asked = values, places, asked
 
     def __getitem__(self, signal: str) -> Any:
-        """The value of a signal; None if the vehicle did not report it at this tick.
-
-        Raises:
-            LookupError: no such signal.
+        """The value of a signal; None if the vehicle did not report it at this tick. Raises LookupError if there is no
+        such signal.
         """
         place = self._places.get(signal)
         if place is None:
@@ -175,14 +159,8 @@ class RunningPythonCheck:
     """A check in Python, and how it came out so far."""
 
     def __init__(self, name: str, class_name: str, given: Mapping[str, Any], facts: Facts) -> None:
-        """Make it.
-
-        Args:
-            class_name: `package.module:Class`.
-            given: what the scenario has of it.
-
-        Raises:
-            CheckError: it cannot be made.
+        """`class_name` is `package.module:Class`, `given` what the scenario has of it. Raises CheckError if it cannot
+        be made.
         """
         self.name = name
         self.looked_at: dict[str, None] = {}  # signals
@@ -220,13 +198,7 @@ class RunningPythonCheck:
         return self._failure
 
     def verdict(self, moment: Moment | None, now: int, *, over: bool) -> Verdict:
-        """The verdict so far.
-
-        Args:
-            moment: the tick of the failure.
-            now: the newest tick.
-            over: the run has come to its end.
-        """
+        """The verdict so far, at tick `now`; `moment` is that of the failure. `over`: the run has come to its end."""
         verdict = self._judged(moment, now, over=over)
         if self._sometimes and not self._broken:
             return verdict.of_sometimes(not verdict.passed and (over or self._failure is not None))
@@ -368,15 +340,8 @@ class OwnChecks:
 
     @classmethod
     def asked(cls, scenario: Scenario, begin: int = 0) -> OwnChecks | None:
-        """The checks that a scenario asks for; None: it has none.
-
-        Args:
-            scenario: the scenario.
-            begin: first tick of the run. Earlier samples do not count.
-
-        Raises:
-            SignalCheckError: no vehicle of the scenario has the signal of a check.
-            CheckError: a check in Python cannot be made.
+        """The checks that a scenario asks for; None: it has none. Samples before `begin` do not count. Raises
+        SignalCheckError if no vehicle has the signal of a check; CheckError if a check in Python cannot be made.
         """
         checks = scenario.spec.checks
         return cls(scenario, begin) if checks.signal or checks.python else None
@@ -387,7 +352,6 @@ class OwnChecks:
         return frozenset(GROUPS) if self._python else frozenset(check.group for check in self._signals)
 
     def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, Error]) -> None:
-        """Take a frame, with all vehicles in it."""
         if due := self.due(frame.tick):
             self.take(FrameValues(frame, commands, errors, due))
 
@@ -396,7 +360,6 @@ class OwnChecks:
         return frozenset(group for group, every in self._every.items() if tick % every == 0 or tick == self._last)
 
     def take(self, values: TickValues) -> None:
-        """Take the values of a tick."""
         self._judge()
         self._pending = values
 
@@ -425,11 +388,7 @@ class OwnChecks:
             self._fates.append(fate)
 
     def verdicts(self, *, over: bool) -> list[Verdict]:
-        """The verdicts so far, in the order of the scenario.
-
-        Args:
-            over: the run has come to its end.
-        """
+        """The verdicts so far, in the order of the scenario. `over`: the run has come to its end."""
         self._judge()
         found = []
         each: list[RunningSignalCheck | RunningPythonCheck] = [*self._signals, *self._python]
@@ -474,10 +433,7 @@ class OwnChecks:
 
 
 def reported(scenario: Scenario, i: int) -> VehicleSignals:
-    """The signals of vehicle i in a log.
-
-    If the laws and plants of a log may not run, their signals are unknown here.
-    """
+    """The signals of vehicle i in a log; of laws and plants that may not run they are unknown here."""
     try:
         laws = scenario.layout(i)
     except PluginError:
@@ -490,7 +446,6 @@ def reported(scenario: Scenario, i: int) -> VehicleSignals:
 
 
 def _ended(what: str) -> list[int]:
-    """The vehicles whose agents a fault has ended, or that have diverged."""
     kind, _, vehicles = what.partition(" ")
     if kind not in ("kill", DIVERGED):
         return []

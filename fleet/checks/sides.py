@@ -13,16 +13,12 @@ from netem.grammar import parse_selector, select
 
 
 class Sides:
-    """The sides of a fleet, tick by tick.
+    """The sides of a fleet, tick by tick: `groups`, each with its vehicles by number, in the order of their first
+    vehicles, `since` when [s], and the vehicles that are paused.
 
     Two vehicles are on one side if links that no `partition`, `down`, `mute` or `deaf` cuts lead from each to the
     other, also through others. A vehicle that is paused or has no agent is on none. Losses by the condition of a link
     itself do not count.
-
-    Attributes:
-        groups: the sides, each with its vehicles by number, in the order of their first vehicles.
-        since: when they last changed [s]; the begin of the run if they never did.
-        suspended: the vehicles that are paused.
     """
 
     def __init__(self, facts: Facts) -> None:

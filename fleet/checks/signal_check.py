@@ -46,7 +46,6 @@ def inside(condition: SignalCondition, value: float) -> float:
 
 
 def in_time(asked: AskedOfSignal) -> bool:
-    """Whether the margin of a check is one in time."""
     condition = asked.condition
     timed = asked.within_ns is not None or asked.least_ns > 0
     return timed and (condition.over == "true" or condition.low == condition.high)
@@ -93,12 +92,7 @@ class AlwaysMargin:
         return best[0][1] if self._since.setdefault(key, tick) <= first else None
 
     def found(self, longest: float | None, at: int | None) -> Margin | None:
-        """The margin so far.
-
-        Args:
-            longest: length of the longest stretch of bad samples [ticks].
-            at: first tick of that stretch.
-        """
+        """The margin so far, of the longest stretch of bad samples [ticks], which began at tick `at`."""
         asked = self._asked
         if in_time(asked):
             took = (longest or 0) * self._tick_s
@@ -122,7 +116,6 @@ class EventuallyMargin:
         self._least: tuple[float, int] | None = None
 
     def begin(self, tick: int) -> None:
-        """A wait begins."""
         self._begin = tick
         self._worst, self._since, self._best = {}, {}, {}
 
@@ -181,15 +174,7 @@ class RunningSignalCheck:
         vehicles: Mapping[int, Mapping[str, SignalPlace]],
         begin: int,
     ) -> None:
-        """Begin with the run.
-
-        Args:
-            name: name of the check.
-            asked: the check.
-            scenario: the scenario of the run.
-            vehicles: the signals of each vehicle.
-            begin: first tick of the run. Earlier samples do not count.
-        """
+        """Begin with the run; samples before tick `begin` do not count."""
         self.name, self.words, self.group = name, asked.words, asked.signal.group
         self.signals = (str(asked.signal),)
         self._asked, self._tick_ns, self._last = asked, scenario.tick_ns, scenario.ticks
@@ -202,7 +187,6 @@ class RunningSignalCheck:
         self._liveness = None if self._safety else _Liveness(asked, scenario, self._after)
 
     def event(self, event: Event) -> None:
-        """A fault begins or ends."""
         if self._liveness is not None:
             self._liveness.event(event)
 
@@ -229,12 +213,8 @@ class RunningSignalCheck:
         return Failure(judge.failure, units, some_values)
 
     def verdict(self, moment: Moment | None, now: int, *, over: bool) -> Verdict:
-        """The verdict so far.
-
-        Args:
-            moment: the moment of its failure. None: it has not failed.
-            now: the newest tick.
-            over: the run has come to its end.
+        """The verdict so far, at tick `now`; `moment`, None: the check has not failed. `over`: the run has come to its
+        end.
         """
         judge = self._safety or self._liveness
         assert judge is not None

@@ -11,9 +11,7 @@ from netem.wire.messages import Command, Frame, VehicleFrame
 from world.signal import width_of
 from world.vectors import Vec3
 
-# --- belief
-# A vehicle's belief about its position against the truth: the values of its topic `belief` at a tick.
-#
+# --- belief: a vehicle's belief about its position against the truth: the values of its topic `belief` at a tick
 # | symbol | meaning | unit |
 # |---|---|---|
 # | P | covariance of the estimate of x, y, z (NED) and psi | m^2, m rad, rad^2 |
@@ -33,14 +31,8 @@ class OffPlace(Protocol):
 
 
 def belief_values(row: VehicleFrame, error: OffPlace) -> tuple[float, ...]:
-    """The values of the topic `belief`, one after the other in the order of `BELIEF`.
-
-    Args:
-        row: the frame's row of the vehicle.
-        error: the vehicle's true formation error.
-
-    Returns:
-        The values; empty if no agent got a measurement of this vehicle at this tick.
+    """The values of the topic `belief` in the order of `BELIEF`; `error` is the true formation error. Empty if no agent
+    got a measurement of this vehicle at this tick.
     """
     if not row.nav:
         return ()
@@ -109,8 +101,6 @@ class Error(Protocol):
 
 
 class TickValues(Protocol):
-    """The values of one tick."""
-
     @property
     def tick(self) -> int: ...
 
@@ -151,7 +141,6 @@ class FrameValues:
         self._rows, self._commands, self._errors, self._due = frame.vehicles, commands, errors, due
 
     def values(self, i: int, group: str) -> Values:
-        """The values of a topic group of vehicle i."""
         if group not in self._due:
             return ()
         return values_of(group, self._rows[i - 1], self._commands.get(i), self._errors[i])
@@ -166,5 +155,4 @@ class LoggedValues:
         self._found = found
 
     def values(self, i: int, group: str) -> Values:
-        """The values of a topic group of vehicle i."""
         return self._found.get((i, group), ())

@@ -74,8 +74,7 @@ def _schemas(command: str) -> None:
 def report(run: Path | None) -> str:
     """The report, in lines of a name and a value; a home directory is written `~`.
 
-    Args:
-        run: the directory of the run that it is about; None: of no run.
+    `run`: the directory of the run that it is about; None: of no run.
     """
     rows = [*_program(), *_packages(), *_system(), *(() if run is None else _run(run))]
     text = "\n".join(f"{name:14} {value}" for name, value in rows)

@@ -125,7 +125,7 @@ def _picture(borders: Borders, how: Making) -> Path | None:
 
 
 def _pieces(line: StatusLine, progress: Progress, *, known: int, of: int) -> list[Piece]:
-    from fleet.cli.study_output import progress_pieces
+    from fleet.cli.study_options import progress_pieces
     from fleet.terminal.table import Piece
 
     drawn, rate, failed = progress_pieces(line, known / of, progress)
@@ -133,7 +133,7 @@ def _pieces(line: StatusLine, progress: Progress, *, known: int, of: int) -> lis
 
 
 def _show(borders: Borders, found: list[Border]) -> None:
-    from fleet.cli.study_output import axis_columns, cell, show_reached
+    from fleet.cli.study_options import axis_columns, cell, show_reached
     from fleet.terminal.table import TerminalColumn, show
 
     along = borders.along

@@ -29,11 +29,7 @@ _CHECK = "Exit status: 0 valid, or every check of a log passes; 1 one does not; 
 @json_option
 @NO_PROGRESS
 def check(
-    scenario: str,
-    overrides: tuple[str, ...],
-    fault: tuple[Override, ...],
-    net: tuple[Override, ...],
-    as_json: bool,
+    scenario: str, overrides: tuple[str, ...], fault: tuple[Override, ...], net: tuple[Override, ...], as_json: bool
 ) -> None:
     """Check SCENARIO without running it, and report all mistakes at once; or judge LOG by checks.
 

@@ -136,7 +136,7 @@ def injection(context: click.Context) -> Iterable[str]:
     kind = given[0]
     section = section_of(FaultSection.model_fields[kind].annotation)
     if section is not None and kind != "current":
-        return [f"{key}=" for key in section.model_fields]
+        return [f"{info.alias or key}=" for key, info in section.model_fields.items()]
     if len(given) > 1:
         return _CONDITIONS if kind == "link" else ()
     vehicles, links = _targets(_run(context, *named))

@@ -27,12 +27,9 @@ def serve(
     """Serve viewers: of a live run until it is over, of a log until Ctrl-C.
 
     Args:
-        source: the live run or the log to show.
-        host: address on which viewers connect.
-        port: port on which viewers connect. None: the default port of viewers, or a free one.
+        port: None: the default port of viewers, or a free one.
         control: viewers may disturb a live run.
         rate: speed of a log, as a multiple of real time.
-        loop: a log begins again at its end.
     """
     if find_spec("foxglove") is None:
         raise click.UsageError(

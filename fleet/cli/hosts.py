@@ -11,7 +11,7 @@ import click
 
 from fleet.cli.completion import scenarios
 from fleet.cli.group import ListingGroup
-from fleet.cli.types import FORCE, OVERRIDES, Duration, Whole
+from fleet.cli.types import FOLDER, FORCE, OVERRIDES, PATH, Whole, time_within
 from fleet.errors import FleetError
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 # Limits of --lease [s]. Between processes of one host the lease is an hour.
 _LEASES_S = (2, 1800)
 
-_LEASE = click.option("--lease", metavar="TIME", type=Duration(*_LEASES_S), default="20 s", show_default=True,
+_LEASE = click.option("--lease", metavar="TIME", type=time_within(*_LEASES_S), default="20 s", show_default=True,
                       help="Close a link between hosts after this time without a sign of life.")  # fmt: skip
 
 
@@ -63,8 +63,7 @@ def hosts_options(command: F) -> F:
 def rendezvous(scenario: Scenario, options: HostsOptions, *, in_process: bool) -> Rendezvous | None:
     """Where the processes meet, by the options of `hosts_options`; None if none of these options is given.
 
-    Raises:
-        FleetError: they do not go together, or with the scenario.
+    Raises FleetError: they do not go together, or with the scenario.
     """
     names = ("listen", "listen_certified", "router", "certs", "advertise", "mutual_tls", "credentials")
     given = [name for name in names if getattr(options, name)]
@@ -104,12 +103,7 @@ def rendezvous(scenario: Scenario, options: HostsOptions, *, in_process: bool) -
         found = Rendezvous()
         if listen:
             found = listening(
-                listen,
-                advertise=options.advertise,
-                mutual=options.mutual_tls,
-                certs=certs,
-                external=external,
-                lease_ms=lease_ms,
+                listen, certs, options.advertise, external=external, mutual=options.mutual_tls, lease_ms=lease_ms
             )
             check_free(listen)
         if certified:
@@ -127,15 +121,8 @@ def rendezvous(scenario: Scenario, options: HostsOptions, *, in_process: bool) -
         raise FleetError("--advertise is for --listen: agents are told the endpoint of --router")
     if not options.credentials:
         raise FleetError("--router needs --credentials FILE, which fleet hosts acl SCENARIO -o DIR writes")
-    return through_router(
-        router,
-        options.credentials,
-        scenario.vehicles,
-        mutual=options.mutual_tls,
-        certs=certs,
-        external=external,
-        lease_ms=lease_ms,
-    )
+    known, mutual = options.credentials, options.mutual_tls
+    return through_router(router, known, scenario.vehicles, certs, external=external, mutual=mutual, lease_ms=lease_ms)
 
 
 @click.group(cls=ListingGroup)
@@ -150,7 +137,7 @@ def hosts() -> None:
 
 
 @hosts.command()
-@click.argument("directory", metavar="DIR", type=click.Path(path_type=Path, file_okay=False))
+@click.argument("directory", metavar="DIR", type=FOLDER)
 @click.option("--host", "names", metavar="NAME_OR_IP", multiple=True,
               help="Name or address that agents use for the router; repeatable. Loopback is always added.")  # fmt: skip
 @click.option("--agents", metavar="N", type=Whole(0, 1000), default=0,
@@ -178,15 +165,15 @@ def certs(directory: Path, names: tuple[str, ...], agents: int, days: int, force
 
 @hosts.command()
 @click.argument("scenario", shell_complete=scenarios)
-@click.option("-o", "--out", "out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
+@click.option("-o", "--out", "out", metavar="DIR", type=FOLDER,
               help="Write router.json5, users and credentials.json to DIR; by default print router.json5.")  # fmt: skip
 @click.option("--run", "run", metavar="ID", help="The run's id; by default a random one.")
 @click.option("--listen", metavar="ENDPOINT", default="tls/0.0.0.0:7447", show_default=True,
               help="Where the router listens.")  # fmt: skip
-@click.option("--certs", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
+@click.option("--certs", metavar="DIR", type=FOLDER,
               help="Where the router finds its certificate, for tls.")  # fmt: skip
 @click.option("--mutual-tls", is_flag=True, help="The router asks clients for certificates.")
-@click.option("--users-file", metavar="PATH", type=click.Path(path_type=Path),
+@click.option("--users-file", metavar="PATH", type=PATH,
               help="Where the router finds the users; by default in DIR.")  # fmt: skip
 @_LEASE
 @OVERRIDES

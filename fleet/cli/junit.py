@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from fleet.cli.types import FILE
+
 if TYPE_CHECKING:
     from fleet.result.junit import JUnitCase
     from fleet.result.result import Result
@@ -15,7 +17,7 @@ if TYPE_CHECKING:
     from fleet.study.search import Searched
     from fleet.study.store import Store
 
-JUNIT = click.option("--junit", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
+JUNIT = click.option("--junit", metavar="FILE", type=FILE,
                      help="Also write the result as a JUnit file, for CI services.")  # fmt: skip
 
 

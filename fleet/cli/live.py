@@ -58,8 +58,7 @@ def _one(name: str | None, run: str | None) -> str | None:
 def answer(kind: type[D], found: LiveRun, op: str, **fields: Any) -> D:
     """The answer of a run as a document of this kind.
 
-    Raises:
-        RemoteError: it does not answer in time, refuses, or answers something else.
+    Raises RemoteError: it does not answer in time, refuses, or answers something else.
     """
     import msgspec
 
@@ -73,17 +72,10 @@ def answer(kind: type[D], found: LiveRun, op: str, **fields: Any) -> D:
 
 
 def fault_words(words: tuple[str, ...], run: str | None) -> tuple[str | None, str]:
-    """The run that stands in front of a fault, if one does, and the fault.
+    """The run that stands in front of a fault, if one does, or that of --run, and the fault.
 
     A kind of fault in front is no run, unless another kind stands behind it: `partition kill 3` kills an agent of the
-    run `partition`.
-
-    Args:
-        words: as they were typed; the shell may have made one of several.
-        run: that of --run.
-
-    Raises:
-        UsageError: the first word begins no fault, and no fault stands behind it.
+    run `partition`. Raises UsageError: the first word begins no fault, and no fault stands behind it.
     """
     from fleet.scenario.schema.faults import ACTIONS
 
@@ -101,8 +93,7 @@ def fault_words(words: tuple[str, ...], run: str | None) -> tuple[str | None, st
 def clock_words(words: tuple[str, ...], run: str | None) -> tuple[str | None, str, str | None]:
     """The run, what its clock is to do, and how many ticks or how fast; `2x` is short for `speed 2`.
 
-    Raises:
-        UsageError: nothing of that.
+    Raises UsageError: nothing of that.
     """
     first, second, *_ = [*words, "", ""]
     rest = list(words)
@@ -132,9 +123,8 @@ def heal_words(words: tuple[str, ...], run: str | None) -> tuple[LiveRun, str | 
 
     One word is the name of a run if there is such a run, and else the id of a fault.
 
-    Raises:
-        UsageError: more than two words, or two runs.
-        RemoteError: there is no such run, or the word is the name of a run and a fault of the only one, too.
+    Raises UsageError: more than two words, or two runs; RemoteError: there is no such run, or the word is the name of a
+    run and a fault of the only one, too.
     """
     from fleet.execution.connection import RemoteError, ask, find, live_runs
 
@@ -373,9 +363,8 @@ def watch_run(found: LiveRun, every: bool, terminal: Console) -> None:
 def screen(status: RunStatus, every: bool, height: int | None = None) -> Group:
     """A status as a terminal shows it, in 80 columns.
 
-    Args:
-        every: the user asked for all vehicles and links.
-        height: of the screen that the text must fit [lines]; None: any length.
+    `every`: the user asked for all vehicles and links. `height`: of the screen that the text must fit [lines]; None:
+    any length.
     """
     from rich.console import Group
     from rich.text import Text

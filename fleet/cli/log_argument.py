@@ -11,6 +11,7 @@ import click
 
 from fleet.cli import completion
 from fleet.cli.completion import RUNS
+from fleet.cli.types import PATH
 
 if TYPE_CHECKING:
     from fleet.view.source import LiveSource, LogSource
@@ -27,18 +28,14 @@ def log_argument(command: F) -> F:
         return command(*arguments, log=newest_log() if log is None else log, **options)
 
     argument = click.argument(
-        "log", type=click.Path(path_type=Path), required=False,
+        "log", type=PATH, required=False,
         help="An MCAP file or a run directory; by default the newest run below runs.",
     )  # fmt: skip
     return argument(with_log)  # type: ignore[return-value]
 
 
 def newest_log() -> Path:
-    """The directory of the newest run below `runs`, named on stderr.
-
-    Raises:
-        click.UsageError: there is none.
-    """
+    """The directory of the newest run below `runs`, named on stderr. Raises click.UsageError: there is none."""
     from fleet.execution.directory import newest_run
 
     found = newest_run(RUNS)
@@ -61,13 +58,8 @@ SHOWN = click.argument(
 def find_shown(what: str | None, rate: float | None, *, control: bool, loop: bool) -> LiveSource | LogSource:
     """The run or the log to show.
 
-    Args:
-        what: as the argument `SHOWN` gives it.
-        rate, control, loop: the options of these names; a log cannot be disturbed, and a live run has its own pace.
-
-    Raises:
-        click.UsageError: an option is for the other kind.
-        FleetError: there is none, or the run is not published.
+    Raises click.UsageError: a log cannot be disturbed, and a live run has its own pace; FleetError: there is none, or
+    the run is not published.
     """
     from fleet.view.source import LiveSource, LogSource, find_source
 

@@ -1,11 +1,11 @@
-"""The commands that show a log: plot, export, report, info, movie."""
+"""The commands that show a log: plot, export, report, info, movie; and fit, which reads a trace of a link."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -13,8 +13,11 @@ from fleet.cli import completion
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument, newest_log
 from fleet.cli.study_pictures import check_options, export_study, is_study, measure_option, plot_study, report_study
-from fleet.cli.types import FORCE, NO_PROGRESS, Duration, PictureWords, Vehicles, Whole, Window, Words
+from fleet.cli.types import FILE, FOLDER, FORCE, NO_PROGRESS, PATH, TIME, VEHICLES, WINDOW, PictureWords, Whole, Words
 from fleet.terminal.table import say
+
+if TYPE_CHECKING:
+    from fleet.analysis.link_fit import LinkFit
 
 KINDS = ("track", "error", "inputs", "links", "messages", "ages", "checks", "timing")
 PARTS = ("track-3d", "formation")  # single pictures of track and error
@@ -24,7 +27,7 @@ _OF_LOGS = {name: f"--{name}" for name in ("what", "compare", "vehicles", "windo
 _OF_STUDIES = {"measures": "--measure"}
 
 
-_vehicles = click.option("--vehicles", metavar="LIST", type=Vehicles(), help="Only these, e.g. 1,3-5.")
+_vehicles = click.option("--vehicles", metavar="LIST", type=VEHICLES, help="Only these, e.g. 1,3-5.")
 _log_scale = click.option(
     "--log-scale/--linear",
     default=None,
@@ -34,7 +37,7 @@ _log_scale = click.option(
 _window = click.option(
     "--window",
     metavar="A..B",
-    type=Window(),
+    type=WINDOW,
     help="Only this time, e.g. 20s..40s. By default `messages` shows some rounds, and the other pictures the "
     "whole run.",
 )
@@ -54,7 +57,7 @@ def _folder(_: click.Context, __: click.Parameter, value: Path | None) -> Path |
 @click.command()
 @log_argument
 @click.option(
-    "-o", "--out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False), callback=_folder,
+    "-o", "--out", metavar="DIR", type=FOLDER, callback=_folder,
     help="The folder for pictures; by default `plots` next to the log.",
 )  # fmt: skip
 @click.option(
@@ -68,7 +71,7 @@ def _folder(_: click.Context, __: click.Parameter, value: Path | None) -> Path |
     help="Some of png, svg, pdf.",
 )  # fmt: skip
 @click.option(
-    "--compare", metavar="LOG2", type=click.Path(path_type=Path), multiple=True,
+    "--compare", metavar="LOG2", type=PATH, multiple=True,
     help="Another run on the same axes; repeatable.",
 )  # fmt: skip
 @measure_option
@@ -142,21 +145,21 @@ def _notes(runs: Sequence[Any]) -> Iterator[str]:
 
 @click.command()
 @log_argument
-@click.option("--csv", "csv", metavar="DIR", type=click.Path(path_type=Path, file_okay=False), help="Write CSV here.")
+@click.option("--csv", "csv", metavar="DIR", type=FOLDER, help="Write CSV here.")
 @click.option(
-    "--parquet", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
+    "--parquet", metavar="DIR", type=FOLDER,
     help="Write Parquet here; needs uuv-fleet[parquet].",
 )  # fmt: skip
 @click.option(
-    "--netcdf", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
+    "--netcdf", metavar="DIR", type=FOLDER,
     help="Write NetCDF here, by the CF conventions; needs uuv-fleet[tables].",
 )  # fmt: skip
 @click.option(
-    "--traces", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
+    "--traces", metavar="DIR", type=FOLDER,
     help="Write the fate of each packet here: a CSV file per directed link, which network.links can read.",
 )  # fmt: skip
 @click.option(
-    "--ros2", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
+    "--ros2", metavar="DIR", type=FOLDER,
     help="Write a bag of ROS 2 here; needs uuv-fleet[ros2].",
 )  # fmt: skip
 @click.option("--scenario", is_flag=True,
@@ -274,11 +277,11 @@ def _export_traces(log: Path, folder: Path, *, force: bool) -> None:
 
 @click.command()
 @click.argument(
-    "logs", metavar="[LOG]...", type=click.Path(path_type=Path), nargs=-1,
+    "logs", metavar="[LOG]...", type=PATH, nargs=-1,
     help="MCAP files or run directories; by default the newest run below runs.",
 )  # fmt: skip
 @click.option(
-    "-o", "--out", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), default=Path("report.html"),
+    "-o", "--out", metavar="FILE", type=FILE, default=Path("report.html"),
     show_default=True, help="The page.",
 )  # fmt: skip
 @FORCE
@@ -363,15 +366,13 @@ def info(log: Path, as_json: bool) -> None:
 @click.command()
 @log_argument
 @click.option(
-    "-o", "--out", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), default=Path("movie.gif"),
+    "-o", "--out", metavar="FILE", type=FILE, default=Path("movie.gif"),
     show_default=True, help="The movie: a .gif, or an .mp4 if ffmpeg is installed.",
 )  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace what is there.")
 @click.option("--view", type=click.Choice(["above", "3d"]), default="above", show_default=True, help="From where.")
-@click.option("--from", "begin", metavar="TIME", type=Duration(), default="0s", help="Begin at this time, e.g. 20s.")
-@click.option(
-    "--to", "end", metavar="TIME", type=Duration(), help="End at this time; by default at the end of the log."
-)
+@click.option("--from", "begin", metavar="TIME", type=TIME, default="0s", help="Begin at this time, e.g. 20s.")
+@click.option("--to", "end", metavar="TIME", type=TIME, help="End at this time; by default at the end of the log.")
 @click.option(
     "--speed", metavar="X", type=click.FloatRange(0.001, 1000.0),
     help="Times real time; by default so that the movie lasts 12 s, but never slower than real time.",
@@ -384,15 +385,7 @@ def info(log: Path, as_json: bool) -> None:
 )  # fmt: skip
 @NO_PROGRESS
 def movie(
-    log: Path,
-    out: Path,
-    force: bool,
-    view: str,
-    begin: int,
-    end: int | None,
-    speed: float | None,
-    fps: int,
-    width: int,
+    log: Path, out: Path, force: bool, view: str, begin: int, end: int | None, speed: float | None, fps: int, width: int
 ) -> None:
     """Make a movie of LOG (an MCAP file, or a run directory) as fleet view shows it, as a GIF or an MP4.
 
@@ -422,4 +415,99 @@ def movie(
     click.echo(out)
 
 
-COMMANDS = (plot, export, report, info, movie)
+@click.command()
+@click.argument("trace", type=FILE)
+@click.option("--states", type=click.Choice(("2", "3")), default="2", show_default=True, help="How many states.")
+@click.option(
+    "--interval", metavar="TIME", type=TIME, help="Between two packets; by default the median in the trace.",
+)  # fmt: skip
+@click.option(
+    "--picture", metavar="FILE", type=FILE,
+    help="Draw the lengths of bursts, of TRACE and of the fit, into this file (png, svg, pdf).",
+)  # fmt: skip
+@NO_PROGRESS
+def fit(trace: Path, states: str, interval: int | None, picture: Path | None) -> None:
+    """Fit link states to what TRACE (CSV) says was delivered, and print them for a scenario.
+
+    The states are those of a hidden Markov model (Gilbert and Elliott), fitted by expectation maximisation. So a long
+    study need not repeat one afternoon. The entry of network.links is printed on stdout, all else on stderr.
+
+    \b
+    Examples:
+      fleet fit modem-log.csv
+      fleet fit modem-log.csv --states 3 --picture bursts.png
+      fleet fit links/1-2.csv > links.yaml
+    """
+    from fleet.analysis.link_fit import fit as fitted
+    from fleet.errors import FleetError
+    from fleet.scenario.sections.link_conditions import read_trace
+    from fleet.scenario.text.yaml_reader import yaml_text
+    from fleet.terminal.status_line import showing_steps
+
+    if trace.suffix != ".csv":
+        raise click.BadParameter(f"expected a file that ends in .csv, got {trace}", param_hint="TRACE")
+    if interval == 0:
+        raise click.BadParameter("must be above 0", param_hint="--interval")
+    with showing_steps(f"{states} states"):
+        try:
+            found = fitted(read_trace(trace), int(states), interval)
+        except FileNotFoundError:
+            raise FleetError(f"trace {trace}: there is no such file") from None
+    for text in fit_lines(found, trace):
+        say(text, err=True)
+    if picture is not None:
+        _draw(found, trace, picture)
+        say(str(picture), err=True)
+    click.echo(yaml_text({"network": {"links": {"*": found.section()}}}), nl=False)
+
+
+def fit_lines(found: LinkFit, trace: Path) -> list[str]:
+    """The parameters of a fit in words, and how likely the trace is under it."""
+    from fleet.analysis.link_fit import runs
+
+    model, alone = found.model, found.independent
+    measured, (_, expected) = runs(found.lost).mean(), model.bursts(1)
+    every, share = found.interval_ns / 1e9, found.lost.mean()
+    lines = [
+        f"{trace}: {len(found.lost)} packets, one every {every:g} s, {100 * share:.3g} % lost",
+        f"log-likelihood {model.log_likelihood:.2f} with {model.states} states (BIC {model.bic:.1f}), "
+        f"{alone.log_likelihood:.2f} with independent losses (BIC {alone.bic:.1f}); the lower BIC is the better",
+        f"mean burst of losses: {measured:.3g} packets in the trace, {expected:.3g} of the fit, "
+        f"{1 / (1 - share):.3g} of independent losses",
+    ]
+    for k, name in enumerate(found.names):
+        c = found.conditions[k]
+        delay = f", delay {c.delay_ns / 1e6:.4g} ms, sd {c.jitter_ns / 1e6:.3g} ms" if c.delay_ns else ""
+        rate = f", rate {c.rate_bit_s} bit/s" if c.rate_bit_s else ""
+        lines.append(
+            f"{name}: {100 * found.shares[k]:.3g} % of the time, mean {found.mean_ns[k] / 1e9:.4g} s, "
+            f"loss {100 * c.loss:.3g} %{delay}{rate}"
+        )
+    if found.uneven:
+        lines.append(
+            "the packets are not evenly spaced: the states are fitted per packet, and times follow from the interval"
+        )
+    if found.lag > 0.01:
+        lines.append(
+            f"no states in continuous time fit these changes from packet to packet exactly: probabilities differ "
+            f"by up to"
+            f"{100 * found.lag:.2g} %; try --states 2"
+        )
+    return lines
+
+
+def _draw(found: LinkFit, trace: Path, picture: Path) -> None:
+    from fleet.analysis.link_fit import runs
+    from fleet.pictures.bursts import draw_bursts
+
+    measured = {"burst of losses": runs(found.lost), "gap between bursts": runs(1.0 - found.lost)}
+    longest = int(max(lengths.max() for lengths in measured.values())) + 1
+    named = {f"fit of {found.model.states} states": found.model, "independent losses": found.independent}
+    models = {
+        name: dict(zip(measured, (model.bursts(longest)[0], model.gaps(longest)[0]), strict=True))
+        for name, model in named.items()
+    }
+    draw_bursts(picture, trace.name, measured, models)
+
+
+COMMANDS = (plot, export, report, info, movie, fit)

@@ -6,7 +6,7 @@ import importlib.util
 import keyword
 import re
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
@@ -14,40 +14,16 @@ import click
 
 from fleet.cli.completion import scenarios
 from fleet.cli.group import ListingGroup
+from fleet.cli.types import FOLDER
 from fleet.errors import FleetError
 
 KINDS = ("controller", "guidance", "tracking", "agent")
 _IMPORTED = {
-    "Any",
-    "AgentConfig",
-    "Command",
-    "Delivery",
-    "Facts",
-    "FormationAgent",
-    "Failure",
-    "Nav",
-    "KIND",
-    "PAYLOAD",
-    "PayloadError",
-    "PlantConfig",
-    "Sample",
-    "Sequence",
-    "Signal",
-    "Telemetry",
-    "Tick",
-    "Vec3",
-    "Vec6",
-    "Water",
-}  # imported by the templates
-
-
+    "Any", "AgentConfig", "Command", "Delivery", "Facts", "FormationAgent", "Failure", "Nav", "KIND", "PAYLOAD",
+    "PayloadError", "PlantConfig", "Sample", "Sequence", "Signal", "Telemetry", "Tick", "Vec3", "Vec6", "Water",
+}  # by the templates  # fmt: skip
 _folder = click.option(
-    "--dir",
-    "folder",
-    metavar="DIR",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path(),
-    help="Where to write; by default here.",
+    "--dir", "folder", metavar="DIR", type=FOLDER, default=Path(), help="Where to write; by default here."
 )
 
 
@@ -59,12 +35,9 @@ def new() -> None:
 @new.command()
 @click.argument("name")
 @click.option(
-    "--kind",
-    type=click.Choice(["controller", "guidance", "tracking", "agent"]),
-    default="controller",
-    show_default=True,
+    "--kind", type=click.Choice(KINDS), default="controller", show_default=True,
     help="What it replaces: guidance and tracking, one of them, or the whole agent.",
-)
+)  # fmt: skip
 @_folder
 def controller(name: str, kind: str, folder: Path) -> None:
     """Write NAME.py, a control law that runs as it is, and NAME.yaml, a scenario that uses it.
@@ -74,7 +47,11 @@ def controller(name: str, kind: str, folder: Path) -> None:
       fleet new controller pid
       fleet new controller swarm --kind guidance --dir laws
     """
-    _tell(write_law(kind, name, folder), folder)
+    choice = f"{kind}: {name}:{_class_name(name, 'Law')}"
+    other = {"guidance": "tracking: neurodynamic", "tracking": "guidance: optimal"}.get(kind)
+    if other is not None:
+        choice += f"\n{other}  # the other half is the paper's, with gentle gains\nprofile: hardened"
+    _write_modules(name, folder, {".py": f"{kind}.py", ".yaml": "law.yaml"}, "Law", {"THE_CHOICE": choice})
 
 
 @new.command()
@@ -88,7 +65,7 @@ def check(name: str, folder: Path) -> None:
       fleet new check too_near
       fleet new check one_leader --dir checks
     """
-    _tell(write_check(name, folder), folder)
+    _write_modules(name, folder, {".py": "check.py", ".yaml": "check.yaml"}, "Check")
 
 
 @new.command()
@@ -102,7 +79,8 @@ def protocol(name: str, folder: Path) -> None:
       fleet new protocol gossip
       fleet new protocol gossip --dir protocols
     """
-    _tell(write_protocol(name, folder), folder)
+    templates = {".py": "protocol.py", "_check.py": "protocol_check.py", ".yaml": "protocol.yaml"}
+    _write_modules(name, folder, templates, "Protocol")
 
 
 @new.command()
@@ -116,16 +94,7 @@ def plant(name: str, folder: Path) -> None:
       fleet new plant glider
       fleet new plant glider --dir vehicles
     """
-    _tell(write_plant(name, folder), folder)
-
-
-def _tell(written: Sequence[Path], folder: Path) -> None:
-    """Say which files were written, the scenario last, and what to type now."""
-    *modules, scenario = written
-
-    below = folder.resolve().is_relative_to(Path().resolve())  # a module outside of the current directory needs --trust
-    there, file = ("", scenario) if below else (f"cd {shlex.quote(str(folder))} && ", scenario.name)
-    click.echo(f"wrote {', '.join(map(str, modules))} and {scenario}; now: {there}fleet run {shlex.quote(str(file))}")
+    _write_modules(name, folder, {".py": "plant.py", ".yaml": "plant.yaml"}, "Plant")
 
 
 @new.command()
@@ -149,11 +118,8 @@ def scenario(name: str, shipped: str | None, folder: Path) -> None:
 def write_scenario(name: str, shipped: str | None, folder: Path) -> Path:
     """Write `name`.yaml into `folder`.
 
-    Args:
-        shipped: the name of the shipped scenario that is copied; None: the template.
-
-    Raises:
-        FleetError: the name is none for a scenario, there is no such shipped one, or a file is in the way.
+    `shipped`: the name of the shipped scenario that is copied; None: the template. Raises FleetError: the name is none
+    for a scenario, there is no such shipped one, or a file is in the way.
     """
     from importlib import resources
 
@@ -178,35 +144,6 @@ def write_scenario(name: str, shipped: str | None, folder: Path) -> Path:
     return path
 
 
-def write_law(kind: str, name: str, folder: Path) -> list[Path]:
-    """Write `name`.py and `name`.yaml into `folder`.
-
-    Raises:
-        FleetError: the name is none for a module, belongs to another one, or a file is in the way.
-    """
-    choice = f"{kind}: {name}:{_class_name(name, 'Law')}"
-    other = {"guidance": "tracking: neurodynamic", "tracking": "guidance: optimal"}.get(kind)
-    if other is not None:
-        choice += f"\n{other}  # the other half is the paper's, with gentle gains\nprofile: hardened"
-    return _write_modules(name, folder, {".py": f"{kind}.py", ".yaml": "law.yaml"}, "Law", {"THE_CHOICE": choice})
-
-
-def write_check(name: str, folder: Path) -> list[Path]:
-    """Write `name`.py with a check and `name`.yaml into `folder`. Raises FleetError as `write_law`."""
-    return _write_modules(name, folder, {".py": "check.py", ".yaml": "check.yaml"}, "Check")
-
-
-def write_protocol(name: str, folder: Path) -> list[Path]:
-    """Write `name`.py with a protocol, `name`_check.py and `name`.yaml. Raises FleetError as `write_law`."""
-    templates = {".py": "protocol.py", "_check.py": "protocol_check.py", ".yaml": "protocol.yaml"}
-    return _write_modules(name, folder, templates, "Protocol")
-
-
-def write_plant(name: str, folder: Path) -> list[Path]:
-    """Write `name`.py with a plant and `name`.yaml into `folder`. Raises FleetError as `write_law`."""
-    return _write_modules(name, folder, {".py": "plant.py", ".yaml": "plant.yaml"}, "Plant")
-
-
 def _class_name(name: str, kind: str) -> str:
     class_name = "".join(part[:1].upper() + part[1:] for part in name.split("_") if part) or kind
     return class_name + kind * (keyword.iskeyword(class_name) or class_name in _IMPORTED)
@@ -214,16 +151,13 @@ def _class_name(name: str, kind: str) -> str:
 
 def _write_modules(
     name: str, folder: Path, templates: Mapping[str, str], kind: str, more: Mapping[str, str] = MappingProxyType({})
-) -> list[Path]:
-    """Write modules and a scenario from templates.
+) -> None:
+    """Write modules and a scenario from templates, and say what to type now.
 
     In these, the_law and TheLaw stand for names; `more` gives further replacements.
 
-    Args:
-        templates: by what follows `name` in the name of the file.
-
-    Raises:
-        FleetError: the name is none for a module, belongs to another one, or a file is in the way.
+    `templates`: by what follows `name` in the name of the file. Raises FleetError: the name is none for a module,
+    belongs to another one, or a file is in the way.
     """
     if not name.isascii() or not name.isidentifier() or keyword.iskeyword(name):
         raise FleetError(f"{name!r} cannot name a Python module: letters, digits and _, not a digit first")
@@ -242,7 +176,10 @@ def _write_modules(
         text = (resources.files("fleet.templates") / template).read_text("utf-8")
         texts[path] = re.sub("|".join(values), lambda match: values[match[0]], text)
     _write(folder, texts)
-    return written
+    *modules, scenario = written
+    below = folder.resolve().is_relative_to(Path().resolve())  # a module outside of the current directory needs --trust
+    there, file = ("", scenario) if below else (f"cd {shlex.quote(str(folder))} && ", scenario.name)
+    click.echo(f"wrote {', '.join(map(str, modules))} and {scenario}; now: {there}fleet run {shlex.quote(str(file))}")
 
 
 def _refuse_existing(paths: Iterable[Path]) -> None:

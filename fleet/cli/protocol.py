@@ -14,7 +14,7 @@ import click
 
 from fleet.cli.completion import scenarios
 from fleet.cli.group import ListingGroup, report
-from fleet.cli.types import TRUST, Duration, Whole
+from fleet.cli.types import FILE, FOLDER, TIME, TRUST, Whole, time_within
 from fleet.errors import FleetError
 from fleet.processes.interrupts import ending_status
 
@@ -47,13 +47,13 @@ def protocol(context: click.Context) -> None:
 @click.option("--scenario", default="paper", show_default=True, shell_complete=scenarios,
               help="The scenario of the agent's slice.")  # fmt: skip
 @TRUST
-@click.option("--join-file", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
+@click.option("--join-file", metavar="FILE", type=FILE,
               help="Where to write the join file; by default join-<i>.json here.")  # fmt: skip
-@click.option("--timeout", type=Duration(), default="300 s", show_default=True, help="How long to wait for the agent.")
+@click.option("--timeout", type=TIME, default="300 s", show_default=True, help="How long to wait for the agent.")
 @click.option("--port", type=Whole(1, 65535), help="Loopback port of the router; by default a free one.")
 @click.option("--listen-certified", metavar="ENDPOINT",
               help="Also listen here for an agent with a certificate and no password (zenoh-pico).")  # fmt: skip
-@click.option("--certs", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
+@click.option("--certs", metavar="DIR", type=FOLDER,
               help="With --listen-certified: certificates, made by fleet hosts certs.")  # fmt: skip
 def check(
     vehicle: int,
@@ -116,13 +116,13 @@ _AGENT = (
     "path",
     metavar="FILE",
     required=True,
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     help="The join-<i>.json that fleet run wrote for an external vehicle.",
 )
 @click.option(
     "--wait",
     metavar="[TIME]",
-    type=Duration(1, 86_400),
+    type=time_within(1, 86_400),
     is_flag=False,
     flag_value="300 s",
     help="Wait for the file, and for a run that takes this agent, up to this time; 300 s without a time.",
@@ -218,14 +218,7 @@ def patiently(join: Callable[[], T], wait_s: float, path: Path, line: StatusLine
 
     A file of a run that is over is no reason to end: the next run may write another one there.
 
-    Args:
-        join: joins, serves, and returns what came of it.
-        wait_s: how long.
-        path: of the join file.
-
-    Raises:
-        NotYetError: it was not possible in that time.
-        JoinError: it is no use to wait.
+    Raises NotYetError: it was not possible in that time; JoinError: it is no use to wait.
     """
     from agents.join_file import NotYetError
 

@@ -16,7 +16,7 @@ from fleet.cli import completion
 from fleet.cli.group import exit_status
 from fleet.cli.log_argument import log_argument
 from fleet.cli.sessions import ending
-from fleet.cli.types import Duration, EndpointText
+from fleet.cli.types import ENDPOINT, FILE, TIME
 from fleet.errors import FleetError
 
 if TYPE_CHECKING:
@@ -36,13 +36,13 @@ def _speed(ctx: click.Context, param: click.Parameter, value: float) -> float:
 _connect = click.option(
     "--connect",
     metavar="ENDPOINT",
-    type=EndpointText(),
+    type=ENDPOINT,
     help="Join the router or peer at this address, e.g. tcp/10.0.0.5:7447.",
 )
 _listen = click.option(
     "--listen",
     metavar="ENDPOINT",
-    type=EndpointText(),
+    type=ENDPOINT,
     help="Be a router at this address; by default a free loopback port, which is printed.",
 )
 
@@ -51,9 +51,9 @@ _listen = click.option(
 @log_argument
 @click.option("--speed", metavar="X", type=float, default=1.0, show_default=True, callback=_speed,
               help="Times the log's own pace; 0: as fast as possible.")  # fmt: skip
-@click.option("--start", "start_ns", metavar="TIME", type=Duration(), default=0,
+@click.option("--start", "start_ns", metavar="TIME", type=TIME, default=0,
               help="Begin at this time of the log, e.g. '20 s'.")  # fmt: skip
-@click.option("--end", "end_ns", metavar="TIME", type=Duration(), help="End at this time of the log.")
+@click.option("--end", "end_ns", metavar="TIME", type=TIME, help="End at this time of the log.")
 @click.option("--topics", metavar="TOPIC", multiple=True,
               help="Only this topic, or those that fit: uuv/*/state, link/**; repeatable.")  # fmt: skip
 @click.option("--loop", is_flag=True, help="Begin again at the end, until Ctrl-C.")
@@ -110,9 +110,9 @@ def replay(log: Path, connect: str | None, listen: str | None, quiet: bool, **ho
 @click.command(epilog=EPILOG)
 @click.option("-k", "--key", "keys", metavar="KEY", multiple=True,
               help="Key expression to record, e.g. 'robot/**'; repeatable.")  # fmt: skip
-@click.option("-o", "--out", "output", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
+@click.option("-o", "--out", "output", metavar="FILE", type=FILE,
               help="The file to write; by default record-<UTC time>.mcap.")  # fmt: skip
-@click.option("--duration", metavar="TIME", type=Duration(), help="Stop after this time, e.g. '1 min'.")
+@click.option("--duration", metavar="TIME", type=TIME, help="Stop after this time, e.g. '1 min'.")
 @_connect
 @_listen
 @click.option("--run", metavar="NAME", shell_complete=completion.published_runs,
@@ -182,8 +182,7 @@ def _recorded(
 ) -> tuple[str | None, Any, tuple[str, ...]]:
     """The endpoint to connect to, the credentials for it, and the keys to record.
 
-    Raises:
-        click.UsageError: there is no key, or options exclude each other.
+    Raises click.UsageError: there is no key, or options exclude each other.
     """
     if ros2 and run is not None:
         raise click.UsageError("--run records a run, and --ros2 records nodes of ROS 2: give one of them")

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from fleet.cli.group import exit_status
-from fleet.cli.types import Whole
+from fleet.cli.types import FOLDER, Whole
 from fleet.processes.limits import processors
 from fleet.terminal.table import stdout
 
@@ -16,18 +16,14 @@ from fleet.terminal.table import stdout
 @click.option(
     "--out",
     metavar="DIR",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=FOLDER,
     default=Path("reproduction"),
     show_default=True,
     help="The folder for report.md, metrics.json and the pictures.",
 )
 @click.option("--jobs", metavar="N", type=Whole(1, 256), help="Runs at a time; by default one per core.")
 @click.option(
-    "--case",
-    "cases",
-    metavar="NAME",
-    multiple=True,
-    help="Only runs whose name begins with NAME; repeatable.",
+    "--case", "cases", metavar="NAME", multiple=True, help="Only runs whose name begins with NAME; repeatable."
 )
 @click.option("--format", "formats", type=click.Choice(["png", "svg", "pdf"]), multiple=True, default=("png",),
               show_default=True, help="Format of the pictures; repeatable.")  # fmt: skip

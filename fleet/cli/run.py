@@ -17,7 +17,7 @@ from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.group import EPILOG
 from fleet.cli.junit import JUNIT
-from fleet.cli.types import OVERRIDES, TRUST, Duration, Share, Speed, Whole, disturbances, is_given, key_options
+from fleet.cli.types import OVERRIDES, PATH, SHARE, SPEED, TIME, TRUST, Whole, disturbances, is_given, key_options
 from fleet.terminal.output import OutputError, give_up_output
 from fleet.terminal.table import say, stdout
 from netem.vehicle_clock import Clock
@@ -59,7 +59,7 @@ class RunOptions(cli_hosts.HostsOptions):
     "-o",
     "--out",
     metavar="DIR",
-    type=click.Path(path_type=Path),
+    type=PATH,
     default=Path("runs"),
     show_default=True,
     help="The folder for run directories.",
@@ -68,7 +68,7 @@ class RunOptions(cli_hosts.HostsOptions):
 @click.option("--duration", metavar="TIME", help="Override the scenario's duration, e.g. '20 s'.")
 @click.option(
     "--speed",
-    type=Speed(),
+    type=SPEED,
     default="max",
     show_default=True,
     help="Speed in multiples of real time, or as fast as possible; with --clock real, 1.",
@@ -83,7 +83,7 @@ class RunOptions(cli_hosts.HostsOptions):
 @click.option(
     "--max-missed",
     metavar="SHARE",
-    type=Share(),
+    type=SHARE,
     default="1%",
     show_default=True,
     help="With --clock real: the run fails if an agent misses a larger share of its ticks.",
@@ -111,7 +111,7 @@ class RunOptions(cli_hosts.HostsOptions):
     help="With --publish, --view or --ros2: begin when there is a listener, such as the page.",
 )
 @cli_hosts.hosts_options
-@click.option("--join-timeout", type=Duration(), default="300 s", show_default=True,
+@click.option("--join-timeout", type=TIME, default="300 s", show_default=True,
               help="How long to wait for each external agent.")  # fmt: skip
 @click.option("--start-order", metavar="SEED", type=int, hidden=True)
 @json_option
@@ -206,15 +206,7 @@ def _execute(
 
 
 def _options(scenario: Scenario, start: Start | None, how: RunOptions, terminal: Terminal) -> Options:
-    """How to run a scenario.
-
-    Args:
-        start: where in a log it begins; None: at its beginning.
-        terminal: where warnings go.
-
-    Raises:
-        UsageError, FleetError: they do not go together, or with the scenario.
-    """
+    """How to run a scenario. Raises UsageError, FleetError: options do not go together, or with the scenario."""
     from fleet.execution.options import Options
 
     one_process = (
@@ -279,12 +271,7 @@ def _print_result(result: Result, *, as_json: bool, quiet: bool) -> None:
 
 
 def _load(
-    scenario: str | None,
-    begin: str | None,
-    changes: list[str | Override],
-    *,
-    quiet: bool,
-    only_shown: bool,
+    scenario: str | None, begin: str | None, changes: list[str | Override], *, quiet: bool, only_shown: bool
 ) -> tuple[Scenario, Start | None]:
     """The scenario to run, and where in a log it begins (`begin`: what --from says)."""
     from fleet.scenario.loading import load_scenario
@@ -313,8 +300,7 @@ def _warnings(scenario: Scenario, *, seed_given: bool) -> list[str]:
 def _check_clock(speed: float | None, clock: str, one_process: str) -> None:
     """Refuse options that do not go with the clock.
 
-    Args:
-        one_process: which option or key asks for a run in one process, or "".
+    `one_process`: which option or key asks for a run in one process, or "".
     """
     if clock != Clock.REAL:
         if is_given("max_missed"):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fleet.cli.documents.output import json_option, print_document
-from fleet.cli.types import AgeText, Whole, Words
+from fleet.cli.types import AGE, PATH, Whole, Words
 from fleet.terminal.table import stdout
 
 if TYPE_CHECKING:
@@ -22,12 +22,12 @@ VERDICTS = ("pass", "fail", "broke", "stopped")
 
 
 @click.command()
-@click.option("-o", "--out", metavar="DIR", type=click.Path(path_type=Path), default=Path("runs"), show_default=True,
+@click.option("-o", "--out", metavar="DIR", type=PATH, default=Path("runs"), show_default=True,
               help="The folder with run directories.")  # fmt: skip
 @click.option("--prune", is_flag=True, help="Remove runs that are over: those that fit every option below.")
 @click.option("--keep", metavar="N", type=Whole(min=0), help="Keep the newest N of the runs that are over.")
 @click.option(
-    "--older-than", metavar="AGE", type=AgeText(), help="Only runs that began at least this long ago, e.g. '7 days'."
+    "--older-than", metavar="AGE", type=AGE, help="Only runs that began at least this long ago, e.g. '7 days'."
 )
 @click.option("--verdict", "verdicts", metavar="LIST", type=Words(VERDICTS),
               help=f"Only runs with these verdicts: {', '.join(VERDICTS)}.")  # fmt: skip

@@ -1,10 +1,11 @@
-"""The command `fleet search`."""
+"""The commands that look for failures and make them small: search, shrink, regress, rare."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -14,19 +15,136 @@ from fleet.cli import junit as cli_junit
 from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import print_document
 from fleet.cli.junit import JUNIT
-from fleet.cli.shrink import MOST_RUNS, pieces, place_of, show_least, write_least
 from fleet.cli.study_options import Making, changing_options, least_options, making_options
-from fleet.cli.types import Budget
+from fleet.cli.types import BUDGET, FILE, FOLDER, TIME, Whole
 from fleet.terminal.table import say
 
 if TYPE_CHECKING:
     from fleet.scenario.scenario import Scenario
     from fleet.scenario.text.overrides import Override
     from fleet.study.engine import Engine
-    from fleet.study.failures import FoundFailure
+    from fleet.study.failures import FoundFailure, Regressed
     from fleet.study.modules import Modules
+    from fleet.study.rare import RareFound
     from fleet.study.search import Searched
     from fleet.study.shrink import Shrunk
+    from fleet.terminal.status_line import StatusLine
+    from fleet.terminal.table import Piece
+
+MOST_RUNS = 2000
+
+
+@click.command()
+@click.argument("failing", metavar="LOG|SCENARIO", shell_complete=scenarios)
+@changing_options
+@click.option("--check", metavar="NAME", help="The check that must still fail; by default the first that fails.")
+@least_options
+@click.option("--budget", metavar="RUNS", type=Whole(1), default=MOST_RUNS, show_default=True,
+              help="Stop after this number of runs.")  # fmt: skip
+@making_options()
+def shrink(
+    failing: str,
+    changes: list[str | Override],
+    check: str | None,
+    out: Path | None,
+    force: bool,
+    budget: int,
+    how: Making,
+) -> None:
+    """Make a run that fails a check as small as possible.
+
+    The command removes faults and vehicles, shortens the run and its faults, and makes faults milder, as long as the
+    check still fails. From a log it takes all faults, including injected ones. It writes the smallest scenario to a
+    file.
+
+    \b
+    Examples:
+      fleet shrink runs/latest
+      fleet shrink nemesis --set seed=3 --check formation_error
+      fleet shrink my.yaml --out least.yaml
+    """
+    from fleet.study.modules import modules_of
+    from fleet.study.shrink import Shrinker
+
+    scenario, folder = _failing_scenario(failing, changes)
+    path = place_of(scenario, out, force=force)
+    modules = modules_of([scenario], folder)
+    with how.showing(pieces) as tell, how.engine() as engine:
+        try:
+            found = Shrinker(scenario, engine, tell, engine.carry(modules)).shrink(check, budget)
+        except KeyboardInterrupt:
+            say(f"stopped, so {path} is not written; --budget N ends with the least scenario after N runs", err=True)
+            raise
+    write_least(found.scenario, path)
+    if how.as_json:
+        from fleet.cli.documents.studies import less
+
+        print_document(less(found, scenario, path))
+    else:
+        show_least(scenario, found, path)
+
+
+def place_of(scenario: Scenario, out: Path | None, *, force: bool) -> Path:
+    """Where the least scenario goes. Raises StudyError: it cannot be written."""
+    from fleet.study.errors import StudyError
+
+    path = out or Path(f"{scenario.name}-least.yaml")
+    if not path.parent.is_dir():
+        raise StudyError(f"{path} cannot be written: there is no folder {path.parent}")
+    try:
+        there = path.exists()
+        if there and not force:
+            raise StudyError(f"{path} is there already: choose another file with --out, or --force")
+        path.open("a").close()  # now, rather than after all runs
+        if not there:
+            path.unlink()
+    except OSError as error:
+        raise StudyError(f"{path} cannot be written: {error.strerror}; choose another file with --out") from None
+    return path
+
+
+def write_least(scenario: Scenario, path: Path) -> None:
+    """Write the least scenario. Raises StudyError: it cannot be written; then it is printed on stderr."""
+    from fleet.study.errors import StudyError
+
+    text = scenario.to_yaml()
+    try:
+        path.write_text(text, "utf-8")
+    except OSError as error:
+        click.echo(text, err=True)
+        raise StudyError(f"{path} cannot be written: {error.strerror}; the least scenario stands above") from None
+
+
+def pieces(line: StatusLine, doing: str, runs: int) -> list[Piece]:
+    """The current trial, and the number of runs made."""
+    from fleet.terminal.table import Piece
+
+    return [Piece(0, [f"{runs} runs"]), Piece(1, [doing])]
+
+
+def show_least(scenario: Scenario, found: Shrunk, path: Path) -> None:
+    """Say what was made less, and where the least scenario is."""
+    first, last = found.found
+    say(f"{scenario.name} fails {found.check} with {first}, the least scenario with {last}; {found.runs} runs")
+    for step in found.steps:
+        say(f"  {step}")
+    if not found.steps:
+        say("  nothing can be left out")
+    say(f"fleet run {path} fails it, too", err=True)
+    click.echo(path)
+
+
+def _failing_scenario(name: str, changes: list[str | Override]) -> tuple[Scenario, Path | None]:
+    from fleet.scenario.catalogue import shipped_scenarios
+    from fleet.scenario.loading import load_scenario
+
+    path = Path(name)
+    if name in shipped_scenarios() or path.suffix in (".yaml", ".yml"):
+        return load_scenario(name, changes), path.parent if path.exists() else None
+    from fleet.repeat.recorded_run import recorded
+    from fleet.scenario.trust import Policy
+
+    return recorded(path).script(changes, Policy()), None
 
 
 NemesisMode = Literal["swarm", "liveness"] | None
@@ -34,7 +152,7 @@ NemesisMode = Literal["swarm", "liveness"] | None
 
 @click.command()
 @click.argument("scenario", shell_complete=scenarios)
-@click.option("--budget", metavar="RUNS|TIME", type=Budget(), default="200", show_default=True,
+@click.option("--budget", metavar="RUNS|TIME", type=BUDGET, default="200", show_default=True,
               help="The number of seeds to try, or the time in which new ones begin, e.g. '10 min'.")  # fmt: skip
 @click.option("--nemesis", is_flag=True, help="Add a nemesis to a scenario without one: a swarm of faults.")
 @click.option("--liveness", is_flag=True,
@@ -43,7 +161,7 @@ NemesisMode = Literal["swarm", "liveness"] | None
 @click.option("--check", metavar="NAME", help="The check that must fail; by default any.")
 @changing_options
 @least_options
-@click.option("--keep", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
+@click.option("--keep", metavar="DIR", type=FOLDER,
               help="Continue after a failure; keep the smallest scenario of each kind of failure in DIR.")  # fmt: skip
 @JUNIT
 @making_options()
@@ -92,7 +210,7 @@ def search(
     found = hunt.found
     again = f"fleet run {scenario} --seed {found.seed}"
     cli_junit.write(junit, found.name, cli_junit.of_search(found, hunt.kept, again))
-    _print(found, hunt.least, check, hunt.path, hunt.kept, as_json=how.as_json)
+    _print_search(found, hunt.least, check, hunt.path, hunt.kept, as_json=how.as_json)
     if found.scenario is not None:
         sys.exit(1)
     if not found.runs:
@@ -164,7 +282,7 @@ def _tried(name: str, changes: list[str | Override], mode: NemesisMode) -> tuple
     return tried, modules_of([tried], Path(name).parent if Path(name).exists() else None)
 
 
-def _print(
+def _print_search(
     found: Searched, least: Shrunk | None, check: str | None, path: Path, kept: list[FoundFailure], *, as_json: bool
 ) -> None:
     if as_json:
@@ -193,4 +311,121 @@ def _print(
                 say(one.words)
 
 
-COMMANDS = (search,)
+@click.command()
+@click.argument("folder", metavar="DIR", type=FOLDER)
+@click.option("--accept", is_flag=True, help="Expect the present verdicts from now on.")
+@cli_junit.JUNIT
+@making_options()
+def regress(folder: Path, accept: bool, junit: Path | None, how: Making) -> None:
+    """Repeat the failures that a search has kept, and compare their verdicts with the expected ones.
+
+    The exit status is 0 if all are as expected, 1 if one is not, 3 if one has no result. After you mend a failure, it
+    is no longer as expected: --accept then writes that all its checks must pass from now on.
+
+    \b
+    Examples:
+      fleet search election --nemesis --keep failures
+      fleet regress failures
+      fleet regress failures --junit junit.xml
+    """
+    from fleet.study.failures import FailureFolder, Regression
+    from fleet.terminal.table import Piece
+
+    regression = Regression(FailureFolder(folder))
+    of = len(regression.failures)
+    with how.showing(lambda _, made, of: [Piece(0, [f"{made} / {of} runs"])]) as tell, how.engine() as engine:
+        found = regression.run(engine, lambda made: tell(made, of), engine.carry(regression.modules))
+    changed = regression.accept(found) if accept else 0
+    cli_junit.write(junit, folder.name, cli_junit.of_regress(found))
+    if how.as_json:
+        from fleet.cli.documents.studies import regressed
+
+        print_document(regressed(folder, found))
+    else:
+        _show_regressed(found)
+    if accept:
+        say(f"{changed} expected verdicts are changed", err=True)
+    if any(one.broken for one in found):
+        sys.exit(3)
+    if not accept and not all(one.same for one in found):
+        sys.exit(1)
+
+
+def _show_regressed(found: Sequence[Regressed]) -> None:
+    for one in found:
+        failure = one.failure
+        wanted = f"fails {failure.check}" if failure.expected == "fail" else "passes"
+        say(f"{'as expected' if one.same else 'DIFFERS'}  {failure.file}: {one.got}"
+            + ("" if one.same else f"; expected: {wanted}"))  # fmt: skip
+        if not one.same:
+            click.echo(failure.paste)  # whole, however narrow the terminal is
+        elif one.differs:
+            say("  its log differs from the one that this version of fleet made before: did a law or a plant change?")
+    say(f"{sum(one.same for one in found)} of {len(found)} are as expected")
+
+
+@click.command()
+@click.argument("scenario", shell_complete=scenarios)
+@click.option("--check", metavar="NAME", required=True, help="The check whose failures are rare.")
+@click.option("--repeats", metavar="N", type=Whole(1, 10_000), default=20, show_default=True,
+              help="Independent estimates; their spread gives the interval.")  # fmt: skip
+@click.option("--effort", metavar="N", type=Whole(4, 100_000), default=100, show_default=True,
+              help="The number of partial runs in each stage.")  # fmt: skip
+@click.option("--budget", metavar="TIME", type=TIME, help="Begin no repeat after this wall time, e.g. '10 min'.")
+@changing_options
+@click.option("-o", "--out", metavar="FILE", type=FILE,
+              help="The file for estimates; a later call continues it. By default NAME-rare.json.")  # fmt: skip
+@making_options()
+def rare(
+    scenario: str,
+    check: str,
+    repeats: int,
+    effort: int,
+    budget: int | None,
+    changes: list[str | Override],
+    out: Path | None,
+    how: Making,
+) -> None:
+    """Estimate how often a check fails, if failures are too rare to count.
+
+    Runs that nearly failed continue from there several times, with other draws of network and sea (multilevel
+    splitting on the margin of the check). Estimates in the file are not repeated.
+
+    \b
+    Examples:
+      fleet rare lossy --check max_age --set 'checks.max_age.below=2 s'
+      fleet rare my.yaml --check min_separation --repeats 50 --effort 200
+    """
+    from fleet.scenario.loading import changed, load_scenario
+    from fleet.study.modules import modules_of
+    from fleet.study.rare import RareEvent, Splitting
+    from fleet.study.study_file import refuse_study
+
+    refuse_study(scenario)
+    loaded = load_scenario(scenario, changes)
+    if loaded.spec.log.snapshot is None:
+        loaded = changed(loaded, ["log.snapshot=1 s"])
+    modules = modules_of([loaded], Path(scenario).parent if Path(scenario).exists() else None)
+    path = out or Path(f"{loaded.name}-rare.json")
+    with how.showing(pieces) as tell, how.engine() as engine:
+        event = RareEvent(loaded, check, Splitting(effort), engine.carry(modules))
+        found = event.run(engine, tell, repeats, path, inf if budget is None else budget / 1e9)
+    if how.as_json:
+        print_document(found)
+    else:
+        _print_rare(found)
+
+
+def _print_rare(found: RareFound) -> None:
+    interval = f"{found.low:.2g} to " + ("?" if found.high is None else f"{found.high:.2g}")
+    say(f"{found.scenario} fails {found.check} with probability {found.probability:.3g} ({interval}, 95 %)")
+    counting = "" if found.counting is None else f"; counting needs {found.counting:.2g} runs for such an interval"
+    say(f"{found.repeats} repeats cost as much as {found.runs:.3g} runs{counting}")
+    if found.decided:
+        say(f"in {found.decided} of them draws during the run made no difference. Draws before it, such as the "
+            f"initial state, decide there, and splitting does not help")  # fmt: skip
+    if not found.probability:
+        say("no repeat got as far as a failure: raise --effort or --repeats")
+
+
+COMMANDS = (shrink, search, regress, rare)

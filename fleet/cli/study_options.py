@@ -1,8 +1,8 @@
-"""Options of the commands that make many runs, as values with types: what is asked for, and how runs are made."""
+"""Options of the commands that make many runs, as values with types, and what these commands print."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import wraps
@@ -12,24 +12,28 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 import click
 
 from fleet.cli.documents.output import json_option
-from fleet.cli.types import FORCE, OVERRIDES, TRUST, Whole, disturbances, is_given
+from fleet.cli.types import FILE, FOLDER, FORCE, OVERRIDES, TRUST, Whole, disturbances, is_given
 from fleet.study.spec import BoundarySpec, Kind, Spec, SpecField, StudySpec, fields
-from fleet.terminal.table import say
+from fleet.terminal.table import Piece, TerminalColumn, say
 
 if TYPE_CHECKING:
     from fleet.scenario.text.overrides import Override
     from fleet.study.engine import Engine
+    from fleet.study.record import AxisRecord
+    from fleet.study.store import Store
+    from fleet.study.sweep import Progress
+    from fleet.terminal.status_line import StatusLine
     from fleet.terminal.table import Piece
 
 F = TypeVar("F", bound=Callable[..., Any])
 S = TypeVar("S", StudySpec, BoundarySpec)
 OUT = click.option(
-    "-o", "--out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False), default=Path("studies"),
+    "-o", "--out", metavar="DIR", type=FOLDER, default=Path("studies"),
     show_default=True, help="The folder for studies; each gets a directory of its own.",
 )  # fmt: skip
 WORKERS = click.option("--workers", metavar="N", type=Whole(1, 1024), help="Runs at a time; by default one per core.")
 SCHEDULER = click.option("--scheduler", metavar="ADDRESS", help="Use an existing Dask cluster, e.g. tls://host:8786.")
-_LEAST = click.option("-o", "--out", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
+_LEAST = click.option("-o", "--out", metavar="FILE", type=FILE,
                       help="The file for the smallest scenario; by default NAME-least.yaml.")  # fmt: skip
 
 
@@ -64,8 +68,7 @@ class Making:
     def showing(self, pieces: Callable[..., list[Piece]]) -> Iterator[Callable[..., None]]:
         """A function that shows how the work goes; call it as often as you like.
 
-        Args:
-            pieces: makes the status line of the line itself and of what the function is called with.
+        `pieces`: makes the status line of the line itself and of what the function is called with.
         """
         from rich.console import Console as Terminal
 
@@ -186,8 +189,7 @@ def _given(spec: Spec, options: Mapping[str, Any]) -> dict[str, Any]:
 def study_directory(name: str, asked: Asked[Any]) -> Path | None:
     """The directory of the study that goes on; None: the name is that of something new.
 
-    Raises:
-        click.UsageError: an option would change what the study runs.
+    Raises click.UsageError: an option would change what the study runs.
     """
     from fleet.scenario.catalogue import shipped_scenarios
     from fleet.study.catalogue import shipped_studies
@@ -234,3 +236,39 @@ class _Text(click.ParamType[str]):
             return str(read(self._field, value))
         except StudyError as error:
             self.fail(str(error), param, ctx)
+
+
+def axis_columns(axes: Sequence[AxisRecord], rows: Sequence[Mapping[str, float | str]]) -> list[TerminalColumn]:
+    """A column for each key that is varied. `rows`: the values of each row of the table by key."""
+    columns = []
+    for axis in axes:
+        heading = axis.key.removeprefix("network.links.") + (f"\n[{axis.unit}]" if axis.unit else "")
+        cells = [cell(values[axis.key]) for values in rows]
+        columns.append(TerminalColumn(heading, cells, 0, "left" if axis.unit is None else "right"))
+    return columns
+
+
+def cell(value: float | str) -> str:
+    """A value of a key that is varied."""
+    return value if isinstance(value, str) else f"{value:g}"
+
+
+def progress_pieces(line: StatusLine, share: float, progress: Progress) -> list[Piece]:
+    """How far it is, how fast it goes, and how many runs have no result."""
+    from fleet.terminal.status_line import BAR, bar
+
+    rate = f"{progress.rate:.2g} {progress.doing}/s" if progress.new else ""
+    failed = f"{progress.failed} without result" if progress.failed else ""
+    return [
+        Piece(5, [bar(share), bar(share, BAR // 2), ""] if line.live else [""]),
+        Piece(3, [rate, ""]),
+        Piece(1, [failed, ""]),
+    ]
+
+
+def show_reached(store: Store) -> None:
+    """Say what some run had to reach, and whether one did."""
+    from fleet.study.summary import reached
+
+    for one in reached(store):
+        say(one.words if one.hits else f"{one.words}: that no check fails says little")

@@ -26,16 +26,7 @@ def is_study(path: Path) -> bool:
 
 
 def check_options(subject: Path, options: Mapping[str, str], only_for: str) -> None:
-    """Refuse options that were given, but do not belong to what is shown.
-
-    Args:
-        subject: what is shown.
-        options: of the command, by the name of their parameter.
-        only_for: what they belong to.
-
-    Raises:
-        click.UsageError: one of them was given.
-    """
+    """Refuse options that were given, by their parameters, if they are for what the subject is not: UsageError."""
     source = click.get_current_context().get_parameter_source
     given = [option for name, option in options.items() if source(name) not in (None, ParameterSource.DEFAULT)]
     if given:
@@ -47,9 +38,8 @@ def plot_study(
 ) -> list[Path]:
     """Draw a study; returns the files, and tells what could not be drawn.
 
-    Raises:
-        StudyError: it is damaged, there is no such measure, or the extra `study` is not installed.
-        FleetError: the place cannot be written.
+    Raises StudyError: it is damaged, there is no such measure, or the extra `study` is not installed; FleetError: the
+    place cannot be written.
     """
     store = _open(directory)
     from fleet.study.pictures.gallery import write
@@ -66,9 +56,8 @@ def plot_study(
 def report_study(directory: Path, out: Path, measures: Sequence[str], log_scale: bool | None) -> None:
     """Write the page about a study.
 
-    Raises:
-        StudyError: it is damaged, there is no such measure, or the extra `study` is not installed.
-        FleetError: the place cannot be written.
+    Raises StudyError: it is damaged, there is no such measure, or the extra `study` is not installed; FleetError: the
+    place cannot be written.
     """
     store = _open(directory)
     from fleet.study.pictures.report import write
@@ -81,9 +70,8 @@ def report_study(directory: Path, out: Path, measures: Sequence[str], log_scale:
 def export_study(directory: Path, folder: Path, form: str, *, force: bool) -> Path:
     """Write the rows of a study as `csv` or `parquet`; returns the file.
 
-    Raises:
-        StudyError: it is damaged, or an extra is not installed.
-        FleetError: something is in the way, or the place cannot be written.
+    Raises StudyError: it is damaged, or an extra is not installed; FleetError: something is in the way, or the place
+    cannot be written.
     """
     from fleet.errors import FleetError
     from fleet.study.engine import need

@@ -39,12 +39,7 @@ _MOST_TOLD = 10  # logs that are not kept
 @click.option("--show-config", is_flag=True, help="Print the study as a file, with the options in it, and stop.")
 @making_options("Print only the study's directory; failures go to stderr.")
 def sweep(
-    scenario: str,
-    asked: Asked[StudySpec],
-    out: Path,
-    junit: Path | None,
-    show_config: bool,
-    how: Making,
+    scenario: str, asked: Asked[StudySpec], out: Path, junit: Path | None, show_config: bool, how: Making
 ) -> None:
     """Run SCENARIO at every combination of some values, with several seeds each, and print results with intervals.
 
@@ -148,13 +143,7 @@ def _columns(store: Store, spec: StudySpec) -> list[MeasureColumn]:
 
 
 def _run(store: Store, spec: StudySpec, modules: Modules | None, how: Making) -> None:
-    """Make the runs that are missing, then the logs.
-
-    Args:
-        store: the study.
-        spec: its settings.
-        modules: the modules that the runs need. None: they are looked for if a run is missing.
-    """
+    """Make the runs that are missing, then the logs. `modules`: that the runs need; None: they are looked for then."""
     from fleet.study.sweep import logs_to_make, modules_again, run_study
 
     missing = store.missing
@@ -177,11 +166,7 @@ def _run(store: Store, spec: StudySpec, modules: Modules | None, how: Making) ->
 
 
 def _nothing_varied(plan: Plan, how: Making) -> None:
-    """Say that runs differ by their seeds alone.
-
-    Raises:
-        click.UsageError: they do not even differ by these.
-    """
+    """Say that runs differ by their seeds alone. Raises click.UsageError: they do not even differ by these."""
     from fleet.analysis.seed import seeded
     from fleet.study.sweep import load_points
 
@@ -218,7 +203,7 @@ def _tell_what_is_missing(store: Store, logs: KeepLogs, not_kept: list[str]) -> 
 
 
 def _pieces(line: StatusLine, progress: Progress) -> list[Piece]:
-    from fleet.cli.study_output import progress_pieces
+    from fleet.cli.study_options import progress_pieces
     from fleet.terminal.table import Piece
 
     left = f"{timedelta(seconds=round(progress.left_s))} left" if isfinite(progress.left_s) else ""
@@ -229,7 +214,7 @@ def _pieces(line: StatusLine, progress: Progress) -> list[Piece]:
 
 
 def _show(store: Store, measures: list[MeasureColumn]) -> None:
-    from fleet.cli.study_output import axis_columns, show_reached
+    from fleet.cli.study_options import axis_columns, show_reached
     from fleet.study.statistics import LEAST, levels
     from fleet.study.summary import summarise
     from fleet.terminal.table import TerminalColumn, show

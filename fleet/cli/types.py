@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import inf
+from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
 F = TypeVar("F", bound=Callable[..., Any])
+T = TypeVar("T")
+PATH = click.Path(path_type=Path)
+FILE = click.Path(path_type=Path, dir_okay=False)
+FOLDER = click.Path(path_type=Path, file_okay=False)
 OVERRIDES = click.option(
     "--set",
     "overrides",
@@ -97,80 +102,91 @@ class Whole(click.IntRange):
             self.fail(f"expected a whole number{limits}, got {value!r}", param, ctx)
 
 
-class Duration(click.ParamType[int]):
-    """A time with a unit, in whole ns; the limits are in s."""
+class Parsed(click.ParamType[T]):
+    """What `read` makes of a text; its TextError or ValueError says what is wrong. A value that is no text stays."""
 
-    name = "time"
+    def __init__(self, name: str, read: Callable[[str], T]) -> None:
+        self.name, self._read = name, read
 
-    def __init__(self, least_s: int = 0, most_s: int | None = None) -> None:
-        self._least_s, self._most_s = least_s, most_s
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> T:
+        from netem.errors import TextError
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        from fleet.quantities import QuantityError, time_ns
-
+        if not isinstance(value, str):
+            known: T = value
+            return known
         try:
-            ns = value if isinstance(value, int) else time_ns(value)
-        except QuantityError as error:
+            return self._read(value)
+        except TextError as error:
             self.fail(f"{error.message}{f': {error.hint}' if error.hint else ''}", param, ctx)
-        if self._most_s is not None and not self._least_s * 10**9 <= ns <= self._most_s * 10**9:
-            self.fail(f"expected {self._least_s} s to {self._most_s} s, got {value!r}", param, ctx)
-        if ns < 0:
-            self.fail(f"expected a time of 0 or more, got {value!r}", param, ctx)
+        except (ValueError, OverflowError) as error:
+            self.fail(str(error), param, ctx)
+
+
+def _time_ns(text: str) -> int:
+    from fleet.quantities import time_ns
+
+    if (ns := time_ns(text)) < 0:
+        raise ValueError(f"expected a time of 0 or more, got {text!r}")
+    return ns
+
+
+TIME = Parsed("time", _time_ns)  # with a unit, in whole ns
+
+
+def time_within(least_s: int, most_s: int) -> Parsed[int]:
+    """Such a time within limits."""
+
+    def read(text: str) -> int:
+        if not least_s * 10**9 <= (ns := _time_ns(text)) <= most_s * 10**9:
+            raise ValueError(f"expected {least_s} s to {most_s} s, got {text!r}")
         return ns
 
-
-class Budget(click.ParamType[tuple[float, float]]):
-    """A number of runs, or a wall time with a unit: the most runs, and the most seconds; one of them is inf."""
-
-    name = "runs|time"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, float]:
-        from fleet.quantities import QuantityError, time_ns
-
-        if isinstance(value, tuple):
-            return value
-        text = str(value).strip()
-        try:
-            found = (int(text), inf) if text.isascii() and text.isdigit() else (inf, time_ns(text) / 1e9)
-        except (QuantityError, ValueError):
-            found = 0, 0
-        if min(found) <= 0:
-            self.fail(f"expected a number of runs such as 200, or a time such as '10 min', got {value!r}", param, ctx)
-        return found
+    return Parsed("time", read)
 
 
-class Speed(click.ParamType[float | None]):
-    """A factor of real time from a millionth to a million, or max."""
+def _budget(text: str) -> tuple[float, float]:
+    from fleet.quantities import QuantityError, time_ns
 
-    name = "x|max"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | None:
-        if value is None or value == "max":
-            return None
-        try:
-            speed = float(str(value).removesuffix("x"))
-        except ValueError:
-            speed = 0.0
-        if not 1e-6 <= speed <= 1e6:
-            expected = "expected a factor of real time such as 1 or 2.5, from 1e-6 to 1e6, or max"
-            self.fail(f"{expected}, got {value!r}", param, ctx)
-        return speed
+    number = text.strip()
+    try:
+        found = (int(number), inf) if number.isascii() and number.isdigit() else (inf, time_ns(number) / 1e9)
+    except (QuantityError, ValueError):
+        found = 0, 0
+    if min(found) <= 0:
+        raise ValueError(f"expected a number of runs such as 200, or a time such as '10 min', got {text!r}")
+    return found
 
 
-class Share(click.ParamType[float]):
-    """A share from 0 to 1, or in percent."""
+BUDGET = Parsed("runs|time", _budget)  # the most runs, and the most seconds of wall time; one of them is inf
 
-    name = "share"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        text = str(value)
-        try:
-            share = float(text[:-1]) / 100 if text.endswith("%") else float(text)
-        except ValueError:
-            share = -1.0
-        if not 0.0 <= share <= 1.0:
-            self.fail(f"expected a share such as 1% or 0.01, got {value!r}", param, ctx)
-        return share
+def _number(text: str, otherwise: float) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return otherwise
+
+
+def _speed(text: str) -> float | None:
+    if text == "max":
+        return None
+    if not 1e-6 <= (speed := _number(text.removesuffix("x"), 0.0)) <= 1e6:
+        expected = "expected a factor of real time such as 1 or 2.5, from 1e-6 to 1e6, or max"
+        raise ValueError(f"{expected}, got {text!r}")
+    return speed
+
+
+SPEED = Parsed("x|max", _speed)  # a factor of real time; None: max
+
+
+def _share(text: str) -> float:
+    share = _number(text[:-1], -1.0) / 100 if text.endswith("%") else _number(text, -1.0)
+    if not 0.0 <= share <= 1.0:
+        raise ValueError(f"expected a share such as 1% or 0.01, got {text!r}")
+    return share
+
+
+SHARE = Parsed("share", _share)  # from 0 to 1, or in percent
 
 
 class Words(click.ParamType[tuple[str, ...]]):
@@ -223,84 +239,61 @@ class PictureWords(Words):
         return parse_name(word) is not None
 
 
-class Window(click.ParamType[tuple[float, float]]):
-    """Two times, as in 20s..40s; a pair in s."""
+def _window(text: str) -> tuple[float, float]:
+    from fleet.quantities import QuantityError, time_ns
 
-    name = "a..b"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, float]:
-        if isinstance(value, tuple):
-            return value
-        from fleet.quantities import QuantityError, time_ns
-
-        first, dots, last = str(value).partition("..")
-        try:
-            begin, end = time_ns(first), time_ns(last)
-        except QuantityError as error:
-            self.fail(f"expected two times such as 20s..40s, got {value!r}: {error}", param, ctx)
-        if not dots or not 0 <= begin < end:
-            self.fail(f"expected two times such as 20s..40s, the earlier first, got {value!r}", param, ctx)
-        return begin / 1e9, end / 1e9
+    first, dots, last = text.partition("..")
+    try:
+        begin, end = time_ns(first), time_ns(last)
+    except QuantityError as error:
+        raise ValueError(f"expected two times such as 20s..40s, got {text!r}: {error}") from None
+    if not dots or not 0 <= begin < end:
+        raise ValueError(f"expected two times such as 20s..40s, the earlier first, got {text!r}")
+    return begin / 1e9, end / 1e9
 
 
-class Vehicles(click.ParamType[tuple[int, ...]]):
-    """Vehicle numbers, as in 1,3-5."""
-
-    name = "i,j-k"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
-        if isinstance(value, tuple):
-            return value
-        from fleet.quantities import QuantityError, vehicle_numbers
-
-        try:
-            return tuple(vehicle_numbers(str(value)))
-        except QuantityError as error:
-            self.fail(str(error), param, ctx)
+WINDOW = Parsed("a..b", _window)  # two times, as in 20s..40s; a pair in s
 
 
-class AgeText(click.ParamType[float]):
-    """An age with a unit, in s."""
+def _vehicles(text: str) -> tuple[int, ...]:
+    from fleet.quantities import vehicle_numbers
 
-    name = "age"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        from fleet.quantities import AGE, QuantityError, parse
-
-        try:
-            age = value if isinstance(value, float) else float(parse(value, AGE)[0])
-        except (QuantityError, OverflowError) as error:
-            self.fail(str(error), param, ctx)
-        if age < 0:
-            self.fail(f"expected an age of 0 or more, got {value!r}", param, ctx)
-        return age
+    return tuple(vehicle_numbers(text))
 
 
-class EndpointText(click.ParamType[str]):
-    """A zenoh endpoint."""
-
-    name = "endpoint"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        protocol, slash, address = str(value).partition("/")
-        if not slash or not protocol or not address:
-            self.fail(f"expected an endpoint such as tcp/127.0.0.1:7447, got {value!r}", param, ctx)
-        return str(value)
+VEHICLES = Parsed("i,j-k", _vehicles)  # numbers, as in 1,3-5
 
 
-class Numbers(click.ParamType[list[float]]):
+def _age(text: str) -> float:
+    from fleet.quantities import AGE, parse
+
+    if (age := float(parse(text, AGE)[0])) < 0:
+        raise ValueError(f"expected an age of 0 or more, got {text!r}")
+    return age
+
+
+AGE = Parsed("age", _age)  # with a unit, in s
+
+
+def _endpoint(text: str) -> str:
+    if not all(text.partition("/")):
+        raise ValueError(f"expected an endpoint such as tcp/127.0.0.1:7447, got {text!r}")
+    return text
+
+
+ENDPOINT = Parsed("endpoint", _endpoint)  # of zenoh
+
+
+def numbers(least: float, most: float, example: str, *, whole: bool = False) -> Parsed[list[float]]:
     """Numbers with commas between, each within limits."""
 
-    def __init__(self, least: float, most: float, example: str, *, whole: bool = False) -> None:
-        self.name = "n,n,..."
-        self._least, self._most, self._example, self._whole = least, most, example, whole
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> list[float]:
+    def read(text: str) -> list[float]:
         try:
-            numbers = [int(part) if self._whole else float(part) for part in str(value).split(",")]
+            found: list[float] = [int(part) if whole else float(part) for part in text.split(",")]
         except ValueError:
-            numbers = []
-        if not numbers or not all(self._least <= n <= self._most for n in numbers):
-            limits = f"from {self._least:g} to {self._most:g}"
-            self.fail(f"expected numbers {limits} such as {self._example}, got {value!r}", param, ctx)
-        return numbers
+            found = []
+        if not found or not all(least <= n <= most for n in found):
+            raise ValueError(f"expected numbers from {least:g} to {most:g} such as {example}, got {text!r}")
+        return found
+
+    return Parsed("n,n,...", read)

@@ -1,4 +1,4 @@
-"""The commands that prove a log right, compare it or make it usable: verify, diff, whatif, recover."""
+"""The commands that prove, explain, compare or mend a log: verify, diff, why, whatif, recover."""
 
 from __future__ import annotations
 
@@ -10,17 +10,19 @@ import click
 
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument, newest_log
-from fleet.cli.types import NO_PROGRESS, OVERRIDES, TRUST, Whole, key_options
+from fleet.cli.study_options import Making, making_options
+from fleet.cli.types import FILE, NO_PROGRESS, OVERRIDES, PATH, TRUST, Whole, key_options
 from fleet.terminal.table import say
 
 if TYPE_CHECKING:
     from fleet.repeat.what_if import WhatIf
-
+    from fleet.terminal.status_line import StatusLine
+    from fleet.terminal.table import Piece
 
 _VERIFY = "Exit status: 0 reproduced, 1 not, 2 no log of ours or it cannot be run here, 3 no message is left in it."
 _DIFF = "Exit status: 0 the same (or within the tolerance), 1 different, 2 one of them is no log."
 _RECOVER = "Exit status: 0 whole, 1 nothing can be recovered, 2 usage, 3 something is lost."
-_log = click.Path(path_type=Path)
+_log = PATH
 
 
 @click.command(epilog=_VERIFY)
@@ -42,10 +44,7 @@ def verify(log: Path, as_json: bool) -> None:
     from fleet.repeat.verify import verify as check
     from fleet.terminal.status_line import showing, showing_time
 
-    with (
-        showing(f"reading {log}") as reading,
-        showing_time("verified") as tell,
-    ):
+    with showing(f"reading {log}") as reading, showing_time("verified") as tell:
         found = check(log, tell, reading)
     if as_json:
         print_document(found)
@@ -144,16 +143,11 @@ def recover(log: Path, out: Path | None) -> None:
 @click.option("--controller", metavar="LAW", help="Short for --set controller=LAW: a name, or package.module:Class.")
 @OVERRIDES
 @TRUST
-@click.option("--plot", type=click.Path(path_type=Path), help="Draw both commands into this file (png, svg, pdf).")
+@click.option("--plot", type=PATH, help="Draw both commands into this file (png, svg, pdf).")
 @json_option
 @NO_PROGRESS
 def command(
-    log: Path,
-    agent: int,
-    controller: str | None,
-    overrides: tuple[str, ...],
-    plot: Path | None,
-    as_json: bool,
+    log: Path, agent: int, controller: str | None, overrides: tuple[str, ...], plot: Path | None, as_json: bool
 ) -> None:
     """Give another agent the navigation and messages of one in LOG, and compare their commands.
 
@@ -204,4 +198,56 @@ def what_if_lines(found: WhatIf) -> list[str]:
     return lines
 
 
-COMMANDS = (verify, diff, recover, command)
+@click.command()
+@log_argument
+@click.option("--check", metavar="NAME", help="The check that failed; by default the first one that did.")
+@click.option("--picture", metavar="FILE", type=FILE,
+              help="Draw it into this file (png, svg, pdf).")  # fmt: skip
+@click.option("--budget", metavar="RUNS", type=Whole(0, 10_000), default=24, show_default=True,
+              help="Healed runs that are tried; 0: only what the log says.")  # fmt: skip
+@making_options()
+def why(log: Path, check: str | None, picture: Path | None, budget: int, how: Making) -> None:
+    """Explain why a check failed in LOG: faults, messages that did not arrive, and what each vehicle knew.
+
+    It also finds the point of no return: the last moment from which the run still passes if all faults are healed. For
+    that it makes the run again, and then runs that are healed at some moment.
+
+    \b
+    Examples:
+      fleet why
+      fleet why runs/latest --check formation_error --picture why.png
+      fleet why runs/latest --budget 0
+      fleet why runs/latest --json
+    """
+    from fleet.explanation.why import Explanation, Question
+
+    if picture is not None:
+        from fleet.explanation.picture import draw
+        from fleet.pictures.style import format_of
+
+        format_of(picture)
+    with how.showing(_pieces) as tell:
+        explanation = Explanation(Question(log, check, budget), tell)
+        if explanation.searches:
+            with how.engine() as engine:
+                found = explanation.find(engine, engine.carry(explanation.modules))
+        else:
+            found = explanation.without_runs()
+    if picture is not None:
+        draw(found, explanation.path, explanation.scenario, picture)
+    if how.as_json:
+        print_document(found)
+        return
+    from fleet.explanation.why import lines
+
+    say("\n".join([*lines(found), *([str(picture)] if picture is not None else [])]))
+
+
+def _pieces(line: StatusLine, doing: str, runs: int) -> list[Piece]:
+    from fleet.explanation.no_return import RUNS
+    from fleet.terminal.table import Piece
+
+    return [Piece(0, [doing]), Piece(1, [f"{runs} runs" if doing == RUNS else ""])]
+
+
+COMMANDS = (verify, diff, recover, command, why)

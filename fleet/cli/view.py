@@ -90,13 +90,9 @@ def show_page(
     """Serve the page until Ctrl-C.
 
     Args:
-        source: the live run or the log to show.
-        host: address on which the page is served.
-        port: port of the page; None: any free one.
+        port: of the page; None: any free one.
         may_act: the page may disturb the run.
-        browser: open a browser.
         rate: speed of a log, as a multiple of real time.
-        loop: a log begins again at its end.
     """
     from contextlib import closing
 
@@ -133,8 +129,7 @@ def page_process(*, asked: bool, stays: bool) -> Iterator[PageProcess | None]:
 
     It is to be told when the journal of the run can be read, and when the run is over.
 
-    Args:
-        stays: on a terminal, it stays until Ctrl-C when the run is over.
+    `stays`: on a terminal, it stays until Ctrl-C when the run is over.
     """
     if not asked:
         yield None

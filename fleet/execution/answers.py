@@ -9,14 +9,14 @@ from msgspec import Meta, Struct
 from fleet.result.result import Formation
 from fleet.scenario.sections.vehicle_events import VehicleEvents
 
-RunName = Annotated[str, Meta(description="Name of the run: of its directory.")]
-Directory = Annotated[str, Meta(description="The run's directory, absolute.")]
-ScenarioName = Annotated[str, Meta(description="Name of the scenario.")]
+RunName = str
+Directory = str
+ScenarioName = str
 At = Annotated[float, Meta(description="Simulated time [s].")]
 End = Annotated[float, Meta(description="Simulated time at which the run ends [s].")]
-Clock = Annotated[str, Meta(description="How the clock goes, in words: paused, as fast as it goes, 2 x real time.")]
-FaultId = Annotated[str, Meta(description="The fault's id.")]
-FaultWords = Annotated[str, Meta(description="The fault, as a scenario writes it.")]
+Clock = Annotated[str, Meta(description="In words: paused, as fast as it goes, 2 x real time.")]
+FaultId = str
+FaultWords = str
 From = Annotated[float, Meta(description="Simulated time at which it begins [s].")]
 To = Annotated[float, Meta(description="Simulated time of its end, at the latest that of the run [s].")]
 UntilHealed = Annotated[bool, Meta(description="Whether it has no end of its own but the run's.")]
@@ -29,10 +29,10 @@ class LiveRunRow(Struct):
     directory: Directory
     scenario: ScenarioName
     pid: int
-    endpoint: Annotated[str, Meta(description="Endpoint of its router, as zenoh writes it.")]
-    at_s: Annotated[float | None, Meta(description="Simulated time; null: it did not answer.")] = None
-    end_s: Annotated[float | None, Meta(description="Simulated time at which it ends; null: no answer.")] = None
-    clock: Annotated[str | None, Meta(description="How its clock goes, in words; null: it did not answer.")] = None
+    endpoint: Annotated[str, Meta(description="Of its router.")]
+    at_s: Annotated[float | None, Meta(description="null: it did not answer.")] = None
+    end_s: float | None = None
+    clock: Annotated[str | None, Meta(description="In words.")] = None
     error: Annotated[str, Meta(description="Why there is no answer; empty: there is one.")] = ""
 
 
@@ -68,7 +68,7 @@ class VehicleRow(Struct):
     e_m: float | None
     settled: Annotated[bool, Meta(description="Whether the consensus error has stayed below 5 cm for long enough.")]
     oldest_s: Annotated[float | None, Meta(description="Greatest age of what it heard last of a neighbour.")]
-    oldest_of: Annotated[int | None, Meta(description="Number of that neighbour; null: it hears of none.")]
+    oldest_of: int | None
 
 
 class LinkRow(Struct):
@@ -78,7 +78,7 @@ class LinkRow(Struct):
     dst: int
     delivered: int
     lost: int
-    lost_share: Annotated[float, Meta(description="Lost ones among those whose fate is known, 0 to 1.")]
+    lost_share: Annotated[float, Meta(description="0 to 1.")]
     age_s: float
 
 
@@ -95,15 +95,12 @@ class RunStatus(Struct):
     formation: Formation
     delivered: int
     lost: int
-    faults: Annotated[
-        list[FaultRow],
-        Meta(description="The active ones of the scenario, injected, and of agents that died; with --all every one."),
-    ]
-    events: Annotated[list[EventRow], Meta(description="Events of vehicles so far, one row for each.")]
+    faults: Annotated[list[FaultRow], Meta(description="The active ones; with --all every one.")]
+    events: list[EventRow]
     vehicles_total: int
-    vehicles: Annotated[list[VehicleRow], Meta(description="The worst ten by formation error; with --all up to 500.")]
+    vehicles: Annotated[list[VehicleRow], Meta(description="The worst ten; with --all up to 500.")]
     links_total: int
-    links: Annotated[list[LinkRow], Meta(description="The worst five, worst first; with --all up to 500.")]
+    links: Annotated[list[LinkRow], Meta(description="The worst five; with --all up to 500.")]
 
 
 class Injected(Struct):
@@ -130,7 +127,7 @@ class ClockSet(Struct):
 
     run: RunName
     clock: Clock
-    at_s: Annotated[float, Meta(description="Simulated time that has been granted to the run.")]
+    at_s: Annotated[float, Meta(description="Simulated time.")]
 
 
 class Stopping(Struct):

@@ -29,7 +29,6 @@ class GrantPolicy:
 
     @classmethod
     def of(cls, scenario: Scenario, speed_limit: float | None = None, *, lead_ns: int = 0, begin: int = 0) -> Self:
-        """The policy for a scenario."""
         m = scenario.round_ticks
         return cls(scenario.ticks, scenario.tick_ns, m, frame_every(scenario), speed_limit, lead_ns, begin)
 
@@ -96,17 +95,14 @@ class LiveClock:
         return min(limit, tick + passed // self._policy.tick_ns + 1)
 
     def pause(self, granted: int) -> None:
-        """Grant nothing more."""
         self._held = granted if self._held is None else self._held
 
     def resume(self) -> None:
-        """Go on at the speed as before."""
         if self._held is not None:
             self._origin = self._now, self._held
             self._held = None
 
     def step(self, granted: int, ticks: int) -> None:
-        """Grant so many ticks and pause."""
         self._held = min(granted + ticks, self._policy.ticks)
 
     def set_speed_limit(self, granted: int, speed_limit: float | None) -> None:

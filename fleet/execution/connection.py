@@ -77,10 +77,8 @@ class LiveRun:
 
 
 def live_runs() -> list[LiveRun]:
-    """The runs of this user that can be asked, wherever they are, by name. A run in one process answers nobody.
-
-    Raises:
-        RegistryError: it is not known which runs there are.
+    """The runs of this user that can be asked, wherever they are, by name. A run in one process answers nobody. Raises
+    RegistryError if it is not known which runs there are.
     """
     found = [_read(directory) for directory in published(CONNECTION)]
     return sorted((one for one in found if one is not None), key=lambda one: (one.name, one.directory))
@@ -101,15 +99,9 @@ def published(file: str) -> list[Path]:
 
 
 def choose(run: str | None, file: str) -> Path:
-    """The directory of the one live run that the user means, among those with such a file.
-
-    Args:
-        run: its directory; or of the registered ones a name, a scenario or the beginning of a name that only one has;
-            None: the only one.
-
-    Raises:
-        RemoteError: there is none, or there are several.
-        RegistryError: it is not known which runs there are.
+    """The directory of the one live run that the user means, among those with such a file. `run` is its directory, or a
+    name, a scenario or the beginning of a name that only one registered run has; None: the only one. Raises RemoteError
+    if there is none, or there are several; RegistryError if it is not known which runs there are.
     """
     if run is not None and os.path.exists(Path(run) / file):  # unlike Path.exists it never raises
         directory = Path(run).resolve()  # `latest` is no name
@@ -158,7 +150,6 @@ def _choices(found: list[Path]) -> str:
 
 
 def is_live(run: LiveRun) -> bool:
-    """Whether a run has not ended."""
     return in_use(run.directory) and os.path.exists(run.directory / CONNECTION)
 
 
@@ -174,7 +165,6 @@ class OpenConnection:
             raise RemoteError(f"{run.name} cannot be reached: {error}") from None
 
     def ask(self, op: str, **fields: Any) -> dict[str, Any]:
-        """As `ask`."""
         name = self._run.name
         answer = self._bus.ask(f"{Keys(self._run.run).op}/{op}", request(op, **fields), timeout_s=ASK_S)
         if answer is None:
@@ -185,15 +175,12 @@ class OpenConnection:
         return values
 
     def close(self) -> None:
-        """End it."""
         self._bus.close()
 
 
 def ask(run: LiveRun, op: str, **fields: Any) -> dict[str, Any]:
-    """Ask the console of a run; `op` is what `fleet.execution.operator.Operator.handle` understands.
-
-    Raises:
-        RemoteError: it does not answer in time, or refuses.
+    """Ask the console of a run; `op` is what `fleet.execution.operator.Operator.handle` understands. Raises RemoteError
+    if it does not answer in time, or refuses.
     """
     with closing(OpenConnection(run)) as connection:
         return connection.ask(op, **fields)

@@ -35,8 +35,7 @@ from netem.wire.codec import expect
 from netem.wire.messages import PROTOCOL_VERSION, Frames, Grant, Hello, LinkReport
 from netem.wire.shell import read_map
 
-# --- accounts
-# The account of a completed run: every message that one process sent, another received.
+# --- accounts of a completed run: every message that one process sent, another received
 
 
 def closing(world: dict[str, Any], network: dict[str, Any], rejected: dict[str, int]) -> Closing:
@@ -49,16 +48,9 @@ def closing(world: dict[str, Any], network: dict[str, Any], rejected: dict[str, 
 
 
 def lost_messages(counts: dict[str, Any], clock: Clock = Clock.LOCKSTEP) -> int:
-    """How many messages left one process of a completed run and never arrived at the other.
-
-    Every nav is answered by one command; agents' own counts are not needed.
-
-    Args:
-        counts: by process (`world`, `netem`, `console`), how many messages of each kind it sent and received.
-        clock: on a wall clock an agent may skip navs, and commands are not counted.
-
-    Raises:
-        RunBroken: a process did not report what it sent and received.
+    """How many messages left one process of a completed run and never arrived at the other, from the counts that each
+    process gives by kind of message. Every nav is answered by one command; agents' own counts are not needed. On a wall
+    clock an agent may skip navs, and commands are not counted. Raises RunBroken if a process did not report.
     """
     try:
         world_sent, world_received = counts["world"]["sent"], counts["world"]["received"]
@@ -75,8 +67,7 @@ def lost_messages(counts: dict[str, Any], clock: Clock = Clock.LOCKSTEP) -> int:
     return sum(abs(sent - received) for sent, received in pairs)
 
 
-# --- readiness
-# Whether everyone is ready for the first tick.
+# --- readiness: whether everyone is ready for the first tick
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,9 +85,8 @@ def readiness(
     awaited: Sequence[int],
     silent: Collection[str],
 ) -> Readiness:
-    """Find out from the answers of world and netem to `ready` which processes are ready.
-
-    A liveliness token only shows that a process lives. These answers show that messages arrive.
+    """Which processes are ready, by the answers of world and netem to `ready`. A liveliness token only shows that a
+    process lives; these answers show that messages arrive.
 
     Args:
         world: `ready` has (vehicle, incarnation) of each agent that greeted the world; `grant`: it hears grants.
@@ -137,11 +127,8 @@ class Console:
         run: str,
         print_line: Callable[[str], None],
     ) -> None:
-        """Prepare a run; nothing is started.
-
-        Args:
-            run: its id; its keys begin with fleet/<run>/.
-            print_line: shows the operator a line that stays.
+        """Prepare a run; nothing is started. `run`: its id; its keys begin with fleet/<run>/. `print_line`: shows the
+        operator a line that stays.
         """
         self._scenario, self._journal, self._options = scenario, journal, options
         self._fleet = fleet = Supervisor(scenario, journal, directory, options, hosting, run, print_line)
@@ -158,12 +145,8 @@ class Console:
         return self._fleet.waiting
 
     def serve(self, policy: GrantPolicy, progress: Callable[[], None]) -> None:
-        """Run to the end.
-
-        Raises:
-            RunBroken: the run could not be completed.
-            StoppedError: the operator stopped it.
-            FleetError: the join file of an external agent cannot be written.
+        """Run to the end. Raises RunBroken if the run could not be completed; StoppedError if the operator stopped it;
+        FleetError if the join file of an external agent cannot be written.
         """
         began = time.monotonic()
         try:

@@ -122,9 +122,8 @@ def link_latest(out: Path, name: str) -> None:
 
 
 def in_use(directory: Path) -> bool:
-    """Whether a run goes on in a directory. One that was killed is over at once, whoever has its number now.
-
-    Where that cannot be seen (a file system without locks), one without a result may go on.
+    """Whether a run goes on in a directory; one that was killed is over at once, whoever has its number now. Where that
+    cannot be seen (a file system without locks), one without a result may go on.
     """
     try:
         with open_file(directory / SCENARIO) as file:
@@ -158,8 +157,7 @@ def _make_unique(out: Path, base: str) -> Path:
             return path
 
 
-# --- past runs
-# The runs below a directory: which there are, what they came to, how large they are, and which may go.
+# --- past runs: those below a directory: which there are, what they came to, how large they are, and which may go
 
 
 PASS, FAIL, BROKE, STOPPED, LIVE = VERDICTS = ("pass", "FAIL", "broke", "stopped", "live")
@@ -182,25 +180,21 @@ class PastRun(Struct, frozen=True):
     verdict: Annotated[str, Meta(description="pass, FAIL, broke (also: left no result), stopped or live.")]
     sim_s: Annotated[float | None, Meta(description="Simulated time that was reached; null: there is no result.")]
     size: Annotated[int, Meta(description="Size of all files in the directory [bytes].")] = field(name="size_bytes")
-    began: Annotated[datetime, Meta(description="When it began, UTC, as ISO 8601 writes it.")]
+    began: Annotated[datetime, Meta(description="UTC, ISO 8601.")]
     age_s: float
 
 
 def past_runs(out: Path) -> list[PastRun]:
-    """The runs below a directory, the newest first. Links, and directories that are not ours, are left out.
-
-    Raises:
-        FleetError: the directory cannot be read.
+    """The runs below a directory, the newest first. Links, and directories that are not ours, are left out. Raises
+    FleetError if the directory cannot be read.
     """
     found = [_read(path, began) for path, began in _ours(out)]
     return sorted(found, key=lambda run: (run.began, run.name), reverse=True)
 
 
 def newest_run(out: Path) -> Path | None:
-    """The directory of the newest run: the target of `latest`, or else the run that began last.
-
-    Raises:
-        FleetError: the directory cannot be read.
+    """The directory of the newest run: the target of `latest`, or else the run that began last. Raises FleetError if
+    the directory cannot be read.
     """
     with suppress(OSError):
         path = out / (out / LATEST).readlink()
@@ -210,26 +204,16 @@ def newest_run(out: Path) -> Path | None:
 
 
 def to_prune(runs: Sequence[PastRun], *, keep: int, older_than_s: float, verdicts: Collection[str]) -> list[PastRun]:
-    """Choose runs to remove. Live runs always stay.
-
-    Args:
-        runs: the runs, the newest first.
-        keep: this number of newest runs stays in any case.
-        older_than_s: younger runs stay [s].
-        verdicts: runs with another verdict stay.
+    """The runs to remove of `runs`, the newest first: of these verdicts, and older than `older_than_s` [s]. The `keep`
+    newest runs and live ones stay in any case.
     """
     over = [run for run in runs if run.verdict != LIVE]
     return [run for run in over[keep:] if run.verdict in verdicts and run.age_s >= older_than_s]
 
 
 def remove(out: Path, runs: Sequence[PastRun]) -> Iterator[PastRun]:
-    """Remove run directories with their content. Targets of links stay; `latest` is mended.
-
-    Yields:
-        Each run that was removed. A run that is in use again stays.
-
-    Raises:
-        FleetError: a directory cannot be removed.
+    """Remove run directories with their content, and yield each; one that is in use again stays. Targets of links stay,
+    and `latest` is mended. Raises FleetError if a directory cannot be removed.
     """
     try:
         for run in runs:
@@ -260,10 +244,8 @@ def _began_last(out: Path) -> Path | None:
 
 
 def _ours(out: Path) -> Iterator[tuple[Path, datetime]]:
-    """The run directories below a directory, and when they began.
-
-    A directory is ours if it has a name that `fleet run` gives, a scenario and a folder of logs. So a directory that a
-    user renamed is never removed.
+    """The run directories below a directory, and when they began. Ours has a name that `fleet run` gives, a scenario
+    and a folder of logs; so one that a user renamed is never removed.
     """
     try:
         entries = list(os.scandir(out))

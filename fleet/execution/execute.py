@@ -39,8 +39,7 @@ from fleet.terminal.table import GAP, Piece, shortened
 from netem.vehicle_clock import Clock
 from world.errors import WorldError
 
-# --- progress
-# The display of a run while it goes on: its time and speed, the formation error, packets and faults.
+# --- progress: the display of a run while it goes on: its time and speed, the formation error, packets and faults
 
 
 STILL_S = 60.0  # between plain lines when nothing moves
@@ -60,7 +59,6 @@ class ProgressLine:
         self._shown, self._still_until_s = (-1, ""), 0.0  # what the last plain line was about
 
     def __call__(self) -> None:
-        """Show it if it is time to."""
         now = time.monotonic()
         if self._began_s is None or self._journal.written < 0:
             self._began_s = now  # waiting for agents to join is no part of the run
@@ -124,8 +122,6 @@ class ProgressLine:
 
 @dataclass(slots=True)
 class _Run:
-    """A run that is prepared, and what has become of it so far."""
-
     scenario: Scenario
     options: Options
     directory: RunDirectory
@@ -145,18 +141,10 @@ class _Run:
 
 
 def execute(scenario: Scenario, options: Options, terminal: Terminal | None = None) -> Result:
-    """Run a scenario to its verdict. Only a caller's mistake raises; a run that breaks is a result.
-
-    Args:
-        terminal: where progress is shown; None: stderr.
-
-    Raises:
-        ScenarioError: a plant cannot be started.
-        RunBroken: the port is taken.
-        LogError: the log cannot be created.
-        CheckError: a check in Python cannot be made.
-        FleetError: the run directory cannot be made, the journal cannot be published, or somebody else is to start an
-            agent of a run in one process.
+    """Run a scenario to its verdict; progress is shown on `terminal` (None: stderr). Only a caller's mistake raises; a
+    run that breaks is a result. Raises ScenarioError if a plant cannot be started; RunBroken if the port is taken;
+    LogError if the log cannot be created; CheckError if a check in Python cannot be made; FleetError if the run
+    directory cannot be made, the journal cannot be published, or an agent is external in a run in one process.
     """
     try_plants(scenario)
     interrupts = DeferInterrupts()

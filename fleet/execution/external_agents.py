@@ -33,7 +33,6 @@ def refuse(scenario: Scenario, what: str) -> None:
 
 
 def named(vehicles: Sequence[int]) -> str:
-    """`vehicle 3 is external`, `vehicles 3 and 4 are external`."""
     if len(vehicles) == 1:
         return f"vehicle {vehicles[0]} is external"
     return f"vehicles {', '.join(map(str, vehicles[:-1]))} and {vehicles[-1]} are external"
@@ -59,14 +58,8 @@ class ExternalAgents:
     def open(
         self, endpoint: str, keys: Keys, credentials: Mapping[str, Credentials], folders: Mapping[int, JoinFolder]
     ) -> None:
-        """Write the join files; from now on the agents may join.
-
-        Args:
-            credentials: by role.
-            folders: with what agents join that have a certificate and no password, by vehicle.
-
-        Raises:
-            FleetError: a join file cannot be written.
+        """Write the join files; from now on the agents may join. `credentials`: by role. `folders`: with what agents
+        join that have a certificate and no password, by vehicle. Raises FleetError if a join file cannot be written.
         """
         self._keys, self._folders = keys, folders
         for i in self.vehicles:
@@ -92,7 +85,6 @@ class ExternalAgents:
         )
 
     def token(self, i: int, alive: bool) -> None:
-        """Record that a liveliness token appeared or disappeared."""
         (self._present.add if alive else self._present.discard)(i)
 
     def present(self, i: int) -> bool:
@@ -105,7 +97,6 @@ class ExternalAgents:
             self.joined(i)
 
     def joined(self, i: int) -> None:
-        """Record that the agent of vehicle i is ready."""
         if self._awaited.pop(i, None) is not None:
             self._print_line(f"agent {i} (external) has joined")
 
@@ -133,7 +124,6 @@ class ExternalAgents:
         return f"waiting for {self.awaited_text()} to join, {waited_s:.0f} s"
 
     def close(self) -> None:
-        """Remove the join files."""
         for i in self._files:
             self._directory.join(i).unlink(missing_ok=True)
             shutil.rmtree(self._directory.join_folder(i), ignore_errors=True)

@@ -31,7 +31,6 @@ class Hosting:
     members: tuple[tuple[int, ...], ...] = ()  # the vehicles of each host; host 1 comes first
 
     def role(self, i: int, incarnation: int = 0) -> str:
-        """The process of a life of agent i."""
         for h, group in enumerate(() if incarnation else self.members, start=1):
             if i in group:
                 return host_role(h)
@@ -79,7 +78,6 @@ def _plugged(control: Control) -> bool:
 
 
 def _shared(own: Sequence[int], most: int) -> Hosting:
-    """As few hosts as there can be, all about as full."""
     if most <= 1 or not own:
         return Hosting()
     count = ceil(len(own) / most)

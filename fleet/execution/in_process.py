@@ -58,9 +58,8 @@ MakeLife = Callable[[int, int], AgentLife]  # (incarnation, begin) -> one life o
 
 
 class InProcess:
-    """A `Runner` for one run in this process.
-
-    A caller that looks at the run in between calls `begin`, `advance` and `end` in place of `serve`.
+    """A `Runner` for one run in this process. A caller that looks at the run in between calls `begin`, `advance` and
+    `end` in place of `serve`.
     """
 
     waiting = ""  # nobody waits for anybody here
@@ -75,12 +74,9 @@ class InProcess:
         agents: Mapping[int, MakeLife] | None = None,
         salt: int = 0,
     ) -> None:
-        """Prepare a run.
-
-        Args:
-            start: the snapshot of another run to go on from. None: the run begins at its beginning.
-            agents: by vehicle, functions that make an agent in place of the scenario's.
-            salt: changes all further draws of world and network. 0: the draws of every run with this seed.
+        """`start`: the snapshot of another run to go on from. `agents`: by vehicle, functions that make an agent in
+        place of the scenario's. `salt` changes all further draws of world and network; 0: the draws of every run with
+        this seed.
         """
         self._other_agents = agents or {}
         self._scenario, self.journal, self._begin = scenario, journal, start
@@ -99,12 +95,8 @@ class InProcess:
         self._post: deque[tuple[int, int, bytes]] = deque()  # (from, to, message) for agents
 
     def serve(self, policy: GrantPolicy, progress: Callable[[], None]) -> None:
-        """Run to the end.
-
-        Raises:
-            RunBroken: a core sent what cannot be used.
-            AgentError: an agent failed, and the scenario does not go on without it.
-            WorldError: the world failed.
+        """Run to the end. Raises RunBroken if a core sent what cannot be used; AgentError if an agent failed, and the
+        scenario does not go on without it; WorldError if the world failed.
         """
         began = time.monotonic()
         self.begin()
@@ -169,12 +161,10 @@ class InProcess:
 
     @property
     def world(self) -> World:
-        """The sea, to look at."""
         return self._world.state.world
 
     @property
     def finished(self) -> bool:
-        """Whether the last tick is over."""
         return self._world.finished
 
     # What is done to the fleet between two ticks: `Fleet`.
@@ -244,7 +234,6 @@ class InProcess:
         )
 
     def _loop(self, i: int, incarnation: int) -> AgentLife:
-        """The life `incarnation` of agent i, which is made when it is asked for."""
         if incarnation > self._loops[i].incarnation:
             begin = self._world.state.lives.gaps(i)[incarnation - 1][1]
             assert begin is not None  # otherwise no message would name this life
@@ -338,13 +327,8 @@ def in_process(
     salt: int = 0,
     judged: bool = True,
 ) -> InProcess:
-    """Make a run in this process, and its journal, which writes to `log`. The rest is as for `InProcess`.
-
-    Args:
-        judged: the user's own checks see everything, too.
-
-    Raises:
-        CheckError: a check in Python cannot be made.
+    """Make a run in this process, and its journal, which writes to `log`. The rest is as for `InProcess`. `judged`: the
+    user's own checks see everything, too. Raises CheckError if a check in Python cannot be made.
     """
     begin = 0 if start is None else start.snapshot.tick
     checks = OwnChecks.asked(scenario, begin) if judged else None
@@ -352,5 +336,4 @@ def in_process(
 
 
 def _over_the_wire(config: AgentConfig) -> AgentConfig:
-    """The configuration as an agent process would have received it."""
     return AgentConfig.from_values(msgpack.unpackb(msgpack.packb(config.to_values())))

@@ -25,7 +25,6 @@ def tick_text(tick: int, tick_ns: int) -> str:
 
 
 def note_text(tick: int, tick_ns: int, who: str, text: str) -> str:
-    """A note as the console and the result show it."""
     return f"{tick_text(tick, tick_ns)} {who}: {text}"
 
 
@@ -48,9 +47,8 @@ def folded(notes: Iterable[str]) -> list[str]:
 
 
 class Notes:
-    """The notes of one distributed run, from the console and from its processes.
-
-    A flood of notes costs bounded memory: at most `MOST_NOTES` per role wait, and at most as many are kept.
+    """The notes of one distributed run, from the console and from its processes. A flood costs bounded memory: at most
+    `MOST_NOTES` per role wait, and at most as many are kept.
     """
 
     def __init__(self, tick_ns: int) -> None:
@@ -72,10 +70,8 @@ class Notes:
         return False
 
     def receive(self, role: str, data: bytes, tick: int) -> Ended | None:
-        """Take a note of a role at a tick; `admit` has let it in.
-
-        Returns:
-            The report of a host that one of its agents has ended. None: it was a note, or was rejected.
+        """Take a note of a role at a tick; `admit` has let it in. Returns the report of a host that one of its agents
+        has ended. None: it was a note, or was rejected.
         """
         self._queued.release(role)
         try:
@@ -95,7 +91,6 @@ class Notes:
         return None
 
     def add(self, tick: int, who: str, text: str) -> None:
-        """Keep a note."""
         self.lines.append(note_text(tick, self._tick_ns, who, text))
 
 

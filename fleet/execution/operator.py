@@ -32,8 +32,7 @@ from netem.faults import NetFault
 from netem.vehicle_clock import Clock
 from netem.wire.messages import WorldFault
 
-# --- fault request
-# A fault that is to begin in a run that goes on: checked by the rules of scenarios.
+# --- fault request: one that is to begin in a run that goes on: checked by the rules of scenarios
 
 
 BROKEN = 3  # the status of a refusal for which the asker can do nothing
@@ -41,9 +40,8 @@ _ENTRY: TypeAdapter[FaultSection] = TypeAdapter(FaultEntry)
 
 
 class RefusedError(FleetError):
-    """A request that cannot be carried out; the text says why.
-
-    Its `status` is 2 when something else should have been asked for, 3 when the run cannot do it now.
+    """A request that cannot be carried out. `status` is 2 when something else should have been asked for, 3 when the
+    run cannot do it now.
     """
 
     def __init__(self, text: str, status: int = 2) -> None:
@@ -52,10 +50,8 @@ class RefusedError(FleetError):
 
 
 def checked_fault(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
-    """The fault that an entry of a scenario's `faults` without `at` describes, beginning at a tick.
-
-    Raises:
-        RefusedError: it is none, or none for this scenario; the text says what is wrong.
+    """The fault that an entry of a scenario's `faults` without `at` describes, beginning at a tick. Raises RefusedError
+    if it is none, or none for this scenario; the text says what is wrong.
     """
     if not isinstance(entry, dict) or "at" in entry:
         raise RefusedError("expected a fault without `at`, because it begins now")
@@ -105,9 +101,7 @@ class Fleet(Protocol):
         """Start vehicle i's agent again at a tick; it has been missing since tick `begin` (None: whenever)."""
 
 
-# --- live status
-# How the vehicles and the links of a live run are doing: what `fleet status` shows of them.
-#
+# --- live status: how the vehicles and the links of a live run are doing: what `fleet status` shows of them
 # Nothing of it is kept while the run goes on: it is computed when somebody asks, and for the worst rows only.
 
 

@@ -35,10 +35,8 @@ def folder() -> Path:
 
 
 def register(run: RunDirectory) -> Path:
-    """Add a run that lives; returns its link, to be removed when the run is over.
-
-    Raises:
-        RegistryError: the folder cannot be made, written or trusted, or the run could not be told from a dead one.
+    """Add a run that lives; returns its link, to be removed when the run is over. Raises RegistryError if the folder
+    cannot be made, written or trusted, or the run could not be told from a dead one.
     """
     if not run.locked:
         raise RegistryError(f"the file system of {run.path} has no locks")
@@ -54,10 +52,8 @@ def register(run: RunDirectory) -> Path:
 
 
 def registered() -> list[Path]:
-    """The directories of all runs that live; links of others are removed.
-
-    Raises:
-        RegistryError: the folder cannot be read or trusted.
+    """The directories of all runs that live; links of others are removed. Raises RegistryError if the folder cannot be
+    read or trusted.
     """
     place = folder()
     try:

@@ -33,9 +33,6 @@ class Runner(Protocol):
     middleware_lost: int  # messages that zenoh lost; any makes the run invalid
 
     def serve(self, policy: GrantPolicy, progress: Callable[[], None]) -> None:
-        """Run to the end; `progress` is called all the time.
-
-        Raises:
-            RunBroken: the run could not be completed.
-            StoppedError: the operator stopped it.
+        """Run to the end; `progress` is called all the time. Raises RunBroken if the run could not be completed;
+        StoppedError if the operator stopped it.
         """

@@ -25,8 +25,7 @@ from netem.wire.keys import Keys
 from netem.wire.messages import Frames, Hello, LinkReport, Message
 from netem.wire.shell import read_map, request
 
-# --- events
-# The console's input: one queue of events, filled by the threads of zenoh and the watcher of processes.
+# --- events: the console's input, one queue of events, filled by the threads of zenoh and the watcher of processes
 
 
 class EventKind(StrEnum):
@@ -54,7 +53,6 @@ class EventQueue:
         self._queue: SimpleQueue[tuple[EventKind, Any]] = SimpleQueue()
 
     def put(self, kind: EventKind, data: Any) -> None:
-        """Add an event."""
         self._queue.put((kind, data))
 
     def take(self, timeout_s: float) -> Iterator[tuple[EventKind, Any]]:
@@ -78,13 +76,8 @@ CONNECT_TRY_MS = 500
 
 
 def connect_to_world(endpoint: str, credentials: Credentials, meanwhile: Callable[[], None]) -> Bus:
-    """Connect to the router that the world is starting.
-
-    Args:
-        meanwhile: called after each attempt that failed; it may raise a better explanation.
-
-    Raises:
-        RunBroken: there is no router within `CONNECT_S`.
+    """Connect to the router that the world is starting. `meanwhile`: called after each attempt that failed; it may
+    raise a better explanation. Raises RunBroken if there is no router within `CONNECT_S`.
     """
     deadline = time.monotonic() + CONNECT_S
     while True:
@@ -97,10 +90,8 @@ def connect_to_world(endpoint: str, credentials: Credentials, meanwhile: Callabl
 
 
 def connect_to_router(endpoint: str, credentials: Credentials, keys: Keys, events: EventQueue) -> Bus:
-    """Connect to a router that is there already.
-
-    Raises:
-        RunBroken: it does not let us in, or another run uses this run's keys there.
+    """Connect to a router that is there already. Raises RunBroken if it does not let us in, or another run uses this
+    run's keys there.
     """
     try:
         bus = Bus.connect(endpoint, credentials)
@@ -151,9 +142,7 @@ class Session:
         self, scenario: Scenario, clock: Clock, hosting: Hosting, external: ExternalAgents, events: EventQueue
     ) -> None:
         """Answer agents, and hosts, that ask for their slice of the scenario, and watch the tokens of external agents.
-
-        Raises:
-            PluginError: a law cannot be used.
+        Raises PluginError if a law cannot be used.
         """
         known = {} if clock is Clock.LOCKSTEP else {"clock": clock}
         slices = [scenario.agent_config(i).to_values() for i in range(1, scenario.vehicles + 1)]
@@ -176,5 +165,4 @@ class Session:
             self._bus.watch_tokens(self._keys.alive(agent_role(i)), partial(queue_token, i))
 
     def close(self) -> None:
-        """End the session."""
         self._bus.close()

@@ -301,7 +301,6 @@ class Run:
 
     @contextmanager
     def _going_on(self) -> Iterator[None]:
-        """Account for wall time, and for a run that breaks."""
         began, result = time.monotonic(), self._result
         try:
             yield

@@ -76,10 +76,8 @@ class Launch:
         directory: RunDirectory,
         children: Children,
     ) -> None:
-        """Choose endpoints, make credentials and the folder of the run's socket; nothing is started.
-
-        Raises:
-            RunBroken: the port is taken, or this machine allows too few open files, or has no place for the folder.
+        """Choose endpoints, make credentials and the folder of the run's socket; nothing is started. Raises RunBroken
+        if the port is taken, or this machine allows too few open files, or has no place for the folder.
         """
         self._scenario, self._options, self._hosting, self._keys = scenario, options, hosting, keys
         self._directory, self._children = directory, children
@@ -94,10 +92,8 @@ class Launch:
         self.endpoint = self._rendezvous.router or self._private.endpoint  # for the run's own processes
 
     def admit(self, external: ExternalAgents) -> None:
-        """Tell commands and external agents, in files, how to reach this run.
-
-        Raises:
-            FleetError: a file cannot be written.
+        """Tell commands and external agents, in files, how to reach this run. Raises FleetError if a file cannot be
+        written.
         """
         self._directory.write_connection(
             {
@@ -232,13 +228,9 @@ def who_waits(
     log_is_behind: bool,
     computing: Callable[[str], int] = lambda _: 0,
 ) -> str:
-    """The agents or processes that have not answered, in words.
-
-    Args:
-        world, network: the answers of the world and netem to `waiting`. Empty: no answer.
-        external: vehicles with an external agent, which is no child process.
-        log_is_behind: the journal has received more than the log holds.
-        children, computing: as for `explain`.
+    """The agents or processes that have not answered, in words. `world` and `network` are their answers to `waiting`,
+    empty without one; `external` are vehicles without a child process. `log_is_behind`: the journal has received more
+    than the log holds. The rest is as for `explain`.
     """
     if not world:
         return "waiting for the world" + _condition(WORLD, children[WORLD])
@@ -329,14 +321,10 @@ class Supervisor:
         return self._session
 
     def start(self, progress: Callable[[], None], meanwhile: Callable[[], None]) -> None:
-        """Start the processes, connect to the router, and let the operator and external agents in.
-
-        Args:
-            meanwhile: called between attempts to connect; it may raise a better explanation, such as the world's end.
-
-        Raises:
-            RunBroken: a process could not be started, or there is no router.
-            FleetError: the join file of an external agent cannot be written.
+        """Start the processes, connect to the router, and let the operator and external agents in. `meanwhile` is
+        called between attempts to connect, and may raise a better explanation, such as the world's end. Raises
+        RunBroken if a process could not be started, or there is no router; FleetError if the join file of an external
+        agent cannot be written.
         """
         self._launch = launch = Launch(
             self._scenario, self._options, self._hosting, self._keys, self._directory, self._children
@@ -362,7 +350,6 @@ class Supervisor:
         session.configure(self._scenario, self._options.clock, self._hosting, self.external, self.events)
 
     def close(self) -> None:
-        """End all processes, and the session."""
         try:
             with contextlib.suppress(MalformedMessage):
                 world = self._children.by_role.get(WORLD)
@@ -409,9 +396,8 @@ class Supervisor:
         return min([*planned, *self.starting.values()], default=self._scenario.ticks)
 
     def ended(self, exit_: Exit) -> bool:
-        """Record that a process ended. False: the run cannot go on without it.
-
-        If an agent died, the world decides the tick of its death.
+        """Record that a process ended. False: the run cannot go on without it. If an agent died, the world decides the
+        tick of its death.
         """
         own = [*self._hosting.agents(exit_.role)]
         if not own:
@@ -445,10 +431,8 @@ class Supervisor:
             self._dismiss(i, over, 0, "its link had ended, and its life with it")
 
     def unregistered(self, i: int) -> None:
-        """Record that an external agent's liveliness token disappeared.
-
-        Raises:
-            RunBroken: the agent died, and the run does not go on without it.
+        """Record that an external agent's liveliness token disappeared. Raises RunBroken if the agent died, and the run
+        does not go on without it.
         """
         was_there = self.external.present(i)
         self.external.token(i, False)
@@ -549,7 +533,6 @@ class Supervisor:
         )
 
     def _gap(self, i: int) -> tuple[int, int | None] | None:
-        """The gap (begin, end) after the life of agent i that was started last, if there is one."""
         gaps = self._lives.gaps(i)
         life = self._incarnation[i]
         return gaps[life] if life < len(gaps) else None
@@ -571,7 +554,6 @@ class Supervisor:
         return [f"{child.role}: {line}" for child in self._children.by_role.values() for line in child.tail()[-1:]][:10]
 
     def who_waits(self) -> str:
-        """The agents or processes that have not answered."""
         if self.starting:
             return "waiting for agents to start again: " + ", ".join(map(str, sorted(self.starting)))
         world, network = self.session.ask(WORLD, "waiting"), self.session.ask(NETEM, "waiting")
@@ -580,6 +562,5 @@ class Supervisor:
         return who_waits(world, network, processes, external, log_is_behind=behind, computing=self._computing)
 
     def explain(self, exits: Sequence[Exit]) -> RunBroken:
-        """Why the run cannot go on without these processes."""
         processes = self._hosting.children(self._children.by_role)
         return explain(exits, processes, self.notes.lines, self._now(), self._computing)

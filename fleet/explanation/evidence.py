@@ -62,13 +62,13 @@ class FaultThen(Struct, frozen=True):
 class Gap(Struct, frozen=True):
     """Consecutive messages on one link, or on several at the same time, that did not arrive."""
 
-    links: Annotated[list[str], Meta(description="Sender and receiver of each link, such as 1->2.")]
-    cause: Annotated[str, Meta(description="Cause of most losses: a fate of the log, `corrupted`, or `on the way`.")]
+    links: list[str]
+    cause: Annotated[str, Meta(description="Of most losses: a fate of the log, `corrupted`, or `on the way`.")]
     words: str
     from_s: float
     to_s: float
-    messages: Annotated[int, Meta(description="Number of messages, of all links together.")]
-    goes_on: Annotated[bool, Meta(description="Whether the links were still silent when the check failed.")]
+    messages: Annotated[int, Meta(description="Of all links together.")]
+    goes_on: Annotated[bool, Meta(description="Still silent when the check failed.")]
 
 
 class Heard(Struct, frozen=True):
@@ -87,10 +87,10 @@ class VehicleThen(Struct, frozen=True):
 
     vehicle: int
     silent_s: Annotated[float | None, Meta(description="How long it had reported nothing; null: it did report.")]
-    heard: Annotated[list[Heard], Meta(description="What it knew of each neighbour that it hears.")]
+    heard: Annotated[list[Heard], Meta(description="Of each neighbour.")]
     off_m: Annotated[float | None, Meta(description="Believed minus true position; null: it knew its place.")]
     sd_m: Annotated[float | None, Meta(description="Its own estimate of that error, north and east.")]
-    signals: Annotated[dict[str, float | None], Meta(description="Signals of the check and of its protocol.")]
+    signals: dict[str, float | None]
 
 
 class Evidence(NamedTuple):
@@ -104,11 +104,8 @@ class Evidence(NamedTuple):
 
 
 def evidence(log: Log, at_s: float, signals: Sequence[str], *, protocol: bool) -> Evidence:
-    """Collect the evidence of a log about a time.
-
-    Args:
-        signals: the signals of the check.
-        protocol: whether to add the signals of the agents' own protocol.
+    """Collect the evidence of a log about a time. `signals`: the signals of the check. `protocol`: whether to add the
+    signals of the agents' own protocol.
     """
     faults = [FaultThen(f.id, f.what, f.begin, f.end, f.end > at_s) for f in log.faults if f.begin <= at_s]
     each = {link: _Packets.of(log[link_topic(link)], at_s) for link in log.links}
@@ -231,7 +228,6 @@ def _there(log: Log, name: str) -> Topic | None:
 
 
 def _sample(topic: Topic, at_s: float) -> int:
-    """The last sample up to a time; -1: there is none."""
     return int(np.searchsorted(topic.t, at_s + 1e-9, "right")) - 1
 
 

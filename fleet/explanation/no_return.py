@@ -58,7 +58,7 @@ class HealedRun(Struct, frozen=True):
     """A run that was healed at a moment."""
 
     at_s: Annotated[float, Meta(description="No fault was on from this time on.")]
-    passed: Annotated[bool | None, Meta(description="Whether it passed the check; null: it could not be judged.")]
+    passed: Annotated[bool | None, Meta(description="null: it could not be judged.")]
     from_snapshot: Annotated[bool, Meta(description="Whether only the rest of the run was made, from a snapshot.")]
 
 
@@ -69,7 +69,7 @@ class NoReturn(Struct, frozen=True):
     words: str
     passes_s: Annotated[float | None, Meta(description="The last moment from which it passes; null: none.")] = None
     fails_s: Annotated[float | None, Meta(description="The next tried moment, from which it fails.")] = None
-    tried: Annotated[list[HealedRun], Meta(description="The runs that were made, by moment.")] = []
+    tried: list[HealedRun] = []
 
 
 class HealMoment(NamedTuple):
@@ -90,9 +90,8 @@ class Remade:
     broken: str = ""  # why it ended early
 
     def failed_between(self, check: str) -> tuple[float, float]:
-        """The last time when the check held, and the first time when it had failed [s].
-
-        If only the end of the run shows the failure, both are the end.
+        """The last time when the check held, and the first when it had failed [s]; both are the end if only the end
+        shows that.
         """
         tick_s, end = self.scenario.tick_ns / 1e9, self.scenario.duration_ns / 1e9
         moments = self.moments.get(check, [])
@@ -145,14 +144,8 @@ def _every(scenario: Scenario) -> int:
 
 
 def remake(scenario: Scenario, progress: Callable[[float], None]) -> Remade:
-    """Make the run once more, in this process.
-
-    Args:
-        scenario: as `with_moments` gives it.
-        progress: called with the share that is done.
-
-    Raises:
-        CheckError: a check in Python cannot be made.
+    """Make the run once more, in this process. `scenario`: as `with_moments` gives it. `progress`: called with the
+    share that is done. Raises CheckError if a check in Python cannot be made.
     """
     watch = _Watch(scenario, _every(scenario))
     runner, log = in_process(scenario, watch), NoLog()
@@ -184,11 +177,7 @@ class HealingSearch:
         self._known: dict[int, HealedRun] = {}  # by tick
 
     def run(self, most_runs: int) -> NoReturn:
-        """Find it.
-
-        Raises:
-            StudyError: a run that is healed does not come to its end.
-        """
+        """Find it. Raises StudyError if a run that is healed does not come to its end."""
         if not self._scenario.spec.faults:
             return NoReturn("not needed", "the run had no fault, so there was nothing to heal")
         moments = self._moments
@@ -268,7 +257,6 @@ class HealingSearch:
         return low, next((k for k in tried if low is None or k > low), None)
 
     def _ordered(self) -> bool:
-        """Whether every tried moment that passes comes before every moment that fails."""
         found = [bool(self._known[tick].passed) for tick in sorted(self._known)]
         return found == sorted(found, reverse=True)
 
@@ -316,7 +304,6 @@ def _end(fault: Mapping[str, Any]) -> float:
 
 
 def _spread(first: int, last: int, count: int) -> list[int]:
-    """So many places between two, both included, evenly; fewer if there are no more."""
     count = max(1, min(count, last - first + 1))
     if count == 1:
         return [first]

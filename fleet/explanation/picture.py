@@ -24,10 +24,8 @@ _FAILED, _PASSES = "#c0392b", "#1e8449"
 
 
 def draw(why: Why, log_path: Path, scenario: Scenario, path: Path) -> None:
-    """Write the picture, as wide as a page.
-
-    Raises:
-        FleetError: the file cannot be written, or its suffix is none of a picture.
+    """Write the picture, as wide as a page. Raises FleetError if the file cannot be written, or its suffix is none of a
+    picture.
     """
     format_of(path)  # before the work
     log = open_log(log_path, TOPICS)
@@ -54,7 +52,6 @@ def draw(why: Why, log_path: Path, scenario: Scenario, path: Path) -> None:
 
 
 def _silent(why: Why) -> list[str]:
-    """The links that were silent longest, by name."""
     silent: dict[str, float] = defaultdict(float)
     for gap in why.gaps:
         for link in gap.links:

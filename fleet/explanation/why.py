@@ -29,8 +29,8 @@ class Why(Struct, frozen=True):
     scenario: str
     seed: int
     check: str
-    asked: Annotated[str, Meta(description="What was asked, in words.")]
-    found: Annotated[str, Meta(description="What was found, in words.")]
+    asked: str
+    found: str
     others: list[str]
     held_until_s: Annotated[float, Meta(description="Up to when the check is known to have held.")]
     failed_s: float
@@ -38,9 +38,9 @@ class Why(Struct, frozen=True):
     faults: list[FaultThen]
     sent: int
     lost: Annotated[dict[str, int], Meta(description="By cause, how many of these had not arrived.")]
-    gaps: Annotated[list[Gap], Meta(description="Messages in a row that did not arrive, the most important first.")]
+    gaps: Annotated[list[Gap], Meta(description="The most important first.")]
     vehicles: list[VehicleThen]
-    no_return: Annotated[NoReturn, Meta(description="The last moment at which healing helps.")]
+    no_return: NoReturn
     notes: list[str]
 
 
@@ -57,13 +57,9 @@ Tell = Callable[[str, int], None]
 
 
 class Explanation:
-    """The explanation of one log."""
-
     def __init__(self, question: Question, tell: Tell) -> None:
-        """Read the log, and make its run once more if that is possible.
-
-        Raises:
-            LogReadError, FleetError, ScenarioError: the log cannot be explained; the text says why.
+        """Read the log, and make its run once more if that is possible. Raises LogReadError, FleetError, ScenarioError
+        if the log cannot be explained; the text says why.
         """
         self._question, self._tell = question, tell
         self._notes: list[str] = []
@@ -87,26 +83,17 @@ class Explanation:
         self.modules = modules_of([self.scenario], None)
 
     def find(self, engine: Engine, modules: Modules) -> Why:
-        """Explain it.
-
-        Args:
-            engine: makes the healed runs.
-            modules: that they need, as the engine carries them.
-
-        Raises:
-            StudyError: a healed run does not come to its end.
-            LogReadError: the log cannot be read.
+        """Explain it. `engine`: makes the healed runs. `modules`: that they need, as the engine carries them. Raises
+        StudyError if a healed run does not come to its end; LogReadError if the log cannot be read.
         """
         return self._explained(self._no_return(engine, modules))
 
     def without_runs(self) -> Why:
-        """Explain it without any healed run."""
         why = self._why_not or "it was not looked for: --budget is 0"
         return self._explained(NoReturn("not possible", why))
 
     @property
     def searches(self) -> bool:
-        """Whether healed runs are to be made."""
         return self._remade is not None and self._question.most_runs > 0
 
     def _remake(self) -> Remade:
@@ -155,7 +142,6 @@ class Explanation:
 
 
 def _why_not(source: Recorded, question: Question) -> str:
-    """Why the run of a log cannot be made again; empty: it can."""
     external = source.script().external
     if external:
         vehicles = ", ".join(map(str, external))
@@ -181,15 +167,13 @@ def _chosen(path: Path, verdicts: Sequence[Verdict], check: str | None) -> tuple
     return chosen, [name for name in names if name != chosen.check]
 
 
-# --- words
-# An explanation in words: short lines, each with one fact of the log.
+# --- words: an explanation in words: short lines, each with one fact of the log
 
 
 _MOST_FAULTS, _MOST_GAPS, _MOST_VEHICLES, _MOST_LINKS, _MOST_HEARD = 8, 8, 12, 6, 6
 
 
 def lines(why: Why) -> list[str]:
-    """All of it."""
     return [*_verdict(why), "", *_faults(why), "", *_messages(why), "", *_vehicles(why), "",
             "the point of no return", f"  {why.no_return.words}", *_after(why)]  # fmt: skip
 

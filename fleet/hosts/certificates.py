@@ -50,10 +50,8 @@ def make(directory: Path, hosts: Sequence[str] = (), *, agents: int = 0, days: i
     Args:
         hosts: names and addresses of the router's host; loopback is always added.
         agents: if positive, agent-1 ... agent-N and the run's own processes get client certificates.
-        force: replace existing files.
 
-    Raises:
-        FleetError: a host that is none, files in the way, no place to write, or `cryptography` is missing.
+    Raises FleetError: a host that is none, files in the way, no place to write, or `cryptography` is missing.
     """
     names = list(dict.fromkeys([*map(host_name, hosts), *ALWAYS]))
     clients = [OWN, *(f"agent-{i}" for i in range(1, agents + 1))] if agents else []
@@ -80,11 +78,7 @@ def make(directory: Path, hosts: Sequence[str] = (), *, agents: int = 0, days: i
 
 
 def path(directory: Path, who: str, *, key: bool = False) -> Path:
-    """The file of a certificate, or of the key to it.
-
-    Args:
-        who: `CA`, `SERVER`, `OWN` or a role.
-    """
+    """The file of a certificate, or of the key to it. `who`: `CA`, `SERVER`, `OWN` or a role."""
     return directory / f"{who}{'-key' if key else ''}.pem"
 
 
@@ -113,9 +107,8 @@ def read_ca(directory: Path) -> str:
 def read_server(directory: Path) -> ServerCertificate:
     """Read the router's certificate with its key.
 
-    Raises:
-        FleetError: a file is missing or damaged, the certificate is out of date or is not the CA's, the key is not
-            the certificate's, or others can read it.
+    Raises FleetError: a file is missing or damaged, the certificate is out of date or is not the CA's, the key is not
+    the certificate's, or others can read it.
     """
     x509 = _cryptography()
     ca, pair = read_ca(directory), read_client(directory, SERVER)
@@ -205,10 +198,7 @@ def _sign(hosts: list[str], clients: list[str], days: int) -> dict[str, tuple[by
         private = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
         return signed(named(name), key.public_key(), extensions), private
 
-    root = [
-        (x509.BasicConstraints(ca=True, path_length=0), True),
-        (may(key_cert_sign=True, crl_sign=True), True),
-    ]
+    root = [(x509.BasicConstraints(ca=True, path_length=0), True), (may(key_cert_sign=True, crl_sign=True), True)]
     made = {CA: (signed(issuer, ca_key.public_key(), root), b"")}
     made[SERVER] = leaf(hosts[0][:64], ExtendedKeyUsageOID.SERVER_AUTH, [_san(host) for host in hosts])
     for client in clients:

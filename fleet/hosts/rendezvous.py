@@ -6,7 +6,7 @@ import contextlib
 import ipaddress
 import re
 import socket
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -52,15 +52,9 @@ class JoinFolder:
     pair: KeyPair
 
     def write(self, path: Path, keys: Keys, incarnation: int, begin: int) -> None:
-        """Make the folder, or replace its files one by one; only this user can enter it.
+        """Make the folder, or replace its files one by one; only this user can enter it. Raises OSError.
 
-        Args:
-            keys: of the run.
-            incarnation: which life of the agent is to join.
-            begin: tick of its first nav.
-
-        Raises:
-            OSError: it cannot be written.
+        `incarnation`: which life of the agent is to join; `begin`: tick of its first nav.
         """
         i, role = self.vehicle, agent_role(self.vehicle)
         lines = [
@@ -148,11 +142,7 @@ class Rendezvous:
 def parse_endpoint(text: str, option: str) -> RouterEndpoint:
     """Read an endpoint as zenoh writes it.
 
-    Args:
-        option: where it was given, for the error.
-
-    Raises:
-        FleetError: it is none, or of another protocol.
+    `option`: where it was given, for the error. Raises FleetError: it is none, or of another protocol.
     """
     protocol, slash, place = text.partition("/")
     host, colon, port = place.rpartition(":")
@@ -162,10 +152,7 @@ def parse_endpoint(text: str, option: str) -> RouterEndpoint:
         raise FleetError(f"{option}: expected tls/HOST:PORT or tcp/HOST:PORT such as tls/0.0.0.0:7447, got {text!r}")
     endpoint = RouterEndpoint(protocol, host, int(port))
     if not endpoint.wildcard:
-        try:
-            host_name(host)
-        except FleetError as error:
-            raise FleetError(f"{option}: {error}") from None
+        _host(option, host)
     return endpoint
 
 
@@ -185,19 +172,16 @@ def listening(
         certs: for tls, the directory that `fleet hosts certs` has made.
         advertise: names or addresses that agents on other hosts use. Default: those of the certificate, or this host's
             address.
-        external: vehicles with an agent on another host.
-        mutual: these agents must show their own certificates.
-        lease_ms: the router drops a session after this time without a sign of life [ms].
+        external: vehicles with an agent on another host; `mutual`: these must show their own certificates.
 
-    Raises:
-        FleetError: the arguments contradict each other, or the certificates cannot be used.
+    Raises FleetError: the arguments contradict each other, or the certificates cannot be used.
     """
     endpoint = parse_endpoint(listen, "--listen")
     if endpoint.protocol == "tcp" and (certs or mutual):
         raise FleetError(
             f"--certs and --mutual-tls are for tls: --listen {RouterEndpoint('tls', endpoint.host, endpoint.port)}"
         )
-    hosts = [_advertised(host) for host in advertise]
+    hosts = [_host("--advertise", host) for host in advertise]
     if endpoint.protocol == "tcp":
         hosts = hosts or [_own_address() if endpoint.wildcard else endpoint.host]
         reached = ",".join(str(RouterEndpoint("tcp", host, endpoint.port)) for host in hosts)
@@ -212,9 +196,7 @@ def listening(
     server = read_server(certs)
     roles = [agent_role(i) for i in external] if mutual else []
     return Rendezvous(
-        listener=Listener(
-            (str(endpoint),), lease_ms, server.ca, server.pair.certificate, server.pair.key, certified=frozenset(roles)
-        ),
+        listener=_with_tls(endpoint, lease_ms, server, roles),
         reached=",".join(_reached(endpoint, hosts, server, certs)),
         ca=server.ca,
         certificates={role: read_client(certs, role) for role in roles},
@@ -233,12 +215,7 @@ def listening_for_certificates(
 ) -> Rendezvous:
     """The same rendezvous, where the run also listens for agents that have a certificate and no password.
 
-    Args:
-        rendezvous: of a run that hosts its router.
-        listen: an endpoint of its own, for tls; the others as for `listening`.
-
-    Raises:
-        FleetError: these do not go together; the certificates cannot be used, or an external agent has none.
+    Arguments as for `listening`; the endpoint is another one, for tls. Raises FleetError as well.
     """
     endpoint = parse_endpoint(listen, CERTIFIED)
     if endpoint.protocol != "tls":
@@ -251,29 +228,24 @@ def listening_for_certificates(
     if rendezvous.listener and any(parse_endpoint(e, "").port == endpoint.port for e in rendezvous.listener.endpoints):
         raise FleetError(f"--listen and {CERTIFIED} are two routers: give them a port each, not both {endpoint.port}")
     server = read_server(certs)
-    reached = _reached(endpoint, [_advertised(host) for host in advertise], server, certs)
+    reached = _reached(endpoint, [_host("--advertise", host) for host in advertise], server, certs)
     return replace(
         rendezvous,
-        certified=Listener(
-            (str(endpoint),),
-            lease_ms,
-            server.ca,
-            server.pair.certificate,
-            server.pair.key,
-            certified=frozenset(map(agent_role, external)),
-        ),
+        certified=_with_tls(endpoint, lease_ms, server, map(agent_role, external)),
         folders={i: JoinFolder(i, reached, lease_ms, server.ca, read_client(certs, agent_role(i))) for i in external},
     )
+
+
+def _with_tls(endpoint: RouterEndpoint, lease_ms: int, server: ServerCertificate, roles: Iterable[str]) -> Listener:
+    own = server.pair
+    return Listener((str(endpoint),), lease_ms, server.ca, own.certificate, own.key, certified=frozenset(roles))
 
 
 def check_free(listen: str, option: str = "--listen") -> None:
     """Check that the world will be able to listen there.
 
-    Args:
-        option: where it was given, for the error.
-
-    Raises:
-        FleetError: the port is taken or not for us, or the address is not of this host.
+    `option`: where it was given, for the error. Raises FleetError: the port is taken or not for us, or the address is
+    not of this host.
     """
     endpoint = parse_endpoint(listen, option)
     try:
@@ -297,17 +269,12 @@ def through_router(
     """The rendezvous of a run whose processes join an existing router.
 
     Args:
-        router: endpoint of the router.
         credentials: the file that `fleet hosts acl -o` wrote beside the router's configuration.
-        vehicles: number of vehicles of the scenario.
         certs: a directory with the CA of the router. For mutual TLS it also has the clients' certificates.
-        external: vehicles with an agent on another host.
-        mutual: clients must show certificates.
-        lease_ms: the router drops a session after this time without a sign of life [ms].
+        external: vehicles with an agent on another host; `mutual`: clients must show certificates.
 
-    Raises:
-        FleetError: the arguments contradict each other, the file is for another number of vehicles, or the
-            certificates cannot be used.
+    Raises FleetError: the arguments contradict each other, the file is for another number of vehicles, or the
+    certificates cannot be used.
     """
     endpoint = parse_endpoint(router, "--router")
     if endpoint.wildcard:
@@ -352,8 +319,7 @@ def new_credentials(run: str, vehicles: int) -> dict[str, Any]:
 def read_credentials(file: Path, vehicles: int) -> tuple[str, dict[str, Credentials]]:
     """The run's id and the credentials by role.
 
-    Raises:
-        FleetError: no such file, others can read it, it is damaged, or made for another number of vehicles.
+    Raises FleetError: no such file, others can read it, it is damaged, or made for another number of vehicles.
     """
     again = "make it with fleet hosts acl SCENARIO -o DIR"
     try:
@@ -374,26 +340,24 @@ def read_credentials(file: Path, vehicles: int) -> tuple[str, dict[str, Credenti
 def run_id(text: str) -> str:
     """Check a run's id, which is one piece of a key expression and the beginning of user names.
 
-    Raises:
-        FleetError: it has other characters, or too many.
+    Raises FleetError: it has other characters, or too many.
     """
     if not re.fullmatch(RUN_ID, text):
         raise FleetError(f"--run: expected letters, digits, - and _ such as sea-trial-3, got {text!r}")
     return Keys(text).run
 
 
-def _advertised(host: str) -> str:
+def _host(option: str, host: str) -> str:
     try:
         return host_name(host)
     except FleetError as error:
-        raise FleetError(f"--advertise: {error}") from None
+        raise FleetError(f"{option}: {error}") from None
 
 
 def _reached(endpoint: RouterEndpoint, hosts: list[str], server: ServerCertificate, certs: Path) -> tuple[str, ...]:
     """The endpoints under which agents reach a tls listener, at `hosts` or else at those of its certificate.
 
-    Raises:
-        FleetError: a name that the certificate does not hold: every agent would refuse it later.
+    Raises FleetError: a name that the certificate does not hold: every agent would refuse it later.
     """
     named = server.hosts
     if not hosts:

@@ -21,14 +21,10 @@ def config(run: str, vehicles: int, listen: str, users: str, certs: Path | None,
     """The text of a configuration file for zenohd. It names the file of passwords, and contains none.
 
     Args:
-        run: id of the run.
-        vehicles: number of vehicles.
-        listen: endpoint of the router.
         users: path of the file of users and passwords on the router's host.
         certs: for tls, the directory of the router's certificate on the router's host.
         mutual: clients must show certificates. An agent shows its own certificate, or that of the run's host. Every
             other process shows that of the run's host.
-        lease_ms: the router drops a session after this time without a sign of life [ms].
     """
     numbers = tuple(range(1, vehicles + 1))
     values: dict[str, Any] = {"mode": "router", "listen": {"endpoints": [listen], "exit_on_failure": True}}
@@ -56,8 +52,7 @@ def config(run: str, vehicles: int, listen: str, users: str, certs: Path | None,
 def write(directory: Path, run: str, vehicles: int, text: str, *, force: bool = False) -> None:
     """Write the configuration, the router's file of users, and the credentials file for `fleet run`.
 
-    Raises:
-        FleetError: files are in the way, or the directory cannot be written.
+    Raises FleetError: files are in the way, or the directory cannot be written.
     """
     credentials = new_credentials(run, vehicles)
     users = "".join(f"{user}:{password}\n" for user, password in credentials["users"].values())

@@ -28,10 +28,8 @@ class Columnizer:
     """Decodes the messages of one topic; `schema` None: they are bytes."""
 
     def __init__(self, name: str, schema: Schema | None, fields: frozenset[str] | None = None) -> None:
-        """`fields`: keep only these, of a topic that is not doubles alone.
-
-        Raises:
-            LogReadError: the schema cannot be used.
+        """`fields`: keep only these, of a topic that is not doubles alone. Raises LogReadError if the schema cannot be
+        used.
         """
         self._name, self._schema, self._fields = name, schema, fields
         self._make: Callable[[], Any] | None = None
@@ -50,10 +48,8 @@ class Columnizer:
         return any(lists for _, _, _, lists in _columns(self._make().DESCRIPTOR, (), ()))
 
     def __call__(self, data: bytes | bytearray, lengths: Array) -> Columns:
-        """The columns of messages that stand one behind the other.
-
-        Raises:
-            LogReadError: one is not what the schema says, or too large to be decoded.
+        """The columns of messages that stand one behind the other. Raises LogReadError if one is not what the schema
+        says, or too large to be decoded.
         """
         if self._make is None:
             return {"data": objects(_split(data, lengths))}
@@ -69,7 +65,6 @@ class Columnizer:
             raise LogReadError(f"{self._name}: a message is not what its schema {self._schema.name} says") from error
 
     def _structured(self, make: Callable[[], Any], data: bytes | bytearray, lengths: Array) -> Columns | None:
-        """All messages at once if each has the same layout of doubles; None if not."""
         fields = sorted(make().DESCRIPTOR.fields, key=lambda field: field.number)
         if not len(lengths) or any(field.type != FieldDescriptor.TYPE_DOUBLE for field in fields):
             return None

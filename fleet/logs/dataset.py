@@ -28,16 +28,13 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-# --- table
-# A topic as a table: a column for the time and one for each number, so that every column has one unit.
-#
+# --- table: of a topic, a column for the time and one for each number, so that every column has one unit
 # The first column is `t [s]`, the time at which the message was logged. Every other column is a field of the log; the
 # components of a vector each have their index: `tau_0 [N]`. A topic whose messages hold lists of messages
 # (`transforms`, `scene`) is no table.
 
 
 def need(what: str, packages: tuple[str, ...], extra: str) -> None:
-    """Raise FleetError if packages are not installed."""
     missing = [package for package in packages if find_spec(package) is None]
     if missing:
         listed = f"{', '.join(missing)}, which {'is' if len(missing) == 1 else 'are'} not installed"
@@ -45,8 +42,6 @@ def need(what: str, packages: tuple[str, ...], extra: str) -> None:
 
 
 class TableColumn(NamedTuple):
-    """One column of a table."""
-
     name: str
     unit: str
     meaning: str
@@ -58,10 +53,8 @@ class TableColumn(NamedTuple):
 
 
 def columns(topic: Topic, undivided: Collection[str] = ()) -> list[TableColumn]:
-    """The table of what is held of a topic; the time comes first. Vectors in `undivided` stay one column.
-
-    Raises:
-        LogReadError: its messages cannot be decoded, or are too many to be held.
+    """The table of what is held of a topic; the time comes first. Vectors in `undivided` stay one column. Raises
+    LogReadError if its messages cannot be decoded, or are too many to be held.
     """
     found = [TableColumn("t", "s", "when the message was logged, in simulated time", topic.t)]
     for name in topic.fields:
@@ -107,14 +100,8 @@ _STANDARD = {
 
 
 def dataset(topic: Topic, table: list[TableColumn], run: Mapping[str, str]) -> xr.Dataset:
-    """The table of a topic as a Dataset.
-
-    Args:
-        table: columns of (samples,) each, the time first; bytes are left out.
-        run: what determined the run (`Log.run`).
-
-    Raises:
-        FleetError: xarray is not installed.
+    """The table of a topic as a Dataset, from columns of (samples,) each, the time first; bytes are left out. `run` is
+    what determined the run (`Log.run`). Raises FleetError if xarray is not installed.
     """
     need("a Dataset", ("xarray",), EXTRA)
     import xarray as xr
@@ -165,7 +152,6 @@ def frame(topic: Topic) -> pd.DataFrame:
 
 
 def frame_attributes(table: list[TableColumn]) -> dict[str, dict[str, str]]:
-    """The attributes of a table as a DataFrame."""
     return {
         "units": {column.name: column.unit for column in table if column.unit},
         "meanings": {column.name: column.meaning for column in table if column.meaning},

@@ -30,15 +30,7 @@ class FieldValue(NamedTuple):
 
 
 def decoded(cls: Any, data: bytes) -> Any:
-    """Decode a message.
-
-    Args:
-        cls: the protobuf class of the message.
-        data: the encoded message.
-
-    Raises:
-        DecodeError: the message is damaged, or longer than MOST_DECODED.
-    """
+    """Decode a message of a protobuf class. Raises DecodeError if it is damaged, or longer than MOST_DECODED."""
     if len(data) > MOST_DECODED:
         raise DecodeError(f"a message of {len(data)} bytes, more than the {MOST_DECODED} that are decoded")
     return cls.FromString(data)
@@ -74,14 +66,8 @@ class Decoder:
             return None
 
     def ours(self, record: Record, columns: Iterable[MessageField], *, lacking: bool = False) -> Any:
-        """The message of a record that a run of ours wrote; None if this one message is damaged.
-
-        Args:
-            columns: the fields that are used of it.
-            lacking: whether a field may be missing.
-
-        Raises:
-            LogReadError: the log's schema of the topic is damaged, or is another one.
+        """The message of a record that a run of ours wrote; None if this one message is damaged. `lacking`: whether a
+        field may be missing. Raises LogReadError if the log's schema of the topic is damaged, or is another one.
         """
         topic = record.topic
         message = self.message(record)
@@ -94,10 +80,8 @@ class Decoder:
 
 
 def message_class(schema: Schema) -> Any:
-    """The class of the messages that a protobuf schema in a log describes.
-
-    Raises:
-        DecodeError, TypeError, KeyError: it describes none, or has a name of ours and fields of another type.
+    """The class of the messages that a protobuf schema in a log describes. Raises DecodeError, TypeError, KeyError if
+    it describes none, or has a name of ours and fields of another type.
     """
     return _message_class(schema.name, schema.data)
 
@@ -152,11 +136,8 @@ def declared_by(channel: Channel) -> dict[str, tuple[str, str]]:
 
 
 def _unit(units: dict[str, str], name: str, k: int | None = None) -> str:
-    """The unit of a field, or of the message that it stands in.
-
-    Args:
-        name: of the field, with the names of the messages around it: within the messages of a list all units are alike.
-        k: which component of it.
+    """The unit of a field, or of the message that it stands in. `name`: of the field, with the names of the messages
+    around it: within the messages of a list all units are alike. `k`: which component of it.
     """
     found = name
     while found not in units and "." in found:

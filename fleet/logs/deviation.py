@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import chain, islice, zip_longest
 from math import inf, isfinite, isnan
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -24,8 +23,7 @@ from fleet.logs.reader import LogReader, Record
 from fleet.logs.records import Block, Message
 from fleet.logs.schemas import ANEW, FROM, FROM_TICK, START
 
-# --- first difference
-# Where two logs differ first: the first message that is not the same in both, field by field.
+# --- first difference of two logs: the first message that is not the same in both, field by field
 
 
 _MOST_BYTES = 24  # of a payload, shown
@@ -60,7 +58,7 @@ class MessageRow(Struct, frozen=True):
     topic: str
     at_s: float
     sent_s: float
-    sequence: Annotated[int, Meta(description="Tick, or number of the packet.")]
+    sequence: Annotated[int, Meta(description="Tick, or packet.")]
 
 
 class FieldRow(Struct, frozen=True):
@@ -68,18 +66,18 @@ class FieldRow(Struct, frozen=True):
 
     field: str
     unit: str
-    a: Annotated[Plain, Meta(description="Value in the first log, or as recorded; null: none, or not finite.")]
-    b: Annotated[Plain, Meta(description="Value in the second log, or of the re-run; null: none, or not finite.")]
+    a: Annotated[Plain, Meta(description="First log, or as recorded.")]
+    b: Annotated[Plain, Meta(description="Second log, or of the re-run.")]
 
 
 class Difference(Struct, frozen=True):
     """The first message that differs."""
 
     number: int
-    a: Annotated[MessageRow | None, Meta(description="In the first log, or as recorded; null: it has ended.")]
-    b: Annotated[MessageRow | None, Meta(description="In the second log, or of the re-run; null: it has ended.")]
+    a: Annotated[MessageRow | None, Meta(description="First log, or as recorded; null: it has ended.")]
+    b: Annotated[MessageRow | None, Meta(description="Second log, or of the re-run; null: it has ended.")]
     fields: list[FieldRow]
-    words: Annotated[str, Meta(description="The same in words, with values.")]
+    words: str
 
     def __str__(self) -> str:
         return self.words
@@ -126,20 +124,7 @@ def _plain(value: FieldValue | None) -> Plain:
     return found
 
 
-def first_difference(a: LogReader, b: LogReader, names: tuple[str, str] = ("a", "b")) -> Difference | None:
-    """The first message that is not the same in both logs; reads no further. Gaps and ends count as differences.
-
-    Raises:
-        LogReadError: one of them is no log.
-    """
-    for number, (left, right) in enumerate(zip_longest(a, b)):
-        if left != right:
-            return difference(number, side(names[0], a, left), side(names[1], b, right))
-    return None
-
-
 def side(name: str, reader: LogReader, record: Record | None) -> Side:
-    """One side of a difference, decoded by the schema of its log."""
     tick_ns = tick_length(reader)
     if record is None:
         return Side(name, None, [], tick_ns, reader.missing)
@@ -147,9 +132,8 @@ def side(name: str, reader: LogReader, record: Record | None) -> Side:
 
 
 def besides_messages(a: LogReader, b: LogReader) -> list[str]:
-    """Further differences of two logs: attachments, metadata and the declarations of topics.
-
-    Where only one of the runs goes on from another, that it does so is no difference.
+    """Further differences of two logs: attachments, metadata and the declarations of topics. Where only one of the runs
+    goes on from another, that it does so is no difference.
     """
     start: set[str] = {START, FROM, FROM_TICK, ANEW} if begin_ns(a) != begin_ns(b) else set()
     names = sorted((a.attachments.keys() | b.attachments.keys()) - start)
@@ -162,37 +146,17 @@ def besides_messages(a: LogReader, b: LogReader) -> list[str]:
     return [*found, *(f"the declaration of {topic}" for topic in sorted(topics))]
 
 
-def framing(a: Path, b: Path) -> str:
-    """From which byte on two files differ; "" if they do not."""
-    if a.stat().st_size == b.stat().st_size == 0:
-        return ""
-    offset = 0
-    with a.open("rb") as left, b.open("rb") as right:
-        while True:
-            one, other = left.read(1 << 20), right.read(1 << 20)
-            if one != other:
-                place = next((n for n, (x, y) in enumerate(zip(one, other, strict=False)) if x != y), None)
-                return "one file is longer" if place is None else f"the bytes from {offset + place} on"
-            if not one:
-                return ""
-            offset += len(one)
-
-
 def tick_length(reader: LogReader) -> int:
     """Ts [ns] of a log as far as it was read; 0 if it states none."""
     return _stated(reader, "tick_ns")
 
 
 def begin_ns(reader: LogReader) -> int:
-    """The time at which the run of a log begins, from the part that was read.
-
-    It is above 0 if the run continues another.
-    """
+    """When the run of a log begins, from the part that was read; above 0 if it continues another."""
     return min(_stated(reader, FROM_TICK) * tick_length(reader), 2**63 - 1)
 
 
 def _stated(reader: LogReader, key: str) -> int:
-    """A number that the log states of its run; 0 if it does not."""
     text = reader.metadata.get("run", {}).get(key, "0")
     return int(text) if text.isascii() and text.isdigit() and len(text) < 20 else 0
 
@@ -283,11 +247,9 @@ class LogComparison:
         return all(deviation.value <= tolerance for deviation in self.signals.values())
 
 
-def compare(a: LogReader, b: LogReader, names: tuple[str, str] = ("a", "b")) -> LogComparison:
-    """Compare two logs to their ends; where one of the runs begins later, from there on.
-
-    Raises:
-        LogReadError: one of them is no log.
+def compare(a: LogReader, b: LogReader) -> LogComparison:
+    """Compare two logs to their ends; where one of the runs begins later, from there on. Raises LogReadError if one of
+    them is no log.
     """
     found = LogComparison()
     readers = a, b
@@ -312,7 +274,7 @@ def compare(a: LogReader, b: LogReader, names: tuple[str, str] = ("a", "b")) -> 
             turn: tuple[int, ...] = (0, 1)
         else:
             if found.first is None:
-                sides = [side(names[k], readers[k], heads[k]) for k in (0, 1)]
+                sides = [side("ab"[k], readers[k], heads[k]) for k in (0, 1)]
                 found.first = difference(number, sides[0], sides[1])
             # The one that is behind in time catches up, so that few messages wait.
             times = [inf if head is None else head.log_ns for head in heads]
@@ -348,7 +310,6 @@ class _Stream:
         self._block = next(self._blocks, None)
 
     def head(self) -> Record | None:
-        """The next message; None at the end."""
         if not self._records and self._block is not None:
             channels = self._reader.channels
             some = self._block.take(np.arange(self._at, min(self._at + _STEP, len(self._block))))
@@ -357,7 +318,6 @@ class _Stream:
         return self._records[-1] if self._records else None
 
     def step(self) -> None:
-        """Go on behind it."""
         self._records.pop()
         self._slow -= 1
         self._skip(1)
@@ -416,7 +376,6 @@ class _Waiting:
                 yield old[0], len(gone)
 
     def take(self, key: Key) -> Record | None:
-        """A message that waits under a key."""
         kept = self.records.get(key)
         if kept is None:
             return None
@@ -428,13 +387,8 @@ class _Waiting:
 
 
 def _meet(
-    found: LogComparison,
-    decoders: tuple[Decoder, Decoder],
-    waiting: tuple[_Waiting, _Waiting],
-    k: int,
-    record: Record,
+    found: LogComparison, decoders: tuple[Decoder, Decoder], waiting: tuple[_Waiting, _Waiting], k: int, record: Record
 ) -> None:
-    """A message of log k finds its other half, or waits for it."""
     key = _key(decoders[k], record)
     other = waiting[1 - k].take(key)
     if other is None:
@@ -500,7 +454,6 @@ def rows(found: LogComparison, most: int | None = None) -> Iterator[tuple[str, s
 
 
 def _alike(counts: Counter[str]) -> list[tuple[str, int]]:
-    """The same with all vehicles, and all links, in one."""
     total: Counter[str] = Counter()
     for name, count in counts.items():
         total[_NUMBERS.sub("*", name)] += count

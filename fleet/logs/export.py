@@ -32,8 +32,7 @@ from fleet.scenario.text.yaml_reader import yaml_text
 from netem.fault_kinds import Cause
 from netem.private_file import write_whole
 
-# --- traces
-# `fleet export --traces`: what became of each packet of a link, as a trace that a scenario can use again.
+# --- traces: `fleet export --traces`: what became of each packet of a link, as a trace that a scenario can use again
 
 
 LINKS = "links.yaml"
@@ -43,18 +42,10 @@ _COLUMNS = ("time", "delivered", "delay")
 def write_traces(
     log: Log, folder: Path, *, force: bool = False, say: Callable[[str], None] = lambda _: None
 ) -> list[Path]:
-    """Write a trace for each directed link into a folder, made if need be, and how a scenario uses them all.
-
-    Args:
-        force: replace files of the same names.
-        say: hears what a trace does not hold.
-
-    Returns:
-        the files, `links.yaml` last.
-
-    Raises:
-        FleetError: something is in the way, the place cannot be written, or a link has too many packets.
-        LogReadError: the log is damaged.
+    """Write a trace for each directed link into a folder, made if need be, and how a scenario uses them all; returns
+    the files, `links.yaml` last. `say` hears what a trace does not hold. Raises FleetError if a file is in the way and
+    not to be replaced (`force`), the place cannot be written, or a link has too many packets; LogReadError if the log
+    is damaged.
     """
     if not log.links:
         raise FleetError(f"{log.path} has no packets: its network is ideal, or nobody hears anybody")
@@ -113,19 +104,12 @@ _HELD = 12 << 20  # bytes of messages that wait to be written
 
 
 def export(log: Log, folder: Path, form: str, *, force: bool = False, share: Tell = lambda _: None) -> list[Path]:
-    """Write every topic that holds a message and fits a table into a folder, made if need be; returns the files.
+    """Write every topic that holds a message and fits a table into a folder, as `csv`, `parquet` or `netcdf`; returns
+    the files. The log is read again, and written as it is read. A table gets its name when all are written.
 
-    The log is read again, and written as it is read. A table gets its name when all are written.
-
-    Args:
-        form: `csv`, `parquet` or `netcdf`.
-        force: replace files of the same names.
-        share: called now and then with the share of the log that is done.
-
-    Raises:
-        FleetError: something is in the way, the place cannot be written, a package is not installed, or a table is
-            too large for NetCDF.
-        LogReadError: a topic's messages are not what the log says they are.
+    Raises FleetError if a file is in the way and not to be replaced (`force`), the place cannot be written, a package
+    is not installed, or a table is too large for NetCDF; LogReadError if a topic's messages are not what the log says
+    they are.
     """
     suffix, sheet_of, name, packages, extra = _FORMS[form]
     need(name, packages, extra)
@@ -206,7 +190,6 @@ class Sheet:
         return self.topic.cost - before
 
     def flush(self) -> None:
-        """Write what there is."""
         topic = self.topic
         if not topic.cost:
             return

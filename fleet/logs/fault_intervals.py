@@ -35,14 +35,8 @@ class FaultTime(Struct, frozen=True):
 
 
 def fault_intervals(topic: Topic, end: float) -> list[FaultInterval]:
-    """Faults and events of vehicles, in the order of their beginnings.
-
-    Args:
-        topic: the topic `faults`; it has one message for each begin and each end.
-        end: end of the log [s]. A fault without an end of its own lasts until then.
-
-    Raises:
-        LogReadError: the topic has more than MOST_EVENTS messages.
+    """Faults and events of vehicles, in the order of their beginnings, from a message for each begin and each end. One
+    without an end lasts to `end` of the log [s]. Raises LogReadError for more than MOST_EVENTS messages.
     """
     if len(topic) > MOST_EVENTS:
         raise LogReadError(f"the log holds {len(topic)} events of faults, more than the {MOST_EVENTS} that are read")
@@ -52,12 +46,7 @@ def fault_intervals(topic: Topic, end: float) -> list[FaultInterval]:
 
 
 def intervals(happened: Iterable[tuple[float, str, str, str]], end: float) -> list[FaultInterval]:
-    """As `fault_intervals`, from messages one by one.
-
-    Args:
-        happened: time [s], id, `begins` or `ends`, kind and arguments of each message.
-        end: end of the log [s].
-    """
+    """As `fault_intervals`, from time [s], id, `begins` or `ends`, kind and arguments of each message."""
     found: dict[str, FaultInterval] = {}
     for at, name, action, what in happened:
         if action == "begins":

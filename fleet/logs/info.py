@@ -29,19 +29,15 @@ class Info(Struct, frozen=True):
     start_s: float
     end_s: float
     run: Annotated[dict[str, str], Meta(description="All that determines the run; empty: it is no log of a run.")]
-    faults: Annotated[list[FaultTime], Meta(description="In the order in which they began.")]
+    faults: list[FaultTime]
     events: list[VehicleEvents]
-    topics: Annotated[dict[str, tuple[str, int]], Meta(description="Schema and number of messages, by topic.")]
-    missing: Annotated[str, Meta(description="Missing parts of the file; empty: it is whole.")]
+    topics: dict[str, tuple[str, int]]
+    missing: Annotated[str, Meta(description="Empty: the file is whole.")]
     unread: Annotated[int, Meta(description="Messages about faults that are left out above, as there are too many.")]
 
 
 def read_info(path: Path, tell: Tell = lambda _: None) -> Info:
-    """Read a log, whole or cut.
-
-    Raises:
-        LogReadError: there is no log to read.
-    """
+    """Read a log, whole or cut. Raises LogReadError if there is no log to read."""
     path = log_path(path)
     reader = LogReader(path, tell)
     counts: Counter[str] = Counter()

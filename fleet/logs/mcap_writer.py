@@ -55,12 +55,8 @@ class MessageIndexes(NamedTuple):
     last_ns: int  # and the latest
 
     def chunk_index(self, place: int, length: int, compressed: int, uncompressed: int) -> bytes:
-        """The chunk's record in the summary of the file.
-
-        Args:
-            place: where in the file the chunk begins; the indexes follow it.
-            length: of the chunk [bytes].
-            compressed: length of its messages as they are in the file, and `uncompressed` as they were.
+        """The record in the file's summary of a chunk that begins at `place` and has `length` bytes, with the lengths
+        of its messages as they are in the file and as they were; the indexes follow the chunk.
         """
         offsets = self.offsets.copy()
         offsets["offset"] += np.uint64(place + length)
@@ -89,7 +85,6 @@ class ChunkEntries:
         self._places.append(places)
 
     def clear(self) -> None:
-        """Forget all of them."""
         for entries in (self.single, self._channels, self._places, self._times):
             entries.clear()
 
@@ -164,17 +159,13 @@ _FOOTER = Struct("<BQQQ").pack  # opcode, length of the rest, where the summary 
 
 
 class McapWriter:
-    """Writes a compressed, indexed file; chunks end after `CHUNK_BYTES`, or when `flush` is called.
-
-    Every method raises OSError as the target does.
+    """Writes a compressed, indexed file; chunks end after `CHUNK_BYTES`, or at `flush`. Every method raises OSError as
+    the target does.
     """
 
     def __init__(self, target: IO[bytes], profile: str = "", library: str = "uuv-fleet") -> None:
-        """Write the header.
-
-        Args:
-            target: an empty file; the caller closes it.
-            library: what is named as the writer of the file; by default without a version, which would change bytes.
+        """Write the header. `target`: an empty file; the caller closes it. `library`: what is named as the writer of
+        the file; by default without a version, which would change bytes.
         """
         self._target = target
         self._chunk = bytearray()
@@ -190,7 +181,6 @@ class McapWriter:
         self._write(Header(profile, library))
 
     def schema(self, name: str, encoding: str, data: bytes) -> int:
-        """Declare a schema, and return its number."""
         self._schemas.append(Schema(data=data, encoding=encoding, id=len(self._schemas) + 1, name=name))
         self._chunk += _packed([self._schemas[-1]])
         self._end_long_chunk()
@@ -278,7 +268,6 @@ class McapWriter:
             self._end_chunk()
 
     def _end_chunk(self) -> None:
-        """Write the chunk and its indexes, unless it has no messages."""
         if not self._entries:
             return
         indexes = self._entries.indexes()

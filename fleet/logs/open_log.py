@@ -36,8 +36,7 @@ if TYPE_CHECKING:
     from fleet.scenario.scenario import Scenario
 
 
-# --- part
-# Which messages of a log are kept: those of a time, and one in a number of each topic.
+# --- part: which messages of a log are kept: those of a time, and one in a number of each topic
 
 
 class Part(NamedTuple):
@@ -341,7 +340,6 @@ class Opening:
         return Topic(name, channel, reader.schemas.get(channel.schema_id), self._fetch, self.most_held)
 
     def _of(self, reader: LogReader, block: Block) -> Iterator[tuple[str, Block]]:
-        """The messages of a block by topic, as far as they are kept."""
         for number, some in self.part.within(block).by_channel():
             name = reader.channels[number].topic
             kept = self.part.thinned(some, self._seen[name])

@@ -47,10 +47,8 @@ def kind_of(data: bytes) -> str:
 
 
 def count_kinds(links: Iterable[Topic]) -> list[KindCount] | None:
-    """The packets of some links by kind of payload, the most frequent kind first.
-
-    Returns:
-        None if the payloads were not kept, because the log is too large for that.
+    """The packets of some links by kind of payload, the most frequent kind first. None if the payloads were not kept,
+    because the log is too large for that.
     """
     found: dict[tuple[str, bool], list[int]] = {}  # (kind, damaged) -> packets, delivered, bytes
     for topic in links:

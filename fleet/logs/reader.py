@@ -43,10 +43,8 @@ class Record(NamedTuple):
 
 @dataclass(slots=True)
 class LogReader:
-    """Iterates over the messages of a log, once. The fields below are complete when the iteration is over.
-
-    The iteration stops at the first damaged place, so the messages are the beginning of the run without a gap.
-    `fleet.logs.recover` also reads what follows the damage.
+    """Iterates over the messages of a log, once; the fields below are complete after that. It stops at the first
+    damaged place, so the messages are the beginning of the run without a gap (`fleet.logs.recover` reads on).
     """
 
     path: Path
@@ -65,10 +63,8 @@ class LogReader:
     _by_topic: dict[str, Channel] = field(default_factory=dict, init=False)
 
     def __iter__(self) -> Iterator[Record]:
-        """Every message of every complete chunk, in file order.
-
-        Raises:
-            LogReadError: the file cannot be opened, is no MCAP file, or declares more than MOST_KEPT bytes.
+        """Every message of every complete chunk, in file order. Raises LogReadError if the file cannot be opened, is no
+        MCAP file, or declares more than MOST_KEPT bytes.
         """
         for block in self.blocks():
             yield from self._records(block)
@@ -191,12 +187,8 @@ def lost(salvage: Salvage) -> str:
 
 
 def digest(path: Path, tell: Tell = lambda _: None) -> str:
-    """SHA-256 over the ordered messages (topic, times, sequence, data), in hexadecimal, as `fleet run` prints it.
-
-    If the file is damaged, only the messages before the first damaged place count.
-
-    Raises:
-        LogReadError: see `LogReader`.
+    """SHA-256 over the ordered messages (topic, times, sequence, data), in hexadecimal, as `fleet run` prints it; those
+    before the first damaged place. Raises LogReadError as `LogReader` does.
     """
     total, reader = Digest(), LogReader(path, tell)
     for block in reader.blocks():
@@ -205,9 +197,8 @@ def digest(path: Path, tell: Tell = lambda _: None) -> str:
 
 
 def log_path(path: Path) -> Path:
-    """The path of a log file; `path` is the file itself or the directory of its run.
-
-    A link such as `runs/latest` gives the run that it leads to now, since it leads to another one after the next run.
+    """The path of a log file; `path` is the file itself or the directory of its run. A link such as `runs/latest` gives
+    the run that it leads to now, since it leads to another one after the next run.
     """
     if not path.is_dir():
         return path
@@ -215,10 +206,8 @@ def log_path(path: Path) -> Path:
 
 
 def open_file(path: Path) -> IO[bytes]:
-    """Open a log file for reading, in binary mode; the caller closes it.
-
-    Raises:
-        LogReadError: it cannot be opened, or does not begin with the magic bytes of MCAP.
+    """Open a log file for reading, in binary mode; the caller closes it. Raises LogReadError if it cannot be opened, or
+    does not begin with the magic bytes of MCAP.
     """
     file = open_any(path)
     try:
@@ -239,10 +228,8 @@ def open_file(path: Path) -> IO[bytes]:
 
 
 def check_readable(paths: Sequence[Path]) -> None:
-    """Look at several logs before the first one is read.
-
-    Raises:
-        LogReadError: some cannot be opened or are no MCAP files; it says of each one why.
+    """Look at several logs before the first one is read. Raises LogReadError if some cannot be opened or are no MCAP
+    files; it says of each one why.
     """
     wrong = []
     for path in paths:
@@ -259,10 +246,8 @@ def check_readable(paths: Sequence[Path]) -> None:
 
 
 def open_any(path: Path) -> IO[bytes]:
-    """Open any regular file for reading, in binary mode; the caller closes it.
-
-    Raises:
-        LogReadError: it cannot be opened, or is no regular file.
+    """Open any regular file for reading, in binary mode; the caller closes it. Raises LogReadError if it cannot be
+    opened, or is no regular file.
     """
     try:
         if not stat.S_ISREG(path.stat().st_mode):  # opening a pipe would block

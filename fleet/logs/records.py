@@ -121,7 +121,6 @@ class Block:
         return len(self.channel)
 
     def messages(self) -> Iterator[Message]:
-        """One by one."""
         columns = (self.channel, self.sequence, self.log_ns, self.publish_ns, self.begin, self.end)
         data = self.data
         for channel, sequence, log_ns, publish_ns, begin, end in zip(*(c.tolist() for c in columns), strict=True):
@@ -179,10 +178,8 @@ class NonsenseError(FleetError):
 
 
 def inside(offset: int, data: bytes) -> Iterator[Block | Schema | Channel]:
-    """The records of a chunk in order; `offset` is that of the chunk in the file, `data` its unpacked content.
-
-    Raises:
-        NonsenseError: from some place on these are no records; what stands before was yielded.
+    """The records of a chunk in order; `offset` is that of the chunk in the file, `data` its unpacked content. Raises
+    NonsenseError where these are no records any more; what stands before was yielded.
     """
     at, size, head, unpack = 0, len(data), HEAD.size, _LENGTH.unpack_from  # looked up once, not per message
     while at < size:
@@ -249,11 +246,8 @@ def span_of(body: bytes) -> tuple[int, int] | None:
 
 
 def content(body: bytes) -> bytes:
-    """The unpacked content of a chunk.
-
-    Raises:
-        ValueError: it is damaged, or unpacks to something else than it states, or to more than is read; its words
-            say which, and are empty of a damaged one.
+    """The unpacked content of a chunk. Raises ValueError if it is damaged, or unpacks to something else than it states,
+    or to more than is read; its words say which, and are empty of a damaged one.
     """
     try:
         chunk = parse(Opcode.CHUNK, body)

@@ -42,10 +42,7 @@ class Recovered:
 
 def recover(path: Path, out: Path | None = None, tell: Tell = lambda _: None) -> Recovered:
     """Write what can be read of a log to `out`, by default `<log>.recovered.mcap` beside it; nothing if nothing can.
-
-    Raises:
-        LogReadError: the file cannot be opened.
-        FleetError: `out` exists or cannot be written.
+    Raises LogReadError if the file cannot be opened; FleetError if `out` exists or cannot be written.
     """
     path = log_path(path)
     out = out or path.with_name(f"{path.stem}.recovered.mcap")
@@ -166,7 +163,6 @@ class Copy:
         self._writer.finish()
 
     def _started(self, item: Item | None = None) -> McapWriter:
-        """The writer; the first item begins the file, with its own header if it is one."""
         if self._writer is None:
             header = item if isinstance(item, Header) else Header("", "uuv-fleet")
             self._writer = McapWriter(self._target, **asdict(header))
@@ -174,7 +170,6 @@ class Copy:
 
 
 def recovery_text(found: Recovered) -> str:
-    """The result of a recovery, in words."""
     if found.nothing:
         return f"{found.path}: nothing can be recovered{f': {found.lost}' if found.lost else ', it holds no message'}"
     until = f"t = {found.until_s:g} s"

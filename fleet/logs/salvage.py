@@ -81,10 +81,8 @@ class _DamagedError(Exception):
 
 @dataclass(slots=True)
 class Salvage:
-    """Iterates a file's records once. The faults of the file are known when the iteration is over.
-
-    With `beyond`, goes on behind a damaged place: at the next record if the framing holds, else at the next chunk
-    that can be found.
+    """Iterates a file's records once; then the faults of the file are known. With `beyond`, goes on behind a damaged
+    place: at the next record if the framing holds, else at the next chunk that can be found.
     """
 
     file: IO[bytes]
@@ -198,10 +196,8 @@ class Salvage:
         return os.fstat(self.file.fileno()).st_size
 
     def _record(self, at: int, size: int) -> tuple[int, bytes, int]:
-        """(opcode, content, where the next one begins) of the record at a byte.
-
-        Raises:
-            EOFError: the file ends within it.
+        """(opcode, content, where the next one begins) of the record at a byte. Raises EOFError if the file ends within
+        it.
         """
         head = self._read(at, HEAD.size)
         if len(head) < HEAD.size:
@@ -271,7 +267,6 @@ class Salvage:
         return self._next_chunk(at + 1, size)
 
     def _sound(self, at: int, size: int) -> bool:
-        """Whether records seem to follow on one another from here."""
         for _ in range(3):
             head = self._read(at, HEAD.size) if at < size else b""
             if len(head) < HEAD.size:

@@ -54,7 +54,6 @@ class Schema:
 
 
 def signal_columns(declared: tuple[Signal, ...]) -> tuple[MessageField, ...]:
-    """The columns of a topic group."""
     return tuple(MessageField(s.name, s.unit, s.meaning, 0 if s.width == 1 else s.width) for s in declared)
 
 
@@ -150,11 +149,8 @@ class Doubles:
     """
 
     def __init__(self, columns: Sequence[MessageField], start: int = 0, field: int = 1) -> None:
-        """Lay out a message, or the part of one.
-
-        Args:
-            start: the number of the first column's first double.
-            field: the number of the first column in the message.
+        """Lay out a message, or the part of one. `start`: the number of the first column's first double. `field`: the
+        number of the first column in the message.
         """
         self.parts: list[bytes | int] = []  # the message: bytes as they are, and the numbers of the doubles
         layout = "<"
@@ -172,19 +168,13 @@ class Doubles:
         return self._struct.size
 
     def decode(self, data: bytes) -> tuple[float, ...]:
-        """The values of this message's columns, in order.
-
-        Raises:
-            struct.error: it is none of these messages.
-        """
+        """The values of this message's columns, in order. Raises struct.error if it is none of these messages."""
         return self._struct.unpack(data)
 
 
 def pose_parts(frame_id: str, position: int, orientation: int) -> list[bytes | int]:
-    """The bytes behind the timestamp in Foxglove's PoseInFrame, as in `Doubles.parts`.
-
-    Args:
-        position: the number of the first of its three doubles; `orientation`: of its four.
+    """The bytes behind the timestamp in Foxglove's PoseInFrame, as in `Doubles.parts`. `position`: the number of the
+    first of its three doubles; `orientation`: of its four.
     """
     place = Doubles([MessageField(name, "", "") for name in "xyz"], position)
     turn = Doubles([MessageField(name, "", "") for name in "xyzw"], orientation)
@@ -249,6 +239,5 @@ def stamp_field(ns: int) -> bytes:
 
 
 def stamp_of(ns: int) -> Timestamp:
-    """A time in ns."""
     seconds, nanos = divmod(ns, 1_000_000_000)
     return Timestamp(seconds=seconds, nanos=nanos)

@@ -51,10 +51,8 @@ class Tape:
     """The messages of an MCAP file in the order of the file."""
 
     def __init__(self, path: Path, tell: Tell = lambda _: None) -> None:
-        """Read it through.
-
-        Raises:
-            LogReadError: the file cannot be opened, is no MCAP file, or has no complete message.
+        """Read it through. Raises LogReadError if the file cannot be opened, is no MCAP file, or has no complete
+        message.
         """
         self.path = path
         self._reader = reader = LogReader(path, tell)
@@ -108,22 +106,18 @@ class Tape:
 
     @property
     def channels(self) -> dict[int, Channel]:
-        """By number."""
         return self._reader.channels
 
     @property
     def schemas(self) -> dict[int, Schema]:
-        """By number."""
         return self._reader.schemas
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
-        """By name."""
         return self._reader.metadata
 
     @property
     def profile(self) -> str:
-        """The profile that the file states."""
         return self._reader.profile
 
     def due(self, number: int) -> int:
@@ -146,11 +140,7 @@ class Tape:
         return bisect_left(self._dues, ns) - 1
 
     def stretch(self, k: int) -> _Stretch:
-        """Part `k` of the file, unpacked.
-
-        Raises:
-            LogReadError: the file is not what it was when it was read through.
-        """
+        """Part `k` of the file, unpacked. Raises LogReadError if the file has changed since it was read through."""
         if k in self._open:
             self._open.move_to_end(k)
             return self._open[k]

@@ -12,8 +12,7 @@ from fleet.logs.reader import LogReader, log_path
 from fleet.scenario.sections.signals import GROUPS
 from netem.condition import Link
 
-# --- run name
-# The name of a run, which is that of its directory, and when it began, which only that name says.
+# --- run name: that of its directory, and when it began, which only that name says
 
 
 STAMP = "%Y%m%d-%H%M%S"  # in the names of run directories, UTC
@@ -21,14 +20,7 @@ RUN_NAME = re.compile(r"(?P<scenario>.+)-(?P<seed>\d+)-(?P<began>\d{8}-\d{6})(-\
 
 
 def run_name(log: Path) -> str:
-    """The name of a run.
-
-    Args:
-        log: its log; a link such as `latest` in its path is resolved.
-
-    Returns:
-        The name of the run directory, or of a log that is not called run.mcap as in such a directory.
-    """
+    """The name of the run directory, links such as `latest` resolved, or of a log that is not called run.mcap."""
     path = Path(os.path.realpath(log))
     return path.parent.name if path.name == "run.mcap" else path.stem
 
@@ -42,15 +34,12 @@ def begun_at(name: str) -> datetime | None:
         return None
 
 
-# --- signal names
-# The names of the signals of a log, without reading all of it.
+# --- signal names: the names of the signals of a log, without reading all of it
 
 
 def signal_names(path: Path) -> list[str]:
     """Every signal of a vehicle as its channels declare it: `control.leads`; read from the beginning of the file.
-
-    Raises:
-        LogReadError: there is no log to read.
+    Raises LogReadError if there is no log to read.
     """
     reader = LogReader(log_path(path))
     next(iter(reader.blocks()), None)
@@ -73,7 +62,6 @@ BELIEFS = ("uuv/*/belief", "uuv/*/located")  # what vehicles believe of their pl
 
 
 def link_topic(link: Link) -> str:
-    """The topic of a link's packets."""
     return f"link/{link[0]}-{link[1]}"
 
 

@@ -45,10 +45,8 @@ class _Found(NamedTuple):
 
 
 def signals_of_checks(runs: Sequence[Run]) -> list[SignalName]:
-    """The signals to draw if the user names none: those of the runs' checks.
-
-    They are the signals that a check names, and the signals of laws and plants that a check in Python has read. Errors
-    with a picture of their own are left out, and signals that no log has. There are at most MOST_UNASKED.
+    """The signals to draw if the user names none, at most MOST_UNASKED: those that a check names, and those of laws and
+    plants that a check in Python has read, without errors that have a picture of their own and signals that no log has.
     """
     found = [
         name
@@ -77,8 +75,6 @@ def need(runs: Sequence[Run], name: SignalName) -> None:
 
 
 def picture(name: SignalName) -> Callable[[Sequence[Run], View], Figure]:
-    """How a signal is drawn."""
-
     def make(runs: Sequence[Run], view: View) -> Figure:
         if name.vehicle is None:
             return draw(runs, view, name)
@@ -88,22 +84,18 @@ def picture(name: SignalName) -> Callable[[Sequence[Run], View], Figure]:
 
 
 def file_name(name: SignalName) -> str:
-    """The name of its picture."""
     own = name.name if name.vehicle is None else f"uuv-{name.vehicle}-{name.name}"
     return f"norm-{own}" if name.absolute else own
 
 
 def title(runs: Sequence[Run], name: SignalName) -> str:
-    """The content of its picture."""
     found = next((one for run in runs if (one := _find(run, name)) is not None), None)
     return f"{name}: {found.meaning}" if found is not None and found.meaning else str(name)
 
 
 def draw(runs: Sequence[Run], view: View, name: SignalName) -> Figure:
-    """A line per vehicle, whole numbers as steps; checks of the signal, and where it failed them.
-
-    Raises:
-        NothingToDraw: no vehicle reports it.
+    """A line per vehicle, whole numbers as steps; checks of the signal, and where it failed them. Raises NothingToDraw
+    if no vehicle reports it.
     """
     found = next((one for run in runs if (one := _find(run, name)) is not None), None)
     if found is None:
@@ -247,7 +239,6 @@ def _unit(found: _Found, k: int | None) -> str:
 
 
 def _asked(ax: Axes, runs: Sequence[Run], name: SignalName) -> None:
-    """The limits that the checks set for it, as lines over the time at which they hold."""
     lines = []
     for run in runs:
         for check in (run.scenario.spec.checks.signal or ()) if run.scenario is not None else ():
@@ -275,7 +266,6 @@ def _as_asked(run: Run, check: SignalCheck, name: SignalName) -> AskedOfSignal |
 
 
 def _find_of(run: Run, i: int, name: SignalName) -> str | None:
-    """The unit of the signal of one vehicle; None: it does not report it."""
     found = _find(run, name)
     topic = _topic(run, i, name.group)
     if found is None or topic is None or found.field not in topic:

@@ -32,8 +32,7 @@ from fleet.pictures.style import (
     panels,
 )
 
-# --- failures
-# The times at which checks failed, marked on the axes over time.
+# --- failures: the times at which checks failed, marked on the axes over time
 
 
 MOST_MARKS = 6
@@ -65,8 +64,7 @@ def draw_failures(axes: Sequence[Axes], runs: Sequence[Run]) -> list[str]:
     return words + ([f"and at {len(shown) - MOST_MARKS} more times"] if len(shown) > MOST_MARKS else [])
 
 
-# --- bands
-# Many vehicles as a band with a median, and the few that differ most by name.
+# --- bands: many vehicles as a band with a median, and the few that differ most by name
 
 
 NAMED = 3  # outliers
@@ -116,10 +114,8 @@ def spread(series: Mapping[int, Series]) -> Band:
 
 
 def outliers(panels: Sequence[Band], log: bool) -> list[int]:
-    """The vehicles that are farthest from the median on average over time and panels, the worst first.
-
-    Args:
-        log: the signals are errors on a logarithmic axis: only more than the median counts, by its factor.
+    """The vehicles that are farthest from the median on average over time and panels, the worst first. With `log`, of
+    errors on a logarithmic axis, only more than the median counts, by its factor.
     """
     score: dict[int, float] = {}
     for one in panels:
@@ -145,12 +141,10 @@ def draw_band(ax: Axes, found: Band, colour: str = COLOURS[0], style: Any = "-")
 
 
 def outlier_style(k: int) -> dict[str, Any]:
-    """How the `k`-th outlier is drawn."""
     return {"color": COLOURS[k + 1], "linestyle": STYLES[k + 1], "linewidth": THIN}
 
 
 def band_legend(vehicles: int, named: Sequence[int]) -> list[Artist]:
-    """The entries of a legend of one run's band."""
     return [
         Line2D([], [], color=COLOURS[0], linewidth=NORMAL, label=f"median of {vehicles}"),
         Patch(color=COLOURS[0], alpha=_ALL + _MOST, linewidth=0, label="10 to 90 %"),
@@ -187,17 +181,8 @@ def reach(lines: Iterable[Series], log: bool = False) -> float:
 def enveloped(
     t: Array, values: Array, span: tuple[float, float], whole: float, log: bool = False
 ) -> tuple[Series, Envelope | None]:
-    """What to draw of a signal.
-
-    Args:
-        t: times [s], ascending; NaN in gaps.
-        values: of the same length.
-        span: the time axis [s].
-        whole: the `reach` of all lines of the axis.
-        log: its axis is logarithmic.
-
-    Returns:
-        The line, which is the mean where the signal oscillates too fast, and the envelope there; None: it never does.
+    """The line of a signal over time [s] (ascending; NaN in gaps), which is the mean where it oscillates too fast, and
+    the envelope there, or None. `span` is the time axis [s], `whole` the `reach` of all its lines.
     """
     if len(t) < _TURNS * 2:
         return (t, values), None
@@ -278,21 +263,11 @@ def draw_lines(
     exact: bool = False,
     **style: Any,
 ) -> list[str]:
-    """Draw one line per vehicle into each panel, in the vehicle's colour, or in the run's. Many vehicles make a band.
+    """Draw one line per vehicle into each panel, axes with the function that gets their signal, in the vehicle's colour
+    or in the run's; many vehicles make a band. Returns words on vehicles that have no such signal.
 
-    Args:
-        panel: the axes, each with the function that gets its signal.
-        runs: the runs to draw.
-        view: the vehicles and the span of time.
-        log: the signals are errors on a logarithmic axis. Outliers are chosen on this axis.
-        exact: the line goes through every sample, also if a signal oscillates too fast to be seen.
-        style: style of each vehicle's line.
-
-    Returns:
-        words on vehicles that have no such signal.
-
-    Raises:
-        NothingToDraw: no vehicle has it.
+    `log`: the signals are errors on a logarithmic axis, on which outliers are chosen. `exact`: the line goes through
+    every sample, also if a signal oscillates too fast to be seen. Raises NothingToDraw if no vehicle has it.
     """
     by_run = len(runs) > 1
     each = [[_series(run, view, get) for _, get in panel] for run in runs]
@@ -332,15 +307,8 @@ def draw_lines(
 def _draw_bands(
     axes: Sequence[Axes], found: Sequence[Mapping[int, Series]], style: dict[str, Any], log: bool, *, name: bool
 ) -> tuple[dict[int, dict[str, Any]], list[Artist]]:
-    """A band of the many vehicles of a run on each axis.
-
-    Args:
-        found: the series of each vehicle, for each axis.
-        style: colour and dashes of the run.
-        name: whether outliers are drawn and named.
-
-    Returns:
-        the style of the line of each outlier, and the entries of the legend.
+    """A band of the many vehicles of a run on each axis; returns the style of the line of each outlier, and the entries
+    of the legend. `name`: whether outliers are drawn and named.
     """
     spreads = [spread(signals) if signals else None for signals in found]
     for ax, one in zip(axes, spreads, strict=True):
@@ -388,7 +356,6 @@ def within(t: Array, values: Array, window: tuple[float, float] | None) -> Serie
 
 
 def legend_of(figure: Figure, entries: Sequence[tuple[str, Any, Any]]) -> None:
-    """One legend of lines above all axes."""
     marks_legend(figure, [Line2D([], [], color=c, linestyle=style, label=label) for label, c, style in entries])
 
 

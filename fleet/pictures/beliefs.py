@@ -37,10 +37,8 @@ class Beliefs(NamedTuple):
 
 
 def beliefs(log: Log, i: int) -> Beliefs | None:
-    """The estimate of vehicle i.
-
-    Returns:
-        The estimate. None: the vehicle knew its position, the log lacks the estimate, or has too many samples of it.
+    """The estimate of vehicle i. None: the vehicle knew its position, the log lacks the estimate, or has too many
+    samples of it.
     """
     known = _topic(log, i, OF_NAVIGATION, {"off": 3, "covariance": 10, "formation": 3})
     if known is None:

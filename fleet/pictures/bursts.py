@@ -23,15 +23,9 @@ def survival(lengths: Array) -> tuple[Array, Array]:
 def draw_bursts(
     path: Path, what: str, measured: Mapping[str, Array], models: Mapping[str, Mapping[str, Array]]
 ) -> None:
-    """Write the picture, as wide as a column: one panel for each kind of run.
-
-    Args:
-        what: the measured thing, for the legend.
-        measured: lengths of runs in packets, by their kind.
-        models: by name, for each kind the probability of n or more packets, n = 1, 2 ...
-
-    Raises:
-        FleetError: the file cannot be written, or its suffix is none of a picture.
+    """Write the picture, as wide as a column: one panel for each kind of run. `measured` has lengths of runs in packets
+    by kind; `models`, by name, for each kind the probability of n or more packets, n = 1, 2 ... Raises FleetError if
+    the file cannot be written, or its suffix is none of a picture.
     """
     format_of(path)  # before the work
     figure, axes = panels(len(measured), 1, COLUMN_IN, 2.1 * len(measured) + 0.4, share=False)

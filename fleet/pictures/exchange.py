@@ -53,10 +53,8 @@ _ROW_IN = 0.11  # height of a link's row among the ages, enough for its name
 
 
 def links_between(run: Run, view: View) -> list[Link]:
-    """The directed links between the vehicles to show.
-
-    Raises:
-        NothingToDraw: there are none, or the log is not one of ours.
+    """The directed links between the vehicles to show. Raises NothingToDraw if there are none, or the log is not one of
+    ours.
     """
     run.tick_s  # noqa: B018  (a foreign log has no packets of ours)
     found = [(a, b) for a, b in run.log.links if view.vehicles is None or (a in view.vehicles and b in view.vehicles)]
@@ -183,7 +181,6 @@ def _moment(run: Run, packets: dict[Link, tuple[Array, Array, Array, Array]]) ->
 
 
 def _life(ax: Axes, run: Run, i: int, row: int) -> None:
-    """A vehicle's line in time, dotted while its agent is dead or suspended."""
     absent = [
         (fault.begin, fault.end)
         for fault in run.log.faults

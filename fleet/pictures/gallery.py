@@ -37,8 +37,7 @@ from netem.condition import Link
 from netem.fault_kinds import Cause
 from netem.vehicle_clock import Clock
 
-# --- timing
-# How punctual a run on a wall clock was: how late each agent answered, and what a packet's delay became.
+# --- timing: how punctual a run on a wall clock was: how late each agent answered, and what a packet's delay became
 
 
 GREY = "#999999"
@@ -86,7 +85,6 @@ def on_wall_clock(run: Run) -> bool:
 
 
 def _timing(run: Run) -> Timing:
-    """The run's measurements of itself, from the result next to its log."""
     if not on_wall_clock(run):
         raise NothingToDraw("the run was in lockstep, where nothing can be late; see fleet run --clock real")
     try:
@@ -123,8 +121,7 @@ def _tail(ax: Axes, histogram: list[tuple[float, int]], below: int, colour: str,
     ax.plot(t, share, color=colour, linestyle=style, drawstyle="steps-post")
 
 
-# --- shares
-# The fate of the packets of each link over time: a strip per link with the share of every fate.
+# --- shares: the fate of the packets of each link over time: a strip per link with the share of every fate
 
 
 MOST_ROWS = 36  # links with a row of their own; of more, the worst have one, and the others one together
@@ -147,7 +144,6 @@ class Row:
 
     @property
     def total(self) -> int:
-        """Packets in all bins."""
         return int(sum(counts.sum() for counts in self.bins.values()))
 
     @property
@@ -322,10 +318,8 @@ def check_signals(what: Sequence[str], runs: Sequence[Run]) -> None:
 def draw(
     what: Sequence[str], runs: Sequence[Run], view: View, share: Tell = lambda _: None
 ) -> Iterator[tuple[str, str, Figure | str]]:
-    """(file name, what it shows, the figure or why there is none) of everything that is asked for.
-
-    Args:
-        share: called before each with the share that is done.
+    """(file name, what it shows, the figure or why there is none) of everything that is asked for. `share`: called
+    before each with the share that is done.
     """
     for name, title, _, figure in _each(what, runs, view, share):
         yield name, title, figure
@@ -378,14 +372,8 @@ def write(
     tell: Callable[[str], None],
     share: Tell = lambda _: None,
 ) -> list[Path]:
-    """Draw into a folder, which is made if need be; returns the files.
-
-    Args:
-        tell: called with a sentence about each picture that could not be drawn.
-        share: called before each picture with the share that is done.
-
-    Raises:
-        FleetError: the folder cannot be written.
+    """Draw into a folder, which is made if need be; returns the files. `tell` gets a sentence about each picture that
+    could not be drawn. Raises FleetError if the folder cannot be written.
     """
     paths: list[Path] = []
     try:

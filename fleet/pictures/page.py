@@ -79,13 +79,8 @@ Block = Heading | Text | Contents | Mark | Table | PageImage | SectionImages | L
 
 
 def check_place(path: Path, *, force: bool) -> None:
-    """Refuse a place that holds a file already.
-
-    Args:
-        force: whether it shall be replaced.
-
-    Raises:
-        FleetError: there is a file.
+    """Refuse a place that holds a file already. `force`: whether it shall be replaced. Raises FleetError if there is a
+    file.
     """
     if path.is_file() and not force:
         raise FleetError(f"{path} already exists; choose another place with -o FILE, or replace it with --force")
@@ -120,9 +115,7 @@ def images(
     drawn: Iterable[tuple[str, str, Figure | str]], first: Sequence[str] | None = None
 ) -> tuple[PageImage | None, SectionImages]:
     """The first picture of those names that is drawn, of any name if None, and all others with what is missing.
-
-    Args:
-        drawn: name, title, and the picture or why there is none.
+    `drawn`: name, title, and the picture or why there is none.
     """
     found, missing = dict[str, PageImage](), []
     for name, title, figure in drawn:
@@ -135,7 +128,6 @@ def images(
 
 
 def png(figure: Figure) -> str:
-    """A figure as PNG in base 64."""
     file = BytesIO()
     figure.savefig(file, format="png", dpi=DPI, metadata={"Software": None})
     return base64.b64encode(file.getvalue()).decode("ascii")

@@ -47,8 +47,7 @@ from netem.fault_kinds import Cause
 from netem.ledger import Account
 from netem.wire.messages import Fate
 
-# --- telling
-# Which picture shows best what a run came to: the one at the top of a report.
+# --- telling: which picture shows best what a run came to: the one at the top of a report
 
 
 _OF_CHECKS = {
@@ -79,8 +78,7 @@ def _of(verdicts: Iterable[Verdict]) -> list[str]:
 _ERRORS = {"error.e_norm": "error", "error.formation_norm": "formation"}  # signals that have a picture of their own
 
 
-# --- report tables
-# The tables of a report: headings and rows, which the page's template turns into HTML.
+# --- report tables: headings and rows, which the page's template turns into HTML
 
 
 _Name = TypeVar("_Name", int, str)
@@ -157,7 +155,6 @@ def links_table(ledger: Mapping[str, Account], ages: Mapping[str, LinkAge]) -> T
 
 
 def kinds_table(kinds: Sequence[KindCount]) -> Table:
-    """The packets by kind of payload."""
     rows = [
         (one.kind, one.packets, one.delivered, f"{one.delivered / one.packets:.1%}", f"{one.size / one.packets:.4g}")
         for one in kinds[:MOST_ROWS]
@@ -301,7 +298,6 @@ def _by_vehicle(words: Sequence[str]) -> str:
 
 
 def _vehicles(numbers: Sequence[int]) -> str:
-    """`vehicle 3`, `vehicles 1-3, 5`; numbers ascending."""
     spans: list[list[int]] = []
     for number in numbers:
         if spans and spans[-1][-1] == number - 1:
@@ -322,17 +318,13 @@ class RunResult:
 
 
 def write(path: Path, runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> None:
-    """Write the page; `share` is called with the share of the pictures that is done.
-
-    Raises:
-        FleetError: the place cannot be written.
-        LogReadError: a log has gone meanwhile.
+    """Write the page; `share` is called with the share of the pictures that is done. Raises FleetError if the place
+    cannot be written; LogReadError if a log has gone meanwhile.
     """
     write_page(path, lambda: page(runs, view, share))
 
 
 def page(runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> str:
-    """The whole page as HTML."""
     results = [_result(run) for run in runs]
     names = [run_name(run.log.path) for run in runs]
     blocks: list[Block] = []
@@ -354,7 +346,6 @@ def page(runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> str:
 
 
 def _section(number: int, run: Run, found: RunResult, kinds: Sequence[str], view: View, share: Tell) -> list[Block]:
-    """The section of a run: `number` counts from 1; 0 for the only one."""
     log, scenario, result = run.log, run.scenario, found.result
     name, path = run_name(log.path), log.path.resolve()
     first, pictures = _pictures(kinds, [run], view, share, [] if number else telling(run))
@@ -469,7 +460,6 @@ def _tables(run: Run, result: Result | None) -> list[tuple[str, Table]]:
 
 
 def _from_log(run: Run) -> tuple[dict[str, Account], dict[str, LinkAge]]:
-    """Ledger and ages as a result has them, from the packets whose fate the log holds."""
     ledger: dict[str, Account] = {}
     ages = Ages(run.log.links)
     tick_s = int(run.log.run.get("tick_ns", 0)) / 1e9
@@ -505,7 +495,6 @@ def _from_log(run: Run) -> tuple[dict[str, Account], dict[str, LinkAge]]:
 def _pictures(
     kinds: Sequence[str], runs: Sequence[Run], view: View, share: Tell, first: Sequence[str] = ()
 ) -> tuple[PageImage | None, SectionImages]:
-    """The first picture of those names that is drawn, and all others."""
     top, pictures = images(draw(kinds, runs, view, share), first)
     pictures.missing.extend(note for run in runs for note in run.notes)
     return top, pictures

@@ -54,12 +54,8 @@ def check_view(runs: Sequence[Run], view: View) -> None:
 
 @dataclass
 class Run:
-    """One run to draw.
-
-    Attributes:
-        log: its log.
-        label: its name in a legend.
-        notes: lines of text for the user about parts that the picture lacks.
+    """One run to draw: `label` is its name in a legend, `notes` are lines for the user about parts that the picture
+    lacks.
     """
 
     log: Log
@@ -68,7 +64,6 @@ class Run:
 
     @property
     def slug(self) -> str:
-        """The name as part of a file name."""
         return re.sub(r"[^\w.-]+", "-", self.label)
 
     @cached_property
@@ -82,7 +77,6 @@ class Run:
 
     @property
     def digest(self) -> str:
-        """The digest of the log, as `fleet run` prints it."""
         return self.log.digest
 
     @cached_property
@@ -101,11 +95,7 @@ class Run:
 
     @cached_property
     def tick_s(self) -> float:
-        """The tick [s].
-
-        Raises:
-            NothingToDraw: the log is not one of ours.
-        """
+        """The tick [s]. Raises NothingToDraw if the log is not one of ours."""
         try:
             tick_s = int(self.log.run["tick_ns"]) / 1e9
             if not 0.0 < tick_s < inf:
@@ -115,7 +105,6 @@ class Run:
             raise NothingToDraw(f"{self.label} is not a log of uuv-fleet: it says nothing of a run") from None
 
     def vehicles(self, view: View) -> list[int]:
-        """The vehicles to show."""
         return [i for i in self.log.vehicles if view.vehicles is None or i in view.vehicles]
 
     def series(self, i: int, group: str, name: str) -> tuple[Array, Array] | None:
@@ -130,14 +119,8 @@ class Run:
 def load(
     paths: Sequence[Path], share: Callable[[float], None] = lambda _: None, most_held: int = MOST_HELD
 ) -> list[Run]:
-    """Read logs; each is called after its scenario, or its directory where those are equal.
-
-    Args:
-        share: called now and then with the share of each file that was read.
-        most_held: bytes of each log that are held at once.
-
-    Raises:
-        LogReadError: one of them cannot be read.
+    """Read logs; each is called after its scenario, or its directory where those are equal. Of each at most `most_held`
+    bytes are held at once. Raises LogReadError if one of them cannot be read.
     """
     check_readable(paths)
     # Poses are states in another form.
@@ -164,9 +147,8 @@ def _name(log: Log) -> str:
 
 
 def with_gaps(t: Array, values: Array, step: float = 0.0) -> tuple[Array, Array]:
-    """The same with a NaN wherever samples are missing, so that no line is drawn across: an agent was dead.
-
-    Samples may be `step` [s] apart, or as far as they usually are.
+    """The same with a NaN wherever samples are missing, so that no line is drawn across. Samples may be `step` [s]
+    apart, or as far as they usually are.
     """
     if len(t) < 3:
         return t, values
@@ -189,6 +171,5 @@ def origin(runs: Sequence[Run], title: str) -> Provenance:
 
 
 def first_words(names: Sequence[Any], most: int = 6) -> str:
-    """Some names in a sentence."""
     shown = ", ".join(map(str, names[:most]))
     return shown if len(names) <= most else f"{shown} and {len(names) - most} more"

@@ -33,10 +33,8 @@ _GIVEN = re.compile(r"(f\d+|nemesis-\d+(-\d+)?|broken-\d+)$")  # ids that nobody
 
 
 def shade(axes: Sequence[Axes], intervals: Sequence[FaultInterval]) -> list[str]:
-    """Grey where a fault lasts, in words above the first axis; red where a vehicle is tumbled.
-
-    Returns:
-        lines that explain the numbers, if there are too many faults for words, and one for each vehicle that tumbled.
+    """Grey where a fault lasts, in words above the first axis; red where a vehicle is tumbled. Returns lines that
+    explain the numbers, if there are too many faults for words, and one for each vehicle that tumbled.
     """
     first, last = axes[0].get_xlim()
     spans = sorted((f for f in intervals if f.begin < last and f.end > first), key=lambda f: (f.begin, f.end, f.id))

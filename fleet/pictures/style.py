@@ -58,11 +58,7 @@ def panels(
     ratios: Sequence[float] | None = None,
     share: bool | Literal["col"] = True,
 ) -> tuple[Figure, list[Axes]]:
-    """Make a figure with a grid of axes.
-
-    Args:
-        share: True: all axes share one horizontal axis. `col`: the axes of each column share one.
-    """
+    """A figure with a grid of axes, which share one horizontal axis, or with `col` one in each column."""
     figure = Figure(figsize=(width, height or 1.6 * rows + 0.5), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(rows, columns, sharex=share, squeeze=False, height_ratios=ratios)

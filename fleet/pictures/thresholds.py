@@ -24,11 +24,7 @@ class Threshold(NamedTuple):
 
 
 def thresholds(runs: Sequence[Run], error: str) -> list[Threshold]:
-    """Those of the checks of all runs, each once.
-
-    Args:
-        error: `formation` or `consensus`.
-    """
+    """Those of the checks of all runs, each once. `error`: `formation` or `consensus`."""
     found: list[Threshold] = []
     for run in runs:
         if run.scenario is None:

@@ -26,8 +26,6 @@ _AT_LIMIT = 1.0 - 1e-6
 
 
 def component(group: str, name: str, k: int = 0) -> Get:
-    """One component of a signal."""
-
     def get(run: Run, i: int) -> tuple[Array, Array] | None:
         found = run.series(i, group, name)
         if found is None or found[1].shape[1] <= k:
@@ -113,11 +111,7 @@ def inputs(runs: Sequence[Run], view: View) -> Figure:
 
 
 def _keep_inside(ax: Axes, most: dict[str, float]) -> None:
-    """No part of a line's width lies beyond the limit that its values keep; values that do not keep it are shown.
-
-    Args:
-        most: the limit of each vehicle's line by its gid; what belongs to all keeps the largest.
-    """
+    """No part of a line's width lies beyond the limit of its gid in `most`; values that do not keep it are shown."""
     artists: list[Line2D | Collection] = [*ax.get_lines(), *ax.collections]
     for artist in artists:
         if artist.get_gid() == "bound":

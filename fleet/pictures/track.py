@@ -68,7 +68,6 @@ def believed_way(run: Run, i: int, colour: str, view: View) -> BelievedWay | Non
 
 
 def draw_ways(ax: Axes, ways: Sequence[BelievedWay]) -> None:
-    """Draw them from above."""
     for way in ways:
         p, gid = way.positions, f"belief-{way.vehicle}"
         ax.plot(p[:, 1], p[:, 0], color=way.colour, zorder=2.2, gid=gid, **_ELLIPSE_LINE)
@@ -111,10 +110,8 @@ class Happening(NamedTuple):
 
 
 def happenings(run: Run, view: View, tracks: Mapping[int, tuple[Array, Array]]) -> list[Happening]:
-    """The events of the vehicles in a picture, in the order of time.
-
-    Args:
-        tracks: times [s] and positions (samples, 3) [m, NED] of each vehicle.
+    """The events of the vehicles in a picture, in the order of time. `tracks`: times [s] and positions (samples, 3) [m,
+    NED] of each vehicle.
     """
     found = []
     for fault in (*run.log.faults, *run.log.events):
@@ -235,7 +232,6 @@ def top(runs: Sequence[Run], view: View) -> Figure:
 
 
 def _sheet(low: Array, high: Array) -> tuple[Figure, Axes, bool]:
-    """A figure as large as what it shows asks for, and whether that is tall: then the legend stands beside it."""
     tall = (high - low)[0] > _TALL * (high - low)[1]
     room = 1.7 if tall else 2.85  # in, for the axes
     height = float(np.clip(room * (high - low)[0] / (high - low)[1], 1.0, 4.2))
@@ -286,7 +282,6 @@ def _draw_from_above(ax: Axes, tracks: list[VehicleTrack]) -> set[int]:
 
 
 def _believed(tracks: list[VehicleTrack], view: View) -> list[BelievedWay]:
-    """The ways that these vehicles believed in, as far as they had to."""
     found = (believed_way(track.run, track.vehicle, track.colour, view) for track in tracks)
     return [way for way in found if way is not None]
 
@@ -324,9 +319,8 @@ def space(runs: Sequence[Run], view: View) -> Figure:
 
 
 def _keep_inside(figure: Figure, ax: Any, sides: Sequence[float]) -> None:
-    """Leave room for the depths beside their axis, and make the box smaller until all labels are inside the figure.
-
-    The layout of a figure does neither for axes in three dimensions.
+    """Leave room for the depths beside their axis, and make the box smaller until all labels are inside the figure,
+    which the layout of a figure does not for axes in three dimensions.
     """
     figure.draw_without_rendering()
     widest = max((text.get_window_extent().width for text in ax.get_zticklabels()), default=0.0)
@@ -398,7 +392,6 @@ def exaggeration(across: float, deep: float) -> int:
 
 
 def _tracks(runs: Sequence[Run], view: View) -> tuple[list[VehicleTrack], list[Artist]]:
-    """The ways in the window, and the entries of a legend that tell them apart."""
     found: list[VehicleTrack] = []
     for run in runs:
         for i in run.vehicles(view):
@@ -433,16 +426,14 @@ def _tracks(runs: Sequence[Run], view: View) -> tuple[list[VehicleTrack], list[A
 
 
 def _worst(run: Run, shown: Sequence[int]) -> list[int]:
-    """The vehicles that are farthest from their places for most of the time."""
     errors = {i: run.series(i, "error", "formation_norm") for i in shown}
     known = {i: (one[0], one[1][:, 0]) for i, one in errors.items() if one is not None}
     return sorted(outliers([spread(known)], log=True)) if known else []
 
 
 def _apart(tracks: list[VehicleTrack]) -> tuple[list[VehicleTrack], list[VehicleTrack]]:
-    """The tracks that are drawn together because they are many, and the tracks that are drawn one by one.
-
-    The first group has all tracks that the legend does not name. With several runs it can hold all tracks.
+    """The tracks that are drawn together because they are many, and those that are drawn one by one, which the legend
+    names.
     """
     if len({track.vehicle for track in tracks}) <= CROWD:
         return [], tracks
@@ -472,7 +463,6 @@ def _extent(positions: Sequence[Array]) -> tuple[Array, Array]:
 
 
 def _happened(runs: Sequence[Run], view: View, tracks: Sequence[VehicleTrack]) -> list[tuple[Happening, str]]:
-    """The events of the vehicles, with the colour of each one's track."""
     found = []
     for run in runs:
         own = {track.vehicle: track for track in tracks if track.run is run}
@@ -489,8 +479,6 @@ def _explained(
     linked: bool,
     flat: bool,
 ) -> list[Artist]:
-    """The entries of a legend that say what the marks mean."""
-
     def mark(sign: Any, label: str, **style: Any) -> Line2D:
         look: dict[str, Any] = {"color": "0.3", "markersize": 4} | style
         return Line2D([], [], linestyle="", marker=sign, label=label, **look)
@@ -537,7 +525,6 @@ def _shapes(run: Run, view: View) -> list[tuple[Array, Array]]:
 
 
 def _standing(runs: Sequence[Run], view: View) -> list[Primitive]:
-    """The things that stand still: the courses of the references within the picture, and each obstacle once."""
     scenes = [(SceneModel(run.scenario), view.window or (0.0, run.log.end)) for run in runs if run.scenario is not None]
     obstacles = dict.fromkeys(one for scene, _ in scenes for one in scene.obstacles)
     return [*obstacles, *(scene.course(*window) for scene, window in scenes)]

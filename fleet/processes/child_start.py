@@ -33,9 +33,8 @@ def die_with_parent(parent_pid: int) -> None:
 
 @contextmanager
 def without_main() -> Iterator[None]:
-    """Processes that are started within do not import our main module, and with it the whole command line.
-
-    So a script that starts workers needs no `if __name__ == "__main__":`.
+    """Processes that are started within do not import our main module, and with it the whole command line. So a script
+    that starts workers needs no `if __name__ == "__main__":`.
     """
     main = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")

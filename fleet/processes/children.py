@@ -60,14 +60,12 @@ class RunFolder(PrivateFolder):
 
     @property
     def endpoint(self) -> str:
-        """The endpoint of the run's router, as zenoh writes it."""
         return f"unixsock-stream/{self.path / _ROUTER}"
 
 
 def own_folder_for_multiprocessing() -> None:
-    """Let multiprocessing put its sockets into a private folder of this process.
-
-    Its own folder (`pymp-...`) would stay after a SIGKILL, and its socket cannot be made where TMPDIR is long.
+    """Let multiprocessing put its sockets into a private folder of this process: its own (`pymp-...`) would stay after
+    a SIGKILL, and its socket cannot be made where TMPDIR is long.
     """
     settings = multiprocessing.process.current_process()._config  # type: ignore[attr-defined]
     if settings.get("tempdir") is None:
@@ -129,7 +127,6 @@ class Child:
         return self.process.pid
 
     def tail(self) -> list[str]:
-        """The last lines it printed."""
         try:
             lines = self.log_path.read_text("utf-8", "replace").splitlines()
         except OSError:
@@ -149,19 +146,12 @@ class Children:
         self._watcher: threading.Thread | None = None
 
     def start(self, role: str, title: str, log_path: Path, target: Callable[..., None], *args: Any) -> None:
-        """Start `target(*args)` as a process of its own.
+        """Start `target(*args)` as a process of its own, with `title` in `ps` and its output in `log_path`; the role of
+        a process that has ended may be used again.
 
-        Args:
-            role: the key of the process in `by_role`; that of a process that has ended may be used again.
-            title: its name in `ps`.
-            log_path: where its output goes.
-
-        Raises:
-            TimeoutError: the fork server did not answer, and was ended.
-            OSError, EOFError: the fork server has ended, and so what it started before; or there is no room for
-                another process.
-            KeyboardInterrupt: it came meanwhile; the process was started.
-            RunBroken: the system gives no thread.
+        Raises TimeoutError if the fork server did not answer, and was ended; OSError or EOFError if it has ended, and
+        so what it started before, or there is no room for another process; KeyboardInterrupt that came meanwhile, when
+        the process was started; RunBroken if the system gives no thread.
         """
         _set_preload()
         process = self._context.Process(
@@ -188,9 +178,8 @@ class Children:
         self._watcher = watcher  # `stop` waits for it, and can only wait for one that was started
 
     def stop(self) -> None:
-        """End every process with SIGTERM, then with SIGKILL, which ends suspended processes, too.
-
-        The fork server reports the ends. If it does not, it is suspended, and is ended as well.
+        """End every process with SIGTERM, then with SIGKILL, which ends suspended processes, too. The fork server
+        reports the ends. If it does not, it is suspended, and is ended as well.
         """
         self._stopping.set()
         if self._watcher is not None:
@@ -221,13 +210,9 @@ class Children:
 
 
 def start_forkserver() -> None:
-    """Start the fork server, which imports what all processes need while its caller does something else.
-
-    `Children.start` does so, too, if nobody did before; it must be called on the same thread, the main one. The fork
-    server ends with this process.
-
-    Raises:
-        OSError: there is no room for another process.
+    """Start the fork server, which imports what all processes need while its caller does something else, and ends with
+    this process. `Children.start` does so, too, if nobody did before; it must be called on the same thread, the main
+    one. Raises OSError if there is no room for another process.
     """
     allow_most_open_files()  # how many vehicles there will be is not known yet
     _set_preload()
@@ -249,7 +234,6 @@ def _forkserver_starting() -> Iterator[None]:
 
 
 def _left(processes: list[BaseProcess]) -> list[BaseProcess]:
-    """Wait until no further process has ended for a while. Returns the processes that are left."""
     remaining: dict[Any, BaseProcess] = {process.sentinel: process for process in processes}
     while remaining and (ended := wait(list(remaining), timeout=GRACE_S)):
         for sentinel in ended:

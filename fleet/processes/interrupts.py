@@ -21,7 +21,6 @@ class HungUp(KeyboardInterrupt):
 
 
 def ending(number: int) -> KeyboardInterrupt:
-    """The exception that one of these signals raises."""
     return HungUp() if number == signal.SIGHUP else KeyboardInterrupt()
 
 
@@ -32,10 +31,8 @@ def ending_status(error: BaseException | None) -> int:
 
 @contextmanager
 def holding_interrupts() -> Iterator[Callable[[], KeyboardInterrupt | None]]:
-    """Within this block the signals raise nothing.
-
-    Yields:
-        A function: the exception of the first signal that came, or None.
+    """Within this block the signals raise nothing. Yields a function: the exception of the first signal that came, or
+    None.
     """
     received: list[int] = []
     with _handling(lambda number, _: received.append(number)):
@@ -56,10 +53,9 @@ def deferring_interrupts() -> Iterator[None]:
 
 @contextmanager
 def out_of_reach() -> Iterator[None]:
-    """Start processes that signals to the whole group do not reach, because they inherit the mask of this thread.
-
-    Ctrl-C, and the end of a terminal, reach the whole group. Only the process that started the others decides how to
-    react, also while they are still importing.
+    """Start processes that signals to the whole group (Ctrl-C, the end of a terminal) do not reach, because they
+    inherit the mask of this thread. Only who started the others decides how to react, also while they are still
+    importing.
     """
     from multiprocessing import resource_tracker  # --help needs it not
 
@@ -81,7 +77,6 @@ def _blocked(*signals: signal.Signals) -> Iterator[None]:
 
 class DeferInterrupts:
     """Within `with` blocks of this object the signals are deferred to the end of the block; blocks should be short.
-
     `handling`, around all blocks, installs the handlers, so that a block costs next to nothing.
     """
 

@@ -10,18 +10,13 @@ import threading
 from fleet.errors import RunBroken
 from netem.wire.listening import probe_address
 
-# --- ports
-# Free loopback ports.
+# --- ports: free loopback ports
 
 
 def free_port(wanted: int | None) -> int:
-    """A loopback port that is free now: the wanted one, or any.
-
-    Another process may take it before the world does; then the world's end says so. To make that rare, the search
-    begins below the range from which the system takes the ports of outgoing connections.
-
-    Raises:
-        RunBroken: the wanted port is taken.
+    """A loopback port that is free now: the wanted one, or any. Another process may take it before the world does; to
+    make that rare, the search begins below the range of outgoing connections. Raises RunBroken if the wanted port is
+    taken.
     """
     problem = ""
     for port in [wanted] if wanted else [secrets.randbelow(22_000) + 10_000 for _ in range(100)]:
@@ -47,13 +42,8 @@ def allow_most_open_files() -> None:
 
 
 def allow_open_files(vehicles: int, others: int = 0) -> None:
-    """Raise the soft limit of open files to the number that a run needs. Child processes inherit it.
-
-    Args:
-        others: number of connections from outside of the run. They get room as far as the hard limit allows.
-
-    Raises:
-        RunBroken: the hard limit is too low.
+    """Raise the soft limit of open files to what a run needs; child processes inherit it. The `others`, connections
+    from outside of the run, get room as far as the hard limit allows. Raises RunBroken if the hard limit is too low.
     """
     needed = FILES + FILES_PER_VEHICLE * vehicles
     limit = _raise_to(needed + others)
@@ -65,10 +55,8 @@ def allow_open_files(vehicles: int, others: int = 0) -> None:
 
 
 def allow_workers(count: int) -> None:
-    """Raise the soft limit as far as so many worker processes need it; each of them inherits it.
-
-    Raises:
-        RunBroken: the hard limit is too low.
+    """Raise the soft limit as far as so many worker processes need it; each of them inherits it. Raises RunBroken if
+    the hard limit is too low.
     """
     needed = len(os.listdir("/proc/self/fd")) + FILES + FILES_PER_WORKER * count
     limit = _raise_to(needed)
@@ -108,8 +96,5 @@ def no_thread(error: object) -> RunBroken:
 
 
 def processors() -> int:
-    """How many processors this program may use.
-
-    Those of the machine, or fewer where somebody has limited this process (taskset, a container).
-    """
+    """How many processors this program may use, where somebody has limited this process (taskset, a container), too."""
     return len(os.sched_getaffinity(0))

@@ -48,10 +48,8 @@ class Workers:
     """Some worker processes, which end with the context; they leave Ctrl-C to us and never outlive us."""
 
     def __init__(self, count: int, begin: Callable[[], None] | None = None) -> None:
-        """Prepare so many; a process starts when there is an item for it, and calls `begin` first.
-
-        Raises:
-            RunBroken: too few files may be open for so many.
+        """Prepare so many; a process starts when there is an item for it, and calls `begin` first. Raises RunBroken if
+        too few files may be open for so many.
         """
         self.count = count
         self._begin = begin
@@ -72,7 +70,6 @@ class Workers:
 
     @property
     def pids(self) -> list[int]:
-        """The process ids of the started workers."""
         return [worker.process.pid for worker in self._running if worker is not None and worker.process.pid is not None]
 
     def each(
@@ -82,18 +79,10 @@ class Workers:
         wait: Callable[[], None] = lambda: None,
         limit_s: Callable[[I], float] = lambda _: inf,
     ) -> Iterator[tuple[I, Future[R]]]:
-        """Call the function for every item, in the order of the items, as workers become free.
-
-        Args:
-            wait: is called several times a second.
-            limit_s: wall time that an item may take; a worker that takes longer is killed.
-
-        Yields:
-            Each item with the future of its result, as they end. If a worker died `TIMES` times under an item, its
-            exception is a WorkerDied. If the item took too long, it is a WorkerLate.
-
-        Raises:
-            RunBroken: no process can be started, or each ends before it begins with its item, or one hangs there.
+        """Call the function for every item, in the order of the items, as workers become free; `wait` is called several
+        times a second. Yields each item with the future of its result, as they end. If a worker died `TIMES` times
+        under an item, its exception is a WorkerDied; if the item took longer than `limit_s` of it, a WorkerLate. Raises
+        RunBroken if no process can be started, or each ends before it begins with its item, or one hangs there.
         """
         new = ((item, 1) for item in items)
         again: deque[tuple[I, int]] = deque()
@@ -170,8 +159,6 @@ class Workers:
 
 
 class _Worker:
-    """A process, and what it does."""
-
     def __init__(self, begin: Callable[[], None] | None) -> None:
         context = multiprocessing.get_context("spawn")
         children_ignore_the_folder()

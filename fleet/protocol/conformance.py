@@ -55,10 +55,8 @@ from netem.wire.shell import Probes
 
 
 def damaged(src: int, sent: int, eta: tuple[float, ...]) -> tuple[Delivery, ...]:
-    """A neighbour's payloads of a tick, and the same payloads after a damaging network.
-
-    Args:
-        eta: the pose of who receives it [m, rad]; the neighbour is 5 m to its north.
+    """A neighbour's payloads of a tick, and the same payloads after a damaging network. `eta`: the pose of who receives
+    it [m, rad]; the neighbour is 5 m to its north.
     """
     good = payload.encode(payload.StateMessage(src, sent, (eta[0] + 5.0, eta[1], eta[2]), (0.5, 0.0, 0.0)))
     flipped = bytes([good[0], good[1] ^ 0x40, *good[2:]])
@@ -81,8 +79,7 @@ def junk_of(life: int) -> tuple[bytes, ...]:
     )
 
 
-# --- checks
-# The rules of `fleet protocol check`, and the form of a verdict.
+# --- checks: the rules of `fleet protocol check`, and the form of a verdict
 
 
 ASKS = "asks cfg for its slice"
@@ -148,15 +145,9 @@ class EmulatedFleet:
         answer: dict[str, Any],
         certified: Listener | None = None,
     ) -> None:
-        """Open the router and subscribe to what the agent puts.
-
-        Args:
-            private: a directory of mode 0700, as for `Bus.host`.
-            answer: to the query of cfg.
-            certified: where the agent may join with a certificate alone; None: nowhere.
-
-        Raises:
-            BusError: the endpoint is taken.
+        """Open the router and subscribe to what the agent puts. `private` is a directory of mode 0700, as for
+        `Bus.host`; `answer` that to the query of cfg; `certified` where the agent may join with a certificate alone, or
+        None. Raises BusError if the endpoint is taken.
         """
         bus = self._bus = Bus.host(endpoint, keys, (vehicle,), {user.user: user}, private)
         self._second = CertificateRouter(bus, keys, (vehicle,), certified) if certified else None
@@ -191,10 +182,8 @@ class EmulatedFleet:
 
     def take(self, timeout_s: float) -> tuple[str, Message | None] | None:
         """The next thing that came: `cmd` or `tx` with a message, `cfg` or `token` with none; None when nothing did.
-
-        Raises:
-            MalformedMessage: the agent put what does not belong on that key.
-            OutOfPlace: it sends hello more often than world and netem would answer.
+        Raises MalformedMessage if the agent put what does not belong on that key; OutOfPlace if it sends hello more
+        often than world and netem would answer.
         """
         deadline = time.monotonic() + timeout_s
         while (left := deadline - time.monotonic()) > 0:
@@ -222,7 +211,6 @@ class EmulatedFleet:
         return None
 
     def close(self) -> None:
-        """Close the router."""
         if self._second is not None:
             self._second.close()
         self._bus.close()
@@ -250,17 +238,10 @@ class Examination:
         port: int | None = None,
         meeting: Rendezvous | None = None,
     ) -> None:
-        """Prepare the exchange; `run` carries it out.
-
-        Args:
-            scenario: the agent is given the slice of one of its vehicles.
-            vehicle: number of that vehicle.
-            file: where the join file goes.
-            port: TCP port of the router on the loopback interface; None: any free one.
-            meeting: where the agent may join with a certificate alone; its folder goes beside `file`.
-
-        Raises:
-            FleetError: there is no such vehicle, the network is ideal, or the file or the folder exists.
+        """Prepare the exchange; `run` carries it out. The agent is given the slice of a vehicle of the scenario, and a
+        join file. `port`: of the router on the loopback interface; None: any free one. `meeting`: where the agent may
+        join with a certificate alone; its folder goes beside `file`. Raises FleetError if there is no such vehicle, the
+        network is ideal, or the file or the folder exists.
         """
         if not 1 <= vehicle <= scenario.vehicles:
             raise FleetError(
@@ -287,14 +268,9 @@ class Examination:
         self.slowest_s = 0.0  # longest wait for an answer
 
     def run(self, timeout_s: float, show: Callable[[str], None]) -> list[ProtocolCheck]:
-        """Wait for the agent, examine it, and return a verdict for each of `CHECKS`.
-
-        Args:
-            timeout_s: how long to wait for the agent to be started.
-            show: called with a line that names the join file.
-
-        Raises:
-            FleetError: no agent came, or the endpoint or the file cannot be made.
+        """Wait `timeout_s` for the agent to be started, examine it, and return a verdict for each of `CHECKS`. `show`
+        is called with a line that names the join file. Raises FleetError if no agent came, or the endpoint or the file
+        cannot be made.
         """
         i, begin = self._i, BEGIN_ROUNDS * self._m
         user = generate((i,))[agent_role(i)]
@@ -329,9 +305,8 @@ class Examination:
             self._fleet.close()
 
     def _take(self, deadline: float) -> tuple[str, Message | None] | None:
-        """As `EmulatedFleet.take`, up to a deadline; a malformed message is judged, and ends the exchange.
-
-        A deadline and not a span, because an agent may put messages without end that are no answer.
+        """As `EmulatedFleet.take`, up to a deadline, because an agent may put messages without end that are no answer;
+        a malformed message is judged, and ends the exchange.
         """
         while True:
             try:

@@ -191,7 +191,6 @@ TITLES = {
 
 
 def slice_page() -> str:
-    """The tables as Markdown."""
     parts = []
     for cls, fields in FIELDS.items():
         rows = ["| key | type | unit | meaning |", "|---|---|---|---|"]
@@ -200,9 +199,7 @@ def slice_page() -> str:
     return "\n".join(parts)
 
 
-# --- wire types
-# The declared messages and records as rows of a table: field, wire type, unit, meaning.
-#
+# --- wire types: declared messages and records as rows of a table: field, wire type, unit, meaning
 # A wire type is uint, bool, str, bin, the name of a record or of an enumeration of texts, or an array of one of these
 # or of reals: `real[3]` of a declared length, `real[..2]` of at most one, `[*]` of any. A field that may stay open is
 # `or nil`.
@@ -245,7 +242,6 @@ def texts() -> dict[str, type[StrEnum]]:
 
 
 def fields_of(cls: type[WireRecord | TimedFault]) -> dict[str, Field]:
-    """The fields of a message or record, in wire order."""
     info = inspect.type_info(cls)
     assert isinstance(info, inspect.StructType)
     return {field.name: _field(field.type) for field in info.fields}
@@ -402,7 +398,6 @@ The map `agent`; its values are maps, arrays and scalars of MessagePack. Keys ma
 
 
 def page() -> str:
-    """The whole page as Markdown."""
     parts = [_HEAD]
     for kind, (cls, route) in declared().items():
         where = f"Key `{route.key}`, {route.sender} to {route.receiver}."

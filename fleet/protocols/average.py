@@ -40,12 +40,7 @@ class NaiveAverage:
     signals = (_MEASURED, _AVERAGE, _REFUSED)
 
     def __init__(self, config: AgentConfig, *, value: float | None = None) -> None:
-        """Make it.
-
-        Args:
-            config: the agent's own slice of the scenario.
-            value: what it measures [degC]; None: drawn from seed and vehicle, 10 to 20.
-        """
+        """`value`: what it measures [degC]; None: drawn from seed and vehicle, 10 to 20."""
         self._formation = FormationAgent(config)
         self._neighbours = frozenset(neighbour.id for neighbour in config.neighbours)
         self._measured = self._average = _measurement(config, value)

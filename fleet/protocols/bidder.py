@@ -38,13 +38,8 @@ class Bidder:
     """One vehicle's part in the auction."""
 
     def __init__(self, number: int, tasks: int, size: int) -> None:
-        """Begin with no bid.
-
-        Args:
-            number: of the vehicle, above 0.
-            tasks: how many there are; they are numbered from 0.
-            size: of the bundle, at most.
-        """
+        """Begin with no bid. `number`: of the vehicle, above 0. `tasks`: how many there are; they are numbered from 0.
+        `size`: of the bundle, at most."""
         self.number = number
         self.size = size
         self.bids = [0.0] * tasks
@@ -54,12 +49,8 @@ class Bidder:
         self.path: list[int] = []
 
     def choose(self, score: Score, closed: frozenset[int] = frozenset()) -> None:
-        """Fill the bundle (the paper's first phase).
-
-        Args:
-            score: of a path.
-            closed: finished tasks, which get no more bids.
-        """
+        """Fill the bundle (the paper's first phase). `score`: of a path. `closed`: finished tasks, which get no more
+        bids."""
         limit = min((self.bids[j] for j in self.bundle), default=float("inf"))
         while len(self.bundle) < self.size:
             best: tuple[float, int, list[int]] | None = None
@@ -81,12 +72,8 @@ class Bidder:
             self.bids[j], self.winners[j] = limit, self.number
 
     def hear(self, sender: int, news: News) -> None:
-        """Believe what a neighbour says where it knows better (the second phase, Table I).
-
-        Args:
-            sender: the neighbour.
-            news: its message; `heard[sender]` is the tick of it. Older news is ignored.
-        """
+        """Believe what a neighbour says where it knows better (the second phase, Table I). `sender`: the neighbour.
+        `news`: its message; `heard[sender]` is the tick of it. Older news is ignored."""
         said = news.heard[sender]
         if said <= self.heard.get(sender, -1):
             return
@@ -180,8 +167,5 @@ def outbids(bid: float, bidder: int, other: float, winner: int) -> bool:
 
 def rounds_needed(tasks: int, vehicles: int, size: int, diameter: int) -> int:
     """The published bound: after this many rounds without loss no two vehicles claim one task, and all know its winner.
-
-    Args:
-        diameter: hops from any vehicle to any other, at most.
-    """
+    `diameter`: hops from any vehicle to any other, at most."""
     return min(tasks, vehicles * size) * diameter

@@ -19,17 +19,7 @@ from collections.abc import Iterable, Sequence
 from math import dist, isfinite
 from typing import Any
 
-from agents.api import (
-    AgentConfig,
-    Delivery,
-    FormationAgent,
-    Motion,
-    Nav,
-    Signal,
-    Telemetry,
-    Vec3,
-    pack,
-)
+from agents.api import AgentConfig, Delivery, FormationAgent, Motion, Nav, Signal, Telemetry, Vec3, pack
 from fleet.protocols.bidder import NOBODY, Bidder, News
 from fleet.protocols.received import is_count, is_real, received
 
@@ -99,10 +89,7 @@ class BundleAuction:
         """The own state, and what it believes of the auction."""
         bidder = self._bidder
         heard = [[m, tick] for m, tick in bidder.heard.items()] + [[bidder.number, nav.tick]]
-        return [
-            *self._formation.transmit(nav),
-            pack(KIND, [bidder.bids, bidder.winners, heard, sorted(self._done)]),
-        ]
+        return [*self._formation.transmit(nav), pack(KIND, [bidder.bids, bidder.winners, heard, sorted(self._done)])]
 
     def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> tuple[Vec3, Telemetry]:
         """Take part in the auction, and go on to the next place."""
@@ -235,11 +222,8 @@ def _position(nav: Nav) -> Vec3:
 
 
 def places_of(given: Any) -> tuple[Vec3, ...]:
-    """Places [m, NED] as a scenario gives them: a list of x, y, z.
-
-    Raises:
-        ValueError: they are no such list, or too many.
-    """
+    """Places [m, NED] as a scenario gives them: a list of x, y, z. Raises ValueError: they are no such list, or too
+    many."""
     if not (isinstance(given, list) and 1 <= len(given) <= MOST_PLACES):
         raise ValueError(f"places: expected a list of 1 to {MOST_PLACES} places, got {given!r:.80}")
     found: list[Vec3] = []

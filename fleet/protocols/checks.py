@@ -18,16 +18,8 @@ class NoConflict:
     """No two living vehicles claim one place for longer than the auction needs."""
 
     def __init__(self, facts: Facts, places: Any, bundle: int, round: str = "100 ms") -> None:
-        """Make it.
-
-        Args:
-            facts: what is known of the scenario.
-            places, bundle: as the agents have them.
-            round: the longest time until a neighbour has heard what was decided.
-
-        Raises:
-            ValueError: some vehicle can never hear of another one.
-        """
+        """`round`: the longest time until a neighbour has heard what was decided. Raises ValueError: some vehicle can
+        never hear of another one."""
         count = len(places_of(places))
         rounds = rounds_needed(count, facts.vehicles, bundle, _diameter(facts))
         self._within = (rounds + 1) * seconds(round)  # one more: what is decided waits for the next round
@@ -70,14 +62,8 @@ class AllVisited:
     """Every place is visited by a living vehicle in time."""
 
     def __init__(self, facts: Facts, places: Any, reach: float = 2.0, by: str = "") -> None:
-        """Make it.
-
-        Args:
-            facts: what is known of the scenario.
-            places: as the agents have them.
-            reach: how near a vehicle must have been, by its true position [m].
-            by: until when; the end of the run.
-        """
+        """`reach`: how near a vehicle must have been, by its true position [m]. `by`: until when; the end of the
+        run."""
         self._open = dict(enumerate(places_of(places), 1))
         self._count = len(self._open)
         self._reach = reach
@@ -133,13 +119,8 @@ class TrueMean:
     """Every average is that of what the vehicles on its side have measured."""
 
     def __init__(self, facts: Facts, *, below: float = 0.01, within: str = "10 s") -> None:
-        """Make it.
-
-        Args:
-            facts: about the scenario.
-            below: the greatest error of an average [degC].
-            within: the time allowed after the start, and after every change of the sides.
-        """
+        """`below`: the greatest error of an average [degC]. `within`: the time allowed after the start, and after every
+        change of the sides."""
         self._below, self._within = below, seconds(within)
         self._sides = Sides(facts)
         self._found = ""
@@ -252,15 +233,9 @@ class AgreeAfterHeal:
     """All vehicles of a side name the same leader, which leads."""
 
     def __init__(self, facts: Facts, *, within: str, quorum: Literal["fleet", "side"] = "fleet") -> None:
-        """Make it.
-
-        Args:
-            facts: about the scenario.
-            within: the time after the start, and after every change of the sides, such as a heal or the death of a
-                vehicle. After it they must agree, until the next change.
-            quorum: as that of the agents; with `fleet`, sides of half the fleet or less must agree that there is no
-                leader.
-        """
+        """`within`: the time after the start, and after every change of the sides, such as a heal or the death of a
+        vehicle. After it they must agree, until the next change. `quorum`: as that of the agents; with `fleet`, sides
+        of half the fleet or less must agree that there is no leader."""
         if quorum not in ("fleet", "side"):
             raise ValueError(f"quorum: expected fleet or side, got {quorum!r:.40}")
         self._within, self._of_fleet = seconds(within), quorum == "fleet"

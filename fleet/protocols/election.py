@@ -51,22 +51,11 @@ class Election:
     )
 
     def __init__(
-        self,
-        config: AgentConfig,
-        *,
-        vehicles: int,
-        lease_s: float = 3.0,
-        quorum: Literal["fleet", "side"] = "fleet",
+        self, config: AgentConfig, *, vehicles: int, lease_s: float = 3.0, quorum: Literal["fleet", "side"] = "fleet"
     ) -> None:
-        """Make it.
-
-        Args:
-            config: the agent's own slice of the scenario.
-            vehicles: the number of vehicles in the fleet; they are numbered from 1.
-            lease_s: the length of a grant and of a record [s].
-            quorum: a leader needs more than half of these: of the fleet, or of the vehicles heard of within a lease.
-                With the latter each side of a partition elects its own leader.
-        """
+        """`vehicles`: the number of vehicles in the fleet; they are numbered from 1. `lease_s`: the length of a grant
+        and of a record [s]. `quorum`: a leader needs more than half of these: of the fleet, or of the vehicles heard of
+        within a lease. With the latter each side of a partition elects its own leader."""
         if quorum not in ("fleet", "side"):
             raise ValueError(f"quorum: expected fleet or side, got {quorum!r:.40}")
         if not config.id <= vehicles:

@@ -43,17 +43,9 @@ class EventTriggered:
     def __init__(
         self, config: AgentConfig, threshold_m: float = 0.2, silence_s: float = 5.0, ahead_s: float = 3.0
     ) -> None:
-        """Make it.
-
-        Args:
-            config: the agent's own slice of the scenario.
-            threshold_m: up to this deviation [m] it is silent; 0: it always sends.
-            silence_s: after this time [s] it sends in any case.
-            ahead_s: weight [s] of an error of the velocity; 0: only the position counts.
-
-        Raises:
-            ValueError: one is negative or not finite, or the silence is 0.
-        """
+        """`threshold_m`: up to this deviation [m] it is silent; 0: it always sends. `silence_s`: after this time [s] it
+        sends in any case. `ahead_s`: weight [s] of an error of the velocity; 0: only the position counts. Raises
+        ValueError: one is negative or not finite, or the silence is 0."""
         for name, value in (("threshold_m", threshold_m), ("ahead_s", ahead_s)):
             if not (isfinite(value) and value >= 0.0):
                 raise ValueError(f"{name}: expected 0 or more, got {value!r}")

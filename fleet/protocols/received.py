@@ -11,16 +11,9 @@ from agents.api import Delivery, PayloadError, unpack
 def received(
     kind: str, deliveries: Iterable[Delivery], valid: Callable[[Any, Delivery], bool]
 ) -> tuple[list[tuple[Delivery, Any]], int]:
-    """The valid messages of one kind.
-
-    Args:
-        deliveries: the packets that are due. Messages of other kinds and protocols are skipped.
-        kind: the kind of message, as given to `agents.api.pack`.
-        valid: returns whether a message of this protocol can have these values.
-
-    Returns:
-        The deliveries with their values, in order; and the number of messages that are damaged or not valid.
-    """
+    """The valid messages of one kind. `kind`: the kind of message, as given to `agents.api.pack`. `valid`: returns
+    whether a message of this protocol can have these values. Returns the deliveries with their values, in order; and
+    the number of messages that are damaged or not valid."""
     found, refused = [], 0
     for delivery in deliveries:
         try:

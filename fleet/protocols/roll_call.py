@@ -41,14 +41,8 @@ class RollCall:
         quorum: Literal["all", "majority"] = "majority",
         phase_s: float = 1.0,
     ) -> None:
-        """Make it.
-
-        Args:
-            config: the agent's own slice of the scenario.
-            vehicles: how many there are in the fleet; their numbers are 1 to this one.
-            quorum: how many must have reached a phase before the next one begins.
-            phase_s: how long a phase lasts at least [s].
-        """
+        """`vehicles`: how many there are in the fleet; their numbers are 1 to this one. `quorum`: how many must have
+        reached a phase before the next one begins. `phase_s`: how long a phase lasts at least [s]."""
         if quorum not in ("all", "majority"):
             raise ValueError(f"quorum: expected all or majority, got {quorum!r:.40}")
         if not config.id <= vehicles:

@@ -39,13 +39,8 @@ class Connectivity:
     def __init__(
         self, links: Iterable[Link], roots: Iterable[int], wanted: Iterable[int], window: int, after: int = 0
     ) -> None:
-        """
-        Args:
-            links: of the graph.
-            roots: vehicles that follow the reference.
-            wanted: vehicles that must be reached.
-            window: W, in ticks.
-            after: first tick of the first window.
+        """`roots` follow the reference, `wanted` must be reached. `window` is W, in ticks; the first one begins at
+        `after`.
         """
         self._hearers: dict[int, list[int]] = {}
         for src, dst in links:
@@ -63,7 +58,6 @@ class Connectivity:
         self.windows = 0
 
     def resume(self, tick: int) -> None:
-        """Judge windows that begin at a tick or later."""
         self._first = max(self._first, tick + self._window - 1)
 
     @property
@@ -84,7 +78,6 @@ class Connectivity:
         return cls(scenario.graph.links, roots, wanted, check.window // tick, -(-check.after // tick))
 
     def settle(self, fate: Fate) -> None:
-        """Take a final fate."""
         if fate.cause != Cause.DELIVERED or fate.corrupted:
             return
         if fate.due_tick > self._now:
@@ -132,7 +125,6 @@ class Connectivity:
             self._now = tick
 
     def _look(self) -> None:
-        """Judge the window that ends now, as all do until the next change."""
         if not self._changed or self._now < self._first:
             return
         self._changed = False

@@ -60,13 +60,8 @@ class Journal:
         whole: AbstractContextManager[None] | None = None,
         checks: OwnChecks | None = None,
     ) -> None:
-        """Begin an empty journal.
-
-        Args:
-            log: receives everything in order.
-            whole: is entered around writes that must not be interrupted half way.
-            checks: of the user's own, that see everything in the same order; None: there are none, or nothing is
-                judged.
+        """Begin an empty journal. `log` receives everything in order, and so do the user's `checks`; None: there are
+        none, or nothing is judged. `whole` is entered around writes that must not be interrupted half way.
         """
         self.log = log
         self.checks = checks
@@ -130,11 +125,7 @@ class Journal:
             self.connectivity.close(ticks)
 
     def frame(self, frame: Frame) -> None:
-        """Take the world's next frame.
-
-        Raises:
-            OutOfPlace: a frame is missing.
-        """
+        """Take the world's next frame. Raises OutOfPlace if a frame is missing."""
         expected = 0 if self.framed < 0 else min(self.framed + self._frame_every, self._last)
         if frame.tick != expected:
             raise OutOfPlace("frame", expected, frame.tick)
@@ -147,11 +138,7 @@ class Journal:
         self._write()
 
     def links(self, report: LinkReport) -> None:
-        """Take netem's next report.
-
-        Raises:
-            OutOfPlace: a report is missing.
-        """
+        """Take netem's next report. Raises OutOfPlace if a report is missing."""
         expected = 0 if self.reported < 0 else self.reported + self._round_ticks
         if not report.closing and report.until != expected:
             raise OutOfPlace("link report", expected, report.until)
@@ -209,7 +196,6 @@ class Journal:
         self._planned_deaths.update((absence.vehicle, absence.begin) for absence in absences)
 
     def _write_events(self, frame: Frame) -> None:
-        """Write the planned events up to this tick, and the unplanned ends of agents."""
         for life in frame.lives:
             i = life.vehicle
             if life.begins and i in self.deaths:
@@ -301,8 +287,7 @@ def _command(data: bytes) -> Command:
     return command
 
 
-# --- watched
-# A run that is recorded and watched: what the journal writes is also shown to somebody who measures.
+# --- watched: a run that is recorded and watched: what the journal writes is also shown to somebody who measures
 
 
 class Watcher(Protocol):
@@ -319,6 +304,5 @@ class WatchedLog:
         self.packet, self.event, self.snapshot = log.packet, log.event, log.snapshot
 
     def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None:
-        """Pass a frame on, then show it."""
         self._log.frame(frame, commands, errors)
         self._watcher.frame(frame, commands, errors)

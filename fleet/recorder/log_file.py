@@ -14,8 +14,7 @@ from fleet.logs.mcap_writer import Batch, McapWriter
 from fleet.logs.records import Digest
 from fleet.logs.schemas import Schema
 
-# --- no log
-# The stand-in for a log in a run with `log: none`: it computes the digest, and writes nothing.
+# --- no log: the stand-in for a log in a run with `log: none`: it computes the digest, and writes nothing
 
 
 class NoLog:
@@ -40,7 +39,6 @@ class NoLog:
         """Nothing to do: the digest is of messages."""
 
     def channel(self, topic: str, schema: Schema) -> int:
-        """Number a topic."""
         self._topics.append(topic.encode())
         return len(self._topics) - 1
 
@@ -74,18 +72,12 @@ class LogError(FleetError):
 
 
 class LogFile:
-    """A new MCAP file; `LogWriter` writes its encoded messages into it.
-
-    `close` writes the end of the file; without it the file is truncated but readable. Every method that writes raises
-    LogError when the operating system reports an error.
+    """A new MCAP file; `LogWriter` writes its encoded messages into it. `close` writes the end of the file; without it
+    the file is truncated but readable. What writes raises LogError when the operating system reports an error.
     """
 
     def __init__(self, path: Path) -> None:
-        """Create the file.
-
-        Raises:
-            LogError: it exists already, or cannot be created.
-        """
+        """Create the file. Raises LogError if it exists already, or cannot be created."""
         self.path = path
         self.messages = 0
         self._digest = Digest()
@@ -110,14 +102,12 @@ class LogFile:
             return 0
 
     def attachment(self, name: str, media_type: str, data: bytes) -> None:
-        """Write an attachment."""
         with self._refused():
             self._writer.attachment(Attachment(0, 0, name, media_type, data))
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write metadata, and pass everything written until now to the operating system.
-
-        So the file of a run that is killed within its first second holds at least the scenario.
+        """Write metadata, and pass everything written until now to the operating system, so that the file of a run that
+        is killed within its first second holds at least the scenario.
         """
         with self._refused():
             self._writer.metadata(name, values)
@@ -159,11 +149,7 @@ class LogFile:
                 self._writer.flush()
 
     def close(self) -> None:
-        """Write the index and close the file.
-
-        Raises:
-            LogError: the rest of the file cannot be written.
-        """
+        """Write the index and close the file. Raises LogError if the rest of the file cannot be written."""
         with self._refused():
             self._writer.finish()
             self._file.close()

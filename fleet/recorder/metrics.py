@@ -78,8 +78,6 @@ class _Places(NamedTuple):
 
 
 class _Vehicle(NamedTuple):
-    """The inputs that the errors of one vehicle are computed from."""
-
     plan: Offset  # p_i
     b: float
     neighbours: tuple[tuple[int, float], ...]  # j and a_ij
@@ -139,7 +137,6 @@ class Metrics:
 
     @property
     def formation(self) -> Formation:
-        """The formation errors of the newest frame."""
         off = {i: series.formation[-1] for i, series in self.series.items() if series.formation}
         if not off:
             return Formation()
@@ -175,12 +172,8 @@ class Metrics:
         return {i: s.qp_failures for i, s in self.series.items() if self._vehicles[i].places.failures is not None}
 
     def settled(self, what: str, span: tuple[int, int], limit: float, vehicles: list[int] | None = None) -> Settled:
-        """When `e` or `formation` of every vehicle, or of some, settled below a limit within a span of ticks.
-
-        Args:
-            what: `e` or `formation`.
-            span: the first tick, and the one behind the last.
-            limit: in m.
+        """When `e` or `formation` of every vehicle, or of some, settled below a limit [m] in a span: first tick, behind
+        the last.
         """
         frames = range(bisect_left(self.times, span[0] * self._tick_s), bisect_left(self.times, span[1] * self._tick_s))
         if not frames:

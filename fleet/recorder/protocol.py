@@ -24,7 +24,6 @@ class AgentProtocol(NamedTuple):
 
     @classmethod
     def of(cls, scenario: Scenario, vehicle: int) -> AgentProtocol:
-        """The agent of a vehicle, counted from 1."""
         agent = scenario.agent_config(vehicle).agent
         if agent is None:
             return cls("", ())

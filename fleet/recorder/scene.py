@@ -70,7 +70,6 @@ class LinkHistories:
         return state_of("".join(self._of[link]))
 
     def values(self) -> list[list[Any]]:
-        """All of it as plain values."""
         return [[src, dst, "".join(history)] for (src, dst), history in self._of.items()]
 
 
@@ -102,9 +101,8 @@ class Scene:
         self._formation = b""  # and how that is drawn
 
     def see(self, frame: Frame, commands: Mapping[int, Command]) -> None:
-        """Note a tick, and the commands of the vehicles. The end tick has no commands.
-
-        On a wall clock an agent may miss ticks. It is silent when it has missed them for a while.
+        """Note a tick, and the commands of the vehicles, of which the end tick has none. On a wall clock an agent may
+        miss ticks; it is silent when it has missed them for a while.
         """
         if self._locating:
             self._telemetry = {i: commands[i].telemetry for i in self._locating & commands.keys()}
@@ -134,10 +132,7 @@ class Scene:
         return (row for row in frame.vehicles if row.id in self._navigating)
 
     def _belief(self, row: VehicleFrame, place: Vec3) -> bytes:
-        """The vehicle's belief about its place.
-
-        At a tick without one the entity is empty and replaces the one before.
-        """
+        """The vehicle's belief about its place; at a tick without one an empty entity that replaces the one before."""
         drawn: list[Primitive] = []
         if row.nav:
             off = [believed - true for believed, true in zip(row.nav[:3], row.eta[:3], strict=True)]
@@ -154,7 +149,6 @@ class Scene:
         return self._beliefs[key](*values)
 
     def silent(self) -> frozenset[int]:
-        """The vehicles that nobody commands."""
         if self._seen is None:
             return frozenset()
         since = self._seen.tick - UNHEARD_NS // self._scenario.tick_ns
@@ -173,7 +167,6 @@ class Scene:
 
 
 def _link(link: Link) -> SceneEntity:
-    """The first part of the entity of a link."""
     return SceneEntity(frame_id=REFERENCE, id=f"link {link[0]}-{link[1]}", frame_locked=True)
 
 
@@ -219,17 +212,13 @@ def _believed(i: int, *values: float) -> SceneEntity:
 
 
 def _ends(thing: Primitive) -> list[Vec3]:
-    """The corners of an area, and the ends of a cross, in axes of `reference`."""
     points = [enu((point.north, point.east, point.down)) for point in points_of(thing)]
     return [(x + dx, y + dy, z) for x, y, z in points for dx, dy in _ARMS] if isinstance(thing, CrossShape) else points
 
 
 def hull(i: int, mass: float, silent: bool) -> SceneEntity:
-    """A torpedo around the origin of `uuv-<i>`, forward along x: body, nose, tail cone, cross of fins, and its number.
-
-    Args:
-        mass: of the vehicle [kg], which gives the size.
-        silent: the vehicle gets no command, because its agent is dead or suspended.
+    """A torpedo around the origin of `uuv-<i>`, forward along x: body, nose, tail cone, cross of fins, and its number,
+    of a size by `mass` [kg]. `silent`: the vehicle gets no command.
     """
     d = diameter(mass)
     length = SLENDER * d

@@ -18,11 +18,8 @@ MOST_S = 10.0  # ... but no more than this
 
 
 def least_s(disturbance: Iterable[Harmonic], judged_s: float) -> float:
-    """The least time [s] that an error must stay below its limit, so that it counts as settled.
-
-    Args:
-        disturbance: the harmonics that act on the vehicle.
-        judged_s: the whole time that is judged [s].
+    """The least time [s] that an error must stay below its limit, so that it counts as settled, under a disturbance by
+    these harmonics, and of `judged_s` [s] at all.
     """
     slowest = min((abs(h.omega) for h in disturbance if h.amplitude and h.omega), default=0.0)
     periodic = PERIODS * tau / slowest if slowest else 0.0

@@ -42,11 +42,7 @@ class Snapshot:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Snapshot:
-        """The inverse of `to_bytes`.
-
-        Raises:
-            FleetError: it is of another format.
-        """
+        """The inverse of `to_bytes`. Raises FleetError if it is of another format."""
         try:
             form, *fields = msgpack.unpackb(data)
             if form == _FORMAT:
@@ -62,11 +58,8 @@ class Snapshot:
 
 
 def find(path: Path, at_ns: int | None = None, tell: Tell = lambda _: None) -> Snapshot:
-    """The last snapshot of a log up to a time; None: the last there is.
-
-    Raises:
-        LogReadError: there is no log to read.
-        FleetError: it has no such snapshot.
+    """The last snapshot of a log up to a time; None: the last there is. Raises LogReadError if there is no log to read;
+    FleetError if it has no such snapshot.
     """
     from fleet.logs.decoder import Decoder  # a run writes snapshots and reads none
     from fleet.logs.reader import LogReader, log_path

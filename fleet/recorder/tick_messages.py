@@ -72,8 +72,6 @@ _Places = NDArray[np.int32]  # in the pool
 
 
 class VehicleTopic(NamedTuple):
-    """A topic of one vehicle."""
-
     channel: int
     name: str
 
@@ -117,13 +115,8 @@ class TickMessages:
         plants: Mapping[int, tuple[Signal, ...]],
         navigating: Collection[int] = (),
     ) -> None:
-        """Lay out the pool.
-
-        Args:
-            topics: of every topic group and vehicle.
-            agents: the signals of each vehicle's agent.
-            plants: the signals of each vehicle's plant, if it has one.
-            navigating: the vehicles that do not know where they are.
+        """Lay out the pool. `topics`: of every topic group and vehicle. `agents`, `plants`: the signals of those that
+        have some. `navigating`: the vehicles that do not know where they are.
         """
         self._topics = topics
         kinds = {i: _Kind(agent, plants.get(i), i in navigating) for i, agent in agents.items()}
@@ -165,13 +158,8 @@ class TickMessages:
         at_ns: int,
         stamp: bytes,
     ) -> Batch:
-        """The messages of a tick, group by group, in each the vehicles in ascending order.
-
-        Args:
-            errors: of every vehicle of the frame.
-            groups: the topic groups that are due.
-            at_ns: the time of the tick.
-            stamp: the time as `fleet.logs.schemas.stamp_field` writes it.
+        """The messages of a tick in the groups that are due, in each the vehicles in ascending order; `stamp` is the
+        time as `fleet.logs.schemas.stamp_field` writes it.
         """
         pool, there = self._pool, []
         reported = "guidance" in groups or "control" in groups or "located" in groups
@@ -210,10 +198,8 @@ class TickMessages:
         return Batch(at_ns, frame.tick, layout.channels, layout.bounds, records, digested)
 
     def _layout(self, groups: Sequence[str], stamp: int, there: Sequence[tuple[int, bool, bool, bool]]) -> _Layout:
-        """For the messages of these groups, with a timestamp of so many bytes.
-
-        Args:
-            there: vehicle after vehicle, and whether it has a measurement, a command, telemetry.
+        """For the messages of these groups, with a timestamp of so many bytes. `there`: vehicle after vehicle, and
+        whether it has a measurement, a command, telemetry.
         """
         key = (tuple(groups), stamp, tuple(there))
         if key in self._layouts:

@@ -27,8 +27,7 @@ from fleet.scene.primitives import NED, REFERENCE
 from netem.wire.messages import Frame
 from world.vectors import Vec3
 
-# --- template
-# A protobuf message with changing doubles: encoded once, then new doubles are put in their places.
+# --- template: a protobuf message with changing doubles: encoded once, then new doubles are put in their places
 
 
 class Template:
@@ -38,11 +37,8 @@ class Template:
     """
 
     def __init__(self, make: Callable[..., Any], count: int) -> None:
-        """Find the places of the doubles.
-
-        Args:
-            make: gives a protobuf message with each of its arguments in one field, in the order of the fields.
-            count: of its arguments.
+        """Find the places of the doubles. `make` gives a protobuf message with each of its `count` arguments in one
+        field, in the order of the fields.
         """
         self._make = make
         marks = [0.1234567 * (k + 1) for k in range(count)]
@@ -65,9 +61,7 @@ class Template:
 
 
 def field(tag: bytes, data: bytes) -> bytes:
-    """A field that holds an encoded message.
-
-    Encoded messages may be cut and joined between fields: `data` can be several of them, as long as the numbers of the
+    """A field that holds an encoded message, or several that were cut between fields, as long as the numbers of the
     fields ascend.
     """
     return tag + varint(len(data)) + data
@@ -83,8 +77,6 @@ _UPSIDE_DOWN = Quaternion(x=sqrt(0.5), y=sqrt(0.5))  # half a turn about north-e
 
 
 class Transforms:
-    """The transforms of one run."""
-
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
         self._ned = FrameTransform(parent_frame_id=MAP, child_frame_id=NED, rotation=_UPSIDE_DOWN).SerializeToString()

@@ -134,15 +134,9 @@ class LogWriter:
         tap: Tap | None = None,
         clock: Clock = Clock.LOCKSTEP,
     ) -> None:
-        """Write the scenario and declare all channels.
-
-        Args:
-            start: where the run goes on from a snapshot of another run.
-            tap: receives a copy of every message.
-            clock: of the run; its metadata names a wall clock.
-
-        Raises:
-            LogError: the sink is a file and cannot be written; so do all methods.
+        """Write the scenario and declare all channels. `start`: where the run goes on from a snapshot of another run.
+        `tap` receives a copy of every message. A wall `clock` is named in the metadata. Raises LogError if the sink is
+        a file and cannot be written; so do all methods.
         """
         self._sink = sink
         self._tap = tap
@@ -180,7 +174,6 @@ class LogWriter:
         self._by_link = {link: self._channel(link_topic(link), packet) for link in scenario.graph.links}
 
     def _write_head(self, start: Start | None, clock: Clock) -> None:
-        """Write the scenario, the snapshot that the run goes on from, and the metadata."""
         self._sink.attachment("scenario.yaml", "application/yaml", self._scenario.to_yaml().encode())
         if start is not None:
             self._sink.attachment(START, "application/msgpack", start.snapshot.to_bytes())
@@ -199,10 +192,8 @@ class LogWriter:
         return drawn
 
     def _schemas(self, plants: Mapping[int, tuple[Signal, ...]]) -> dict[str, dict[int, Schema]]:
-        """The schema of every topic group and vehicle; vehicles that run the same share it.
-
-        Args:
-            plants: what the plant of each vehicle reports that has one.
+        """The schema of every topic group and vehicle; vehicles that run the same share it. `plants`: what the plant of
+        each vehicle reports that has one.
         """
         ids = range(1, self._scenario.vehicles + 1)
         state = dict.fromkeys(ids, flat_schema("State", STATE))
@@ -295,7 +286,6 @@ class LogWriter:
                 self._add(self._fixes[row.id], at_ns, measured_ns, fix.measured, message.SerializeToString())
 
     def packet(self, fate: Fate) -> None:
-        """Write one packet's final fate."""
         self._scene.links.settle(fate)
         tick_ns = self._tick_ns
         final_ns = fate.final_tick * tick_ns
@@ -304,7 +294,6 @@ class LogWriter:
         self._sink.flush(final_ns)
 
     def event(self, event: Event) -> None:
-        """Write the beginning or end of a fault."""
         message = self._fault(fault=event.fault, action=event.action, what=event.what)
         at_ns = event.tick * self._tick_ns
         self._add(self._faults, at_ns, at_ns, event.tick, message.SerializeToString())
@@ -349,7 +338,6 @@ def _start_metadata(start: Start) -> dict[str, str]:
 
 
 def _plugin_metadata(scenario: Scenario) -> dict[str, str]:
-    """Whether the run can be resumed, and what identifies the laws that are not ours."""
     sources = {f"law {law.name}": law_class(kind, law) for kind, law in scenario.other_laws}
     sources |= {f"plant {name}": plant_class(name, plant.parameters or {}) for name, plant in scenario.plants.items()}
     return {"resumable": _resumable(scenario)} | {what: f"sha256 {fingerprint(c)}" for what, c in sources.items()}

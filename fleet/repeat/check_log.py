@@ -33,27 +33,19 @@ class JudgedLog(Struct, frozen=True):
 
     path: Path = field(name="log")
     passed: bool
-    until_s: Annotated[float, Meta(description="Simulated time up to which it was judged.")]
+    until_s: Annotated[float, Meta(description="Judged up to then.")]
     end_s: float
-    missing: Annotated[str, Meta(description="Missing parts of the file; empty: it is whole.")]
+    missing: Annotated[str, Meta(description="Empty: the file is whole.")]
     verdicts: list[Verdict] = field(name="checks")
 
 
 def check_log(
-    path: Path,
-    overrides: Sequence[str] = (),
-    reading: Callable[[float], None] = lambda share: None,
+    path: Path, overrides: Sequence[str] = (), reading: Callable[[float], None] = lambda share: None
 ) -> JudgedLog:
-    """Judge a log by its scenario's own checks, or by others.
-
-    Args:
-        overrides: `checks...=...` as for `fleet run --set`.
-        reading: called with the share of the file that was read, twice from its beginning.
-
-    Raises:
-        FleetError: there is no log of ours, or nothing in it to judge.
-        ScenarioError: an override is wrong, or the log's scenario is none for this version.
-        SignalCheckError, CheckError: a check makes no sense for this log, or cannot be made.
+    """Judge a log by its scenario's own checks, or by others: `overrides` are `checks...=...` as for `fleet run --set`.
+    `reading` gets the share of the file that was read, twice from its beginning. Raises FleetError if there is no log
+    of ours, or nothing in it to judge; ScenarioError if it has no scenario for this version, or an override is wrong;
+    CheckError or SignalCheckError if a check cannot be made, or makes no sense for this log.
     """
     _insist_on_checks(overrides)
     source = recorded(path, reading)
@@ -139,12 +131,8 @@ class _Feed:
         self.newest = -1  # tick that was judged
 
     def read(self, reader: LogReader, last: int | None) -> None:
-        """Show all of a log.
-
-        Args:
-            reader: reads the log.
-            last: the last tick of a whole log. If a tick lacks a sample, the vehicle reported nothing. None: the log is
-                not whole. A missing sample may then be lost, and the last tick is left out.
+        """Show all of a log. `last`: the last tick of a whole log. If a tick lacks a sample, the vehicle reported
+        nothing. None: the log is not whole. A missing sample may then be lost, and the last tick is left out.
         """
         self._whole = last is not None
         decode = Decoder(reader).ours

@@ -37,11 +37,7 @@ class Recorded:
     last_ns: int  # time of the last message; -1 without any
 
     def insist_on_lockstep(self, what: str) -> None:
-        """Refuse a log of a run on a wall clock.
-
-        Raises:
-            FleetError: it is one.
-        """
+        """Refuse a log of a run on a wall clock. Raises FleetError."""
         if self.reader.metadata.get("run", {}).get(CLOCK) == Clock.REAL:
             raise FleetError(
                 f"{self.path} was recorded with --clock real: when each agent answered was the machine's affair, so "
@@ -49,14 +45,9 @@ class Recorded:
             )
 
     def script(self, overrides: Sequence[str | Override] = (), policy: Policy = READING) -> Scenario:
-        """The scenario, its faults taken from what happened, with overrides as for `fleet run --set`.
-
-        Args:
-            policy: which modules of laws may be imported for it; by itself none.
-
-        Raises:
-            ScenarioError: it is none for this version, or an override is wrong.
-            FleetError: a fault that happened is none for this version.
+        """The scenario, its faults taken from what happened, with overrides as for `fleet run --set`. `policy`: which
+        modules of laws may be imported for it; by itself none. Raises ScenarioError if it is none for this version, or
+        an override is wrong; FleetError if a fault that happened is none for this version.
         """
         if START in self.reader.attachments:
             # Gone on from another run, in one process: nothing was injected, and what was before is not in this log.
@@ -65,12 +56,7 @@ class Recorded:
 
 
 def recorded(path: Path, tell: Tell = lambda _: None) -> Recorded:
-    """Read a log.
-
-    Raises:
-        LogReadError: there is no log to read.
-        FleetError: it holds no scenario of ours.
-    """
+    """Read a log. Raises LogReadError if there is no log to read; FleetError if it holds no scenario of ours."""
     path = log_path(path)
     reader = LogReader(path, tell)
     happened: list[Record] = []
@@ -90,11 +76,8 @@ def recorded(path: Path, tell: Tell = lambda _: None) -> Recorded:
 
 
 def script(path: Path, tell: Tell = lambda _: None) -> Scenario:
-    """The scenario of a log, its faults taken from what happened.
-
-    Raises:
-        LogReadError: there is no log to read.
-        FleetError: it holds no scenario of ours.
+    """The scenario of a log, its faults taken from what happened. Raises LogReadError if there is no log to read;
+    FleetError if it holds no scenario of ours.
     """
     return recorded(path, tell).script()
 
@@ -118,11 +101,8 @@ def rerun(
     overrides: Sequence[str | Override] = (),
     policy: Policy = READING,
 ) -> Scenario:
-    """The scenario that gives what happened up to a time; `text` is what the log calls its scenario.
-
-    Raises:
-        ScenarioError: it is no scenario, or none for this version; or an override is wrong.
-        FleetError: a fault that happened is none for this version.
+    """The scenario that gives what happened up to a time; `text` is what the log calls its scenario. Raises
+    ScenarioError if that is none for this version, or an override is wrong; FleetError of a fault that is none for it.
     """
     planned = parse_scenario(text, str(path))
     end_ns = planned.ticks * planned.tick_ns

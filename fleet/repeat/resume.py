@@ -24,11 +24,7 @@ from fleet.scenario.trust import Policy
 
 
 def parse_from(text: str) -> tuple[Path, int | None]:
-    """`LOG@20s`, or `LOG` for its last snapshot.
-
-    Raises:
-        FleetError: the time is none.
-    """
+    """`LOG@20s`, or `LOG` for its last snapshot. Raises FleetError if the time is none."""
     path, at, time = text.rpartition("@")
     if not at:
         return Path(text), None
@@ -45,15 +41,9 @@ def continuation(
     name: str | None = None,
     tell: Tell = lambda _: None,
 ) -> tuple[Scenario, Start]:
-    """The scenario that goes on, and where.
-
-    Args:
-        name: of another scenario than the log's own.
-        tell: called with the share of the log that was read, three times from its beginning.
-
-    Raises:
-        FleetError: there is no log of ours, or the scenario is wrong; the log has no such moment, or the changes are
-            too great to go on from it.
+    """The scenario that goes on, and where. `name`: of another scenario than the log's own. `tell`: called with the
+    share of the log that was read, three times from its beginning. Raises FleetError if there is no log of ours, or the
+    scenario is wrong; the log has no such moment, or the changes are too great to go on from it.
     """
     source = read(path, tell)
     recorded = source.script()
@@ -95,10 +85,8 @@ def continuation(
 
 
 def start_of(reader: LogReader) -> Start | None:
-    """Where the run of a log that was read began, if it went on from another.
-
-    Raises:
-        FleetError: the log does not hold it whole.
+    """Where the run of a log that was read began, if it went on from another. Raises FleetError if the log does not
+    hold it whole.
     """
     data = reader.attachments.get(START)
     if data is None:

@@ -43,9 +43,7 @@ from netem.medium import PERFECT
 from netem.wire.messages import Delivery, Nav
 from world.vectors import ZERO, Vec3
 
-# --- recorded agent
-# An agent that sends again what an external agent sent in a log, whose law is not available here.
-#
+# --- recorded agent: an agent that sends again what an external agent sent in a log, whose law is not available here
 # Its commands, telemetry and memory are recorded. Its transmissions follow from the packets of its links: at least one
 # link has each payload as it was sent, or with a flipped bit that can be turned back.
 
@@ -69,7 +67,6 @@ class RecordedAgent:
     known: float = inf  # what it sent after this tick may be missing
 
     def loop(self, incarnation: int, begin: int) -> AgentLoop:
-        """A life of it."""
         core = _RecordedCore(self)
         return AgentLoop(core, self.round_ticks, incarnation=incarnation, begin=begin, memories=self.memories)
 
@@ -102,16 +99,9 @@ class _RecordedCore:
 
 
 def recorded_agents(reader: LogReader, scenario: Scenario, last_ns: int, *, whole: bool) -> dict[int, RecordedAgent]:
-    """The messages of a scenario's external agents in a log, by vehicle.
-
-    Args:
-        reader: of the log, not read yet.
-        last_ns: time of its last message.
-        whole: the log ends with the run, so that the fate of every packet is in it.
-
-    Raises:
-        NotRecordedError: commands were thinned, or a message is damaged.
-        LogReadError: a schema is.
+    """The messages of a scenario's external agents in a log that was not read yet, by vehicle. `whole`: the log ends
+    with the run, so that the fate of every packet is in it. Raises NotRecordedError if commands were thinned, or a
+    message is damaged; LogReadError if a schema is.
     """
     if not scenario.external:
         return {}
@@ -133,8 +123,6 @@ def recorded_agents(reader: LogReader, scenario: Scenario, last_ns: int, *, whol
 
 
 class _Reading:
-    """Collects from the records of a log what its external agents sent."""
-
     def __init__(self, reader: LogReader, scenario: Scenario, last_ns: int) -> None:
         self._scenario, self._tick_ns, m = scenario, scenario.tick_ns, scenario.round_ticks
         self.agents = {i: RecordedAgent(i, scenario.layout(i), m, last_ns // self._tick_ns) for i in scenario.external}
@@ -212,13 +200,13 @@ class Verification(Struct):
     """`fleet verify --json`: how far a log was reproduced."""
 
     path: Path = entry(name="log")
-    until_s: Annotated[float, Meta(description="Simulated time of the last recorded message.")]
+    until_s: Annotated[float, Meta(description="Of the last recorded message.")]
     end_s: float
     reproduced: Annotated[bool, Meta(description="Whether everything that was compared is the same.")] = False
     messages: int = 0
-    missing: Annotated[str, Meta(description="Missing parts of the file; empty: it is whole.")] = ""
+    missing: Annotated[str, Meta(description="Empty: the file is whole.")] = ""
     skipped: Annotated[int, Meta(description="Messages that the re-run gave where the file has gaps.")] = 0
-    difference: Annotated[Difference | None, Meta(description="The first difference; null: there is none.")] = None
+    difference: Annotated[Difference | None, Meta(description="null: there is none.")] = None
     reason: Annotated[str, Meta(description="Why the re-run ended early; empty: it did not.")] = ""
     contradictions: Annotated[list[str], Meta(description="Between the log's metadata and its scenario.")] = []
     versions: Annotated[list[str], Meta(description="Those that are not as they were when it was recorded.")] = []
@@ -230,20 +218,11 @@ Tell = Callable[[float, float], None]  # sim time that is verified, and up to wh
 
 
 def verify(
-    path: Path,
-    tell: Tell = lambda at_s, end_s: None,
-    reading: Callable[[float], None] = lambda share: None,
+    path: Path, tell: Tell = lambda at_s, end_s: None, reading: Callable[[float], None] = lambda share: None
 ) -> Verification:
-    """Run a log again and compare.
-
-    Args:
-
-    Raises:
-        LogReadError: there is no log to read.
-        FleetError: it holds no scenario of ours; no message of it is left.
-        ScenarioError: its scenario does not run here, because another version wrote it, or because a law is not
-            installed and not trusted.
-        NotRecordedError: it has an external agent, but not all of its commands.
+    """Run a log again and compare. Raises LogReadError if there is no log to read; FleetError if it holds no scenario
+    of ours, or no message; ScenarioError if its scenario does not run here: another version wrote it, or a law is not
+    installed and not trusted; NotRecordedError if it lacks commands of an external agent.
     """
     source = recorded(path, reading)
     path, reader, last_ns = source.path, source.reader, source.last_ns
@@ -300,12 +279,7 @@ class _Comparison:
     """A sink of the log writer that compares each message with the recorded one, and writes nothing."""
 
     def __init__(
-        self,
-        verification: Verification,
-        scenario: Scenario,
-        reader: LogReader,
-        last_ns: int,
-        tell: Tell,
+        self, verification: Verification, scenario: Scenario, reader: LogReader, last_ns: int, tell: Tell
     ) -> None:
         self._verification, self._tell = verification, tell
         self._tick_ns, self._last_ns = scenario.tick_ns, last_ns
@@ -415,7 +389,6 @@ def _run_again(
 
 
 def verification_lines(verification: Verification) -> list[str]:
-    """A verification in words."""
     lines = [f"{named([i])}: its commands and payloads were taken from the log" for i in verification.external]
     how_far = f"up to t = {verification.until_s:g} s"
     if verification.missing:

@@ -51,9 +51,9 @@ class Component(Struct, frozen=True):
     """How far one component of the commands is from the recorded one."""
 
     unit: str
-    max: Annotated[float | None, Meta(description="The most, in the unit; null: it is not finite.")]
+    max: float | None
     at_s: float
-    rms: Annotated[float | None, Meta(description="Root mean square, in the unit; null: it is not finite.")]
+    rms: float | None
 
 
 class OtherCommands(Struct, frozen=True):
@@ -94,7 +94,6 @@ class WhatIf:
 
     @property
     def compared(self) -> OtherCommands:
-        """The comparison in numbers."""
         away = abs(self.found - self.recorded)
         components = {
             name: Component(unit, float(far.max()), float(self.t[far.argmax()]), float((far**2).mean() ** 0.5))
@@ -104,21 +103,12 @@ class WhatIf:
 
 
 def what_if(
-    path: Path,
-    agent: int,
-    overrides: Sequence[str | Override] = (),
-    progress: Callable[[float], None] = lambda _: None,
+    path: Path, agent: int, overrides: Sequence[str | Override] = (), progress: Callable[[float], None] = lambda _: None
 ) -> WhatIf:
-    """Give a fresh agent what a recorded one was given.
-
-    Args:
-        overrides: `key=value`, as for `fleet run --set`; they apply to this agent alone.
-        progress: called with the share of the work that is done: two readings of the log, then the agent.
-
-    Raises:
-        FleetError: there is no log of ours, the agent is not there, its navigation was thinned, or its law may not run
-            or failed.
-        ScenarioError: an override is wrong.
+    """Give a fresh agent what a recorded one was given. `overrides` are `key=value`, as for `fleet run --set`, for this
+    agent alone. `progress` gets the share that is done: two readings of the log, then the agent. Raises FleetError if
+    there is no log of ours, the agent is not there, its navigation was thinned, or its law may not run or failed;
+    ScenarioError if an override is wrong.
     """
     path = log_path(path)
     source = read(path, progress)
@@ -160,8 +150,6 @@ def _check(path: Path, agent: int, scenario: Scenario, recorded: Scenario) -> No
 
 @dataclass(slots=True)
 class _Given:
-    """The input and the commands of the recorded agent."""
-
     navs: list[tuple[int, tuple[float, ...]]] = field(default_factory=list)  # tick; eta, nu and roll as measured
     beliefs: dict[int, tuple[float, ...]] = field(default_factory=dict)  # by tick: the covariance of its estimate
     commands: dict[int, tuple[float, ...]] = field(default_factory=dict)  # by tick

@@ -12,13 +12,8 @@ from fleet.scenario.scenario import timeline
 
 
 def draw(found: WhatIf, path: Path, digest: str) -> None:
-    """Write the picture, as wide as a column.
-
-    Args:
-        digest: of the log that the agent heard.
-
-    Raises:
-        FleetError: the file cannot be written, or its suffix is none of a picture.
+    """Write the picture, as wide as a column. `digest`: of the log that the agent heard. Raises FleetError if the file
+    cannot be written, or its suffix is none of a picture.
     """
     format_of(path)  # before the work
     figure, axes = panels(3, 1, COLUMN_IN, 4.6)

@@ -10,7 +10,8 @@ payload. So payloads stay what they are, and any viewer that knows their encodin
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import IO, Any, Protocol
@@ -54,9 +55,16 @@ MOST_CHANNELS = 65_535  # MCAP numbers them with 16 bits
 MOST_BATCH = 1000
 
 
-class SampleWriter(Protocol):
-    """Writes samples."""
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Raises FleetError: the disk is full, or `path` cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        raise FleetError(f"cannot write {path}: {error.strerror}") from None
 
+
+class SampleWriter(Protocol):
     samples: int
 
     @property
@@ -67,8 +75,6 @@ class SampleWriter(Protocol):
 
 
 class SampleSource(Protocol):
-    """The source of samples: a session of zenoh."""
-
     def subscribe(self, key: str, handler: Callable[[Any], None], /) -> object: ...
 
 
@@ -81,26 +87,20 @@ class TrafficWriter:
         self.samples = 0
         self._channels: dict[tuple[str, str, str], int] = {}
         self._flushed_ns = 0
-        try:
+        if path.exists():
+            raise FleetError(f"{path} exists already; choose another name with -o")
+        with writing(path):
             self._file: IO[bytes] = path.open("xb")
             self._writer = McapWriter(self._file, PROFILE)
             self._writer.metadata("zenoh", {"keys": " ".join(keys)})
-        except FileExistsError:
-            raise FleetError(f"{path} exists already; choose another name with -o") from None
-        except OSError as error:
-            raise FleetError(f"cannot write {path}: {error.strerror}") from None
 
     @property
     def size(self) -> int:
-        """How much is written out; what is not flushed yet does not count."""
         return self._file.tell() if not self._file.closed else self.path.stat().st_size
 
     def add(self, sample: ZenohSample, at_ns: int) -> None:
-        """Append a sample that was received at `at_ns` [ns since 1970].
-
-        Raises:
-            FleetError: the disk is full, or there are more keys than a file can hold.
-        """
+        """Append a sample that was received at `at_ns` [ns since 1970]. Raises FleetError: the disk is full, or there
+        are more keys than a file can hold."""
         publish_ns = at_ns if sample.stamp_ns is None else sample.stamp_ns
         number = self.samples & 0xFFFFFFFF
         if sample.attachment is not None:
@@ -115,19 +115,14 @@ class TrafficWriter:
         """Write out what there is if a second has passed since the last time. Raises FleetError."""
         if now_ns - self._flushed_ns >= FLUSH_NS:
             self._flushed_ns = now_ns
-            self._guard(self._writer.flush)
+            with writing(self.path):
+                self._writer.flush()
 
     def close(self) -> None:
         """Write the index. Raises FleetError: the disk is full; what was flushed stays readable."""
-        if self._file.closed:
-            return
-        try:
-            self._guard(self._writer.finish)
-        finally:
-            try:
-                self._file.close()
-            except OSError as error:
-                raise FleetError(f"cannot write {self.path}: {error.strerror}") from None
+        if not self._file.closed:
+            with writing(self.path), self._file:
+                self._writer.finish()
 
     def _channel(self, key: str, encoding: str, kind: str) -> int:
         found = self._channels.get((key, encoding, kind))
@@ -140,16 +135,8 @@ class TrafficWriter:
         return found
 
     def _put(self, channel: int, at_ns: int, data: bytes, publish_ns: int, number: int) -> None:
-        try:
+        with writing(self.path):
             self._writer.message(channel, at_ns, publish_ns, number, data)
-        except OSError as error:
-            raise FleetError(f"cannot write {self.path}: {error.strerror}") from None
-
-    def _guard(self, write: Callable[[], Any]) -> None:
-        try:
-            write()
-        except OSError as error:
-            raise FleetError(f"cannot write {self.path}: {error.strerror}") from None
 
 
 class PublisherGone:
@@ -193,19 +180,10 @@ class Recorder:
         interrupted: Callable[[], KeyboardInterrupt | None] = lambda: None,
         over: Callable[[], bool] | None = None,
     ) -> bool:
-        """Record until the time is over, nothing more can come, or an exception ends it.
-
-        Args:
-            duration_ns: wall time; None: without limit.
-            over: asked when nothing came for a while, whether anything can.
-
-        Returns:
-            whether that was the end.
-
-        Raises:
-            FleetError: the file cannot be written any more.
-            KeyboardInterrupt: the instance that `interrupted` returned; between two messages.
-        """
+        """Record until the time is over, nothing more can come, or an exception ends it. `duration_ns`: wall time;
+        None: without limit. `over`: asked when nothing came for a while, whether anything can. Returns whether that was
+        the end. Raises FleetError: the file cannot be written any more; KeyboardInterrupt: the instance that
+        `interrupted` returned; between two messages."""
         began = seen_ns = time.monotonic_ns()
         seen, rate = 0, 0.0
         end = None if duration_ns is None else began + duration_ns

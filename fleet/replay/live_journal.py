@@ -47,10 +47,12 @@ class Missing:
 
     def end(self, data: bytes) -> None:
         """The publisher's last sample; one of another form is ignored."""
-        self._totals = _unpack_counts(data)
+        try:
+            self._totals = {str(topic): int(count) for topic, count in msgpack.unpackb(data).items()}
+        except Exception:  # msgpack raises half a dozen unrelated types for bad bytes
+            self._totals = {}
 
     def of(self, topic: str) -> int:
-        """How many messages of a topic did not come."""
         return self._gaps.get(topic, 0) + self._to_come(topic)
 
     @property
@@ -65,7 +67,6 @@ class Missing:
 
     @property
     def count(self) -> int:
-        """How many messages did not come."""
         return self.lost + self.to_come
 
     def _to_come(self, topic: str) -> int:
@@ -73,7 +74,6 @@ class Missing:
 
 
 def left_out(count: int) -> str:
-    """A sentence about messages that did not come."""
     messages = "1 message was" if count == 1 else f"{count} messages were"
     return f"{messages} left out on the way here: more was published than this machine could take"
 
@@ -82,14 +82,6 @@ def pack_counts(counts: dict[str, int]) -> bytes:
     """The publisher's last sample: how many messages each topic had."""
     data: bytes = msgpack.packb(counts)
     return data
-
-
-def _unpack_counts(data: bytes) -> dict[str, int]:
-    try:
-        counts = msgpack.unpackb(data)
-        return {str(topic): int(count) for topic, count in counts.items()}
-    except Exception:  # msgpack raises half a dozen unrelated types for bad bytes
-        return {}
 
 
 MOST_WAITING = 50_000  # messages between two looks
@@ -141,11 +133,9 @@ class LiveJournal:
         self._came.set()
 
     def wait(self, limit_s: float) -> None:
-        """Until something comes, but no longer than so."""
         self._came.wait(limit_s)
 
     def take(self) -> list[JournalMessage]:
-        """The messages that have come, in their order."""
         self._came.clear()
         waiting, found = self._waiting, []
         for _ in range(len(waiting)):
@@ -170,5 +160,4 @@ class LiveJournal:
         return JournalMessage(topic, log_ns, sample.payload.to_bytes())
 
     def close(self) -> None:
-        """End."""
         self.bus.close()

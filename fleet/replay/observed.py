@@ -29,12 +29,7 @@ class Observed(msgspec.Struct):
 
 
 def read_observed(path: Path) -> Observed:
-    """Read observe.json.
-
-    Raises:
-        OSError: it cannot be read.
-        DamagedFile: it holds something else.
-    """
+    """Read observe.json. Raises OSError: it cannot be read; DamagedFile: it holds something else."""
     return parse_json(read_file(path, _MOST_BYTES), Observed)
 
 
@@ -49,11 +44,8 @@ def write_observed(path: Path, observed: Observed) -> None:
 
 
 def host_observed(observed: Observed) -> OpenBus:
-    """A router at the endpoint that lets in the observer and nobody else.
-
-    Raises:
-        BusError: the endpoint is not valid, or it is in use.
-    """
+    """A router at the endpoint that lets in the observer and nobody else. Raises BusError: the endpoint is not valid,
+    or it is in use."""
     from netem.wire.open_bus import OpenBus  # and with it zenoh, which a run in one process does without
 
     with PrivateFolder() as private:

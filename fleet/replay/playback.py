@@ -41,18 +41,18 @@ class Replay:
     """One log, selected and bound to keys. Nothing is published before `play`."""
 
     def __init__(self, tape: Tape, options: PlaybackOptions) -> None:
-        """Choose what to play.
-
-        Raises:
-            FleetError: a topic names nothing, or nothing is left to play.
-        """
+        """Choose what to play. Raises FleetError: a topic names nothing, or nothing is left to play."""
         self._tape, self._wishes = tape, options
         self.keys = Keys(RUN)
         self.ours = "uuv-fleet" in tape.metadata.get("run", {})  # a journal, with sim time and a prefix of its own
         kinds = {n: channel.metadata.get(KIND, "") for n, channel in tape.channels.items()}
         played = {n: c for n, c in tape.channels.items() if kinds[n] != ATTACHMENT}
         names = chosen((c.topic for c in played.values()), options.topics)
-        self.key_of = {n: self._key(c.topic.strip("/")) for n, c in played.items() if c.topic in names}
+        self.key_of = {
+            n: self.keys.log(c.topic.strip("/")) if self.ours else c.topic.strip("/")
+            for n, c in played.items()
+            if c.topic in names
+        }
         self._deletes = {n for n in self.key_of if kinds[n] == DELETE}
         self._attached = ATTACHMENT in kinds.values()
         self._track = track = Track(tape, self.key_of)
@@ -74,9 +74,6 @@ class Replay:
         self.published = 0
         self.player = self._player(0)
 
-    def _key(self, topic: str) -> str:
-        return self.keys.log(topic) if self.ours else topic
-
     def _player(self, now: int) -> Player:
         w = self._wishes
         return Player(
@@ -85,11 +82,7 @@ class Replay:
         )  # fmt: skip
 
     def open(self, bus: OpenBus) -> None:
-        """Declare the keys.
-
-        Raises:
-            BusError: a topic is no key for zenoh.
-        """
+        """Declare the keys. Raises BusError: a topic is no key for zenoh."""
         tape = self._tape
         for n, key in self.key_of.items():
             channel = tape.channels[n]
@@ -112,11 +105,9 @@ class Replay:
             hand_out(bus, self.keys, topics, {schema.name: schema.data for schema in tape.schemas.values()}, units)
 
     def unmatched(self) -> list[str]:
-        """The keys without a subscriber so far."""
         return [self.key_of[n] for n, publication in self._publications.items() if not publication.matched]
 
     def play(self, keyboard: Keyboard, line: StatusLine) -> None:
-        """Publish to the end, controlled by the keyboard."""
         self._wait(line)
         next(self._track.entries(range(self._first, self._first + 1)))  # decompressed before the clock starts
         self.player = player = self._player(time.monotonic_ns())
@@ -182,7 +173,6 @@ class Replay:
         ]
 
     def summary(self, wall_s: float) -> str:
-        """A summary of the played messages, in words."""
         return (
             f"played {self.published} messages in {wall_s:.2f} s "
             f"({self.published / max(wall_s, 1e-9):.0f} messages/s), {self.player.missed} late"
@@ -190,16 +180,8 @@ class Replay:
 
 
 def obey(player: Player, key: Key, now: int) -> range:
-    """Carry out the command of a key press.
-
-    Args:
-        player: the player to control.
-        key: the key that was pressed.
-        now: wall time [ns].
-
-    Returns:
-        Indexes of the messages to publish. Only the key for one step has any.
-    """
+    """Carry out the command of a key press. Returns indexes of the messages to publish. Only the key for one step has
+    any."""
     match key:
         case Key.PAUSE:
             player.toggle(now)
@@ -217,14 +199,8 @@ def obey(player: Player, key: Key, now: int) -> range:
 
 
 def chosen(topics: Iterable[str], patterns: Sequence[str]) -> set[str]:
-    """The topics that any of the patterns names; all of them without one.
-
-    Args:
-        patterns: key expressions of zenoh; slashes around them and around topics do not count.
-
-    Raises:
-        FleetError: a pattern names none.
-    """
+    """The topics that any of the patterns names; all of them without one. `patterns`: key expressions of zenoh; slashes
+    around them and around topics do not count. Raises FleetError: a pattern names none."""
     known = sorted(set(topics))
     names: set[str] = set() if patterns else set(known)
     for text in patterns:

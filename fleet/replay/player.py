@@ -42,37 +42,19 @@ class Player:
         now: int = 0,
         before: Callable[[int], int] | None = None,
     ) -> None:
-        """Begin at `begin_ns`.
-
-        Args:
-            times: when each message is due [ns of log time].
-            begin_ns: of log time, as `end_ns`.
-            end_ns: the last message may be due then.
-            rate: log seconds per wall second; 0: as fast as possible.
-            loop: begin again at the end.
-            paused: begin paused.
-            now: wall time [ns].
-            before: how many messages are due before a time, if that is known without a search through all times.
-        """
+        """Begin at `begin_ns`. `times`: when each message is due [ns of log time]. `rate`: log seconds per wall second;
+        0: as fast as possible. `before`: how many messages are due before a time, if that is known without a search
+        through all times."""
         self._times = times
         self._before = before or (lambda ns: bisect_left(times, ns))
         self.begin_ns, self.end_ns = begin_ns, max(begin_ns, end_ns)
         self._first = self._before(begin_ns)
         self._stop = self._before(self.end_ns + 1)
         self._next = self._first
-        self._rate, self._loop, self._paused = rate, loop, paused
+        self.rate, self._loop, self.paused = rate, loop, paused
         self._origin = now, begin_ns
         self.missed = 0  # deadlines
         self.laps = 0  # completed ones
-
-    @property
-    def rate(self) -> float:
-        """Log seconds per wall second; 0: as fast as possible."""
-        return self._rate
-
-    @property
-    def paused(self) -> bool:
-        return self._paused
 
     @property
     def over(self) -> bool:
@@ -81,58 +63,54 @@ class Player:
 
     @property
     def left(self) -> int:
-        """Messages left in this lap."""
         return self._stop - self._next
 
     def position(self, now: int) -> int:
         """The log time that is played at wall time `now`; it waits for a message that is not handed out yet."""
         wall, log = self._origin
-        if self._paused or not self._rate:
+        if self.paused or not self.rate:
             return log
-        reached = min(log + int((now - wall) * self._rate), self.end_ns)
+        reached = min(log + int((now - wall) * self.rate), self.end_ns)
         return min(reached, int(self._times[self._next])) if self._next < self._stop else reached
 
     def due(self, now: int, most: int) -> range:
         """The next messages that are due, up to a number of them; they count as played."""
-        if self._paused:
+        if self.paused:
             return range(0)
         if self._next >= self._stop:
             if self.over or self._wait_for(self.end_ns, now) > 0:
                 return range(0)
             self._lap(now)
         ready = min(self._stop, self._next + most)
-        if self._rate:
+        if self.rate:
             wall, log = self._origin
-            ready = bisect_right(self._times, log + int((now - wall) * self._rate), self._next, ready)
+            ready = bisect_right(self._times, log + int((now - wall) * self.rate), self._next, ready)
         found = range(self._next, ready)
         if found:
             self._count_missed(found, now)
             self._next = found.stop
-            if not self._rate:
+            if not self.rate:
                 self._origin = now, int(self._times[found[-1]])
         return found
 
     def wait_ns(self, now: int) -> int | None:
         """Wall time until something is due; None when nothing will be unless something changes."""
-        if self._paused or self.over:
+        if self.paused or self.over:
             return None
         return self._wait_for(int(self._times[self._next]) if self._next < self._stop else self.end_ns, now)
 
     def pause(self, now: int) -> None:
-        """Hold the position."""
-        if not self._paused:
+        if not self.paused:
             self._origin = now, self.position(now)
-            self._paused = True
+            self.paused = True
 
     def resume(self, now: int) -> None:
-        """Go on from the position."""
-        if self._paused:
+        if self.paused:
             self._origin = now, self._origin[1]
-            self._paused = False
+            self.paused = False
 
     def toggle(self, now: int) -> None:
-        """Pause or resume."""
-        if self._paused:
+        if self.paused:
             self.resume(now)
         else:
             self.pause(now)
@@ -157,9 +135,8 @@ class Player:
         self._origin = now, at
 
     def set_rate(self, now: int, rate: float) -> None:
-        """Go on at another rate from the position."""
         self._origin = now, self.position(now)
-        self._rate = min(max(rate, SLOWEST), FASTEST) if rate else 0.0
+        self.rate = min(max(rate, SLOWEST), FASTEST) if rate else 0.0
 
     def stood_still(self, ns: int) -> None:
         """Shift the schedule by the time without a reader. Messages that were due meanwhile are then not late."""
@@ -172,16 +149,16 @@ class Player:
         self._origin = now, self.begin_ns
 
     def _wait_for(self, log_ns: int, now: int) -> int:
-        if not self._rate:
+        if not self.rate:
             return 0
         wall, log = self._origin
         # Rounded up: a moment too early nothing would be due, and the caller would come again at once.
-        return max(0, wall - now + int((log_ns - log) / self._rate) + 1)
+        return max(0, wall - now + int((log_ns - log) / self.rate) + 1)
 
     def _count_missed(self, found: range, now: int) -> None:
-        if self._rate:
+        if self.rate:
             wall, log = self._origin
-            before = log + int((now - LATE_NS - wall) * self._rate)
+            before = log + int((now - LATE_NS - wall) * self.rate)
             self.missed += bisect_left(self._times, before, found.start, found.stop) - found.start
 
 

@@ -14,14 +14,14 @@ import json
 import os
 import select
 import subprocess
-import sys
 import time
 from pathlib import Path
 from struct import Struct
-from typing import IO, Any
+from typing import Any
 
 from fleet.errors import FleetError
 from fleet.logs.schemas import Schema
+from fleet.processes.beside import begin, end, line_of, pipe
 from fleet.replay.observed import new_observed, write_observed
 
 ENTRY = Struct("<HIQQQII")  # channel, sequence, log and publish time, places in log and topic, bytes that follow
@@ -29,8 +29,6 @@ LENGTH = Struct("<I")  # of a batch
 PIPE_BYTES = 1 << 20  # the most that Linux gives an ordinary user
 BATCH_BYTES = 1 << 16
 READY_S = 20.0
-# With `-m` a file in the current directory could take the place of a module, a user's `signal.py` for instance.
-_MAIN = "import sys; sys.path.append(sys.argv[1]); from fleet.replay.publisher_process import main; main()"
 DRAIN_S = 10.0  # for the process to take and publish what it was given, which waits for no subscriber
 CLOSE_S = 2.0  # for what is then still on the way to subscribers
 
@@ -39,14 +37,8 @@ class LivePublisher:
     """Publishes each message of a log writer; see `fleet.recorder.writer.Tap`. `open` starts the process."""
 
     def __init__(self, run: str, observe: Path, scenario: str, *, wait: bool = False) -> None:
-        """Prepare; `open` starts the process.
-
-        Args:
-            run: id of the run.
-            observe: file that holds, while the run lives, where and as which user to subscribe.
-            scenario: of the run, as YAML: an observer asks for it.
-            wait: whether `heard` will be called.
-        """
+        """Prepare; `open` starts the process. `observe`: file that holds, while the run lives, where and as which user
+        to subscribe. `wait`: whether `heard` will be called."""
         self.run = run
         self.wait = wait
         self.dropped = 0  # messages that the pipe had no room for
@@ -73,11 +65,8 @@ class LivePublisher:
         self._units[schema.name] = schema.units
 
     def open(self) -> None:
-        """Start the process and wait until it listens.
-
-        Raises:
-            FleetError: it ended, or did not listen in time, or the way in cannot be written down.
-        """
+        """Start the process and wait until it listens. Raises FleetError: it ended, or did not listen in time, or the
+        way in cannot be written down."""
         observed = new_observed("", self.run)  # the process says where it listens
         values = {
             "run": observed.run,
@@ -89,26 +78,21 @@ class LivePublisher:
             "units": self._units,
             "wait": self.wait,
         }
-        # A group of its own: Ctrl-C is the console's business. It ends with the pipe, also when we are killed.
-        self._process = process = subprocess.Popen(
-            [sys.executable, "-P", "-c", _MAIN, str(Path(__file__).parents[2])],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            process_group=0,
-        )
+        # It ends with the pipe, also when we are killed.
+        streams = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        self._process = process = begin("fleet.replay.publisher_process", **streams)
         try:
-            _pipe(process.stdin).write(json.dumps(values).encode() + b"\n")
-            _pipe(process.stdin).flush()
+            pipe(process.stdin).write(json.dumps(values).encode() + b"\n")
+            pipe(process.stdin).flush()
             answer = self._answer(READY_S)
         except OSError:
             answer = {}
         if "endpoint" not in answer:
-            process.kill()
-            process.wait()
+            end(process, 0.0)
             why = answer.get("error", "the publisher did not start")
             raise FleetError(f"the journal cannot be published: {why}", status=3)
         self.endpoint = answer["endpoint"]
-        descriptor = _pipe(process.stdin).fileno()
+        descriptor = pipe(process.stdin).fileno()
         os.set_blocking(descriptor, False)
         with contextlib.suppress(OSError):  # where it may not be larger, it stays as it is
             fcntl.fcntl(descriptor, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
@@ -116,22 +100,17 @@ class LivePublisher:
         try:
             write_observed(self._observe, observed)
         except OSError as error:
-            process.kill()
-            process.wait()
+            end(process, 0.0)
             raise FleetError(f"cannot write {self._observe}: {error.strerror}", status=3) from error
 
     def heard(self) -> None:
-        """Wait without limit until there is a subscriber to the journal or to a part of it.
-
-        Raises:
-            FleetError: the process ended meanwhile.
-        """
+        """Wait without limit until there is a subscriber to the journal or to a part of it. Raises FleetError: the
+        process ended meanwhile."""
         if "heard" not in self._answer(None):
             why = "the publisher ended while it waited for a subscriber"
             raise FleetError(f"the journal cannot be published: {why}", status=3)
 
     def message(self, channel: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
-        """A message was written to the log."""
         place = self._places[channel]
         self._batch.append(ENTRY.pack(channel, sequence, log_ns, publish_ns, self._number, place, len(data)))
         self._batch.append(data)
@@ -157,7 +136,7 @@ class LivePublisher:
         """Write as much as there is room for; whether that was all."""
         assert self._process is not None
         try:
-            count = os.write(_pipe(self._process.stdin).fileno(), self._rest)
+            count = os.write(pipe(self._process.stdin).fileno(), self._rest)
         except BlockingIOError:
             return False
         except OSError:  # the publisher is gone; the run goes on without it
@@ -170,7 +149,7 @@ class LivePublisher:
         """Wait until the rest of the last batch is written, or it is too late."""
         assert self._process is not None
         while self._rest and not self._gone and not self._write_rest() and time.monotonic() < deadline:
-            select.select([], [_pipe(self._process.stdin)], [], 0.1)
+            select.select([], [pipe(self._process.stdin)], [], 0.1)
 
     def close(self) -> None:
         """End the process, once it has published what it was given."""
@@ -183,28 +162,16 @@ class LivePublisher:
         self.flush()
         self._write_all(deadline)
         with contextlib.suppress(OSError):
-            _pipe(process.stdin).close()
+            pipe(process.stdin).close()
         self.published = self._answer(max(CLOSE_S, deadline - time.monotonic())).get("published", 0)
-        try:
-            process.wait(CLOSE_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        _pipe(process.stdout).close()
+        end(process, CLOSE_S)
+        pipe(process.stdout).close()
         self._process = None
 
     def _answer(self, limit_s: float | None) -> dict[str, Any]:
         assert self._process is not None
-        stdout = _pipe(self._process.stdout)
-        if not select.select([stdout], [], [], limit_s)[0]:
-            return {}
         try:
-            values = json.loads(stdout.readline())
+            values = json.loads(line_of(self._process, limit_s))
         except ValueError:
             return {}
         return values if isinstance(values, dict) else {}
-
-
-def _pipe(end: IO[bytes] | None) -> IO[bytes]:
-    assert end is not None  # asked for as a pipe
-    return end

@@ -35,7 +35,6 @@ NICE = 5  # the run comes first where there are fewer cores than processes
 
 
 def main() -> None:
-    """Publish until stdin ends."""
     code = 1
     try:
         _publish()

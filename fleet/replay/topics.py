@@ -32,17 +32,12 @@ class Stamp(NamedTuple):
 
 
 def pack(stamp: Stamp) -> bytes:
-    """The attachment's bytes."""
     data: bytes = msgpack.packb(stamp)
     return data
 
 
 def unpack(data: bytes) -> Stamp:
-    """The inverse of `pack`.
-
-    Raises:
-        ValueError: not such an attachment.
-    """
+    """The inverse of `pack`. Raises ValueError: not such an attachment."""
     try:
         values = msgpack.unpackb(data)
     except Exception as error:  # msgpack raises half a dozen unrelated types for bad bytes
@@ -68,14 +63,8 @@ def hand_out(
     units: dict[str, str],
     scenario: str | None = None,
 ) -> None:
-    """Answer queries for the topics, schemas and units of a journal, and for its scenario if there is one.
-
-    Args:
-        topics: the name of each topic's schema.
-        schemas: the descriptor set of each schema.
-        units: of the fields of each schema, as its channels have them in the log.
-        scenario: as YAML.
-    """
+    """Answer queries for the topics of a journal, each with the name of its schema, for the descriptor set of each
+    schema and the units of its fields, as channels have them in the log, and for the scenario as YAML."""
     if scenario is not None:
         bus.answer(keys.scenario, {keys.scenario: scenario.encode()})
     bus.answer(keys.topics, {keys.topics: msgpack.packb(topics)})
@@ -84,11 +73,7 @@ def hand_out(
 
 
 def ask_topics(bus: OpenBus, keys: Keys) -> dict[str, PublishedTopic]:
-    """The topics of a journal that is published.
-
-    Raises:
-        FleetError: nobody answers, or not as this program does.
-    """
+    """The topics of a journal that is published. Raises FleetError: nobody answers, or not as this program does."""
     answer = bus.ask(keys.topics).get(keys.topics)
     if answer is None:
         raise FleetError(
@@ -109,11 +94,7 @@ def ask_topics(bus: OpenBus, keys: Keys) -> dict[str, PublishedTopic]:
 
 
 def ask_scenario(bus: OpenBus, keys: Keys) -> str:
-    """The scenario of a live run that is published, as YAML.
-
-    Raises:
-        FleetError: nobody answers, or not with a text.
-    """
+    """The scenario of a live run that is published, as YAML. Raises FleetError: nobody answers, or not with a text."""
     answer = bus.ask(keys.scenario).get(keys.scenario)
     try:
         if answer is not None:

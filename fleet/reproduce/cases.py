@@ -43,7 +43,6 @@ class Recording:
 
 
 def recorded(log: fleet.Log) -> Recording:
-    """The signals of a log."""
     scenario = log.scenario
     t = max((log[f"uuv/{i}/state"].t for i in range(1, scenario.vehicles + 1)), key=len)
     made = Recording(scenario, t)
@@ -165,8 +164,6 @@ EVERY_S = 0.05  # between the samples that pictures get
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One run of the report."""
-
     name: str
     group: str  # paper | consistent | no-k_max | network | sensitivity | exact | unlimited
     controller: str
@@ -176,11 +173,9 @@ class Case:
 
     @property
     def seconds(self) -> int:
-        """How long it runs."""
         return LENGTH_S.get(self.group, CALM_S if self.sea == U else LONG_S)
 
     def scenario(self) -> Scenario:
-        """The paper's fleet with this case's changes."""
         sea = () if self.sea == U else ("sea.disturbance=paper",)
         base = ("checks={}", f"controller={self.controller.lower()}", f"duration={self.seconds} s")
         return load_scenario("ideal", [*base, *sea, *self.overrides])
@@ -247,7 +242,6 @@ class Outcome:
 
     @property
     def tumbled(self) -> str:
-        """Which vehicles tumbled, and when for the first time; empty: none."""
         found = [(i, row["tumbled_s"]) for i, row in enumerate(self.metrics, start=1) if row["tumbled_s"] is not None]
         return "tumbled: " + ", ".join(f"UUV {i} at {t:.2f} s" for i, t in found) if found else ""
 
@@ -262,7 +256,6 @@ _PICTURED = ("e", "rho", "u_cmd", "K", "z")
 
 
 def run_case(name: str, progress: Any) -> Outcome:
-    """Run one case and measure it."""
     scenario = CASES[name].scenario()
     with PrivateFolder("reproduce") as folder, fleet.Run(scenario, log=folder / "run.mcap") as run:
         result = run.to_end(progress)

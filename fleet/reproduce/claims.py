@@ -117,7 +117,6 @@ def unbeaten(o: Outcomes, reading: str, what: str, mine: str, others: Iterable[s
 
 
 def each(outcome: Outcome, key: str, channel: int | None = None) -> list[Any]:
-    """A number of every vehicle."""
     return [row[key] if channel is None else row[key][channel] for row in outcome.metrics]
 
 
@@ -128,7 +127,6 @@ def mean(outcome: Outcome, key: str) -> float:
 
 
 def show(values: Sequence[float | None], form: str) -> str:
-    """Numbers in a row."""
     if all(value is None for value in values):
         return "not settled"
     return (", " if None in values else " ").join(_or_not(inf if v is None else v, form) for v in values)
@@ -171,7 +169,6 @@ CHANNELS = (("surge", "N"), ("pitch", "N m"), ("yaw", "N m"))
 
 
 def judge(outcomes: Outcomes) -> list[Claim]:
-    """Every claim whose runs are all there."""
     claims = []
     for make in _CLAIMS:
         try:
@@ -228,16 +225,13 @@ def _convergence(sea: str, where: str) -> Callable[[Outcomes], Claim]:
             for name in OPTIMISED
             for key, limit in (("settle_10pct_s", "10 % of the initial error"), ("settle_5cm_s", "5 cm"))
         ]
+        crossing = " Who keeps crossing 5 cm in every period of the disturbance has not settled, however long the run."
         return Claim(
             f"The controllers with online optimisation converge faster, clearly for UUVs 2-4 ({sea}).",
             where,
             tuple(checks),
             "The printed cost penalises rho instead of its difference from the reference velocity, so near the goal "
-            "the gain falls to its floor (docs/background/paper.md, G10). Who keeps crossing 5 cm in every period of "
-            "the disturbance has not settled, however long the run."
-            if sea == D
-            else "The printed cost penalises rho instead of its difference from the reference velocity, so near the "
-            "goal the gain falls to its floor (docs/background/paper.md, G10).",
+            "the gain falls to its floor (docs/background/paper.md, G10)." + (crossing if sea == D else ""),
         )
 
     return claim
@@ -341,15 +335,7 @@ def _gains(sea: str, text: str, where: str, remark: str) -> Callable[[Outcomes],
 
 def _errors(o: Outcomes) -> Claim:
     checks = [
-        below(
-            o,
-            reading,
-            f"{what}: {name} below {_and(FIXED)}",
-            f"{name}{infix}-{D}",
-            _of(FIXED, D),
-            key,
-            unit="m",
-        )
+        below(o, reading, f"{what}: {name} below {_and(FIXED)}", f"{name}{infix}-{D}", _of(FIXED, D), key, unit="m")
         for reading, infix in ((PRINTED, ""), (CORRECTED, "-consistent"), (NO_K_MAX, "-no-k_max"))
         for name in OPTIMISED
         for key, what in (("e_rms_m", "RMS consensus error late"), ("e_max_late_m", "largest consensus error late"))
@@ -367,14 +353,7 @@ def _velocity_errors(o: Outcomes) -> Claim:
     unit = "m/s, rad/s"
     checks = [
         below(
-            o,
-            PRINTED,
-            f"{what}: {name} below {_and(PLAIN)}",
-            f"{name}-{D}",
-            _of(PLAIN, D),
-            key,
-            form=form,
-            unit=unit,
+            o, PRINTED, f"{what}: {name} below {_and(PLAIN)}", f"{name}-{D}", _of(PLAIN, D), key, form=form, unit=unit
         )
         for key, what, form in (
             ("z_rms_mps", "RMS z late", ".4f"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from math import pi
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -56,7 +57,6 @@ def topology(outcomes: Mapping[str, Outcome], sea: str) -> Figure:
 
 
 def _arrow(ax: Axes, source: Point, target: Point, text: str, bend: float = 0.0, colour: str = COLOURS[0]) -> None:
-    """An arrow from one place to another, bent to the left of its direction, with a text beside its middle."""
     style = {
         "arrowstyle": "-|>",
         "color": colour,
@@ -91,8 +91,6 @@ OF_VEHICLES = (WIDE, WIDE, DASHED, DASHED)  # 1 lies near 4, and 2 near 3
 
 
 class Line(NamedTuple):
-    """A run in a picture."""
-
     case: str
     label: str
     colour: str
@@ -106,16 +104,13 @@ def _controllers(sea: str) -> list[Line]:
     return [Line(f"{name}-{sea}", name, COLOURS[number], OF_CONTROLLERS[name]) for number, name in enumerate(NAMES)]
 
 
-def consensus_errors(o: Outcomes, sea: str) -> Figure:
-    """|e_i| of each vehicle under the five controllers."""
-    label = "consensus error |e| [m]"
-    return _by_vehicle(o, _controllers(sea), "e", label, START_S) if sea == U else _periods(o, sea, "e", label)
+def errors(o: Outcomes, sea: str, key: str, label: str, until_s: float) -> Figure:
+    """|e_i| or z_i of each vehicle under the five controllers."""
+    return _by_vehicle(o, _controllers(sea), key, label, until_s) if sea == U else _periods(o, sea, key, label)
 
 
-def velocity_errors(o: Outcomes, sea: str) -> Figure:
-    """z_i of each vehicle under the five controllers."""
-    label = "z [m/s, rad/s]"
-    return _by_vehicle(o, _controllers(sea), "z", label, FAST_S) if sea == U else _periods(o, sea, "z", label)
+consensus_errors = partial(errors, key="e", label="consensus error |e| [m]", until_s=START_S)
+velocity_errors = partial(errors, key="z", label="z [m/s, rad/s]", until_s=FAST_S)
 
 
 def readings(o: Outcomes, sea: str) -> Figure:
@@ -145,7 +140,6 @@ def _by_vehicle(o: Outcomes, shown: Sequence[Line], key: str, label: str, until_
 
 
 def _periods(o: Outcomes, sea: str, key: str, label: str) -> Figure:
-    """The same under the periodic disturbance: on the left the start, on the right the last two periods."""
     figure, axes = panels(4, 2, share="col", height=7.2)
     shown = _controllers(sea)
     end_s = float(o[shown[0].case].t[-1])
@@ -279,8 +273,9 @@ FIGURES: dict[str, tuple[str, str, Callable[[Outcomes, str], Figure]]] = {
 }
 
 
-def draw(name: str, outcomes: Outcomes, folder: Path, formats: tuple[str, ...]) -> bool:
+def draw(wanted: tuple[str, Outcomes], folder: Path, formats: tuple[str, ...]) -> bool:
     """Draw one picture; False if one of its runs was left out."""
+    name, outcomes = wanted
     title, sea, make = FIGURES[name]
     try:
         figure = make(outcomes, sea)

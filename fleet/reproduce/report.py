@@ -42,7 +42,10 @@ def chosen() -> list[list[str]]:
         ("rho from [m/s]", _optimal(lambda c: _list(c.guidance.rho_lo))),
         ("rho to [m/s]", _optimal(lambda c: _list(c.guidance.rho_hi))),
         ("K from, to [1/s]", _optimal(lambda c: f"{c.guidance.k_min:g}, {c.guidance.k_max:g}")),
-        ("optimised every, predicted [s]", _optimal(_horizon)),
+        (
+            "optimised every, predicted [s]",
+            _optimal(lambda c: _list((c.guidance.qp_ticks * c.tick_ns / 1e9, c.guidance.horizon_s))),
+        ),
         ("filter of derivatives [s]", lambda c: f"{c.tracking.tau_f:g}"),
         ("boundary layer phi", _law("tracking", "sliding-mode", lambda c: _list(c.tracking.phi))),
         ("actuators [N, N m, N m]", lambda c: _list(c.tau_max)),
@@ -55,7 +58,6 @@ def _rows(*rows: tuple[str, Value]) -> list[list[str]]:
 
 
 def _law(kind: str, name: str, value: Value) -> Value:
-    """A parameter of one law, which the other controllers do not have."""
     return lambda config: value(config) if getattr(config, f"{kind}_law").name == name else "N/A"
 
 
@@ -65,10 +67,6 @@ def _optimal(value: Value) -> Value:
 
 def _neurodynamic(value: Value) -> Value:
     return _law("tracking", "neurodynamic", value)
-
-
-def _horizon(config: AgentConfig) -> str:
-    return f"{config.guidance.qp_ticks * config.tick_ns / 1e9:g}, {config.guidance.horizon_s:g}"
 
 
 def _list(values: Iterable[float]) -> str:
@@ -110,7 +108,7 @@ def write(folder: Path, outcomes: Outcomes, claims: Sequence[Claim], network: st
                         "what": CASES[name].what,
                         "overrides": list(CASES[name].overrides),
                         "failure": outcome.failure,
-                        "vehicles": [_plain(row) for row in outcome.metrics],
+                        "vehicles": _finite(outcome.metrics),
                     }
                     for name, outcome in outcomes.items()
                 },
@@ -229,12 +227,10 @@ def _claim(claim: Claim) -> dict[str, Any]:
     return asdict(claim) | {"verdict": claim.verdict, "checks": checks}
 
 
-def _plain(row: dict[str, Any]) -> dict[str, Any]:
-    """The same without numbers that JSON has no word for."""
-    return {key: _finite(value) for key, value in row.items()}
-
-
 def _finite(value: Any) -> Any:
+    """The same without numbers that JSON has no word for."""
+    if isinstance(value, dict):
+        return {key: _finite(inner) for key, inner in value.items()}
     if isinstance(value, list):
         return [_finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

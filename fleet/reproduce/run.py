@@ -25,18 +25,14 @@ CHECK_S = 3  # simulated time of the distributed run that is compared with the i
 
 _shared: Any = None  # in a worker: simulated seconds of each case
 
-
 Tell = Callable[[str, float], None]  # (what is going on, share of everything that is done)
 
 
 def reproduce(
     folder: Path, jobs: int, names: Sequence[str], formats: tuple[str, ...], tell: Tell
 ) -> tuple[Path, list[Claim], dict[str, Outcome]]:
-    """Run cases and write the report into `folder`.
-
-    Raises:
-        FleetError: the folder cannot be written, or a worker died.
-    """
+    """Run cases and write the report into `folder`. Raises FleetError: the folder cannot be written, or a worker
+    died."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -87,12 +83,10 @@ def _run_all(workers: Workers, names: Sequence[str], times: Any, tell: Tell) -> 
 
 
 def _possible(figure: str, outcomes: dict[str, Outcome]) -> bool:
-    """Whether anything of a figure's sea was run; a figure that lacks a run says so when it is drawn."""
     return any(CASES[name].sea == FIGURES[figure][1] for name in outcomes)
 
 
 def _pictured(figure: str, outcomes: dict[str, Outcome]) -> dict[str, Outcome]:
-    """The data that a picture may need, in a form that travels to a worker."""
     sea = FIGURES[figure][1]
     hidden = ("sensitivity", "exact", "unlimited")
     return {
@@ -112,17 +106,13 @@ def _draw_all(
 ) -> list[str]:
     drawn: dict[str, bool] = {}
     items = ((name, _pictured(name, outcomes)) for name in figures)
-    for (name, _), future in workers.each(partial(_draw, folder=folder, formats=formats), items):
+    for (name, _), future in workers.each(partial(draw, folder=folder, formats=formats), items):
         try:
             drawn[name] = future.result()
         except OSError as error:
             raise FleetError(f"cannot write {name} into {folder}: {error.strerror}") from None
         tell(f"{len(drawn)} of {len(figures)} pictures", 0.85 + 0.15 * len(drawn) / len(figures))
     return [name for name in figures if drawn[name]]
-
-
-def _draw(item: tuple[str, dict[str, Outcome]], folder: Path, formats: tuple[str, ...]) -> bool:
-    return draw(*item, folder, formats)
 
 
 def _go_on(result: Result) -> None:

@@ -26,11 +26,9 @@ def write_result(result: Result, directory: Path) -> None:
 
 
 def read_result(directory: Path) -> Result:
-    """The result of the run in a directory. Fields that a file of an earlier version lacks have their defaults.
-
-    Raises:
-        FileNotFoundError: there is none.
-        ResultError: it is damaged, or of a later version: its text says what is wrong, and where.
+    """The result of the run in a directory. Fields that a file of an earlier version lacks have their defaults. Raises
+    FileNotFoundError if there is none; ResultError if it is damaged, or of a later version: its text says what is
+    wrong, and where.
     """
     path = directory / RESULT
     try:

@@ -19,14 +19,8 @@ _NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 @dataclass(frozen=True, slots=True)
 class JUnitCase:
-    """One test case.
-
-    Attributes:
-        name: name of the case.
-        failure: the failed checks, in words. Empty: all passed.
-        error: the reason for a missing verdict. Empty: there is a verdict.
-        said: help to repeat the case, such as a command to paste.
-        wall_s: its wall time [s].
+    """One test case: `failure` names the failed checks, `error` the reason for a missing verdict, each empty without
+    one; `said` is help to repeat the case, such as a command to paste; `wall_s` its wall time [s].
     """
 
     name: str
@@ -37,7 +31,6 @@ class JUnitCase:
 
 
 def junit_text(suite: str, cases: Sequence[JUnitCase]) -> bytes:
-    """A JUnit document of one suite."""
     counts = {"tests": len(cases), "failures": sum(bool(case.failure) for case in cases),
               "errors": sum(bool(case.error) for case in cases), "skipped": 0}  # fmt: skip
     numbers = {key: str(count) for key, count in counts.items()}
@@ -65,5 +58,4 @@ def write_junit(path: Path, suite: str, cases: Sequence[JUnitCase]) -> None:
 
 
 def _clean(text: str) -> str:
-    """Text without what XML cannot hold."""
     return _NOT_XML.sub("?", text)

@@ -18,8 +18,7 @@ from fleet.result.verdict import Verdict
 from netem.ledger import Account, Count
 from netem.vehicle_clock import Clock
 
-# --- timing
-# How everybody kept up in a run on a wall clock, as the world and the network measure it.
+# --- timing: how everybody kept up in a run on a wall clock, as the world and the network measure it
 
 
 Counts = dict[str, Count]  # by vehicle
@@ -30,20 +29,18 @@ class Spread(Struct):
     """The distribution of a time."""
 
     count: Count
-    negative: Annotated[Count, Meta(description="How many of them are below 0.")]
+    negative: Count
     p50_ms: float
-    p95_ms: Annotated[float, Meta(description="95th percentile.")]
+    p95_ms: float
     p99_ms: Annotated[float, Meta(description="99th percentile.")]
     max_ms: float
-    histogram_ms: Annotated[
-        list[Bucket], Meta(description="Upper edge and count of every bucket that is not empty [ms].")
-    ]
+    histogram_ms: Annotated[list[Bucket], Meta(description="Upper edge and count of each bucket [ms].")]
 
 
 class WorldTiming(Struct):
     """How the world kept to the wall clock."""
 
-    period_ms: Annotated[float, Meta(description="Wall time of a tick [ms].", gt=0, le=1e9)]
+    period_ms: Annotated[float, Meta(description="Of a tick [ms].", gt=0, le=1e9)]
     run_s: Annotated[float, Meta(description="Wall time of the ticks that began.")]
     held_s: float
     slipped_s: Annotated[float, Meta(description="How far the world, being late, moved the clock.")]
@@ -54,12 +51,12 @@ class WorldTiming(Struct):
 class VehicleTiming(Struct):
     """How one agent kept up."""
 
-    asked: Annotated[Count, Meta(description="Ticks at which it was to answer.")]
+    asked: Annotated[Count, Meta(description="To be answered.")]
     missed: Count
     late: Count
-    stale: Annotated[Count, Meta(description="Ticks with a command of an earlier tick.")]
-    longest: Annotated[Count, Meta(description="Ticks missed in a row, at most.")]
-    silent: Annotated[Count, Meta(description="Ticks in which it was taken for silent.")]
+    stale: Annotated[Count, Meta(description="With a command of an earlier tick.")]
+    longest: Annotated[Count, Meta(description="Missed in a row, at most.")]
+    silent: Annotated[Count, Meta(description="Taken for silent.")]
     response: Spread
     gap: Spread
 
@@ -79,13 +76,13 @@ class LinkTiming(Struct):
 class NetworkTiming(Struct):
     """How the network kept to the wall clock."""
 
-    links: Annotated[dict[str, LinkTiming], Meta(description="By link, as `1->2`.")]
+    links: dict[str, LinkTiming]
     hop: Spread
     margin: Annotated[Spread, Meta(description="From the arrival to its due tick; below 0: too late.")]
-    overdue: Annotated[Count, Meta(description="Deliveries that were used after their due tick.")]
-    unread: Annotated[Count, Meta(description="Deliveries that no agent had confirmed at the end.")]
-    late: Annotated[Counts, Meta(description="Transmissions that came late, by vehicle.")]
-    missed: Annotated[Counts, Meta(description="Transmissions that did not come, by vehicle.")]
+    overdue: Annotated[Count, Meta(description="Used after their due tick.")]
+    unread: Annotated[Count, Meta(description="Not confirmed by an agent at the end.")]
+    late: Annotated[Counts, Meta(description="By vehicle.")]
+    missed: Annotated[Counts, Meta(description="By vehicle.")]
 
 
 class Timing(Struct, kw_only=True):
@@ -94,14 +91,13 @@ class Timing(Struct, kw_only=True):
     clock: Clock = Clock.REAL
     speed: Annotated[float, Meta(description="Times real time [1].")] = 1.0
     label: Annotated[str, Meta(description="on time, or degraded.")] = ""
-    reasons: Annotated[list[str], Meta(description="Why it is degraded, in words.")] = []
+    reasons: list[str] = []
     world: WorldTiming
     vehicles: dict[str, VehicleTiming]
     netem: NetworkTiming
 
 
-# --- json text
-# JSON as files and `--json` have it.
+# --- JSON as files and `--json` have it
 
 
 def json_text(document: Any) -> str:
@@ -132,20 +128,14 @@ class Status(StrEnum):
         return _EXIT[self]
 
 
-_EXIT = {
-    Status.PASS: 0,
-    Status.CHECK_FAILED: 1,
-    Status.BROKEN: 3,
-    Status.HUNG_UP: 129,
-    Status.INTERRUPTED: 130,
-}
+_EXIT = {Status.PASS: 0, Status.CHECK_FAILED: 1, Status.BROKEN: 3, Status.HUNG_UP: 129, Status.INTERRUPTED: 130}
 
 
 class SignalValue(Struct):
     """The last value of a signal that an agent reported."""
 
-    value: Annotated[Number, Meta(description="The value; null: it is not finite.")]
-    unit: Annotated[str, Meta(description="Its unit; 1: none.")]
+    value: Number
+    unit: Annotated[str, Meta(description="1: none.")]
 
 
 class VehicleResult(Struct):
@@ -156,12 +146,12 @@ class VehicleResult(Struct):
         Meta(description="How long after its start e stays below 10 % of its first value [s]; null: not settled."),
     ]
     settle_5cm_s: Annotated[Number, Meta(description="From when on e stays below 5 cm; null: not settled.")]
-    e_rms_m: Annotated[Number, Meta(description="Root mean square of e over the last 10 s; null: not finite.")]
-    e_final_m: Annotated[Number, Meta(description="Consensus error e at the end; null: not finite.")]
-    formation_final_m: Annotated[Number, Meta(description="Formation error at the end; null: not finite.")]
-    effort_Ns: Annotated[Number, Meta(description="Integral of the magnitude of the surge force [N s].")]
-    u_cmd_max_mps: Annotated[Number, Meta(description="Greatest commanded speed [m/s]; null: not reported.")]
-    qp_failures: Annotated[Count, Meta(description="How often the optimisation of the gain failed.")]
+    e_rms_m: Annotated[Number, Meta(description="Root mean square of e over the last 10 s.")]
+    e_final_m: Annotated[Number, Meta(description="Consensus error.")]
+    formation_final_m: Number
+    effort_Ns: Annotated[Number, Meta(description="Integral of the surge force [N s].")]
+    u_cmd_max_mps: Annotated[Number, Meta(description="Greatest commanded speed [m/s].")]
+    qp_failures: Count
     payloads_rejected: Count
     agent: Annotated[str, Meta(description="The whole agent that it runs; empty: the laws of a controller.")] = ""
     signals: Annotated[
@@ -173,9 +163,9 @@ class VehicleResult(Struct):
 class Formation(Struct, frozen=True):
     """Formation errors of the fleet at one time."""
 
-    worst_m: Annotated[Number, Meta(description="The largest; null: not finite.")] = 0.0
+    worst_m: Number = 0.0
     vehicle: Annotated[int, Meta(description="Whose it is; 0: nothing is known yet.")] = 0
-    median_m: Annotated[Number, Meta(description="Of the median vehicle; null: not finite.")] = 0.0
+    median_m: Number = 0.0
     vehicles: int = 1
 
     def __str__(self) -> str:
@@ -195,8 +185,8 @@ class TumbleSpell(Struct):
 class LinkAge(Struct):
     """The age of what a link delivered last."""
 
-    mean_s: Annotated[float, Meta(description="Mean over the ticks of the run.")]
-    p95_s: Annotated[float, Meta(description="The least age that 95 % of the ticks did not exceed.")]
+    mean_s: float
+    p95_s: float
     max_s: float
 
 
@@ -213,26 +203,26 @@ class Wall(Struct):
     """Wall times."""
 
     in_process: bool = False
-    processes: Annotated[int, Meta(description="Processes of agents that the run started; 0: it was one process.")] = 0
-    per_process: Annotated[int, Meta(description="Agents that each of them had, at most.")] = 0
+    processes: Annotated[int, Meta(description="Of agents; 0: it was one process.")] = 0
+    per_process: Annotated[int, Meta(description="Agents in each, at most.")] = 0
     startup_s: float = 0.0
     run_s: float = 0.0
     cores: Annotated[str, Meta(description="`compiled` or `plain Python`: the cores of world, agents and netem.")] = ""
-    x_real_time: Annotated[float, Meta(description="Simulated time per wall time [1].")] = 0.0
+    x_real_time: Annotated[float, Meta(description="Times real time [1].")] = 0.0
 
 
 class Published(Struct):
     """The journal on zenoh, with `--publish`."""
 
     messages: int
-    dropped: Annotated[int, Meta(description="Messages that were dropped, since nobody took them in time.")]
+    dropped: Annotated[int, Meta(description="Nobody took them in time.")]
 
 
 class Result(Struct, kw_only=True):
     """The result of a run. `result.json` has all of it but `run` and `directory`."""
 
-    run: Annotated[str, Meta(description="Name of the run: of its directory; empty: it has none.")] = ""
-    directory: Annotated[Path | None, Meta(description="The run's directory; null: nothing was written.")] = None
+    run: Annotated[str, Meta(description="Empty: it has no directory.")] = ""
+    directory: Annotated[Path | None, Meta(description="null: nothing was written.")] = None
     format: Annotated[int, Meta(description="Format of these fields; a file without it has format 1.")] = FORMAT
     scenario: str = ""
     seed: int = 0
@@ -241,27 +231,24 @@ class Result(Struct, kw_only=True):
     reason: Annotated[str, Meta(description="Why it broke or was ended; empty: it came to its end.")] = ""
     lines: list[str] = []
     from_s: Annotated[float, Meta(description="Time at which it began; 0, or where it goes on from another.")] = 0.0
-    sim_s: Annotated[float, Meta(description="Time up to which it was recorded.")] = 0.0
-    checks: Annotated[list[Verdict], Meta(description="The verdicts; none if the run did not come to its end.")] = []
+    sim_s: float = 0.0
+    checks: Annotated[list[Verdict], Meta(description="None if the run did not come to its end.")] = []
     vehicles: dict[str, VehicleResult] = {}
     formation: Formation = Formation()
-    tumbles: Annotated[list[TumbleSpell], Meta(description="In the order in which they began.")] = []
-    ledger: Annotated[dict[str, Account], Meta(description="By link, as `1->2`.")] = {}
-    ages: Annotated[dict[str, LinkAge], Meta(description="By link, and of all links as `*`.")] = {}
+    tumbles: list[TumbleSpell] = []
+    ledger: dict[str, Account] = {}
+    ages: Annotated[dict[str, LinkAge], Meta(description="By link; `*`: of all.")] = {}
     middleware_lost: Annotated[int, Meta(description="Messages that zenoh lost; such a run is invalid.")] = 0
-    faults: Annotated[list[FaultEvent], Meta(description="Faults, in the order of time.")] = []
+    faults: list[FaultEvent] = []
     events: Annotated[list[FaultEvent], Meta(description="When vehicles were tumbled or diverged, in that order.")] = []
-    messages: Annotated[int, Meta(description="Messages of the log; with `log: none` those it would have.")] = 0
-    log_bytes: Annotated[int, Meta(description="Size of the log; 0: there is none.")] = 0
+    messages: Annotated[int, Meta(description="With `log: none` those it would have.")] = 0
+    log_bytes: Annotated[int, Meta(description="0: there is no log.")] = 0
     digest: Annotated[str, Meta(description="SHA-256 of these messages, in hexadecimal.")] = ""
     python: str = ""
     wall: Wall = msgspec.field(default_factory=Wall)
-    rejected: Annotated[dict[str, int], Meta(description="Messages that were refused, by key.")] = {}
-    deaths: Annotated[
-        dict[str, list[str]],
-        Meta(description="By vehicle, how its agents ended that no fault killed, one after the other."),
-    ] = {}
-    notes: Annotated[list[str], Meta(description="What processes and agents told the operator.")] = []
+    rejected: Annotated[dict[str, int], Meta(description="By key.")] = {}
+    deaths: Annotated[dict[str, list[str]], Meta(description="By vehicle: agents that ended without a fault.")] = {}
+    notes: list[str] = []
     published: Annotated[Published | None, Meta(description="With `--publish`; else null.")] = None
     timing: Annotated[Timing | None, Meta(description="With `--clock real`; else null.")] = None
 

@@ -26,7 +26,6 @@ class LastMessage(Struct, frozen=True):
 
     @property
     def words(self) -> str:
-        """In words."""
         link, when = f"{self.src}->{self.dst}", f"sent at {self.sent_s:g} s"
         if self.fate == Cause.DELIVERED:
             return f"the last message that vehicle {self.dst} received: {link}, {when}, due at {self.at_s:g} s"
@@ -38,11 +37,11 @@ class Moment(Struct, frozen=True):
     """When a check failed, and what was so then."""
 
     tick: int
-    at_s: Annotated[float, Meta(description="The same as a time [s].", ge=0.0, le=1e15)]
-    vehicles: Annotated[list[int], Meta(description="Vehicles that failed it; none: it is not about single ones.")] = []
-    values: Annotated[dict[str, float | None], Meta(description="What failed it, by signal; null: not finite.")] = {}
-    faults: Annotated[list[str], Meta(description="Ids of the faults that were active.")] = []
-    message: Annotated[LastMessage | None, Meta(description="The message that made the difference; null: none.")] = None
+    at_s: Annotated[float, Meta(ge=0.0, le=1e15)]
+    vehicles: Annotated[list[int], Meta(description="Those that failed it.")] = []
+    values: Annotated[dict[str, float | None], Meta(description="What failed it, by signal.")] = {}
+    faults: Annotated[list[str], Meta(description="Active ones, by id.")] = []
+    message: LastMessage | None = None
 
     @property
     def words(self) -> str:
@@ -61,7 +60,6 @@ class Margin(Struct, frozen=True):
 
     @property
     def words(self) -> str:
-        """In words."""
         return f"{self.value:.3g}" + ("" if self.unit == "1" else f" {self.unit}")
 
 
@@ -70,12 +68,10 @@ class Verdict(Struct, frozen=True):
 
     check: str
     passed: bool
-    asked: Annotated[str, Meta(description="What was asked, in words.")]
-    found: Annotated[str, Meta(description="What was found, in words.")]
-    value: Annotated[
-        float | None, Meta(description="The number that is compared; null: nothing was found, or it is not finite.")
-    ] = None
-    limit: Annotated[float | None, Meta(description="Limit of the comparison; null: it is only reported.")] = None
+    asked: str
+    found: str
+    value: Annotated[float | None, Meta(description="The number that is compared; null: nothing was found.")] = None
+    limit: Annotated[float | None, Meta(description="null: it is only reported.")] = None
     unit: str = ""
     moment: Annotated[
         Moment | None, Meta(description="Of one of your own checks, when it failed; null: it did not.")
@@ -83,9 +79,7 @@ class Verdict(Struct, frozen=True):
     signals: Annotated[
         tuple[str, ...], Meta(description="Of one of your own checks, the signals that it looked at.")
     ] = ()
-    margin: Annotated[
-        Margin | None, Meta(description="By how much it passed or failed; null: that is not known, or not finite.")
-    ] = None
+    margin: Margin | None = None
 
     reached: Annotated[
         bool | None, Meta(description="Of a check with `sometimes`: whether it was reached; null: of any other.")

@@ -27,12 +27,10 @@ Values = dict[str, Any]
 
 
 def name_of(i: int) -> str:
-    """The name of a vehicle's agent."""
     return f"uuv_{i}"
 
 
 def observed(scenario: Scenario, i: int, choices: Choices) -> spaces.Dict:
-    """The space of what agent i sees."""
     config = scenario.agent_config(i)
     each: dict[str, spaces.Space[Any]] = {"message": _box(choices.numbers or STATE), "age": _box(1, -1.0)}
     if scenario.acoustic is not None:
@@ -51,7 +49,6 @@ def observed(scenario: Scenario, i: int, choices: Choices) -> spaces.Dict:
 
 
 def decided(scenario: Scenario, i: int, choices: Choices) -> spaces.Dict:
-    """The space of what agent i decides."""
     config = scenario.agent_config(i)
     if choices.move == "velocity":
         low, high = config.guidance.rho_lo, config.guidance.rho_hi
@@ -96,11 +93,7 @@ def _neighbour(space: spaces.Dict, seat: Seat, j: int) -> Values:
 
 
 def action_of(who: str, space: spaces.Dict, values: Any, choices: Choices) -> Action:
-    """The action of a policy.
-
-    Raises:
-        FleetError: it is not of the space.
-    """
+    """The action of a policy. Raises FleetError: it is not of the space."""
     if not isinstance(values, dict) or set(values) != set(space):
         got = f"keys {', '.join(map(str, values))}" if isinstance(values, dict) else repr(values)[:80]
         raise FleetError(f"the action of {who}: expected a dict with {', '.join(space)}, got {got}")
@@ -120,7 +113,6 @@ def action_of(who: str, space: spaces.Dict, values: Any, choices: Choices) -> Ac
 
 
 def values_of(action: Action, choices: Choices) -> Values:
-    """The inverse."""
     return {choices.move: _array(*action.move), "send": int(action.sends), "message": _array(*action.message)}
 
 
@@ -151,12 +143,7 @@ class FleetEnv(ParallelEnv[str, Values, Values]):  # type: ignore[misc]
     def __init__(
         self, scenario: Scenario, vehicles: tuple[int, ...], choices: Choices, every: int, reward: str | Reward
     ) -> None:
-        """
-        Args:
-            vehicles: policies decide for these.
-            every: ticks from one decision to the next.
-            reward: the name of a check, or a function.
-        """
+        """`vehicles`: policies decide for these. `every`: ticks from one decision to the next."""
         self.scenario = scenario
         self.possible_agents = [name_of(i) for i in vehicles]
         self.agents: list[str] = []
@@ -170,11 +157,9 @@ class FleetEnv(ParallelEnv[str, Values, Values]):  # type: ignore[misc]
         self.run: Run | None = None  # of this episode: to look at, and to inject faults
 
     def observation_space(self, agent: str) -> spaces.Dict:
-        """The space of an agent's observations."""
         return self._observed[agent]
 
     def action_space(self, agent: str) -> spaces.Dict:
-        """The space of an agent's actions."""
         return self._decided[agent]
 
     @property
@@ -187,17 +172,9 @@ class FleetEnv(ParallelEnv[str, Values, Values]):  # type: ignore[misc]
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Values], dict[str, dict[str, Any]]]:
-        """Begin an episode.
-
-        Args:
-            seed: of the run. By default that of the scenario in the first episode, and then drawn from the seed
-                before.
-            options: none is known.
-
-        Raises:
-            ScenarioError: with this seed the scenario is none.
-            FleetError: with this seed agents would hear other neighbours.
-        """
+        """Begin an episode. `seed`: of the run. By default that of the scenario in the first episode, and then drawn
+        from the seed before. `options`: none is known. Raises ScenarioError: with this seed the scenario is none;
+        FleetError: with this seed agents would hear other neighbours."""
         self.close()
         if seed is not None or self._seeds is None:
             episode = self.scenario.seed if seed is None else int(seed)
@@ -221,11 +198,8 @@ class FleetEnv(ParallelEnv[str, Values, Values]):  # type: ignore[misc]
     def step(
         self, actions: Mapping[str, Any]
     ) -> tuple[dict[str, Values], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
-        """Go on by a decision period.
-
-        Raises:
-            FleetError: there is no episode, an agent has no action, or an action is not of its space.
-        """
+        """Go on by a decision period. Raises FleetError: there is no episode, an agent has no action, or an action is
+        not of its space."""
         run = self.run
         if run is None or not self.agents:
             raise FleetError("the episode is over: call reset()" if run is not None else "call reset() first")
@@ -259,7 +233,6 @@ class FleetEnv(ParallelEnv[str, Values, Values]):  # type: ignore[misc]
         """Nothing: `run.state` has the fleet as it is."""
 
     def close(self) -> None:
-        """End the episode."""
         if self.run is not None:
             self.run.close()
 

@@ -30,8 +30,6 @@ Numbers = tuple[float, ...]
 
 
 class HeardMessage(NamedTuple):
-    """The last message of a neighbour."""
-
     numbers: Numbers  # its content
     age_s: float  # since it was sent, by the clocks of both
     range_m: float | None  # as the modem measured it with that message
@@ -80,7 +78,8 @@ class PolicyAgent:
         self._codec = codec(config)
         self._states = NeighbourTable(replace(config, extrapolation="hold", drop_after_s=0.0), self._codec)
         self._numbers: dict[int, tuple[int, HeardMessage]] = {}  # by sender: tick of sending, and the message
-        self._limits: tuple[Vec3, Vec3] = (_negative(config.tau_max), config.tau_max)
+        x, y, z = config.tau_max
+        self._limits: tuple[Vec3, Vec3] = ((-x, -y, -z), config.tau_max)
         self._foreseen: tuple[int, dict[str, Any], tuple[bytes, ...], Decision] | None = None
         self._notes: list[tuple[int, str]] = []
 
@@ -112,7 +111,8 @@ class PolicyAgent:
 
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:
         """The payload that the policy wants to send, if it wants to send."""
-        if self._seat.choices.resident and self.resident is not None and not self._is_foreseen(nav.tick):
+        foreseen = self._foreseen is not None and self._foreseen[0] == nav.tick
+        if self._seat.choices.resident and self.resident is not None and not foreseen:
             self.resident.transmit(nav)
         action, numbers = self._seat.action, self._seat.choices.numbers
         if not action.sends:
@@ -162,9 +162,6 @@ class PolicyAgent:
     def _remembers(self, tick: int) -> bool:
         every = self.config.memory_ticks
         return bool(every) and tick % every == 0 and tick > 0
-
-    def _is_foreseen(self, tick: int) -> bool:
-        return self._foreseen is not None and self._foreseen[0] == tick
 
     def _own_state(self, nav: Nav) -> StateMessage:
         x, y, z, theta, psi = nav.eta
@@ -218,7 +215,6 @@ class HeldLife:
         return self._answer(nav)
 
     def inbox(self, inbox: Inbox) -> list[Answer]:
-        """Take the next round's deliveries."""
         self._waiting.extend(inbox.deliveries)
         return self._loop.inbox(inbox)
 
@@ -234,10 +230,6 @@ class HeldLife:
     def _answer(self, nav: Nav) -> list[Answer]:
         self._waiting = [delivery for delivery in self._waiting if delivery.due_tick > nav.tick]
         return self._loop.nav(nav)
-
-
-def _negative(vector: Vec3) -> Vec3:
-    return -vector[0], -vector[1], -vector[2]
 
 
 def without_memory(config: AgentConfig) -> AgentConfig:

@@ -54,14 +54,7 @@ class RosAgent:
     """Stands between the run and the node; see `agents.loop.AgentCore`."""
 
     def __init__(self, node: RosNode, vehicle: int, tell: Callable[[str], None]) -> None:
-        """Declare the topics.
-
-        Args:
-            tell: called with a line for the user.
-
-        Raises:
-            FleetError: a type is not known.
-        """
+        """Declare the topics. `tell`: called with a line for the user. Raises FleetError: a type is not known."""
         self._node, self._vehicle, self._tell = node, vehicle, tell
         self._make = MessageMaker(node.types)
         below = f"/uuv_{vehicle}/agent"
@@ -90,7 +83,6 @@ class RosAgent:
             self._tell_problems()
 
     def begin(self, config: AgentConfig, clock: Clock) -> RosAgent:
-        """Begin the life of an agent."""
         self._settings, self._waits = config, clock is Clock.LOCKSTEP
         x, y, z = config.tau_max
         self._limits: tuple[Vec3, Vec3] = ((-x, -y, -z), (x, y, z))
@@ -110,7 +102,6 @@ class RosAgent:
         return tuple(payloads)
 
     def decide(self, nav: Nav, deliveries: list[Delivery]) -> Decision:
-        """The node's answer, within the limits of the actuators."""
         ns = nav.tick * self._settings.tick_ns
         for delivery in deliveries:
             self._rx.publish(self._received(nav, delivery))

@@ -10,6 +10,7 @@ from typing import Any
 from fleet.errors import FleetError
 from fleet.logs.reader import LogReader, Tell
 from fleet.logs.recover import Recovered, recover
+from fleet.replay.capture import writing
 from fleet.ros2.rmw import DEFAULT, Qos
 from fleet.ros2.translation import RosMessage, Translation
 from fleet.ros2.types import RosTypes, types_of
@@ -23,12 +24,9 @@ def bag_file(folder: Path) -> Path | None:
 
 
 def repair(folder: Path, out: Path | None = None, tell: Tell = lambda _: None) -> Recovered:
-    """Write what can be read of a bag to `out`, by default `<bag>.recovered` beside it; nothing if nothing can.
-
-    Raises:
-        LogReadError: the MCAP file cannot be opened.
-        FleetError: `out` exists or cannot be written; the bag has a topic of a type that is not known here.
-    """
+    """Write what can be read of a bag to `out`, by default `<bag>.recovered` beside it; nothing if nothing can. Raises
+    LogReadError: the MCAP file cannot be opened; FleetError: `out` exists or cannot be written; the bag has a topic of
+    a type that is not known here."""
     file = bag_file(folder)
     assert file is not None
     out = out or folder.with_name(f"{folder.resolve().name}.recovered")
@@ -78,93 +76,58 @@ class Bag:
         if folder.exists():
             raise FleetError(f"{folder} exists already; a bag is a new directory")
         self._writer = Writer(folder, version=_FORMAT, storage_plugin=StoragePlugin.MCAP)
-        try:
+        with writing(self.folder):
             self._writer.open()
-        except OSError as error:
-            raise FleetError(f"cannot write {folder}: {error.strerror}") from None
 
-    def topic(self, name: str, type_name: str, qos: Qos, hash_: str | None = None) -> None:
-        """Add a topic to the bag.
-
-        Args:
-            name: of the topic, such as `/uuv_1/odom`.
-            type_name: of its messages, such as `nav_msgs/msg/Odometry`.
-            qos: the quality of service that its publisher offers.
-            hash_: the RIHS01 hash of the type as its publisher declared it; None: the hash that we compute.
-
-        Raises:
-            FleetError: the type is not known.
-        """
+    def topic(self, name: str, type_name: str, qos: Qos) -> None:
+        """Add a topic to the bag. `qos`: that its publisher offers. Raises FleetError: the type is not known."""
         if type_name not in self._types.store.fielddefs:
             raise FleetError(f"{name}: the type {type_name} is not known")
         self._connections[name] = self._writer.add_connection(
             name,
             type_name,
             msgdef=self._types.definition(type_name),
-            rihs01=hash_ or self._types.hash(type_name),
+            rihs01=self._types.hash(type_name),
             offered_qos_profiles=[_profile(qos)],
         )
 
     def write(self, topic: str, at_ns: int, data: bytes) -> None:
         """Append a message in CDR at a time [ns]. Raises FleetError: the disk is full."""
-        try:
+        with writing(self.folder):
             self._writer.write(self._connections[topic], at_ns, data)
-        except OSError as error:
-            raise FleetError(f"cannot write {self.folder}: {error.strerror}") from None
         self.messages += 1
 
     def add(self, message: RosMessage) -> None:
-        """Append a message. If the bag does not have its topic yet, add the topic first.
-
-        Raises:
-            FleetError: the type of the message is not known, or the bag cannot be written (the disk is full).
-        """
+        """Append a message. If the bag does not have its topic yet, add the topic first. Raises FleetError: the type of
+        the message is not known, or the bag cannot be written (the disk is full)."""
         if message.name not in self._connections:
             self.topic(message.name, message.topic.type, message.topic.qos)
         self.write(message.name, message.at_ns, self._types.encode(message.topic.type, message.message))
 
     def flush(self) -> None:
-        """Write all messages to the disk. They can then be recovered from a bag that nobody closed.
-
-        Raises:
-            FleetError: the bag cannot be written (the disk is full).
-        """
+        """Write all messages to the disk. They can then be recovered from a bag that nobody closed. Raises FleetError:
+        the bag cannot be written (the disk is full)."""
         storage: Any = self._writer.storage
-        try:
+        with writing(self.folder):
             if storage.chunk.bio.tell():
                 storage.close_chunk()
             storage.bio.flush()
-        except OSError as error:
-            raise FleetError(f"cannot write {self.folder}: {error.strerror}") from None
 
     def close(self) -> None:
         """Write the index and metadata.yaml. Raises FleetError: the disk is full."""
-        try:
+        with writing(self.folder):
             self._writer.close()
-        except OSError as error:
-            raise FleetError(f"cannot write {self.folder}: {error.strerror}") from None
 
     def abandon(self) -> None:
-        """Remove what was written."""
         with suppress(Exception):
             self._writer.abort()
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
 def write_bag(log: Path, folder: Path, share: Tell = lambda _: None) -> tuple[list[Path], str]:
-    """Write a log as a bag; times are simulated time from 0.
-
-    Args:
-        log: an MCAP file of a run.
-        share: called now and then with the share of the log that is done.
-
-    Returns:
-        the files, and what was missing in the log, or "".
-
-    Raises:
-        FleetError: it has nothing for ROS, or the place is taken or cannot be written.
-        LogReadError: there is no log to read.
-    """
+    """Write a log as a bag; times are simulated time from 0. Returns the files, and what was missing in the log, or "".
+    Raises FleetError: it has nothing for ROS, or the place is taken or cannot be written; LogReadError: there is no log
+    to read."""
     types = types_of()
     reader = LogReader(log, share)
     bag: Bag | None = None
@@ -192,7 +155,6 @@ def write_bag(log: Path, folder: Path, share: Tell = lambda _: None) -> tuple[li
 
 
 def _profile(qos: Qos) -> Any:
-    """As rosbags has it."""
     from rosbags.interfaces import Qos as Profile
     from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 

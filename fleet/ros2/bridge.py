@@ -48,7 +48,6 @@ class RosBridge:
         self.published = 0
 
     def take(self, topic: str, log_ns: int, data: bytes) -> None:
-        """Publish what a message of the journal becomes."""
         if not 0 <= log_ns - self._told_ns < CLOCK_NS:  # a log that is played again goes back
             self._told_ns = log_ns
             self._clock.publish(self._translation.maker.clock(log_ns))
@@ -57,7 +56,6 @@ class RosBridge:
             self._publish(message)
 
     def checks(self, rows: list[dict[str, Any]]) -> None:
-        """Publish the checks as they stand, if that is new."""
         if self._translation.diagnostics.checks(rows):
             self._publish(self._translation.diagnosed(max(0, self.at_ns)))
 
@@ -73,7 +71,6 @@ class RosBridge:
             line.print(f"warning: {self.node.problems.popleft()}")
 
     def describe(self) -> list[Piece]:
-        """How it goes."""
         wanted = sum(publisher.matched for publisher in self._publishers.values())
         return [
             Piece(0, [f"t = {max(0, self.at_ns) / 1e9:.2f} s"]),
@@ -92,7 +89,6 @@ def schemas_of(journal: LiveJournal) -> dict[str, Schema | None]:
 
 
 def show_run(bridge: RosBridge, journal: LiveJournal, source: LiveSource, line: StatusLine) -> None:
-    """Publish a live run until it is over."""
     for topic in SOURCES:
         journal.subscribe(topic)
     over = PublisherGone(lambda: journal.bus.connected)
@@ -116,7 +112,6 @@ def show_run(bridge: RosBridge, journal: LiveJournal, source: LiveSource, line: 
 
 
 def play_log(bridge: RosBridge, tape: Tape, keyboard: Keyboard, line: StatusLine, *, rate: float, loop: bool) -> None:
-    """Publish a log at its own pace, times `rate`, to its end, or for ever with `loop`."""
     track = Track(tape, [number for number, channel in tape.channels.items() if is_source(channel.topic)])
     player = Player(
         track, 0, tape.end_ns, rate=rate, loop=loop, now=time.monotonic_ns(), before=track.before

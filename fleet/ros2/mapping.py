@@ -142,7 +142,6 @@ def vehicle_of(topic: str) -> tuple[int, str] | None:
 
 
 def is_source(topic: str) -> bool:
-    """Whether a topic of the log becomes a topic of ROS."""
     found = vehicle_of(topic)
     return f"uuv/*/{found[1]}" in SOURCES if found else topic in SOURCES and link_of(topic) is None
 
@@ -156,15 +155,12 @@ class MessageMaker:
         self._zeros: dict[int, Any] = {}
 
     def time(self, ns: int) -> Any:
-        """A time."""
         return self._new("builtin_interfaces/msg/Time", sec=ns // 1_000_000_000, nanosec=ns % 1_000_000_000)
 
     def header(self, ns: int, frame: str) -> Any:
-        """A header."""
         return self._new("std_msgs/msg/Header", stamp=self.time(ns), frame_id=frame)
 
     def odometry(self, ns: int, i: int, state: Any, covariance: Iterable[float] = ()) -> Any:
-        """Of our state (x y z theta psi u v w q r, perhaps phi and p), and P of x, y, z, psi if it is known."""
         upper = tuple(covariance)
         pose = self._new(
             "geometry_msgs/msg/Pose", position=self._point(enu((state.x, state.y, state.z))),
@@ -182,7 +178,6 @@ class MessageMaker:
         )
 
     def twist(self, state: Any) -> Any:
-        """Linear and angular velocity in the body's axes."""
         return self._new(
             "geometry_msgs/msg/Twist",
             linear=self.vector(body((state.u, state.v, state.w))),
@@ -190,7 +185,6 @@ class MessageMaker:
         )
 
     def twist_stamped(self, ns: int, i: int, state: Any) -> Any:
-        """The same with its time and frame."""
         return self._new(
             "geometry_msgs/msg/TwistStamped", header=self.header(ns, base_link(i)), twist=self.twist(state)
         )
@@ -209,7 +203,6 @@ class MessageMaker:
         )
 
     def pressure(self, ns: int, i: int, state: Any) -> Any:
-        """Absolute pressure at a depth."""
         pascal = SURFACE_PA + SEA_WATER * GRAVITY * state.z
         return self._new(
             "sensor_msgs/msg/FluidPressure", header=self.header(ns, base_link(i)), fluid_pressure=pascal, variance=0.0
@@ -234,7 +227,6 @@ class MessageMaker:
         return self._new("geometry_msgs/msg/TransformStamped", header=header, child_frame_id=child, transform=moved)
 
     def transforms(self, some: Iterable[Any]) -> Any:
-        """A message of transforms."""
         return self._new("tf2_msgs/msg/TFMessage", transforms=list(some))
 
     def fixed(self, ned: Quaternion, vehicles: Iterable[int]) -> Any:
@@ -244,11 +236,9 @@ class MessageMaker:
         return self.transforms([self.transform(0, MAP, NED, nowhere, ned), *links])
 
     def clock(self, ns: int) -> Any:
-        """The time of the run."""
         return self._new("rosgraph_msgs/msg/Clock", clock=self.time(ns))
 
     def vector(self, value: Vec3) -> Any:
-        """Three numbers."""
         x, y, z = value
         return self._new("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
 
@@ -257,7 +247,6 @@ class MessageMaker:
         return self._new("geometry_msgs/msg/Point", x=x, y=y, z=z)
 
     def pose(self, place: Vec3, turn: Quaternion = (NO_TURN.x, NO_TURN.y, NO_TURN.z, NO_TURN.w)) -> Any:
-        """A place and an attitude."""
         return self._new("geometry_msgs/msg/Pose", position=self._point(place), orientation=self._quaternion(turn))
 
     def _quaternion(self, value: Quaternion) -> Any:
@@ -271,7 +260,6 @@ class MessageMaker:
         return np.array(values)
 
     def _none(self, size: int) -> Any:
-        """A covariance that is not known: zeros."""
         if size not in self._zeros:
             self._zeros[size] = self._array([0.0] * size)
         return self._zeros[size]

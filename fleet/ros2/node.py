@@ -32,17 +32,8 @@ HOST, PORT = "127.0.0.1", 7447  # where rmw_zenoh looks for its router
 
 def open_ros_session(connect: str | None, listen: str | None) -> tuple[RosBus, str]:
     """A session: as asked, else as rmw_zenoh's variables say, else at the usual router of this host, hosted if need be.
-
-    Args:
-        connect: the endpoint of a router to join.
-        listen: the endpoint of a router to be.
-
-    Returns:
-        the session, and in words what it is.
-
-    Raises:
-        FleetError: there is no router, or the endpoint is taken, or the settings are none.
-    """
+    `connect`: the endpoint of a router to join. `listen`: the endpoint of a router to be. Returns the session, and in
+    words what it is. Raises FleetError: there is no router, or the endpoint is taken, or the settings are none."""
     try:
         if connect is not None:
             return _join(connect)
@@ -101,11 +92,7 @@ class RosNode:
     """One node. Handlers run on threads of zenoh; what is wrong with messages of others waits in `problems`."""
 
     def __init__(self, bus: RosBus, types: RosTypes, domain: int, name: str) -> None:
-        """Declare it.
-
-        Raises:
-            FleetError: the domain has a node of this name.
-        """
+        """Declare it. Raises FleetError: the domain has a node of this name."""
         self.name, self.domain, self.types = name, domain, types
         self.problems: deque[str] = deque(maxlen=MOST_TOLD)
         self._bus, self._number = bus, 0
@@ -123,14 +110,8 @@ class RosNode:
         bus.watch_tokens(f"{TOKENS}/{domain}/**", self._look)
 
     def publisher(self, topic: str, type_name: str, qos: Qos = DEFAULT, *, drop: bool = True) -> RosPublisher:
-        """Publish on a topic from now on.
-
-        Args:
-            drop: what a slow subscriber has no room for is lost to it; otherwise publishing waits.
-
-        Raises:
-            FleetError: it has no such name, or the type is not known.
-        """
+        """Publish on a topic from now on. `drop`: what a slow subscriber has no room for is lost to it; otherwise
+        publishing waits. Raises FleetError: it has no such name, or the type is not known."""
         entity, token = self._declare(topic, type_name, "MP", qos)
         return RosPublisher(self._bus, self.types, entity, token, qos, drop=drop)
 
@@ -166,11 +147,8 @@ class RosNode:
         self._bus.serve(entity.key, answer)
 
     def call(self, service: str, type_name: str, request: Any) -> Any:
-        """The answer of a service to a request; None: no answer came.
-
-        Raises:
-            ValueError: the answer is none of the type.
-        """
+        """The answer of a service to a request; None: no answer came. Raises ValueError: the answer is none of the
+        type."""
         if service not in self._clients:
             entity, token = self._declare(service, type_name, "SC", DEFAULT)
             self._clients[service] = entity, gid_of(token)
@@ -181,7 +159,6 @@ class RosNode:
         return None if answer is None else self.types.decode(f"{type_name}_Response", answer)
 
     def publishers_of(self, topic: str) -> bool:
-        """Whether anybody publishes on a topic with the type that is known here."""
         entity = self._types_of[topic]
         mangled = topic.replace("/", "%")
         found = self._bus.tokens(f"{TOKENS}/{self.domain}/*/*/*/MP/*/*/*/{mangled}/**")

@@ -2,50 +2,32 @@
 
 from __future__ import annotations
 
-import select
 import subprocess
-import sys
 from pathlib import Path
 
+from fleet.processes.beside import begin, end, line_of, pipe
 from fleet.terminal.table import say
 
-# With `-m` a file in the current directory could take the place of a module.
-_MAIN = "import sys; sys.path.append(sys.argv.pop(1)); from fleet.__main__ import main; main()"
 READY_S = 30.0
 CLOSE_S = 8.0  # after the run, for what is on its way
 
 
 class BridgeProcess:
-    """The process; it does not exist before `start`."""
-
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self, directory: Path) -> None:
-        """Start it, and wait until nodes can see the run. If they cannot, the run goes on without it.
-
-        Args:
-            directory: of the run, whose journal can be read.
-        """
-        command = [sys.executable, "-P", "-c", _MAIN, str(Path(__file__).parents[2]), "ros2", str(directory)]
-        # A group of its own: Ctrl-C is the run's business. It ends with the run's publisher.
-        self._process = process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, process_group=0
-        )
-        assert process.stdout is not None
-        if not select.select([process.stdout], [], [], READY_S)[0] or not process.stdout.readline():
+        """Start it, and wait until nodes can see the run. If they cannot, the run goes on without it."""
+        # It ends with the run's publisher.
+        streams = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE}
+        self._process = begin("fleet.__main__", "ros2", str(directory), **streams)
+        if not line_of(self._process, READY_S):
             self.close(0.0)
             say("warning: the run goes on without ROS 2, which fleet ros2 can join later", err=True)
 
     def close(self, limit_s: float = CLOSE_S) -> None:
         """End it, once it has published what there was."""
         process, self._process = self._process, None
-        if process is None:
-            return
-        try:
-            process.wait(limit_s)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        assert process.stdout is not None
-        process.stdout.close()
+        if process is not None:
+            end(process, limit_s)
+            pipe(process.stdout).close()

@@ -24,7 +24,6 @@ class WithHistory:
         self._bus = bus
 
     def subscribe(self, key: str, handler: Callable[[Any], None]) -> Callable[[], None]:
-        """As `OpenBus.subscribe`."""
         return self._bus.subscribe_with_history(key, handler)
 
 
@@ -32,28 +31,17 @@ class BagWriter:
     """Writes samples of rmw_zenoh as messages of a bag; see `fleet.replay.capture.SampleWriter`."""
 
     def __init__(self, folder: Path, types: RosTypes, tell: Callable[[str], None]) -> None:
-        """Make the bag.
-
-        Args:
-            tell: called with a line about each topic that cannot be recorded.
-
-        Raises:
-            FleetError: there is something at that place, or it cannot be made.
-        """
+        """Make the bag. `tell`: called with a line about each topic that cannot be recorded. Raises FleetError: there
+        is something at that place, or it cannot be made."""
         self.path, self.samples = folder, 0
         self._types, self._tell = types, tell
         self._bag = Bag(folder, types)
         self._topics: dict[str, Entity | None] = {}  # by key; None: it is left out
         self._names: set[str] = set()
         self._said: set[str] = set()
-        self._size = 0
+        self.size = 0
         self._flushed_ns = 0
         self._open = True
-
-    @property
-    def size(self) -> int:
-        """The bytes of the messages."""
-        return self._size
 
     def add(self, sample: ZenohSample, at_ns: int) -> None:
         """Append a sample that was received at `at_ns` [ns since 1970]. Raises FleetError: the disk is full."""
@@ -70,7 +58,7 @@ class BagWriter:
             return
         self._bag.write(entity.name, at_ns, sample.payload)
         self.samples += 1
-        self._size += len(sample.payload)
+        self.size += len(sample.payload)
         self.flush(at_ns)
 
     def flush(self, now_ns: int) -> None:
@@ -86,7 +74,6 @@ class BagWriter:
             self._bag.close()
 
     def _topic(self, sample: ZenohSample) -> Entity | None:
-        """The topic of a key, declared in the bag; None: it cannot be recorded, and the user gets a message."""
         entity = read_key(sample.key)
         if problem := f"{sample.key} is no key of rmw_zenoh" if entity is None else self._problem(entity):
             self._say(f"left out: {problem[:200]}; fleet record --key records any bytes")
@@ -106,7 +93,6 @@ class BagWriter:
         return f"{entity.name}: more than {MOST_TOPICS} topics" if len(self._names) >= MOST_TOPICS else ""
 
     def _say(self, text: str) -> None:
-        """Once each."""
         if text not in self._said and len(self._said) < MOST_SAID:
             self._said.add(text)
             self._tell(text)

@@ -30,7 +30,6 @@ class Qos(NamedTuple):
     transient_local: bool = False
 
     def __str__(self) -> str:
-        """As a token has it: reliability, durability, history and depth, then what is never set here."""
         return f"{'2' if self.best_effort else ''}:{'1' if self.transient_local else ''}:,{self.depth}:,:,:,,"
 
 
@@ -57,23 +56,16 @@ class Entity(NamedTuple):
 
     @property
     def key(self) -> str:
-        """The key of its messages."""
         return f"{self.domain}/{self.name.strip('/')}/{dds_name(self.type)}/{self.hash}"
 
     def token(self, session: str, node: str, number: int, kind: EntityKind, qos: Qos = DEFAULT) -> str:
-        """The key of its liveliness token.
-
-        Args:
-            session: zenoh's id of the session.
-            node: name of the node, which has number 0 and no namespace.
-            number: of the entity, from 1.
-        """
+        """The key of its liveliness token. `session`: zenoh's id of the session. `node`: name of the node, which has
+        number 0 and no namespace. `number`: of the entity, from 1."""
         who = f"{TOKENS}/{self.domain}/{session}/0/{number}/{kind}/%/%/{node}"
         return f"{who}/{self.name.replace('/', '%')}/{dds_name(self.type)}/{self.hash}/{qos}"
 
 
 def node_token(domain: int, session: str, node: str) -> str:
-    """The key of the liveliness token of a node without a namespace."""
     return f"{TOKENS}/{domain}/{session}/0/0/NN/%/%/{node}"
 
 
@@ -102,16 +94,11 @@ def read_token(token: str) -> tuple[str, str, Entity] | None:
 
 
 def pack(attachment: Attachment) -> bytes:
-    """The bytes of an attachment, 33 of them."""
     return _ATTACHMENT.pack(attachment.sequence, attachment.sent_ns, _GID_BYTES, attachment.gid)
 
 
 def unpack(data: bytes | None) -> Attachment:
-    """The inverse of `pack`.
-
-    Raises:
-        ValueError: it is none, or of rmw_zenoh before 0.2.4.
-    """
+    """The inverse of `pack`. Raises ValueError: it is none, or of rmw_zenoh before 0.2.4."""
     if data is None:
         raise ValueError("a message without an attachment, which rmw_zenoh always has")
     if len(data) != _ATTACHMENT.size or data[16] != _GID_BYTES:
@@ -129,11 +116,7 @@ def gid_of(token: str) -> bytes:
 
 
 def domain_of(asked: int | None) -> int:
-    """The domain: the given one, else ROS_DOMAIN_ID, else 0.
-
-    Raises:
-        FleetError: it is none.
-    """
+    """The domain: the given one, else ROS_DOMAIN_ID, else 0. Raises FleetError: it is none."""
     text = os.environ.get("ROS_DOMAIN_ID", "") if asked is None else str(asked)
     if not text:
         return 0

@@ -26,38 +26,28 @@ from fleet.ros2.types import RosTypes
 from fleet.scene.primitives import NED
 
 OK, WARN, ERROR, STALE = 0, 1, 2, 3  # diagnostic_msgs/DiagnosticStatus
-MOST_FAULTS = 10_000  # faults that are kept: a log may come from a stranger
 
 
 class Diagnostics:
-    """The present knowledge of the faults and checks of one run."""
-
     def __init__(self, maker: MessageMaker) -> None:
         self._maker = maker
         self._faults: dict[str, tuple[int, str]] = {}
         self._checks: list[tuple[int, str, str]] = []
 
     def fault(self, event: Any) -> None:
-        """Take a message of the topic `faults`."""
         lasts = event.action == "begins"
-        if lasts and len(self._faults) >= MOST_FAULTS:
-            del self._faults[next(iter(self._faults))]
         if lasts or event.fault in self._faults:
             self._faults[event.fault] = (WARN, event.what) if lasts else (OK, f"over: {event.what}")
 
     def checks(self, rows: Iterable[Mapping[str, Any]]) -> bool:
-        """Take the checks as they stand; whether that is something new.
-
-        Args:
-            rows: each with `check`, `asked`, `found` and `passed`, which is None until it is judged.
-        """
+        """Take the checks as they stand; whether that is something new. `rows`: each with `check`, `asked`, `found` and
+        `passed`, which is None until it is judged."""
         new = [_check(row) for row in rows]
         changed = new != self._checks
         self._checks = new
         return changed
 
     def message(self, ns: int) -> Any:
-        """All of it."""
         rows = [(level, f"fault {name}", text) for name, (level, text) in self._faults.items()]
         return self._maker.types.new(
             "diagnostic_msgs/msg/DiagnosticArray",
@@ -81,21 +71,11 @@ def _check(row: Mapping[str, Any]) -> tuple[int, str, str]:
 CUBE, SPHERE, CYLINDER, LINE_STRIP, TEXT = 1, 2, 3, 4, 9  # visualization_msgs/Marker
 LINE_M = 0.15  # a line has its width in pixels, and a marker in metres
 TEXT_M = 1.0
-MOST_MARKERS = 20_000  # markers of one message
 
 
 def marker_array(maker: MessageMaker, ns: int, scene: Any) -> Any:
-    """Markers of a scene at a time [ns]; a link's state is the text of its line.
-
-    Raises:
-        ValueError: the scene has more than is taken.
-    """
-    found = []
-    for marker in _markers(maker, ns, scene):
-        found.append(marker)
-        if len(found) > MOST_MARKERS:
-            raise ValueError(f"a scene of more than {MOST_MARKERS} markers")
-    return maker.types.new("visualization_msgs/msg/MarkerArray", markers=found)
+    """Markers of a scene at a time [ns]; a link's state is the text of its line."""
+    return maker.types.new("visualization_msgs/msg/MarkerArray", markers=list(_markers(maker, ns, scene)))
 
 
 def _markers(maker: MessageMaker, ns: int, scene: Any) -> Iterator[Any]:
@@ -198,7 +178,6 @@ class Translation:
 
     @property
     def vehicles(self) -> list[int]:
-        """Those with a topic that is translated."""
         return sorted({found[0] for topic in self._classes if (found := vehicle_of(topic))})
 
     def topics(self) -> list[tuple[str, RosTopic]]:
@@ -213,7 +192,6 @@ class Translation:
         return found + [(t.name, t) for t in OF_FLEET if t.name not in there or there[t.name] in self._classes]
 
     def __call__(self, topic: str, at_ns: int, data: bytes) -> Iterator[RosMessage]:
-        """The messages of ROS that a message of the journal becomes; none if it is damaged."""
         cls = self._classes.get(topic)
         if cls is None:
             return
@@ -276,7 +254,6 @@ class Translation:
         return found
 
     def diagnosed(self, at_ns: int) -> RosMessage:
-        """The present knowledge of faults and checks."""
         return self._message(DIAGNOSTICS, at_ns, self.diagnostics.message(at_ns))
 
     @staticmethod

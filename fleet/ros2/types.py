@@ -72,11 +72,8 @@ class RosTypes:
         return self.store.types[name](**fields)
 
     def hash(self, name: str) -> str:
-        """The type hash in keys of rmw_zenoh (REP 2016), which Humble does not have.
-
-        Raises:
-            FleetError: the type is not known.
-        """
+        """The type hash in keys of rmw_zenoh (REP 2016), which Humble does not have. Raises FleetError: the type is not
+        known."""
         if self.distribution == "humble":
             return NO_HASH
         if name not in self._hashes:
@@ -90,11 +87,7 @@ class RosTypes:
         return bytes(self.store.serialize_cdr(message, name))
 
     def decode(self, name: str, data: bytes) -> Any:
-        """The inverse.
-
-        Raises:
-            ValueError: it is no such message.
-        """
+        """The inverse. Raises ValueError: it is no such message."""
         try:
             return self.store.deserialize_cdr(data, name)
         except Exception as error:  # rosbags raises half a dozen unrelated types for bad bytes

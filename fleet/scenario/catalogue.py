@@ -50,7 +50,7 @@ class ListedScenario(Struct, frozen=True):
     """One scenario that ships."""
 
     name: str
-    group: Annotated[str, Meta(description="Its group in the list; empty: the file names none.")]
+    group: Annotated[str, Meta(description="Empty: the file names none.")]
     title: str
     vehicles: int
     duration_s: float

@@ -48,17 +48,9 @@ Loc = tuple[str | int, ...]
 
 
 def validate(root: Mapping, folder: Path | None = None, policy: Policy = READING) -> tuple[Parts | None, list[Problem]]:
-    """Check a scenario, and find every mistake in it.
+    """Every mistake in a scenario, and its parts; None instead of these if there is a mistake.
 
     Rules that compare keys are also applied if other keys are wrong. So one call finds as many mistakes as possible.
-
-    Args:
-        root: the tree of the YAML file.
-        folder: the folder of the scenario's file; None: it comes from no file.
-        policy: says which laws may be imported.
-
-    Returns:
-        The parts of the scenario, or None if there is a mistake; and all mistakes.
     """
     data = plain(root)
     report = Report(root, policy=policy)
@@ -240,14 +232,12 @@ def load_scenario(
     """The scenario of a shipped name or of a file, with overrides applied.
 
     Args:
-        name_or_path: a shipped name, or the path of a file.
         overrides: changes by options; a text alone is `key.path=value`, as for `--set`.
         imports: import the laws that the file names, to check that they can be used.
         refused: a list that receives the laws that may not run. None: such a law is an error.
         origin: the source of the overrides.
 
-    Raises:
-        ScenarioError: with every mistake that was found, in the order of the file.
+    Raises ScenarioError: with every mistake that was found, in the order of the file.
     """
     shown, text, folder = _text(str(name_or_path))
     why = origin.stranger or ("" if folder is None else stranger(Path(shown)))
@@ -265,14 +255,12 @@ def parse_scenario(
     """The scenario that `text` describes. A text without a name is named after its source.
 
     Args:
-        source_name: the name of the text in problems.
         overrides: changes by options; a text alone is `key.path=value`, as for `--set`.
         folder: the search for files of vehicles, and for modules of laws that are not installed, begins here. The
             current directory follows.
         policy: these modules may run; by default none.
 
-    Raises:
-        ScenarioError: with every mistake that was found, in the order of the text.
+    Raises ScenarioError: with every mistake that was found, in the order of the text.
     """
     source = Source(source_name, text)
     root, problems = read(source)
@@ -293,16 +281,9 @@ def parse_scenario(
 
 
 def changed(scenario: Scenario, overrides: Sequence[str | Override]) -> Scenario:
-    """Read the text of a scenario once more, with further overrides.
+    """Read the text of a scenario once more, with further overrides after the earlier ones.
 
-    All values that the seed draws are drawn anew. Problems name the lines of the file.
-
-    Args:
-        scenario: the scenario.
-        overrides: further overrides, after the earlier ones.
-
-    Raises:
-        ScenarioError: with every mistake that was found.
+    All values that the seed draws are drawn anew. Problems name the lines of the file. Raises ScenarioError.
     """
     text, before, folder, policy = scenario.reading
     return parse_scenario(text, scenario.source, [*before, *overrides], folder, replace(policy, refused=None))
@@ -344,10 +325,7 @@ def _python_file(path: Path) -> tuple[str, str]:
     beside = path.with_suffix(".yaml")
     if beside.exists():
         return wrong, f"did you mean {beside}?"
-    return (
-        wrong,
-        f'a scenario names what is in it, as in agent: "{path.stem}:MyAgent"; fleet new writes both',
-    )
+    return (wrong, f'a scenario names what is in it, as in agent: "{path.stem}:MyAgent"; fleet new writes both')
 
 
 def _instead(path: Path) -> str:

@@ -6,10 +6,9 @@ A part that depends on a wrong value raises `UnknownValueError`: the mistake its
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from functools import cached_property
+from collections.abc import Callable, Iterator
+from functools import cache, cached_property, partial
 from pathlib import Path
-from typing import Any
 
 from agents.config import Offset
 from agents.trajectory import Reference
@@ -24,10 +23,10 @@ from fleet.scenario.sections.clocks import vehicle_clock
 from fleet.scenario.sections.formation import keep_apart_params
 from fleet.scenario.sections.graph import Graph
 from fleet.scenario.sections.ground import Ground, instruments
-from fleet.scenario.sections.link_conditions import Traces
 from fleet.scenario.sections.modem_files import Values, modem_of
 from fleet.scenario.sections.navigation import navigation_of
 from fleet.scenario.sections.per_vehicle import Control, Entries
+from fleet.scenario.sections.trace_table import TraceTable
 from netem.condition import Condition, Link
 from netem.grammar import parse_selector, select
 from netem.link_states import LinkStates
@@ -128,9 +127,9 @@ class Parts:
         return {link: changing for link, changing in found.items() if changing is not None}
 
     @cached_property
-    def traces(self) -> Traces:
-        """The traces of links, each read once."""
-        return Traces(self.folder)
+    def traces(self) -> Callable[[str], TraceTable]:
+        """The trace of some links by what the scenario names; each is read once."""
+        return cache(partial(link_conditions.load_trace, folder=self.folder))
 
     @cached_property
     def modem_values(self) -> Values:
@@ -190,8 +189,7 @@ class Parts:
     def vehicle(self, entries: Entries) -> tuple[VehicleParams, Vec3]:
         """Parameters and limits [N, N m, N m] of the vehicles that these entries name.
 
-        Raises:
-            DataFileError: their model cannot be read.
+        Raises DataFileError: their model cannot be read.
         """
         if entries not in self._vehicles:
             section = self.choice(entries).vehicle
@@ -214,13 +212,6 @@ class Parts:
         """The clocks of the vehicles that have one in the scenario."""
         given = ((i, self.choice(self.entries(i)).clock) for i in range(1, self.spec.vehicles + 1))
         return {i: vehicle_clock(clock, self.spec.seed, i) for i, clock in given if clock is not None}
-
-    def sections(self, key: str) -> Iterator[tuple[tuple[str, ...], Any]]:
-        """(path of its parent, section) of a section wherever it is written: for all vehicles, and for some."""
-        yield (), getattr(self.spec, key)
-        for entry, overrides in self.spec.per_vehicle.items():
-            if getattr(overrides, key) is not None:
-                yield ("per_vehicle", entry), getattr(overrides, key)
 
     # --- faults ---------------------------------------------------------------------------------------------------
 

@@ -352,7 +352,7 @@ def _without_files(spec: ScenarioSpec, parts: Parts) -> ScenarioSpec:
             network = network.model_copy(update={"acoustic": acoustic.model_copy(update={"modems": others})})
     traced = {name: link for name, link in network.links.items() if link.trace is not None}
     if traced:
-        inside = {n: s.model_copy(update={"trace": parts.traces[s.trace or ""].text()}) for n, s in traced.items()}
+        inside = {n: s.model_copy(update={"trace": parts.traces(s.trace or "").text()}) for n, s in traced.items()}
         network = network.model_copy(update={"links": network.links | inside})
     changes = {"vehicle": in_numbers(spec.vehicle), "navigation": inlined_navigation(spec.navigation, folder)}
     return spec.model_copy(update=changes | {"per_vehicle": per_vehicle, "network": network})

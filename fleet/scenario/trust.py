@@ -33,17 +33,9 @@ class Policy:
         return self.refused is not None and self.stranger == A_LOG
 
     def admit(self, kind: str, name: str, folder: Path | None, *, typed: bool) -> None:
-        """Let the module of a plug-in be imported if it may run.
+        """Let the module of a plug-in be imported if it may run. `typed`: an override names it.
 
-        Args:
-            kind: controller, plant, check, ...
-            name: of the plug-in.
-            folder: where the scenario's file lies, if it is one.
-            typed: an override names it.
-
-        Raises:
-            UntrustedError: it may not.
-            PluginError: the name is none of a plug-in.
+        Raises UntrustedError: it may not; PluginError: the name is none of a plug-in.
         """
         beside = () if folder is None else (folder,)
         own = () if self.stranger else beside

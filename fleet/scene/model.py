@@ -59,21 +59,15 @@ class PlaceBelief(NamedTuple):
 
     @classmethod
     def by_navigator(cls, off: Sequence[float], covariance: Sequence[float]) -> PlaceBelief:
-        """As the topic `belief` has it.
-
-        Args:
-            off: believed minus true position, NED [m].
-            covariance: of x, y, z and psi: upper triangle, row by row; or empty.
+        """As the topic `belief` has it. `off`: believed minus true position, NED [m]. `covariance`: of x, y, z and psi:
+        upper triangle, row by row; or empty.
         """
         north, east, down = off
         return cls((north, east, down), (*covariance[:2], covariance[4]) if len(covariance) == 10 else ())
 
     def by_ranges(self, off: Sequence[float], covariance: Sequence[float]) -> PlaceBelief:
-        """The belief of a vehicle that uses ranges, as the topic `located` has it. The depth is its navigator's.
-
-        Args:
-            off: believed minus true position, north and east [m].
-            covariance: nn, ne, ee [m^2].
+        """The belief of a vehicle that uses ranges, as the topic `located` has it. The depth is its navigator's. `off`:
+        believed minus true position, north and east [m]. `covariance`: nn, ne, ee [m^2].
         """
         north, east = off
         return PlaceBelief((north, east, self.off[2]), covariance)
@@ -92,7 +86,6 @@ class NewestBeliefs:
         self.clear()
 
     def clear(self) -> None:
-        """Forget them all."""
         self._newest = {group: {} for group in self._lasts_s}
 
     def take(self, i: int, group: str, at_s: float, off: Sequence[float], covariance: Sequence[float]) -> None:
@@ -123,11 +116,8 @@ def drawn_belief(i: int, belief: PlaceBelief) -> list[Primitive]:
 
 
 def ellipse(vehicle: int, place: Sequence[float], covariance: Sequence[float], frame: str = NED) -> AreaShape | None:
-    """The ellipse of a vehicle; None: it does not know how sure it is, or not at all.
-
-    Args:
-        place: where it believes it is: north, east, down [m], in the frame.
-        covariance: as in `PlaceBelief`.
+    """The ellipse of a vehicle; None: it does not know how sure it is, or not at all. `place`: where it believes it is:
+    north, east, down [m], in the frame. `covariance`: as in `PlaceBelief`.
     """
     if len(covariance) != 3:
         return None
@@ -190,13 +180,11 @@ class SceneModel:
         return [plan.at(t).position for plan in self.scenario.plans]
 
     def course(self, begin_s: float, end_s: float) -> LineShape:
-        """The way of the reference between two times."""
         times = np.linspace(begin_s, end_s, COURSE_POINTS).tolist()
         return LineShape(COURSE, tuple(FramePoint(NED, *self.reference(t)) for t in times))
 
     @cached_property
     def obstacles(self) -> list[CylinderShape]:
-        """The obstacles, which vehicles have to avoid."""
         apart = self.scenario.spec.keep_apart
         return [CylinderShape(OBSTACLE, *one.at[:2], one.radius) for one in apart.obstacles] if apart else []
 
@@ -206,10 +194,8 @@ class SceneModel:
         return [*self.obstacles, self.course(0.0, self.scenario.duration_ns / 1e9)]
 
     def moving(self, t: float, beliefs: Mapping[int, PlaceBelief] = NO_BELIEFS) -> list[Primitive]:
-        """The primitives at a time [s] that move with the fleet, without vehicles, links and packets.
-
-        Args:
-            beliefs: the positions that the vehicles themselves estimate.
+        """The primitives at a time [s] that move with the fleet, without vehicles, links and packets. `beliefs`: the
+        positions that the vehicles themselves estimate.
         """
         wanted = [(i, FramePoint(REFERENCE, *offset)) for i, offset in enumerate(self.offsets(t), start=1)]
         return [

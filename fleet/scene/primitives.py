@@ -16,7 +16,6 @@ NED, REFERENCE = "ned", "reference"
 
 
 def vehicle_frame(i: int) -> str:
-    """The name of the frame of vehicle i."""
     return f"uuv-{i}"
 
 

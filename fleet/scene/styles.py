@@ -60,12 +60,8 @@ def state_of(marks: str) -> LinkState:
 
 
 def fate_of(cause: str, delay_s: float, corrupted: bool, round_s: float) -> str:
-    """The fate of a packet: ARRIVED, BEHIND (after the next one was sent), DAMAGED, GONE or CUT (the link was).
-
-    Args:
-        cause: the field `fate` of its message.
-        delay_s: time from sending until it can be used [s].
-        round_s: time between two packets [s].
+    """The fate of a packet: ARRIVED, BEHIND (after the next one was sent), DAMAGED, GONE or CUT (the link was). `cause`
+    is the field `fate` of its message; the times [s] are those until it can be used, and between two packets.
     """
     if cause in CUTS:
         return CUT
@@ -85,7 +81,6 @@ class LinkHistory:
     arrived_s: float = 0.0  # when something arrived last
 
     def settle(self, fate: str, sent_s: float, due_s: float) -> None:
-        """Take one packet."""
         self.fates.append(fate)
         if fate in (ARRIVED, BEHIND):
             self.sent_s = max(self.sent_s, sent_s)
@@ -145,12 +140,10 @@ class Theme(NamedTuple):
     colours: Mapping[str, str]  # of all other colour words
 
     def colour(self, word: str) -> str:
-        """The colour of a word."""
         kind, _, number = word.partition(" ")
         return self.vehicle(int(number)) if kind == VEHICLE else self.colours[word]
 
     def vehicle(self, i: int) -> str:
-        """The colour of vehicle i."""
         return self.vehicles[(i - 1) % len(self.vehicles)]
 
 

@@ -44,35 +44,23 @@ Run = tuple[int, bool]  # number of the value along the axis, and whether it pas
 
 
 class Tell(Protocol):
-    """Receives the progress of the search."""
-
     def __call__(self, progress: Progress, *, known: int, of: int) -> None:
         """`known` borders of `of` are found."""
 
 
 @dataclass(frozen=True, slots=True)
 class Border:
-    """Where the pass rate falls through the level, at one combination of the other axes.
+    """Where the pass rate falls through the level, at one combination of the other axes."""
 
-    Attributes:
-        values: values of the other axes, by key.
-        value: the border, in the unit of the axis. -inf: below the range. inf: above it. NaN: perhaps outside.
-        low, high: the interval of 95 %. -inf and inf: it goes beyond the range.
-        runs: number of runs with a verdict.
-        failed: number of runs without a result.
-        first, last: the pass rates at both ends of the range.
-        rising: two neighbouring values with a significant rise of the pass rate between them. None: there are none.
-    """
-
-    values: dict[str, float | str]
-    value: float
-    low: float
+    values: dict[str, float | str]  # of the other axes, by key
+    value: float  # in the unit of the axis; -inf: below the range; inf: above it; NaN: perhaps outside
+    low: float  # the interval of 95 %; -inf and inf: it goes beyond the range
     high: float
-    runs: int
-    failed: int
-    first: Estimate
+    runs: int  # with a verdict
+    failed: int  # without a result
+    first: Estimate  # the pass rates at both ends of the range
     last: Estimate
-    rising: tuple[float, float] | None
+    rising: tuple[float, float] | None  # neighbouring values with a significant rise of the pass rate between them
 
     @property
     def where(self) -> Literal["within", "below", "above", "open"]:
@@ -83,15 +71,9 @@ class Border:
 
 
 def parse_along(text: str, width: float) -> Axis:
-    """The axis along which a border is looked for: at least two numbers, rising.
-
-    Args:
-        text: `KEY=VALUES`, where a range needs no step.
-        width: of the interval that is wanted, as a share of the range; such a range has steps that are narrower.
-
-    Raises:
-        StudyError: it is none.
-    """
+    """The axis along which a border is looked for: at least two numbers, rising. `text`: `KEY=VALUES`, where a range
+    needs no step. `width`: of the interval that is wanted, as a share of the range; such a range has steps that are
+    narrower. Raises StudyError: it is none."""
     if not 0.0 < width < 1.0:
         raise StudyError(f"the width of an interval is a share of the range between 0 and 1, got {width:g}")
     found = parse_axis(text, fine=min(ceil(1.5 / width), MOST_STEPS))
@@ -106,37 +88,19 @@ def parse_along(text: str, width: float) -> Axis:
 
 
 def border_plan(scenario: str, spec: BoundarySpec) -> Plan:
-    """The runs that a study of a border may need.
-
-    Args:
-        scenario: a shipped name or a file.
-
-    Raises:
-        StudyError: the values are none, or do not fit together.
-    """
+    """The runs that a study of a border may need. Raises StudyError: the values are none, or do not fit together."""
     per = (replace(axis(key, text), option="--per") for key, text in spec.per.items())
     axes = (*per, parse_along(spec.along, spec.width))
     return Plan(scenario, changes_of(spec), axes, seeds=parse_seeds(spec.seeds))
 
 
 def prepare_borders(
-    plan: Plan,
-    spec: BoundarySpec,
-    directory: Path,
-    warn: Callable[[str], None] = lambda _: None,
+    plan: Plan, spec: BoundarySpec, directory: Path, warn: Callable[[str], None] = lambda _: None
 ) -> tuple[Store, Modules]:
-    """Check every point that may be run, and make the directory of the study.
-
-    Args:
-        plan: the plan. The border is sought along its last axis, see `parse_along`.
-        spec: the settings of the study. The directory keeps them.
-        directory: directory of the new study.
-        warn: called with a line of text for each check that cannot pass.
-
-    Raises:
-        ScenarioError: with the mistakes of all points.
-        StudyError: there cannot be such a study.
-    """
+    """Check every point that may be run, and make the directory of the study. `plan`: the plan. The border is sought
+    along its last axis, see `parse_along`. `spec`: the settings of the study. The directory keeps them. `warn`: called
+    with a line of text for each check that cannot pass. Raises ScenarioError: with the mistakes of all points;
+    StudyError: there cannot be such a study."""
     if not 0.0 < spec.level < 1.0:
         raise StudyError(f"the level must be between 0 and 1, got {spec.level:g}")
     border = BorderRecord(**structs.asdict(spec), log=plan.axes[-1].scale == "log")
@@ -147,11 +111,7 @@ class Borders:
     """The borders of a study, and the runs of each."""
 
     def __init__(self, store: Store) -> None:
-        """Read the points of a study.
-
-        Raises:
-            StudyError: it looks for no border, or is damaged.
-        """
+        """Read the points of a study. Raises StudyError: it looks for no border, or is damaged."""
         record = store.record.border
         if record is None:
             raise StudyError(
@@ -171,14 +131,13 @@ class Borders:
         ]
         self.count = len(self.points) // len(self.places)
         self._check()
-        scaled = [_scaled(place, record.log) for place in self.places]
+        scaled = [log(place, 10.0) if record.log else place for place in self.places]
         self._first, self._span = scaled[0], scaled[-1] - scaled[0]
         self.curve = PsychometricCurve([(place - self._first) / self._span for place in scaled], record.level)
         self.walk = Walk(self.curve, record.width)
 
     @property
     def title(self) -> str:
-        """The object of the search."""
         return f"{self.store.record.scenario}: where the pass rate falls through {100 * self.record.level:g} %"
 
     def _check(self) -> None:
@@ -212,11 +171,9 @@ class Borders:
         return [self._border(number, list(rows.values())) for number, rows in enumerate(self.rows())]
 
     def verdicts(self, rows: Iterable[Row]) -> list[Run]:
-        """The runs that have a verdict."""
         return [(row.point % len(self.places), row.passed) for row in rows if row.passed is not None]
 
     def value(self, position: float) -> float:
-        """The value at a position from 0 to 1."""
         scaled = self._first + position * self._span
         return float(10.0**scaled) if self.record.log else scaled
 
@@ -245,19 +202,8 @@ class Borders:
 def find_borders(
     borders: Borders, engine: Engine, tell: Tell, *, modules: Modules = NO_MODULES, timeout_s: float = inf
 ) -> None:
-    """Make runs until every border is known well enough, or has used its seeds.
-
-    Args:
-        borders: of a study; rows that it has are not made again.
-        engine: makes the runs.
-        tell: called several times a second.
-        modules: that the runs need, and that are let in.
-        timeout_s: of wall time, for one run.
-
-    Raises:
-        StudyError: rows cannot be written. Earlier rows stay.
-        KeyboardInterrupt: at any time; rows that were made are written.
-    """
+    """Make the missing runs until every border is known well enough, or has used its seeds. Raises StudyError: rows
+    cannot be written, and earlier ones stay; KeyboardInterrupt: at any time, and rows that were made are written."""
     store = borders.store
     walks = [_Walk(borders, number) for number in range(borders.count)]
     work = Work(store, engine, lambda now: tell(now, known=sum(walk.ended for walk in walks), of=len(walks)), inf)
@@ -300,10 +246,6 @@ class _Walk:
         return []
 
 
-def _scaled(value: float, ratios: bool) -> float:
-    return log(value, 10.0) if ratios else value
-
-
 # The theory of each border of a study, to be drawn next to the result of the simulations.
 #
 # `fleet check` leaves loss out. Here it enters the rule of dead reckoning as age: of a link that loses the share p,
@@ -312,27 +254,16 @@ def _scaled(value: float, ratios: bool) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Theory:
-    """Theory at the low end of a border's range, and along it.
+    """Theory at the low end of a border's range, and along it; None: it is not known, or the rule does not apply."""
 
-    Attributes:
-        shunting: K lambda_max(L+B) and a [1/s]. The first must be smaller. None: the rule does not apply.
-        stable: at the low end of the range, whether the linear loop is stable for the final value of K. None: not
-            known.
-        reckoning: index of the first value with K tau rho(A) >= 1, for the mean age under loss. If no value is that
-            large, the number of values. None: the rule does not apply.
-    """
-
-    shunting: tuple[float, float] | None
-    stable: bool | None
-    reckoning: int | None
+    shunting: tuple[float, float] | None  # K lambda_max(L+B) and a [1/s]; the first must be smaller
+    stable: bool | None  # whether the linear loop is, for the final value of K, at the low end
+    reckoning: int | None  # of the first value with K tau rho(A) >= 1 for the mean age under loss; their number: none
 
 
 def theory(borders: Borders) -> list[Theory]:
-    """Of each border what theory says.
-
-    Raises:
-        ScenarioError: a law of a scenario may not be loaded here, or a scenario is damaged.
-    """
+    """Of each border what theory says. Raises ScenarioError: a law of a scenario may not be loaded here, or a scenario
+    is damaged."""
     return [_theory(borders, number, Policy(A_STUDY)) for number in range(borders.count)]
 
 

@@ -38,21 +38,13 @@ _BRANCHES = frozenset({"initial scatter", "random graph", "clocks", "faults", "s
 
 
 class Branch(NamedTuple):
-    """A part of a run.
+    """A part of a run."""
 
-    Attributes:
-        check: the check; its margin counts.
-        salt: changes all draws from here on. 0: the draws of the run with this seed.
-        start: the snapshot to start from. Empty: the start of the run.
-        best: the least margin so far.
-        level: the branch ends as soon as the margin is at or below this. None: it lasts to the end of the run.
-    """
-
-    check: str
-    salt: int
-    start: bytes = b""
-    best: float = inf
-    level: float | None = None
+    check: str  # its margin counts
+    salt: int  # changes all draws from here on; 0: the draws of the run with this seed
+    start: bytes = b""  # the snapshot to start from; empty: the start of the run
+    best: float = inf  # the least margin so far
+    level: float | None = None  # it ends as soon as the margin is at or below this; None: at the end of the run
 
 
 class _ReachedError(Exception):
@@ -96,7 +88,6 @@ class _Path:
 
 
 def run_branch(scenario: Scenario, branch: Branch, progress: Callable[[float], None]) -> Row:
-    """Make a part of a run; returns its row with its part."""
     start = None
     if branch.start:
         start = Start(Snapshot.from_bytes(branch.start), "")
@@ -121,11 +112,7 @@ def run_branch(scenario: Scenario, branch: Branch, progress: Callable[[float], N
 
 
 def refuse_branches(scenario: Scenario, check: str) -> None:
-    """See whether parts of a run can be made and put together.
-
-    Raises:
-        StudyError: they cannot.
-    """
+    """See whether parts of a run can be made and put together. Raises StudyError: they cannot."""
     refuse(scenario, "a run of a study")
     known = list(checks_over_time(scenario))
     if check not in known:

@@ -23,24 +23,21 @@ class ListedStudy(Struct, frozen=True):
     """One study that ships."""
 
     name: str
-    title: Annotated[str, Meta(description="What it asks.")]
+    title: str
     scenario: str
     runs: int
     core_s: Annotated[float, Meta(description="Time that all runs take one compiled core, roughly.")]
 
 
 def shipped_studies() -> list[str]:
-    """The names of the studies that come with the package."""
     return _FILES.names
 
 
 def study_text(name: str) -> str:
-    """The text of a shipped study, with its comments."""
     return _FILES.text(name)
 
 
 def list_studies() -> list[ListedStudy]:
-    """Every study that ships, by name."""
     return [_listed(name) for name in shipped_studies()]
 
 

@@ -33,24 +33,12 @@ class Engine(Protocol):
         """Whether the workers are processes of this machine, of this user."""
 
     def carry(self, modules: Modules) -> Modules:
-        """The modules of laws as runs on these workers need them.
-
-        Raises:
-            StudyError: a worker cannot import them.
-        """
+        """The modules of laws as runs on these workers need them. Raises StudyError: a worker cannot import them."""
 
     def make(self, tasks: Iterator[Task], take: Callable[[list[Row]], None], wait: Callable[[], None]) -> None:
-        """Make every run, also if workers die meanwhile.
-
-        Args:
-            tasks: the runs. A free worker takes the next one, so memory does not grow with their number.
-            take: called with the rows of results as runs end.
-            wait: called several times a second.
-
-        Raises:
-            RunBroken: no worker starts.
-            StudyError: the workers are gone.
-        """
+        """Make every run, also if workers die meanwhile. `tasks`: the runs. A free worker takes the next one, so memory
+        does not grow with their number. `take`: called with the rows of results as runs end. Raises RunBroken: no
+        worker starts; StudyError: the workers are gone."""
 
 
 def need_extra() -> None:
@@ -66,7 +54,6 @@ def need(libraries: Iterable[str], who: str, extra: str) -> None:
 
 
 def lost_row(task: Task, reason: str) -> Row:
-    """The row of a run that no worker made."""
     return Row(key=task.key, point=task.point, seed=task.seed, status=FAILED, reason=reason,
                version=version("uuv-fleet"))  # fmt: skip
 
@@ -76,8 +63,6 @@ def lost_row(task: Task, reason: str) -> Row:
 
 @dataclass(frozen=True, slots=True)
 class LocalEngine:
-    """Workers of this machine."""
-
     workers: Workers
     here: bool = True
 
@@ -100,16 +85,9 @@ def local_engine(workers: int) -> Iterator[LocalEngine]:
 
 
 def engine_of(workers: int | None = None, scheduler: Any = None) -> AbstractContextManager[Engine]:
-    """The engine that was asked for.
-
-    Args:
-        workers: of this machine; None: one per core.
-        scheduler: of an existing Dask cluster, to be used instead: its address, or a cluster object.
-
-    Raises:
-        RunBroken: there cannot be so many workers here.
-        StudyError: the cluster cannot be used.
-    """
+    """The engine that was asked for. `workers`: of this machine; None: one per core. `scheduler`: of an existing Dask
+    cluster, to be used instead: its address, or a cluster object. Raises RunBroken: there cannot be so many workers
+    here; StudyError: the cluster cannot be used."""
     return local_engine(workers or processors()) if scheduler is None else dask_engine(scheduler)
 
 
@@ -124,7 +102,6 @@ def _reason(task: Task, error: BaseException) -> str:
 
 
 # The workers of a Dask cluster that is there make the runs of a study.
-
 
 _OF_CLUSTERS = ("dask", "distributed")
 _AHEAD = 3  # runs per worker that are under way, so that none of them waits
@@ -141,7 +118,6 @@ class DaskEngine:
     here: bool = False
 
     def carry(self, modules: Modules) -> Modules:
-        """See `Engine.carry`."""
         if not modules.names:
             return modules
         ready = packed(modules)
@@ -149,11 +125,8 @@ class DaskEngine:
         return ready
 
     def make(self, tasks: Iterator[Task], take: Callable[[list[Row]], None], wait: Callable[[], None]) -> None:
-        """See `Engine.make`.
-
-        Dask blames a death on every run that the worker had been given. So a run that it gives up is made once more
-        when all others are made, with no other one beside it; then it alone is to blame.
-        """
+        """See `Engine.make`. Dask blames a death on every run that the worker had been given. So a run that it gives up
+        is made once more when all others are made, with no other one beside it; then it alone is to blame."""
         blamed: list[Task] = []
         for task, future in self._each(tasks, _AHEAD * self.workers, wait):
             if _killed(future):
@@ -164,7 +137,6 @@ class DaskEngine:
             take([_row(task, future)])
 
     def _each(self, tasks: Iterator[Task], most: int, wait: Callable[[], None]) -> Iterator[tuple[Task, Future[Row]]]:
-        """Each run with its future, as they end; so many are under way."""
         under_way: dict[Future[Row], Task] = {}
         while True:
             while len(under_way) < most and (task := next(tasks, None)) is not None:
@@ -177,16 +149,10 @@ class DaskEngine:
 
 @contextmanager
 def dask_engine(scheduler: str | Any, security: Any = None) -> Iterator[DaskEngine]:
-    """The workers of a Dask cluster that is there.
-
-    Args:
-        scheduler: its address, such as `tls://host:8786`, or a Dask cluster object.
-        security: a `distributed.security.Security`; None: as Dask's configuration says.
-
-    Raises:
-        StudyError: Dask is not installed; the cluster cannot be reached or has no worker; a worker has another version
-            of something; or the cluster speaks TLS, and there are no certificates.
-    """
+    """The workers of a Dask cluster that is there. `scheduler`: its address, such as `tls://host:8786`, or a Dask
+    cluster object. `security`: a `distributed.security.Security`; None: as Dask's configuration says. Raises
+    StudyError: Dask is not installed; the cluster cannot be reached or has no worker; a worker has another version of
+    something; or the cluster speaks TLS, and there are no certificates."""
     need(_OF_CLUSTERS, "a cluster needs", "cluster")
     from distributed import Client
     from distributed.security import Security
@@ -252,7 +218,6 @@ def check_modules(client: Client, modules: Modules) -> None:
 
 
 def _finished(under_way: dict[Future[Row], Task], wait: Callable[[], None]) -> list[Future[Row]]:
-    """Those that ended, at least one."""
     from distributed import CancelledError
     from distributed import wait as until
 
@@ -266,7 +231,6 @@ def _finished(under_way: dict[Future[Row], Task], wait: Callable[[], None]) -> l
 
 
 def _killed(future: Future[Row]) -> bool:
-    """Whether Dask gave a run up, since its workers died."""
     return future.status != "finished" and type(future.exception()).__name__ == "KilledWorker"
 
 

@@ -93,11 +93,8 @@ class FailureFolder:
         return [one for one in self.failures() if one.file == file_of(scenario, one.check)]
 
     def add(self, failure: FoundFailure, scenario: Scenario) -> FoundFailure:
-        """Write a scenario and what is expected of it, in place of what was there of this name.
-
-        Raises:
-            StudyError: it cannot be written.
-        """
+        """Write a scenario and what is expected of it, in place of what was there of this name. Raises StudyError: it
+        cannot be written."""
         path = self.path / failure.file
         failure.paste = f"fleet run {path} --seed {failure.seed}  # fails {failure.check}, sha256 {failure.digest[:16]}"
         self._write(path, scenario.to_yaml().encode())
@@ -105,12 +102,8 @@ class FailureFolder:
         return failure
 
     def load(self, failure: FoundFailure, policy: Policy) -> Scenario:
-        """One of its scenarios.
-
-        Raises:
-            ScenarioError: with every mistake that was found.
-            StudyError: it cannot be read.
-        """
+        """One of its scenarios. Raises ScenarioError: with every mistake that was found; StudyError: it cannot be
+        read."""
         path = self.path / failure.file
         try:
             text = read_file(path, _MOST_BYTES).decode("utf-8")
@@ -126,14 +119,8 @@ class FailureFolder:
         self._write(self.path / INDEX, msgspec.json.format(msgspec.json.encode(index), indent=1) + b"\n")
 
     def tried(self, scenario: Scenario, key: str) -> SearchProgress:
-        """How far the search of a scenario is.
-
-        Args:
-            key: of the scenario without its seed.
-
-        Raises:
-            StudyError: it is damaged, or was made of another scenario of this name.
-        """
+        """How far the search of a scenario is. `key`: of the scenario without its seed. Raises StudyError: it is
+        damaged, or was made of another scenario of this name."""
         path = self._progress(scenario)
         tried = self._read(path, SearchProgress)
         if tried is None:
@@ -171,41 +158,25 @@ class FailureFolder:
 
 
 def file_of(scenario: Scenario, check: str) -> str:
-    """The name of the file of a kind of failure."""
     return f"{scenario.name}-{re.sub(r'[^A-Za-z0-9_.-]', '-', check)}.yaml"
 
 
 @dataclass(frozen=True, slots=True)
 class Regressed:
-    """One scenario of a folder that was run again.
-
-    Attributes:
-        failure: the scenario, with the expected verdict.
-        got: the verdict now, in words.
-        same: whether it is the expected verdict.
-        broken: whether the run has no verdict.
-        differs: whether the same version of fleet made another log. A change of its code cannot be the reason.
-        wall_s: duration of the run [s].
-    """
-
-    failure: FoundFailure
-    got: str
-    same: bool
-    broken: bool
-    differs: bool
-    wall_s: float
+    failure: FoundFailure  # the scenario, with the expected verdict
+    got: str  # the verdict now, in words
+    same: bool  # whether it is the expected verdict
+    broken: bool  # whether the run has no verdict
+    differs: bool  # whether the same version of fleet made another log. A change of its code cannot be the reason
+    wall_s: float  # duration of the run [s]
 
 
 class Regression:
     """The scenarios of a folder, read and ready to run."""
 
     def __init__(self, folder: FailureFolder) -> None:
-        """Read every scenario.
-
-        Raises:
-            ScenarioError: one of them has mistakes, or a law that may not run.
-            StudyError: the folder is damaged, or holds nothing.
-        """
+        """Read every scenario. Raises ScenarioError: one of them has mistakes, or a law that may not run; StudyError:
+        the folder is damaged, or holds nothing."""
         self._folder, self.failures = folder, folder.failures()
         if not self.failures:
             raise StudyError(f"{folder.path} holds no failures: fleet search SCENARIO --keep {folder.path} fills it")
@@ -218,13 +189,7 @@ class Regression:
     def run(
         self, engine: Engine, tell: Callable[[int], None], modules: Modules, timeout_s: float = inf
     ) -> list[Regressed]:
-        """Run them all; returns what came out, in the order of the folder.
-
-        Args:
-            tell: called now and then with the number of runs that were made.
-            modules: that the runs need, as the engine carries them.
-            timeout_s: of wall time, for one run.
-        """
+        """Run them all; returns what came out, in the order of the folder."""
         rows: dict[int, Row] = {}
 
         def tasks() -> Iterator[Task]:
@@ -269,22 +234,9 @@ def make_least(
     modules: Modules,
     most_runs: int,
 ) -> list[FoundFailure]:
-    """Make the failures in a folder as small as possible, unless that is done already.
-
-    Args:
-        folder: the folder of failures.
-        scenario: the scenario of the search that found them.
-        engine: makes the runs.
-        tell: called now and then with the present step, in words, and the number of runs made.
-        modules: the modules of its laws.
-        most_runs: limit on the runs for each failure.
-
-    Returns:
-        The failures that were made smaller.
-
-    Raises:
-        StudyError: a failure cannot be read or written.
-    """
+    """Make the failures in a folder as small as possible, unless that is done already. `tell`: called now and then with
+    the present step, in words, and the number of runs made. Returns the failures that were made smaller. Raises
+    StudyError: a failure cannot be read or written."""
     done = []
     for failure in folder.of(scenario):
         if failure.least or failure.expected != "fail":

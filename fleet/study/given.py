@@ -28,16 +28,9 @@ _QUOTED = re.compile(r"'([^']*)'")
 
 
 def read(field: SpecField, value: object, key: str = "") -> Any:
-    """Check and convert one value of a field: the whole value, one entry of its list, or the value of one key.
-
-    Args:
-        field: the field.
-        value: a plain value of a file or a script, or a text of the command line.
-        key: the key of the value, if the field has texts by key.
-
-    Raises:
-        StudyError: the value does not fit the field.
-    """
+    """Check and convert one value of a field: the whole value, one entry of its list, or the value of one key. `value`:
+    a plain value of a file or a script, or a text of the command line. `key`: the key of the value, if the field has
+    texts by key. Raises StudyError: the value does not fit the field."""
     if field.shape is bool:
         return _checked(value, isinstance(value, bool), "true or false")
     if field.shape is int:
@@ -120,12 +113,8 @@ class SweepKeywords(TypedDict, total=False):
 
 
 def keywords(spec: Spec, options: Mapping[str, object]) -> dict[str, Any]:
-    """The values of a spec that a script gives by keyword; None: not given.
-
-    Raises:
-        TypeError: there is no such keyword.
-        StudyError: a value is wrong.
-    """
+    """The values of a spec that a script gives by keyword; None: not given. Raises TypeError: there is no such keyword;
+    StudyError: a value is wrong."""
     known, given = _by_keyword(spec), {}
     for keyword, value in options.items():
         if keyword not in known:
@@ -184,11 +173,7 @@ def _described(field: SpecField) -> str:
 
 
 def set_values(texts: Iterable[str]) -> dict[str, str]:
-    """The values of several `--set KEY=VALUE` by key, of a key the last.
-
-    Raises:
-        StudyError: one has no key.
-    """
+    """The values of several `--set KEY=VALUE` by key, of a key the last. Raises StudyError: one has no key."""
     values: dict[str, str] = {}
     for text in texts:
         key, equals, value = text.partition("=")
@@ -200,11 +185,8 @@ def set_values(texts: Iterable[str]) -> dict[str, str]:
 
 
 def varied(texts: Iterable[str], flag: str = "--vary") -> dict[str, str]:
-    """The VALUES of several `--vary KEY=VALUES`, or of another flag, by key.
-
-    Raises:
-        StudyError: one has no key, or a key is there twice.
-    """
+    """The VALUES of several `--vary KEY=VALUES`, or of another flag, by key. Raises StudyError: one has no key, or a
+    key is there twice."""
     found: dict[str, str] = {}
     for text in texts:
         try:

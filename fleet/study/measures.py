@@ -45,18 +45,11 @@ Join = Callable[[list[float]], float]
 
 
 class MeasureColumn(msgspec.Struct, frozen=True):
-    """A number that every row of a study has.
+    """A number that every row of a study has."""
 
-    Attributes:
-        name: with the unit behind it, as in `e_rms_m`. The measure of a signal has the user's words for it: `p95
-            |error.e|`.
-        unit: as people write it.
-        missing_is_largest: where there is no number, it counts as larger than every number.
-    """
-
-    name: str
-    unit: str
-    missing_is_largest: bool = False
+    name: str  # with the unit behind it, as in `e_rms_m`; of a signal the words of the user: `p95 |error.e|`
+    unit: str  # as people write it
+    missing_is_largest: bool = False  # where there is no number, it counts as larger than every number
 
     def number(self, value: float | None) -> float:
         """A value of the column as statistics take it: inf or NaN where it is missing."""
@@ -67,8 +60,6 @@ class MeasureColumn(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """A number of a run that every study has."""
-
     column: MeasureColumn
     what: str  # in words
     of: Callable[[Result], float]  # computes it
@@ -158,12 +149,10 @@ SEPARATION = MeasureColumn("separation_min_m", "m")  # least distance of two veh
 MORE_IS_BETTER = frozenset({"packets_delivered", "sim_s", SEPARATION.name})  # of all others less is
 STANDING = (*(measure.column for measure in MEASURES.values()), SEPARATION)  # of every study
 
-
 # Measures by signal: `p95 |error.e|` is a number of every run, computed from the samples that its log would have.
 #
 # A signal is named as in `fleet.scenario.sections.signals`, `error.e_norm` for that of all vehicles; here it may also
 # be that of one, `uuv/3/error.e_norm`.
-
 
 MOST_UNASKED = 4  # measures that are made because checks name their signals
 _EXAMPLE = '"p95 |error.e|", "max |control.u_err|", "final uuv/3/state.z" or "mean error.e_norm after 20 s"'
@@ -181,17 +170,11 @@ _HOW: dict[str, Callable[[NDArray[np.float64]], float]] = {
 
 @dataclass(frozen=True, slots=True)
 class SignalMeasure:
-    """One number of a signal.
+    """One number of a signal."""
 
-    Attributes:
-        how: `min`, `mean`, `max`, `rms`, `final`, or a percentile such as `p95`.
-        signal: of every vehicle: of each that reports it, and then the largest, with `min` the least.
-        after_ns: samples before that do not count [ns].
-    """
-
-    how: str
-    signal: SignalName
-    after_ns: int = 0
+    how: str  # `min`, `mean`, `max`, `rms`, `final`, or a percentile such as `p95`
+    signal: SignalName  # of every vehicle: of each that reports it, and then the largest, with `min` the least
+    after_ns: int = 0  # samples before that do not count [ns]
 
     def __str__(self) -> str:
         after = f" after {show_time(self.after_ns)}" if self.after_ns else ""
@@ -205,16 +188,11 @@ class SignalMeasure:
 
 
 def is_signal(name: str) -> bool:
-    """Whether the name of a measure is one of a signal's."""
     return " " in name.strip()
 
 
 def parse_signal(text: str) -> SignalMeasure:
-    """A measure as the user writes it.
-
-    Raises:
-        StudyError: it is none.
-    """
+    """A measure as the user writes it. Raises StudyError: it is none."""
     found = _GRAMMAR.fullmatch(text.strip()) if len(text) <= LONGEST_TEXT else None
     if found is None:
         raise StudyError(f'"{text[:60]}" is no measure of a signal: expected one such as {_EXAMPLE}')
@@ -229,14 +207,9 @@ def parse_signal(text: str) -> SignalMeasure:
 
 
 def signal_columns_of(texts: Iterable[str], scenarios: Sequence[Scenario]) -> list[MeasureColumn]:
-    """The column of each measure of a signal: its name and unit.
-
-    Args:
-        scenarios: of all points. A signal has to be one of some vehicle in one of them; elsewhere it is missing.
-
-    Raises:
-        StudyError: a text is no measure, or there is no such signal.
-    """
+    """The column of each measure of a signal: its name and unit. `scenarios`: of all points. A signal has to be one of
+    some vehicle in one of them; elsewhere it is missing. Raises StudyError: a text is no measure, or there is no such
+    signal."""
     measures = [parse_signal(text) for text in dict.fromkeys(texts)]
     if not measures:
         return []
@@ -248,11 +221,8 @@ def signal_columns_of(texts: Iterable[str], scenarios: Sequence[Scenario]) -> li
 
 
 def measures_of_checks(scenarios: Sequence[Scenario]) -> tuple[str, ...]:
-    """A measure for each signal that a check of the scenarios names: how near the check it came.
-
-    That is the largest value where the check asks for a small one, the least where it asks for a large one, and else
-    the last one.
-    """
+    """A measure for each signal that a check of the scenarios names: how near the check it came. That is the largest
+    value where the check asks for a small one, the least where it asks for a large one, and else the last one."""
     found: dict[str, None] = {}
     for scenario in scenarios:
         named = {str(name) for name in checked_signals(scenario.spec.checks)}
@@ -277,15 +247,8 @@ def check_name(name: str) -> None:
 
 
 def find_columns(names: Iterable[str], columns: Iterable[MeasureColumn] = STANDING) -> list[MeasureColumn]:
-    """The columns of the measures of these names.
-
-    Args:
-        names: also of measures of signals.
-        columns: the existing ones.
-
-    Raises:
-        StudyError: there is none of a name.
-    """
+    """The columns of the measures of these names. `names`: also of measures of signals. `columns`: the existing ones.
+    Raises StudyError: there is none of a name."""
     known = {column.name: column for column in columns}
     found = []
     for name in names:
@@ -324,8 +287,6 @@ def _vehicles(measure: SignalMeasure, scenario: Scenario) -> range:
 
 
 class _Kept(NamedTuple):
-    """The samples of one measure and vehicle."""
-
     measure: SignalMeasure
     group: str
     values: slice
@@ -355,7 +316,6 @@ class Samples:
                     self._kept.setdefault(i, []).append(kept)
 
     def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None:
-        """Take one frame."""
         self._separation.frame(frame)
         if not self._kept:
             return

@@ -30,36 +30,22 @@ _writing = threading.Lock()
 
 
 class Modules(NamedTuple):
-    """Modules that were let in when the scenarios were read.
+    """Modules that were let in when the scenarios were read."""
 
-    Attributes:
-        folder: the folder of the scenario's file on this machine, if the modules lie in it. None: they lie in the
-            current directory.
-        files: the files of the modules.
-        fingerprints: SHA-256 of each file. Workers check it before they import a module.
-        names: names of the modules of laws, plants and checks.
-        units: files of plants that are FMUs, as the scenarios name them.
-        carried: path and content of each file. Workers write them below the folder in which the search for modules
-            begins. Empty: workers import the modules from their own place.
-    """
-
-    folder: str | None = None
+    folder: str | None = None  # of the scenario's file, if they lie in it; None: they lie in the current directory
     files: tuple[str, ...] = ()
-    fingerprints: tuple[str, ...] = ()
-    names: tuple[str, ...] = ()
-    units: tuple[str, ...] = ()
-    carried: tuple[tuple[str, bytes], ...] = ()
+    fingerprints: tuple[str, ...] = ()  # SHA-256 of each file, which workers check before they import a module
+    names: tuple[str, ...] = ()  # of the modules of laws, plants and checks
+    units: tuple[str, ...] = ()  # files of plants that are FMUs, as the scenarios name them
+    carried: tuple[tuple[str, bytes], ...] = ()  # path and content of each file, for other machines
 
 
 NO_MODULES = Modules()
 
 
 def modules_of(scenarios: Iterable[Scenario], folder: Path | None) -> Modules:
-    """The modules of all laws, plants and checks of these scenarios.
-
-    Args:
-        folder: of the scenario's file; modules may lie in it.
-    """
+    """The modules of all laws, plants and checks of these scenarios. `folder`: of the scenario's file; modules may lie
+    in it."""
     scenarios = list(scenarios)
     names = {
         law.name.partition(":")[0]
@@ -85,11 +71,8 @@ def modules_of(scenarios: Iterable[Scenario], folder: Path | None) -> Modules:
 
 
 def packed(modules: Modules) -> Modules:
-    """The same with the content of the files, for workers of other machines.
-
-    Raises:
-        StudyError: a file cannot be read or sent.
-    """
+    """The same with the content of the files, for workers of other machines. Raises StudyError: a file cannot be read
+    or sent."""
     beside = [] if modules.folder is None else [Path(modules.folder)]
     places = [place for name in modules.names if (place := find(name, [*beside, Path()])) and not place.installed]
     found: dict[str, bytes] = {}
@@ -113,7 +96,6 @@ def packed(modules: Modules) -> Modules:
 
 
 def _imported_from(place: ModulePlace) -> list[str]:
-    """The files of modules that were imported from a folder of the user's: what its laws need."""
     folder = Path(place.folder).resolve()
     found = []
     for name, module in list(sys.modules.items()):
@@ -124,11 +106,8 @@ def _imported_from(place: ModulePlace) -> list[str]:
 
 
 def folder_of(modules: Modules) -> Path | None:
-    """Where the modules are looked for on this worker, besides the current folder.
-
-    Raises:
-        StudyError: this worker would import another module of that name.
-    """
+    """Where the modules are looked for on this worker, besides the current folder. Raises StudyError: this worker would
+    import another module of that name."""
     if not modules.carried:
         return None if modules.folder is None else Path(modules.folder)
     with _writing:
@@ -143,13 +122,8 @@ def folder_of(modules: Modules) -> Path | None:
 
 
 def get_ready(modules: Modules) -> None:
-    """Import the modules on this worker.
-
-    Raises:
-        StudyError: it would import another module of that name.
-        PluginError: a module may not run.
-        Exception: whatever importing it raises.
-    """
+    """Import the modules on this worker. Raises StudyError: it would import another module of that name; PluginError: a
+    module may not run; Exception: whatever importing it raises."""
     folder = folder_of(modules)
     beside = () if folder is None else (folder,)
     permission = Permission(elsewhere=(*beside, Path()))

@@ -37,8 +37,6 @@ GRACE_S = 1.0  # a law may end its tick so long after the time that the run may 
 
 
 class Task(NamedTuple):
-    """A run that is to be made."""
-
     key: str
     point: int
     seed: int
@@ -52,7 +50,6 @@ class Task(NamedTuple):
 
 
 def late(task: Task) -> StudyError:
-    """The error of a run that takes too long."""
     return StudyError(f"took longer than {task.timeout_s:g} s")
 
 
@@ -127,10 +124,7 @@ def _text(text: str) -> str:
 
 
 def recorded(
-    scenario: Scenario,
-    directory: Path,
-    check: Callable[[float], None] | None = None,
-    samples: Samples | None = None,
+    scenario: Scenario, directory: Path, check: Callable[[float], None] | None = None, samples: Samples | None = None
 ) -> Result:
     """Make a run, and the directory that `fleet run` would have made; it is there as a whole or not at all."""
     part = directory.with_name(f".{directory.name}-{token_hex(4)}")

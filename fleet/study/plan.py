@@ -42,29 +42,16 @@ class Point:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The runs of a study, planned.
+    """The runs of a study, planned."""
 
-    Attributes:
-        scenario: a shipped name or a file.
-        changes: changes of every run. `{name}` stands for the value of the axis of that name.
-        axes: the varied keys with their values.
-        zipped: the first values of all axes make the first point, the second values the second, and so on. Otherwise
-            every combination is a point.
-        seeds: seeds of the runs of each point. All points have the same ones, so points can be compared in pairs.
-        draw: the seed of drawn axes.
-        origin: the source of changes and axes. It decides which laws they may name.
-        most_seeds: limit on the seeds of a point, if seeds are added. None: no seeds are added.
-        points: the points; computed.
-    """
-
-    scenario: str
-    changes: tuple[Override, ...] = ()
+    scenario: str  # a shipped name or a file
+    changes: tuple[Override, ...] = ()  # of every run; `{name}` stands for the value of the axis of that name
     axes: tuple[Axis, ...] = ()
-    zipped: bool = False
-    seeds: tuple[int, ...] = (1,)
-    draw: int = 1
-    origin: OverrideOrigin = TYPED
-    most_seeds: int | None = None
+    zipped: bool = False  # the n-th values of all axes make the n-th point, else every combination is one
+    seeds: tuple[int, ...] = (1,)  # of the runs of each point: the same ones, so points can be compared in pairs
+    draw: int = 1  # the seed of drawn axes
+    origin: OverrideOrigin = TYPED  # of changes and axes; it decides which laws they may name
+    most_seeds: int | None = None  # of a point, if seeds are added
     points: tuple[Point, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -120,17 +107,14 @@ class Plan:
 
     def _point(self, number: int, row: Sequence[AxisValue]) -> Point:
         values = {axis.key: value for axis, value in zip(self.axes, row, strict=True)}
-        names = self._names()
-        filled = [Override(change.option, _fill(change.text, values)) for change in self.changes]
+        names = {name for change in self.changes for name in _NAME.findall(change.text)}
+        filled = [Override(c.option, _NAME.sub(lambda name: values[name[1]].text, c.text)) for c in self.changes]
         keys = [
             Override(SET, f"{axis.key}={value.text}", f"{axis.option} {axis.key}={value.text}")
             for axis, value in zip(self.axes, row, strict=True)
             if axis.key not in names
         ]
         return Point(number, values, (*filled, *keys))
-
-    def _names(self) -> set[str]:
-        return {name for change in self.changes for name in _NAME.findall(change.text)}
 
     def _check_names(self, keys: set[str]) -> None:
         for change in self.changes:
@@ -142,21 +126,14 @@ class Plan:
 
 
 def plan_of(spec: StudySpec, origin: OverrideOrigin = TYPED) -> Plan:
-    """The plan of a study's runs.
-
-    Args:
-        origin: where it comes from.
-
-    Raises:
-        StudyError: the values are none, or do not fit together.
-    """
+    """The plan of a study's runs. `origin`: where it comes from. Raises StudyError: the values are none, or do not fit
+    together."""
     axes = tuple(axis(key, text) for key, text in spec.vary.items())
     most_seeds = spec.most_seeds if spec.until else None
     return Plan(spec.scenario, changes_of(spec), axes, spec.zip, parse_seeds(spec.seeds), spec.draw, origin, most_seeds)
 
 
 def changes_of(spec: StudySpec | BoundarySpec) -> tuple[Override, ...]:
-    """The changes that every run has."""
     keys = (Override(SET, f"{key}={text}") for key, text in spec.set.items())
     return (*keys, *(Override(NET, text) for text in spec.net), *(Override(FAULT, text) for text in spec.fault))
 
@@ -167,11 +144,7 @@ def run_key(text: str) -> str:
 
 
 def parse_seeds(text: str) -> tuple[int, ...]:
-    """`20`: the seeds 1 to 20; `5..24`: those; `3,7,9`: those.
-
-    Raises:
-        StudyError: it is none of them.
-    """
+    """`20`: the seeds 1 to 20; `5..24`: those; `3,7,9`: those. Raises StudyError: it is none of them."""
     words = re.split(r"\.\.|,", text)
     numbers = [int(word) for word in words if _SEED.fullmatch(word.strip())]
     seeds: Sequence[int] = ()
@@ -186,10 +159,6 @@ def parse_seeds(text: str) -> tuple[int, ...]:
     if not seeds:
         raise StudyError(f"expected a number of seeds such as 20, or seeds such as 5..24 or 3,7,9, got '{text[:40]}'")
     return tuple(seeds)
-
-
-def _fill(text: str, values: Mapping[str, AxisValue]) -> str:
-    return _NAME.sub(lambda match: values[match[1]].text, text)
 
 
 def _check_lengths(axes: Sequence[Axis]) -> None:

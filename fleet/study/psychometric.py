@@ -43,19 +43,12 @@ DOUBTFUL, RISING = 0.05, 0.005  # chances of a rise at which it is looked at aga
 
 
 class Belief(NamedTuple):
-    """The present knowledge of the border.
+    """The present knowledge of the border; 0 and 1 are the ends of the range, and what lies beyond is a guess."""
 
-    Attributes:
-        border: the median of its posterior. 0 and 1 are the ends of the range.
-        low, high: the interval of 95 %. A value below 0 or above 1 is only a guess of the place, but the border is
-            outside of the range.
-        below, above: the chances that the border lies below 0, and above 1.
-    """
-
-    border: float
-    low: float
+    border: float  # the median of its posterior
+    low: float  # the interval of 95 %
     high: float
-    below: float
+    below: float  # the chances that it lies below 0, and above 1
     above: float
 
 
@@ -63,12 +56,8 @@ class PsychometricCurve:
     """Candidates for runs, and how each answer there depends on the border, and on the curve's scale and ends."""
 
     def __init__(self, positions: Sequence[float], level: float = 0.5) -> None:
-        """Compute the table of answers.
-
-        Args:
-            positions: where runs can be made, rising, from 0 to 1.
-            level: the pass rate at the border, between 0 and 1.
-        """
+        """Compute the table of answers. `positions`: where runs can be made, rising, from 0 to 1. `level`: the pass
+        rate at the border, between 0 and 1."""
         self.positions = np.asarray(positions, dtype=np.float64)
         self.borders = np.linspace(-BEYOND, 1.0 + BEYOND, BORDERS)
         lapse = np.repeat([off * (1.0 - level) for off, _ in ENDS], len(SCALES))
@@ -90,7 +79,6 @@ class PsychometricCurve:
         return found
 
     def belief(self, posterior: Array) -> Belief:
-        """The border and its interval."""
         of_border = posterior.sum(axis=1)
         rising = np.cumsum(of_border) - 0.5 * of_border  # half of a cell lies on either side of its middle
         tail = (1.0 - CONFIDENCE) / 2.0
@@ -125,12 +113,8 @@ class Walk:
     """Where the runs of a border are made, one batch after the other, until enough is known."""
 
     def __init__(self, curve: PsychometricCurve, width: float) -> None:
-        """Begin with both ends and two places between.
-
-        Args:
-            curve: with the positions.
-            width: of an interval that is narrow enough, as a share of the range.
-        """
+        """Begin with both ends and two places between. `width`: of an interval that is narrow enough, as a share of the
+        range."""
         self.curve = curve
         # Runs cannot tell where between two places a sharp border is.
         self._enough = max(width, 1.5 * float(np.diff(curve.positions).max()))
@@ -138,7 +122,6 @@ class Walk:
         self._start = sorted({0, round(last / 3), round(2 * last / 3), last})
 
     def next_runs(self, runs: Sequence[tuple[int, bool]]) -> list[int]:
-        """The numbers of the positions of the next batch; none: enough is known."""
         if not runs:
             return self._start
         posterior = self.curve.posterior(runs)
@@ -151,16 +134,11 @@ class Walk:
 
 
 class Rise(NamedTuple):
-    """Two neighbouring groups of runs; the farther one passes more often.
+    """Two neighbouring groups of runs; the farther one passes more often."""
 
-    Attributes:
-        near, far: numbers of positions: of the last run of the nearer group, and of the first of the farther one.
-        chance: of such a difference or a larger one, if the pass rates are equal.
-    """
-
-    near: int
+    near: int  # numbers of positions: of the last run of the nearer group, and of the first of the farther one
     far: int
-    chance: float
+    chance: float  # of such a difference or a larger one, if the pass rates are equal
 
 
 def steepest_rise(runs: Iterable[tuple[int, bool]]) -> Rise:

@@ -11,7 +11,7 @@ from statistics import NormalDist, fmean, stdev
 from typing import Annotated, NamedTuple
 
 import msgspec
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, structs
 
 from fleet.scenario.scenario import Scenario
 from fleet.study.branches import Branch, refuse_branches
@@ -46,8 +46,8 @@ class RareFile(Struct):
     """The results so far: the file of `fleet rare`, which goes on with the missing ones."""
 
     key: Annotated[str, Meta(description="Of scenario, check and options.")]
-    scenario: Annotated[str, Meta(description="Name of the scenario.")]
-    check: Annotated[str, Meta(description="The check.")]
+    scenario: str
+    check: str
     levels: Annotated[tuple[float, ...], Meta(description="Margins of the stages, in the unit of the check.")] = ()
     pilot_ticks: Annotated[float, Meta(description="Ticks that the pilot simulated.")] = 0.0
     repeats: Annotated[list[RareRepeat], Meta(description="The estimates so far.")] = []
@@ -56,14 +56,14 @@ class RareFile(Struct):
 class RareFound(Struct, frozen=True):
     """`fleet rare --json`: the probability that a run fails a check."""
 
-    scenario: Annotated[str, Meta(description="Name of the scenario.")]
-    check: Annotated[str, Meta(description="The check.")]
-    probability: Annotated[float, Meta(description="Mean of the repeats.")]
+    scenario: str
+    check: str
+    probability: float
     low: Annotated[float, Meta(description="95 % interval, from the spread of the repeats.")]
     high: Annotated[float | None, Meta(description="The same; null: too few repeats, or none reached a failure.")]
-    repeats: Annotated[int, Meta(description="Independent estimates.")]
+    repeats: int
     levels: Annotated[tuple[float, ...], Meta(description="Margins of the stages, in the unit of the check.")]
-    runs: Annotated[float, Meta(description="What all cost, in whole runs.")]
+    runs: Annotated[float, Meta(description="Cost, in whole runs.")]
     counting: Annotated[float | None, Meta(description="Runs that counting needs for that interval; null: unknown.")]
     decided: Annotated[int, Meta(description="Repeats in which nothing that is drawn on the way made a difference.")]
 
@@ -72,11 +72,7 @@ class RareEvent:
     """Estimates how often a scenario fails a check."""
 
     def __init__(self, scenario: Scenario, check: str, splitting: Splitting, modules: Modules = NO_MODULES) -> None:
-        """Prepare it.
-
-        Raises:
-            StudyError: the scenario or the check cannot be split.
-        """
+        """Prepare it. Raises StudyError: the scenario or the check cannot be split."""
         refuse_branches(scenario, check)
         self._scenario, self._check, self._splitting, self._modules = scenario, check, splitting, modules
         self._text = scenario.to_undrawn_yaml()
@@ -84,16 +80,10 @@ class RareEvent:
     def run(
         self, engine: Engine, tell: Callable[[str, int], None], repeats: int, file: Path, budget_s: float = inf
     ) -> RareFound:
-        """Make repeats up to a number. Repeats that the file has are not made again.
-
-        Args:
-            tell: called now and then with what is done and how many parts of runs were made.
-            file: is written after each repeat.
-            budget_s: of wall time, after which no repeat is begun.
-
-        Raises:
-            StudyError: a run failed, splitting cannot help, or the file cannot be used.
-        """
+        """Make repeats up to a number. Repeats that the file has are not made again. `tell`: called now and then with
+        what is done and how many parts of runs were made. `file`: is written after each repeat. `budget_s`: of wall
+        time, after which no repeat is begun. Raises StudyError: a run failed, splitting cannot help, or the file cannot
+        be used."""
         known, until, seed = self._read(file), time.monotonic() + budget_s, self._scenario.seed
         if not known.levels:
             made = self._make(engine, tell, "pilot", seed)
@@ -106,8 +96,7 @@ class RareEvent:
                 break
             own = seed + 1 + number
             made = self._make(engine, tell, f"repeat {number + 1} of {repeats}", own)
-            found = self._splitting.repeat(made, known.levels, own)
-            known.repeats.append(RareRepeat(own, found.probability, found.shares, found.cost, found.spread))
+            known.repeats.append(self._splitting.repeat(made, known.levels, own))
             _write(file, known)
         if not known.repeats:
             raise StudyError("no repeat was made, so nothing is known: raise --budget")
@@ -116,7 +105,7 @@ class RareEvent:
     def _make(self, engine: Engine, tell: Callable[[str, int], None], doing: str, seed: int) -> Make:
         count = 0
 
-        def make(asks: Sequence[Ask]) -> list[SplitPath]:
+        def make(asks: Sequence[Ask]) -> list[PartRow]:
             nonlocal count
             rows: dict[str, Row] = {}
             tasks = [self._task(ask, seed, place) for place, ask in enumerate(asks)]
@@ -127,7 +116,7 @@ class RareEvent:
 
             engine.make(iter(tasks), take, lambda: tell(doing, count + len(rows)))
             count += len(rows)
-            return [SplitPath(part.best, part.places, part.ticks) for part in (_part(rows[task.key]) for task in tasks)]
+            return [_part(rows[task.key]) for task in tasks]
 
         return make
 
@@ -192,22 +181,16 @@ def _write(file: Path, known: RareFile) -> None:
 # used for the estimate: each is the margin that a given share of the paths gets to (F. Cerou, A. Guyader, "Adaptive
 # multilevel splitting for rare event analysis", 2007). Repeats are independent, and their spread gives the interval.
 
-
 PURPOSE = "split"  # of the draws
 MOST_LEVELS = 60
 NOWHERE = b""
 
 
 class Entrance(NamedTuple):
-    """Where a path has reached a level.
+    """Where a path has reached a level."""
 
-    Attributes:
-        best: its score there.
-        state: to continue from; None: the path was over by then.
-    """
-
-    best: float
-    state: bytes | None
+    best: float  # its score there
+    state: bytes | None  # to continue from; None: the path was over by then
 
 
 START = Entrance(inf, NOWHERE)
@@ -221,43 +204,11 @@ class Ask(NamedTuple):
     level: float | None  # where it ends; None: it goes on to its end
 
 
-class SplitPath(NamedTuple):
-    """A path that was made.
-
-    Attributes:
-        best: its score.
-        places: (score, state) wherever the score got smaller, in order.
-        cost: what it took, in ticks or steps.
-    """
-
-    best: float
-    places: Sequence[tuple[float, bytes]]
-    cost: float
-
-
-Make = Callable[[Sequence[Ask]], Sequence[SplitPath]]
-
-
-class Repeat(NamedTuple):
-    """One estimate.
-
-    Attributes:
-        probability: the estimate.
-        shares: R_k / N of each stage.
-        cost: of all paths.
-        spread: the paths of the first stage differed. If not, the draws on the way do not matter.
-    """
-
-    probability: float
-    shares: tuple[float, ...]
-    cost: float
-    spread: bool
+Make = Callable[[Sequence[Ask]], Sequence[PartRow]]
 
 
 @dataclass(frozen=True, slots=True)
 class Splitting:
-    """How to split."""
-
     effort: int = 100
     share: float = 0.25  # of the paths that a level of the pilot lets pass
 
@@ -267,7 +218,7 @@ class Splitting:
         entrances, cost, spread = [START], 0.0, True
         for stage in range(MOST_LEVELS):
             paths = self._paths(make, entrances, None, seed, stage)
-            cost += sum(path.cost for path in paths)
+            cost += sum(path.ticks for path in paths)
             scores = sorted(path.best for path in paths)
             if stage == 0:
                 spread = scores[0] != scores[-1]
@@ -280,13 +231,12 @@ class Splitting:
             entrances = [_entrance(path, level) for path in paths if reached(path.best, level)]
         return (*found, 0.0), cost, spread
 
-    def repeat(self, make: Make, levels: Sequence[float], seed: int) -> Repeat:
-        """One estimate with fixed levels."""
+    def repeat(self, make: Make, levels: Sequence[float], seed: int) -> RareRepeat:
         entrances, shares, cost, spread = [START], list[float](), 0.0, True
         probability = 1.0
         for stage, level in enumerate(levels):
             paths = self._paths(make, entrances, level, seed, stage)
-            cost += sum(path.cost for path in paths)
+            cost += sum(path.ticks for path in paths)
             if stage == 0:
                 spread = len({path.best for path in paths}) > 1
             entrances = [_entrance(path, level) for path in paths if reached(path.best, level)]
@@ -294,12 +244,11 @@ class Splitting:
             probability *= shares[-1]
             if not entrances:
                 break
-        return Repeat(probability, tuple(shares), cost, spread)
+        return RareRepeat(seed, probability, tuple(shares), cost, spread)
 
     def _paths(
         self, make: Make, entrances: Sequence[Entrance], level: float | None, seed: int, stage: int
-    ) -> list[SplitPath]:
-        """N paths from entrances that are chosen at random; who is at the level already is not made again."""
+    ) -> list[PartRow]:
         asks = []
         for n in range(self.effort):
             start = entrances[bits(seed, PURPOSE, stage, n, 0) % len(entrances)]
@@ -311,8 +260,8 @@ class Splitting:
         found = []
         for ask, known in zip(asks, over, strict=True):
             best, state = ask.start
-            path = SplitPath(best, () if state is None else ((best, state),), 0.0) if known else next(made)
-            found.append(path if known else path._replace(best=min(path.best, best)))
+            path = PartRow(best, [] if state is None else [(best, state)], 0) if known else next(made)
+            found.append(path if known else structs.replace(path, best=min(path.best, best)))
         return found
 
 
@@ -321,8 +270,7 @@ def reached(score: float, level: float) -> bool:
     return score < 0.0 if level == 0.0 else score <= level
 
 
-def _entrance(path: SplitPath, level: float) -> Entrance:
-    """The first place at which a path reached a level."""
+def _entrance(path: PartRow, level: float) -> Entrance:
     first = next(((best, state) for best, state in path.places if reached(best, level)), None)
     return Entrance(path.best, None) if first is None else Entrance(*first)
 

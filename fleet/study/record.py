@@ -65,11 +65,8 @@ def write_record(directory: Path, record: StudyRecord) -> None:
 
 
 def read_record(directory: Path) -> StudyRecord:
-    """The record of a study; anybody may have written it.
-
-    Raises:
-        StudyError: there is none, it is damaged, or larger than a study writes.
-    """
+    """The record of a study; anybody may have written it. Raises StudyError: there is none, it is damaged, or larger
+    than a study writes."""
     file = directory / NAME
     try:
         data = read_file(file, _MOST_BYTES)
@@ -107,5 +104,4 @@ def read_record(directory: Path) -> StudyRecord:
 
 
 def axis_record(axis: Axis) -> AxisRecord:
-    """How study.json has an axis."""
     return AxisRecord(axis.key, axis.unit if axis.numeric else None)

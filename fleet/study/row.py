@@ -30,7 +30,6 @@ class CheckRow(Struct, frozen=True):
     margin: float | None = None
 
     def and_then(self, other: CheckRow) -> CheckRow:
-        """Both together."""
         values = [value for value in (self.value, other.value) if value is not None]
         margins = [margin for margin in (self.margin, other.margin) if margin is not None]
         passed = self.passed and other.passed
@@ -46,8 +45,6 @@ class PartRow(Struct, frozen=True):
 
 
 class Row(Struct, kw_only=True):
-    """The row of a run."""
-
     point: int = 0
     seed: int
     status: str  # one of `STATUSES`
@@ -119,7 +116,6 @@ class Reached:
             self.note(row.seed, reached=bool(reached))
 
     def note(self, seed: int, *, reached: bool) -> None:
-        """Count a run by its seed."""
         self.runs += 1
         if reached:
             self.hits += 1

@@ -32,30 +32,18 @@ _SAVE_S = 2.0  # how often a search writes how far it is
 
 @dataclass(slots=True)
 class Searched:
-    """The result of a search.
-
-    Attributes:
-        first_seed: the first seed of the search.
-        seed: the first seed that fails. None: no run failed.
-        check: the check that fails with this seed. Empty: no run failed.
-        scenario: the scenario that fails.
-        runs: number of judged runs. It includes runs that were under way when the first failure came.
-        without: number of runs without a result.
-        reason: why the first of these has no result.
-        kinds: by check, the first seed that fails it. Without a folder of failures there is only one.
-        reached: the checks that some run must reach.
-    """
+    """The result of a search."""
 
     name: str  # of the scenario
     first_seed: int
-    seed: int | None = None
-    check: str = ""
+    seed: int | None = None  # the first seed that fails; None: no run failed
+    check: str = ""  # that fails with this seed
     scenario: Scenario | None = None
-    runs: int = 0
-    without: int = 0
-    reason: str = ""
-    kinds: dict[str, int] = field(default_factory=dict)
-    reached: list[Reached] = field(default_factory=list)
+    runs: int = 0  # that were judged, with those under way when the first failure came
+    without: int = 0  # runs without a result
+    reason: str = ""  # why the first of these has none
+    kinds: dict[str, int] = field(default_factory=dict)  # the first seed by check; without a folder only one
+    reached: list[Reached] = field(default_factory=list)  # the checks that some run must reach
 
     @property
     def most_failures(self) -> float | None:
@@ -69,11 +57,7 @@ class Searched:
 
 
 def nemesis_of(scenario: Scenario, mode: Literal["swarm", "liveness"] = "swarm") -> Override:
-    """A nemesis for a scenario that has none, as a change of it.
-
-    Raises:
-        StudyError: it has one.
-    """
+    """A nemesis for a scenario that has none, as a change of it. Raises StudyError: it has one."""
     if scenario.undrawn.nemesis is not None:
         raise StudyError(f"{scenario.name} already has a nemesis: change that one, as with --set nemesis.mode={mode}")
     return Override(SET, f"nemesis={mode}")
@@ -90,22 +74,10 @@ def search(
     modules: Modules = NO_MODULES,
     keep: FailureFolder | None = None,
 ) -> Searched:
-    """Run a scenario with its own seed, the next one and so on, until a check fails.
-
-    Args:
-        scenario: the scenario. Its nemesis draws other faults for each seed.
-        engine: makes the runs.
-        tell: called now and then with the number of runs that were made.
-        check: the search ends when this check fails. None: when any check fails.
-        most_runs: limit on the number of seeds.
-        budget_s: after this wall time [s] no new run begins.
-        modules: the modules of its laws.
-        keep: the folder that keeps the first scenario of each kind of failure. The search then goes on after a
-            failure. Runs that the folder already has count, and are not repeated.
-
-    Raises:
-        StudyError: the scenario has no nemesis, or not this check; or the folder cannot be used.
-    """
+    """Run a scenario with its own seed, the next one and so on, until a check fails. `tell`: called with the number of
+    runs so far. `check`: only this one ends it. `budget_s`: after this wall time no run begins. `keep`: keeps the first
+    scenario of each kind of failure; then the search goes on after a failure, and runs of before count. Raises
+    StudyError: the scenario has no nemesis, or not this check; or the folder cannot be used."""
     refuse(scenario, "a run of a study")
     if scenario.undrawn.nemesis is None:
         raise StudyError(f"{scenario.name} has no random faults, so all seeds have the same: --nemesis adds some")
@@ -118,7 +90,7 @@ def search(
             over = seed > LARGEST_SEED or seed - scenario.seed >= most_runs or time.monotonic() > until
             if over or (keep is None and work.failing):
                 return
-            if not work.has(seed):
+            if seed not in work.waiting:
                 yield work.task(seed)
 
     def take(rows: list[Row]) -> None:
@@ -128,7 +100,7 @@ def search(
 
     try:
         engine.make(tasks(), take, lambda: tell(work.made))
-        while work.doubtful:
+        while work.doubt is not None:
             engine.make(tasks(), take, lambda: tell(work.made))
     finally:
         work.save()
@@ -145,8 +117,8 @@ class _Search:
         self.found = Searched(scenario.name, scenario.seed)
         self.found.reached = [Reached(name) for name in sometimes_names([scenario])]
         self.next_seed = scenario.seed
-        self._waiting: dict[int, Row] = {}  # rows behind a seed that has none yet
-        self._doubt: int | None = None  # the next seed, if its run fails and is being repeated
+        self.waiting: dict[int, Row] = {}  # rows behind a seed that has none yet
+        self.doubt: int | None = None  # the next seed, if its run fails and is being repeated
         self._repeats: list[Task] = []  # that no worker has yet
         self._sure: set[int] = set()  # seeds whose run was repeated
         self.failing = False  # whether a run has failed, perhaps behind such a seed
@@ -156,16 +128,7 @@ class _Search:
 
     @property
     def made(self) -> int:
-        return self.found.runs + self.found.without + len(self._waiting)
-
-    @property
-    def doubtful(self) -> bool:
-        """Whether a run that fails has not been repeated."""
-        return self._doubt is not None
-
-    def has(self, seed: int) -> bool:
-        """Whether a seed that is not counted yet has a row."""
-        return seed in self._waiting
+        return self.found.runs + self.found.without + len(self.waiting)
 
     def repeats(self) -> Iterator[Task]:
         """The runs that are to be repeated; each is given once."""
@@ -178,23 +141,22 @@ class _Search:
     def take(self, row: Row) -> None:
         """Take a row. Count the rows that are next in order, until one fails in a new way: it is repeated first."""
         seed = row.seed
-        if seed == self._doubt:
-            row, self._doubt = self._waiting[seed].compared(row), None
+        if seed == self.doubt:
+            row, self.doubt = self.waiting[seed].compared(row), None
             self._sure.add(seed)
-        self._waiting[seed] = row
-        self.failing = bool(self.found.kinds) or any(self._fails(row) for row in self._waiting.values())
-        while self._doubt is None and (known := self._waiting.get(self.next_seed)) is not None:
+        self.waiting[seed] = row
+        self.failing = bool(self.found.kinds) or any(self._fails(row) for row in self.waiting.values())
+        while self.doubt is None and (known := self.waiting.get(self.next_seed)) is not None:
             if self._is_new(known):
-                self._doubt, again = self.next_seed, self.task(self.next_seed)
+                self.doubt, again = self.next_seed, self.task(self.next_seed)
                 self._repeats.append(again._replace(key=run_key(f"{again.key}\nagain")))
                 break
-            self._count(self._waiting.pop(self.next_seed))
+            self._count(self.waiting.pop(self.next_seed))
             self.next_seed += 1
         if self._keep is not None and time.monotonic() - self._saved > _SAVE_S:
             self.save()
 
     def _is_new(self, row: Row) -> bool:
-        """Whether a run fails a check that none before has failed; without a folder the first one is enough."""
         if row.seed in self._sure or (self._keep is None and self.found.kinds):
             return False
         return bool(set(self._fails(row)) - self.found.kinds.keys())
@@ -204,7 +166,6 @@ class _Search:
         return failed if self._check is None else [check for check in failed if check == self._check]
 
     def save(self) -> None:
-        """Write how far it is, if it has a folder."""
         if self._keep is None:
             return
         found = self.found
@@ -223,8 +184,8 @@ class _Search:
         """
         found = self.found
         if self._keep is None:
-            for seed in sorted(self._waiting):
-                self._count(self._waiting[seed])
+            for seed in sorted(self.waiting):
+                self._count(self.waiting[seed])
         if found.kinds:
             found.check = min(found.kinds, key=lambda check: found.kinds[check])
             found.seed = found.kinds[found.check]
@@ -266,7 +227,6 @@ class _Search:
                     )  # fmt: skip
 
     def _counted(self, row: Row) -> list[str]:
-        """Count a run; returns the checks that it fails, of those that must. Raises StudyError: there is no such."""
         found, check = self.found, self._check
         if not row.judged:
             found.without += 1

@@ -43,39 +43,20 @@ Tree = dict[str, Any]  # a scenario as plain values
 
 
 class Shrunk(NamedTuple):
-    """The smallest scenario that was found.
-
-    Attributes:
-        scenario: the smallest scenario.
-        check: the check that fails.
-        found: the finding of that check, for the first scenario and for the smallest one.
-        runs: the number of runs made.
-        steps: the reductions, in words and in order.
-        digest: digest of the log of the smallest scenario's run.
-    """
-
-    scenario: Scenario
-    check: str
-    found: tuple[str, str]
-    runs: int
-    steps: list[str]
-    digest: str
+    scenario: Scenario  # the smallest scenario
+    check: str  # the check that fails
+    found: tuple[str, str]  # the finding of that check, for the first scenario and for the smallest one
+    runs: int  # the number of runs made
+    steps: list[str]  # the reductions, in words and in order
+    digest: str  # digest of the log of the smallest scenario's run
 
 
 class Shrinker:
-    """Makes one scenario smaller."""
-
     def __init__(
         self, scenario: Scenario, engine: Engine, tell: Callable[[str, int], None], modules: Modules = NO_MODULES
     ) -> None:
-        """Prepare it.
-
-        Args:
-            scenario: its run fails a check.
-            engine: makes the runs.
-            tell: called now and then with the present step, in words, and the number of runs made.
-            modules: the modules of its laws.
-        """
+        """Prepare it. `scenario`: its run fails a check. `tell`: called now and then with the present step, in words,
+        and the number of runs made."""
         self._name, self._engine, self._tell, self._modules = scenario.name, engine, tell, modules
         self._rows: dict[str, Row] = {}  # by key of the run
         self._doing, self._left = "the run as it is", 1  # what is tried; runs that may still be made
@@ -84,15 +65,9 @@ class Shrinker:
         self._tree = tree_of(scenario)
 
     def shrink(self, check: str | None = None, most_runs: int = 10_000) -> Shrunk:
-        """Make the scenario smaller until no step helps, or `most_runs` runs were made.
-
-        Args:
-            check: this check must still fail. None: the first check that fails.
-            most_runs: limit on the number of runs.
-
-        Raises:
-            StudyError: the scenario fails no check, or not this one.
-        """
+        """Make the scenario smaller until no step helps, or `most_runs` runs were made. `check`: this check must still
+        fail. None: the first check that fails. `most_runs`: limit on the number of runs. Raises StudyError: the
+        scenario fails no check, or not this one."""
         self._left = most_runs
         first = self._run([self._tree])[0]
         self._check = self._failed(first, check)
@@ -104,7 +79,8 @@ class Shrinker:
             if json.dumps(self._tree) == before:
                 break
         last = self._run([self._tree])[0]
-        return Shrunk(self._scenario(self._tree), self._check, (_found(first, self._check), _found(last, self._check)),
+        least = parse_scenario(json.dumps(self._tree), self._name)
+        return Shrunk(least, self._check, (_found(first, self._check), _found(last, self._check)),
                       len(self._rows), steps, last.digest or "")  # fmt: skip
 
     def _failed(self, row: Row, check: str | None) -> str:
@@ -205,7 +181,6 @@ class Shrinker:
         return [check is not None and not check.passed and check.value is not None for check in found]
 
     def _run(self, trees: Sequence[Tree]) -> list[Row]:
-        """The row of each; a candidate that is no valid scenario has the row of a run that failed."""
         texts = [json.dumps(tree) for tree in trees]
         keys = [run_key(text) for text in texts]
         new = {key: text for key, text in zip(keys, texts, strict=True) if key not in self._rows}
@@ -220,9 +195,6 @@ class Shrinker:
         self._engine.make(tasks, take, lambda: self._tell(self._doing, len(self._rows)))
         none = Row(seed=self._tree["seed"], status=FAILED, reason="the runs are used up")
         return [self._rows.get(key, none) for key in keys]
-
-    def _scenario(self, tree: Tree) -> Scenario:
-        return parse_scenario(json.dumps(tree), self._name)
 
 
 def tree_of(scenario: Scenario) -> Tree:
@@ -301,17 +273,12 @@ def _words(value: Any) -> str:
 # scenario does. All parts of one size are tested side by side. Among those that fail it takes the first one, so the
 # speed of workers changes nothing.
 
-
 T = TypeVar("T")
 
 
 def ddmin(items: Sequence[T], fails: Callable[[list[list[T]]], Sequence[bool]]) -> list[T]:
-    """A part of `items`, in their order, that fails and needs each of its items to fail.
-
-    Args:
-        items: a list that fails.
-        fails: says of each of some parts whether it fails. The empty list is asked for first.
-    """
+    """A part of `items`, in their order, that fails and needs each of its items to fail. `items`: a list that fails.
+    `fails`: says of each of some parts whether it fails. The empty list is asked for first."""
     if not items or fails([[]])[0]:
         return []
     left = list(items)

@@ -37,21 +37,13 @@ class Kind(Enum):
 
 
 class Option(NamedTuple):
-    """The words about a field, and its names.
+    """The words about a field, and its names."""
 
-    Attributes:
-        help: the text of `--help` and of Python's `help`.
-        metavar: the word for the value in `--help`, if the kind of the field has none.
-        flag: the option of the command line. "": `--` and the name of the field. None: only a file can give it.
-        keyword: the keyword in Python. "": the name of the field.
-        later: whether a study that continues may change it.
-    """
-
-    help: str
-    metavar: str | None = None
-    flag: str | None = ""
-    keyword: str = ""
-    later: bool = False
+    help: str  # of `--help` and of Python's `help`
+    metavar: str | None = None  # the word for the value, if the kind of the field has none
+    flag: str | None = ""  # "": `--` and the name of the field; None: only a file can give it
+    keyword: str = ""  # in Python; "": the name of the field
+    later: bool = False  # whether a study that continues may change it
 
 
 Time = Annotated[str, Kind.TIME]
@@ -143,23 +135,13 @@ Spec = type[StudySpec] | type[BoundarySpec]
 
 
 class SpecField(NamedTuple):
-    """A field of a spec, as its readers need it.
-
-    Attributes:
-        shape: `dict`: texts by key; `list`: several texts; else the type of its one value, or Literal.
-        kind: of its texts.
-        default: None: it has to be given.
-        limits: the least and the largest number; None: there is none.
-        words: of a Literal.
-    """
-
     name: str
-    shape: Any
-    kind: Kind
-    default: Any
+    shape: Any  # `dict`: texts by key; `list`: several texts; else the type of its one value, or Literal
+    kind: Kind  # of its texts
+    default: Any  # None: it has to be given
     option: Option
-    limits: tuple[int | None, int | None]
-    words: tuple[str, ...]
+    limits: tuple[int | None, int | None]  # the least and the largest number; None: there is none
+    words: tuple[str, ...]  # of a Literal
 
     @property
     def flag(self) -> str | None:
@@ -173,7 +155,6 @@ class SpecField(NamedTuple):
 
 
 def fields(spec: Spec) -> dict[str, SpecField]:
-    """The fields of a class of specs by name, in the order of their declaration."""
     hints, found = get_type_hints(spec, include_extras=True), {}
     for name, default in ((each.name, _default(each)) for each in msgspec.structs.fields(spec)):
         what, *about = get_args(hints[name])
@@ -191,7 +172,6 @@ def _default(field: msgspec.structs.FieldInfo) -> Any:
 
 
 def texts(spec: msgspec.Struct) -> list[str]:
-    """Every text in a spec."""
     found: list[str] = []
     for value in msgspec.structs.asdict(spec).values():
         match value:

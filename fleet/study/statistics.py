@@ -47,11 +47,7 @@ class PairedComparison(NamedTuple):
 
 
 def pass_rate(passed: int, runs: int, confidence: float = CONFIDENCE) -> Estimate:
-    """The share of runs that passed, with its Wilson score interval.
-
-    Args:
-        runs: with a verdict; 0 gives NaN.
-    """
+    """The share of runs that passed, with its Wilson score interval. `runs`: with a verdict; 0 gives NaN."""
     if runs == 0:
         return Estimate(nan, nan, nan, 0)
     from scipy.stats import binomtest
@@ -61,11 +57,8 @@ def pass_rate(passed: int, runs: int, confidence: float = CONFIDENCE) -> Estimat
 
 
 def most_failures(runs: int, confidence: float = CONFIDENCE) -> float:
-    """The largest share of runs that may fail where none of some did, one-sided and exact; about 3 / runs.
-
-    Args:
-        runs: that passed, with seeds that were not chosen for it; at least 1.
-    """
+    """The largest share of runs that may fail where none of some did, one-sided and exact; about 3 / runs. `runs`: that
+    passed, with seeds that were not chosen for it; at least 1."""
     return float(1.0 - (1.0 - confidence) ** (1.0 / runs))
 
 

@@ -24,19 +24,12 @@ _PASS = ("pass", "passed")
 
 
 class Rule(NamedTuple):
-    """When a point has enough: half the width of the 95 % interval is at most `margin`.
+    """When a point has enough: half the width of the 95 % interval is at most `margin`."""
 
-    Attributes:
-        text: the rule as the user wrote it.
-        column: the rule is on the median of this measure. None: on the share of runs that passed.
-        margin: in the unit of the column. A share or a relative margin has no unit.
-        relative: whether the margin is relative to the median.
-    """
-
-    text: str
-    column: MeasureColumn | None
-    margin: float
-    relative: bool
+    text: str  # the rule as the user wrote it
+    column: MeasureColumn | None  # the rule is on the median of this measure. None: on the share of runs that passed
+    margin: float  # in the unit of the column. A share or a relative margin has no unit
+    relative: bool  # whether the margin is relative to the median
 
     @property
     def columns(self) -> list[str]:
@@ -44,14 +37,12 @@ class Rule(NamedTuple):
         return [] if self.column is None else [self.column.name]
 
     def estimate(self, rows: Iterable[Row]) -> Estimate:
-        """Of the rows of one point."""
         judged = [row for row in rows if row.has_result]
         if self.column is None:
             return pass_rate(sum(row.passed is True for row in judged), len(judged))
         return median([self.column.number(row.number(self.column.name)) for row in judged])
 
     def met(self, found: Estimate) -> bool:
-        """Whether an estimate is narrow enough."""
         margin = self.margin * abs(found.value) if self.relative else self.margin
         return found.low == found.high or found.half <= margin
 
@@ -63,14 +54,8 @@ def watched_by(text: str) -> list[str]:
 
 
 def parse_until(text: str, columns: Sequence[MeasureColumn]) -> Rule:
-    """`pass ±5 %`, `e_rms_m ±0.05 m`, `e_rms_m ±10 %`; `+-` is the same as `±`.
-
-    Args:
-        columns: measures that there are.
-
-    Raises:
-        StudyError: it is none of them.
-    """
+    """`pass ±5 %`, `e_rms_m ±0.05 m`, `e_rms_m ±10 %`; `+-` is the same as `±`. `columns`: measures that there are.
+    Raises StudyError: it is none of them."""
     found = _parts(text)
     unit, margin = found["unit"] or "", float(found["number"])
     column = next(iter(find_columns(watched_by(text), columns)), None)
@@ -101,22 +86,13 @@ def _parts(text: str) -> re.Match[str]:
 
 
 def seed_sequence(first: Sequence[int], most: int) -> list[int]:
-    """The seeds that points may have: those of the plan, then the numbers behind the largest of them.
-
-    Args:
-        most: how many; not fewer than the plan has.
-    """
+    """The seeds that points may have: those of the plan, then the numbers behind the largest of them. `most`: how many;
+    not fewer than the plan has."""
     return [*first, *islice(count(max(first) + 1), max(0, most - len(first)))]
 
 
 def seeds_needed(rule: Rule, rows: Mapping[int, Row], seeds: Sequence[int], first: int) -> int:
-    """How many of the seeds a point needs, as far as its rows show.
-
-    Args:
-        rows: of the point, by seed.
-        seeds: that it may have.
-        first: how many it needs in any case.
-    """
+    """How many of the seeds a point needs, as far as its rows show. `first`: how many it needs in any case."""
     needed = first
     while needed < len(seeds):
         there = [rows[seed] for seed in seeds[:needed] if seed in rows]

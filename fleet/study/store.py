@@ -49,16 +49,12 @@ _DETAILS = ("key", "reason", "digest", "version", "cores")
 
 
 class StudyPoint(NamedTuple):
-    """A point of a study."""
-
     number: int
     values: dict[str, float | str]  # by key of the axis
     scenario: str  # its whole text
 
 
 class Column(NamedTuple):
-    """A column of the table of runs."""
-
     name: str
     kind: str  # of SQLite
     unit: str = ""
@@ -77,14 +73,8 @@ class Store:
     def create(
         cls, directory: Path, record: StudyRecord, points: Sequence[tuple[Mapping[str, AxisValue], str]]
     ) -> Store:
-        """Make the directory of a new study.
-
-        Args:
-            points: the values of each by key, and its whole scenario.
-
-        Raises:
-            StudyError: the directory is there already, or cannot be written.
-        """
+        """Make the directory of a new study. `points`: the values of each by key, and its whole scenario. Raises
+        StudyError: the directory is there already, or cannot be written."""
         store = cls(directory, record)
         size = sum(len(text) for _, text in points)
         if size > _MOST_POINT_BYTES:
@@ -112,11 +102,7 @@ class Store:
 
     @classmethod
     def open(cls, directory: Path) -> Store:
-        """The store of a study that is there.
-
-        Raises:
-            StudyError: there is none, or it is damaged.
-        """
+        """The store of a study that is there. Raises StudyError: there is none, or it is damaged."""
         record = read_record(directory)
         store = cls(directory, record)
         seeds = record.seeds
@@ -132,11 +118,7 @@ class Store:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Have the study for writing.
-
-        Raises:
-            StudyError: another program has it.
-        """
+        """Have the study for writing. Raises StudyError: another program has it."""
         with ExitStack() as stack:
             if not stack.enter_context(self._lock()):
                 raise StudyError(f"another fleet runs the study {self.directory}")
@@ -146,7 +128,6 @@ class Store:
 
     @contextmanager
     def _lock(self) -> Iterator[bool]:
-        """Try to be the only program that writes."""
         try:
             with (self.directory / NAME).open("rb") as file:
                 try:
@@ -185,7 +166,6 @@ class Store:
 
     @cached_property
     def columns(self) -> list[Column]:
-        """The columns of a run, with their units."""
         checks = self.record.checks
         return [
             Column("point", "INTEGER"), Column("seed", "INTEGER"),
@@ -224,7 +204,6 @@ class Store:
         return found
 
     def _connect(self, mode: str) -> sqlite3.Connection:
-        """Open the database with `ro` or `rw`; the first time also check it. Raises StudyError."""
         try:
             about = self._file.stat()
             if not S_ISREG(about.st_mode):
@@ -306,7 +285,6 @@ class Store:
 
     @property
     def folder(self) -> Path | None:
-        """Where laws are looked for besides the current directory."""
         return None if self.record.folder is None else Path(self.record.folder)
 
     @cached_property
@@ -329,14 +307,8 @@ class Store:
         return seed_sequence(first, rules.most_seeds) if rules.until else list(first)
 
     def needed(self, before: Mapping[int, int] | None = None) -> dict[int, int]:
-        """How many seeds each point needs, as far as its rows show; none, where a border is looked for.
-
-        Args:
-            before: what was needed earlier, which saves the way there.
-
-        Raises:
-            StudyError: the study is damaged.
-        """
+        """How many seeds each point needs, as far as its rows show; none, where a border is looked for. `before`: what
+        was needed earlier, which saves the way there. Raises StudyError: the study is damaged."""
         first = dict.fromkeys(range(len(self.points)), 0 if self.record.border else len(self.record.seeds))
         first |= before or {}
         if (rule := self.rule) is None or self.record.border:
@@ -354,7 +326,6 @@ class Store:
         return sum(not rule.met(rule.estimate(rows)) for rows in full)
 
     def _rows_of(self, rule: Rule) -> dict[int, dict[int, Row]]:
-        """The input of a rule, by point and seed."""
         by_point: dict[int, dict[int, Row]] = {}
         for row in self.rows(rule.columns):
             by_point.setdefault(row.point, {})[row.seed] = row
@@ -394,16 +365,9 @@ class Store:
             raise broken from None
 
     def rows(self, numbers: Sequence[str] = (), *, checks: bool = False, details: bool = False) -> list[Row]:
-        """All rows, ordered by point and seed, so that their order does not tell who ran them.
-
-        Args:
-            numbers: the measures that the rows have.
-            checks: whether they have the verdicts of the checks.
-            details: whether they have the key, the reason, the digest, and who made them.
-
-        Raises:
-            StudyError: the study is damaged, or holds more than a study writes.
-        """
+        """All rows, ordered by point and seed, so that their order does not tell who ran them. `checks`: whether they
+        have the verdicts of the checks. `details`: whether they have the key, the reason, the digest, and who made
+        them. Raises StudyError: the study is damaged, or holds more than a study writes."""
         names = self.record.checks if checks else []
         wanted = ["point", "seed", "status", "passed", *(_DETAILS if details else ())]
         wanted += [f"{part}.{name}" for name in names for part in ("check", "value", "margin")]

@@ -44,12 +44,8 @@ class NamedStudy(NamedTuple):
 
 
 def study_named(name: str) -> NamedStudy | None:
-    """The study of a shipped name or of a file; None: it may be the name of a scenario.
-
-    Raises:
-        ScenarioError: with every mistake in the file.
-        StudyError: the name is nearly that of a study.
-    """
+    """The study of a shipped name or of a file; None: it may be the name of a scenario. Raises ScenarioError: with
+    every mistake in the file; StudyError: the name is nearly that of a study."""
     if name in shipped_studies():
         return NamedStudy(parse_study(Source(f"{name}.yaml", study_text(name))))
     path = Path(name)
@@ -66,49 +62,33 @@ def study_named(name: str) -> NamedStudy | None:
 
 
 def refuse_study(name: str) -> None:
-    """Refuse a name or a file, where a scenario is needed; a directory is not looked into.
-
-    Raises:
-        StudyError: it is a study.
-        ScenarioError: it is one with mistakes.
-    """
+    """Refuse a name or a file, where a scenario is needed; a directory is not looked into. Raises StudyError: it is a
+    study; ScenarioError: it is one with mistakes."""
     if not Path(name).is_dir() and study_named(name) is not None:
         raise StudyError(f"{name} is a study, not a scenario: fleet sweep {name} runs it")
 
 
 def is_study(source: Source) -> bool:
-    """Whether a text is a study rather than a scenario."""
     root, _ = read(source)
     return isinstance(root, Mapping) and _KEY in root.entries
 
 
 def parse_study(source: Source, folder: Path | None = None) -> StudySpec:
-    """The study that a text describes.
-
-    Args:
-        folder: where the file of a scenario is looked for; None: only scenarios that ship are known.
-
-    Raises:
-        ScenarioError: with every mistake that was found, in the order of the text.
-    """
+    """The study that a text describes. `folder`: where the file of a scenario is looked for; None: only scenarios that
+    ship are known. Raises ScenarioError: with every mistake that was found, in the order of the text."""
     root, problems = read(source)
     reader = _Reader(problems, folder)
     values: dict[str, Any] = {}
     if isinstance(root, Mapping):
         for key in root.entries.keys() - {_KEY}:
             hint = f"keys of the scenario stand in set, below {_KEY}"
-            reader.tell(root.keys[key], f'unknown key "{shown(key)}": a study is the one key "{_KEY}"', hint)
+            reader.tell(root.keys[key], f'unknown key "{printable(key[:60])}": a study is the one key "{_KEY}"', hint)
         values = reader.study(root.entries.get(_KEY, root))
     elif root is not None:
         reader.expected(f'a mapping with the key "{_KEY}"', root, _KEY)
     if reader.problems:
         raise ScenarioError(sorted(reader.problems, key=lambda problem: (problem.line, problem.column)))
     return StudySpec(**values)
-
-
-def shown(text: str) -> str:
-    """A text of a stranger's file in a message."""
-    return printable(text[:60])
 
 
 class _Reader:
@@ -118,15 +98,12 @@ class _Reader:
         self.problems, self._folder, self._fields = problems, folder, fields(StudySpec)
 
     def tell(self, place: TextPlace, message: str, hint: str = "") -> None:
-        """Tell a mistake."""
         self.problems.append(place.problem(message, hint))
 
     def expected(self, what: str, node: Node, key: str) -> None:
-        """Tell that a value is something else."""
         self.tell(node.place, f"{key}: expected {what}, got {describe_value(plain(node))}")
 
     def study(self, node: Node) -> dict[str, Any]:
-        """The values by key, without the wrong ones."""
         if not isinstance(node, Mapping):
             self.expected("a mapping with at least a scenario", node, _KEY)
             return {}
@@ -134,7 +111,7 @@ class _Reader:
         for key, value in node.entries.items():
             if key not in self._fields:
                 hint = nearest(key, self._fields) or f"known here: {', '.join(self._fields)}"
-                self.tell(node.keys[key], f'unknown key "{shown(key)}"', hint)
+                self.tell(node.keys[key], f'unknown key "{printable(key[:60])}"', hint)
             elif not (isinstance(value, Scalar) and value.value is None):
                 values[key] = self._value(self._fields[key], value)
         if "scenario" not in node.entries:
@@ -189,7 +166,6 @@ def is_file(scenario: str, folder: Path = Path()) -> bool:
 
 
 def _nested(text: str) -> Any:
-    """A mapping or list where the text is exactly that, so that reading the file gives the same text again."""
     if _NESTED.match(text):
         node, problems = read(Source("", text))
         if not problems and isinstance(node, Mapping | Items) and inline(plain(node)) == text:

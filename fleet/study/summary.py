@@ -15,8 +15,6 @@ DEFAULT = ("formation_final_m", "age_p95_s", "loss_share")
 
 @dataclass(frozen=True, slots=True)
 class PointSummary:
-    """The results of one point's runs."""
-
     values: dict[str, float | str]  # by key of the axis
     runs: int  # that were made
     failed: int  # of those, without a result
@@ -25,15 +23,8 @@ class PointSummary:
 
 
 def summarise(store: Store, measures: Sequence[MeasureColumn] = ()) -> list[PointSummary]:
-    """The summary of each point that has a run, in the order of the points.
-
-    Args:
-        store: the study.
-        measures: the measures to summarise. Empty: the measures of the study, or else `DEFAULT`.
-
-    Raises:
-        StudyError: the study is damaged.
-    """
+    """The summary of each point that has a run, in the order of the points. `measures`: the measures to summarise.
+    Empty: the measures of the study, or else `DEFAULT`. Raises StudyError: the study is damaged."""
     chosen = list(measures) or find_columns(store.record.measures or DEFAULT, store.record.columns)
     by_point: dict[int, list[Row]] = {}
     for row in store.rows([column.name for column in chosen]):

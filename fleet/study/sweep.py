@@ -41,8 +41,6 @@ _WRITE_S, _WRITE_ROWS = 10.0, 1000  # rows wait at most so long, or until there 
 
 @dataclass(slots=True)
 class Progress:
-    """Where a study is."""
-
     runs: int  # all of them
     made: int  # that have a row, also from before
     new: int = 0  # made by this program
@@ -60,11 +58,9 @@ class Progress:
 
     @property
     def passing(self) -> Estimate:
-        """The share of all runs so far, of whatever point, that passed."""
         return pass_rate(self.passed, self.judged)
 
     def count(self, row: Row) -> None:
-        """Count a row whose run is made."""
         self.judged += row.has_result
         self.passed += row.passed is True
 
@@ -81,22 +77,10 @@ def prepare(
     border: BorderRecord | None = None,
     warn: Callable[[str], None] = lambda _: None,
 ) -> tuple[Store, Modules]:
-    """Check every point, and make the directory of the study.
-
-    Args:
-        plan: the runs.
-        directory: of the new study.
-        spec: the source of the plan; the directory keeps it.
-        border: the object of the search, if the study is that of a border.
-        warn: called with each check that cannot pass, in words.
-
-    Returns:
-        The study, and the modules of laws that its runs need.
-
-    Raises:
-        ScenarioError: with the mistakes of all points, each once.
-        StudyError: two points are the same, or the directory cannot be made.
-    """
+    """Check every point, and make the directory of the study. `spec`: the source of the plan; the directory keeps it.
+    `border`: the object of the search, if the study is that of a border. `warn`: called with each check that cannot
+    pass, in words. Returns the study, and the modules of laws that its runs need. Raises ScenarioError: with the
+    mistakes of all points, each once; StudyError: two points are the same, or the directory cannot be made."""
     scenarios = load_points(plan)
     for text in point_warnings(plan, scenarios):
         warn(text)
@@ -143,12 +127,8 @@ def declared(spec: StudySpec, scenarios: Sequence[Scenario]) -> tuple[tuple[str,
 
 
 def modules_again(store: Store) -> Modules:
-    """The modules that the runs of a study need that is there. It may come from anybody, so they need trust.
-
-    Raises:
-        ScenarioError: one of them may not run, or a scenario is damaged.
-        StudyError: the study is damaged.
-    """
+    """The modules that the runs of a study need that is there. It may come from anybody, so they need trust. Raises
+    ScenarioError: one of them may not run, or a scenario is damaged; StudyError: the study is damaged."""
     policy = Policy(A_STUDY)
     name, folder = store.record.scenario, store.folder
     scenarios = [parse_scenario(point.scenario, name, folder=folder, policy=policy) for point in store.points]
@@ -185,19 +165,9 @@ def run_study(
     budget_s: float = inf,
     logs: KeepLogs | None = None,
 ) -> Progress:
-    """Make every run that has no row yet; then the logs that are kept.
-
-    Args:
-        tell: called several times a second.
-        modules: that the runs need, and that are let in.
-        timeout_s: of wall time, for one run.
-        budget_s: of wall time; then no run is made any more, and those under way are given up.
-        logs: which are kept; None: as the study says.
-
-    Raises:
-        StudyError: rows cannot be written. Earlier rows stay.
-        KeyboardInterrupt: at any time; rows that were made are written.
-    """
+    """Make every run that has no row yet; then the logs that are kept. `budget_s`: of wall time; then runs that are
+    under way are given up. `logs`: None: as the study says. Raises StudyError: rows cannot be written, and earlier ones
+    stay; KeyboardInterrupt: at any time, and rows that were made are written."""
     refuse_border(store)
     kept = store.record.rules.keep_logs if logs is None else logs
     work = Work(store, engine, tell, time.monotonic() + budget_s)
@@ -221,8 +191,6 @@ class _BudgetSpent(Exception):
 
 
 class Work:
-    """A study that is being made."""
-
     def __init__(self, store: Store, engine: Engine, tell: Callable[[Progress], None], until: float) -> None:
         self.store, self.engine, self.until, self._tell = store, engine, until, tell
         self.progress = Progress(0, 0, began=time.monotonic())
@@ -234,11 +202,8 @@ class Work:
             raise _BudgetSpent
 
     def make(self, tasks: Iterator[Task]) -> set[tuple[int, int]]:
-        """Make some runs of the study, which is locked, and write their rows as they come.
-
-        Returns:
-            (point, seed) of those that were made.
-        """
+        """Make some runs of the study, which is locked, and write their rows as they come. Returns (point, seed) of
+        those that were made."""
         rows = _Rows(self)
         try:
             self.engine.make(tasks, rows.take, rows.wait)
@@ -278,7 +243,6 @@ class _Rows:
 
 
 def _make_missing(work: Work, like: Task) -> None:
-    """Round by round, until no point needs more seeds."""
     store, progress = work.store, work.progress
     needed, done = store.needed(), set[tuple[int, int]]()
     for row in store.rows():
@@ -302,7 +266,6 @@ def _tasks(store: Store, needed: Mapping[int, int], done: Set[tuple[int, int]], 
 
 
 def task_of(point: StudyPoint, seed: int, like: Task, log: str = "") -> Task:
-    """The run of a point with a seed; the rest of it is as in another one."""
     key = run_key(f"{point.scenario}\nseed {seed}")
     return like._replace(key=key, point=point.number, seed=seed, text=point.scenario, log=log)
 
@@ -351,19 +314,12 @@ def _keep_logs(work: Work, like: Task, kept: KeepLogs) -> None:
 # Two points have the same mistake if it differs only in the value that is varied, or in numbers. So a wrong key is
 # reported once, not per value.
 
-
 _NUMBER = re.compile(rf"(?<!\w){NUMBER.pattern}", re.ASCII)
 
 
 def load_points(plan: Plan, *, refused: list[Problem] | None = None) -> list[Scenario]:
-    """The scenario of each point.
-
-    Args:
-        refused: a list that receives the laws that may not run; None: such a law is an error.
-
-    Raises:
-        ScenarioError: with the mistakes of all points, each once.
-    """
+    """The scenario of each point. `refused`: a list that receives the laws that may not run; None: such a law is an
+    error. Raises ScenarioError: with the mistakes of all points, each once."""
     scenarios: list[Scenario] = []
     mistakes: dict[tuple[int, str], tuple[Problem, list[Point]]] = {}
     for point in plan.points:
@@ -391,7 +347,6 @@ def point_warnings(plan: Plan, scenarios: Sequence[Scenario]) -> list[str]:
 
 
 def _same(problem: Problem, point: Point) -> str:
-    """A text that is the same for the same mistake of another point."""
     words = _without_values(f"{problem.message}\n{problem.hint}", point)
     if problem.file.startswith("--"):  # its value may be the one that is varied, so columns differ
         return f"{_without_values(problem.file, point)}\n{words}"
@@ -399,7 +354,6 @@ def _same(problem: Problem, point: Point) -> str:
 
 
 def _without_values(text: str, point: Point) -> str:
-    """A text without the values of the point, and without other numbers."""
     for value in sorted((value.text for value in point.values.values()), key=len, reverse=True):
         text = re.sub(rf"(?<![\w.]){re.escape(value)}(?!\.?\w)", "{}", text)
     return _NUMBER.sub("{}", text)
@@ -418,7 +372,6 @@ def _with_points(problem: Problem, points: list[Point], plan: Plan) -> Problem:
 
 
 def _of_points(points: list[Point], plan: Plan) -> str:
-    """Which points a sentence is about; empty: all."""
     if len(points) == len(plan.points):
         return ""
     return f" (in {len(points)} of {len(plan.points)} points, first {points[0].shown})"

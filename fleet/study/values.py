@@ -38,7 +38,6 @@ _UNIT = "|".join(map(re.escape, _UNITS))
 
 
 def _quantity(name: str) -> str:
-    """The pattern of a number and a unit, as groups `name` and `name_unit`."""
     return rf"(?P<{name}>{NUMBER.pattern})(?:\s*(?P<{name}_unit>{_UNIT}))?"
 
 
@@ -70,39 +69,23 @@ class AxisValue(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """A key that is varied.
-
-    Attributes:
-        key: a key of the scenario, such as `network.links.*.loss`, or a name in a template.
-        unit: unit of the numbers. Empty: they have none, or the values are words.
-        values: the values in order. Empty: they are still to be drawn.
-        how: `grid`: the listed values. `random`, `latin`: `count` values are drawn between `low` and `high`.
-        low, high: the ends of the range.
-        count: number of values to draw.
-        scale: `log`: equal ratios are equally likely, or equally far apart.
-        step: drawn values are rounded to whole steps above `low`. With 0 they are not rounded.
-        option: the command-line option that varies the key.
-    """
-
-    key: str
-    unit: str = ""
-    values: tuple[AxisValue, ...] = ()
-    how: How = "grid"
-    low: float = 0.0
+    key: str  # a key of the scenario, such as `network.links.*.loss`, or a name in a template
+    unit: str = ""  # unit of the numbers. Empty: they have none, or the values are words
+    values: tuple[AxisValue, ...] = ()  # the values in order. Empty: they are still to be drawn
+    how: How = "grid"  # `grid`: the listed values. `random`, `latin`: `count` values are drawn between `low` and `high`
+    low: float = 0.0  # the ends of the range
     high: float = 0.0
-    count: int = 0
-    scale: Literal["lin", "log"] = "lin"
-    step: float = 0.0
-    option: str = "--vary"
+    count: int = 0  # number of values to draw
+    scale: Literal["lin", "log"] = "lin"  # `log`: equal ratios are equally likely, or equally far apart
+    step: float = 0.0  # drawn values are rounded to whole steps above `low`. With 0 they are not rounded
+    option: str = "--vary"  # the command-line option that varies the key
 
     @property
     def sampled(self) -> bool:
-        """Whether its values are to be drawn."""
         return self.how != "grid"
 
     @property
     def numeric(self) -> bool:
-        """Whether every value is a number."""
         return self.sampled or all(value.number is not None for value in self.values)
 
     def at(self, share: float) -> AxisValue:
@@ -118,14 +101,8 @@ class Axis:
 
 
 def parse_axis(text: str, *, fine: int = 0) -> Axis:
-    """The axis that `KEY=VALUES` describes.
-
-    Args:
-        fine: if above 0, a range needs no step. It gets a round step, with at least this number of steps.
-
-    Raises:
-        StudyError: it has no key, or its values are none.
-    """
+    """The axis that `KEY=VALUES` describes. `fine`: if above 0, a range needs no step. It gets a round step, with at
+    least this number of steps. Raises StudyError: it has no key, or its values are none."""
     return axis(*key_and_values(text), fine=fine)
 
 
@@ -292,7 +269,6 @@ def _value(number: float, unit: str) -> AxisValue:
 
 
 def _split(text: str) -> Iterator[str]:
-    """The text at commas that are not within brackets or quotation marks."""
     depth, quote, begin = 0, "", 0
     for at, character in enumerate(text):
         if quote:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from datetime import timedelta
+from itertools import count
 from types import TracebackType
 
 from rich.console import Console as Terminal
@@ -41,9 +42,8 @@ class StatusLine:
     def __init__(self, terminal: Terminal, *, quiet: bool, first_s: float | None = None) -> None:
         """Prepare it; nothing is shown yet.
 
-        Args:
-            quiet: show nothing at all.
-            first_s: how long nothing is shown at first; by default 0 on a terminal, a while elsewhere.
+        `quiet`: show nothing at all. `first_s`: how long nothing is shown at first; by default 0 on a terminal, a while
+        elsewhere.
         """
         self._terminal, self._quiet = terminal, quiet or _hushed.get()
         self.live = rewritable(terminal)
@@ -61,6 +61,11 @@ class StatusLine:
     def due(self) -> bool:
         """Whether it is time to show something."""
         return not self._quiet and time.monotonic() >= self._next
+
+    def update(self, what: Callable[[], str | Sequence[Piece]]) -> None:
+        """Show what a function gives, when it is time."""
+        if self.due():
+            self.show(what())
 
     def show(self, what: str | Sequence[Piece]) -> None:
         """Show a text, or as much of some pieces as fits, on a terminal in place of what was shown before."""
@@ -108,26 +113,18 @@ FIRST_S = 2.0  # work that is done by then shows nothing
 def showing(doing: str, *, quiet: bool = False) -> Iterator[Callable[[float], None]]:
     """A function to call with the share done (0..1), as often as you like."""
     with StatusLine(Terminal(stderr=True), quiet=quiet, first_s=FIRST_S) as line:
-
-        def report(share: float) -> None:
-            if line.due():
-                line.show([Piece(1, [doing, *shortened(doing, 40, 20)]), Piece(0, [f"{100 * share:.0f} %"])])
-
-        yield report
+        yield lambda share: line.update(lambda: [_named(doing), Piece(0, [f"{100 * share:.0f} %"])])
 
 
 @contextmanager
 def showing_steps(doing: str) -> Iterator[Callable[[], None]]:
     """A function to call at each step of work of unknown length; only a terminal shows it."""
-    steps = 0
-    terminal = Terminal(stderr=True)
+    terminal, steps = Terminal(stderr=True), count(1)
     with StatusLine(terminal, quiet=not rewritable(terminal), first_s=FIRST_S) as line:
 
         def report() -> None:
-            nonlocal steps
-            steps += 1
-            if line.due():
-                line.show([Piece(1, [doing, *shortened(doing, 40, 20)]), Piece(0, [f"step {steps}"])])
+            step = next(steps)
+            line.update(lambda: [_named(doing), Piece(0, [f"step {step}"])])
 
         yield report
 
@@ -137,12 +134,11 @@ def showing_time(doing: str) -> Iterator[Callable[[float, float], None]]:
     """A function to call with the simulated time reached and the time at which the work ends [s]."""
     terminal = Terminal(stderr=True)
     with StatusLine(terminal, quiet=False, first_s=REFRESH_S if rewritable(terminal) else PLAIN_S) as line:
+        yield lambda at_s, end_s: line.update(lambda: f"{doing} t = {at_s:.1f} / {end_s:g} s")
 
-        def report(at_s: float, end_s: float) -> None:
-            if line.due():
-                line.show(f"{doing} t = {at_s:.1f} / {end_s:g} s")
 
-        yield report
+def _named(doing: str) -> Piece:
+    return Piece(1, [doing, *shortened(doing, 40, 20)])
 
 
 @contextmanager

@@ -42,8 +42,7 @@ def fit(pieces: Sequence[Piece], width: int | None = None) -> str:
     it shortens all other pieces step by step. Only if that is not enough, it drops these, too. Remaining room goes to
     the required pieces, then to as many optional ones as possible, by rank.
 
-    Args:
-        width: in characters; None: no limit.
+    `width`: in characters; None: no limit.
     """
     chosen = [piece.forms[0] for piece in pieces]
     if width is None:
@@ -107,9 +106,8 @@ def say(text: str, *, err: bool = False) -> None:
 def fold(text: str, width: int | None, indent: str = INDENT) -> str:
     """Lines folded between words; a word that is longer, a path for instance, stays whole.
 
-    Args:
-        width: in characters; None: nothing is folded.
-        indent: of the lines that go on, behind the indent of the line itself.
+    `width`: in characters; None: nothing is folded. `indent`: of the lines that go on, behind the indent of the line
+    itself.
     """
     if width is None:
         return text
@@ -179,11 +177,7 @@ def columns(headings: Mapping[str, int], rows: Iterable[Sequence[str]]) -> list[
 
 
 def show(wanted: Sequence[TerminalColumn], title: str, terminal: Terminal, elsewhere: str) -> None:
-    """Print the columns that have room, and where the others are.
-
-    Args:
-        elsewhere: what has all figures, in words.
-    """
+    """Print the columns that have room, and where the others are. `elsewhere`: what has all figures, in words."""
     from rich.markup import escape
     from rich.table import Table
     from rich.text import Text

@@ -35,7 +35,6 @@ class ChartSignal(NamedTuple):
     absolute: bool = False
 
     def value(self, message: Any) -> float | None:
-        """A signal's value in a message; None: it has none."""
         value = getattr(message, self.field)
         if self.component is None:
             return hypot(*(value if isinstance(value, Collection) else [value])) if self.absolute else float(value)
@@ -79,10 +78,7 @@ class Signals:
 
     def of_all(self, name: str) -> dict[int, str]:
         """The names of a signal, of every vehicle that has it or of the one in the name; none: there is no such signal.
-
-        Args:
-            name: such as `control.leader`, `command.tau_0`, `|error.e|` or `|uuv/3/error.e|`.
-        """
+        `name`: such as `control.leader`, `command.tau_0`, `|error.e|` or `|uuv/3/error.e|`."""
         known = parse_name(name)
         if known is None:
             return {}
@@ -121,7 +117,6 @@ class Signals:
 
     @property
     def units(self) -> dict[str, str]:
-        """The unit of each signal, by its name."""
         return {name: signal.unit for name, signal in self.by_name.items()}
 
     def follow(self, names: Collection[str]) -> None:
@@ -147,7 +142,6 @@ class Signals:
 
 
 def published_signals(topics: Mapping[str, PublishedTopic]) -> Signals:
-    """The signals of a journal that is published."""
     channels, schemas = [], {}
     for number, (topic, (name, descriptor_set, units)) in enumerate(topics.items(), start=1):
         channels.append(Channel(number, topic, "protobuf", {UNITS: units}, number))

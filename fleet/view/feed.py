@@ -35,7 +35,7 @@ def take(picture: ViewState, topic: str, at_s: float, data: bytes, *, moving: bo
         if topic == TRANSFORMS:
             picture.transforms(at_s, decoded(FrameTransforms, data))
         elif topic == FAULTS:
-            picture.event(at_s, _fault(data))
+            picture.event(at_s, decoded(_FAULT, data))
         elif (believer := believer_of(topic)) is not None:
             picture.believes(*believer, at_s, decoded(_BELIEFS[believer[1]], data))
         elif (link := link_of(topic)) is not None:
@@ -45,13 +45,9 @@ def take(picture: ViewState, topic: str, at_s: float, data: bytes, *, moving: bo
 def fault_message(data: bytes) -> Any:
     """A message of the topic `faults`; None: it is damaged."""
     try:
-        return _fault(data)
+        return decoded(_FAULT, data)
     except DecodeError:
         return None
-
-
-def _fault(data: bytes) -> Any:
-    return decoded(_FAULT, data)
 
 
 def is_lost(data: bytes) -> bool:
@@ -69,7 +65,6 @@ def checks_so_far(rows: list[Row]) -> Row:
 
 
 def checks_asked(scenario: Scenario) -> Row:
-    """The checks of a scenario as it writes them, none of them judged."""
     checks = yaml.safe_load(scenario.to_yaml()).get("checks") or {}
     rows = [{"check": name, "asked": _words(value), "passed": None, "found": ""} for name, value in checks.items()]
     return checks_so_far(rows)

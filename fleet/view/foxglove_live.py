@@ -25,7 +25,6 @@ def services(run: LiveRun) -> list[ServiceOffer]:
     """The services; each asks the console of the run, and an error of its is the answer."""
 
     def inject(asked: dict[str, Any]) -> dict[str, Any]:
-        _known("inject", asked, ("what", "for", "id"))
         what = asked.get("what")
         if not isinstance(what, str) or not what.strip():
             raise FleetError("what? The words of fleet inject, such as \"down '1<->2' for 5s\"")
@@ -35,34 +34,21 @@ def services(run: LiveRun) -> list[ServiceOffer]:
                 fault[key] = asked[key]
         return ask(run, "inject", fault=fault)
 
-    def heal(asked: dict[str, Any]) -> dict[str, Any]:
-        _known("heal", asked, ("id",))
-        return ask(run, "heal", id=asked.get("id") or None)
-
-    def faults(asked: dict[str, Any]) -> dict[str, Any]:
-        _known("faults", asked, ())
-        return ask(run, "faults")
-
     def clock(asked: dict[str, Any]) -> dict[str, Any]:
-        _known("clock", asked, ("do", "value"))
         do, value = asked.get("do"), asked.get("value")
         return ask(run, "clock", do=do, value=1 if do == "step" and value is None else value)
 
     return [
         ServiceOffer("/fleet/inject", _object(what=_TEXT, **{"for": _TEXT}, id=_TEXT),
                      _object(id=_TEXT, what=_TEXT, from_s=_NUMBER, to_s=_NUMBER), inject),
-        ServiceOffer("/fleet/heal", _object(id=_TEXT), _object(healed=_list(_TEXT), at_s=_NUMBER), heal),
+        ServiceOffer("/fleet/heal", _object(id=_TEXT), _object(healed=_list(_TEXT), at_s=_NUMBER),
+                     lambda asked: ask(run, "heal", id=asked.get("id") or None)),
         ServiceOffer("/fleet/faults", _object(),
-                     _object(faults=_list(_object(id=_TEXT, what=_TEXT, state=_TEXT))), faults),
+                     _object(faults=_list(_object(id=_TEXT, what=_TEXT, state=_TEXT))),
+                     lambda _: ask(run, "faults")),
         ServiceOffer("/fleet/clock", _object(do=_DO, value=_NUMBER),
                      _object(clock=_TEXT, at_s=_NUMBER), clock),
     ]  # fmt: skip
-
-
-def _known(service: str, asked: dict[str, Any], keys: tuple[str, ...]) -> None:
-    for key in asked:
-        if key not in keys:
-            raise FleetError(f"{service} takes {', '.join(keys) or 'nothing'}, not {key:.40}")
 
 
 def _object(**properties: dict[str, Any]) -> dict[str, Any]:
@@ -85,16 +71,9 @@ class LiveBridge:
     """From the publisher of a live run to a server for viewers."""
 
     def __init__(self, source: LiveSource, journal: LiveJournal, host: str, port: int | None, *, control: bool) -> None:
-        """Ask for the topics, and listen.
-
-        Args:
-            journal: of the run.
-            control: whether viewers may inject, heal and hold the clock.
-
-        Raises:
-            FleetError: the run does not say what it publishes; there is no port, or only the observer's credentials are
-                at hand, and viewers are to control.
-        """
+        """Ask for the topics, and listen. `control`: whether viewers may inject, heal and hold the clock. Raises
+        FleetError: the run does not say what it publishes; there is no port, or only the observer's credentials are at
+        hand, and viewers are to control."""
         offered = services(source.controlled()) if control else ()
         self._journal = journal
         self._topics = ask_topics(journal.bus, journal.keys)

@@ -27,15 +27,8 @@ class LogBridge:
     """From a log to a server for viewers. It plays while somebody watches, and never ends by itself."""
 
     def __init__(self, tape: Tape, host: str, port: int | None, *, rate: float, loop: bool) -> None:
-        """Listen.
-
-        Args:
-            rate: times the log's own pace.
-            loop: begin again at the end.
-
-        Raises:
-            FleetError: there is no port.
-        """
+        """Listen. `rate`: times the log's own pace. `loop`: begin again at the end. Raises FleetError: there is no
+        port."""
         self._tape, self._loop = tape, loop
         ours = "uuv-fleet" in tape.metadata.get("run", {})
         self._begin_ns = 0 if ours else tape.due(0)  # simulated time begins at 0, whatever is logged first
@@ -54,7 +47,6 @@ class LogBridge:
         self._begun = False
 
     def run(self, keyboard: Keyboard, line: StatusLine) -> None:
-        """Play until an exception ends it."""
         while True:
             now = time.monotonic_ns()
             if away := keyboard.suspended_ns():
@@ -77,7 +69,6 @@ class LogBridge:
                 self._obey(key)
 
     def _choose(self, changes: list[Subscription]) -> None:
-        """Play what viewers want now, from where the log is."""
         if not changes:
             return
         now, before = time.monotonic_ns(), self._player
@@ -160,7 +151,6 @@ class LogBridge:
             self.server.put(entry.channel.id, entry.data, entry.log_ns)
 
     def _send_last(self, channels: Iterable[int], log_ns: int) -> None:
-        """Send the last message before a time of each channel."""
         for n in sorted(channels):
             if n not in self._alone:
                 self._alone[n] = Track(self._tape, (n,))

@@ -94,19 +94,9 @@ class FoxgloveServer:
         services: Sequence[ServiceOffer] = (),
         range_ns: tuple[int, int] | None = None,
     ) -> None:
-        """Listen.
-
-        Args:
-            name: of the source, as viewers show it.
-            host: an address of this host.
-            port: None: 8765, or another one if that is taken.
-            channels: by number.
-            services: what clients may ask for.
-            range_ns: of the time that clients may seek in; None: they have no control of it.
-
-        Raises:
-            FleetError: the port is taken, or the address is none of this host.
-        """
+        """Listen. `port`: None: 8765, or another one if that is taken. `services`: what clients may ask for.
+        `range_ns`: of the time that clients may seek in; None: they have no control of it. Raises FleetError: the port
+        is taken, or the address is none of this host."""
         self._events: SimpleQueue[Subscription | PlaybackRequest] = SimpleQueue()
         self._wanted: set[tuple[int, int]] = set()  # channel and client
         self._told_ns = 0  # wall time
@@ -134,12 +124,10 @@ class FoxgloveServer:
 
     @property
     def viewers(self) -> int:
-        """How many clients want any message."""
         return len({client for _, client in self._wanted})
 
     @property
     def wanted(self) -> set[int]:
-        """The channels that somebody wants."""
         return {channel for channel, _ in self._wanted}
 
     def events(self, timeout_s: float) -> list[Subscription | PlaybackRequest]:
@@ -172,12 +160,8 @@ class FoxgloveServer:
             self._server.broadcast_time(log_ns)
 
     def state(self, status: str, log_ns: int, rate: float, *, jumped: bool = False, request: str = "") -> None:
-        """How the log is played: `Playing`, `Paused` or `Ended`.
-
-        Args:
-            jumped: the time did not just go on.
-            request: the id of the request that this answers.
-        """
+        """How the log is played: `Playing`, `Paused` or `Ended`. `jumped`: the time did not just go on. `request`: the
+        id of the request that this answers."""
         self._server.broadcast_playback_state(
             PlaybackState(getattr(PlaybackStatus, status), log_ns, rate, jumped, request)
         )
@@ -187,7 +171,6 @@ class FoxgloveServer:
         self._server.clear_session()
 
     def say(self, text: str, *, warning: bool = False) -> None:
-        """Show a sentence in every viewer."""
         self._server.publish_status(text, StatusLevel.Warning if warning else StatusLevel.Info)
 
     def fell_behind(self) -> bool:
@@ -198,7 +181,6 @@ class FoxgloveServer:
         return dropped
 
     def close(self) -> None:
-        """End it. Clients that are connected see the connection close."""
         self._drops.close()
         self._server.stop()
 
@@ -209,7 +191,6 @@ def _made(channel: FoxgloveChannel, context: foxglove.Context) -> foxglove.Chann
 
 
 def _started(host: str, ports: Sequence[int], **settings: Any) -> WebSocketServer:
-    """A server on the first of these ports that is free. Raises FleetError: none is."""
     for port in ports:
         try:
             return foxglove.start_server(host=host, port=port, **settings)
@@ -273,6 +254,10 @@ def _service(offer: ServiceOffer) -> Service:
             raise FleetError(f"{offer.name} takes a JSON object") from None
         if not isinstance(asked, dict):
             raise FleetError(f"{offer.name} takes a JSON object")
+        known = offer.request.get("properties", asked)  # a schema without them says nothing of keys
+        if unknown := [key for key in asked if key not in known]:
+            name = offer.name.rpartition("/")[2]
+            raise FleetError(f"{name} takes {', '.join(known) or 'nothing'}, not {unknown[0]:.40}")
         return json.dumps(offer.call(asked)).encode()
 
     return Service(

@@ -26,17 +26,11 @@ from fleet.view.view_state import NOT_PLACED, SAMPLE_S, Row, ViewState
 
 
 class LiveFeed:
-    """Follows one live run."""
-
     live = True
 
     def __init__(self, source: LiveSource) -> None:
-        """Connect, and subscribe unless the run is awaited: then `listen` does.
-
-        Raises:
-            FleetError: the publisher cannot be reached, or does not say what it publishes.
-            ScenarioError: that scenario is none for this version.
-        """
+        """Connect, and subscribe unless the run is awaited: then `listen` does. Raises FleetError: the publisher cannot
+        be reached, or does not say what it publishes; ScenarioError: that scenario is none for this version."""
         self.source = source
         self.name = source.directory.name
         self.log = source.directory / "run.mcap"
@@ -76,7 +70,6 @@ class LiveFeed:
 
     @property
     def missing(self) -> Missing:
-        """The messages that did not come."""
         return self._journal.missing
 
     @property
@@ -147,11 +140,8 @@ class LiveFeed:
                 self._over = "the run is over" if whole else "the run broke: its console is gone"
 
     def ask(self, op: str, **fields: Any) -> Row:
-        """Ask the console for something, over a connection that stays.
-
-        Raises:
-            RemoteError: it refuses, or does not answer; or only an observer's credentials are at hand.
-        """
+        """Ask the console for something, over a connection that stays. Raises RemoteError: it refuses, or does not
+        answer; or only an observer's credentials are at hand."""
         if self._run is None and self.source.awaited:
             raise RemoteError(f"the console of {self.name} does not answer yet")
         if self._run is None:
@@ -169,7 +159,6 @@ class LiveFeed:
             raise
 
     def clock(self) -> Row:
-        """How time goes."""
         status, over = self._status, self._over
         text = over or status.get("clock", "waiting for the run")
         waiting = status.get("waiting", "")
@@ -192,13 +181,9 @@ class LiveFeed:
         return lost if self.picture.placed else NOT_PLACED
 
     def follow(self, names: Collection[str]) -> None:
-        """Bring these signals into the picture, and those that have a chart from the start, and no others.
-
-        The latter need no browser that asks for them. So one that comes later, or comes back, sees their last minute.
-
-        Raises:
-            KeyError: there is none of a name.
-        """
+        """Bring these signals into the picture, and those that have a chart from the start, and no others. The latter
+        need no browser that asks for them. So one that comes later, or comes back, sees their last minute. Raises
+        KeyError: there is none of a name."""
         names = {*names, *(name for charted in self.charted for name in self.signals.meant(charted))}
         self.signals.follow(names)
         self.picture.follow(names)
@@ -210,7 +195,6 @@ class LiveFeed:
             self._ends[topic] = self._journal.subscribe(topic)
 
     def close(self) -> None:
-        """End."""
         self._journal.close()
         if self._connection is not None:
             self._connection.close()

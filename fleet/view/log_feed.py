@@ -39,19 +39,9 @@ Points = list[list[float | None]]
 
 
 def samples(path: Path, end_s: float, vehicles: int, neighbours: Mapping[int, Collection[int]]) -> list[list[Any]]:
-    """Samples over a whole log, in the form of `ViewState.history` but without places.
-
-    Args:
-        end_s: of the log.
-        vehicles: how many there are.
-        neighbours: whom each vehicle hears.
-
-    Returns:
-        nothing, if the log does not have the errors of the vehicles.
-
-    Raises:
-        LogReadError: the log cannot be read.
-    """
+    """Samples over a whole log, in the form of `ViewState.history` but without places. `neighbours`: whom each vehicle
+    hears. Returns nothing, if the log does not have the errors of the vehicles. Raises LogReadError: the log cannot be
+    read."""
     names = [f"uuv/{i}/error" for i in range(1, vehicles + 1)]
     log = Opening(path, [*names, "link/*"], drawn={"uuv/*": frozenset({"formation_norm"}), "link/*": _LINK}).read()
     at = np.linspace(0.0, end_s, 1 + max(1, min(_most(vehicles), round(end_s / LEAST_S))))
@@ -68,11 +58,8 @@ def samples(path: Path, end_s: float, vehicles: int, neighbours: Mapping[int, Co
 
 
 def curves(path: Path, signals: Collection[ChartSignal]) -> dict[str, Points]:
-    """The values of signals over a whole log, times in s, by their names.
-
-    Raises:
-        LogReadError: the log cannot be read.
-    """
+    """The values of signals over a whole log, times in s, by their names. Raises LogReadError: the log cannot be
+    read."""
     if not signals:
         return {}
     fields = {one.topic: frozenset(other.field for other in signals if other.topic == one.topic) for one in signals}
@@ -103,13 +90,7 @@ def thinned(values: Array, most: int) -> Array:
 
 def first_above(path: Path, vehicles: Collection[int], limit: float, after_s: float) -> float | None:
     """When the formation error of one of these vehicles is not below a limit [m] for the first time after a time.
-
-    Returns:
-        None: never, as far as is known.
-
-    Raises:
-        LogReadError: the log cannot be read.
-    """
+    Returns None: never, as far as is known. Raises LogReadError: the log cannot be read."""
     names = [f"uuv/{i}/error" for i in vehicles]
     log = Opening(path, names, drawn={"uuv/*": frozenset({"formation_norm"})}).read()
     times = []
@@ -136,7 +117,6 @@ def _one(signal: ChartSignal, values: Array) -> Array:
 
 
 def _column(log: Log, name: str, field: str) -> tuple[Array, Array]:
-    """Times [s] and values; none if the log has none that can be read."""
     try:
         topic = log[name]
         if len(topic) and np.issubdtype(topic[field].dtype, np.number) and topic[field].size:
@@ -200,21 +180,11 @@ MOST_AT_ONCE = 20_000  # messages between two pictures, and those that a jump lo
 
 
 class LogFeed:
-    """Plays one log."""
-
     live = False
 
     def __init__(self, path: Path, rate: float = 1.0, *, loop: bool = False) -> None:
-        """Read it through.
-
-        Args:
-            rate: of the playback, times its own pace.
-            loop: begin again at the end.
-
-        Raises:
-            LogReadError: it cannot be read.
-            FleetError: it holds no scenario of ours.
-        """
+        """Read it through. `rate`: of the playback, times its own pace. `loop`: begin again at the end. Raises
+        LogReadError: it cannot be read; FleetError: it holds no scenario of ours."""
         self.path = path
         self._loop = loop
         self.name = run_name(path)
@@ -259,11 +229,8 @@ class LogFeed:
         return player
 
     def _all_faults(self) -> list[Row]:
-        """Every fault that the log tells of, with its end.
-
-        Raises:
-            LogReadError: they are more than anybody could look at.
-        """
+        """Every fault that the log tells of, with its end. Raises LogReadError: they are more than anybody could look
+        at."""
         found: dict[str, Row] = {}
         held = 0  # bytes
         end_s = self._tape.end_ns / 1e9
@@ -315,7 +282,6 @@ class LogFeed:
                 take(self.picture, entry.channel.topic, entry.log_ns / 1e9, entry.data)
 
     def clock(self) -> Row:
-        """How time goes."""
         player = self.player
         over = player.over
         text = "at the end" if over else "paused" if player.paused else f"{player.rate:g} x real time"
@@ -332,7 +298,6 @@ class LogFeed:
         self.player.toggle(time.monotonic_ns())
 
     def set_rate(self, rate: float) -> None:
-        """Go on at another rate."""
         self.player.set_rate(time.monotonic_ns(), rate)
 
     def seek(self, at_s: float) -> None:
@@ -349,13 +314,8 @@ class LogFeed:
         self._jumped = True
 
     def first_failure_s(self) -> float:
-        """When the first of the failed checks failed, as far as that is known; 0: none did.
-
-        Each of these checks knows then when it failed, as `at_s`.
-
-        Raises:
-            LogReadError: the log cannot be read.
-        """
+        """When the first of the failed checks failed, as far as that is known; 0: none did. Each of these checks knows
+        then when it failed, as `at_s`. Raises LogReadError: the log cannot be read."""
         failed = [row for row in self.checks["rows"] if row["passed"] is False]
         for row in failed:
             row["at_s"] = self._failed_s(row)
@@ -376,11 +336,8 @@ class LogFeed:
         return None
 
     def whole(self, names: Collection[str] = ()) -> Row:
-        """The data of charts over the whole log: samples, and the values of signals.
-
-        Raises:
-            LogReadError: the log cannot be read.
-        """
+        """The data of charts over the whole log: samples, and the values of signals. Raises LogReadError: the log
+        cannot be read."""
         return {
             "samples": self._samples,
             "signals": curves(self.path, [self.signals.by_name[name] for name in sorted(names)]),

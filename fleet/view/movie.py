@@ -28,12 +28,8 @@ class GifWriter(AbstractMovieWriter):
     """Collects pictures, and writes them at the end; the same pictures give the same bytes."""
 
     def __init__(self, fps: int, colours: tuple[str, ...]) -> None:
-        """Prepare it.
-
-        Args:
-            fps: pictures per second, at most 50; a GIF counts in 10 ms.
-            colours: of the drawing, on white. The palette has tints of each, and greys. At most 34.
-        """
+        """Prepare it. `fps`: pictures per second, at most 50; a GIF counts in 10 ms. `colours`: of the drawing, on
+        white. The palette has tints of each, and greys. At most 34."""
         super().__init__(fps=fps)
         self._pictures: list[Image.Image] = []
         parts = [grey for grey in _GREYS for _ in range(3)]
@@ -48,14 +44,12 @@ class GifWriter(AbstractMovieWriter):
         self._pictures.clear()
 
     def grab_frame(self, **savefig_kwargs: Any) -> None:
-        """Take the figure as it is now."""
         buffer = BytesIO()
         self.fig.savefig(buffer, format="rgba", dpi=self.dpi, **savefig_kwargs)
         picture = Image.frombytes("RGBA", self.frame_size, buffer.getvalue()).convert("RGB")
         self._pictures.append(picture.quantize(palette=self._palette, dither=Image.Dither.NONE))
 
     def finish(self) -> None:
-        """Write the file."""
         first, *others = self._pictures
         # With `optimize` it would look for the colours that are used, of the first picture.
         first.save(self.outfile, "gif", save_all=True, append_images=others, duration=round(100 / self.fps) * 10,
@@ -81,7 +75,6 @@ def write(
     """Draw a log.
 
     Args:
-        log: to read.
         out: the file, `.gif`, or `.mp4` if ffmpeg is there. An existing file is replaced.
         tell: called with the share of the work that is done.
         view: `above` or `3d`.
@@ -149,7 +142,6 @@ def _grab(writer: GifWriter | FFMpegWriter, drawn: Iterator[int], tell: Callable
 
 
 def _charted(feed: LogFeed, name: str) -> tuple[str, dict[int, str]]:
-    """Unit and names by vehicle of a signal that all vehicles have."""
     names = feed.signals.of_all(name)
     return feed.signals.by_name[next(iter(names.values()))].unit, names
 

@@ -83,12 +83,10 @@ class Canvas:
     """Draws on axes that count in points."""
 
     def __init__(self, axes: Axes, camera: Camera, size: float) -> None:
-        """`size`: of what is drawn of each vehicle, 1 where there is room."""
         self._axes, self._camera, self.size = axes, camera, size
         self._drawn: list[Artist] = []
 
     def clear(self) -> None:
-        """Remove what was drawn."""
         for artist in self._drawn:
             artist.remove()
         self._drawn = []
@@ -103,7 +101,6 @@ class Canvas:
         self._add(LineCollection(segments, colors=colours, linewidths=widths, zorder=order, **style))
 
     def polygons(self, parts: Sequence[Any], order: float, **style: Any) -> None:
-        """Filled outlines (n, 2)."""
         self._add(PolyCollection(parts, zorder=order, **style))
 
     def discs(self, points: Sequence[Array], size: float, order: float, **style: Any) -> None:
@@ -117,16 +114,10 @@ class Canvas:
         self.lines([point + turn for point in points for turn in turns], 4.0, colour, 1.8)
 
     def text(self, x: float, y: float, text: str, **style: Any) -> None:
-        """Words, which never are mathematics."""
         self._drawn.append(self._axes.text(x, y, text, clip_on=True, parse_math=False, **style))
 
     def paint(self, thing: Primitive, frames: Mapping[str, Array], deep: float) -> None:
-        """Paint a primitive.
-
-        Args:
-            frames: where they are [m, NED].
-            deep: where the floor is [m].
-        """
+        """Paint a primitive. `frames`: where they are [m, NED]. `deep`: where the floor is [m]."""
         colour = PRINT.colour(thing.colour)
         match thing:
             case CylinderShape():
@@ -149,7 +140,6 @@ class Canvas:
         return self._camera.project(frames[point.frame] + point[1:])[0, :2]
 
     def _cylinder(self, thing: CylinderShape, colour: str, deep: float) -> None:
-        """Its circles on the floor and above, and the sides between."""
         top = max(0.0, self._camera.centre[2] - 1.5 * self._camera.radius)
         across = thing.north + thing.radius * np.cos(TURNS), thing.east + thing.radius * np.sin(TURNS)
         low, high = (self._camera.project(np.column_stack([*across, np.full_like(TURNS, z)])) for z in (deep, top))
@@ -160,7 +150,6 @@ class Canvas:
 
 
 def sample(row: LegendRow) -> Line2D:
-    """The sample picture in a row of the legend."""
     if row.sign == "link":
         colour, width, dash = PRINT.links[LinkState(row.word)]
         return Line2D([], [], color=colour, linewidth=width, linestyle=(0, dash) if dash else "-", label=row.name)
@@ -175,7 +164,6 @@ def sample(row: LegendRow) -> Line2D:
 
 
 def hull(tail: Array, nose: Array, half: float) -> Array:
-    """The outline of a torpedo between two points."""
     along = nose - tail
     aside = np.array([-along[1], along[0]]) / (np.linalg.norm(along) or 1.0) * half
     sides = [tail + share * along + sign * wide * aside for sign in (1, -1) for share, wide in OUTLINE[::sign]]
@@ -213,15 +201,7 @@ class MovieChart:
         faults: Sequence[Row],
         signals: Mapping[str, tuple[str, Mapping[int, str]]],
     ) -> None:
-        """Draw what stays.
-
-        Args:
-            figure: to draw in.
-            window: of the movie [s of simulated time].
-            vehicles: their number.
-            faults: rows with from_s and to_s.
-            signals: by their name for all vehicles: the unit, and the names by vehicle.
-        """
+        """Draw what stays. `signals`: by their name for all vehicles: the unit, and the names by vehicle."""
         shown = dict(list(signals.items())[:MOST_SIGNALS])
         self._names = {
             name: (each, k) for k, (_, names) in enumerate(shown.values(), 1) for each, name in names.items()
@@ -251,7 +231,6 @@ class MovieChart:
         self._now = [ax.axvline(window[0], color="0.3", linewidth=THIN) for ax in self._axes]
 
     def draw(self, frame: Row) -> None:
-        """Draw up to a frame."""
         for (times, values), error in zip(self._values[0], frame["errors"], strict=True):
             times.append(frame["t"])
             values.append(np.nan if error is None else error)
@@ -303,16 +282,8 @@ class MovieScene:
         verdict: Row | None = None,
         charted: Mapping[str, tuple[str, Mapping[int, str]]] | None = None,
     ) -> None:
-        """Draw what stays.
-
-        Args:
-            picture: of the log; its faults are all known.
-            begin_s, end_s: of the movie [simulated time].
-            rate: simulated seconds per second of the movie.
-            above: whether the fleet is seen from above, or in 3D.
-            verdict: on the run: its `text`, and whether it has `passed`; None: there is none.
-            charted: signals that are drawn beside the errors, as `MovieChart` takes them.
-        """
+        """Draw what stays. `begin_s`, `end_s`: in simulated time. `rate`: simulated seconds per second of the movie.
+        `verdict`: on the run: its `text`, and whether it has `passed`. `charted`: as `MovieChart` takes it."""
         self._setup, self._begin_s, self._rate = picture.setup(), begin_s, rate
         self._picture, self._model = picture, picture.scene
         self._happened = picture.happenings  # of the whole log
@@ -357,12 +328,7 @@ class MovieScene:
                 self._trails.setdefault(int(i), deque(maxlen=int(TRAIL_S / SAMPLE_S))).append(place)
 
     def draw(self, frame: Row, at_s: float) -> None:
-        """Draw a frame.
-
-        Args:
-            frame: as `ViewState.frame` gives it, of now.
-            at_s: its time in the movie.
-        """
+        """Draw a frame. `frame`: as `ViewState.frame` gives it, of now. `at_s`: its time in the movie."""
         canvas, camera = self._canvas, self._camera
         canvas.clear()
         self.remember(frame)
@@ -433,7 +399,6 @@ class MovieScene:
         self._canvas.lines(parts, 1.0, colours, 1.2)
 
     def _draw_links(self, rows: dict[int, list[Any]], states: list[str]) -> list[Array | None]:
-        """Draw them; returns the two ends of each, None: one of its vehicles is nowhere."""
         lanes: list[Array | None] = []
         by_state: dict[LinkState, list[Array]] = {}
         canvas, size = self._canvas, self._canvas.size
@@ -530,13 +495,11 @@ def _short(text: str, most: int) -> str:
 
 
 def _step(value: float) -> float:
-    """The next lower of 1, 2, 5, 10, ..."""
     power = 10.0 ** floor(log10(value))
     return power * max(digit for digit in (1.0, 2.0, 5.0) if digit * power <= value)
 
 
 def _axis(row: list[Any], length: float) -> Array:
-    """Tail and nose of a vehicle of a frame (2, 3) [m]."""
     north, east, down, pitch, heading = row[1:6]
     half = length / 2 * np.array([cos(pitch) * cos(heading), cos(pitch) * sin(heading), -sin(pitch)])
     place = np.array([north, east, down])

@@ -43,14 +43,8 @@ def suggestions(kind: str, target: str) -> dict[str, str]:
 
 
 def entry(words: str, lasts: str, scenario: Scenario, tick: int) -> dict[str, Any]:
-    """The fault that words describe, checked by the rules of scenarios as if it began at a tick.
-
-    Args:
-        lasts: how long, as `10s`; empty: until healed.
-
-    Raises:
-        FleetError: it is none, or not for this scenario; the text says what is wrong.
-    """
+    """The fault that words describe, checked by the rules of scenarios as if it began at a tick. `lasts`: how long, as
+    `10s`; empty: until healed. Raises FleetError: it is none, or not for this scenario; the text says what is wrong."""
     found = read_fault(words)
     if lasts.strip():
         if "for" in found:
@@ -70,12 +64,10 @@ def inject(words: str, lasts: str, run: str) -> str:
 
 
 def heal(name: str | None, run: str) -> str:
-    """The command that heals a fault, or all."""
     return shlex.join(["fleet", "heal", *([name] if name else []), "--run", run])
 
 
 def clock(do: str, value: float | None, run: str) -> str:
-    """The command that holds, steps or paces a run."""
     number = "max" if do == "speed" and value is None else "" if value is None else f"{value:g}"
     return shlex.join(["fleet", "clock", do, *([number] if number else []), "--run", run])
 
@@ -116,7 +108,6 @@ class FaultForm:
             self._lasts.on("keydown.enter", self._go)
 
     def open(self, kind: str, said: Row) -> None:
-        """Show it for what was clicked."""
         offered: dict[str, str] = {}
         match kind:
             case "link":
@@ -177,11 +168,8 @@ class FaultForm:
 
 
 def _away(at: Any) -> str:
-    """At which side of the window a dialog hides least of what was clicked.
-
-    Args:
-        at: where that was, as shares of the window from the left and from the top, and whether the window is narrow.
-    """
+    """At which side of the window a dialog hides least of what was clicked. `at`: where that was, as shares of the
+    window from the left and from the top, and whether the window is narrow."""
     match at:
         case [float() | int() as x, float() | int() as y, narrow]:
             return ("top" if y > 0.5 else "bottom") if narrow else ("left" if x > 0.5 else "right")
@@ -208,7 +196,6 @@ class FleetView(ui.element, component="page/fleet_view.js", esm={"fleet-view": "
         self.on("say", lambda event: said(_said(event)))
 
     def give(self, changes: Row) -> None:
-        """Change values of the model in the browser."""
         self.run_method("give", changes)
 
 
@@ -238,7 +225,6 @@ class Page:
         app.on_shutdown(self.feed.close)
 
     def build(self) -> None:
-        """Make the page of one browser."""
         ui.add_css(_HERE / "page" / "fleet_view.css")
         ui.query(".nicegui-content").classes("fleet-page")
         viewer = Viewer(self)
@@ -258,7 +244,6 @@ class Page:
             self._followed = names
 
     def tell_all(self, changes: Row) -> None:
-        """Give every browser something."""
         for viewer in self._viewers:
             viewer.give(changes)
 
@@ -302,11 +287,8 @@ class Page:
         self.tell_all({"checks": self.feed.checks})
 
     async def do(self, command: str, op: str, **fields: Any) -> Row:
-        """Ask the console for something, and note which command would have done it.
-
-        Raises:
-            FleetError: it refuses, or nothing may be asked for here.
-        """
+        """Ask the console for something, and note which command would have done it. Raises FleetError: it refuses, or
+        nothing may be asked for here."""
         if not self.may_act or not isinstance(self.feed, LiveFeed):
             raise FleetError(ONLY_WATCHED)
         feed = self.feed
@@ -320,14 +302,11 @@ class Page:
         return answer or {}
 
     def note(self, command: str) -> None:
-        """Add to the commands that had an effect."""
         self.commands.append(command)
         self.tell_all({"commands": list(self.commands)})
 
 
 class Viewer:
-    """One browser."""
-
     def __init__(self, page: Page) -> None:
         self._page = page
         self._ready = False
@@ -353,7 +332,6 @@ class Viewer:
         self._form = FaultForm(feed, page.do) if isinstance(feed, LiveFeed) and page.may_act else None
 
     def give(self, changes: Row) -> None:
-        """Give it something, once it listens."""
         if self._ready:
             self.element.give(changes)
 
@@ -419,7 +397,6 @@ class Viewer:
                 self._play(feed, said)
 
     async def _give_whole(self) -> None:
-        """The curves of a log, as far as they are shown; those of the newest question come last."""
         feed = self._page.feed
         if isinstance(feed, LogFeed):
             async with self._page.wholes:

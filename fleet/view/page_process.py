@@ -18,17 +18,17 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from queue import Queue
+from typing import Any
 
 from fleet.errors import FleetError
 from fleet.execution.directory import OBSERVE
 from fleet.logs.reader import log_path
+from fleet.processes.beside import begin, end, pipe
 from fleet.view.live_feed import LiveFeed
 from fleet.view.log_feed import LogFeed
 from fleet.view.server import PageListener, serve
 from fleet.view.source import LiveSource, find_source
 
-# With `-m` a file in the current directory could take the place of a module.
-_MAIN = "import sys; sys.path.append(sys.argv[1]); from fleet.view.page_process import main; main()"
 CLOSE_S = 5.0
 
 
@@ -38,56 +38,35 @@ class PageProcess:
     def __init__(self, listener: PageListener) -> None:
         """Start it: it shows the run that it is told of."""
         descriptor = listener.listening.fileno()
-        # A group of its own: Ctrl-C is the run's business. The token goes through the pipe, which nobody else sees.
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-c", _MAIN, str(Path(__file__).parents[2])],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            pass_fds=[descriptor],
-            process_group=0,
-        )
-        values = {
-            "listening": descriptor,
-            "host": listener.host,
-            "port": listener.port,
-            "token": listener.token,
-        }
-        assert self._process.stdin is not None
-        self._process.stdin.write(json.dumps(values).encode() + b"\n")
-        self._process.stdin.flush()
+        streams: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.DEVNULL, "pass_fds": [descriptor]}
+        self._process = begin("fleet.view.page_process", **streams)
+        # The token goes through the pipe, which nobody else sees.
+        self._say({"listening": descriptor, "host": listener.host, "port": listener.port, "token": listener.token})
         listener.listening.close()  # it is the page's now
 
     def published(self, directory: Path) -> None:
         """Say that the journal of the run can be read: the page is its first subscriber."""
-        self._say(directory)
+        self._say(str(directory))
 
     def over(self, directory: Path) -> None:
         """Say that the run is over: if it was so short that it was never seen, its log is shown."""
-        self._say(directory)
+        self._say(str(directory))
 
-    def _say(self, directory: Path) -> None:
-        assert self._process.stdin is not None
+    def _say(self, told: str | dict[str, Any]) -> None:
+        stdin = pipe(self._process.stdin)
         with suppress(OSError):  # it has ended
-            self._process.stdin.write(json.dumps(str(directory)).encode() + b"\n")
-            self._process.stdin.flush()
+            stdin.write(json.dumps(told).encode() + b"\n")
+            stdin.flush()
 
     def wait(self) -> None:
-        """Until it ends by itself."""
         self._process.wait()
 
     def close(self) -> None:
-        """End it."""
-        assert self._process.stdin is not None
-        self._process.stdin.close()
-        try:
-            self._process.wait(CLOSE_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        pipe(self._process.stdin).close()
+        end(self._process, CLOSE_S)
 
 
 def main() -> None:
-    """Show the run of a console until stdin ends."""
     values = json.loads(sys.stdin.buffer.readline())
     told: Queue[Path] = Queue()
     threading.Thread(target=_listen, args=(told,), daemon=True).start()
@@ -101,11 +80,8 @@ def main() -> None:
 
 
 def _feed_of(told: Queue[Path]) -> LiveFeed | LogFeed:
-    """The live run that is told of first; if it ended before it could be seen, its log.
-
-    Raises:
-        FleetError: there is no log, or the run cannot be shown.
-    """
+    """The live run that is told of first; if it ended before it could be seen, its log. Raises FleetError: there is no
+    log, or the run cannot be shown."""
     directory = told.get()
     try:
         source = find_source(str(directory), directory) if (directory / OBSERVE).exists() else None

@@ -52,13 +52,9 @@ class Guard:
     """
 
     def __init__(self, app: App, token: str, port: int, hosts: Collection[str]) -> None:
-        """Guard an application.
-
-        Args:
-            token: of the address.
-            port: of the server; cookies of one host know no ports, so our cookie has it in its name.
-            hosts: names of this host for its users; empty: any, but then a page of another host still gets nothing.
-        """
+        """Guard an application. `token`: of the address. `port`: of the server; cookies of one host know no ports, so
+        our cookie has it in its name. `hosts`: names of this host for its users; empty: any, but then a page of another
+        host still gets nothing."""
         self._app, self._token = app, token
         self._cookie = f"fleet-view-{port}"
         self._session = secrets.token_urlsafe(24)
@@ -67,7 +63,6 @@ class Guard:
             self._names |= {host.lower() for host in hosts}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, or refuse it."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -82,7 +77,6 @@ class Guard:
             await _refuse(scope, send, _NO_TOKEN)
 
     def _is_ours(self, headers: MutableMapping[bytes, str], kind: str) -> bool:
-        """Whether it was sent to a name of ours, and a websocket by a page of ours."""
         host = headers.get(b"host", "").lower()
         if self._names and host not in self._names:
             return False
@@ -163,7 +157,6 @@ class PageListener:
 
     @property
     def address(self) -> str:
-        """The address to open, with the token."""
         host = self.host
         name = socket.gethostname() if _is_any(host) else f"[{host}]" if ":" in host else host
         return f"http://{name}:{self.port}/?token={self.token}"
@@ -178,14 +171,8 @@ class PageListener:
 
 
 def open_listener(host: str = LOOPBACK, port: int | None = None) -> PageListener:
-    """Listen, with a new token.
-
-    Args:
-        port: None or 0: a free one.
-
-    Raises:
-        FleetError: NiceGUI is not installed; the address is not one of this machine, or the port is taken.
-    """
+    """Listen, with a new token. `port`: None or 0: a free one. Raises FleetError: NiceGUI is not installed; the address
+    is not one of this machine, or the port is taken."""
     if find_spec("nicegui") is None:
         raise FleetError("the page needs NiceGUI, which is not installed: pip install 'uuv-fleet[view]'")
     try:
@@ -199,11 +186,7 @@ def open_listener(host: str = LOOPBACK, port: int | None = None) -> PageListener
 
 
 def serve(feed: LiveFeed | LogFeed, listener: PageListener, *, may_act: bool) -> None:
-    """Serve the page until a signal ends the program.
-
-    Args:
-        may_act: whether the page may disturb the run.
-    """
+    """Serve the page until a signal ends the program. `may_act`: whether the page may disturb the run."""
     import uvicorn
     from fastapi import FastAPI
     from nicegui import ui
@@ -284,12 +267,10 @@ class Browser:
         return False
 
     def close(self) -> None:
-        """Remove the file."""
         self._folder.close()
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine reaches an address."""
     try:
         return ip_address(host).is_loopback
     except ValueError:

@@ -17,19 +17,12 @@ from netem.private_file import DamagedFile
 
 @dataclass(frozen=True, slots=True)
 class LiveSource:
-    """A live run: who may read its journal, and who may ask its console.
+    """A live run: who may read its journal, and who may ask its console."""
 
-    Attributes:
-        directory: of the run, or of its observe.json.
-        observed: the address of its journal, and the login to subscribe with.
-        run: for requests to its console. None: there are only the observer's credentials, so it can only be watched.
-        awaited: the run is about to begin, and its console will answer.
-    """
-
-    directory: Path
-    observed: Observed
-    run: LiveRun | None
-    awaited: bool = False
+    directory: Path  # of the run, or of its observe.json
+    observed: Observed  # the address of its journal, and the login to subscribe with
+    run: LiveRun | None  # None: there are only the observer's credentials, so it can only be watched
+    awaited: bool = False  # it is about to begin, and its console will answer
 
     def controlled(self) -> LiveRun:
         """The run, to be disturbed. Raises FleetError: it can only be watched."""
@@ -48,18 +41,10 @@ class LogSource:
 
 
 def find_source(name: str | None, runs: Path) -> LiveSource | LogSource:
-    """What is meant.
-
-    Args:
-        name: a live run (its name or the beginning of it, its scenario, its directory), an observe.json, a log, or
-            the directory of a run that is over. None: the live run that began last. If no run lives, it is the newest
-            run below `runs`.
-
-    Raises:
-        FleetError: there is none, or the run is not published.
-        RemoteError: a name means several live runs.
-        RegistryError: it is not known which runs there are.
-    """
+    """What is meant. `name`: a live run (its name or the beginning of it, its scenario, its directory), an
+    observe.json, a log, or the directory of a run that is over. None: the live run that began last. If no run lives, it
+    is the newest run below `runs`. Raises FleetError: there is none, or the run is not published; RemoteError: a name
+    means several live runs; RegistryError: it is not known which runs there are."""
     if name is None:
         return _newest(runs)
     path = Path(name)
@@ -98,7 +83,6 @@ def _newest(runs: Path) -> LiveSource | LogSource:
 
 
 def _began(directory: Path) -> float:
-    """When a live run began, by the clock of its file system."""
     try:
         return os.stat(directory / SCENARIO).st_mtime
     except OSError:

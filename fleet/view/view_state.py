@@ -58,7 +58,7 @@ class ViewState:
         self._round_s = scenario.round_ticks * scenario.tick_ns / 1e9
         self._stale_s = stale_after(self._round_s)
         self._beliefs = NewestBeliefs(scenario)
-        self._faults: list[Row] = _scripted(scenario)
+        self.known_faults: list[Row] = _scripted(scenario)  # over, active and to come
         self._events: dict[str, Row] = {}  # what happened to vehicles, by id
         self._told: list[VehicleEvents] | None = None  # the same as the console counts it; None: it was not asked
         self.changes = 0  # of `known`
@@ -120,11 +120,8 @@ class ViewState:
             self._beliefs.take(i, group, at_s, tuple(message.off), tuple(message.covariance))
 
     def packet(self, link: Link, message: Any, *, moving: bool = True) -> None:
-        """Take a message of a topic `link/<src>-<dst>`.
-
-        Args:
-            moving: whether it is to be seen on its way; not while a moment of a log is looked up.
-        """
+        """Take a message of a topic `link/<src>-<dst>`. `moving`: whether it is to be seen on its way; not while a
+        moment of a log is looked up."""
         if link not in self.links or message.fate == "in flight":
             return
         fate = fate_of(message.fate, message.due - message.sent, message.corrupted, self._round_s)
@@ -141,17 +138,14 @@ class ViewState:
             self._packets.append([self._numbers[link], round(message.sent, 4), late_s, fate])
 
     def faults(self, rows: Iterable[Mapping[str, Any]]) -> None:
-        """Take the list of faults, and of states of vehicles that last.
-
-        Args:
-            rows: id, what, from_s, to_s and until_healed, as `fleet status --all` has them.
-        """
+        """Take the list of faults, and of states of vehicles that last. `rows`: id, what, from_s, to_s and
+        until_healed, as `fleet status --all` has them."""
         keys = ("id", "what", "from_s", "to_s", "until_healed")
         plain = [{key: row[key] for key in keys} for row in rows]
         known = [row for row in plain if is_fault(row["what"])]
         events = self._events | {row["id"]: row for row in plain if not is_fault(row["what"])}
-        if (known, events) != (self._faults, self._events):
-            self._faults, self._events = known, events
+        if (known, events) != (self.known_faults, self._events):
+            self.known_faults, self._events = known, events
             self.changes += 1
 
     def happened(self, rows: Iterable[Mapping[str, Any]]) -> None:
@@ -168,12 +162,12 @@ class ViewState:
         """
         row = {"id": message.fault, "what": message.what, "from_s": at_s, "to_s": self.end_s}
         if is_fault(message.what):
-            known = next((row for row in self._faults if row["id"] == message.fault), None)
+            known = next((row for row in self.known_faults if row["id"] == message.fault), None)
         else:
             known = self._events.get(message.fault)
         if message.action == "begins" and known is None:
             if is_fault(message.what):
-                self._faults = [*self._faults, row | {"until_healed": True}]
+                self.known_faults = [*self.known_faults, row | {"until_healed": True}]
             else:
                 self._events = self._events | {message.fault: row | {"until_healed": False}}
         elif message.action == "ends" and known is not None and (known["until_healed"] or at_s < known["to_s"]):
@@ -234,12 +228,10 @@ class ViewState:
         return [i, *_rounded(self._places[i]), *_rounded((theta, psi)), speed, *_rounded(roll)]
 
     def _label(self, i: int, state: str) -> tuple[int, str, str]:
-        """The vehicle, its number and what is wrong with it, and its depth, unless there is no room for it."""
         depth = "" if self.scenario.vehicles > MANY else depth_text(self._places[i][2])
         return i, f"{i}  {state}" if state else f"{i}", depth
 
     def frame(self) -> Row:
-        """The picture now, with the packets and samples that came since the frame before."""
         t = self.at_s
         errors, states = _errors(self.errors()), self._states()
         row: Row = {
@@ -290,13 +282,8 @@ class ViewState:
     def active_faults(self) -> list[Row]:
         """The faults that are active now, and those that begin within the next minute, in order of their beginning."""
         t = self.at_s
-        shown = [row for row in self._faults if row["from_s"] <= t + HISTORY_S and t < row["to_s"]]
+        shown = [row for row in self.known_faults if row["from_s"] <= t + HISTORY_S and t < row["to_s"]]
         return [row | {"active": row["from_s"] <= t} for row in sorted(shown, key=lambda row: row["from_s"])]
-
-    @property
-    def known_faults(self) -> list[Row]:
-        """All that are known: over, active and to come."""
-        return self._faults
 
     @property
     def vehicle_events(self) -> list[VehicleEvents]:
@@ -313,7 +300,7 @@ class ViewState:
     def known(self) -> Row:
         """All faults, and what happened to vehicles; `changes` says when there is something new."""
         events = [{"text": str(row), "at_s": row.first_s} for row in self.vehicle_events]
-        return {"faults": self._faults, "events": events}
+        return {"faults": self.known_faults, "events": events}
 
     def kinds(self) -> list[list[Any]]:
         """Packets of the last minute by kind of payload: kind, all, lost; the most frequent kind first."""
@@ -324,7 +311,7 @@ class ViewState:
 
     def _states(self) -> dict[int, str]:
         found: dict[int, list[str]] = {}
-        for row in (*self._faults, *self._events.values()):
+        for row in (*self.known_faults, *self._events.values()):
             kind, _, rest = row["what"].partition(" ")
             word = NO_AGENT if kind in KILLS else kind if kind in (TUMBLED, DIVERGED, "mute", "freeze") else ""
             if word and row["from_s"] <= self.at_s < row["to_s"]:

@@ -93,8 +93,6 @@ def access_control(
     """Zenoh's `access_control` block for one run: deny by default, then what each role needs.
 
     Args:
-        keys: the keys of the run.
-        vehicles: the vehicle numbers.
         hosts: the agents that share processes. They use the login of their host, in every life. One login per agent
             would be slow: the router looks through the lists of all logins at each login (1,000 lists: 3 ms).
         certified: roles that must also show a client certificate, each with the common names that are allowed.

@@ -24,11 +24,8 @@ class Hosts:
     """The hosts of a run, as world and netem see them: the agents on each host, and the key that leads there."""
 
     def __init__(self, bus: Bus, keys: Keys, members: Members, up: Callable[[str], str]) -> None:
-        """Connect.
-
-        Args:
-            members: the vehicles of each host.
-            up: the key that carries the messages of a host with that role.
+        """Connect. `members`: the vehicles of each host. `up`: the key that carries the messages of a host with that
+        role.
         """
         numbers = range(1, len(members) + 1)
         self._of = {i: h for h, group in zip(numbers, members, strict=True) for i in group}
@@ -49,11 +46,9 @@ class Hosts:
             raise MalformedMessage("bundle", f"vehicle {i} is not on {host_role(h)}")
 
     def greet(self, h: int, echo: bytes) -> None:
-        """Answer a probe of host h."""
         self._puts[h](echo)
 
     def put(self, h: int, messages: Iterable[tuple[int, bytes]]) -> None:
-        """Send messages to agents on host h."""
         for data in bundles([BundlePart(i, message) for i, message in messages]):
             self._puts[h](data)
 

@@ -33,9 +33,7 @@ from netem.wire.session import (
     users_file,
 )
 
-# --- linger
-# Connections of this process are closed without waiting.
-#
+# --- linger: connections of this process are closed without waiting
 # Zenoh 1.10 opens them with SO_LINGER, 10 s. Closing a connection with unsent bytes then waits for them, on the one
 # thread that does all of zenoh's work here. Behind a cable that was pulled they are never taken. While zenoh waits, it
 # gives no signs of life on its other links either, and these end, too, when that takes longer than their lease. Without
@@ -70,8 +68,7 @@ def _set(descriptor: int) -> None:
         stream.detach()
 
 
-# --- parts
-# Long messages in parts, because the transport carries no long ones.
+# --- parts: long messages in parts, because the transport carries no long ones
 
 
 PART_BYTES = 32_000  # of a long message; well below `netem.wire.session.MAX_BYTES`
@@ -123,18 +120,11 @@ class Bus:
     def connect(
         cls, endpoint: str, credentials: Credentials, *, timeout_ms: int = 5000, puts: Sequence[str] = ()
     ) -> Bus:
-        """A client session to a run's router.
+        """A client session to a run's router, or to the first of several addresses, separated by commas, that answers.
+        Raises BusError if none answers in time, or it refuses the credentials or the certificate.
 
-        Args:
-            endpoint: address of the router. Several addresses are separated by commas; each is tried in turn.
-            credentials: user, password and, for TLS, the certificates.
-            timeout_ms: how long to try [ms].
-            puts: key expressions. All publishers on keys of one expression are declared to the router as one. Without
-                this, a thousand declarations at once block zenoh: the thread that waits for room in the socket is the
-                one that would make room.
-
-        Raises:
-            BusError: no router answers in time, or it refuses the credentials or the certificate.
+        All publishers on keys of one expression in `puts` are declared to the router as one. Without this, a thousand
+        declarations at once block zenoh: the thread that waits for room in the socket is the one that would make room.
         """
         settings = {
             **client_settings(endpoint.split(","), credentials, timeout_ms),
@@ -162,21 +152,11 @@ class Bus:
         listener: Listener | None = None,
         hosts: Members = (),
     ) -> Bus:
-        """Open the router of a run: it listens on `endpoint`, checks users and enforces the access-control list.
-
-        Args:
-            endpoint: address at which the run's own processes reach the router.
-            keys: the keys of the run.
-            vehicles: the vehicle numbers.
-            credentials: the users that may log in, by role.
-            private: a directory of mode 0700. Zenoh reads the users from a file there. The file is removed as soon as
-                the session is open.
-            listener: additional endpoints, for processes that do not belong to the run.
-            hosts: the agents that share processes.
-
-        Raises:
-            BusError: an endpoint is already in use, or this process may not listen on it.
-            OSError: the file of users cannot be written.
+        """Open the router of a run: it listens on `endpoint`, checks users (`credentials`, by role) and enforces the
+        access-control list. `private` is a directory of mode 0700: zenoh reads the users from a file there, which is
+        removed as soon as the session is open. `listener` has additional endpoints, for processes that do not belong to
+        the run; `hosts` are the agents that share processes. Raises BusError if an endpoint is already in use, or this
+        process may not listen on it; OSError if the file of users cannot be written.
         """
         users = users_file(private, credentials.values())
         endpoints = [endpoint, *(listener.endpoints if listener else ())]
@@ -200,9 +180,8 @@ class Bus:
         return bus
 
     def on_lost(self, handler: Callable[[], None]) -> None:
-        """Call `handler()` on a zenoh thread when a link has ended: to the router, or to a client of this router.
-
-        The session of a client connects again by itself; messages that were in transit are lost without an error.
+        """Call `handler()` on a zenoh thread when a link to the router, or to a client of this router, has ended. A
+        client's session connects again by itself; messages that were in transit are lost without an error.
         """
 
         self.watch_ends(lambda _: handler())
@@ -213,9 +192,8 @@ class Bus:
         return sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
 
     def publisher(self, key: str) -> Callable[[bytes], None]:
-        """Return a function that puts bytes on `key`, reliably and in order. It blocks while the link is congested.
-
-        The function raises BusError for more than MAX_BYTES bytes, or when the link to the router has ended.
+        """A function that puts bytes on `key`, reliably and in order. It blocks while the link is congested, and raises
+        BusError for more than MAX_BYTES bytes, or when the link to the router has ended.
         """
         publisher = self._session.declare_publisher(
             key,
@@ -248,16 +226,13 @@ class Bus:
         self._held.append(self._session.declare_subscriber(key, receive, allowed_origin=origin))
 
     def channel(self, key: str, capacity: int = 4096) -> PutQueue:
-        """A queue of every put on `key`, filled by zenoh without a Python callback.
+        """A queue of every put on a key or key expression, filled by zenoh without a Python callback.
 
         A callback needs the interpreter lock and so interrupts the main thread. In the main loops of world and agents
         it would take a fifth of the CPU time. If the channel is full, the senders block, and this session receives
-        nothing else. So a thread that waits on one channel must not leave another one full.
-
-        Args:
-            key: the key, or a key expression.
-            capacity: number of puts that the queue can hold. It should be small if foreign programs can put. Each put
-                in the queue may hold 0.5 MB (measured: zenoh keeps the whole buffer that it received).
+        nothing else. So a thread that waits on one channel must not leave another one full. `capacity` should be small
+        if foreign programs can put: each put in the queue may hold 0.5 MB (measured: zenoh keeps the whole buffer that
+        it received).
         """
         return PutQueue(self._session.declare_subscriber(key, zenoh.handlers.FifoChannel(capacity)))
 

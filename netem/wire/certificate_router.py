@@ -23,16 +23,8 @@ class CertificateRouter:
     """Listens with mutual TLS, and passes messages between the agents of `listener.certified` and the run's router."""
 
     def __init__(self, run: Bus, keys: Keys, vehicles: tuple[int, ...], listener: Listener) -> None:
-        """Open the router.
-
-        Args:
-            run: the session that hosts the router of the run.
-            keys: the keys of the run.
-            vehicles: all vehicle numbers. An agent may join here if its role is in `listener.certified`.
-            listener: the endpoints, with the certificates.
-
-        Raises:
-            BusError: an endpoint is in use, or this process may not listen on it.
+        """Open the router beside that of the session `run`. Agent i may join here if its role is in
+        `listener.certified`. Raises BusError if an endpoint is in use, or this process may not listen on it.
         """
         agents = tuple(i for i in vehicles if agent_role(i) in listener.certified)
         settings = {
@@ -58,10 +50,8 @@ class CertificateRouter:
         self._bus.close()
 
     def _connect(self, i: int) -> None:
-        """Pass on what agent i says and hears.
-
-        Each subscriber has its own thread. A subscriber that waits for room delays only its own messages. Messages keep
-        their order only within one subscriber, so tx and cmd share one.
+        """Pass on what agent i says and hears. Each subscriber has its own thread, so one that waits for room delays
+        only its own messages. Messages keep their order only within one subscriber, so tx and cmd share one.
         """
         keys, role = self._keys, agent_role(i)
         _pass_on(self._bus, self._run, keys.every(i), (keys.tx(i), keys.cmd(i)), of_others=True)

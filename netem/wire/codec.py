@@ -48,10 +48,8 @@ def _has_range(d: Delivery) -> bool:
 
 
 def decode(data: bytes) -> Message:
-    """The message in `data`, every field checked against its declaration.
-
-    Raises:
-        MalformedMessage: not MessagePack, not an array, an unknown kind, or a field out of range.
+    """The message in `data`, every field checked against its declaration. Raises MalformedMessage if it is not
+    MessagePack, not an array, of an unknown kind, or has a field out of range.
     """
     try:
         return _DECODER.decode(data)

@@ -6,10 +6,8 @@ import socket
 
 
 def probe_address(host: str, port: int) -> None:
-    """Bind a TCP socket there for a moment, as zenoh's listener will.
-
-    Raises:
-        OSError: the port is taken or not for this user, or the address is not of this host.
+    """Bind a TCP socket there for a moment, as zenoh's listener will. Raises OSError if the port is taken or not for
+    this user, or the address is not of this host.
     """
     family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     with socket.socket(family, kind, protocol) as probe:

@@ -15,8 +15,7 @@ from msgspec import Meta, Struct
 
 from netem.fault_kinds import Cause, WorldFaultKind
 
-# --- declaring
-# The parts of message declarations: types of fields with their bounds, meanings and units, and routes.
+# --- declaring: the parts of message declarations: types of fields with their bounds, meanings and units, and routes
 
 
 _GREATEST = 1.7976931348623157e308  # the greatest finite double
@@ -50,8 +49,7 @@ class WireRecord(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tru
     """A MessagePack array of fields; a message is a record with a tag, which comes first in the array."""
 
 
-# --- host messages
-# The messages of a process that hosts several agents: theirs, many in one, and that one has ended.
+# --- host messages: the messages of a process that hosts several agents: theirs, many in one, and that one has ended
 
 
 class BundlePart(WireRecord, frozen=True):

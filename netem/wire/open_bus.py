@@ -13,8 +13,7 @@ from netem.wire.access import Credentials, observer_control
 from netem.wire.keys import Keys
 from netem.wire.session import OTHERS, UNIVERSAL, client_settings, listening, open_session, reason, users_file
 
-# --- key expressions
-# Zenoh's key expressions as patterns of names.
+# --- key expressions of zenoh, as patterns of names
 
 
 def matching(text: str) -> Callable[[str], bool]:
@@ -58,17 +57,12 @@ class OpenPublication:
 
     @property
     def matched(self) -> bool:
-        """Whether anybody subscribes to the key."""
         status: Any = self._publisher.matching_status  # the stub says bool, and the object is always true
         return bool(getattr(status, "matching", status))
 
     def put(self, payload: bytes, attachment: bytes | None, place: int | None = None) -> None:
-        """Put a sample.
-
-        Args:
-            payload: the sample's payload.
-            attachment: data beside the payload; None: none.
-            place: number of earlier puts on the key. Puts that were left out count, so that a reader notices them.
+        """Put a sample, with data beside the payload or None. `place` is the number of earlier puts on the key, those
+        that were left out included, so that a reader notices them.
         """
         source = None if place is None else zenoh.SourceInfo(self._publisher.id, place)
         self._publisher.put(payload, attachment=attachment, source_info=source)
@@ -91,22 +85,15 @@ class OpenBus:
 
     @classmethod
     def listen(cls, endpoint: str) -> OpenBus:
-        """Open a router without credentials. Every process that reaches the endpoint may join.
-
-        Raises:
-            BusError: the endpoint is not valid, or it is in use.
+        """Open a router without credentials. Every process that reaches the endpoint may join. Raises BusError if the
+        endpoint is not valid, or it is in use.
         """
         return cls._listen(endpoint, OTHERS)
 
     @classmethod
     def host(cls, endpoint: str, keys: Keys, observer: Credentials, private: Path) -> OpenBus:
-        """A router where the observer may read the journal of a run; everything else is refused.
-
-        Args:
-            private: a directory of mode 0700, as for `Bus.host`.
-
-        Raises:
-            BusError: the endpoint is taken or none.
+        """A router where the observer may read the journal of a run; everything else is refused. `private`: a directory
+        of mode 0700, as for `Bus.host`. Raises BusError if the endpoint is taken or none.
         """
         users = users_file(private, [observer])
         settings = {
@@ -139,11 +126,8 @@ class OpenBus:
             raise BusError(f"{problem} {endpoint} ({reason(error)})") from None
 
     def publication(self, key: str, encoding: str, *, drop: bool) -> OpenPublication:
-        """Puts on `key`, in order. With `drop`, what a slow subscriber has no room for is lost to it; otherwise the
-        put waits, and zenoh closes the link to a subscriber that takes nothing for 5 s.
-
-        Raises:
-            BusError: the key is none.
+        """Puts on `key`, in order. With `drop`, what a slow subscriber has no room for is lost to it; otherwise the put
+        waits, and zenoh closes the link to a subscriber that takes nothing for 5 s. Raises BusError if the key is none.
         """
         control = zenoh.CongestionControl.DROP if drop else zenoh.CongestionControl.BLOCK
         try:
@@ -156,13 +140,8 @@ class OpenBus:
         return OpenPublication(publisher)
 
     def subscribe(self, key: str, handler: Callable[[Any], None]) -> Callable[[], None]:
-        """Call `handler` with zenoh's own sample, on a thread of zenoh; `sample_of` reads it later.
-
-        Returns:
-            A function that ends the subscription.
-
-        Raises:
-            BusError: the key expression is none.
+        """Call `handler` with zenoh's own sample, on a thread of zenoh; `sample_of` reads it later. Returns a function
+        that ends the subscription. Raises BusError if the key expression is none.
         """
         try:
             subscriber = self._session.declare_subscriber(key, handler)
@@ -212,7 +191,6 @@ def place_of(received: Any) -> int | None:
 
 
 def sample_of(received: Any) -> ZenohSample:
-    """Zenoh's sample as plain values."""
     attachment, stamp = received.attachment, received.timestamp
     return ZenohSample(
         str(received.key_expr),

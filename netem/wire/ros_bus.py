@@ -47,10 +47,8 @@ class RosBus(OpenBus):
 
     @classmethod
     def as_configured(cls) -> RosBus | None:
-        """A session as the environment says, in rmw_zenoh's variables; None: it says nothing.
-
-        Raises:
-            BusError: the file, or a setting, is none of zenoh's, or nobody answers.
+        """A session as the environment says, in rmw_zenoh's variables; None: it says nothing. Raises BusError if the
+        file, or a setting, is none of zenoh's, or nobody answers.
         """
         path, single = os.environ.get(SESSION_FILE), os.environ.get(SETTINGS)
         if not path and not single:
@@ -79,7 +77,6 @@ class RosBus(OpenBus):
 
     @property
     def id(self) -> str:
-        """Zenoh's id of the session."""
         return str(self._session.zid())
 
     def token(self, key: str) -> None:
@@ -95,12 +92,8 @@ class RosBus(OpenBus):
         return sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
 
     def watch_tokens(self, key: str, handler: Callable[[str, bool], None]) -> None:
-        """Report liveliness tokens.
-
-        Args:
-            key: the tokens to watch, as a key expression.
-            handler: called on a thread of zenoh as `handler(key, there)`: once for each token that exists now, with
-                True for each new token, and with False for each token that ends.
+        """Call `handler(key, there)` on a thread of zenoh once for each liveliness token of a key expression that
+        exists now, with True for each new one, and with False for each that ends.
         """
 
         def receive(sample: zenoh.Sample) -> None:

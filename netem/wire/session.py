@@ -15,9 +15,7 @@ import zenoh
 from netem.private_file import write_whole
 from netem.wire.access import LEASE_MS, Credentials, Listener
 
-# --- settings
-# Zenoh's settings for our sessions, as paths and values, with the reasons.
-#
+# --- settings: zenoh's, for our sessions, as paths and values, with the reasons
 # * `transport/unicast/lowlatency` with QoS off: 20-40 % less per round trip; our messages have one priority.
 # * `transport/link/tx/lease` of one hour on loopback: with the default of 10 s a process that was only suspended loses
 #   its messages silently, and reconnects as if nothing had happened. A dead process shows by its exit and its closed
@@ -110,10 +108,8 @@ def client_tls(credentials: Credentials) -> dict[str, Any]:
 
 
 def server_tls(listener: Listener, *, mutual: bool) -> dict[str, Any]:
-    """The other side of `client_tls`; empty when the listener has no certificate.
-
-    Args:
-        mutual: whether everybody has to show a certificate.
+    """The other side of `client_tls`; empty when the listener has no certificate. `mutual`: whether everybody has to
+    show a certificate.
     """
     settings: dict[str, Any] = {}
     if listener.certificate:
@@ -138,11 +134,7 @@ os.environ["ZENOH_RUNTIME"] = RUNTIME
 
 
 def open_session(mode: Literal["client", "router"], settings: dict[str, Any]) -> zenoh.Session:
-    """A session with `netem.wire.session.BASE`, changed by `settings`.
-
-    Raises:
-        zenoh.ZError: it cannot be opened.
-    """
+    """A session with `netem.wire.session.BASE`, changed by `settings`. Raises zenoh.ZError if it cannot be opened."""
     config = zenoh.Config()
     for key, value in ({"mode": mode} | BASE | settings).items():
         config.insert_json5(key, json.dumps(value))
@@ -150,13 +142,8 @@ def open_session(mode: Literal["client", "router"], settings: dict[str, Any]) ->
 
 
 def users_file(private: Path, credentials: Iterable[Credentials]) -> Path:
-    """Write the file that lists who may log in. The router reads it once.
-
-    Args:
-        private: a directory of mode 0700.
-
-    Raises:
-        OSError: it cannot be written.
+    """Write the file that lists who may log in. The router reads it once. `private`: a directory of mode 0700. Raises
+    OSError if it cannot be written.
     """
     users = private / "users"
     write_whole(users, "".join(f"{c.user}:{c.password}\n" for c in credentials).encode())

@@ -26,18 +26,15 @@ from netem.wire.keys import tail, vehicle_of
 from netem.wire.messages import Note
 from netem.wire.queues import Quota
 
-# --- link loss
-# A process ends when its link to the router does.
+# --- link loss: a process ends when its link to the router does
 
 
 LINK_LOST = 71  # exit status: the link to a router on another host has ended
 
 
 def end_with_link(bus: Bus, credentials: Credentials) -> None:
-    """Between hosts, end this process when its link to the router has ended.
-
-    Zenoh would make another one by itself, and what was on the way would be missing without a word. On one host a link
-    ends with a process only, and the console sees that.
+    """Between hosts, end this process when its link to the router has ended: zenoh would make another one by itself,
+    and what was on the way would be missing without a word. On one host the console sees the end of a process.
     """
 
     def end() -> None:
@@ -49,8 +46,7 @@ def end_with_link(bus: Bus, credentials: Credentials) -> None:
         bus.on_lost(end)
 
 
-# --- control
-# Control requests and their answers: maps of plain values.
+# --- control: requests and their answers: maps of plain values
 
 
 def request(op: str, **fields: Any) -> bytes:
@@ -85,11 +81,7 @@ class Shell:
     """The queue of one process, with the bus that feeds it."""
 
     def __init__(self, bus: Bus, role: str, note_key: str) -> None:
-        """Make the queue; `subscribe` and `answer` fill it.
-
-        Args:
-            note_key: key expression of the notes to the console.
-        """
+        """Make the queue; `subscribe` and `answer` fill it. `note_key`: key expression of the notes to the console."""
         self.bus = bus
         self.role = role
         self.queue: SimpleQueue[Item] = SimpleQueue()
@@ -110,18 +102,13 @@ class Shell:
         self.bus.subscribe(key, receive)
 
     def take(self, timeout_s: float | None = None) -> Item:
-        """The next item; waits for it.
-
-        Raises:
-            queue.Empty: there was none in time.
-        """
+        """Wait for the next item. Raises queue.Empty if there was none in time."""
         item = self.queue.get(timeout=timeout_s)
         if item.respond is None:
             self._quota.release(item.key)
         return item
 
     def answer(self, key: str) -> None:
-        """Queue every query on `key`."""
         put = self.queue.put
         self.bus.answer(key, lambda k, data, respond: put(Item(k, data, respond)))
 
@@ -149,10 +136,8 @@ class Probes:
         self._left: dict[int, tuple[float, float]] = {}  # by agent: how many, at what time
 
     def spend(self, i: int) -> None:
-        """Count a probe of agent i.
-
-        Raises:
-            OutOfPlace: the agent has sent more than BURST, and more than PER_S a second since.
+        """Count a probe of agent i. Raises OutOfPlace if the agent has sent more than BURST, and more than PER_S a
+        second since.
         """
         now = self._now()
         left, since = self._left.get(i, (float(self.BURST), now))

@@ -19,7 +19,7 @@ from typing import Annotated, Any, get_args, get_origin
 
 import msgspec
 import pytest
-from pydantic import BaseModel
+from pydantic import AliasChoices, BaseModel
 from repository import ROOT
 
 import agents.api
@@ -71,11 +71,12 @@ def scenario_keys(
     """The keys of a scenario with their path."""
     found: dict[str, str] = {}
     for name, field in model.model_fields.items():
-        key = f"{path}{field.alias or name}"
-        found[key] = "required" if field.is_required() else "optional"
+        known = field.validation_alias  # a key that was renamed is read by its old name, too
+        for spelt in known.choices if isinstance(known, AliasChoices) else [field.alias or name]:
+            found[f"{path}{spelt}"] = "required" if field.is_required() else "optional"
         for step, inner in _models(field.annotation):
             if inner not in above:
-                found |= scenario_keys(inner, f"{key}{step}.", (*above, model))
+                found |= scenario_keys(inner, f"{path}{field.alias or name}{step}.", (*above, model))
     return found
 
 

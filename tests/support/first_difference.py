@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
 from fleet.logs.decoder import Decoder
-from fleet.logs.deviation import besides_messages, framing
-from fleet.logs.deviation import first_difference as first
+from fleet.logs.deviation import besides_messages, difference, side
 from fleet.logs.reader import LogReader, Record
 
 
@@ -20,13 +20,14 @@ def assert_same_bytes(a: Path, b: Path) -> None:
 def first_difference(a: Path, b: Path) -> str:
     """The first message that is not the same in both logs, else the first other thing that is not; "" if none."""
     readers = LogReader(a), LogReader(b)
-    if (found := first(*readers)) is not None:
-        return str(found)
+    for number, (left, right) in enumerate(zip_longest(*readers)):
+        if left != right:
+            return str(difference(number, side("a", readers[0], left), side("b", readers[1], right)))
     if others := besides_messages(*readers):
         return others[0]
     if readers[0].missing != readers[1].missing:
         return f"missing: {readers[0].missing!r} and {readers[1].missing!r}"
-    return f"only the framing: {text}" if (text := framing(a, b)) else ""
+    return "" if a.read_bytes() == b.read_bytes() else "only the framing"
 
 
 def decode(reader: LogReader, record: Record) -> Any:

@@ -8,16 +8,22 @@ from __future__ import annotations
 
 import json
 import os
+from pathlib import Path
 from typing import Any
 
 import pytest
 from repository import ROOT
 
 import fleet
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
+from fleet.logs.reader import LogReader
+from fleet.repeat.resume import continuation
 from fleet.scenario.loading import parse_scenario
+from fleet.scenario.text.overrides import FAULT, Override
 
 GOLDEN = ROOT / "tests" / "expected" / "world.json"
-# Vehicles 3 and 4 have six degrees of freedom; 2 and 4 are out of sight of the bottom; 5 and 6 know their pose.
+# Vehicles 3 and 4 have six degrees of freedom, 2 and 4 are out of sight of the bottom, 5 has the error of a trace.
 SEA = """\
 title: A sea with everything in it
 vehicles: 6
@@ -38,6 +44,8 @@ per_vehicle:
   "3": {vehicle: {plant: remus100}, profile: remus100}
   "2, 4": {navigation: {bottom: 900 m}}
   "4": {vehicle: {plant: bluerov2}}
+  "5":
+    navigation: {trace: "time [s],north [m],east [m],down [m],heading [deg]\\n0,0,0,0,1\\n2,.5,-1,.2,2\\n9,1,1,0,-1"}
 navigation: {grade: mems, start: 50 cm, bottom: 60 m}
 """
 KNOWN = """\
@@ -105,3 +113,19 @@ def test_it_moves_as_it_did(name: str) -> None:
         assert (i, tick) == (j, when)
         assert state == pytest.approx(its, rel=1e-6, abs=1e-7), f"vehicle {i}, tick {tick}"
         assert heard == pytest.approx(told, rel=1e-6, abs=1e-7), f"what vehicle {i} was told at tick {tick}"
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_it_goes_on_from_a_snapshot(name: str, tmp_path: Path) -> None:
+    """All that its vehicles, plants, instruments and filters remember is in a snapshot."""
+    text, faults = CASES[name]
+    changes = ["log.snapshot=1 s", *(Override(FAULT, fault) for fault in faults)]
+    first = execute(parse_scenario(text, "sea.yaml", changes), Options(tmp_path, in_process=True, quiet=True))
+    scenario, start = continuation(first.directory, 1_000_000_000)
+    again = execute(scenario, Options(tmp_path, in_process=True, quiet=True, start=start))
+    whole, rest = (
+        [record for record in LogReader(run.directory / "run.mcap") if record.log_ns >= 1_000_000_000]
+        for run in (first, again)
+    )
+    assert len(rest) > 1000
+    assert rest == whole

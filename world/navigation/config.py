@@ -13,7 +13,6 @@ from world.vectors import Vec3
 # --- instrument faults
 # Faults of instruments and fixes: samples that are lost, biased, or jump.
 
-
 KINDS = (WorldFaultKind.DVL, WorldFaultKind.COMPASS, WorldFaultKind.FIX)
 
 

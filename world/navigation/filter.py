@@ -144,20 +144,12 @@ class NavigationFilter:
         self.north = self.east = self.time = self.drifting = 0.0
 
     def heading(self, measured: float, noise: float) -> float:
-        """Take a sample of the heading sensor.
-
-        Args:
-            measured: rad.
-            noise: its standard deviation [rad].
-
-        Returns:
-            The innovation squared over its variance: NIS [1].
-        """
+        """Take a sample of the heading sensor. `measured`: rad. `noise`: its standard deviation [rad]. Returns the
+        innovation squared over its variance: NIS [1]."""
         self.settle()
         return self._update(PSI, H, measured - self.x[PSI] - self.x[H], noise * noise)
 
     def keep_position(self, key: int) -> None:
-        """Keep the position of now under a number, for a fix that is measured now and used later."""
         self.settle()
         for i in (N, E):
             for row in self.p:
@@ -197,7 +189,6 @@ class NavigationFilter:
         return nis, used
 
     def keep_only(self, keys: set[int]) -> None:
-        """Forget the past positions with other numbers."""
         for key in [key for key in self.kept if key not in keys]:
             self._forget(SIZE + 2 * self.kept.index(key))
 
@@ -234,7 +225,6 @@ class NavigationFilter:
         return innovation * share
 
     def _forget_current(self, sigma: float) -> None:
-        """Begin anew with what c stands for."""
         for k in (CN, CE):
             self.x[k] = 0.0
             for a in range(len(self.p)):
@@ -246,13 +236,11 @@ class NavigationFilter:
         return sqrt(max(0.0, self.p[i][i]))
 
     def memory(self) -> list[list[float]]:
-        """All that the next steps depend on; settled or not."""
         since = [self.north, self.east, self.time, self.drifting]
         own = [float(self.mode), float(self.refused), *since, *map(float, self.kept)]
         return [list(self.x), own, *(list(row) for row in self.p)]
 
     def restore(self, values: list[list[float]]) -> None:
-        """Continue from `memory()`."""
         self.x = [float(value) for value in values[0]]
         mode, refused, self.north, self.east, self.time, self.drifting, *kept = values[1]
         self.mode, self.refused, self.kept = int(mode), int(refused), [int(key) for key in kept]

@@ -37,12 +37,7 @@ class Fixes:
         self._under_way: list[list[float]] = []
 
     def measure(self, tick: int, true: Vec3, estimate: NavigationFilter, faults: Sequence[WorldFault]) -> None:
-        """Measure what is due at a tick.
-
-        Args:
-            true: position [m, NED].
-            estimate: of the position at this tick.
-        """
+        """Measure what is due at a tick. `true`: position [m, NED]. `estimate`: of the position at this tick."""
         seed, i = self._seed, self._i
         for number, source in enumerate(self._sources):
             if not due(tick, self._tick_ns, source.period_ns):
@@ -81,11 +76,9 @@ class Fixes:
         return tick * MOST_SOURCES + number
 
     def memory(self) -> list[list[float]]:
-        """The values that all further fixes depend on."""
         return [list(one) for one in self._under_way]
 
     def restore(self, values: list[list[float]], estimate: NavigationFilter) -> None:
-        """Continue from `memory()`; fixes of a source that is not there any more are lost."""
         self._under_way = [list(one) for one in values if int(one[2]) < len(self._sources)]
         estimate.keep_only({self._key(int(one[1]), int(one[2])) for one in self._under_way})
 

@@ -52,8 +52,6 @@ def due(tick: int, tick_ns: int, period_ns: int) -> bool:
 
 
 class Instruments:
-    """The instruments of one vehicle."""
-
     def __init__(self, config: DeadReckoning, seed: int, i: int, tick_ns: int) -> None:
         grade = config.grade
         self._config, self._seed, self._i, self._tick_ns = config, seed, i, tick_ns
@@ -98,11 +96,7 @@ class Instruments:
         self.gyro = [bias + self._draw(sigma, "gyro", tick, axis) for axis, bias in enumerate(self.gyro_bias)]
 
     def velocity(self, tick: int, depth: float, faults: Sequence[WorldFault] = NO_FAULTS) -> bool:
-        """Draw new errors of the DVL, and see what it sees, if it is time.
-
-        Args:
-            depth: of the vehicle [m].
-        """
+        """Draw new errors of the DVL, and see what it sees, if it is time. `depth`: of the vehicle [m]."""
         if not due(tick, self._tick_ns, self._dvl_ns):
             return False
         config = self._config
@@ -119,7 +113,6 @@ class Instruments:
         return True
 
     def pressure(self, tick: int) -> None:
-        """Draw a new error of the depth, if it is time."""
         if due(tick, self._tick_ns, self._depth_ns):
             self.depth = self._depth_sample(tick)
 
@@ -147,11 +140,9 @@ class Instruments:
         return self.scale * forward + self.dvl[0] * dt, self.scale * starboard + self.dvl[1] * dt
 
     def memory(self) -> list[list[float]]:
-        """All that the next samples depend on."""
         return [[self._walk, self.depth, float(self.mode)], list(self.gyro), list(self.dvl), list(self.held)]
 
     def restore(self, values: list[list[float]]) -> None:
-        """Continue from `memory()`."""
         (self._walk, self.depth, mode), gyro, dvl, held = values
         self.mode = int(mode)
         self.gyro, self.dvl, self.held = list(gyro), list(dvl), list(held)

@@ -54,11 +54,9 @@ class ReplayedError:
         self._tick += 1
 
     def covariance(self) -> tuple[float, ...]:
-        """Nothing."""
         return ()
 
     def take_fixes(self) -> tuple[Fix, ...]:
-        """None."""
         return ()
 
     def memory(self) -> list[Any]:
@@ -66,7 +64,6 @@ class ReplayedError:
         return []
 
     def restore(self, tick: int, values: list[Any] | None, state: State) -> None:
-        """Continue at a tick."""
         self._tick = tick
 
 

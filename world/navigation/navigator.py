@@ -31,12 +31,7 @@ class Navigator:
     """Dead reckoning of one vehicle: its instruments, its fixes and its filter."""
 
     def __init__(self, config: DeadReckoning, seed: int, i: int, tick_ns: int, state: State) -> None:
-        """Begin with the true state at the start.
-
-        Args:
-            seed: of the run.
-            i: the vehicle.
-        """
+        """Begin with the true state at the start."""
         self._config = config
         self._dt = tick_ns / 1e9
         self._seed, self._i = seed, i
@@ -97,7 +92,6 @@ class Navigator:
             raise OverflowError("the estimate is not finite")
 
     def _velocity(self, state: State, phi: float) -> list[float]:
-        """The velocity [m/s, body] that the DVL measures: over ground, or through the water."""
         measure = self._instruments
         own = [state[5], state[6], state[7]]
         if measure.mode == WATER:
@@ -107,12 +101,8 @@ class Navigator:
         return [scale * own[0] + off[0], scale * own[1] + off[1], scale * own[2] + off[2]]
 
     def believed(self, state: State, roll: tuple[float, ...]) -> Believed:
-        """Eta, nu and roll as the vehicle believes them.
-
-        Args:
-            state: the truth.
-            roll: true phi [rad] and p [rad/s], or nothing.
-        """
+        """Eta, nu and roll as the vehicle believes them. `state`: the truth. `roll`: true phi [rad] and p [rad/s], or
+        nothing."""
         measure, x = self._instruments, self.filter.x
         pitch, lean = measure.tilt
         theta = state[3] + pitch
@@ -138,7 +128,6 @@ class Navigator:
         return (p[N][N], p[N][E], 0.0, p[N][PSI], p[E][E], 0.0, p[E][PSI], depth, 0.0, p[PSI][PSI])
 
     def take_fixes(self) -> tuple[Fix, ...]:
-        """The fixes since the last call."""
         if not self._tell:
             return ()
         taken = tuple(self._tell)
@@ -148,20 +137,11 @@ class Navigator:
     def memory(self) -> list[Any]:
         """All that the next steps depend on, as MessagePack values."""
         told = [[f.source, f.measured, f.tick, list(f.position), f.sigma, f.nis, f.used] for f in self._tell]
-        return [
-            self.filter.memory(),
-            self._instruments.memory(),
-            self._fixes.memory(),
-            list(self._current),
-            told,
-        ]
+        return [self.filter.memory(), self._instruments.memory(), self._fixes.memory(), list(self._current), told]
 
     def restore(self, tick: int, values: list[Any] | None, state: State) -> None:
-        """Continue at a tick from `memory()`; None: the vehicle had no filter before, and begins with it now.
-
-        Args:
-            state: the truth at that tick.
-        """
+        """Continue at a tick from `memory()`; None: the vehicle had no filter before, and begins with it now. `state`:
+        the truth at that tick."""
         if not values:
             self.filter = self._begin(state)
             self._tick = tick

@@ -15,10 +15,7 @@ from world.signal import Signal
 
 KIND = "plant"
 # The plants that ship: name -> `module:Class`. They are imported when a scenario names them.
-SHIPPED: dict[str, str] = {
-    "bluerov2": "world.plants.bluerov2:BlueROV2",
-    "remus100": "world.plants.remus100:Remus100",
-}
+SHIPPED: dict[str, str] = {"bluerov2": "world.plants.bluerov2:BlueROV2", "remus100": "world.plants.remus100:Remus100"}
 METHODS: dict[str, tuple[str, ...]] = {
     "start": ("pose", "velocity"),
     "step": ("state", "tau", "water", "dt"),
@@ -29,16 +26,10 @@ _TAKEN = frozenset(("phi", "p"))  # what every plant has besides what it reports
 
 
 def plant_class(name: str, parameters: Mapping[str, Any]) -> type[Any]:
-    """The class of a plant, checked.
-
-    Args:
-        name: of a plant that ships, `package.module:Class`, an entry point of group `uuv_fleet.plants`, or `fmu:FILE`.
-        parameters: its parameters, in addition to its configuration.
-
-    Raises:
-        UntrustedError: its module or file is not installed, and was not let in with `admit`.
-        PluginError: there is no such class, or it cannot be used.
-    """
+    """The class of a plant, checked. `name`: of a plant that ships, `package.module:Class`, an entry point of group
+    `uuv_fleet.plants`, or `fmu:FILE`. `parameters`: its parameters, in addition to its configuration. Raises
+    UntrustedError: its module or file is not installed, and was not let in with `admit`; PluginError: there is no such
+    class, or it cannot be used."""
     if name in SHIPPED:
         module, _, class_name = SHIPPED[name].partition(":")
         shipped: type[Any] = getattr(import_module(module), class_name)

@@ -26,12 +26,8 @@ class FencedPlant:
     """The plant of one vehicle, at the tick that the vehicle has reached. Every failure is a PlantError."""
 
     def __init__(self, setup: PlantSetup, config: PlantConfig) -> None:
-        """Make the plant; `start` or `restore` puts it into the water.
-
-        Raises:
-            PluginError: there is no such plant, or it cannot be used.
-            PlantError: it cannot be made, or has limits that are none.
-        """
+        """Make the plant; `start` or `restore` puts it into the water. Raises PluginError: there is no such plant, or
+        it cannot be used; PlantError: it cannot be made, or has limits that are none."""
         self.name = setup.name
         self.notes: list[tuple[int, str]] = []  # (tick, text) for a person; the reader clears it
         self.state: PlantState = ()
@@ -62,16 +58,9 @@ class FencedPlant:
         return self.pose[4], q * cos(phi) - r * sin(phi)
 
     def start(self, tick: int, pose: Vec6, velocity: Vec6) -> None:
-        """Put the vehicle into the water.
-
-        Args:
-            tick: of the start.
-            pose: x, y, z [m, NED], phi, theta, psi [rad].
-            velocity: u, v, w [m/s, body, over ground], p, q, r [rad/s].
-
-        Raises:
-            PlantError: what it returned is no state, or one at another place.
-        """
+        """Put the vehicle into the water. `pose`: x, y, z [m, NED], phi, theta, psi [rad]. `velocity`: u, v, w [m/s,
+        body, over ground], p, q, r [rad/s]. Raises PlantError: what it returned is no state, or one at another
+        place."""
         fence, plant = self._fence, self._plant
         state = fence.call(tick, plant.start, pose, velocity)
         numbers = _numbers(state)
@@ -109,29 +98,17 @@ class FencedPlant:
 
     def memory(self, tick: int, *, moves: bool = True) -> list[Any]:
         """Everything that the next steps depend on, for `restore`: [name, roll, state, further memory of the plant].
-
-        Args:
-            tick: tick of the present state.
-            moves: the vehicle has further steps. The world does not ask a plant that failed for its memory.
-
-        Raises:
-            PlantError: the plant's own `state` failed, or returned other values than plain ones.
-        """
+        `tick`: tick of the present state. `moves`: the vehicle has further steps. The world does not ask a plant that
+        failed for its memory. Raises PlantError: the plant's own `state` failed, or returned other values than plain
+        ones."""
         inside = self._fence.remembered(self._plant.state, tick) if self._resumable and moves else None
         return [self.name, [*self.roll], [*self.state], inside]
 
     def restore(self, tick: int, values: list[Any] | None, pose: Vec5, velocity: Vec5) -> None:
-        """Continue from the memory of another run. If the vehicle had another plant there, start at its pose.
-
-        Args:
-            tick: the present tick.
-            values: the result of `memory` in the other run. None: the vehicle had no plant.
-            pose: x, y, z [m, NED], theta, psi [rad] of the vehicle in the other run.
-            velocity: u, v, w [m/s, body], q, r [rad/s] of the vehicle in the other run.
-
-        Raises:
-            PlantError: the plant cannot continue from it.
-        """
+        """Continue from the memory of another run. If the vehicle had another plant there, start at its pose. `values`:
+        the result of `memory` in the other run. None: the vehicle had no plant. `pose`: x, y, z [m, NED], theta, psi
+        [rad] of the vehicle in the other run. `velocity`: u, v, w [m/s, body], q, r [rad/s] of the vehicle in the other
+        run. Raises PlantError: the plant cannot continue from it."""
         name, (phi, p), state, inside = values if values is not None else ("", (0.0, 0.0), [], None)
         if name != self.name:
             self.start(tick, (*pose[:3], phi, *pose[3:]), (*velocity[:3], p, *velocity[3:]))
@@ -142,7 +119,6 @@ class FencedPlant:
         self._take(tick, self._plant.pose, self._fence.call(tick, self._observed, self.state))
 
     def _moved(self, tau: Vec3, current: Vec3, wrenches: Iterable[Vec6], dt: float) -> tuple[Any, Any, Any, Any]:
-        """The plant's result for the next tick; only its state if the result cannot be used."""
         state, step, size = self.state, self._plant.step, len(self.state)
         for wrench in wrenches:
             answer = step(state, tau, Water(current, wrench), dt)

@@ -23,16 +23,7 @@ from world.api import PlantConfig, PlantState, Signal, Vec3, Vec6, Water
 from world.errors import FmuError
 from world.plants import fmu_host
 from world.plants.fmu_archive import unpack
-from world.plants.fmu_variables import (
-    COMMAND,
-    CURRENT,
-    MOTION,
-    WRENCH,
-    UnitFacts,
-    Variables,
-    describe,
-    variables,
-)
+from world.plants.fmu_variables import COMMAND, CURRENT, MOTION, WRENCH, Description, Variables, describe, variables
 
 _LONGEST_S = 60.0  # for any answer of the unit, also where no budget is set
 _TOLERANCE = 1e-3  # by how much a unit may begin elsewhere than the scenario says [m, rad, m/s, rad/s]
@@ -40,12 +31,9 @@ _NO_LIMIT = 1e9  # [N, N m]; the limits of the scenario hold anyway
 
 
 def fmu_class(path: Path, parameters: Mapping[str, Any]) -> type[FmuPlant]:
-    """The plant that an FMU makes with some parameters. Its description is read, and nothing of it runs.
-
-    Raises:
-        FmuError: the file is no FMU for this machine, or has not the variables that the parameters name.
-    """
-    model, facts_ = describe(path)
+    """The plant that an FMU makes with some parameters. Its description is read, and nothing of it runs. Raises
+    FmuError: the file is no FMU for this machine, or has not the variables that the parameters name."""
+    model = describe(path)
     known = {"inputs", "outputs", "initial", "start", "signals"}
     if unknown := sorted(parameters.keys() - known):
         raise FmuError(f"there is no parameter {unknown[0]!r}", f"known: {', '.join(sorted(known))}")
@@ -53,7 +41,7 @@ def fmu_class(path: Path, parameters: Mapping[str, Any]) -> type[FmuPlant]:
 
     class Unit(FmuPlant):
         plugin_file = path
-        facts = facts_
+        facts = model
         uses = found
         signals = tuple(signal for signal, _ in found.signals)
 
@@ -64,7 +52,7 @@ class FmuPlant:
     """A vehicle inside an FMU. Its state is the time [s] and the outputs; the rest is inside the unit."""
 
     plugin_file: ClassVar[Path]  # by which the log knows it again
-    facts: ClassVar[UnitFacts]
+    facts: ClassVar[Description]
     uses: ClassVar[Variables]
     signals: ClassVar[tuple[Signal, ...]] = ()
 
@@ -105,7 +93,7 @@ class FmuPlant:
         self._ask(
             "open",
             facts.version,
-            facts.name,
+            facts.model,
             facts.guid,
             str(folder),
             facts.library,
@@ -173,7 +161,6 @@ class FmuPlant:
         self._ask("load", values)
 
     def close(self) -> None:
-        """End the unit's process."""
         self._close()
 
     def _output(self, state: PlantState, key: str) -> float:
@@ -183,11 +170,8 @@ class FmuPlant:
         return [value * variable.factor for value, variable in zip(outputs, self._outputs, strict=True)]
 
     def _ask(self, verb: str, *values: Any) -> Any:
-        """The answer of the unit's process.
-
-        Raises:
-            FmuError: the unit failed, ended its process, or did not answer. After the last two it is not used again.
-        """
+        """The answer of the unit's process. Raises FmuError: the unit failed, ended its process, or did not answer.
+        After the last two it is not used again."""
         if not self._close.alive:
             raise FmuError("was ended after it failed")
         try:
@@ -220,7 +204,6 @@ def _started(private: PrivateFolder) -> tuple[subprocess.Popen[bytes], Connectio
 
 
 def _end(process: subprocess.Popen[bytes], connection: Connection, private: PrivateFolder) -> None:
-    """End the process, whatever its unit does, and remove what was unpacked."""
     connection.close()
     process.kill()
     process.wait()

@@ -32,11 +32,8 @@ PLATFORMS = {
 
 @contextmanager
 def archive(path: Path) -> Iterator[zipfile.ZipFile]:
-    """The archive of an FMU, with every name and size in it checked.
-
-    Raises:
-        FmuError: it cannot be read, is none, or holds what must not be unpacked.
-    """
+    """The archive of an FMU, with every name and size in it checked. Raises FmuError: it cannot be read, is none, or
+    holds what must not be unpacked."""
     try:
         with path.open("rb") as file:
             _check_directory(file)
@@ -84,11 +81,8 @@ def platforms(opened: zipfile.ZipFile) -> list[str]:
 
 
 def unpack(path: Path, folder: Path) -> None:
-    """Unpack the description, the binaries and the resources of an FMU.
-
-    Raises:
-        FmuError: it cannot be unpacked, or holds what must not be.
-    """
+    """Unpack the description, the binaries and the resources of an FMU. Raises FmuError: it cannot be unpacked, or
+    holds what must not be."""
     with archive(path) as opened:
         for file in opened.infolist():
             first = PurePosixPath(file.filename).parts[:1]

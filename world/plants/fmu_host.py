@@ -37,8 +37,6 @@ class _Said:
 
 
 class _Unit:
-    """One FMU of co-simulation, of FMI 2 or 3 alike."""
-
     def __init__(
         self,
         version: int,

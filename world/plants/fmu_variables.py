@@ -30,7 +30,6 @@ from world.signal import Signal
 # fmpy's reader is not used. It validates with native code, whose time grows with the square of the mistakes (10 kB with
 # 100,000 variables without names took minutes), and which no signal ends.
 
-
 MAX_VARIABLES = 200_000
 MAX_ELEMENTS = 2_000_000
 _MAX_DEPTH = 64
@@ -76,6 +75,7 @@ class Description:
     version: int = 0  # 2 or 3
     guid: str = ""
     model: str | None = None  # the identifier of its model for co-simulation; None: it has none
+    library: str = ""  # in the unpacked archive, for this machine
     saves: bool = False  # whether it can give and take its state as bytes
     units: dict[str, BaseUnit] = field(default_factory=dict)
     variables: dict[str, UnitVariable] = field(default_factory=dict)
@@ -99,8 +99,6 @@ def parse(data: bytes) -> Description:
 
 
 class _Description:
-    """Takes the elements as they come; a path of names says where one stands."""
-
     def __init__(self) -> None:
         self._found = Description()
         self._path: list[str] = []
@@ -284,8 +282,6 @@ _COMPARED = 10_000  # variables with which a name that is not there is compared
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """A variable of the unit."""
-
     reference: int
     factor: float = 1.0  # times its value: ours, in SI
     largest: float | None = None  # that it takes, in SI; None: not said
@@ -303,27 +299,10 @@ class Variables:
     start: tuple[tuple[str, int, Any], ...]  # (type, reference, value)
 
 
-@dataclass(frozen=True, slots=True)
-class UnitFacts:
-    """The facts that are needed to start a unit."""
-
-    version: int  # 2 or 3
-    name: str  # of the model, and of its library
-    guid: str
-    library: str  # in the unpacked archive
-    saves: bool  # whether it can give and take its state as bytes
-
-
-def describe(path: Path) -> tuple[Description, UnitFacts]:
-    """Read the model description of an FMU, and the facts that are needed to start it. No code of the FMU runs.
-
-    Args:
-        path: the FMU file.
-
-    Raises:
-        FmuError: the file cannot be read, is no FMU for co-simulation, or has no binary for this machine; or the
-            package FMPy is not installed.
-    """
+def describe(path: Path) -> Description:
+    """Read the model description of an FMU, and the facts that are needed to start it. No code of the FMU runs. Raises
+    FmuError: the file cannot be read, is no FMU for co-simulation, or has no binary for this machine; or the package
+    FMPy is not installed."""
     try:
         status = path.stat()
     except OSError as error:
@@ -332,7 +311,7 @@ def describe(path: Path) -> tuple[Description, UnitFacts]:
 
 
 @lru_cache(maxsize=16)
-def _describe(path: Path, changed: int, size: int) -> tuple[Description, UnitFacts]:
+def _describe(path: Path, changed: int, size: int) -> Description:
     if find_spec("fmpy") is None:
         raise FmuError("needs the package FMPy", "pip install 'uuv-fleet[fmu]'")
     with archive(path) as opened:
@@ -347,14 +326,14 @@ def _describe(path: Path, changed: int, size: int) -> tuple[Description, UnitFac
         raise FmuError(
             f"has no {library[:200]}, which this machine ({here}) needs; {listed}", "build it for this platform"
         )
-    return model, UnitFacts(model.version, model.model, model.guid, library, model.saves)
+    model.library = library
+    return model
 
 
 _SUFFIX = {"win32": ".dll", "darwin": ".dylib"}
 
 
 def _platform(version: int) -> tuple[str, str]:
-    """This machine as FMI 3 calls it, and the folder of its binaries."""
     system = {"win32": "windows", "darwin": "darwin"}.get(sys.platform, "linux")
     processor = {"amd64": "x86_64", "arm64": "aarch64", "i686": "x86", "i386": "x86"}.get(
         machine().lower(), machine().lower()
@@ -371,25 +350,13 @@ def variables(
     start: Any = None,
     signals: Any = None,
 ) -> Variables:
-    """The variables that a scenario's parameters name.
-
-    Args:
-        model: the model description.
-        inputs: our name of a command or of the water -> the unit's variable, or `none`.
-        outputs: our name of pose or velocity -> the unit's variable.
-        initial: our name of pose or velocity -> the variable that takes it at the start.
-        start: the unit's variable -> its value at the start.
-        signals: name -> the unit's variable, to be logged.
-
-    Raises:
-        FmuError: the unit has no such variable, or it has the wrong causality, type or unit.
-    """
+    """The variables that a scenario's parameters name: `inputs` (a command, or of the water), `outputs` and `initial`
+    (pose and velocity) by our names, `start` with its value, `signals` by the name in the log. Raises FmuError: the
+    unit has no such variable, or it has the wrong causality, type or unit."""
     return _Reader(model).variables(inputs, outputs, initial, start, signals)
 
 
 class _Reader:
-    """Looks variables up in a model description."""
-
     def __init__(self, model: Description) -> None:
         self._known = model.variables
         self._setters = _SETTERS | (_OF_FMI_3 if model.version == 3 else {})
@@ -418,7 +385,6 @@ class _Reader:
     def _group(
         self, group: str, ours: Mapping[str, str], chosen: Mapping[str, str], needed: frozenset[str]
     ) -> dict[str, Variable]:
-        """Those of a group that the unit has; a name that the user chose must be there."""
         found: dict[str, Variable] = {}
         for key, unit in ours.items():
             name = chosen.get(key, "" if group == "initial" else key)
@@ -441,7 +407,6 @@ class _Reader:
         raise FmuError(f"{place}: the unit has no variable {name!r}", hint)
 
     def _factor(self, place: str, variable: UnitVariable, ours: str) -> float:
-        """The factor that converts a value of a variable to our unit."""
         unit = variable.unit
         if not unit:
             return 1.0

@@ -67,11 +67,8 @@ def to_body(R: Rotation, earth: Vec3) -> Vec3:
 
 
 def euler_rates(phi: float, theta: float, p: float, q: float, r: float) -> Vec3:
-    """phi', theta', psi' [rad/s] of a body that turns with p, q, r [rad/s].
-
-    Near the vertical psi' is regularised as in the 5-DOF model, see `world.dynamics.turn_per_yaw`: finite, and 0 at the
-    vertical itself.
-    """
+    """phi', theta', psi' [rad/s] of a body that turns with p, q, r [rad/s]. Near the vertical psi' is regularised as in
+    the 5-DOF model, see `world.dynamics.turn_per_yaw`: finite, and 0 at the vertical itself."""
     sph, cph = sin(phi), cos(phi)
     cth = cos(theta)
     yaw = sph * q + cph * r

@@ -14,19 +14,19 @@ class ProblemRow(Struct):
     """One mistake in a scenario."""
 
     file: Annotated[str, Meta(description="Where it is: a path, or an option with its text, as in `--set seed=x`.")]
-    line: Annotated[int, Meta(description="Line, from 1; 0: no line is to blame.")]
-    column: Annotated[int, Meta(description="Column, from 1; 0: no line is to blame.")]
+    line: Annotated[int, Meta(description="From 1; 0: no line is to blame.")]
+    column: Annotated[int, Meta(description="From 1; 0: no line is to blame.")]
     key: Annotated[str, Meta(description="Key of the scenario, as `--set` writes it; empty: of no key.")]
-    message: Annotated[str, Meta(description="What is wrong: expected against got.")]
-    hint: Annotated[str, Meta(description="What to do next; may be empty.")]
+    message: str
+    hint: Annotated[str, Meta(description="May be empty.")]
 
 
 class FailedCommand(Struct):
     """The output with `--json` in place of a document when a command fails. Stderr says the same in words."""
 
-    error: Annotated[str, Meta(description="What went wrong, as on stderr.")]
+    error: str
     exit: int
-    problems: Annotated[list[ProblemRow], Meta(description="Mistakes in the scenario, the first 200 of them.")]
+    problems: Annotated[list[ProblemRow], Meta(description="The first 200.")]
 
 
 def failure(error: Exception, message: str, status: int) -> FailedCommand:

@@ -36,8 +36,8 @@ class Scenarios(Struct):
 class Runs(Struct):
     """`fleet ls --json`: the live runs of this user, and the runs below a directory."""
 
-    live: Annotated[list[LiveRunRow], Meta(description="Wherever they are, by name.")]
-    runs: Annotated[list[PastRun], Meta(description="Below the directory, the newest first.")]
+    live: list[LiveRunRow]
+    runs: Annotated[list[PastRun], Meta(description="The newest first.")]
     size_bytes: int
 
 
@@ -54,7 +54,7 @@ class ExpectedByTheory(Struct):
     parts: Annotated[list[list[int]], Meta(description="Vehicles that links connect, taken both ways; one: connected.")]
     followers: list[int]
     unreached: Annotated[list[int], Meta(description="Vehicles that no chain of links leads to from a follower.")]
-    eigenvalues: Annotated[list[Eigenvalue], Meta(description="Those of L + B, by real part.")]
+    eigenvalues: list[Eigenvalue]
     spectral_radius: float
     oldest_s: Annotated[float, Meta(description="Greatest age of what is heard, without loss.")]
     gain_per_s: Annotated[float | None, Meta(description="Largest gain K that may occur [1/s]; null: no such law.")]
@@ -85,14 +85,14 @@ class ShareOfTime(Struct):
     """A state of links."""
 
     name: str
-    share: Annotated[float, Meta(description="Share of the time in the long run.")]
+    share: Annotated[float, Meta(description="Of the time.")]
     mean_s: float
 
 
 class ChangingLinksRow(Struct):
     """Links whose condition changes by itself."""
 
-    links: Annotated[list[str], Meta(description="Which, such as 1->2.")]
+    links: list[str]
     states: Annotated[list[ShareOfTime], Meta(description="Their states; empty: they have a trace.")]
     together: bool
     rows: Annotated[int, Meta(description="Rows of their trace; 0: they have states.")]
@@ -116,17 +116,13 @@ class Checked(Struct):
     draws: Annotated[list[str], Meta(description="Draws from the seed; empty: it decides nothing.")]
     theory: ExpectedByTheory
     changing_links: list[ChangingLinksRow]
-    faults: Annotated[list[FaultTime], Meta(description="In the order in which they begin.")]
+    faults: list[FaultTime]
     warnings: list[str]
     not_checked: Annotated[list[ProblemRow], Meta(description="Laws that may not run here and were not checked.")]
 
 
 def checked(scenario: Scenario, found: Analysis, warnings: list[str], refused: Sequence[Problem]) -> Checked:
-    """The document of a valid scenario.
-
-    Args:
-        refused: the laws that were not checked.
-    """
+    """The document of a valid scenario. `refused`: the laws that were not checked."""
     return Checked(
         valid=True,
         name=scenario.name,
@@ -198,10 +194,10 @@ class SignalRow(Struct):
     """A signal that is not the same in two logs."""
 
     signal: str
-    unit: Annotated[str, Meta(description="Its unit; empty: none.")]
-    most: Annotated[float | None, Meta(description="Greatest |a - b|; null: it is not finite.")]
+    unit: Annotated[str, Meta(description="Empty: none.")]
+    most: Annotated[float | None, Meta(description="Greatest |a - b|.")]
     at_s: float
-    messages: Annotated[int, Meta(description="Messages in which it is not the same.")]
+    messages: int
 
 
 class Compared(Struct):
@@ -213,18 +209,18 @@ class Compared(Struct):
     from_s: Annotated[float, Meta(description="Compared from then on: where a run goes on from another; else 0.")]
     tolerance: Annotated[float, Meta(description="The most that two numbers may be apart.")]
     within: Annotated[bool, Meta(description="Whether all messages are there in both and within the tolerance.")]
-    missing_a: Annotated[str, Meta(description="Missing parts of the file; empty: it is whole.")]
+    missing_a: Annotated[str, Meta(description="Empty: the file is whole.")]
     missing_b: str
-    messages_same: Annotated[int, Meta(description="Messages that are the same, bit for bit.")]
-    messages_differing: Annotated[int, Meta(description="Messages that are there in both and not the same.")]
-    first: Annotated[Difference | None, Meta(description="Where they part; null: they do not.")]
-    signals: Annotated[list[SignalRow], Meta(description="All signals that are not the same, the greatest first.")]
+    messages_same: int
+    messages_differing: int
+    first: Annotated[Difference | None, Meta(description="null: there is none.")]
+    signals: Annotated[list[SignalRow], Meta(description="The greatest first.")]
     others: Annotated[
         dict[str, int], Meta(description="Messages with other texts, flags or bytes, by topic and field.")
     ]
-    only_a: Annotated[dict[str, int], Meta(description="Messages that only the first log has, by topic.")]
-    only_b: Annotated[dict[str, int], Meta(description="Messages that only the second log has, by topic.")]
-    besides: Annotated[list[str], Meta(description="Metadata, attachments and declarations that are not the same.")]
+    only_a: Annotated[dict[str, int], Meta(description="By topic.")]
+    only_b: Annotated[dict[str, int], Meta(description="By topic.")]
+    besides: Annotated[list[str], Meta(description="Metadata, attachments and declarations.")]
 
 
 def compared(

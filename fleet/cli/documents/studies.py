@@ -26,8 +26,8 @@ class Interval(Struct):
     """A number estimated from several runs, with its confidence interval of 95 % or slightly more."""
 
     value: Annotated[float | None, Meta(description="null: no run has it, or half of them or more never got there.")]
-    low: Annotated[float | None, Meta(description="null: too few runs, or infinite.")]
-    high: Annotated[float | None, Meta(description="null: too few runs, or infinite.")]
+    low: float | None
+    high: float | None
     runs: int
     level: Annotated[float | None, Meta(description="Chance that such an interval holds the true number; null: none.")]
 
@@ -35,11 +35,11 @@ class Interval(Struct):
 class PointRow(Struct):
     """One point of a study: one combination of the varied values, and the results of its runs."""
 
-    values: Annotated[dict[str, float | str], Meta(description="By key that is varied, in its unit.")]
+    values: Annotated[dict[str, float | str], Meta(description="By varied key, in its unit.")]
     runs: int
-    failed: Annotated[int, Meta(description="Of those, without a result.")]
-    passed: Annotated[Interval, Meta(description="Share of runs that passed, and its Wilson score interval.")]
-    medians: Annotated[dict[str, Interval], Meta(description="By measure: the median, and its exact interval.")]
+    failed: Annotated[int, Meta(description="Without a result.")]
+    passed: Annotated[Interval, Meta(description="Share, with its Wilson score interval.")]
+    medians: Annotated[dict[str, Interval], Meta(description="By measure, with exact intervals.")]
 
 
 class SometimesReached(Struct):
@@ -47,7 +47,7 @@ class SometimesReached(Struct):
 
     check: str
     runs: int
-    hits: Annotated[int, Meta(description="Of these, that reached it.")]
+    hits: int
     seed: Annotated[int | None, Meta(description="The least seed that reached it; null: none did.")]
 
 
@@ -59,38 +59,36 @@ class Swept(Struct):
     seeds: Annotated[list[int], Meta(description="Seeds of every point; the first ones, if seeds are added.")]
     units: Annotated[dict[str, str | None], Meta(description="By key and measure; empty: a plain number; null: words.")]
     missing: int
-    points: Annotated[list[PointRow], Meta(description="Every point that has a run, in order.")]
+    points: list[PointRow]
     sometimes: list[SometimesReached]
 
 
 class BorderFound(Struct):
     """Where the pass rate falls through the level, at one combination of the other keys."""
 
-    values: Annotated[dict[str, float | str], Meta(description="Of the other keys, in their units.")]
+    values: Annotated[dict[str, float | str], Meta(description="Of the other keys.")]
     where: Annotated[str, Meta(description="`within` the range, `below` it, `above` it, or `open`: not known.")]
-    value: Annotated[float | None, Meta(description="The border; null: it is outside.")]
+    value: Annotated[float | None, Meta(description="null: it is outside.")]
     low: Annotated[float | None, Meta(description="Of its interval of 95 %; null: beyond the range.")]
     high: Annotated[float | None, Meta(description="null: beyond the range.")]
     runs: int
     failed: int
-    first: Annotated[Interval, Meta(description="Pass rate at the low end of the range.")]
+    first: Annotated[Interval, Meta(description="Pass rate at the low end.")]
     last: Interval
-    rising: Annotated[
-        tuple[float, float] | None, Meta(description="Values between which the pass rate rises, beyond chance.")
-    ]
+    rising: Annotated[tuple[float, float] | None, Meta(description="Between these values the pass rate rises.")]
 
 
 class BoundaryFound(Struct):
     """`fleet boundary --json`: the borders of a scenario."""
 
-    directory: Annotated[str, Meta(description="Of the study, which has all runs.")]
+    directory: Annotated[str, Meta(description="Of the study.")]
     scenario: str
     along: Annotated[str, Meta(description="The key along which the border is looked for.")]
     unit: str
     units: Annotated[dict[str, str | None], Meta(description="Of the other keys; null: their values are words.")]
     level: float
-    picture: Annotated[str | None, Meta(description="File of the picture; null: there is too much for one.")]
-    borders: Annotated[list[BorderFound], Meta(description="One per combination of the other keys.")]
+    picture: Annotated[str | None, Meta(description="null: there is too much for one.")]
+    borders: list[BorderFound]
     sometimes: list[SometimesReached]
 
 
@@ -110,7 +108,7 @@ class Less(Struct):
     check: str
     found: Annotated[tuple[str, str], Meta(description="Finding of the check: at first, and in the least scenario.")]
     runs: int
-    steps: Annotated[list[str], Meta(description="The reductions, in words and in order.")]
+    steps: list[str]
     before: Size
     after: Size
 
@@ -138,7 +136,7 @@ class RegressedRow(Struct):
 
     scenario: FoundFailure
     as_expected: Annotated[bool, Meta(description="Whether its verdict is the expected one.")]
-    got: Annotated[str, Meta(description="What came out, in words.")]
+    got: str
     other_log: Annotated[bool, Meta(description="Whether this version of fleet has made another log before.")]
 
 
@@ -147,7 +145,7 @@ class RegressedFolder(Struct):
 
     directory: str
     as_expected: bool
-    scenarios: Annotated[list[RegressedRow], Meta(description="Each, by its file.")]
+    scenarios: list[RegressedRow]
 
 
 def swept(store: Store, measures: Sequence[MeasureColumn]) -> Swept:

@@ -12,6 +12,7 @@ from fleet.quantities import show_time
 from fleet.scenario.parts import Parts, UnknownValueError
 from fleet.scenario.rules import checks, faults, laws, motion, network
 from fleet.scenario.rules.report import Report, whole_multiple
+from fleet.scenario.schema.spec import sections
 from fleet.scenario.sections.log_rates import snapshot_grid
 from fleet.scenario.sections.per_vehicle import qp_period_ns, used
 
@@ -56,7 +57,7 @@ def policies(parts: Parts, report: Report) -> None:
     if spec.network.ideal and spec.agents.per_process not in ("auto", 1):
         message = "nobody shares a process on an ideal network, which runs in one"
         report.add(("agents", "per_process"), message, "leave it out, or give the network a period")
-    for path, external in parts.sections("external"):
+    for path, external in sections(parts.spec, "external"):
         if external and spec.network.ideal:
             message = "nobody can join an ideal network, which runs in one process"
             report.add((*path, "external"), message, "give the network a period")

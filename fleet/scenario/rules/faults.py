@@ -7,7 +7,14 @@ from typing import NamedTuple, get_args
 
 from fleet.quantities import show_time
 from fleet.scenario.parts import Parts
-from fleet.scenario.rules.report import Report, known_links, no_whole_ticks, vehicles_exist, whole_multiple
+from fleet.scenario.rules.report import (
+    Report,
+    known_links,
+    no_whole_ticks,
+    unknown_vehicle,
+    vehicles_exist,
+    whole_multiple,
+)
 from fleet.scenario.schema.faults import ACTIONS, DrawnKind, FaultAction, FaultSection, NemesisSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.liveness import healed_at
@@ -167,13 +174,7 @@ class FaultProblem(NamedTuple):
 
 
 def fault_problems(fault: FaultAction, spec: ScenarioSpec, links: tuple[Link, ...]) -> Iterator[FaultProblem]:
-    """The mistakes in one fault, whether a scenario has it or an operator injects it.
-
-    Args:
-        fault: with its times, or without as a nemesis has it.
-        spec: the scenario that the fault is for.
-        links: of the scenario's graph.
-    """
+    """The mistakes in one fault of a scenario, of its nemesis (without times), or of an operator."""
     given_actions = [name for name in ACTIONS if getattr(fault, name) is not None]
     if len(given_actions) != 1:
         got = " and ".join(given_actions) or "none"
@@ -210,6 +211,5 @@ def _target_problems(
             if not select(parse_selector(text), links) and text != "*":
                 yield FaultProblem(kind, f"the graph has no link {text}", known_links(links))
     else:
-        for number in vehicles_of(fault):
-            if not 1 <= number <= spec.vehicles:
-                yield FaultProblem(kind, f"there is no vehicle {number}: the vehicles are 1 to {spec.vehicles}")
+        for wrong in filter(None, (unknown_vehicle(spec, number) for number in vehicles_of(fault))):
+            yield FaultProblem(kind, wrong)

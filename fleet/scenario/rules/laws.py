@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -13,8 +14,8 @@ from agents.profiles import profile
 from agents.trajectory import PathError
 from fleet.quantities import RATE, SPEED, QuantityError, show, show_vector, vehicle_numbers
 from fleet.scenario.parts import Parts, UnknownValueError
-from fleet.scenario.rules.report import Report, packed
-from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.rules.report import Report, packed, vehicles_exist
+from fleet.scenario.schema.spec import ScenarioSpec, sections
 from fleet.scenario.sections.data_files import DataFileError
 from fleet.scenario.sections.per_vehicle import Entries, given, law_names, mass_problems, used, wrong_model
 from netem.parsing import nearest
@@ -35,16 +36,9 @@ def plugin(
     shipped: Sequence[str],
     load: Callable[[], Any],
 ) -> bool:
-    """Report the mistakes of a plug-in. A plug-in that may not be imported now is left out.
+    """Report the mistakes of a plug-in; whether it can be used, as far as that is known.
 
-    Args:
-        at: its place in the scenario.
-        kind: controller, plant, check, ...
-        shipped: the names of the plug-ins that come with the package.
-        load: loads and checks its class, and raises PluginError.
-
-    Returns:
-        Whether it can be used, as far as that is known.
+    One that may not be imported now is left out. `load` loads and checks its class, and raises PluginError.
     """
     typed = report.typed(at)
     if not (name in shipped or typed or report.policy.imports):
@@ -75,7 +69,7 @@ def plugin(
 
 def plants(parts: Parts, report: Report) -> None:
     """Every plant that is named exists, and can be made with its parameters."""
-    for path, section in parts.sections("vehicle"):
+    for path, section in sections(parts.spec, "vehicle"):
         plant = section.plant
         if plant is not None:
             at = (*path, "vehicle", "plant")
@@ -105,18 +99,11 @@ def per_vehicle(parts: Parts, report: Report) -> None:
     spec = parts.spec
     seen: dict[str, str] = {}
     for text in report.keys("per_vehicle"):
-        try:
-            numbers = vehicle_numbers(text)
-        except QuantityError:
-            continue  # reported by the schema
+        with suppress(QuantityError):  # reported by the schema
+            vehicles_exist(spec, report, ("per_vehicle", text), text, key=True)
         if packed(text) in seen:
             report.add(("per_vehicle", text), f'the same vehicles as "{seen[packed(text)]}"', key=True)
         seen[packed(text)] = text
-        for number in numbers:
-            if not 1 <= number <= spec.vehicles:
-                message = f"there is no vehicle {number}: the vehicles are 1 to {spec.vehicles}"
-                report.add(("per_vehicle", text), message, key=True)
-                break
 
 
 def laws(parts: Parts, report: Report) -> None:
@@ -149,7 +136,7 @@ def effective(parts: Parts, report: Report) -> None:
     """A parameter that no law reads is a mistake, not a comment."""
     spec = parts.spec
     for kind in ("guidance", "tracking"):
-        for path, section in parts.sections(kind):
+        for path, section in sections(parts.spec, kind):
             where = vehicle_numbers(path[1]) if path else range(spec.vehicles + 1)
             names = {law_names(parts.choice(entries)) for entries in {parts.entries(i) for i in where}}
             if any(n is not None and ":" in n[kind == "tracking"] for n in names):
@@ -197,10 +184,7 @@ def velocity_bounds(parts: Parts, report: Report) -> None:
         if law != "optimal":
             continue
         preset = profile(name)[0]
-        bounds: dict[str, Vec3] = {
-            "rho_lo": section.rho_lo or preset.rho_lo,
-            "rho_hi": section.rho_hi or preset.rho_hi,
-        }
+        bounds: dict[str, Vec3] = {"rho_lo": section.rho_lo or preset.rho_lo, "rho_hi": section.rho_hi or preset.rho_hi}
         for bound_name, bound in bounds.items():
             sign, speeds = (1.0, low) if bound_name == "rho_lo" else (-1.0, high)
             for axis, limit, speed in zip("xyz", bound, speeds, strict=True):
@@ -262,6 +246,6 @@ def gain_bounds(parts: Parts, report: Report) -> None:
 
 
 def cosine_guard(parts: Parts, report: Report) -> None:
-    for path, section in parts.sections("tracking"):
+    for path, section in sections(parts.spec, "tracking"):
         if section.cos_eps is not None and section.cos_eps >= 1.0:
             report.add((*path, "tracking", "cos_eps"), f"is a cosine and must be below 1, got {section.cos_eps!r}")

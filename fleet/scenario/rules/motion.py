@@ -8,10 +8,10 @@ from typing import Any
 from agents.trajectory import Path, PathError
 from fleet.quantities import show_time, vehicle_numbers
 from fleet.scenario.parts import Parts
-from fleet.scenario.rules.report import Report, dotted
+from fleet.scenario.rules.report import Report, dotted, unknown_vehicle
 from fleet.scenario.schema.motion import FORMATION, GRAPH, REFERENCE, FormationShape, ShapeKeys
 from fleet.scenario.schema.navigation import FixSection, NavigationSection
-from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.schema.spec import ScenarioSpec, sections
 from fleet.scenario.sections.data_files import DataFileError
 from fleet.scenario.sections.graph import parse_edge
 from fleet.scenario.sections.navigation import DEFAULTS, KINDS, NUMBERS, grade_of, grade_problems, navigation_of
@@ -32,7 +32,7 @@ _NOT_OF = {"gps": ("at", "noise_per_distance", "reach"), "usbl": ("depth",), "lb
 
 def navigation(parts: Parts, report: Report) -> None:
     """Every file is there, every number is possible, and fixes have what their kind needs."""
-    for parent, section in parts.sections("navigation"):
+    for parent, section in sections(parts.spec, "navigation"):
         if section is not None and not section.ideal:
             _section(parts, report, (*parent, "navigation"), section)
 
@@ -82,7 +82,7 @@ def _fixes(parts: Parts, report: Report, path: tuple[str, ...], kind: Any, secti
 def localization(parts: Parts, report: Report) -> None:
     """Localisation has ranges, messages that say how sure their sender is, and a covariance of its own."""
     network = parts.spec.network
-    for parent, section in parts.sections("agent"):
+    for parent, section in sections(parts.spec, "agent"):
         if section is None or section.localization is None:
             continue
         path = (*parent, "agent", "localization")
@@ -226,8 +226,8 @@ def graph_form(parts: Parts, report: Report) -> None:
     shape_keys(report, ("graph",), g, g.shape or "edges", GRAPH)
     if g.shape == "ring" and spec.vehicles < 3:
         report.add(("graph", "shape"), f"a ring needs 3 vehicles or more, got {spec.vehicles}", "use path")
-    if g.hub is not None and g.hub > spec.vehicles:
-        report.add(("graph", "hub"), f"there is no vehicle {g.hub}: the vehicles are 1 to {spec.vehicles}")
+    if g.hub is not None and (wrong := unknown_vehicle(spec, g.hub)):
+        report.add(("graph", "hub"), wrong)
     if g.count is not None and g.count >= spec.vehicles:
         message = f"a vehicle has {spec.vehicles - 1} others to hear, not {g.count}"
         report.add(("graph", "count"), message, "use complete for all of them")
@@ -247,9 +247,8 @@ def edges(parts: Parts, report: Report) -> None:
         if link in seen:
             report.add(path, "the same edge is given twice", key=True)
         seen.add(link)
-        for end in link:
-            if not 1 <= end <= spec.vehicles:
-                report.add(path, f"there is no vehicle {end}: the vehicles are 1 to {spec.vehicles}", key=True)
+        for wrong in filter(None, (unknown_vehicle(spec, end) for end in link)):
+            report.add(path, wrong, key=True)
 
 
 def followers(parts: Parts, report: Report) -> None:
@@ -265,10 +264,8 @@ def followers(parts: Parts, report: Report) -> None:
         )
     seen: set[int] = set()
     for index, number in enumerate(followers):
-        if not 1 <= number <= spec.vehicles:
-            report.add(
-                ("graph", "reference", index), f"there is no vehicle {number}: the vehicles are 1 to {spec.vehicles}"
-            )
+        if wrong := unknown_vehicle(spec, number):
+            report.add(("graph", "reference", index), wrong)
         elif number in seen:
             report.add(("graph", "reference", index), f"vehicle {number} is given twice")
         seen.add(number)
@@ -285,8 +282,8 @@ def knowledge(parts: Parts, report: Report) -> None:
     hear_one = {dst for src, dst in parts.links if src in followers} if standby else set()
     path = ("graph", "standby", "vehicles")
     for i in standby:
-        if not 1 <= i <= spec.vehicles:
-            report.add(path, f"there is no vehicle {i}: the vehicles are 1 to {spec.vehicles}")
+        if wrong := unknown_vehicle(spec, i):
+            report.add(path, wrong)
         elif i in followers:
             report.add(path, f"vehicle {i} follows the reference itself (graph.reference)")
         elif i not in hear_one:

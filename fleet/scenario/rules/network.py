@@ -18,8 +18,8 @@ from fleet.scenario.sections.acoustic import (
     turn_ns,
 )
 from fleet.scenario.sections.data_files import DataFileError
-from fleet.scenario.sections.modem_files import modem_of, modem_problems
-from fleet.scenario.sections.site_files import load_site
+from fleet.scenario.sections.graph import reached
+from fleet.scenario.sections.modem_files import load_site, modem_of, modem_problems
 from fleet.scenario.sections.trace_table import TraceTable
 from netem.errors import TextError
 from netem.grammar import parse_selector
@@ -76,9 +76,13 @@ def _states(report: Report, path: Path, states: dict[str, LinkStateSection], tic
             report.add((*path, name, "condition"), message)
         for problem, hint in _following(states, name):
             report.add((*path, name, "next"), problem, hint)
+    after = {
+        name: [other for other in states if state.next is None or state.next.get(other, 0.0) > 0.0]
+        for name, state in states.items()
+    }
     first = next(iter(states))
     for start, end in [*((first, name) for name in states), *((name, first) for name in states)]:
-        if end not in _reached(states, start):
+        if end not in reached([start], after):
             report.add(path, f"{start} never leads to {end}", "every state must lead to every other in the end")
             return
 
@@ -98,21 +102,11 @@ def _following(states: dict[str, LinkStateSection], name: str) -> Iterator[tuple
         yield f"expected probabilities that sum up to 100 %, got {100 * total:g} %", ""
 
 
-def _reached(states: dict[str, LinkStateSection], start: str) -> set[str]:
-    found, fresh = {start}, [start]
-    while fresh:
-        following = states[fresh.pop()].next
-        after = set(states) if following is None else {name for name, p in following.items() if p > 0.0} & set(states)
-        fresh += after - found
-        found |= after
-    return found
-
-
 def _trace(parts: Parts, report: Report, path: Path, section: LinkSection) -> int:
     """How many characters the trace has in the merged scenario."""
     assert section.trace is not None
     try:
-        table = parts.traces[section.trace]
+        table = parts.traces(section.trace)
     except DataFileError as error:
         shown = "" if "\n" in section.trace else f"{section.trace}: "
         for problem in error.problems:

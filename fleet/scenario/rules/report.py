@@ -121,9 +121,15 @@ def known_links(links: Sequence[Link]) -> str:
     return f"links: {shown}{more}"
 
 
-def vehicles_exist(spec: ScenarioSpec, report: Report, path: tuple[str | int, ...], text: str) -> None:
+def unknown_vehicle(spec: ScenarioSpec, number: int) -> str:
+    """What is wrong with the number of a vehicle; "": the scenario has it."""
+    known = 1 <= number <= spec.vehicles
+    return "" if known else f"there is no vehicle {number}: the vehicles are 1 to {spec.vehicles}"
+
+
+def vehicles_exist(
+    spec: ScenarioSpec, report: Report, path: tuple[str | int, ...], text: str, *, key: bool = False
+) -> None:
     """Report the first vehicle in `text` that the scenario does not have."""
-    for number in vehicle_numbers(text):
-        if not 1 <= number <= spec.vehicles:
-            report.add(path, f"there is no vehicle {number}: the vehicles are 1 to {spec.vehicles}")
-            break
+    if wrong := next(filter(None, (unknown_vehicle(spec, number) for number in vehicle_numbers(text))), ""):
+        report.add(path, wrong, key=key)

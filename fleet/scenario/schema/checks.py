@@ -15,30 +15,22 @@ from pydantic import (
 )
 
 from fleet.quantities import describe_value
-from fleet.scenario.schema.value_types import (
-    Count,
-    LinkSelector,
-    Period,
-    PositiveLength,
-    Section,
-    Time,
-    VehicleNumbers,
-    mistake,
-)
+from fleet.scenario.schema import value_types as v
+from fleet.scenario.schema.value_types import Section, mistake
 
 
 class Below(Section):
     """The largest value over all vehicles, or those named, stays below a limit from a time to the end."""
 
-    below: PositiveLength
-    after: Time = 0
-    vehicles: VehicleNumbers | None = None
+    below: v.PositiveLength
+    after: v.Time = 0
+    vehicles: v.VehicleNumbers | None = None
 
 
 class AtMost(Section):
     """A count stays within a limit."""
 
-    at_most: Count
+    at_most: v.Count
 
 
 WAIVED = "waived"
@@ -47,14 +39,14 @@ WAIVED = "waived"
 class Standing(AtMost):
     """A check that every scenario has, with at most 0, unless the file gives another limit or waives it."""
 
-    at_most: Count = 0
+    at_most: v.Count = 0
     waived: bool = False  # `tumbled: waived` in the file
 
 
 class Tumbled(Standing):
     """How often vehicles, all or those named, may tumble: pitch beyond `vehicle.tumble_pitch`."""
 
-    vehicles: VehicleNumbers | None = None
+    vehicles: v.VehicleNumbers | None = None
 
 
 def _standing(value: Any) -> Any:
@@ -70,9 +62,9 @@ def _show_standing(check: Standing | None) -> Any:
 class MaxAge(Section):
     """The age of the last message that was delivered stays below a limit on some links, from a time to the end."""
 
-    below: Period
-    after: Time = 0
-    links: LinkSelector = "*"
+    below: v.Period
+    after: v.Time = 0
+    links: v.LinkSelector = "*"
 
 
 EVERY = "every"  # in place of a fault's id: each fault that ends before the run
@@ -85,26 +77,26 @@ class Recovery(Section):
     """
 
     fault: str  # its id: as given, or f1, f2, ...; or EVERY
-    below: Period
-    within: PositiveLength
+    below: v.Period
+    within: v.PositiveLength
     error: Literal["formation", "consensus"] = "formation"
-    vehicles: VehicleNumbers | None = None
+    vehicles: v.VehicleNumbers | None = None
 
 
 class MinSeparation(Section):
     """The distance of any two vehicles, of all or of those named, stays above a limit from a time to the end."""
 
-    above: PositiveLength
-    after: Time = 0
-    vehicles: VehicleNumbers | None = None
+    above: v.PositiveLength
+    after: v.Time = 0
+    vehicles: v.VehicleNumbers | None = None
 
 
 class Connected(Section):
     """The messages delivered within every window of some length connect each vehicle with the reference."""
 
-    window: Period
-    after: Time = 0  # when the first window begins
-    vehicles: VehicleNumbers | None = None  # the vehicles that must be connected; all
+    window: v.Period
+    after: v.Time = 0  # when the first window begins
+    vehicles: v.VehicleNumbers | None = None  # the vehicles that must be connected; all
 
 
 def _quantity(value: Any) -> Any:
@@ -141,20 +133,20 @@ class SignalCheck(Section):
 
     name: str | None = None  # of the verdict; the signal's
     topic: str  # topic group, dot, field: `state.z`, `|error.e|`
-    vehicles: Annotated[VehicleNumbers | None, BeforeValidator(_everyone)] = None
+    vehicles: Annotated[v.VehicleNumbers | None, BeforeValidator(_everyone)] = None
     below: Quantity | None = None
     above: Quantity | None = None
     equals: Quantity | None = None
     within: Annotated[Any, BeforeValidator(_range)] = None  # a range; beside `equals` how far off it may be
     spread_below: Quantity | None = None  # the largest value of any vehicle minus the least
     at_most_one: OnlyTrue = None  # vehicle whose value is true: not 0
-    agree_within: Period | None = None  # all values are equal, but for stretches shorter than this
+    agree_within: v.Period | None = None  # all values are equal, but for stretches shorter than this
     never: OnlyTrue = None  # the condition must not hold
     sometimes: OnlyTrue = None  # it must hold in some run of a study or search; no single run fails for it
-    eventually_within: Period | None = None  # it must hold at some time, not always
-    for_at_least: Period | None = None  # a time for which it holds without a break
+    eventually_within: v.Period | None = None  # it must hold at some time, not always
+    for_at_least: v.Period | None = None  # a time for which it holds without a break
     fault: str | None = None  # with `eventually_within`: counted from the end of this fault, or of EVERY
-    after: Time = 0
+    after: v.Time = 0
 
 
 CONDITIONS = ("below", "above", "equals", "within", "spread_below", "at_most_one", "agree_within")

@@ -8,29 +8,9 @@ from pydantic import BeforeValidator, PlainSerializer
 
 from agents.config import Angles, Cost, Extrapolation, Method
 from fleet.quantities import CLOCK_DRIFT, show, show_time
+from fleet.scenario.schema import value_types as v
 from fleet.scenario.schema.navigation import NavigationChoice
-from fleet.scenario.schema.value_types import (
-    Acceleration,
-    ClockDrift,
-    ClockSpread,
-    ClockTime,
-    ClockTimeSpread,
-    Gain,
-    Gains,
-    Layers,
-    Period,
-    PlanPosition,
-    PositiveAcceleration,
-    PositiveLength,
-    PositiveNumber,
-    PositiveSpeed,
-    Section,
-    Speed,
-    Time,
-    Velocity,
-    Weights,
-    named,
-)
+from fleet.scenario.schema.value_types import Section, word_for
 from fleet.scenario.schema.vehicle import ModelErrorSection, VehicleSection
 
 # --- clock
@@ -40,15 +20,15 @@ from fleet.scenario.schema.vehicle import ModelErrorSection, VehicleSection
 class DriftSection(Section):
     """How fast a clock gains: the same for all vehicles, or drawn for each from a normal distribution."""
 
-    mean: ClockDrift = 0.0
-    sigma: ClockSpread = 0.0
+    mean: v.ClockDrift = 0.0
+    sigma: v.ClockSpread = 0.0
 
 
 class OffsetSection(Section):
     """By how much a clock is ahead at the start, likewise."""
 
-    mean: ClockTime = 0
-    sigma: ClockTimeSpread = 0
+    mean: v.ClockTime = 0
+    sigma: v.ClockTimeSpread = 0
 
 
 def _mean(value: Any) -> Any:
@@ -82,22 +62,22 @@ class ClockSection(Section):
 class ObstacleSection(Section):
     """A vertical cylinder, from the surface to the bottom."""
 
-    at: PlanPosition  # of its axis: north, east
-    radius: PositiveLength
+    at: v.PlanPosition  # of its axis: north, east
+    radius: v.PositiveLength
 
 
 class KeepApartSection(Section):
     """A distance that vehicles keep from each other, and cylinders that they do not enter."""
 
-    distance: PositiveLength
+    distance: v.PositiveLength
     obstacles: list[ObstacleSection] = []
-    gain: Gain = 0.3  # of the barrier: how fast a distance may shrink for each metre that is left
-    lag: Period = 1_000_000_000  # the longest time in which a velocity follows its command
-    slew: PositiveAcceleration = 0.3  # per axis: how fast the filter changes the command
-    acceleration: PositiveAcceleration = 0.5  # what a neighbour may do since it was heard
-    speed: PositiveSpeed = 1.5  # likewise; and the limit of what the filter commands on each horizontal axis
-    climb: PositiveSpeed = 0.1  # up or down, of any command: a third of the least speed, `tracking.u_floor`
-    age_cap: Period = 2_000_000_000  # what is older is extrapolated no further, and its margin grows no more
+    gain: v.Gain = 0.3  # of the barrier: how fast a distance may shrink for each metre that is left
+    lag: v.Period = 1_000_000_000  # the longest time in which a velocity follows its command
+    slew: v.PositiveAcceleration = 0.3  # per axis: how fast the filter changes the command
+    acceleration: v.PositiveAcceleration = 0.5  # what a neighbour may do since it was heard
+    speed: v.PositiveSpeed = 1.5  # likewise; and the limit of what the filter commands on each horizontal axis
+    climb: v.PositiveSpeed = 0.1  # up or down, of any command: a third of the least speed, `tracking.u_floor`
+    age_cap: v.Period = 2_000_000_000  # what is older is extrapolated no further, and its margin grows no more
 
 
 class LawSection(Section):
@@ -113,7 +93,7 @@ def _show_law(section: LawSection | None) -> Any:
     return section.law
 
 
-LawChoice = Annotated[LawSection, BeforeValidator(named), PlainSerializer(_show_law)]
+LawChoice = Annotated[LawSection, word_for("law"), PlainSerializer(_show_law)]
 
 
 class GuidanceSection(Section):
@@ -121,19 +101,19 @@ class GuidanceSection(Section):
 
     law: str | None = None
     parameters: dict[str, Any] | None = None
-    Q: Weights | None = None
-    R1: Weights | None = None
-    R2: Weights | None = None
-    p: PositiveNumber | None = None
-    K0: Gains | None = None
-    k_min: Gain | None = None
-    k_max: Gain | None = None
-    rho_lo: Velocity | None = None
-    rho_hi: Velocity | None = None
-    qp_period: Period | None = None
-    horizon: Period | None = None
+    Q: v.Weights | None = None
+    R1: v.Weights | None = None
+    R2: v.Weights | None = None
+    p: v.PositiveNumber | None = None
+    K0: v.Gains | None = None
+    k_min: v.Gain | None = None
+    k_max: v.Gain | None = None
+    rho_lo: v.Velocity | None = None
+    rho_hi: v.Velocity | None = None
+    qp_period: v.Period | None = None
+    horizon: v.Period | None = None
     cost: Cost | None = None
-    slew: Acceleration | None = None
+    slew: v.Acceleration | None = None
 
 
 class TrackingSection(Section):
@@ -141,34 +121,29 @@ class TrackingSection(Section):
 
     law: str | None = None
     parameters: dict[str, Any] | None = None
-    k_u: Gain | None = None
-    k_q: Gain | None = None
-    k_r: Gain | None = None
-    k_theta: Gain | None = None
-    k_psi: Gain | None = None
-    a: Gain | None = None
-    b_up: PositiveNumber | None = None
-    b_down: PositiveNumber | None = None
-    phi: Layers | None = None
-    tau_f: Time | None = None
+    k_u: v.Gain | None = None
+    k_q: v.Gain | None = None
+    k_r: v.Gain | None = None
+    k_theta: v.Gain | None = None
+    k_psi: v.Gain | None = None
+    a: v.Gain | None = None
+    b_up: v.PositiveNumber | None = None
+    b_down: v.PositiveNumber | None = None
+    phi: v.Layers | None = None
+    tau_f: v.Time | None = None
     angles: Angles | None = None
-    u_floor: Speed | None = None
-    rho_eps: Speed | None = None
-    cos_eps: PositiveNumber | None = None
-    u_eps: PositiveSpeed | None = None
+    u_floor: v.Speed | None = None
+    rho_eps: v.Speed | None = None
+    cos_eps: v.PositiveNumber | None = None
+    u_eps: v.PositiveSpeed | None = None
 
 
 class LocalizationSection(Section):
     """How ranges to others correct the position that the navigator believes."""
 
     method: Method
-    gate: PositiveNumber = 10.83  # chi-square with 1 degree of freedom, 99.9 %
+    gate: v.PositiveNumber = 10.83  # chi-square with 1 degree of freedom, 99.9 %
     mirror: bool = False  # keep the mirror image of the place as well, until ranges tell which it is
-
-
-def _localization(value: Any) -> Any:
-    """Localisation may be given by its method alone."""
-    return {"method": value} if isinstance(value, str) else value
 
 
 class AgentSection(Section):
@@ -177,7 +152,7 @@ class AgentSection(Section):
     law: str | None = None
     parameters: dict[str, Any] | None = None
     clock: ClockSection | None = None
-    localization: Annotated[LocalizationSection | None, BeforeValidator(_localization)] = None
+    localization: Annotated[LocalizationSection | None, word_for("method")] = None
 
 
 def _show_agent(section: AgentSection | None) -> Any:
@@ -187,18 +162,18 @@ def _show_agent(section: AgentSection | None) -> Any:
     return values["law"] if list(values) == ["law"] else values
 
 
-AgentChoice = Annotated[AgentSection, BeforeValidator(named), PlainSerializer(_show_agent)]
+AgentChoice = Annotated[AgentSection, word_for("law"), PlainSerializer(_show_agent)]
 Profile = Literal["paper", "consistent", "hardened", "remus100"]
-GuidanceChoice = Annotated[GuidanceSection, BeforeValidator(named)]
-TrackingChoice = Annotated[TrackingSection, BeforeValidator(named)]
+GuidanceChoice = Annotated[GuidanceSection, word_for("law")]
+TrackingChoice = Annotated[TrackingSection, word_for("law")]
 
 
 class NeighboursSection(Section):
     """How an agent estimates the present state of a neighbour from its last message."""
 
     extrapolate: Extrapolation = "hold"
-    age_cap: Time = 0  # the longest extrapolation; 0: no limit
-    drop_after: Time = 0  # a neighbour that is silent for so long has weight 0 until its next message; 0: never
+    age_cap: v.Time = 0  # the longest extrapolation; 0: no limit
+    drop_after: v.Time = 0  # a neighbour that is silent for so long has weight 0 until its next message; 0: never
 
 
 class VehicleOverrides(Section):

@@ -7,34 +7,8 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import BeforeValidator, Field, PlainSerializer
 
 from fleet.quantities import describe_value
-from fleet.scenario.schema.value_types import (
-    Angle,
-    AngularRate,
-    AnyMoment,
-    ClockDrift,
-    ClockTime,
-    Force,
-    ForceVector,
-    Length,
-    LinkCondition,
-    LinkSelector,
-    Moment,
-    Period,
-    PlanPosition,
-    Position,
-    Probability,
-    Ratio,
-    Section,
-    SignedAngle,
-    SignedAngularRate,
-    Speed,
-    Speeds,
-    Ticks,
-    Time,
-    VehicleNumbers,
-    Velocity,
-    mistake,
-)
+from fleet.scenario.schema import value_types as v
+from fleet.scenario.schema.value_types import Section, mistake, word_for
 from netem.parsing import nearest
 
 # --- sea
@@ -44,14 +18,9 @@ from netem.parsing import nearest
 class CurrentSection(Section):
     """An irrotational current, NED: constant, or with a first-order Gauss-Markov part."""
 
-    mean: Velocity = (0.0, 0.0, 0.0)
-    sigma: Speeds = (0.0, 0.0, 0.0)
-    time_constant: Period = 60_000_000_000
-
-
-def _current(value: Any) -> Any:
-    """A current that is constant is its velocity alone."""
-    return {"mean": value} if isinstance(value, str) else value
+    mean: v.Velocity = (0.0, 0.0, 0.0)
+    sigma: v.Speeds = (0.0, 0.0, 0.0)
+    time_constant: v.Period = 60_000_000_000
 
 
 def _show_current(current: CurrentSection | None) -> Any:
@@ -61,7 +30,7 @@ def _show_current(current: CurrentSection | None) -> Any:
     return values if any(current.sigma) else values["mean"]
 
 
-Current = Annotated[CurrentSection, BeforeValidator(_current), PlainSerializer(_show_current)]
+Current = Annotated[CurrentSection, word_for("mean"), PlainSerializer(_show_current)]
 
 
 class SeaSection(Section):
@@ -74,122 +43,122 @@ class SeaSection(Section):
 class SensorsSection(Section):
     """Standard deviations of white noise on the navigation sensor; 0 is off."""
 
-    position_noise: Length = 0.0
-    angle_noise: Angle = 0.0
-    velocity_noise: Speed = 0.0
-    rate_noise: AngularRate = 0.0
+    position_noise: v.Length = 0.0
+    angle_noise: v.Angle = 0.0
+    velocity_noise: v.Speed = 0.0
+    rate_noise: v.AngularRate = 0.0
 
 
 class SensorNoise(SensorsSection):
     """More noise on some vehicles' navigation."""
 
-    vehicles: VehicleNumbers | None = None
+    vehicles: v.VehicleNumbers | None = None
 
 
 class SensorBias(Section):
-    vehicles: VehicleNumbers | None = None
-    position: Position = (0.0, 0.0, 0.0)  # NED
-    velocity: Velocity = (0.0, 0.0, 0.0)  # body
-    pitch: SignedAngle = 0.0
-    yaw: SignedAngle = 0.0
-    pitch_rate: SignedAngularRate = 0.0
-    yaw_rate: SignedAngularRate = 0.0
-    roll: SignedAngle = 0.0  # of vehicles that have it
-    roll_rate: SignedAngularRate = 0.0
+    vehicles: v.VehicleNumbers | None = None
+    position: v.Position = (0.0, 0.0, 0.0)  # NED
+    velocity: v.Velocity = (0.0, 0.0, 0.0)  # body
+    pitch: v.SignedAngle = 0.0
+    yaw: v.SignedAngle = 0.0
+    pitch_rate: v.SignedAngularRate = 0.0
+    yaw_rate: v.SignedAngularRate = 0.0
+    roll: v.SignedAngle = 0.0  # of vehicles that have it
+    roll_rate: v.SignedAngularRate = 0.0
 
 
 class Efficiency(Section):
     """The share of each command that the actuators still produce."""
 
-    vehicles: VehicleNumbers | None = None
-    surge: Ratio = 1.0
-    pitch: Ratio = 1.0
-    yaw: Ratio = 1.0
+    vehicles: v.VehicleNumbers | None = None
+    surge: v.Ratio = 1.0
+    pitch: v.Ratio = 1.0
+    yaw: v.Ratio = 1.0
 
 
 class Saturation(Section):
     """Smaller limits of the actuators."""
 
-    vehicles: VehicleNumbers | None = None
-    surge_force: Force | None = None
-    pitch_moment: Moment | None = None
-    yaw_moment: Moment | None = None
+    vehicles: v.VehicleNumbers | None = None
+    surge_force: v.Force | None = None
+    pitch_moment: v.Moment | None = None
+    yaw_moment: v.Moment | None = None
 
 
 class Wrench(Section):
     """A constant force and moment in body axes."""
 
-    vehicles: VehicleNumbers | None = None
-    force: ForceVector = (0.0, 0.0, 0.0)
-    pitch_moment: AnyMoment = 0.0
-    yaw_moment: AnyMoment = 0.0
+    vehicles: v.VehicleNumbers | None = None
+    force: v.ForceVector = (0.0, 0.0, 0.0)
+    pitch_moment: v.AnyMoment = 0.0
+    yaw_moment: v.AnyMoment = 0.0
 
 
 class Dropout(Section):
     """The navigation sensor repeats its last measurement, with this probability at each tick."""
 
-    vehicles: VehicleNumbers | None = None
-    probability: Probability
+    vehicles: v.VehicleNumbers | None = None
+    probability: Annotated[v.Probability, v.loss_once("probability")]
 
 
 class DvlFault(Section):
     """The DVL of vehicles that navigate: samples that are lost, biased, or jump."""
 
-    vehicles: VehicleNumbers | None = None
-    lost: Probability = 0.0  # of each sample
-    bias: Velocity = (0.0, 0.0, 0.0)  # body
-    jump: Speed = 0.0  # standard deviation on each axis
-    chance: Probability = 0.1  # that a sample jumps
+    vehicles: v.VehicleNumbers | None = None
+    lost: Annotated[v.Probability, v.loss_once("lost")] = 0.0  # of each sample
+    bias: v.Velocity = (0.0, 0.0, 0.0)  # body
+    jump: v.Speed = 0.0  # standard deviation on each axis
+    chance: v.Probability = 0.1  # that a sample jumps
 
 
 class CompassFault(Section):
     """The same of the heading sensor."""
 
-    vehicles: VehicleNumbers | None = None
-    lost: Probability = 0.0
-    bias: SignedAngle = 0.0
-    jump: Angle = 0.0
-    chance: Probability = 0.1
+    vehicles: v.VehicleNumbers | None = None
+    lost: Annotated[v.Probability, v.loss_once("lost")] = 0.0
+    bias: v.SignedAngle = 0.0
+    jump: v.Angle = 0.0
+    chance: v.Probability = 0.1
 
 
 class FixFault(Section):
     """The same of the fixes of the position."""
 
-    vehicles: VehicleNumbers | None = None
-    lost: Probability = 0.0
-    bias: PlanPosition = (0.0, 0.0)  # north, east
-    jump: Length = 0.0
-    chance: Probability = 0.1
+    vehicles: v.VehicleNumbers | None = None
+    lost: Annotated[v.Probability, v.loss_once("lost")] = 0.0
+    bias: v.PlanPosition = (0.0, 0.0)  # north, east
+    jump: v.Length = 0.0
+    chance: v.Probability = 0.1
 
 
 class Slow(Section):
     """The commands and the messages of an agent are late."""
 
-    vehicles: VehicleNumbers | None = None
-    by: Ticks
+    vehicles: v.VehicleNumbers | None = None
+    by: v.Ticks
 
 
 class ClockFault(Section):
     """A clock is set to another time, and goes faster or slower. At the end the step is undone."""
 
-    vehicles: VehicleNumbers | None = None
-    step: ClockTime = 0
-    drift: ClockDrift = 0.0
+    vehicles: v.VehicleNumbers | None = None
+    step: v.ClockTime = 0
+    drift: v.ClockDrift = 0.0
 
 
 class Gust(Section):
     """A current that rises to a velocity and falls again, for all vehicles."""
 
-    velocity: Velocity
-    over: Period
+    velocity: v.Velocity
+    over: v.Period
 
 
 class FaultTimes(Section):
     """When a fault begins, and for how long it lasts. It always ends, at the latest with the run."""
 
     id: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,31}$")] | None = None  # f1, f2, ...
-    at: Time
-    for_: Annotated[Period | None, Field(alias="for")] = None  # to the end
+    at: v.Time
+    for_: Annotated[v.Period | None, Field(alias="for")] = None  # to the end
 
 
 def _conditions(value: Any) -> Any:
@@ -206,27 +175,27 @@ class FaultAction(Section):
     """
 
     # In place of the links' own conditions.
-    link: Annotated[dict[LinkSelector, LinkCondition] | None, BeforeValidator(_conditions)] = None
-    down: LinkSelector | None = None
-    up: LinkSelector | None = None  # the end of every down, and of the links' own
+    link: Annotated[dict[v.LinkSelector, v.LinkCondition] | None, BeforeValidator(_conditions)] = None
+    down: v.LinkSelector | None = None
+    up: v.LinkSelector | None = None  # the end of every down, and of the links' own
     partition: str | None = None  # "1,2 / 3,4", or halves, one, majority, ring, bridge, isolate:3
-    mute: VehicleNumbers | None = None  # sends nothing
-    deaf: VehicleNumbers | None = None  # receives nothing
+    mute: v.VehicleNumbers | None = None  # sends nothing
+    deaf: v.VehicleNumbers | None = None  # receives nothing
     slow: Slow | None = None
     clock: ClockFault | None = None  # of the agent and its modem
-    kill: VehicleNumbers | None = None  # the agent ends; the vehicle drifts until it is restarted
-    pause: VehicleNumbers | None = None  # the agent is suspended; the vehicle holds its last command
+    kill: v.VehicleNumbers | None = None  # the agent ends; the vehicle drifts until it is restarted
+    pause: v.VehicleNumbers | None = None  # the agent is suspended; the vehicle holds its last command
     noise: SensorNoise | None = None
     bias: SensorBias | None = None
-    freeze: VehicleNumbers | None = None  # the same measurement again and again
+    freeze: v.VehicleNumbers | None = None  # the same measurement again and again
     dropout: Dropout | None = None
     dvl: DvlFault | None = None
     compass: CompassFault | None = None
     fix: FixFault | None = None
     efficiency: Efficiency | None = None
     saturate: Saturation | None = None
-    off: VehicleNumbers | None = None  # no force, no moments
-    stuck: VehicleNumbers | None = None  # those of the tick at which it began
+    off: v.VehicleNumbers | None = None  # no force, no moments
+    stuck: v.VehicleNumbers | None = None  # those of the tick at which it began
     current: Current | None = None  # in addition to the sea's own, for all vehicles
     gust: Gust | None = None
     wrench: Wrench | None = None
@@ -295,20 +264,15 @@ class NemesisSection(Section):
     vehicles has no fault any more, and all others stay broken to the end.
     """
 
-    every: Period | None = None  # without mode
-    for_: Annotated[Period | None, Field(alias="for")] = None  # without mode
+    every: v.Period | None = None  # without mode
+    for_: Annotated[v.Period | None, Field(alias="for")] = None  # without mode
     pick: Picks | None = None  # with a mode: all kinds that fit the scenario
-    start: Time | None = None  # of the first; `every`, and 0 s with a mode
-    until: Period | None = None  # when the last has ended; the end of the run, three quarters of it in a swarm
+    start: v.Time | None = None  # of the first; `every`, and 0 s with a mode
+    until: v.Period | None = None  # when the last has ended; the end of the run, three quarters of it in a swarm
     mode: Literal["swarm", "liveness"] | None = None
     most_silent: Annotated[int, Field(ge=1)] | None = None  # vehicles killed, suspended or mute at once; any number
-    mean: Period | None = None  # time from one beginning to the next; the seed draws it
+    mean: v.Period | None = None  # time from one beginning to the next; the seed draws it
     aims: Annotated[list[Aim], Field(min_length=1)] | None = None  # all
     leader: Annotated[int, Field(ge=1)] | None = None  # vehicle that the aim `leader` means
-    core: VehicleNumbers | None = None  # liveness: a drawn majority that links connect
-    heal: Time | None = None  # liveness: half of the run
-
-
-def read_nemesis(value: Any) -> Any:
-    """A nemesis may be given by its mode alone."""
-    return {"mode": value} if isinstance(value, str) else value
+    core: v.VehicleNumbers | None = None  # liveness: a drawn majority that links connect
+    heal: v.Time | None = None  # liveness: half of the run

@@ -9,24 +9,8 @@ from pydantic import Field, GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 from fleet.quantities import QuantityError, describe_value, vehicle_numbers
-from fleet.scenario.schema.value_types import (
-    Length,
-    Period,
-    Position,
-    PositiveAcceleration,
-    PositiveLength,
-    PositiveNumber,
-    PositiveSpeed,
-    Probability,
-    Section,
-    SignedAngle,
-    SignedAngularRate,
-    SignedSpeed,
-    Time,
-    VehicleNumbers,
-    Velocity,
-    mistake,
-)
+from fleet.scenario.schema import value_types as v
+from fleet.scenario.schema.value_types import Section, mistake
 
 # --- shapes
 # Named shapes: which keys each takes, and what it is when they are not given.
@@ -77,37 +61,37 @@ class ReferenceSection(Section):
     """The trajectory that the fleet follows, the paper's eta_1^d(t); `shapes` lists the keys of each shape."""
 
     shape: Literal["line", "circle", "helix", "lawn-mower", "waypoints"] | None = None  # line
-    start: Position | None = None  # NED: north, east, down
-    velocity: Velocity | None = None
-    speed: PositiveSpeed | None = None
-    center: Position | None = None
-    radius: PositiveLength | None = None
-    bearing: SignedAngle | None = None  # of the start as seen from the centre, clockwise from north
+    start: v.Position | None = None  # NED: north, east, down
+    velocity: v.Velocity | None = None
+    speed: v.PositiveSpeed | None = None
+    center: v.Position | None = None
+    radius: v.PositiveLength | None = None
+    bearing: v.SignedAngle | None = None  # of the start as seen from the centre, clockwise from north
     turn: Literal["starboard", "port"] | None = None  # starboard
-    sink: SignedSpeed | None = None  # of a helix: downwards
-    heading: SignedAngle | None = None  # of a lawn-mower's first leg, clockwise from north
-    leg: PositiveLength | None = None
+    sink: v.SignedSpeed | None = None  # of a helix: downwards
+    heading: v.SignedAngle | None = None  # of a lawn-mower's first leg, clockwise from north
+    leg: v.PositiveLength | None = None
     legs: Annotated[int, Field(ge=1, le=1000)] | None = None
-    spacing: PositiveLength | None = None
-    points: list[Position] | None = None
-    acceleration: PositiveAcceleration | None = None  # in the turns at waypoints
+    spacing: v.PositiveLength | None = None
+    points: list[v.Position] | None = None
+    acceleration: v.PositiveAcceleration | None = None  # in the turns at waypoints
     closed: bool | None = None  # waypoints: from the last one back to the first, again and again
 
 
 class FormationShape(Section):
     """The place of each vehicle in the formation: explicit `offsets`, or a named `shape`."""
 
-    offsets: list[Position] | None = None  # p_1, p_2, ...; Delta_ij = p_i - p_j
+    offsets: list[v.Position] | None = None  # p_1, p_2, ...; Delta_ij = p_i - p_j
     shape: Literal["line", "column", "wedge", "circle", "grid"] | None = None
-    spacing: PositiveLength | None = None  # of the shape, between neighbours; 10 m
-    heading: SignedAngle | None = None  # what is ahead in the shape, clockwise from north; 0
+    spacing: v.PositiveLength | None = None  # of the shape, between neighbours; 10 m
+    heading: v.SignedAngle | None = None  # what is ahead in the shape, clockwise from north; 0
 
 
 class FormationChange(FormationShape):
     """A new formation, which the vehicles take up smoothly in the time `over`."""
 
-    at: Time
-    over: Period
+    at: v.Time
+    over: v.Period
 
 
 class FormationSection(FormationShape):
@@ -148,21 +132,21 @@ class _Followers:
 class StandbySection(Section):
     """Vehicles that follow the reference themselves while those of their neighbours that follow it are silent."""
 
-    vehicles: VehicleNumbers
-    after: Period  # of silence
+    vehicles: v.VehicleNumbers
+    after: v.Period  # of silence
 
 
 class GraphSection(Section):
     """The communication graph, as `edges` or as a named `shape`; and the vehicles that follow the reference."""
 
     shape: Literal["path", "ring", "star", "complete", "nearest", "random"] | None = None
-    ahead: PositiveNumber | None = None  # path, ring: a_(i,i-1); 1
-    behind: PositiveNumber | None = None  # path, ring: a_(i,i+1); 1
-    weight: PositiveNumber | None = None  # the other shapes: every a_ij; 1
+    ahead: v.PositiveNumber | None = None  # path, ring: a_(i,i-1); 1
+    behind: v.PositiveNumber | None = None  # path, ring: a_(i,i+1); 1
+    weight: v.PositiveNumber | None = None  # the other shapes: every a_ij; 1
     hub: Annotated[int, Field(ge=1)] | None = None  # star: the vehicle that is linked with all others; 1
     count: Annotated[int, Field(ge=1)] | None = None  # nearest: how many others each vehicle receives from; 2
-    probability: Probability | None = None  # random: of each pair beyond the tree that connects all; 20 %
-    edges: dict[str, PositiveNumber] | None = None  # "1->2": a_21, vehicle 2 receives from vehicle 1
+    probability: v.Probability | None = None  # random: of each pair beyond the tree that connects all; 20 %
+    edges: dict[str, v.PositiveNumber] | None = None  # "1->2": a_21, vehicle 2 receives from vehicle 1
     reference: Annotated[list[int] | Literal["all"], _Followers()] = "all"  # those with b_i = 1; the others have 0
     standby: StandbySection | None = None  # the vehicles that get b_i = 1 when those are silent
 
@@ -170,16 +154,16 @@ class GraphSection(Section):
 class InitialState(Section):
     """One vehicle at t = 0."""
 
-    position: Position
-    pitch: SignedAngle = 0.0
-    yaw: SignedAngle = 0.0
-    surge: SignedSpeed = 0.0
-    sway: SignedSpeed = 0.0
-    heave: SignedSpeed = 0.0
-    pitch_rate: SignedAngularRate = 0.0
-    yaw_rate: SignedAngularRate = 0.0
-    roll: SignedAngle = 0.0  # of a vehicle with a plant; so is its rate
-    roll_rate: SignedAngularRate = 0.0
+    position: v.Position
+    pitch: v.SignedAngle = 0.0
+    yaw: v.SignedAngle = 0.0
+    surge: v.SignedSpeed = 0.0
+    sway: v.SignedSpeed = 0.0
+    heave: v.SignedSpeed = 0.0
+    pitch_rate: v.SignedAngularRate = 0.0
+    yaw_rate: v.SignedAngularRate = 0.0
+    roll: v.SignedAngle = 0.0  # of a vehicle with a plant; so is its rate
+    roll_rate: v.SignedAngularRate = 0.0
 
 
 class Scatter(Section):
@@ -189,8 +173,8 @@ class Scatter(Section):
     the formation at t = 0, with the course of the reference.
     """
 
-    scatter: Length
-    surge: SignedSpeed = 0.0
+    scatter: v.Length
+    surge: v.SignedSpeed = 0.0
     around: Literal["origin", "reference"] = "origin"
 
 

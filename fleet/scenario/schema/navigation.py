@@ -7,22 +7,8 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, PlainSerializer
 
 from fleet.quantities import describe_value
-from fleet.scenario.schema.value_types import (
-    Angle,
-    AngleWalk,
-    AngularRate,
-    Length,
-    Period,
-    Position,
-    PositiveLength,
-    Probability,
-    Ratio,
-    SampleRate,
-    Section,
-    Speed,
-    Time,
-    mistake,
-)
+from fleet.scenario.schema import value_types as v
+from fleet.scenario.schema.value_types import Section, mistake
 
 DEFAULT_GRADE = "tactical"
 
@@ -30,21 +16,21 @@ DEFAULT_GRADE = "tactical"
 class FixSection(Section):
     """Fixes of the horizontal position; what is left out has a default for each kind."""
 
-    at: Position | None = None  # the beacon, or the middle of the beacons; usbl and lbl
-    period: Period | None = None
-    delay: Time | None = None  # from measurement to use
-    loss: Probability | None = None
-    noise: Length | None = None  # standard deviation on each axis, next to the beacon
-    noise_per_distance: Ratio | None = None  # and what comes to it, as a root of squares
-    reach: PositiveLength | None = None  # greatest distance to the beacon; any
-    depth: Length | None = None  # gps: below it there is none
+    at: v.Position | None = None  # the beacon, or the middle of the beacons; usbl and lbl
+    period: v.Period | None = None
+    delay: v.Time | None = None  # from measurement to use
+    loss: v.Probability | None = None
+    noise: v.Length | None = None  # standard deviation on each axis, next to the beacon
+    noise_per_distance: v.Ratio | None = None  # and what comes to it, as a root of squares
+    reach: v.PositiveLength | None = None  # greatest distance to the beacon; any
+    depth: v.Length | None = None  # gps: below it there is none
 
 
 class ExpectedCurrent(Section):
     """The filter's model of a current that it does not know: a first-order Gauss-Markov process."""
 
-    sigma: Speed = 0.2
-    time_constant: Period = 3_600_000_000_000
+    sigma: v.Speed = 0.2
+    time_constant: v.Period = 3_600_000_000_000
 
 
 class NavigationSection(Section):
@@ -52,23 +38,23 @@ class NavigationSection(Section):
 
     ideal: bool = False
     grade: str | None = None  # of the instruments, shipped or a TOML file; tactical
-    heading_rate: SampleRate | None = None
-    heading_bias: Angle | None = None
-    heading_noise: Angle | None = None
-    heading_walk: AngleWalk | None = None
-    gyro_rate: SampleRate | None = None
-    gyro_bias: AngularRate | None = None
-    gyro_walk: AngleWalk | None = None
-    dvl_rate: SampleRate | None = None
-    dvl_scale: Ratio | None = None
-    dvl_noise: Speed | None = None
-    dvl_altitude: Length | None = None
-    depth_rate: SampleRate | None = None
-    depth_bias: Length | None = None
-    depth_noise: Length | None = None
-    tilt: Angle | None = None
-    start: Length | None = None  # standard deviation of the position on each axis at the start; 1 m
-    bottom: PositiveLength | None = None  # depth of the floor; without it the DVL always sees it
+    heading_rate: v.SampleRate | None = None
+    heading_bias: v.Angle | None = None
+    heading_noise: v.Angle | None = None
+    heading_walk: v.AngleWalk | None = None
+    gyro_rate: v.SampleRate | None = None
+    gyro_bias: v.AngularRate | None = None
+    gyro_walk: v.AngleWalk | None = None
+    dvl_rate: v.SampleRate | None = None
+    dvl_scale: v.Ratio | None = None
+    dvl_noise: v.Speed | None = None
+    dvl_altitude: v.Length | None = None
+    depth_rate: v.SampleRate | None = None
+    depth_bias: v.Length | None = None
+    depth_noise: v.Length | None = None
+    tilt: v.Angle | None = None
+    start: v.Length | None = None  # standard deviation of the position on each axis at the start; 1 m
+    bottom: v.PositiveLength | None = None  # depth of the floor; without it the DVL always sees it
     current: ExpectedCurrent | None = None
     gps: FixSection | None = None
     usbl: FixSection | None = None

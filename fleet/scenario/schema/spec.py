@@ -6,6 +6,7 @@ concern several keys at once are in `fleet.scenario.rules`.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer
@@ -26,7 +27,7 @@ from fleet.scenario.schema.control import (
     TrackingSection,
     VehicleOverrides,
 )
-from fleet.scenario.schema.faults import FaultEntry, NemesisSection, SeaSection, SensorsSection, read_nemesis
+from fleet.scenario.schema.faults import FaultEntry, NemesisSection, SeaSection, SensorsSection
 from fleet.scenario.schema.groups import Group
 from fleet.scenario.schema.motion import (
     FormationSection,
@@ -38,7 +39,16 @@ from fleet.scenario.schema.motion import (
 )
 from fleet.scenario.schema.navigation import NavigationChoice
 from fleet.scenario.schema.network import NetworkSection, read_network, show_network
-from fleet.scenario.schema.value_types import Period, Section, Ticks, TicksOrNever, Time, VehicleNumbers, mistake
+from fleet.scenario.schema.value_types import (
+    Period,
+    Section,
+    Ticks,
+    TicksOrNever,
+    Time,
+    VehicleNumbers,
+    mistake,
+    word_for,
+)
 from fleet.scenario.schema.vehicle import ModelErrorSection, VehicleSection
 from netem.parsing import nearest
 from world.config import DEFAULT_SUBSTEPS
@@ -145,6 +155,14 @@ class ScenarioSpec(Section):
     log: Annotated[LogSection, BeforeValidator(_read_log), PlainSerializer(_show_log)] = LogSection()
     faults: list[FaultEntry] = []
     # Becomes explicit faults when the scenario is read.
-    nemesis: Annotated[NemesisSection, BeforeValidator(read_nemesis)] | None = None
+    nemesis: Annotated[NemesisSection, word_for("mode")] | None = None
     checks: ChecksSection = ChecksSection()
     expect: Literal["pass", "fail"] = "pass"  # fail: the run is meant to fail a check, and exits with 0 when it does
+
+
+def sections(spec: ScenarioSpec, key: str) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """(path of its parent, section) of a section wherever it is written: for all vehicles, and for some."""
+    yield (), getattr(spec, key)
+    for entry, overrides in spec.per_vehicle.items():
+        if getattr(overrides, key) is not None:
+            yield ("per_vehicle", entry), getattr(overrides, key)

@@ -12,7 +12,16 @@ from dataclasses import dataclass
 from math import radians
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, InstanceOf, model_validator
+from pydantic import (
+    AliasChoices,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    InstanceOf,
+    model_validator,
+)
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from fleet import quantities as q
@@ -39,9 +48,9 @@ class Section(BaseModel):
         return {} if value is None else value
 
 
-def named(value: Any) -> Any:
-    """A law may be given by its name alone."""
-    return {"law": value} if isinstance(value, str) else value
+def word_for(key: str) -> BeforeValidator:
+    """A section may be given by the text of one of its keys alone."""
+    return BeforeValidator(lambda value: {key: value} if isinstance(value, str) else value)
 
 
 def section_of(annotation: Any) -> type[Section] | None:
@@ -53,6 +62,11 @@ def section_of(annotation: Any) -> type[Section] | None:
         if section is not None:
             return section
     return None
+
+
+def loss_once(name: str) -> Any:
+    """The key `loss` for a share that is lost, which was `name` once: old files are read, and logs keep the word."""
+    return Field(alias="loss", validation_alias=AliasChoices("loss", name))
 
 
 def mistake(message: str, column: int = 0, hint: str = "") -> PydanticCustomError:
@@ -70,9 +84,7 @@ class Text:
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_before_validator_function(
-            self._validate,
-            handler(source),
-            serialization=core_schema.plain_serializer_function_ser_schema(self.show),
+            self._validate, handler(source), serialization=core_schema.plain_serializer_function_ser_schema(self.show)
         )
 
     def _validate(self, value: Any) -> Any:

@@ -4,21 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, PlainSerializer
+from pydantic import PlainSerializer
 
-from fleet.scenario.schema.value_types import (
-    AnyMoment,
-    Damping,
-    Force,
-    Inertia,
-    Mass,
-    Moment,
-    PitchLimit,
-    Ratio,
-    RotationDamping,
-    Section,
-    Time,
-)
+from fleet.scenario.schema import value_types as v
+from fleet.scenario.schema.value_types import Section, word_for
 
 DEFAULT_BUDGET_NS = 10_000_000_000
 
@@ -28,12 +17,7 @@ class PlantSection(Section):
 
     name: str
     parameters: dict[str, Any] | None = None
-    budget: Time = DEFAULT_BUDGET_NS  # wall time that it may take for a tick; 0: any
-
-
-def _read_plant(value: Any) -> Any:
-    """A plant may be given by its name alone."""
-    return {"name": value} if isinstance(value, str) else value
+    budget: v.Time = DEFAULT_BUDGET_NS  # wall time that it may take for a tick; 0: any
 
 
 def _show_plant(section: PlantSection | None) -> Any:
@@ -43,7 +27,7 @@ def _show_plant(section: PlantSection | None) -> Any:
     return section.name if set(values) == {"name"} else values
 
 
-PlantChoice = Annotated[PlantSection, BeforeValidator(_read_plant), PlainSerializer(_show_plant)]
+PlantChoice = Annotated[PlantSection, word_for("name"), PlainSerializer(_show_plant)]
 
 
 class VehicleSection(Section):
@@ -54,40 +38,40 @@ class VehicleSection(Section):
 
     plant: PlantChoice | None = None  # none: it moves by the equations of the 5-DOF model
     model: str | None = None  # that of the plant, or paper
-    m: Mass | None = None
-    Iy: Inertia | None = None
-    Iz: Inertia | None = None
-    beta_udot: Mass | None = None
-    beta_vdot: Mass | None = None
-    beta_wdot: Mass | None = None
-    beta_qdot: Inertia | None = None
-    beta_rdot: Inertia | None = None
-    beta_u: Damping | None = None
-    beta_v: Damping | None = None
-    beta_w: Damping | None = None
-    beta_q: RotationDamping | None = None
-    beta_r: RotationDamping | None = None
-    beta_b: AnyMoment | None = None
-    surge_force: Force | None = None
-    pitch_moment: Moment | None = None
-    yaw_moment: Moment | None = None
-    tumble_pitch: PitchLimit | None = None  # |pitch| beyond which it tumbles; 80 deg
+    m: v.Mass | None = None
+    Iy: v.Inertia | None = None
+    Iz: v.Inertia | None = None
+    beta_udot: v.Mass | None = None
+    beta_vdot: v.Mass | None = None
+    beta_wdot: v.Mass | None = None
+    beta_qdot: v.Inertia | None = None
+    beta_rdot: v.Inertia | None = None
+    beta_u: v.Damping | None = None
+    beta_v: v.Damping | None = None
+    beta_w: v.Damping | None = None
+    beta_q: v.RotationDamping | None = None
+    beta_r: v.RotationDamping | None = None
+    beta_b: v.AnyMoment | None = None
+    surge_force: v.Force | None = None
+    pitch_moment: v.Moment | None = None
+    yaw_moment: v.Moment | None = None
+    tumble_pitch: v.PitchLimit | None = None  # |pitch| beyond which it tumbles; 80 deg
 
 
 class ModelErrorSection(Section):
     """By how much the controller's model of the vehicle is wrong, per parameter: 10 % is 1.1 times the truth."""
 
-    m: Ratio | None = None
-    Iy: Ratio | None = None
-    Iz: Ratio | None = None
-    beta_udot: Ratio | None = None
-    beta_vdot: Ratio | None = None
-    beta_wdot: Ratio | None = None
-    beta_qdot: Ratio | None = None
-    beta_rdot: Ratio | None = None
-    beta_u: Ratio | None = None
-    beta_v: Ratio | None = None
-    beta_w: Ratio | None = None
-    beta_q: Ratio | None = None
-    beta_r: Ratio | None = None
-    beta_b: Ratio | None = None
+    m: v.Ratio | None = None
+    Iy: v.Ratio | None = None
+    Iz: v.Ratio | None = None
+    beta_udot: v.Ratio | None = None
+    beta_vdot: v.Ratio | None = None
+    beta_wdot: v.Ratio | None = None
+    beta_qdot: v.Ratio | None = None
+    beta_rdot: v.Ratio | None = None
+    beta_u: v.Ratio | None = None
+    beta_v: v.Ratio | None = None
+    beta_w: v.Ratio | None = None
+    beta_q: v.Ratio | None = None
+    beta_r: v.Ratio | None = None
+    beta_b: v.Ratio | None = None

@@ -26,8 +26,16 @@ from agents import compact, payload
 from agents.config import Codec, Offset
 from agents.localization import payload as located
 from fleet.scenario.schema.network import AcousticSection, FadingSection, ModemSection, NetworkSection, RangingSection
-from fleet.scenario.sections.modem_files import CURVES, NUMBERS, Values, changed, load_modem, without_replaced
-from fleet.scenario.sections.site_files import SiteFile, load_site
+from fleet.scenario.sections.modem_files import (
+    CURVES,
+    NUMBERS,
+    Site,
+    Values,
+    changed,
+    load_modem,
+    load_site,
+    without_replaced,
+)
 from netem.modem import DEFAULT_GUARD_NS, SOUND_SPEED, AcousticConfig, Modem, RangingConfig
 from netem.propagation import sound_speed
 
@@ -118,14 +126,11 @@ SIZES: dict[Codec, int] = {"full": payload.SIZE, "compact": compact.SIZE, "locat
 
 
 def modem_values(section: ModemSection, folder: Path | None) -> Values:
-    """The values of a section's modem: those of its file, unless the section gives another value.
+    """The values of a section's modem, as in `netem.modem.Modem`: those of its file, unless the section gives others.
 
-    Units as in `netem.modem.Modem`; `folder` is that of the scenario.
-
-    Raises:
-        DataFileError: the modem file is missing or wrong.
+    Raises DataFileError: the modem file is missing or wrong.
     """
-    base = load_modem(section.modem, folder).modem
+    base = load_modem(section.modem, folder)
     given = {key: getattr(section, key) for key in _KEYS if getattr(section, key) is not None}
     changes = {key: value / 1e9 if key in _TIMES else value for key, value in given.items()}
     return changed({key: getattr(base, key) for key in _KEYS}, changes)
@@ -139,7 +144,7 @@ def inlined_modem(section: _Modem, folder: Path | None) -> _Modem:
     return section.model_copy(update={"modem": DEFAULT_MODEM, **written})
 
 
-def site_of(section: AcousticSection, folder: Path | None) -> SiteFile | None:
+def site_of(section: AcousticSection, folder: Path | None) -> Site | None:
     """The site of a section; None: it names none. Raises DataFileError: its file is missing or wrong."""
     water = section.water
     return None if water is None or water.site is None else load_site(water.site, folder)
@@ -154,17 +159,9 @@ def compile_acoustic(
     modems: dict[int, Modem],
     folder: Path | None = None,
 ) -> AcousticConfig:
-    """The configuration of the channel that a valid section describes.
+    """The configuration of the channel that a valid section describes; back-off and slot in whole ticks.
 
-    Args:
-        modems: of the vehicles that carry another one.
-        folder: of the scenario, where a site's file may lie.
-
-    Raises:
-        DataFileError: the site's file is missing or wrong.
-        codec: the encoding of the agents' payloads.
-        vehicles: number of vehicles on the channel.
-        tick_ns: control period [ns]; the back-off is rounded up to ticks, the slot down.
+    `modems`: of the vehicles that carry another one. Raises DataFileError: the site's file is missing or wrong.
     """
     backoff = backoff_ns(section, modem, codec, vehicles) if section.mac != "tdma" else 0
     site = site_of(section, folder)
@@ -237,8 +234,7 @@ def extent_m(plans: tuple[Offset, ...]) -> float:
 
     A formation that changes has several boxes: one at the start, and one after each change. The largest counts.
 
-    Args:
-        plans: the offset of each vehicle in the formation [m, NED].
+    `plans`: the offset of each vehicle in the formation [m, NED].
     """
     longest = 0.0
     stages = [[plan.start for plan in plans]]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fleet.scenario.schema.control import ClockSection, DriftSection, OffsetSection
-from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.schema.spec import ScenarioSpec, sections
 from netem.draws import normal
 from netem.vehicle_clock import VehicleClock
 
@@ -13,8 +13,7 @@ _MOST_DRIFT = 0.5  # s/s: what is drawn beyond it is this
 
 def clock_sections(spec: ScenarioSpec) -> list[ClockSection]:
     """The clocks that a scenario sets: for all vehicles, and for some."""
-    agents = [spec.agent, *(overrides.agent for overrides in spec.per_vehicle.values())]
-    return [agent.clock for agent in agents if agent is not None and agent.clock is not None]
+    return [agent.clock for _, agent in sections(spec, "agent") if agent is not None and agent.clock is not None]
 
 
 def vehicle_clock(section: ClockSection, seed: int, i: int) -> VehicleClock:

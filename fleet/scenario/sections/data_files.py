@@ -6,8 +6,9 @@ import tomllib
 from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from importlib import resources
+from math import inf
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from fleet import quantities as q
 from fleet.errors import FleetError
@@ -17,6 +18,14 @@ from netem.private_file import read_file
 
 T = TypeVar("T")
 _MAX_BYTES = 100_000
+
+
+class Number(NamedTuple):
+    """A number of a file, and the range [SI units] in which the formulas hold: wider than that of any real thing."""
+
+    dimension: q.Dimension
+    low: float = -inf
+    high: float = inf
 
 
 class DataFileError(FleetError):
@@ -36,16 +45,9 @@ def shipped(package: str) -> list[str]:
 def find(kind: str, name: str, package: str, folder: Path | None) -> tuple[bytes, str]:
     """Content and path of a file. For a shipped file, `name` has no `.toml`, and the second result is `name`.
 
-    Any other file is searched in `folder`, then in the current directory.
+    Any other file is searched in `folder`, then in the current directory; `kind` is for the texts of errors.
 
-    Args:
-        kind: what the file describes, such as `modem`; for the texts of errors.
-        name: of a shipped file, or the path of another file, which ends in `.toml`.
-        package: the Python package with the shipped files.
-        folder: the first place to search; None: only the current directory.
-
-    Raises:
-        DataFileError: there is no such file, it cannot be read, or it is larger than 100 kB.
+    Raises DataFileError: there is no such file, it cannot be read, or it is larger than 100 kB.
     """
     known = shipped(package)
     if name in known:
@@ -59,12 +61,7 @@ def find(kind: str, name: str, package: str, folder: Path | None) -> tuple[bytes
 def find_beside(kind: str, name: str, folder: Path | None, most: int) -> tuple[bytes, str]:
     """Content and path of a file of the user's, which is searched in `folder`, then in the current directory.
 
-    Args:
-        kind: what the file describes; for the texts of errors.
-        most: bytes that it may have.
-
-    Raises:
-        DataFileError: there is no such file, it cannot be read, or it is larger.
+    Raises DataFileError: there is no such file, it cannot be read, or it has more than `most` bytes.
     """
     try:
         return read_beside(kind, name, folder, lambda path: (read_file(path, most), str(path)))
@@ -78,12 +75,10 @@ def read_beside(
     """The result of `read` for a file of the user's. The search goes through `folder`, then the current directory.
 
     Args:
-        kind: what the file describes; for the texts of errors.
         read: reads the file at a path. After its FileNotFoundError the next place is tried.
         most_shown: characters of the name in errors; None: all.
 
-    Raises:
-        DataFileError: there is no such file.
+    Raises DataFileError: there is no such file.
     """
     places = [folder / name] if folder is not None else []
     for path in [*places, Path(name)]:
@@ -94,19 +89,9 @@ def read_beside(
 
 
 def read(kind: str, data: bytes, name: str, keys: Collection[str]) -> tuple[dict[str, Any], list[str]]:
-    """Parse the bytes of a TOML file.
+    """The content of a TOML file, which may have these keys, and a line for each unknown key.
 
-    Args:
-        kind: what the file describes; for the texts of errors.
-        data: the content of the file.
-        name: of the file; for the texts of errors.
-        keys: the keys that the file may have.
-
-    Returns:
-        The content, and a line of text for each unknown key.
-
-    Raises:
-        DataFileError: the bytes are not TOML.
+    Raises DataFileError: the bytes are not TOML.
     """
     try:
         values = tomllib.loads(data.decode("utf-8"))
@@ -118,18 +103,13 @@ def read(kind: str, data: bytes, name: str, keys: Collection[str]) -> tuple[dict
 def table(
     values: dict[str, Any],
     section: str,
-    known: dict[str, q.Dimension],
+    known: Mapping[str, Number],
     problems: list[str],
     optional: Collection[str] = (),
 ) -> dict[str, float]:
-    """The numbers of a section, in SI units. A number with a mistake is left out.
+    """The numbers of a section, in SI units. One with a mistake is left out, and a line about it goes into `problems`.
 
-    Args:
-        values: the content of the file, from `read`.
-        section: name of the TOML table.
-        known: the dimension of each number.
-        problems: one line of text is appended for each mistake.
-        optional: keys that may be missing; what is in `optional` alone is no number, and is not looked at.
+    `optional`: keys that may be missing; what is in `optional` alone is no number, and is not looked at.
     """
     entries = values.get(section)
     if not isinstance(entries, dict):
@@ -139,7 +119,7 @@ def table(
         hint = nearest(key, [*known, *optional])
         problems.append(f"unknown {section}.{key}" + (f" ({hint})" if hint else ""))
     numbers = {}
-    for key, dimension in known.items():
+    for key, (dimension, *_) in known.items():
         entry = entries.get(key)
         if entry is None:
             if key not in optional:
@@ -162,14 +142,12 @@ def table(
     return numbers
 
 
-def out_of_range(
-    numbers: Mapping[str, float], known: Mapping[str, q.Dimension], bounds: Mapping[str, tuple[float, float]]
-) -> list[str]:
+def out_of_range(numbers: Mapping[str, float], known: Mapping[str, Number]) -> list[str]:
     """A line for each number that is outside its bounds, which belong to the range; all are in SI units."""
     problems = []
-    for key, (low, high) in bounds.items():
+    for key, (dimension, low, high) in known.items():
         if key in numbers and not low <= numbers[key] <= high:
-            least, most, value = (q.show(number, known[key]) for number in (low, high, numbers[key]))
+            least, most, value = (q.show(number, dimension) for number in (low, high, numbers[key]))
             problems.append(f"{key} must be between {least} and {most}, is {value}")
     return problems
 
@@ -177,13 +155,9 @@ def out_of_range(
 def curves(
     values: dict[str, Any], section: str, known: dict[str, tuple[q.Dimension, q.Dimension]], problems: list[str]
 ) -> dict[str, Curve]:
-    """The curves of a section, whose points are texts such as `12 m 95 %`; one with a mistake is left out.
+    """The curves of a section, whose points are texts such as `12 m 95 %`; each may be missing.
 
-    Args:
-        values: the content of the file, from `read`.
-        section: name of the TOML table.
-        known: the dimensions of x and y of each curve; each may be missing.
-        problems: one line of text is appended for each mistake.
+    One with a mistake is left out, and a line about it goes into `problems`.
     """
     found = {}
     entries = values.get(section)

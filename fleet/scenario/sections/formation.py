@@ -145,11 +145,8 @@ def grid(vehicles: int, spacing: float) -> tuple[Vec3, ...]:
 
     Four vehicles at 10 m are the paper's square.
 
-    Args:
-        spacing: side of a cell [m].
-
-    Returns:
-        The offsets [m, NED]; vehicle 1 is at the reference, the rows go to port and follow each other north.
+    `spacing`: side of a cell [m]. Returns the offsets [m, NED]; vehicle 1 is at the reference, the rows go to port and
+    follow each other north.
     """
     columns = math.isqrt(vehicles - 1) + 1
     places: list[Vec3] = []

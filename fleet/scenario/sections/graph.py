@@ -13,12 +13,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from math import dist
+from typing import TypeVar
 
 from fleet.scenario.schema.motion import DEFAULT_NEAREST, DEFAULT_PROBABILITY, GraphSection
 from netem.condition import Link
 from netem.draws import uniform
 from world.vectors import Vec3
 
+T = TypeVar("T")
 _EDGE = re.compile(r"\s*(\d{1,9})\s*->\s*(\d{1,9})\s*", re.ASCII)
 
 
@@ -45,11 +47,19 @@ class Graph:
         return found
 
 
-def reached(starts: Iterable[int], hearers: Mapping[int, Iterable[int]]) -> set[int]:
+def beside(pairs: Iterable[Link]) -> dict[int, list[int]]:
+    """The neighbours of each vehicle that is in a pair."""
+    found: dict[int, list[int]] = {}
+    for a, b in pairs:
+        found.setdefault(a, []).append(b)
+        found.setdefault(b, []).append(a)
+    return found
+
+
+def reached(starts: Iterable[T], hearers: Mapping[T, Iterable[T]]) -> set[T]:
     """The vehicles that what `starts` say can reach, also through others; themselves included.
 
-    Args:
-        hearers: who receives from a vehicle; none where it is missing.
+    `hearers`: who receives from a vehicle; none where it is missing.
     """
     found = set(starts)
     left = list(found)
@@ -70,9 +80,7 @@ def parse_edge(text: str) -> Link | None:
 def build(section: GraphSection, places: tuple[Vec3, ...], seed: int) -> Graph:
     """The graph of a section that `Parts.graph` accepts.
 
-    Args:
-        places: the offsets at the start [m, NED], for `nearest`.
-        seed: of the scenario, for `random`.
+    `places`: the offsets at the start [m, NED], for `nearest`. `seed`: of the scenario, for `random`.
     """
     vehicles = len(places)
     weights: dict[Link, float] = {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import NamedTuple
 
 from fleet.scenario.schema.control import VehicleOverrides
@@ -36,6 +37,13 @@ class Ground(NamedTuple):
         """The vehicles that follow the reference themselves."""
         given = self.spec.graph.reference
         return list(range(1, self.spec.vehicles + 1)) if given == "all" else sorted(given)
+
+
+def free_name(name: str, taken: Collection[str | None]) -> str:
+    """The id of a fault, made longer until no other fault has it."""
+    while name in taken:
+        name += "x"
+    return name
 
 
 def instruments(choice: VehicleOverrides) -> tuple[bool, bool, bool]:

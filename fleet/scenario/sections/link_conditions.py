@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Callable
 from pathlib import Path
 
 from fleet.scenario.schema.network import LinkSection, LinkStateSection
@@ -22,28 +23,11 @@ MOST_BYTES = 10_000_000
 INSIDE = "in the scenario"  # the name of a trace that has no file
 
 
-class Traces:
-    """The traces that a scenario names, each read once."""
-
-    def __init__(self, folder: Path | None) -> None:
-        self._folder = folder
-        self._known: dict[str, TraceTable] = {}
-
-    def __getitem__(self, text: str) -> TraceTable:
-        """As `load_trace`."""
-        if text not in self._known:
-            self._known[text] = load_trace(text, self._folder)
-        return self._known[text]
-
-
 def load_trace(text: str, folder: Path | None = None) -> TraceTable:
     """The trace that a scenario names, from `folder` (the scenario's) or the current directory.
 
-    Args:
-        text: the path of a file that ends in `.csv`, or CSV with a line break.
-
-    Raises:
-        DataFileError: there is no such file, it cannot be read, or it has mistakes, each with its line.
+    `text`: the path of a file that ends in `.csv`, or CSV with a line break. Raises DataFileError: there is no such
+    file, it cannot be read, or it has mistakes, each with its line.
     """
     if "\n" in text:
         return read_csv(text, INSIDE)
@@ -53,12 +37,7 @@ def load_trace(text: str, folder: Path | None = None) -> TraceTable:
 
 
 def read_trace(path: Path) -> TraceTable:
-    """The trace in a file.
-
-    Raises:
-        FileNotFoundError: there is none.
-        DataFileError: as `load_trace`.
-    """
+    """The trace in a file. Raises FileNotFoundError: there is none; DataFileError: as `load_trace`."""
     try:
         return read_csv(read_file(path, MOST_BYTES).decode("utf-8"), str(path))
     except FileNotFoundError:
@@ -69,15 +48,14 @@ def read_trace(path: Path) -> TraceTable:
         raise DataFileError("trace", str(path), [getattr(error, "strerror", None) or str(error)]) from None
 
 
-def changing(selector: str, section: LinkSection, traces: Traces) -> LinkStates | LinkTrace | None:
+def changing(selector: str, section: LinkSection, traces: Callable[[str], TraceTable]) -> LinkStates | LinkTrace | None:
     """The conditions of a selector's links if they change by themselves; the section must be valid.
 
-    Raises:
-        DataFileError: the trace cannot be read.
+    Raises DataFileError: the trace cannot be read.
     """
     if section.states:
         return _states(selector, section.states, together=bool(section.together))
-    return None if section.trace is None else link_trace(section, traces[section.trace])
+    return None if section.trace is None else link_trace(section, traces(section.trace))
 
 
 def _states(selector: str, states: dict[str, LinkStateSection], *, together: bool) -> LinkStates:

@@ -14,7 +14,8 @@ from fleet.quantities import vehicle_numbers
 from fleet.scenario.schema.checks import ChecksSection, SignalCheck
 from fleet.scenario.schema.faults import FaultSection, NemesisSection
 from fleet.scenario.sections import swarm
-from fleet.scenario.sections.ground import Ground
+from fleet.scenario.sections.graph import beside
+from fleet.scenario.sections.ground import Ground, free_name
 from netem.draws import bits, uniform
 
 PURPOSE = "nemesis liveness"  # of the draws
@@ -43,20 +44,17 @@ def core(nemesis: NemesisSection, ground: Ground) -> list[int]:
     if nemesis.core is not None:
         return vehicle_numbers(nemesis.core)
     spec = ground.spec
-    beside: dict[int, set[int]] = {}
-    for a, b in ground.pairs:
-        beside.setdefault(a, set()).add(b)
-        beside.setdefault(b, set()).add(a)
+    near = beside(ground.pairs)
 
     def drawn(i: int) -> tuple[float, int]:
         return uniform(spec.seed, PURPOSE, i, _CORE), i
 
     found = {min(ground.followers or range(1, spec.vehicles + 1), key=drawn)}
     while len(found) < spec.vehicles // 2 + 1:
-        near = {j for i in found for j in beside.get(i, ())} - found
-        if not near:
+        fresh = {j for i in found for j in near.get(i, ())} - found
+        if not fresh:
             break
-        found.add(min(near, key=drawn))
+        found.add(min(fresh, key=drawn))
     return sorted(found)
 
 
@@ -73,9 +71,7 @@ def faults(nemesis: NemesisSection, ground: Ground) -> list[FaultSection]:
         kind = kinds[bits(spec.seed, PURPOSE, i, _BREAKS) % len(kinds)]
         start = nemesis.start or 0
         at = int(start + (heal - start) * uniform(spec.seed, PURPOSE, i, _WHEN)) // spec.tick * spec.tick
-        name = f"broken-{i}"
-        while name in taken:
-            name += "x"
+        name = free_name(f"broken-{i}", taken)
         body = {kind: f"isolate:{i}" if kind == "partition" else str(i)}
         stay.append(FaultSection.model_validate({"id": name, "at": f"{at} ns", **body}))
     return sorted([*chaos, *stay], key=lambda fault: fault.at)

@@ -7,7 +7,7 @@ from math import gcd, lcm
 
 from agents.config import Law
 from agents.controllers import law_class
-from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.schema.spec import ScenarioSpec, sections
 from fleet.scenario.sections.clocks import clock_sections
 from fleet.scenario.sections.signals import OF_LOCALIZATION, OF_NAVIGATION, OF_THE_CLOCK, OF_THE_PLANT
 from world.errors import PluginError
@@ -26,8 +26,13 @@ def snapshot_grid(spec: ScenarioSpec) -> int:
 
 def log_every(spec: ScenarioSpec) -> dict[str, int]:
     """Ticks between two records of each topic group; 0 for never."""
-    some = {OF_THE_PLANT: _has_plants(spec), OF_THE_CLOCK: bool(clock_sections(spec)), OF_NAVIGATION: _navigate(spec)}
-    some[OF_LOCALIZATION] = _locate(spec)
+    agents = [agent for _, agent in sections(spec, "agent") if agent is not None]
+    some = {
+        OF_THE_PLANT: any(vehicle.plant is not None for _, vehicle in sections(spec, "vehicle")),
+        OF_THE_CLOCK: bool(clock_sections(spec)),
+        OF_NAVIGATION: any(its is not None and not its.ideal for _, its in sections(spec, "navigation")),
+        OF_LOCALIZATION: any(agent.localization is not None for agent in agents),
+    }
     groups = (*LOG_GROUPS, *(group for group, logged in some.items() if logged))
     every = {group: getattr(spec.log, group) or spec.log.every for group in groups}
     step = gcd(*every.values())  # what is drawn shall need no frame of its own
@@ -37,26 +42,10 @@ def log_every(spec: ScenarioSpec) -> dict[str, int]:
     return every
 
 
-def _has_plants(spec: ScenarioSpec) -> bool:
-    sections = [spec.vehicle, *(overrides.vehicle for overrides in spec.per_vehicle.values())]
-    return any(section is not None and section.plant is not None for section in sections)
-
-
-def _navigate(spec: ScenarioSpec) -> bool:
-    sections = [spec.navigation, *(overrides.navigation for overrides in spec.per_vehicle.values())]
-    return any(section is not None and not section.ideal for section in sections)
-
-
-def _locate(spec: ScenarioSpec) -> bool:
-    sections = [spec.agent, *(overrides.agent for overrides in spec.per_vehicle.values())]
-    return any(section is not None and section.localization is not None for section in sections)
-
-
 def memory_ticks(spec: ScenarioSpec, others: Iterable[tuple[str, Law]]) -> int:
     """Ticks between two snapshots; 0 for none, also where a law cannot save its state.
 
-    Args:
-        others: kind and law of the laws that are not built in.
+    `others`: kind and law of the laws that are not built in.
     """
     wanted = SNAPSHOT_NS if spec.log.snapshot is None else spec.log.snapshot
     if wanted == 0 or without_snapshots(others):

@@ -1,4 +1,4 @@
-"""Modem files: the numbers of an acoustic modem in TOML, each with its unit and its source.
+"""Modem files, and at the end site files: the numbers of an acoustic modem in TOML, each with its unit and its source.
 
 ```toml
 name = "my-modem"
@@ -21,27 +21,27 @@ from typing import Any
 
 from fleet import quantities as q
 from fleet.scenario.sections import data_files
-from fleet.scenario.sections.data_files import DataFileError, out_of_range, table
+from fleet.scenario.sections.data_files import DataFileError, Number, out_of_range, table
 from netem.modem import Modem
 
 _PACKAGE = "netem.modems"
-NUMBERS: dict[str, q.Dimension] = {
-    "bit_rate": q.BIT_RATE,
-    "preamble": q.TIME,
-    "carrier": q.FREQUENCY,
-    "bandwidth": q.FREQUENCY,
-    "source_level": q.LEVEL,
-    "directivity": q.LEVEL,
-    "max_range": q.LENGTH,
-    "interference_range": q.LENGTH,
-    "mtu": q.SIZE,
-    "lost_below": q.LEVEL,
-    "clear_above": q.LEVEL,
-    "capture": q.LEVEL,
-    "processing": q.TIME,
-    "tries": q.NUMBER,
-    "timeout": q.TIME,
-    "acknowledgement": q.SIZE,
+NUMBERS = {
+    "bit_rate": Number(q.BIT_RATE, 0.1, 1e8),
+    "preamble": Number(q.TIME, 0.0, 3600.0),
+    "carrier": Number(q.FREQUENCY, 100.0, 1e6),
+    "bandwidth": Number(q.FREQUENCY, 1.0, 1e6),
+    "source_level": Number(q.LEVEL, 0.0, 300.0),
+    "directivity": Number(q.LEVEL, -100.0, 100.0),
+    "max_range": Number(q.LENGTH, 1.0, 1e7),
+    "interference_range": Number(q.LENGTH, 0.0, 1e7),
+    "mtu": Number(q.SIZE, 1.0, 1e6),
+    "lost_below": Number(q.LEVEL, -200.0, 200.0),
+    "clear_above": Number(q.LEVEL, -200.0, 200.0),
+    "capture": Number(q.LEVEL, 0.0, 200.0),
+    "processing": Number(q.TIME, 0.0, 3600.0),
+    "tries": Number(q.NUMBER, 0.0, 100.0),
+    "timeout": Number(q.TIME, 0.0, 3600.0),
+    "acknowledgement": Number(q.SIZE, 0.0, 1e6),
 }
 # What was measured at some points. A curve of airtimes takes the place of two numbers, one of deliveries of two others.
 CURVES: dict[str, tuple[q.Dimension, q.Dimension]] = {
@@ -54,34 +54,6 @@ _LEFT_OUT: dict[str, float] = {"processing": 0.0, "tries": 0, "timeout": 0.0, "a
 WHOLE = ("mtu", "tries", "acknowledgement")
 _OF = {"mtu": " of bytes", "acknowledgement": " of bytes"}
 Values = dict[str, Any]  # of a modem: numbers, and curves or None
-# The ranges in which the formulas hold; wider than those of any real modem.
-_BOUNDS: dict[str, tuple[float, float]] = {
-    "bit_rate": (0.1, 1e8),
-    "preamble": (0.0, 3600.0),
-    "carrier": (100.0, 1e6),
-    "bandwidth": (1.0, 1e6),
-    "source_level": (0.0, 300.0),
-    "directivity": (-100.0, 100.0),
-    "max_range": (1.0, 1e7),
-    "interference_range": (0.0, 1e7),
-    "mtu": (1.0, 1e6),
-    "lost_below": (-200.0, 200.0),
-    "clear_above": (-200.0, 200.0),
-    "capture": (0.0, 200.0),
-    "processing": (0.0, 3600.0),
-    "tries": (0.0, 100.0),
-    "timeout": (0.0, 3600.0),
-    "acknowledgement": (0.0, 1e6),
-}
-
-
-@dataclass(frozen=True, slots=True)
-class ModemFile:
-    """The content of a modem file."""
-
-    name: str
-    title: str
-    modem: Modem
 
 
 def shipped_modems() -> list[str]:
@@ -89,21 +61,16 @@ def shipped_modems() -> list[str]:
     return data_files.shipped(_PACKAGE)
 
 
-def load_modem(name: str, folder: Path | None = None) -> ModemFile:
+def load_modem(name: str, folder: Path | None = None) -> Modem:
     """A shipped modem by its name, or that of a file in `folder` (the scenario's) or in the current directory.
 
-    Raises:
-        DataFileError: with every mistake that was found.
+    Raises DataFileError: with every mistake that was found.
     """
     return parse_modem(*data_files.find("modem", name, _PACKAGE, folder))
 
 
-def parse_modem(data: bytes, name: str) -> ModemFile:
-    """The modem in the bytes of a file.
-
-    Raises:
-        DataFileError: with every mistake that was found.
-    """
+def parse_modem(data: bytes, name: str) -> Modem:
+    """The modem in the bytes of a file. Raises DataFileError: with every mistake that was found."""
     values, problems = data_files.read("modem", data, name, ("name", "title", "modem"))
     curves = data_files.curves(values, "modem", CURVES, problems)
     replaced = {key: 0.0 for curve in curves for key in _IN_PLACE.get(curve, ())}
@@ -117,7 +84,7 @@ def parse_modem(data: bytes, name: str) -> ModemFile:
     problems = problems or modem_problems(found)
     if problems:
         raise DataFileError("modem", name, problems)
-    return ModemFile(str(values.get("name", name)), str(values.get("title", "")), modem_of(found))
+    return modem_of(found)
 
 
 def changed(values: Values, changes: Values) -> Values:
@@ -144,7 +111,7 @@ def modem_of(values: Values) -> Modem:
 
 def modem_problems(values: Values) -> list[str]:
     """A line for each value that no modem can have."""
-    problems = out_of_range(without_replaced(values), NUMBERS, _BOUNDS)
+    problems = out_of_range(without_replaced(values), NUMBERS)
     problems += [
         f"{key} must be a whole number{_OF.get(key, '')}, is {values[key]:g}" for key in WHOLE if values[key] % 1
     ]
@@ -166,3 +133,41 @@ def modem_problems(values: Values) -> list[str]:
         if not all(0.0 <= share <= 1.0 for _, share in points)
     ]
     return problems
+
+
+# --- sites
+# Water as it was at a sea trial, as numbers in TOML with their source and how well they fit.
+
+
+_OF_SITES = {
+    "spreading": Number(q.NUMBER, 1.0, 3.0),
+    "excess": Number(q.LEVEL, -100.0, 200.0),
+    "shadowing": Number(q.LEVEL, 0.0, 30.0),
+    "rician": Number(q.NUMBER, 0.0, 1e6),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """The numbers of a site file; `netem.modem.AcousticConfig` says what they mean."""
+
+    spreading: float
+    excess: float  # dB
+    shadowing: float  # dB
+    rician: float
+
+
+def load_site(name: str, folder: Path | None = None) -> Site:
+    """A shipped site by its name, or that of a file in `folder` (the scenario's) or in the current directory.
+
+    Raises DataFileError: with every mistake that was found.
+    """
+    data, path = data_files.find("site", name, "netem.sites", folder)
+    texts = ("name", "title", "fit", "source")
+    values, problems = data_files.read("site", data, path, (*texts, "site"))
+    problems += [f"{key} is missing" for key in texts if not isinstance(values.get(key), str)]
+    numbers = table(values, "site", _OF_SITES, problems)
+    problems += out_of_range(numbers, _OF_SITES)
+    if problems:
+        raise DataFileError("site", path, problems)
+    return Site(**numbers)

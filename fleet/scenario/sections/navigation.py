@@ -13,7 +13,6 @@ heading_bias = { value = 0.5, unit = "deg", source = "data sheet, 2024, p. 2" }
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import radians
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ from typing import Any
 from fleet import quantities as q
 from fleet.scenario.schema.navigation import DEFAULT_GRADE, ExpectedCurrent, FixSection, NavigationSection
 from fleet.scenario.sections import data_files
-from fleet.scenario.sections.data_files import DataFileError, out_of_range, table
+from fleet.scenario.sections.data_files import DataFileError, Number, out_of_range, table
 from netem.parsing import exact_number
 from world.navigation.config import DeadReckoning, FixKind, FixSource, Grade, Navigation, NavigationTrace, TracePoint
 
@@ -46,12 +45,8 @@ _MOST = 1e7  # s, m, deg: larger ones are slips
 def load_trace(text: str, folder: Path | None) -> tuple[TracePoint, ...]:
     """The points of a trace.
 
-    Args:
-        text: the name of a file, which is looked for in `folder` and in the current directory; or its content, which
-            has more than one line.
-
-    Raises:
-        DataFileError: the file is missing or wrong; with its lines.
+    `text`: the name of a file, which is looked for in `folder` and in the current directory; or its content, which has
+    more than one line. Raises DataFileError: the file is missing or wrong; with its lines.
     """
     return parse_trace(*_content(text, folder))
 
@@ -77,11 +72,7 @@ def _content(text: str, folder: Path | None) -> tuple[str, str]:
 
 
 def parse_trace(text: str, name: str) -> tuple[TracePoint, ...]:
-    """The points in the text of a trace.
-
-    Raises:
-        DataFileError: with the first ten lines that are wrong.
-    """
+    """The points in the text of a trace. Raises DataFileError: with the first ten lines that are wrong."""
     lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
     if not lines:
         raise DataFileError(TRACE, name, ["it is empty"])
@@ -114,20 +105,17 @@ def parse_trace(text: str, name: str) -> tuple[TracePoint, ...]:
 
 
 _PACKAGE = "world.navigation"
-NUMBERS: dict[str, q.Dimension] = {
-    "heading_rate": q.SAMPLE_RATE, "heading_bias": q.ANGLE, "heading_noise": q.ANGLE, "heading_walk": q.ANGLE_WALK,
-    "gyro_rate": q.SAMPLE_RATE, "gyro_bias": q.ANGULAR_RATE, "gyro_walk": q.ANGLE_WALK,
-    "dvl_rate": q.SAMPLE_RATE, "dvl_scale": q.RATIO, "dvl_noise": q.SPEED, "dvl_altitude": q.LENGTH,
-    "depth_rate": q.SAMPLE_RATE, "depth_bias": q.LENGTH, "depth_noise": q.LENGTH,
-    "tilt": q.ANGLE,
-}  # fmt: skip
-# The ranges in which the filter's linear equations hold; wider than those of any real instrument.
-_BOUNDS: dict[str, tuple[float, float]] = {
-    **dict.fromkeys(("heading_rate", "gyro_rate", "dvl_rate", "depth_rate"), (0.001, 10_000.0)),
-    **dict.fromkeys(("heading_bias", "heading_noise", "tilt"), (0.0, 0.5)),
-    **dict.fromkeys(("heading_walk", "gyro_bias", "gyro_walk"), (0.0, 0.1)),
-    "dvl_scale": (0.0, 0.3), "dvl_noise": (0.0, 10.0), "dvl_altitude": (0.0, 1e5),
-    "depth_bias": (0.0, 1e4), "depth_noise": (0.0, 1e4),
+# The ranges are those in which the filter's linear equations hold.
+_RATE = Number(q.SAMPLE_RATE, 0.001, 10_000.0)
+_ANGLE = Number(q.ANGLE, 0.0, 0.5)
+_WALK = Number(q.ANGLE_WALK, 0.0, 0.1)
+NUMBERS = {
+    "heading_rate": _RATE, "heading_bias": _ANGLE, "heading_noise": _ANGLE, "heading_walk": _WALK,
+    "gyro_rate": _RATE, "gyro_bias": Number(q.ANGULAR_RATE, 0.0, 0.1), "gyro_walk": _WALK,
+    "dvl_rate": _RATE, "dvl_scale": Number(q.RATIO, 0.0, 0.3), "dvl_noise": Number(q.SPEED, 0.0, 10.0),
+    "dvl_altitude": Number(q.LENGTH, 0.0, 1e5),
+    "depth_rate": _RATE, "depth_bias": Number(q.LENGTH, 0.0, 1e4), "depth_noise": Number(q.LENGTH, 0.0, 1e4),
+    "tilt": _ANGLE,
 }  # fmt: skip
 DEFAULT_START_M = 1.0
 KINDS: tuple[FixKind, ...] = ("gps", "usbl", "lbl")
@@ -137,15 +125,7 @@ DEFAULTS: dict[FixKind, dict[str, Any]] = {
     "usbl": {"period": 5_000_000_000, "delay": 1_000_000_000, "loss": 0.1, "noise": 0.5, "noise_per_distance": 0.01},
     "lbl": {"period": 10_000_000_000, "delay": 1_000_000_000, "loss": 0.1, "noise": 1.0, "noise_per_distance": 0.001},
 }
-
-
-@dataclass(frozen=True, slots=True)
-class GradeFile:
-    """The content of a file with a grade."""
-
-    name: str
-    title: str
-    grade: Grade
+_EVERYWHERE: dict[str, Any] = {"at": (0.0, 0.0, 0.0), "reach": 0.0, "depth": 0.0}
 
 
 def shipped_grades() -> list[str]:
@@ -153,11 +133,10 @@ def shipped_grades() -> list[str]:
     return data_files.shipped(_PACKAGE)
 
 
-def load_grade(name: str, folder: Path | None = None) -> GradeFile:
+def load_grade(name: str, folder: Path | None = None) -> Grade:
     """A shipped grade by its name, or that of a file in `folder` (the scenario's) or in the current directory.
 
-    Raises:
-        DataFileError: with every mistake that was found.
+    Raises DataFileError: with every mistake that was found.
     """
     data, path = data_files.find("grade", name, _PACKAGE, folder)
     values, problems = data_files.read("grade", data, path, ("name", "title", "grade"))
@@ -165,12 +144,12 @@ def load_grade(name: str, folder: Path | None = None) -> GradeFile:
     problems += grade_problems(numbers)
     if problems:
         raise DataFileError("grade", path, problems)
-    return GradeFile(str(values.get("name", name)), str(values.get("title", "")), Grade(**numbers))
+    return Grade(**numbers)
 
 
 def grade_problems(numbers: dict[str, float]) -> list[str]:
     """A line for each number that no instrument can have."""
-    return out_of_range(numbers, NUMBERS, _BOUNDS)
+    return out_of_range(numbers, NUMBERS)
 
 
 def grade_of(section: NavigationSection, folder: Path | None) -> Grade:
@@ -179,15 +158,14 @@ def grade_of(section: NavigationSection, folder: Path | None) -> Grade:
     missing = [key for key, value in given.items() if value is None]
     if not missing:
         return Grade(**given)
-    base = load_grade(section.grade or DEFAULT_GRADE, folder).grade
+    base = load_grade(section.grade or DEFAULT_GRADE, folder)
     return Grade(**given | {key: getattr(base, key) for key in missing})
 
 
 def navigation_of(section: NavigationSection | None, folder: Path | None) -> Navigation | None:
     """How a vehicle with this section navigates; None: it knows where it is.
 
-    Raises:
-        DataFileError: a file is missing or wrong.
+    Raises DataFileError: a file is missing or wrong.
     """
     if section is None or section.ideal:
         return None
@@ -205,19 +183,11 @@ def navigation_of(section: NavigationSection | None, folder: Path | None) -> Nav
 
 
 def _source(kind: FixKind, section: FixSection) -> FixSource:
-    written = {key: value for key, value in section if value is not None}
-    values = DEFAULTS[kind] | written
+    of = _EVERYWHERE | DEFAULTS[kind] | {key: value for key, value in section if value is not None}
     return FixSource(
-        kind=kind,
-        period_ns=values["period"],
-        delay_ns=values["delay"],
-        loss=values["loss"],
-        noise=values["noise"],
-        growth=values["noise_per_distance"],
-        at=values.get("at", (0.0, 0.0, 0.0)),
-        reach=values.get("reach", 0.0),
-        depth=values.get("depth", 0.0),
-    )
+        kind, of["period"], of["delay"], of["loss"], of["noise"], of["noise_per_distance"], of["at"], of["reach"],
+        of["depth"],
+    )  # fmt: skip
 
 
 def navigation_over(below: NavigationSection, above: NavigationSection) -> NavigationSection:

@@ -13,7 +13,7 @@ from typing import Any
 from fleet.scenario.schema.faults import FaultSection, NemesisPick, NemesisSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections import liveness, swarm
-from fleet.scenario.sections.ground import Ground
+from fleet.scenario.sections.ground import Ground, free_name
 from fleet.scenario.sections.partitions import DRAWN_PARTITIONS, partition
 from fleet.scenario.sections.timeline import action, vehicles_of
 from netem.condition import Link
@@ -50,10 +50,7 @@ def within_limit(
 ) -> list[FaultSection]:
     """Leave out faults by which more than `most_silent` vehicles would be dead, suspended or mute at once.
 
-    Args:
-        most_silent: the limit. None: any number.
-        faults: in order of time.
-        own: of the scenario. They are never left out, but the vehicles that they silence count.
+    The scenario's `own` faults are never left out, but the vehicles that they silence count.
     """
     silent = [_silence(fault) for fault in own]
     kept = list[FaultSection]()
@@ -77,9 +74,7 @@ def _grid(spec: ScenarioSpec, nemesis: NemesisSection, links: Sequence[Link]) ->
     taken = {fault.id for fault in spec.faults}
     faults: list[FaultSection] = []
     for number, at in enumerate(_times(nemesis, spec), start=1):
-        name = f"nemesis-{number}"
-        while name in taken:
-            name += "x"
+        name = free_name(f"nemesis-{number}", taken)
         picks = _picks(nemesis, links)
         if not picks:
             break

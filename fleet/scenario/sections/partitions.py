@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
+from itertools import permutations
 
 from fleet.quantities import QuantityError, vehicle_numbers
 from netem.condition import Link
@@ -18,11 +19,10 @@ _ISOLATE = re.compile(r"isolate:\s*(\d{1,9})", re.ASCII)
 def partition(text: str, vehicles: int, seed: int, name: str, among: Iterable[Link] | None = None) -> set[Link]:
     """The directed links that a partition cuts, of all there could be, or of those given.
 
-    Raises:
-        TextError: the text names no partition of these vehicles.
+    Raises TextError: the text names no partition of these vehicles.
     """
     cut = _cut(text, vehicles, seed, name)
-    return {(a, b) for a, b in (_all(vehicles) if among is None else among) if cut(a, b)}
+    return {(a, b) for a, b in (permutations(range(1, vehicles + 1), 2) if among is None else among) if cut(a, b)}
 
 
 def is_drawn(text: str) -> bool:
@@ -46,7 +46,8 @@ def _cut(text: str, vehicles: int, seed: int, name: str) -> Callable[[int, int],
     everyone = range(1, vehicles + 1)
     if "/" in text:
         groups = _groups(text, vehicles)
-        return _between({i: number for number, group in enumerate(groups) for i in group})
+        of = {i: number for number, group in enumerate(groups) for i in group}
+        return lambda a, b: of.get(a, -a) != of.get(b, -b)  # a vehicle in no group is cut from all
     which = text.strip()
     if is_drawn(which):
         drawn = sorted(everyone, key=lambda i: (uniform(seed, _purpose(which, name), i), i))
@@ -66,7 +67,7 @@ def _cut(text: str, vehicles: int, seed: int, name: str) -> Callable[[int, int],
         case "ring":
             reach = -(-(vehicles // 2) // 2)  # on each side: 2 reach + 1 is the least odd majority
             place = {i: n for n, i in enumerate(drawn)}
-            return lambda a, b: _apart(place[a], place[b], vehicles) > reach
+            return lambda a, b: min((place[a] - place[b]) % vehicles, (place[b] - place[a]) % vehicles) > reach
         case _ if (isolated := _ISOLATE.fullmatch(which)) and 1 <= int(isolated[1]) <= vehicles:
             alone = int(isolated[1])
             return lambda a, b: (a == alone) != (b == alone)
@@ -90,16 +91,3 @@ def _groups(text: str, vehicles: int) -> list[list[int]]:
                 raise TextError(f"vehicle {i} is in two groups")
         groups.append(group)
     return groups
-
-
-def _between(group: dict[int, int]) -> Callable[[int, int], bool]:
-    """Cuts the groups from each other, and a vehicle in none of them from all."""
-    return lambda a, b: group.get(a, -a) != group.get(b, -b)
-
-
-def _all(vehicles: int) -> Iterator[Link]:
-    return ((a, b) for a in range(1, vehicles + 1) for b in range(1, vehicles + 1) if a != b)
-
-
-def _apart(a: int, b: int, n: int) -> int:
-    return min((a - b) % n, (b - a) % n)

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from functools import cache, reduce
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from agents.config import Extrapolation, GuidanceParams, KeepApartParams, Law, LocalizationParams, TrackingParams
 from agents.controllers import CONTROLLERS, GUIDANCE, TRACKING
@@ -25,7 +25,7 @@ from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.schema.value_types import Section
 from fleet.scenario.schema.vehicle import ModelErrorSection, PlantSection, VehicleSection
 from fleet.scenario.sections import data_files
-from fleet.scenario.sections.data_files import DataFileError, table
+from fleet.scenario.sections.data_files import DataFileError, Number, table
 from fleet.scenario.sections.navigation import navigation_over
 from world.config import VehicleParams
 from world.navigation.config import Navigation
@@ -48,26 +48,24 @@ from world.vectors import Vec3
 
 
 _PACKAGE = "world.vehicles"
-PARAMETERS: dict[str, q.Dimension] = {
+_DIMENSIONS = {
     "m": q.MASS, "Iy": q.INERTIA, "Iz": q.INERTIA,
     "beta_udot": q.MASS, "beta_vdot": q.MASS, "beta_wdot": q.MASS,
     "beta_qdot": q.INERTIA, "beta_rdot": q.INERTIA,
     "beta_u": q.DAMPING, "beta_v": q.DAMPING, "beta_w": q.DAMPING,
     "beta_q": q.ROTATION_DAMPING, "beta_r": q.ROTATION_DAMPING, "beta_b": q.MOMENT,
 }  # fmt: skip
-LIMITS: dict[str, q.Dimension] = {"surge_force": q.FORCE, "pitch_moment": q.MOMENT, "yaw_moment": q.MOMENT}
+PARAMETERS = {key: Number(dimension) for key, dimension in _DIMENSIONS.items()}
+LIMITS = {"surge_force": Number(q.FORCE), "pitch_moment": Number(q.MOMENT), "yaw_moment": Number(q.MOMENT)}
 # As in the schema: the merged scenario holds the numbers of a file as keys.
-NOT_NEGATIVE = frozenset(LIMITS) | {key for key, d in PARAMETERS.items() if d in (q.DAMPING, q.ROTATION_DAMPING)}
+NOT_NEGATIVE = frozenset(LIMITS) | {key for key, d in _DIMENSIONS.items() if d in (q.DAMPING, q.ROTATION_DAMPING)}
 
 
-@dataclass(frozen=True, slots=True)
-class VehicleModel:
+class VehicleModel(NamedTuple):
     """The numbers of a vehicle file, in SI units."""
 
-    name: str
     params: VehicleParams
     tau_max: Vec3  # N, N m, N m
-    shipped: bool
 
 
 def shipped_vehicles() -> list[str]:
@@ -78,8 +76,7 @@ def shipped_vehicles() -> list[str]:
 def load_vehicle(name: str, folder: Path | None = None) -> VehicleModel:
     """A shipped vehicle by its name, or that of a file in `folder` (the scenario's) or in the current directory.
 
-    Raises:
-        DataFileError: with every mistake that was found.
+    Raises DataFileError: with every mistake that was found.
     """
     if name in shipped_vehicles():
         return _shipped(name)
@@ -88,15 +85,11 @@ def load_vehicle(name: str, folder: Path | None = None) -> VehicleModel:
 
 @cache
 def _shipped(name: str) -> VehicleModel:
-    return parse_vehicle(*data_files.find("vehicle", name, _PACKAGE, None), shipped=True)
+    return parse_vehicle(*data_files.find("vehicle", name, _PACKAGE, None))
 
 
-def parse_vehicle(data: bytes, name: str, *, shipped: bool = False) -> VehicleModel:
-    """The vehicle in the bytes of a file.
-
-    Raises:
-        DataFileError: with every mistake that was found.
-    """
+def parse_vehicle(data: bytes, name: str) -> VehicleModel:
+    """The vehicle in the bytes of a file. Raises DataFileError: with every mistake that was found."""
     values, problems = data_files.read("vehicle", data, name, ("name", "title", "parameters", "limits"))
     params = table(values, "parameters", PARAMETERS, problems)
     limits = table(values, "limits", LIMITS, problems)
@@ -107,12 +100,8 @@ def parse_vehicle(data: bytes, name: str, *, shipped: bool = False) -> VehicleMo
         problems += mass_problems(VehicleParams(**params))
     if problems:
         raise DataFileError("vehicle", name, problems)
-    return VehicleModel(
-        str(values.get("name", name)),
-        VehicleParams(**params),
-        (limits["surge_force"], limits["pitch_moment"], limits["yaw_moment"]),
-        shipped,
-    )
+    tau_max = limits["surge_force"], limits["pitch_moment"], limits["yaw_moment"]
+    return VehicleModel(VehicleParams(**params), tau_max)
 
 
 def mass_problems(params: VehicleParams) -> list[str]:
@@ -125,6 +114,7 @@ def mass_problems(params: VehicleParams) -> list[str]:
 _PROFILE_TICK_NS = 10_000_000
 
 _NAMES = {"qp_period": "qp_ticks", "horizon": "horizon_s"}  # scenario key -> parameter
+_TIMES = ("horizon", "tau_f")  # ns in a scenario, s in parameters
 
 Entries = tuple[str, ...]  # keys of per_vehicle
 
@@ -229,14 +219,7 @@ def control(
     keep_apart: KeepApartParams | None,
     navigation: Navigation | None,
 ) -> Control:
-    """The data, laws and parameters of a vehicle of a valid scenario.
-
-    Args:
-        choice: every section as it holds for this vehicle.
-        vehicle: its parameters and its limits [N, N m, N m].
-        keep_apart: the filter of all vehicles.
-        navigation: of this vehicle.
-    """
+    """The data, laws and parameters of a vehicle of a valid scenario; `vehicle`: parameters, limits [N, N m, N m]."""
     assert choice.controller is not None and choice.guidance is not None and choice.tracking is not None
     assert choice.neighbours is not None and choice.vehicle is not None and choice.model_error is not None
     names = law_names(choice)
@@ -304,21 +287,14 @@ def qp_period_ns(name: str, section: GuidanceSection, tick_ns: int) -> int:
 
 def guidance_params(name: str, law: str, section: GuidanceSection, tick_ns: int) -> GuidanceParams:
     """The guidance parameters of profile `name` for a law, changed as the section says."""
-    changes = _tuned(section)
     # At least 1: where no QP runs, nothing asks that the tick divides its period, or is no longer.
-    changes["qp_ticks"] = max(1, qp_period_ns(name, section, tick_ns) // tick_ns)
-    changes.pop("qp_period", None)
-    if "horizon" in changes:
-        changes["horizon_s"] = changes.pop("horizon") / 1e9
-    return replace(profile(name, guidance=law)[0], **changes)
+    qp_ticks = max(1, qp_period_ns(name, section, tick_ns) // tick_ns)
+    return replace(profile(name, guidance=law)[0], **_tuned(section) | {"qp_ticks": qp_ticks})
 
 
 def tracking_params(name: str, law: str, section: TrackingSection) -> TrackingParams:
     """The tracking parameters of profile `name` for a law, changed as the section says."""
-    changes = _tuned(section)
-    if "tau_f" in changes:
-        changes["tau_f"] /= 1e9
-    return replace(profile(name, tracking=law)[1], **changes)
+    return replace(profile(name, tracking=law)[1], **_tuned(section))
 
 
 def given(section: Section) -> dict[str, Any]:
@@ -327,22 +303,28 @@ def given(section: Section) -> dict[str, Any]:
 
 
 def _tuned(section: Section) -> dict[str, Any]:
-    return {key: value for key, value in given(section).items() if key not in ("law", "parameters")}
+    """The parameters that a section sets, but for the period of the QP."""
+    values = {key: value for key, value in given(section).items() if key not in ("law", "parameters", "qp_period")}
+    return {_NAMES.get(key, key): value / 1e9 if key in _TIMES else value for key, value in values.items()}
 
 
 def guidance_section(params: GuidanceParams, law: str, tick_ns: int) -> GuidanceSection:
     """Every parameter that a law uses, as a scenario would give it."""
-    values: dict[str, Any] = {key: getattr(params, key) for key in GuidanceSection.model_fields if hasattr(params, key)}
-    values |= {"qp_period": params.qp_ticks * tick_ns, "horizon": round(params.horizon_s * 1e9)}
-    return GuidanceSection.model_construct(**_only(values, used("guidance", law)))
+    values = _shown(GuidanceSection, "guidance", params, law)
+    return GuidanceSection.model_construct(
+        **{key: value * tick_ns if key == "qp_period" else value for key, value in values.items()}
+    )
 
 
 def tracking_section(params: TrackingParams, law: str) -> TrackingSection:
     """Every parameter that a law uses, as a scenario would give it."""
-    values: dict[str, Any] = {key: getattr(params, key) for key in TrackingSection.model_fields if hasattr(params, key)}
-    return TrackingSection.model_construct(
-        **_only(values | {"tau_f": round(params.tau_f * 1e9)}, used("tracking", law))
-    )
+    return TrackingSection.model_construct(**_shown(TrackingSection, "tracking", params, law))
+
+
+def _shown(section: type[Section], kind: str, params: GuidanceParams | TrackingParams, law: str) -> dict[str, Any]:
+    keys = sorted(used(kind, law).intersection(section.model_fields), key=[*section.model_fields].index)
+    values = {key: getattr(params, _NAMES.get(key, key)) for key in sorted(keys, key=_NAMES.__contains__)}
+    return {key: round(value * 1e9) if key in _TIMES else value for key, value in values.items()}
 
 
 def used(kind: str, law: str) -> frozenset[str]:
@@ -352,10 +334,6 @@ def used(kind: str, law: str) -> frozenset[str]:
     names: Iterable[str] = laws[law].uses if law in laws else (f.name for f in fields(params))
     back = {parameter: key for key, parameter in _NAMES.items()}
     return frozenset(back.get(name, name) for name in names)
-
-
-def _only(values: dict[str, Any], keys: frozenset[str]) -> dict[str, Any]:
-    return {key: value for key, value in values.items() if key in keys}
 
 
 def inlined_vehicle(section: VehicleSection, folder: Path | None) -> VehicleSection:

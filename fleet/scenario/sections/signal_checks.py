@@ -48,9 +48,8 @@ def parameters_of(given: Mapping[str, Any]) -> dict[str, Any]:
 def load_check(name: str, parameters: Mapping[str, Any]) -> type[Any]:
     """The class `package.module:Class` of a check that can be made with these parameters.
 
-    Raises:
-        UntrustedError: its module is not installed, and was not let in with `admit`.
-        PluginError: there is no such class, or it cannot be used.
+    Raises UntrustedError: its module is not installed, and was not let in with `admit`; PluginError: there is no such
+    class, or it cannot be used.
     """
     methods = {"step": ("tick",)}
     config = "what it may know of the scenario, fleet.checks.api.Facts"
@@ -88,44 +87,27 @@ class SignalCondition:
 
 @dataclass(frozen=True, slots=True)
 class AskedOfSignal:
-    """A check on a signal, in SI units; times in ns.
-
-    Attributes:
-        signal: the signal.
-        unit: its unit; "1": it has none.
-        vehicles: the vehicles for which it is checked.
-        condition: the condition on its values.
-        negated: True: the check counts samples that meet the condition. False: samples that do not meet it.
-        within_ns: a liveness property must begin to hold within this time. None: it is a safety property.
-        least_ns: a safety property breaks if the counted samples last this long. With 0 one sample is enough. A
-            liveness property must hold for this long.
-        fault: a liveness property counts from the end of this fault. None: from `after_ns`.
-        after_ns: earlier samples do not count.
-        words: the check in words.
-        sometimes: some run of a study must reach such samples. A single run cannot fail for it.
-    """
+    """A check on a signal, in SI units; times in ns."""
 
     signal: SignalName
-    unit: str
+    unit: str  # "1": it has none
     vehicles: tuple[int, ...]
     condition: SignalCondition
-    negated: bool
-    within_ns: int | None
-    least_ns: int
-    fault: str | None
-    after_ns: int
+    negated: bool  # True: the samples count that meet the condition; False: those that do not
+    within_ns: int | None  # a liveness property must begin to hold within this time; None: it is a safety property
+    least_ns: (
+        int  # a safety property breaks if such samples last so long; 0: by one. A liveness property must hold so long
+    )
+    fault: str | None  # a liveness property counts from the end of this fault; None: from `after_ns`
+    after_ns: int  # earlier samples do not count
     words: str
-    sometimes: bool = False
+    sometimes: bool = False  # some run of a study must reach such samples; no single run fails for it
 
 
 def ask(check: SignalCheck, vehicles: Mapping[int, Mapping[str, SignalPlace]]) -> AskedOfSignal:
     """The meaning of a check in SI units.
 
-    Args:
-        vehicles: the signals of every vehicle of the scenario.
-
-    Raises:
-        SignalCheckError: it makes no sense.
+    `vehicles`: the signals of every vehicle of the scenario. Raises SignalCheckError: it makes no sense.
     """
     signal = parse_name(check.topic)
     if signal is None:
@@ -199,27 +181,20 @@ def _condition(check: SignalCheck, unit: str) -> SignalCondition:
     if len(given) > 1 and given != ["equals", "within"]:
         raise SignalCheckError(given[1], f'cannot be combined with "{given[0]}"', "write two checks")
     key = given[0]
-    value = None if key in ("at_most_one", "agree_within", "within") else _number(key, getattr(check, key), unit)
-    shown = "" if value is None else _shown(getattr(check, key))
-    match key:
-        case "below":
-            assert value is not None
-            return SignalCondition("each", -inf, value, True, f"below {shown}", value)
-        case "above":
-            assert value is not None
-            return SignalCondition("each", value, inf, True, f"above {shown}", value)
-        case "spread_below":
-            assert value is not None
-            return SignalCondition("spread", -inf, value, True, f"spread over the vehicles below {shown}", value)
-        case "equals":
-            assert value is not None
-            return _equals(check, value, shown, unit)
-        case "at_most_one":
-            return SignalCondition("true", -inf, 1.0, False, "true in at most one vehicle", 1.0)
-        case "agree_within":
-            return SignalCondition("spread", 0.0, 0.0, False, "the same in all vehicles")
-        case _:
-            return _range(check.within, unit)
+    if key == "within":
+        return _range(check.within, unit)
+    if key == "at_most_one":
+        return SignalCondition("true", -inf, 1.0, False, "true in at most one vehicle", 1.0)
+    if key == "agree_within":
+        return SignalCondition("spread", 0.0, 0.0, False, "the same in all vehicles")
+    value, shown = _number(key, getattr(check, key), unit), _shown(getattr(check, key))
+    if key == "equals":
+        return _equals(check, value, shown, unit)
+    if key == "above":
+        return SignalCondition("each", value, inf, True, f"above {shown}", value)
+    over: Over = "spread" if key == "spread_below" else "each"
+    words = f"spread over the vehicles below {shown}" if over == "spread" else f"below {shown}"
+    return SignalCondition(over, -inf, value, True, words, value)
 
 
 def _equals(check: SignalCheck, value: float, shown: str, unit: str) -> SignalCondition:

@@ -201,11 +201,7 @@ def locates(layout: SignalLayout) -> bool:
 def unit_of(signal: SignalName, vehicles: Iterable[Mapping[str, SignalPlace]]) -> str:
     """The unit of a signal, which some of these vehicles have; "1": it has none.
 
-    Args:
-        vehicles: the signals of each.
-
-    Raises:
-        SignalError: none has it, it has several values, or several units.
+    `vehicles`: the signals of each. Raises SignalError: none has it, it has several values, or several units.
     """
     known: dict[str, int] = {}  # every name, and its width
     units: set[str] = set()
@@ -246,10 +242,8 @@ _HAVE_A_PICTURE = ("error.e_norm", "error.formation_norm")  # of their own, ever
 def checked_signals(checks: ChecksSection, looked_at: Iterable[str] = ()) -> list[SignalName]:
     """The signals that checks name or looked at, in their order, without the errors that are always drawn.
 
-    Args:
-        checks: of the scenario.
-        looked_at: signals that judged checks looked at. Only what laws and plants report counts there, since a check
-            in Python may look at everything else.
+    `checks`: of the scenario. `looked_at`: signals that judged checks looked at. Only what laws and plants report
+    counts there, since a check in Python may look at everything else.
     """
     texts = [check.topic for check in checks.signal or ()]
     texts += [text for text in looked_at if text.partition(".")[0] in (*OF_THE_LAWS, OF_THE_PLANT)]

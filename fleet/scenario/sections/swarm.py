@@ -23,7 +23,8 @@ from typing import Any, NamedTuple
 
 from fleet.quantities import show_time
 from fleet.scenario.schema.faults import Aim, FaultSection, NemesisPick, NemesisSection
-from fleet.scenario.sections.ground import Ground, Pair
+from fleet.scenario.sections.graph import beside, reached
+from fleet.scenario.sections.ground import Ground, Pair, free_name
 from fleet.scenario.sections.partitions import DRAWN_PARTITIONS, partition
 from netem.condition import Condition, Link
 from netem.draws import bits, uniform
@@ -79,24 +80,21 @@ def bridges(pairs: frozenset[Pair]) -> tuple[Pair, ...]:
     """
     if len(pairs) > MOST_PAIRS:
         return ()
-    beside: dict[int, list[int]] = {}
-    for a, b in sorted(pairs):
-        beside.setdefault(a, []).append(b)
-        beside.setdefault(b, []).append(a)
+    near = beside(sorted(pairs))
     order: dict[int, int] = {}
     low: dict[int, int] = {}
     found: list[Pair] = []
-    for root in beside:
+    for root in near:
         if root in order:
             continue
         order[root] = low[root] = len(order)
-        walk = [(root, 0, iter(beside[root]))]
+        walk = [(root, 0, iter(near[root]))]
         while walk:
             at, parent, others = walk[-1]
             for other in others:
                 if other not in order:
                     order[other] = low[other] = len(order)
-                    walk.append((other, at, iter(beside[other])))
+                    walk.append((other, at, iter(near[other])))
                     break
                 if other != parent:
                     low[at] = min(low[at], order[other])
@@ -107,20 +105,6 @@ def bridges(pairs: frozenset[Pair]) -> tuple[Pair, ...]:
                     if low[at] > order[parent]:
                         found.append((min(at, parent), max(at, parent)))
     return tuple(sorted(found))
-
-
-def side(of: int, pairs: Iterable[Pair]) -> set[int]:
-    """The vehicles that a vehicle is connected with, itself included."""
-    beside: dict[int, list[int]] = {}
-    for a, b in pairs:
-        beside.setdefault(a, []).append(b)
-        beside.setdefault(b, []).append(a)
-    found, left = {of}, [of]
-    while left:
-        new = [j for j in beside.get(left.pop(), ()) if j not in found]
-        found.update(new)
-        left += new
-    return found
 
 
 def last_slot(ground: Ground) -> int | None:
@@ -186,30 +170,30 @@ def link_fault(kind: str, selector: str, links: tuple[Link, ...], strength: floa
 def vehicle_fault(kind: str, who: int, strength: float, turn: float, ground: Ground) -> dict[str, Any]:
     """A fault of one vehicle.
 
-    Args:
-        turn: from 0 to 1, a draw in addition to the strength: a sign, a direction, or one of two forms.
+    `turn`: from 0 to 1, a draw in addition to the strength: a sign, a direction, or one of two forms.
     """
     make = _KINDS.get(kind)
-    return {kind: str(who)} if make is None else {kind: make(who, strength, turn, ground)}
+    return {kind: str(who) if make is None else {"vehicles": str(who), **make(strength, turn, ground)}}
 
 
-def _slow(who: int, strength: float, turn: float, ground: Ground) -> dict[str, Any]:
+_Make = Callable[[float, float, Ground], dict[str, Any]]
+
+
+def _slow(strength: float, turn: float, ground: Ground) -> dict[str, Any]:
     most = max(2, 5 * ground.round_ns // ground.spec.tick)
-    return {"vehicles": str(who), "by": f"{round(between(1, most, strength))} ticks"}
+    return {"by": f"{round(between(1, most, strength))} ticks"}
 
 
-def _clock(who: int, strength: float, turn: float, ground: Ground) -> dict[str, Any]:
-    sign = "-" if turn < 0.5 else ""
-    step = round(between(1e6, 1e9, strength))
-    return {"vehicles": str(who), "step": f"{sign}{show_time(step)}",
-            "drift": f"{sign}{between(20, 20_000, strength):g} ppm"}  # fmt: skip
+def _clock(strength: float, turn: float, ground: Ground) -> dict[str, Any]:
+    sign, step = "-" if turn < 0.5 else "", show_time(round(between(1e6, 1e9, strength)))
+    return {"step": f"{sign}{step}", "drift": f"{sign}{between(20, 20_000, strength):g} ppm"}
 
 
-def _instrument(bias: Callable[[float, float], str], name: str = "bias") -> Callable[..., dict[str, Any]]:
-    def make(who: int, strength: float, turn: float, ground: Ground) -> dict[str, Any]:
+def _instrument(bias: Callable[[float, float], str]) -> _Make:
+    def make(strength: float, turn: float, ground: Ground) -> dict[str, Any]:
         if turn < 0.5:
-            return {"vehicles": str(who), "lost": f"{between(5, 100, strength):g} %"}
-        return {"vehicles": str(who), name: bias(strength, tau * 2.0 * (turn - 0.5))}
+            return {"loss": f"{between(5, 100, strength):g} %"}
+        return {"bias": bias(strength, tau * 2.0 * (turn - 0.5))}
 
     return make
 
@@ -226,33 +210,18 @@ def _heading(strength: float, angle: float) -> str:
     return f"{'-' if angle < tau / 2 else ''}{between(1, 30, strength):g} deg"
 
 
-def _bias(who: int, strength: float, turn: float, ground: Ground) -> dict[str, Any]:
-    return {"vehicles": str(who), "position": _plane(0.1, 5.0, "m")(strength, tau * turn)}
-
-
-def _noise(who: int, strength: float, turn: float, ground: Ground) -> dict[str, Any]:
-    return {"vehicles": str(who), "position_noise": f"{between(0.01, 1.0, strength):g} m"}
-
-
-def _dropout(who: int, strength: float, turn: float, ground: Ground) -> dict[str, Any]:
-    return {"vehicles": str(who), "probability": f"{between(10, 100, strength):g} %"}
-
-
-def _efficiency(who: int, strength: float, turn: float, ground: Ground) -> dict[str, Any]:
-    share = f"{between(0.1, 0.9, 1.0 - strength):g}"
-    return {"vehicles": str(who), "surge": share, "pitch": share, "yaw": share}
-
-
-_KINDS: dict[str, Callable[[int, float, float, Ground], dict[str, Any]]] = {
+_KINDS: dict[str, _Make] = {
     "slow": _slow,
     "clock": _clock,
     "dvl": _instrument(_plane(0.02, 0.5, "m/s")),
     "compass": _instrument(_heading),
     "fix": _instrument(_plane(1.0, 50.0, "m", "")),
-    "bias": _bias,
-    "noise": _noise,
-    "dropout": _dropout,
-    "efficiency": _efficiency,
+    "bias": lambda strength, turn, _: {"position": _plane(0.1, 5.0, "m")(strength, tau * turn)},
+    "noise": lambda strength, *_: {"position_noise": f"{between(0.01, 1.0, strength):g} m"},
+    "dropout": lambda strength, *_: {"loss": f"{between(10, 100, strength):g} %"},
+    "efficiency": lambda strength, *_: dict.fromkeys(
+        ("surge", "pitch", "yaw"), f"{between(0.1, 0.9, 1.0 - strength):g}"
+    ),
 }
 
 
@@ -314,8 +283,7 @@ def span(nemesis: NemesisSection, ground: Ground) -> tuple[int, int]:
 def draw(nemesis: NemesisSection, ground: Ground, until: int | None = None) -> list[DrawnFault]:
     """The faults that the scenario's seed draws, in order of time.
 
-    Args:
-        until: when all have ended [ns]; None: as the nemesis says.
+    `until`: when all have ended [ns]; None: as the nemesis says.
     """
     seed, tick = ground.spec.seed, ground.spec.tick
     picks = picks_of(nemesis, ground)
@@ -368,9 +336,7 @@ def written(drawn: Iterable[DrawnFault], ground: Ground) -> list[FaultSection]:
     for one in sorted(drawn, key=lambda fault: (fault.at, fault.number)):
         body, cut, silent = _body(one, ground, past)
         for piece, (at, lasts) in enumerate(_times(one, ground), start=1):
-            name = f"nemesis-{one.number}" + (f"-{piece}" if one.pieces > 1 else "")
-            while name in taken:
-                name += "x"
+            name = free_name(f"nemesis-{one.number}" + (f"-{piece}" if one.pieces > 1 else ""), taken)
             taken.add(name)
             if one.pick.drawn == "gust":
                 body = gust(one.strength, _turn(one, ground), lasts)
@@ -391,7 +357,7 @@ class _Past:
     """The links and vehicles that the faults written by now have cut and silenced."""
 
     def __init__(self, ground: Ground) -> None:
-        self._pairs = ground.pairs
+        self.pairs = ground.pairs
         self._cut: list[tuple[int, set[Pair]]] = []  # until when, which
         self._silent: list[tuple[int, int]] = []  # until when, who
 
@@ -403,16 +369,12 @@ class _Past:
     def left(self, at: int) -> frozenset[Pair]:
         """The pairs that no fault cuts or silences at a time."""
         cut = {pair for end, pairs in self._cut if end > at for pair in pairs}
-        return without(self._pairs, cut, {i for end, i in self._silent if end > at})
+        return without(self.pairs, cut, {i for end, i in self._silent if end > at})
 
     def speaker(self, at: int) -> int | None:
         """The vehicle that began to speak last after a silence; None: no vehicle was silent."""
         back = [(end, i) for end, i in self._silent if end <= at]
         return max(back)[1] if back else None
-
-    @property
-    def pairs(self) -> list[Pair]:
-        return self._pairs
 
 
 def _body(one: DrawnFault, ground: Ground, past: _Past) -> tuple[dict[str, Any], set[Pair], set[int]]:
@@ -497,14 +459,10 @@ def _partition(one: DrawnFault, ground: Ground, past: _Past) -> str:
     if who is not None and any(who in link for link in ground.links):
         return f"isolate:{who}"
     if (pair := _bridge(one, ground, past)) is not None:
-        there = side(pair[0], past.left(one.at) - {pair})
+        there = reached([pair[0]], beside(past.left(one.at) - {pair}))
         rest = [i for i in range(1, spec.vehicles + 1) if i not in there]
         if rest:
-            return f"{_numbers(sorted(there))} / {_numbers(rest)}"
+            return " / ".join(",".join(map(str, group)) for group in (sorted(there), rest))
     among = ("halves",) if one.pieces > 1 else ("halves", *DRAWN_PARTITIONS)  # each piece would cut something else
     ways = [way for way in among if partition(way, spec.vehicles, spec.seed, name, ground.links)]
     return ways[_among(one, ground, _TARGET, len(ways))] if ways else f"isolate:{ground.links[0][0]}"
-
-
-def _numbers(vehicles: list[int]) -> str:
-    return ",".join(map(str, vehicles))

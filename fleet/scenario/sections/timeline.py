@@ -24,6 +24,7 @@ from msgspec import structs
 from fleet.quantities import vehicle_numbers
 from fleet.scenario.schema.faults import ACTIONS, FaultAction, FaultSection
 from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.schema.value_types import Section
 from fleet.scenario.sections.partitions import partition
 from fleet.scenario.sections.vehicle_events import is_fault
 from netem.condition import Link
@@ -93,11 +94,7 @@ class FaultPlan:
 
 
 def plan(spec: ScenarioSpec, links: Sequence[Link]) -> FaultPlan:
-    """The faults of a valid scenario.
-
-    Raises:
-        TextError: a partition cannot be made.
-    """
+    """The faults of a valid scenario. Raises TextError: a partition cannot be made."""
     all_parts: list[Part] = []
     events: list[Event] = []
     last = spec.duration // spec.tick
@@ -127,8 +124,7 @@ def begin_and_end(of_this: Sequence[Part], section: FaultSection, last: int) -> 
 def parts(section: FaultSection, name: str, spec: ScenarioSpec, links: Sequence[Link]) -> list[Part]:
     """The parts of one fault, called `name`, one for each core that it concerns.
 
-    Raises:
-        TextError: a partition cannot be made.
+    Raises TextError: a partition cannot be made.
     """
     begin = section.at // spec.tick
     end = None if section.for_ is None else begin + section.for_ // spec.tick
@@ -175,32 +171,22 @@ def parts(section: FaultSection, name: str, spec: ScenarioSpec, links: Sequence[
 
 
 def _numbers_of(section: FaultAction) -> tuple[float, ...]:
-    """The values of a fault of the world, as `WorldFault` lists them."""
-    if (n := section.noise) is not None:
-        return n.position_noise, n.angle_noise, n.velocity_noise, n.rate_noise
+    """The values of a fault of the world, as `WorldFault` lists them: mostly those of its keys in their order."""
     if (b := section.bias) is not None:
         return *b.position, b.pitch, b.yaw, *b.velocity, b.pitch_rate, b.yaw_rate, b.roll, b.roll_rate
-    if (e := section.efficiency) is not None:
-        return e.surge, e.pitch, e.yaw
     if (s := section.saturate) is not None:
         return tuple(_ANY if limit is None else limit for limit in (s.surge_force, s.pitch_moment, s.yaw_moment))
     if (c := section.current) is not None:
         return *c.mean, *c.sigma, c.time_constant / 1e9
-    if section.gust is not None:
-        return *section.gust.velocity, section.gust.over / 1e9
-    if section.dropout is not None:
-        return (section.dropout.probability,)
-    if (d := section.dvl) is not None:
-        return d.lost, *d.bias, d.jump, d.chance
-    if (compass := section.compass) is not None:
-        return compass.lost, compass.bias, compass.jump, compass.chance
-    if (fix := section.fix) is not None:
-        return fix.lost, *fix.bias, fix.jump, fix.chance
+    if (g := section.gust) is not None:
+        return *g.velocity, g.over / 1e9
     if section.clock is not None:
         return section.clock.step / 1e9, section.clock.drift
-    if (w := section.wrench) is not None:
-        return *w.force, w.pitch_moment, w.yaw_moment
-    return ()
+    values = getattr(section, action(section))
+    if not isinstance(values, Section):
+        return ()
+    each = [value if isinstance(value, tuple) else (value,) for key, value in values if key != "vehicles"]
+    return tuple(number for some in each for number in some)
 
 
 _ANY = 1e300  # N, N m: a limit that nothing reaches

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from io import StringIO
@@ -28,8 +27,7 @@ MOST_ROWS = 100_000
 _MOST_PROBLEMS = 5
 _MOST_COLUMNS = 20  # of which each is looked at
 _HEADING = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?\s*")
-_MEASURED = {"delay": q.TIME, "rate": q.BIT_RATE, "snr": q.LEVEL}
-_UNITS = {"time": q.TIME, "delivered": q.NUMBER, **_MEASURED}
+_UNITS = {"time": q.TIME, "delivered": q.NUMBER, "delay": q.TIME, "rate": q.BIT_RATE, "snr": q.LEVEL}
 _PRINTED = {"time": "s", "delivered": "", "delay": "ms", "rate": "bit/s", "snr": "dB"}
 _NS = 10**9
 # Limits of what a column may hold, in SI units; delays and rates as in the grammar of conditions.
@@ -50,9 +48,8 @@ class TraceRow:
     def condition(self, lost_below_db: float | None) -> Condition:
         """The condition of a link with these values.
 
-        Args:
-            lost_below_db: at or below this signal-to-noise ratio [dB] a packet is lost, too. None: only `delivered`
-                decides.
+        `lost_below_db`: at or below this signal-to-noise ratio [dB] a packet is lost, too. None: only `delivered`
+        decides.
         """
         lost = not self.delivered
         if lost_below_db is not None and self.snr_db is not None:
@@ -77,11 +74,7 @@ class TraceTable:
 def read_csv(text: str, name: str) -> TraceTable:
     """The trace in a text.
 
-    Args:
-        name: of the text, for errors.
-
-    Raises:
-        DataFileError: with the first mistakes that were found, each with its line.
+    `name`: of the text, for errors. Raises DataFileError: with the first mistakes that were found, each with its line.
     """
     reader = csv.reader(StringIO(text.removeprefix("\ufeff").rstrip("\r\n")), strict=True)
     lines: list[tuple[str, list[str]]] = []
@@ -94,137 +87,106 @@ def read_csv(text: str, name: str) -> TraceTable:
         raise DataFileError("trace", name, [f"line {reader.line_num}: not CSV: {error}"]) from None
     if not lines:
         raise DataFileError("trace", name, ['it is empty: expected a header such as "time [s],delivered"'])
-    return read_cells(lines[0][1], lines[1:], name, lines[0][0])
-
-
-def read_cells(
-    headings: Sequence[str], rows: Iterable[tuple[str, Sequence[str]]], name: str, first: str = "the header"
-) -> TraceTable:
-    """The trace in cells of text.
-
-    Args:
-        headings: of the columns, with units.
-        rows: the place of each row, in words, and its cells.
-        name: of the file, for errors.
-        first: the place of the headings, in words.
-
-    Raises:
-        DataFileError: as `read_csv`.
-    """
+    (first, headings), *rows = lines
     if len(headings) > _MOST_COLUMNS:
         message = f"{first}: expected some of the columns {', '.join(_UNITS)}, got {len(headings)} columns"
         raise DataFileError("trace", name, [message])
-    problems: list[str] = []
-    found = [_column(heading, problems) for heading in headings]
-    known = [column for column, _ in found]
-    problems += [f"{column} is there twice" for column in sorted({c for c in known if c and known.count(c) > 1})]
-    if not problems and not set(known) - {"time"}:
-        problems.append("no such column: expected one of delivered, delay, rate and snr beside the time")
+    columns, problems = _columns(headings)
     if problems:
         raise DataFileError("trace", name, [f"{first}: {problem}" for problem in problems[:_MOST_PROBLEMS]])
     read: list[TraceRow] = []
     for place, cells in rows:
-        row = _row(found, cells, problems, place)
-        if row is not None and read and row.time_ns is not None:
-            before = read[-1].time_ns
-            if before is not None and row.time_ns < before:
-                expected = f"expected {_decimal(before, _NS)} s or later, got {_decimal(row.time_ns, _NS)} s"
-                problems.append(f"{place}: the time goes back: {expected}")
-                row = None
-        if row is not None:
-            read.append(row)
-        if len(problems) >= _MOST_PROBLEMS:
-            break
+        try:
+            read.append(_row(columns, cells, read[-1].time_ns if read else None))
+        except ValueError as error:
+            problems.append(f"{place}: {error}")
+            if len(problems) >= _MOST_PROBLEMS:
+                break
     if not read and not problems:
         problems.append(f"there is no row below {first}")
     if problems:
         raise DataFileError("trace", name, problems)
-    return TraceTable(tuple(known), tuple(read))
+    return TraceTable(tuple(columns), tuple(read))
 
 
-def _column(heading: str, problems: list[str]) -> tuple[str, Decimal]:
-    """Name of a column, and the size of its unit in SI units."""
+def _columns(headings: list[str]) -> tuple[dict[str, Decimal], list[str]]:
+    """The size of each column's unit in SI units, by its name; and what is wrong with the headings."""
+    found: dict[str, Decimal] = {}
+    problems, twice = list[str](), set[str]()
+    for heading in headings:
+        try:
+            name, size = _column(heading)
+        except ValueError as error:
+            problems.append(str(error))
+            continue
+        if name in found:
+            twice.add(name)
+        found[name] = size
+    problems += [f"{name} is there twice" for name in sorted(twice)]
+    if not problems and not set(found) - {"time"}:
+        problems.append("no such column: expected one of delivered, delay, rate and snr beside the time")
+    return found, problems
+
+
+def _column(heading: str) -> tuple[str, Decimal]:
+    """Name of a column, and the size of its unit. Raises ValueError."""
     match = _HEADING.fullmatch(heading)
     name, unit = ("", None) if match is None else (match["name"].lower(), match["unit"])
     if name not in _UNITS:
         hint = nearest(name, _UNITS) or f"there are {', '.join(_UNITS)}"
-        problems.append(f"no such column {quoted(heading.strip())}; {hint}")
-        return "", Decimal(1)
+        raise ValueError(f"no such column {quoted(heading.strip())}; {hint}")
     units = _UNITS[name].units
     if (unit or "").strip() in units:
         size = units[(unit or "").strip()]
         return name, Decimal(size.numerator) / Decimal(size.denominator)
     wrong = f"has the unknown unit {quoted(unit.strip())}" if unit else "has no unit"
     expected = " or ".join(f"{name} [{known}]" if known else name for known in units)
-    problems.append(f"the column {name} {wrong}: expected {expected}, got {quoted(heading.strip())}")
-    return name, Decimal(1)
+    raise ValueError(f"the column {name} {wrong}: expected {expected}, got {quoted(heading.strip())}")
 
 
-def _row(columns: Sequence[tuple[str, Decimal]], cells: Sequence[str], problems: list[str], at: str) -> TraceRow | None:
-    """A row, or None and a problem."""
+def _row(columns: dict[str, Decimal], cells: list[str], before_ns: int | None) -> TraceRow:
+    """A row below one with the time `before_ns`. Raises ValueError."""
     if len(cells) != len(columns):
-        problems.append(f"{at}: expected {len(columns)} cells, got {len(cells)}")
-        return None
-    texts = {name: text.strip() for (name, _), text in zip(columns, cells, strict=True)}
-    delivered = texts.get("delivered", "1")
+        raise ValueError(f"expected {len(columns)} cells, got {len(cells)}")
+    texts = dict(zip(columns, map(str.strip, cells), strict=True))
+    delivered = texts.pop("delivered", "1")
     if delivered not in ("0", "1"):
-        problems.append(
-            f"{at}: delivered: {'a hole: ' if not delivered else ''}expected 0 or 1, got {quoted(delivered)}"
-        )
-        return None
-    numbers: dict[str, Decimal | None] = {}
-    for name, size in columns:
-        if name == "delivered":
-            continue
-        if not texts[name] and name != "time" and delivered == "0":
-            continue
-        value, problem = _number(name, texts[name], size)
-        if problem:
-            problems.append(f"{at}: {name}: {problem}")
-            return None
-        numbers[name] = value
-    delay, rate, snr = (numbers.get(name) for name in _MEASURED)
-    time = numbers.get("time")
-    return TraceRow(
-        None if time is None else _whole(time * _NS),
-        delivered == "1",
-        None if delay is None else _whole(delay * _NS),
-        None if rate is None else _whole(rate),
-        None if snr is None else float(snr),
+        hole = "" if delivered else "a hole: "
+        raise ValueError(f"delivered: {hole}expected 0 or 1, got {quoted(delivered)}")
+    needed = [name for name, text in texts.items() if text or name == "time" or delivered == "1"]
+    numbers = {name: _number(name, texts[name], columns[name]) for name in needed}
+    time, delay, rate = (
+        None if name not in numbers else int((numbers[name] * parts).to_integral_value())
+        for name, parts in (("time", _NS), ("delay", _NS), ("rate", 1))
     )
+    if before_ns is not None and time is not None and time < before_ns:
+        expected = f"expected {_decimal(before_ns, _NS)} s or later, got {_decimal(time, _NS)} s"
+        raise ValueError(f"the time goes back: {expected}")
+    return TraceRow(time, delivered == "1", delay, rate, float(numbers["snr"]) if "snr" in numbers else None)
 
 
-def _number(name: str, text: str, size: Decimal) -> tuple[Decimal | None, str]:
-    """A cell in SI units, or what is wrong with it."""
+def _number(name: str, text: str, size: Decimal) -> Decimal:
+    """A cell in SI units. Raises ValueError."""
     if not text:
-        return None, "a hole: expected a number, got nothing"
+        raise ValueError(f"{name}: a hole: expected a number, got nothing")
     if len(text) > LONGEST_NUMBER or not NUMBER.fullmatch(text):
-        return None, f"expected a number, got {quoted(text)}"
+        raise ValueError(f"{name}: expected a number, got {quoted(text)}")
     value = Decimal(text) * size
     low, high = _BOUNDS[name]
     if not low <= value <= high:
         unit = next(unit for unit, factor in _UNITS[name].units.items() if factor == 1)
-        return None, f"expected {float(low):g} to {float(high):g} {unit}, got {float(value):g} {unit}"
-    return value, ""
-
-
-def _whole(value: Decimal) -> int:
-    return int(value.to_integral_value())
+        raise ValueError(f"{name}: expected {float(low):g} to {float(high):g} {unit}, got {float(value):g} {unit}")
+    return value
 
 
 def _cell(row: TraceRow, name: str) -> str:
     """The inverse of `_row`, for one column."""
-    match name:
-        case "time":
-            return _decimal(row.time_ns, _NS)
-        case "delivered":
-            return str(int(row.delivered))
-        case "delay":
-            return _decimal(row.delay_ns, 10**6)
-        case "rate":
-            return _decimal(row.rate_bit_s, 1)
-        case _:
-            return "" if row.snr_db is None else repr(row.snr_db)
+    if name == "delivered":
+        return str(int(row.delivered))
+    if name == "snr":
+        return "" if row.snr_db is None else repr(row.snr_db)
+    cells = {"time": (row.time_ns, _NS), "delay": (row.delay_ns, 10**6), "rate": (row.rate_bit_s, 1)}
+    return _decimal(*cells[name])
 
 
 def _decimal(number: int | None, parts: int) -> str:

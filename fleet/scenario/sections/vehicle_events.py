@@ -33,8 +33,7 @@ class VehicleEvents(Struct):
 def vehicle_events(happened: Iterable[tuple[str, float]]) -> list[VehicleEvents]:
     """One row for each vehicle and kind of event, in the order of their first occurrence.
 
-    Args:
-        happened: text and beginning [s] of faults and events, in any order; faults are left out.
+    `happened`: text and beginning [s] of faults and events, in any order; faults are left out.
     """
     times: dict[str, list[float]] = {}
     for what, at_s in happened:

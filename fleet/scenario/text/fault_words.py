@@ -31,12 +31,12 @@ _EXAMPLES = {
     "partition": "partition 1,2 / 3,4",
     "noise": "noise vehicles=2 position_noise=10cm",
     "bias": "bias vehicles=2 position=1 0 0 m",
-    "dropout": "dropout vehicles=2 probability=30%",
+    "dropout": "dropout vehicles=2 loss=30%",
     "slow": "slow vehicles=2 by=5 ticks",
     "clock": "clock vehicles=2 step=200ms",
     "gust": "gust velocity=0 0.5 0 m/s over=10s",
     "current": "current 0.2 0 0 m/s",
-    "dvl": "dvl vehicles=2 lost=100%",
+    "dvl": "dvl vehicles=2 loss=100%",
     "compass": "compass vehicles=2 bias=10 deg",
     "fix": "fix vehicles=2 jump=20 m",
     "efficiency": "efficiency vehicles=2 surge=50%",
@@ -48,7 +48,7 @@ _KEY = re.compile(r"([a-z_]+)[=:]")
 
 
 class FaultWordsError(FleetError):
-    """Words that are no fault, or no condition of links."""
+    """Words that are no fault or no condition of links, or an override that cannot be applied."""
 
     def __init__(self, problem: Problem) -> None:
         super().__init__(f"{problem.message}; {problem.hint}" if problem.hint else problem.message)
@@ -58,8 +58,7 @@ class FaultWordsError(FleetError):
 def read_fault(text: str) -> dict[str, Any]:
     """A fault as an entry of a scenario's `faults`, its values as text; whether they are right is not checked.
 
-    Raises:
-        FaultWordsError: the text has no kind of fault, or no target.
+    Raises FaultWordsError: the text has no kind of fault, or no target.
     """
     found: dict[str, Any] = plain(fault_entry(Source("fault", text)))
     return found
@@ -73,8 +72,7 @@ def fault_entry(source: Source) -> Mapping:
 def link_entries(source: Source) -> Mapping:
     """Selectors and conditions in words such as `1->2 delay 100ms, 2->1 down`, as entries of `network.links`.
 
-    Raises:
-        FaultWordsError: a selector has no condition.
+    Raises FaultWordsError: a selector has no condition.
     """
     return _Reader(source).links()
 

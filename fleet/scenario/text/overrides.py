@@ -67,9 +67,10 @@ def scale(before: Mapping, root: Mapping) -> Mapping:
     root = _scale_formation(root)
     root = _scale_initial(root)
     root = _scale_graph(root, new)
-    root = _scale_links(root, 0 if other_links else new)
-    root = _scale_per_vehicle(root, new)
-    return _scale_checks(root)
+    known = 0 if other_links else new
+    root = _pruned(root, lambda selector, _: all(n <= known for n in _numbers(selector)), "network", "links")
+    root = _pruned(root, lambda numbers, _: all(n <= new for n in _numbers(numbers)), "per_vehicle")
+    return _pruned(root, _about_all, "checks")
 
 
 def vehicle_count(root: Mapping) -> int | None:
@@ -114,7 +115,7 @@ def _scale_graph(root: Mapping, vehicles: int) -> Mapping:
             del entries[key]
     standby = entries.get("standby")
     who = standby.entries.get("vehicles") if isinstance(standby, Mapping) else None
-    if isinstance(who, Scalar) and any(int(n) > vehicles for n in _numbers(str(who.value))):
+    if isinstance(who, Scalar) and any(n > vehicles for n in _numbers(str(who.value))):
         del entries["standby"]
     followers = entries.get("reference")
     if isinstance(followers, Scalar) and followers.value != "all":
@@ -125,41 +126,23 @@ def _scale_graph(root: Mapping, vehicles: int) -> Mapping:
     return _replaced(root, "graph", entries)
 
 
-def _scale_links(root: Mapping, known: int) -> Mapping:
-    """Without the conditions of links of vehicles beyond the first `known`."""
-    network = root.entries.get("network")
-    links = network.entries.get("links") if isinstance(network, Mapping) else None
-    if not isinstance(network, Mapping) or not isinstance(links, Mapping):
+def _pruned(root: Mapping, keep: Callable[[str, Node], bool], *path: str) -> Mapping:
+    """Without the entries of the section at `path` for which `keep` is false."""
+    key, *below = path
+    section = root.entries.get(key)
+    if not isinstance(section, Mapping):
         return root
-    for selector in links.entries:
-        numbers = [int(n) for n in _numbers(selector)]
-        if numbers and max(numbers) > known:
-            links = links.without(selector)
-    return root.with_entry("network", root.keys["network"], network.with_entry("links", root.keys["vehicles"], links))
+    if below:
+        return root.with_entry(key, root.keys[key], _pruned(section, keep, *below))
+    kept = {name: node for name, node in section.entries.items() if keep(name, node)}
+    return root.with_entry(key, root.keys[key], Mapping(kept, section.keys, section.place))
 
 
-def _scale_per_vehicle(root: Mapping, vehicles: int) -> Mapping:
-    per_vehicle = root.entries.get("per_vehicle")
-    if not isinstance(per_vehicle, Mapping):
-        return root
-    for entry in per_vehicle.entries:
-        if any(int(n) > vehicles for n in _numbers(entry)):
-            per_vehicle = per_vehicle.without(entry)
-    return root.with_entry("per_vehicle", root.keys["per_vehicle"], per_vehicle)
-
-
-def _scale_checks(root: Mapping) -> Mapping:
-    """Without the checks of some vehicles, of some links and of a fault."""
-    checks = root.entries.get("checks")
-    if not isinstance(checks, Mapping):
-        return root
-    for name, check in checks.entries.items():
-        links = check.entries.get("links") if isinstance(check, Mapping) else None
-        some_links = isinstance(links, Scalar) and bool(_numbers(str(links.value)))
-        some_vehicles = isinstance(check, Mapping) and "vehicles" in check.entries
-        if name == "recovery_time" or some_links or some_vehicles:
-            checks = checks.without(name)
-    return root.with_entry("checks", root.keys["checks"], checks)
+def _about_all(name: str, check: Node) -> bool:
+    """Whether a check is not one of some vehicles, of some links or of a fault."""
+    links = check.entries.get("links") if isinstance(check, Mapping) else None
+    some_links = isinstance(links, Scalar) and bool(_numbers(str(links.value)))
+    return not (name == "recovery_time" or some_links or (isinstance(check, Mapping) and "vehicles" in check.entries))
 
 
 def _has_edges_without_chain(root: Mapping) -> bool:
@@ -216,8 +199,8 @@ def _above(node: Node, vehicles: int) -> bool:
     return isinstance(node, Scalar) and type(node.value) is int and node.value > vehicles
 
 
-def _numbers(selector: str) -> list[str]:
-    return re.findall(r"\d{1,9}", selector, re.ASCII)
+def _numbers(selector: str) -> list[int]:
+    return [int(n) for n in re.findall(r"\d{1,9}", selector, re.ASCII)]
 
 
 SET, NET, FAULT = "--set", "--net", "--fault"
@@ -283,17 +266,9 @@ def apply(root: Mapping, overrides: Sequence[str | Override]) -> tuple[Mapping, 
     for change in (*changes, *words):
         try:
             root = change(root)
-        except (FaultWordsError, _MistakeError) as error:
+        except FaultWordsError as error:
             problems.append(error.problem)
     return root, problems
-
-
-class _MistakeError(Exception):
-    """An override that cannot be applied."""
-
-    def __init__(self, problem: Problem) -> None:
-        super().__init__(problem.message)
-        self.problem = problem
 
 
 def _steps(path: str, source: Source) -> list[Step]:
@@ -318,8 +293,7 @@ def _with_value(steps: list[Step], value: Node, root: Mapping) -> Mapping:
 def _set(node: Node | None, steps: list[Step], value: Node, *, keep: bool) -> Node:
     """A copy of `node` with `value` at the end of the steps; missing mappings are made on the way.
 
-    Args:
-        keep: whether entries keep their place; otherwise those on the way become the last, which win where it matters.
+    `keep`: whether entries keep their place; otherwise those on the way become the last, which win where it matters.
     """
     if not steps:
         return value
@@ -335,11 +309,11 @@ def _set(node: Node | None, steps: list[Step], value: Node, *, keep: bool) -> No
         index = int(key) if key.isascii() and key.isdigit() and len(key) < 6 else 0
         if not 1 <= index <= len(node.items):
             message = f'expected an entry of the list, from 1 to {len(node.items)}, got "{key}"'
-            raise _MistakeError(place.problem(message))
+            raise FaultWordsError(place.problem(message))
         items = list(node.items)
         items[index - 1] = _set(items[index - 1], rest, value, keep=keep)
         return Items(tuple(items), node.place)
-    raise _MistakeError(
+    raise FaultWordsError(
         place.problem(f'there is no "{key}" here: the scenario has {describe_value(node.value)}, not a mapping')
     )
 
@@ -371,7 +345,7 @@ def _with_link_word(source: Source, root: Mapping) -> Mapping:
         known = ", ".join(links.entries)
         hint = "--net '* loss 30%' takes the place of all conditions of a link"
         message = f'network.links has no condition for "{selector}"; it has conditions for {known}'
-        raise _MistakeError(start.shifted(match.start("selector")).problem(message, hint))
+        raise FaultWordsError(start.shifted(match.start("selector")).problem(message, hint))
     before = None if same is None else links.entries[same]
     if match["state"] is not None or isinstance(before, Mapping):
         return _with_state_word(source, root, match, same or selector, before)
@@ -393,7 +367,7 @@ def _with_word(source: Source, match: re.Match[str], text: str) -> Scalar:
         return Scalar(with_word(text, word, value), start.shifted(match.end() + 1))
     except TextError as error:
         column = match.start("word") if not value.strip() or word not in WORDS else match.end() + 1 + error.column
-        raise _MistakeError(start.shifted(column).problem(error.message, error.hint)) from None
+        raise FaultWordsError(start.shifted(column).problem(error.message, error.hint)) from None
 
 
 def _with_state_word(source: Source, root: Mapping, match: re.Match[str], name: str, links: Node | None) -> Mapping:
@@ -402,12 +376,14 @@ def _with_state_word(source: Source, root: Mapping, match: re.Match[str], name: 
     states = links.entries.get("states") if isinstance(links, Mapping) else None
     if not isinstance(states, Mapping):
         what = "a trace" if isinstance(links, Mapping) and "trace" in links.entries else "no states"
-        raise _MistakeError(place.problem(f'the links "{name}" have {what}, so there is no word of a state to change'))
+        raise FaultWordsError(
+            place.problem(f'the links "{name}" have {what}, so there is no word of a state to change')
+        )
     state = None if match["state"] is None else states.entries.get(match["state"])
     if not isinstance(state, Mapping):
         known = ", ".join(states.entries)
         hint = f"as in network.links.{name}.states.{next(iter(states.entries), 'bad')}.{match['word']}"
-        raise _MistakeError(place.problem(f'the links "{name}" have the states {known}: say which', hint))
+        raise FaultWordsError(place.problem(f'the links "{name}" have the states {known}: say which', hint))
     before = state.entries.get("condition")
     text = "" if before is None else plain(before)
     if not isinstance(text, str):  # reported when it is read
@@ -421,7 +397,7 @@ def _network(root: Mapping, start: TextPlace) -> tuple[Mapping | None, Mapping |
     network = root.entries.get("network")
     if isinstance(network, Scalar) and network.value == "ideal":
         hint = "give it a period first, as in --set 'network={period: 100 ms}'"
-        raise _MistakeError(start.problem("the network of this scenario is ideal and has no links", hint))
+        raise FaultWordsError(start.problem("the network of this scenario is ideal and has no links", hint))
     if isinstance(network, Scalar) and network.value == "acoustic":
         network = Mapping({"acoustic": Mapping({}, {}, network.place)}, {"acoustic": network.place}, network.place)
     section = _mapping(network, start)
@@ -452,7 +428,7 @@ def _with_fault(source: Source, root: Mapping) -> Mapping:
     """The tree with one fault more; faults that are no list stay, and are reported when they are read."""
     fault, start = fault_entry(source), TextPlace(source, 1, 1)
     if "at" not in fault.entries:
-        raise _MistakeError(start.problem("when does it begin?", "write at and a time in front, as in at 20s"))
+        raise FaultWordsError(start.problem("when does it begin?", "write at and a time in front, as in at 20s"))
     faults = root.entries.get("faults")
     if isinstance(faults, Mapping) or (isinstance(faults, Scalar) and faults.value is not None):
         return root

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from math import isfinite
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -26,23 +26,14 @@ PASSED, FAILED = COLOURS[0], COLOURS[1]
 
 
 class _One(NamedTuple):
-    """A border to draw."""
-
     border: Border
     runs: list[Run]
     theory: Theory
 
 
 def draw_borders(borders: Borders, theories: Sequence[Theory]) -> Figure:
-    """The borders of a study.
-
-    Args:
-        borders: the study.
-        theories: what theory says, border by border.
-
-    Raises:
-        StudyError: there is too much for one picture, or the study is damaged.
-    """
+    """The borders of a study. `theories`: what theory says, border by border. Raises StudyError: there is too much for
+    one picture, or the study is damaged."""
     runs = [borders.verdicts(rows.values()) for rows in borders.rows()]
     every = [_One(*one) for one in zip(borders.found(), runs, theories, strict=True)]
     per = borders.store.record.axes[:-1]
@@ -54,11 +45,8 @@ def draw_borders(borders: Borders, theories: Sequence[Theory]) -> Figure:
 
 
 def write_borders(borders: Borders, theories: Sequence[Theory]) -> Path:
-    """Draw a study of a border as `border.png` in its directory; see `draw_borders`. Returns the path.
-
-    Raises:
-        StudyError: as `draw_borders`, or the file cannot be written.
-    """
+    """Draw a study of a border as `border.png` in its directory; see `draw_borders`. Returns the path. Raises
+    StudyError: as `draw_borders`, or the file cannot be written."""
     figure = draw_borders(borders, theories)
     stem = borders.store.directory / "border"
     try:
@@ -69,7 +57,6 @@ def write_borders(borders: Borders, theories: Sequence[Theory]) -> Path:
 
 
 def _across(borders: Borders, every: Sequence[_One], varied: Sequence[AxisRecord], across: AxisRecord) -> Figure:
-    """One numeric key to the right; the last of the others as lines, the first as columns, the rest as rows."""
     *outer, lines = [axis for axis in varied if axis is not across] or [across]
     columns = _kinds(every, outer[:1])
     rows = _kinds(every, outer[1:])
@@ -96,12 +83,11 @@ def _across(borders: Borders, every: Sequence[_One], varied: Sequence[AxisRecord
             ax.set_xlabel(_label(across))
         if column == 0:
             ax.set_ylabel(_label(borders.along))
-    _legend(borders, figure, kinds, any(one.theory.reckoning is not None for one in every), single=len(kinds) == 1)
+    _legend(borders, figure, kinds, every, single=len(kinds) == 1)
     return figure
 
 
 def _line(ax: Axes, borders: Borders, line: Sequence[_One], at: Sequence[int], k: int, shift: float) -> None:
-    """The borders along one line, each with its interval, and the rule of dead reckoning."""
     bottom, top = borders.places[0], borders.places[-1]
     colour = COLOURS[k % len(COLOURS)]
     x = [place + shift for place in at]
@@ -109,7 +95,7 @@ def _line(ax: Axes, borders: Borders, line: Sequence[_One], at: Sequence[int], k
     low = [max(bottom, min(one.border.low, top)) for one in line]
     high = [min(top, max(one.border.high, bottom)) for one in line]
     ax.fill_between(x, low, high, color=colour, alpha=0.12, linewidth=0)
-    ax.plot(x, y, color=colour, linestyle=_style(k), linewidth=NORMAL)
+    ax.plot(x, y, color=colour, linestyle=STYLES[k % len(STYLES)], linewidth=NORMAL)
     for place, one, value, least, most in zip(x, line, y, low, high, strict=True):
         mark = {"above": "^", "below": "v"}.get(one.border.where, _MARKS[k % len(_MARKS)])
         ax.plot([place, place], [least, most], color=colour, linewidth=NORMAL)
@@ -122,7 +108,6 @@ def _line(ax: Axes, borders: Borders, line: Sequence[_One], at: Sequence[int], k
 
 
 def _below_each_other(borders: Borders, every: Sequence[_One], varied: Sequence[AxisRecord]) -> Figure:
-    """A row per border: its interval, passed runs above it, failed runs below."""
     if len(every) > MOST_ROWS:
         raise StudyError(f"these are {len(every)} borders, and a picture has {MOST_ROWS} below each other at most")
     figure, (ax,) = panels(1, 1, PAGE_IN, 0.45 * len(every) + 1.3)
@@ -146,12 +131,11 @@ def _below_each_other(borders: Borders, every: Sequence[_One], varied: Sequence[
     ax.set_ylim(len(every) - 0.4, -0.6)
     ax.set_xlim(*_limits(borders))
     ax.set_xlabel(_label(borders.along))
-    _legend(borders, figure, [{}], any(one.theory.reckoning is not None for one in every), single=True)
+    _legend(borders, figure, [{}], every, single=True)
     return figure
 
 
 def _runs(ax: Axes, borders: Borders, runs: Sequence[Run], at: int) -> None:
-    """The runs by their place: passed ones to the left, failed ones to the right."""
     seen: dict[Run, int] = {}
     for place, passed in runs:
         seen[place, passed] = number = seen.get((place, passed), 0) + 1
@@ -161,11 +145,11 @@ def _runs(ax: Axes, borders: Borders, runs: Sequence[Run], at: int) -> None:
 
 
 def _legend(
-    borders: Borders, figure: Figure, kinds: Sequence[dict[str, float | str]], reckoning: bool, *, single: bool
+    borders: Borders, figure: Figure, kinds: Sequence[dict[str, float | str]], every: Sequence[_One], *, single: bool
 ) -> None:
     handles = [
-        Line2D([], [], color=COLOURS[k % len(COLOURS)], linestyle=_style(k), marker=_MARKS[k % len(_MARKS)],
-               markersize=4, label=_words(borders, kind))
+        Line2D([], [], color=COLOURS[k % len(COLOURS)], linestyle=STYLES[k % len(STYLES)],
+               marker=_MARKS[k % len(_MARKS)], markersize=4, label=_words(borders, kind))
         for k, kind in enumerate(kinds) if kind
     ]  # fmt: skip
     if single:
@@ -176,13 +160,9 @@ def _legend(
     hollow = Line2D([], [], color="0.3", linestyle="", marker="o", markerfacecolor="white", markersize=4,
                     label="hollow: the linear loop is unstable without loss")  # fmt: skip
     handles += [hollow, Line2D([], [], color="0.3", linestyle="", marker="^", markersize=4, label="beyond the range")]
-    if reckoning:
+    if any(one.theory.reckoning is not None for one in every):
         handles.append(Line2D([], [], color="0.3", linestyle=":", label="K τ ρ(A) = 1, τ with mean age under loss"))
     figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=LABEL_PT + 0.5)
-
-
-def _style(k: int) -> Any:
-    return STYLES[k % len(STYLES)]
 
 
 def _shunting(ones: Sequence[_One]) -> str:

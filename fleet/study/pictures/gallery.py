@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from itertools import chain, count
 from pathlib import Path
 from typing import NamedTuple
@@ -33,40 +34,29 @@ class Picture(NamedTuple):
 
 
 def draw(points: Points, log_scale: bool | None = None, share: Tell = lambda _: None) -> Iterator[Picture]:
-    """The pictures of a study, the share that passed first, then the measures, then pairs of runs.
-
-    Args:
-        log_scale: numbers have a logarithmic axis; None: numbers of a wide range have one.
-        share: called before each picture with the share that is done.
-    """
+    """The pictures of a study, the share that passed first, then the measures, then pairs of runs. `log_scale`: numbers
+    have a logarithmic axis; None: numbers of a wide range have one. `share`: called before each picture with the share
+    that is done."""
     measures = [name for name in points.numbers if name != PASSED]
-    todo: list[tuple[str, str, Callable[[], Iterator[Figure]]]] = []
+    todo: list[tuple[str, str, Callable[[], Quantity], bool | None]] = []
     if points.product:
-        todo = [(name, points.words(name), _pages(points, name, log_scale)) for name in points.numbers]
+        todo = [(name, points.words(name), partial(points.quantity, name), log_scale) for name in points.numbers]
     for place in factors(points):
         for name in measures:
             key = printable(points.dimensions[place].key)
             title = f"{points.words(name)}, values of {key} in pairs of runs with the same seed"
-            todo.append((f"compare-{_slug(key)}-{_slug(name)}", title, _pairs(points, place, name)))
+            todo.append((f"compare-{_slug(key)}-{_slug(name)}", title, partial(points.differences, place, name), None))
     taken: set[str] = set()
     if not points.product:
         reason = "its points are a sample and no grid; fleet.open_study(DIR).to_pandas() has every run"
         yield Picture("passed", points.words(PASSED), reason)
-    for number, (name, title, make) in enumerate(todo):
+    for number, (name, title, quantity, scale) in enumerate(todo):
         share(number / len(todo))
         try:
-            for figure in make():
+            for figure in _drawn(quantity(), scale):
                 yield Picture(_free(_slug(name), taken), title, figure)
         except NothingToDraw as reason:
             yield Picture(printable(name), title, str(reason))
-
-
-def _pages(points: Points, name: str, log_scale: bool | None) -> Callable[[], Iterator[Figure]]:
-    return lambda: _drawn(points.quantity(name), log_scale)
-
-
-def _pairs(points: Points, place: int, name: str) -> Callable[[], Iterator[Figure]]:
-    return lambda: _drawn(points.differences(place, name), None)
 
 
 def _drawn(quantity: Quantity, log_scale: bool | None) -> Iterator[Figure]:
@@ -94,16 +84,10 @@ def write(
     tell: Callable[[str], None] = lambda _: None,
     share: Tell = lambda _: None,
 ) -> list[Path]:
-    """Draw into a folder, which is made if need be; returns the files.
-
-    Args:
-        measures: in addition to the share of runs that passed; none: those of the table of `fleet sweep`.
-        tell: called with a sentence about each picture that could not be drawn.
-
-    Raises:
-        StudyError: there is no such measure, or the study is damaged.
-        FleetError: the folder cannot be written.
-    """
+    """Draw into a folder, which is made if need be; returns the files. `measures`: in addition to the share of runs
+    that passed; none: those of the table of `fleet sweep`. `tell`: called with a sentence about each picture that could
+    not be drawn. Raises StudyError: there is no such measure, or the study is damaged; FleetError: the folder cannot be
+    written."""
     points = load(store, measures)
     paths: list[Path] = []
     try:
@@ -130,7 +114,6 @@ def _slug(key: str) -> str:
 
 
 def _free(name: str, taken: set[str]) -> str:
-    """The name, with a number if it is taken: by an earlier page, or by another name that is spelt alike."""
     found = next(each for each in chain([name], (f"{name}-{k}" for k in count(2))) if each not in taken)
     taken.add(found)
     return found

@@ -41,12 +41,12 @@ from fleet.study.pictures.marks import (
     room,
     scale,
     text,
+    used,
 )
 from fleet.study.pictures.points import Cell, Quantity, Value, value_words
 from fleet.study.statistics import Estimate
 
 # Boxes by factor: every run as a point, the box of the middle half, and the median with its interval.
-
 
 MOST_ROWS = 60
 _ROW_IN = 0.24
@@ -56,29 +56,20 @@ _WORDS = 50  # characters of a line below the axis
 
 
 def boxes(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale: bool | None) -> Figure:
-    """Draw some panels of a layout over words: a row for each value, from above.
-
-    Raises:
-        NothingToDraw: there are too many values.
-    """
+    """Draw some panels of a layout over words: a row for each value, from above. Raises NothingToDraw: there are too
+    many values."""
     drawn = _Boxes(quantity, layout)
     columns = min(2, len(shown))
     rows = -(-len(shown) // columns)
     label = axis_label(layout.dimensions[layout.axes[0]]) if layout.axes else ""
     height = rows * max(_ROW_IN * drawn.count + 0.55, text_width_pt(label, TEXT_PT) / 72.0 + 0.1) + 0.3
     figure, axes = panels(rows, columns, COLUMN_IN if columns == 1 else PAGE_IN, height, share=False)
-    for k, ax in enumerate(axes):
-        if k >= len(shown):
-            ax.set_visible(False)
-            continue
+    for k, ax, panel in used(axes, shown):
         if quantity.kind == "difference":
             ax.axvline(0.0, color="0.45", linewidth=0.7, linestyle=(0, (4, 3)))
-        lacking = drawn.panel(ax, shown[k])
-        drawn.scales(ax, log_scale, lacking=lacking)
+        drawn.scales(ax, log_scale, lacking=drawn.panel(ax, panel))
         if k % columns == 0:
             ax.set_ylabel(label)
-        if shown[k].title:
-            ax.set_title(shown[k].title)
     figure.supxlabel(quantity_label(quantity, _WORDS if columns == 1 else 2 * _WORDS), fontsize=TEXT_PT)
     drawn.lacks.draw(lambda ax: ax.get_yaxis_transform())
     legend(figure, drawn.handles())
@@ -86,8 +77,6 @@ def boxes(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale:
 
 
 class _Boxes:
-    """The rows of one picture, in each of its panels."""
-
     def __init__(self, quantity: Quantity, layout: Layout) -> None:
         """Raises NothingToDraw: there are too many values."""
         self._quantity, self._layout, self.lacks = quantity, layout, Lacks()
@@ -115,7 +104,6 @@ class _Boxes:
         return lacking
 
     def scales(self, ax: Axes, log_scale: bool | None, *, lacking: bool) -> None:
-        """Set the axes of a panel."""
         labels = [text("all runs" if name is None else value_words(name)) for name in self._names]
         ax.set_yticks(range(len(labels)), labels=labels)
         ax.set_ylim(len(labels) - 0.45, -0.55)
@@ -129,7 +117,6 @@ class _Boxes:
             room(ax, "x", _LACK + 0.01)
 
     def handles(self) -> list[Artist]:
-        """For the legend."""
         coloured = [
             Patch(color=COLOURS[k], alpha=2 * BAND, linewidth=0, label=text(value_words(name)))
             for k, name in enumerate(self._colours)
@@ -141,7 +128,6 @@ class _Boxes:
 
 
 def _one(ax: Axes, quantity: Quantity, cell: Cell, at: float, width: float, colour: str) -> None:
-    """One row: its box and points, or the share that passed, and the interval."""
     estimate, factor = cell.estimate, scale(quantity)
     if not cell.values:
         return
@@ -170,7 +156,6 @@ def _one(ax: Axes, quantity: Quantity, cell: Cell, at: float, width: float, colo
 
 # Curves with bands: a number and its interval over what is varied, one line for each word.
 
-
 _MARKERS = "osD^vP*"
 _MOST_BANDS, _MOST_BARS = 3, 12  # more lines have a bar at each place, if there are no more places
 _STRIP = 0.07  # height of the hatched strip of a line, of the axis
@@ -182,30 +167,23 @@ def curves(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale
     columns = columns_of(len(shown))
     rows = -(-len(shown) // columns)
     figure, axes = panels(rows, columns, COLUMN_IN if columns == 1 else PAGE_IN, 2.1 * rows + 0.2, share=False)
-    for k, ax in enumerate(axes):
-        if k >= len(shown):
-            ax.set_visible(False)
-            continue
+    for k, ax, panel in used(axes, shown):
         if quantity.kind == "difference":
             limit(ax, 0.0)
         strips = 0
         for number in range(len(drawn.names)):
-            strips += drawn.line(ax, shown[k], number, strips)
+            strips += drawn.line(ax, panel, number, strips)
         drawn.scales(ax, strips, log_scale)
         if k % columns == 0:
             ax.set_ylabel(quantity_label(quantity))
         if k + columns >= len(shown):
             ax.set_xlabel(axis_label(drawn.along))
-        if shown[k].title:
-            ax.set_title(shown[k].title)
     drawn.lacks.draw(lambda ax: ax.get_xaxis_transform())
     legend(figure, drawn.handles())
     return figure
 
 
 class _Curves:
-    """The lines of one picture, in each of its panels."""
-
     def __init__(self, quantity: Quantity, layout: Layout) -> None:
         (self._x,) = layout.axes
         self._quantity, self._layout = quantity, layout
@@ -247,7 +225,6 @@ class _Curves:
         return found
 
     def _hatched(self, ax: Axes, cells: Sequence[Cell | None], strip: int, colour: str) -> bool:
-        """Hatch places where runs lack the number; returns whether there are any."""
         if not any(cell is not None and any(cell.lack) for cell in cells):
             return False
         for at, cell in enumerate(cells):
@@ -276,7 +253,6 @@ class _Curves:
             room(ax, "y", strips * _STRIP + 0.02)
 
     def handles(self) -> list[Artist]:
-        """For the legend."""
         looks = zip(self.names, COLOURS, STYLES, _MARKERS, strict=False)
         lines = [
             Line2D([], [], color=colour, linestyle=style, marker=marker, markersize=3.0, label=text(value_words(name)))
@@ -291,14 +267,12 @@ class _Curves:
 
 
 def _beside(places: Array, share: float, logs: bool) -> Array:
-    """Places moved aside; shares from 0 to 1 fill a third of the least distance around each."""
     at = np.log(places) if logs else places
     moved: Array = at + (share - 0.5) * (np.diff(at).min() if len(at) > 1 else 1.0) / 3
     return np.exp(moved) if logs else moved
 
 
 def _edges(places: Array, logs: bool) -> Array:
-    """Where the part of the axis that belongs to each place begins and ends; one more than there are places."""
     values = np.log(places) if logs else places
     middle = (values[1:] + values[:-1]) / 2
     edges = np.concatenate([[2 * values[0] - middle[0]], middle, [2 * values[-1] - middle[-1]]])
@@ -307,7 +281,6 @@ def _edges(places: Array, logs: bool) -> Array:
 
 # Heat maps: a number over two others, with its interval in each cell, or beside it where cells are small.
 
-
 _BAR = 48  # characters of a line above the bar
 _SMALL_PT = 5.0  # of intervals
 _MARGIN_PT, _TICKS_PT = 20.0, 26.0  # of a page, and of each panel: what is left of the cells
@@ -315,7 +288,6 @@ _MOST_WORDS = 1000  # cells
 _HATCHED = 0.1  # of the width of a cell: hatched where some of its runs lack the number
 _CHARACTER_PT = 4.6  # along an axis
 _CELL_PT = 21.0  # height of a cell with a value and an interval
-
 
 _WIDTHS = LinearSegmentedColormap.from_list("widths", ("0.92", "black"))  # white: there is no interval
 Tables = list[list[list[Cell | None]]]  # of each panel the rows, from below
@@ -344,9 +316,8 @@ def heat(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale: 
         drawings.append(_widths(quantity, tables))
     for number, (of, norm, colours, label) in enumerate(drawings):
         part = axes[number * rows * columns : (number + 1) * rows * columns]
-        for ax in part[len(shown) :]:
-            ax.set_visible(False)
-        for k, (ax, panel, table) in enumerate(zip(part, shown, tables, strict=False)):
+        for k, ax, _ in used(part, shown):
+            table = tables[k]
             image = [[np.nan if cell is None else of(cell.estimate) for cell in row] for row in table]
             found = np.array(image)
             _cells(ax, np.where(np.isfinite(found), found, np.nan), norm, colours)
@@ -364,8 +335,6 @@ def heat(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale: 
                 ax.set_ylabel(fill(axis_label(y), max(10, int(max(cells, 0.7) * 72.0 / _CHARACTER_PT))))
             if k + columns >= len(shown):
                 ax.set_xlabel(axis_label(x))
-            if panel.title:
-                ax.set_title(panel.title)
         bar = figure.colorbar(part[0].images[0], ax=part, location="top", aspect=25 * columns, pad=0.03, fraction=0.08)
         bar.set_label(label)
         bar.ax.grid(False)
@@ -379,7 +348,6 @@ def _title_in(shown: Sequence[Panel]) -> float:
 
 
 def _table(quantity: Quantity, layout: Layout, panel: Panel) -> list[list[Cell | None]]:
-    """The cells of a panel, row by row from below; None: there is no such point."""
     x, y = layout.axes
     along = [layout.dimensions[k].values for k in (x, y)]
     return [[quantity.cells.get(layout.key(panel, {x: a, y: b})) for a in along[0]] for b in along[1]]
@@ -431,7 +399,6 @@ def _cells(ax: Axes, image: Array, norm: Normalize, colours: Colormap) -> None:
 
 
 def _room(tables: Tables, cell_pt: float, digits: Digits) -> int:
-    """How much text fits into each cell: 0 none, 1 the value, 2 its interval, too."""
     if sum(len(table) * len(table[0]) for table in tables) > _MOST_WORDS:
         return 0
     widest, strip = [0.0, 0.0], 0.0
@@ -446,7 +413,6 @@ def _room(tables: Tables, cell_pt: float, digits: Digits) -> int:
 
 
 def _words(ax: Axes, at: tuple[int, int], cell: Cell, digits: Digits, bold: bool, colour: Colour, fits: int) -> None:
-    """The value and the interval in a cell; `bold`: the value, if the interval does not hold 0."""
     estimate = cell.estimate
     if isnan(estimate.value):
         return

@@ -45,7 +45,6 @@ def text(words: str, most: int = LONGEST_NAME) -> str:
 
 
 def axis_label(dimension: VariedKey) -> str:
-    """The varied quantity in words, and its unit."""
     return text(dimension.name) + (f" [{text(dimension.unit)}]" if dimension.unit else "")
 
 
@@ -55,7 +54,6 @@ def wrapped(words: str, width: int = WRAPPED) -> str:
 
 
 def quantity_label(quantity: Quantity, width: int = WRAPPED) -> str:
-    """The subject of a picture, in lines."""
     label = wrapped(quantity.what, width)
     if quantity.kind == "difference":
         label += f"\n{text(value_words(quantity.pair), width) if quantity.pair else 'difference of pairs'}"
@@ -63,7 +61,6 @@ def quantity_label(quantity: Quantity, width: int = WRAPPED) -> str:
 
 
 def interval_label(quantity: Quantity) -> str:
-    """The meaning of a picture's intervals, with their level."""
     if quantity.kind == "share":
         return f"{100 * CONFIDENCE:g} % interval"
     level = levels(cell.estimate for cell in quantity.cells.values())
@@ -71,22 +68,14 @@ def interval_label(quantity: Quantity) -> str:
 
 
 def columns_of(panels: int) -> int:
-    """How many panels stand side by side."""
     return 2 if panels == 4 else min(3, panels)
 
 
 def scale(quantity: Quantity) -> float:
-    """The factor of numbers before they are shown."""
     return 100.0 if quantity.kind == "share" else 1.0
 
 
-def rough(value: float) -> str:
-    """A number with the digits that a small text has room for."""
-    return f"{value:.{min(4, _decimals(value))}f}"
-
-
 def _decimals(value: float) -> int:
-    """As many that two or three digits are shown."""
     size = floor(log10(abs(value))) if value else 0
     return max(0, 2 - max(size, 0)) if size >= -1 else 1 - size
 
@@ -106,11 +95,9 @@ class Digits:
         return f"{value:.{min(self._most, _decimals(value))}f}"
 
     def value(self, estimate: Estimate) -> str:
-        """The number."""
         return self._shown(estimate.value)
 
     def interval(self, estimate: Estimate) -> str:
-        """As `0.3..0.5`."""
         return f"{self._shown(estimate.low)}..{self._shown(estimate.high)}"
 
 
@@ -132,11 +119,7 @@ class Lacks:
                 self._seen.add(kind)
 
     def draw(self, transform: Callable[[Axes], Transform] = lambda ax: ax.transData) -> None:
-        """Draw what was gathered, above all else.
-
-        Args:
-            transform: of the rectangles of an axis.
-        """
+        """Draw what was gathered, above all else. `transform`: of the rectangles of an axis."""
         for (ax, kind, colour), rectangles in self._gathered.items():
             x, y, w, h = np.array(rectangles).T
             corners = np.stack([np.stack([x, x + w, x + w, x], 1), np.stack([y, y, y + h, y + h], 1)], 2)
@@ -147,11 +130,20 @@ class Lacks:
             ax.add_collection(found, autolim=False)
 
     def handles(self) -> list[Artist]:
-        """For a legend: of the reasons that occur."""
         return [
             Patch(facecolor=NOTHING, edgecolor=_INK, linewidth=0.3, hatch=_HATCHES[kind], label=REASONS[kind])
             for kind in sorted(self._seen)
         ]
+
+
+def used(axes: Sequence[Axes], shown: Sequence[Panel]) -> Iterator[tuple[int, Axes, Panel]]:
+    """The axes that have a panel, with its title; the others are not seen."""
+    for ax in axes[len(shown) :]:
+        ax.set_visible(False)
+    for number, (ax, panel) in enumerate(zip(axes, shown, strict=False)):
+        if panel.title:
+            ax.set_title(panel.title)
+        yield number, ax, panel
 
 
 def room(ax: Axes, axis: Literal["x", "y"], share: float) -> None:
@@ -199,7 +191,6 @@ def few_ticks(axis: Axis, names: Sequence[str], most: int) -> None:
 
 # How a study is shown best: which of its dimensions are axes, lines or panels.
 
-
 MOST_PANELS = 12  # of one picture; more go to further ones
 
 
@@ -213,30 +204,20 @@ class Panel:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Which varied key becomes which part of a picture. A key with one value becomes none.
+    """Which varied key becomes which part of a picture. A key with one value becomes none."""
 
-    Attributes:
-        kind: a `heat` map over two numbers, a `curve` over one, or `boxes` over words.
-        dimensions: the varied keys.
-        axes: places in `dimensions` of the keys along the axes: x, or x and y.
-        lines: place of the key with one line, or one colour of boxes, for each value. None: there is no such key.
-        panels: the panels in the order of the page.
-    """
-
-    kind: Literal["heat", "curve", "boxes"]
+    kind: Literal["heat", "curve", "boxes"]  # a map over two numbers, a curve over one, or boxes over words
     dimensions: tuple[VariedKey, ...]
-    axes: tuple[int, ...]
-    lines: int | None
-    panels: tuple[Panel, ...]
+    axes: tuple[int, ...]  # places in `dimensions`: x, or x and y
+    lines: int | None  # place of the key with a line, or a colour of boxes, for each value
+    panels: tuple[Panel, ...]  # in the order of the page
 
     def key(self, panel: Panel, values: dict[int, Value]) -> Key:
-        """The key of a point of a panel."""
         given = panel.fixed | values
         return tuple(given.get(k, each.values[0]) for k, each in enumerate(self.dimensions))
 
 
 def layout_of(quantity: Quantity) -> Layout:
-    """The layout of a quantity whose dimensions are a product."""
     dimensions = quantity.dimensions
     left = [k for k, dimension in enumerate(dimensions) if len(dimension.values) > 1]
     numbers = [k for k in left if dimensions[k].unit is not None]

@@ -16,7 +16,6 @@ from fleet.logs.records import Array
 from fleet.study.errors import StudyError
 from fleet.study.measures import MEASURES, find_columns
 from fleet.study.plan import MOST_RUNS
-from fleet.study.row import Row
 from fleet.study.statistics import Estimate, median, pass_rate
 from fleet.study.store import Store
 from fleet.study.summary import DEFAULT
@@ -45,18 +44,14 @@ class VariedKey:
 
     @property
     def name(self) -> str:
-        """The key in words."""
         return key_words(self.key)
 
     def shown(self, value: Value) -> str:
-        """A value with its unit."""
         return value_words(value) if isinstance(value, str) else f"{value:.4g} {self.unit or ''}".rstrip()
 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """A number at one point."""
-
     estimate: Estimate
     values: tuple[float, ...]  # of the runs that have it
     lack: Lack
@@ -69,23 +64,14 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A number at every point.
+    """A number at every point."""
 
-    Attributes:
-        name: the measure.
-        kind: a `share` (of runs that passed), the median of a `number`, or that of a `difference` of pairs of runs.
-        what: the quantity in words, with its unit.
-        dimensions: the varied keys.
-        cells: the number at each point.
-        pair: the difference in words, if there is only one; else "".
-    """
-
-    name: str
-    kind: Literal["share", "number", "difference"]
-    what: str
+    name: str  # of the measure
+    kind: Literal["share", "number", "difference"]  # of runs that passed; else medians, a `difference` of pairs of runs
+    what: str  # in words, with its unit
     dimensions: tuple[VariedKey, ...]
     cells: Mapping[Key, Cell]
-    pair: str = ""
+    pair: str = ""  # the difference in words, if there is only one
 
 
 @dataclass(frozen=True)
@@ -110,14 +96,12 @@ class Points:
         return len(found) == prod(len(self.dimensions[k].values) for k in places)
 
     def words(self, name: str) -> str:
-        """A column in words, with its unit."""
         if name == PASSED:
             return "runs that passed [%]"
         what = MEASURES[name].what if name in MEASURES else name
         return f"{what} [{self.units[name]}]" if self.units[name] else what
 
     def quantity(self, name: str) -> Quantity:
-        """A column at every point."""
         kind: Literal["share", "number"] = "share" if name == PASSED else "number"
         if name not in self._known:  # intervals take a while
             rows = zip(self.keys, self.state, self.numbers[name], strict=True)
@@ -162,11 +146,8 @@ def factors(points: Points) -> list[int]:
 
 
 def load(store: Store, measures: Sequence[str] = ()) -> Points:
-    """The points of a study with some measures; none: those of the table of `fleet sweep`.
-
-    Raises:
-        StudyError: there is no such measure, or the study is damaged.
-    """
+    """The points of a study with some measures; none: those of the table of `fleet sweep`. Raises StudyError: there is
+    no such measure, or the study is damaged."""
     asked = measures or store.record.measures or DEFAULT
     columns = {column.name: column for column in find_columns(asked, store.record.columns)}
     axes, seeds = store.record.axes, store.seeds
@@ -189,7 +170,9 @@ def load(store: Store, measures: Sequence[str] = ()) -> Points:
     numbers = {}
     for name in (PASSED, *columns):
         numbers[name] = np.full(state.shape, np.nan)
-        numbers[name][point, at] = [_passed(row) if name == PASSED else row.number(name) for row in rows]
+        numbers[name][point, at] = [
+            (nan if row.passed is None else float(row.passed)) if name == PASSED else row.number(name) for row in rows
+        ]
         numbers[name][~np.isfinite(numbers[name])] = np.nan
         if name in columns and columns[name].missing_is_largest:
             numbers[name][np.isnan(numbers[name]) & (state == MADE)] = np.inf
@@ -201,17 +184,12 @@ def load(store: Store, measures: Sequence[str] = ()) -> Points:
     return Points(dimensions, keys, state, numbers, units)
 
 
-def _passed(row: Row) -> float:
-    return nan if row.passed is None else float(row.passed)
-
-
 def _distinct(values: Sequence[Any], ordered: bool) -> Sequence[Any]:
     found = dict.fromkeys(values)
     return sorted(found) if ordered else list(found)
 
 
 def minus(value: Value, first: Value) -> str:
-    """How a difference is called."""
     return f"{value} - {first}"
 
 
@@ -225,7 +203,6 @@ def _cell(kind: str, state: Array, values: Array) -> Cell:
 
 
 # Turns keys and values of a scenario into words for the axes, legends and titles of a study's pictures.
-
 
 _KEYS = {
     "vehicles": "number of vehicles",
@@ -274,7 +251,6 @@ def _map_words(text: str) -> str:
 
 
 def _pair(key: str, value: Any) -> str:
-    """A word stands for itself, a number needs its name."""
     if isinstance(value, bool):
         return key if value else f"no {key}"
     if isinstance(value, str) and not _NUMBER.match(value):

@@ -34,17 +34,9 @@ def write(
     log_scale: bool | None = None,
     share: Tell = lambda _: None,
 ) -> None:
-    """Write the page.
-
-    Args:
-        measures: in addition to the share of runs that passed; none: those of the table of `fleet sweep`.
-        log_scale: numbers have a logarithmic axis; None: numbers of a wide range have one.
-        share: called now and then with the share that is done.
-
-    Raises:
-        StudyError: there is no such measure, or the study is damaged.
-        FleetError: the place cannot be written.
-    """
+    """Write the page. `measures`: in addition to the share of runs that passed; none: those of the table of `fleet
+    sweep`. `log_scale`: numbers have a logarithmic axis; None: numbers of a wide range have one. Raises StudyError:
+    there is no such measure, or the study is damaged; FleetError: the place cannot be written."""
     points = load(store, measures)
     write_page(path, lambda: page(store, points, log_scale, share))
 
@@ -149,7 +141,6 @@ def _failed(rows: Sequence[Row]) -> Table:
 
 
 def _begun(directory: Path) -> str:
-    """When the study was made, as the name of its directory or else the time of its file says."""
     found = re.search(r"\d{8}-\d{6}$", directory.resolve().name, re.ASCII)
     try:
         if found is not None:
@@ -176,7 +167,6 @@ def _some(values: Sequence[str]) -> str:
 
 
 def _results(points: Points) -> Table:
-    """A row per point: the share that passed and the medians, with intervals."""
     passed, *medians = (points.quantity(name) for name in points.numbers)
     headings = ["point", *(f"{each.name} [{each.unit}]" if each.unit else each.name for each in points.dimensions)]
     headings += ["runs", "without result", "passed, 95 % interval", *(f"{each.what}, median" for each in medians)]
@@ -210,7 +200,6 @@ def _estimate(found: Estimate) -> str:
 
 
 def _comparisons(points: Points) -> list[tuple[str, Table]]:
-    """For each word that varies a table of the differences between its values, in pairs of runs with the same seed."""
     found = []
     for place in factors(points):
         dimension = points.dimensions[place]
@@ -253,7 +242,6 @@ def _reasons(rows: Sequence[Row]) -> Table:
 
 
 def _again(directory: Path, rows: Sequence[Row]) -> str:
-    """The command that makes a run again with its log: the first that failed, or the first."""
     if not rows:
         return ""
     row = next((row for row in rows if row.passed is not True), rows[0])

@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from fleet.cli.main import cli
-from fleet.cli.new import write_plant, write_scenario
+from fleet.cli.new import write_scenario
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.result.result import Status
@@ -90,7 +90,7 @@ def test_a_plant_is_checked_and_runs_as_it_is(tmp_path: Path, monkeypatch: pytes
 def test_a_current_carries_the_template_of_a_plant_along(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What it does in the water does not depend on where the water goes."""
     monkeypatch.syspath_prepend(str(tmp_path))
-    write_plant("drifting_glider", tmp_path)
+    CliRunner().invoke(cli, ["new", "plant", "drifting_glider", "--dir", str(tmp_path)])
     config = PlantConfig(1, 0.01, 1, load_vehicle("paper").params)
     plant = import_module("drifting_glider").DriftingGlider(config)
     current, none = (0.3, -0.2, 0.1), (0.0, 0.0, 0.0)
@@ -110,9 +110,9 @@ def test_the_fleet_of_the_template_of_a_plant_holds_its_formation(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
-    module, scenario = write_plant("ocean_glider", Path())
-    assert module.exists()
-    result = execute(load_scenario(scenario), Options(tmp_path, in_process=True, quiet=True))
+    assert CliRunner().invoke(cli, ["new", "plant", "ocean_glider"]).exit_code == 0
+    assert Path("ocean_glider.py").exists()
+    result = execute(load_scenario("ocean_glider.yaml"), Options(tmp_path, in_process=True, quiet=True))
     assert result.status is Status.PASS, result.checks
 
 

@@ -12,9 +12,7 @@ from host_certificates import made as made
 
 from fleet.errors import FleetError
 from fleet.hosts import certificates
-from fleet.hosts.rendezvous import (
-    listening,
-)
+from fleet.hosts.rendezvous import listening
 from netem.private_file import write_whole
 
 x509 = pytest.importorskip("cryptography.x509", reason="cryptography is not installed: pip install 'uuv-fleet[hosts]'")

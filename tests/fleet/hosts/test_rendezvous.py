@@ -25,13 +25,7 @@ from fleet.cli.hosts import HostsOptions, rendezvous
 from fleet.cli.main import cli
 from fleet.errors import FleetError
 from fleet.hosts import router_config
-from fleet.hosts.rendezvous import (
-    Rendezvous,
-    listening,
-    listening_for_certificates,
-    parse_endpoint,
-    read_credentials,
-)
+from fleet.hosts.rendezvous import Rendezvous, listening, listening_for_certificates, parse_endpoint, read_credentials
 from fleet.scenario.loading import load_scenario
 from netem.wire.access import Credentials, Listener, agent_role
 
@@ -119,10 +113,7 @@ def test_agents_may_come_with_certificates_alone(made: Path) -> None:
         (["--listen", "tcp/127.0.0.1:1", "--in-process"], "a run in one process has no router"),
         (["--listen", "tcp/127.0.0.1:1", "--lease", "1 s"], "expected 2 s to 1800 s"),
         (["--listen", "tcp/127.0.0.1:1", "--lease", "60 s"], "--set stall_timeout"),
-        (
-            ["--listen-certified", "tls/127.0.0.1:1"],
-            "--listen-certified needs certificates: fleet hosts certs",
-        ),
+        (["--listen-certified", "tls/127.0.0.1:1"], "--listen-certified needs certificates: fleet hosts certs"),
         (["--listen-certified", "tcp/127.0.0.1:1"], "shown with tls only: --listen-certified tls/127.0.0.1:1"),
         (["--listen-certified", "tls/a:1", "--router", "tcp/a:2"], "the one of --router asks for passwords"),
         (["--listen-certified", "tls/a:1", "--mutual-tls"], "--listen-certified always asks for certificates"),

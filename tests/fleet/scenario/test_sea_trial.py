@@ -74,6 +74,6 @@ def test_the_model_of_the_water_resembles_the_trial() -> None:
 
 def test_a_modem_of_a_kilobit_reaches_two_kilometres() -> None:
     """Subnero: more than 2 km at 1.3 kbit/s with at least 70 % of the packets (its own performance tests, 2020)."""
-    modem = load_modem("mfsk-1066").modem
+    modem = load_modem("mfsk-1066")
     assert 0.8 < modem.bit_rate / 1300 < 1.0
     assert 1 - AcousticConfig(modem).packet_error_rate(2000.0, 15) >= 0.7

@@ -15,6 +15,7 @@ from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import WORDS, NemesisPick
 from fleet.scenario.sections import liveness, swarm
+from fleet.scenario.sections.graph import beside, reached
 from fleet.scenario.sections.swarm import HELD, DrawnFault
 from fleet.scenario.sections.timeline import action, vehicles_of
 from netem.fault_kinds import WorldFaultKind
@@ -101,7 +102,7 @@ def test_bridges_are_the_pairs_without_which_more_parts_are() -> None:
         pairs = frozenset(s.ground.pairs)
 
         def parts(some: frozenset[tuple[int, int]]) -> int:
-            return len({min(swarm.side(i, some)) for i in range(1, 9)})
+            return len({min(reached([i], beside(some))) for i in range(1, 9)})
 
         assert swarm.bridges(pairs) == tuple(sorted(p for p in pairs if parts(pairs - {p}) > parts(pairs)))
 
@@ -118,7 +119,7 @@ def test_liveness_heals_a_core_and_leaves_the_others_broken() -> None:
         assert s.undrawn.nemesis is not None
         core = set(liveness.core(s.undrawn.nemesis, s.ground))
         inside = [pair for pair in s.ground.pairs if set(pair) <= core]
-        assert len(core) == 4 and swarm.side(min(core), inside) == core
+        assert len(core) == 4 and reached([min(core)], beside(inside)) == core
         lasting = [fault for fault in s.spec.faults if fault.for_ is None]
         hit = {int(str(getattr(fault, action(fault))).removeprefix("isolate:")) for fault in lasting}
         assert hit == {1, 2, 3, 4, 5, 6} - core

@@ -9,17 +9,18 @@ from random import Random
 import pytest
 from marks import slow
 
-from fleet.study.rare import Ask, SplitPath, Splitting, interval
+from fleet.study.rare import Ask, Splitting, interval
+from fleet.study.row import PartRow
 
 STEPS = 60
 
 
-def walk(asks: Sequence[Ask], height: int, *, frozen: bool = False) -> list[SplitPath]:
+def walk(asks: Sequence[Ask], height: int, *, frozen: bool = False) -> list[PartRow]:
     """Walks of +1 or -1; the margin is how far below the height its highest point was, less a half."""
     return [_one(ask, height, frozen=frozen) for ask in asks]
 
 
-def _one(ask: Ask, height: int, *, frozen: bool) -> SplitPath:
+def _one(ask: Ask, height: int, *, frozen: bool) -> PartRow:
     step, at = (int(part) for part in (ask.start.state or b"0 0").split())
     draws, best, places, begin = Random(0 if frozen else ask.salt), ask.start.best, [], step
     while step < STEPS:
@@ -29,7 +30,7 @@ def _one(ask: Ask, height: int, *, frozen: bool) -> SplitPath:
             places.append((best, f"{step} {at}".encode()))
             if ask.level is not None and best <= ask.level:
                 break
-    return SplitPath(best, places, step - begin)
+    return PartRow(best, places, step - begin)
 
 
 def known(height: int) -> float:
@@ -51,12 +52,12 @@ def test_it_estimates_what_is_known(height: int, repeats: int) -> None:
     assert low < known(height) < high < 5 * known(height)
 
 
-def losses(asks: Sequence[Ask], most: int) -> list[SplitPath]:
+def losses(asks: Sequence[Ask], most: int) -> list[PartRow]:
     """A hundred rounds, of which each is lost with 10 %; the margin is how far the longest row of losses is below."""
     return [_lost(ask, most) for ask in asks]
 
 
-def _lost(ask: Ask, most: int) -> SplitPath:
+def _lost(ask: Ask, most: int) -> PartRow:
     round_, row = (int(part) for part in (ask.start.state or b"0 0").split())
     draws, best, places, begin = Random(ask.salt), ask.start.best, [], round_
     while round_ < 100:
@@ -66,7 +67,7 @@ def _lost(ask: Ask, most: int) -> SplitPath:
             places.append((best, f"{round_} {row}".encode()))
             if ask.level is not None and best <= ask.level:
                 break
-    return SplitPath(best, places, round_ - begin)
+    return PartRow(best, places, round_ - begin)
 
 
 def in_a_row(most: int) -> float:

@@ -160,3 +160,13 @@ fmu_variables.parse(b'<fmiModelDescription fmiVersion="2.0"><a/></fmiModelDescri
 """
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False, timeout=120)
     assert done.returncode == 7
+
+
+def test_an_alias_is_a_variable_of_its_own_name() -> None:
+    types = '<TypeDefinitions><Float64Type name="Force" unit="N"/></TypeDefinitions>'
+    variable = '<Float64 name="F" valueReference="7" declaredType="Force"><Alias name="force"/></Float64>'
+    found = parse(text(variable, "3.0", SIMULATION + types)).variables
+    assert {name: (one.name, one.reference, one.unit) for name, one in found.items()} == {
+        "F": ("F", 7, "N"),
+        "force": ("force", 7, "N"),
+    }

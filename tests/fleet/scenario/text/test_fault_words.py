@@ -51,6 +51,16 @@ def test_words_are_the_fault_that_a_scenario_has(text: str, meant: dict[str, Any
     assert read_fault(text) == meant
 
 
+@pytest.mark.parametrize(
+    ("kind", "once"), [("dvl", "lost"), ("compass", "lost"), ("fix", "lost"), ("dropout", "probability")]
+)
+def test_a_share_that_is_lost_is_read_by_both_names_and_logged_by_the_old_one(kind: str, once: str) -> None:
+    new, old = (ENTRY.validate_python({"at": "1 s", kind: {key: "30 %"}}) for key in ("loss", once))
+    assert new == old
+    assert words(new) == f"{kind} {{{once}: 30 %}}"
+    assert new.model_dump(exclude_defaults=True, by_alias=True)[kind] == {"loss": "30 %"}
+
+
 @pytest.mark.parametrize("kind", ACTIONS)
 def test_the_example_of_every_kind_is_a_fault(kind: str) -> None:
     assert words(ENTRY.validate_python({"at": "1 s", **read_fault(example(kind))})).split()[0] == kind

@@ -192,11 +192,10 @@ def inside(offset: int, data: bytes) -> Iterator[Block | Schema | Channel]:
                     break
         except struct_error:
             at = size + 1
-        if at > size:  # the last one does not end here
-            begins.pop()
+        end = begins.pop() if at > size else at  # the last one does not end here
         if begins:
             whole = np.array(begins, np.int64)
-            yield from _items(offset, data, whole, np.append(whole[1:], size if at > size else at))
+            yield from _items(offset, data, whole, np.append(whole[1:], end))
         if at > size:
             raise NonsenseError
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from mcap.opcode import Opcode
 from mcap.writer import Writer
@@ -112,6 +112,7 @@ def one_by_one(data: bytes) -> Iterator[object]:
 
 
 @given(chunks(), st.sampled_from([1, 2, 65_536]))
+@example(b"\x05\x16" + bytes(29) + b"\x05", 2)  # a record that is cut after its first byte
 def test_records_are_found_as_one_by_one(data: bytes, at_once: int) -> None:
     found: list[object] = []
     with pytest.MonkeyPatch.context() as patch:

@@ -145,7 +145,7 @@ def _widest(rho: Vec3, params: KeepApartParams) -> Vec3:
 
 def _nearest(target: Vec3, found: Sequence[Bound], ahead: tuple[Vec3, float], widest: Vec3) -> Vec3 | None:
     """The velocity [m/s, NED] nearest to `target` with the least slack; None: PIQP has no solution. Every call sets up
-    its own solver, for the reason that agents/laws/gain_qp.py gives.
+    its own solver, for the reason that agents/laws/guidance.py gives.
     """
     along, least = ahead
     solver: Any = piqp.DenseSolver()

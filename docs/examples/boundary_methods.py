@@ -23,7 +23,7 @@ import numpy as np
 from scipy.optimize import bisect
 from scipy.stats import norm
 
-from fleet.study.psychometric import RISING, PsychometricCurve, Walk, steepest_rise
+from fleet.study.borders import RISING, PsychometricCurve, Walk, steepest_rise
 from fleet.study.statistics import pass_rate
 
 COUNTS = (12, 20, 40, 60, 100)

@@ -23,7 +23,7 @@ from agents.codecs import FullCodec
 from agents.config import AgentConfig, Neighbour, Offset
 from agents.controllers import CONTROLLERS
 from agents.errors import AgentError, ControllerError, PayloadError
-from agents.laws import gain_qp
+from agents.laws import guidance
 from agents.laws.backstepping import NeurodynamicTracking, shunting_step
 from agents.laws.kinematics import RateFilter, earth_velocity, flow_angles, wrap
 from agents.laws.velocity_command import clip, consensus_error, direction_command, floor_speed, slew, virtual_control
@@ -587,4 +587,4 @@ def test_an_agent_hears_only_its_in_neighbours() -> None:
 
 
 def test_nothing_in_the_solver_outlives_a_call() -> None:
-    assert not [name for name, value in vars(gain_qp).items() if type(value).__name__ == "DenseSolver"]
+    assert not [name for name, value in vars(guidance).items() if type(value).__name__ == "DenseSolver"]

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from repository import GOLDEN
 
 from agents.config import GuidanceParams
-from agents.laws.gain_qp import GainProblem, NoSolution, Solution, build_qp, solve
+from agents.laws.guidance import GainProblem, NoSolution, Solution, build_qp, solve
 from agents.profiles import PROFILES, profile
 from world.vectors import Vec3
 

@@ -51,8 +51,7 @@ from netem.config import NetemConfig
 from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values, read_faults
 from netem.grammar import parse_condition
-from netem.main import RealtimeNetemProcess
-from netem.process import NetemProcess
+from netem.main import NetemProcess, RealtimeNetemProcess
 from netem.realtime_rounds import RealtimeRounds
 from netem.rounds import Rounds
 from netem.wire.bus import PART_BYTES

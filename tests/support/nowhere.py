@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from netem.errors import BusError
-from netem.process import NetworkProcess
+from netem.main import NetworkProcess
 from netem.wire.session import MAX_BYTES
 from world.process import WorldProcess
 

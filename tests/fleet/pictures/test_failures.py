@@ -11,7 +11,7 @@ from small_scenario import small
 
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.pictures import time_series
+from fleet.pictures import gallery
 from fleet.pictures.axes import MOST_MARKS
 from fleet.pictures.runs import View, load
 
@@ -37,7 +37,7 @@ def marks(figure: Figure) -> list[float]:
 
 def test_each_moment_is_a_line_with_a_number(directory: Path) -> None:
     (run,) = load([directory])
-    figure = time_series.consensus([run], View())
+    figure = gallery.consensus([run], View())
     at = sorted({at_s for _, at_s in run.failures})
     assert len(at) >= 2 and marks(figure) == at[:MOST_MARKS]
     names = [text.get_text() for text in figure.axes[0].texts if text.get_gid() == "failed-check-name"]
@@ -45,7 +45,7 @@ def test_each_moment_is_a_line_with_a_number(directory: Path) -> None:
     words = figure.axes[-1].get_xlabel()
     assert f"✗1  fails at {at[0]:g} s: c" in words
     assert len(at) <= MOST_MARKS or f"and at {len(at) - MOST_MARKS} more times" in words
-    assert marks(time_series.consensus([run], View(window=(at[0] + 0.001, 1.0)))) == at[1 : MOST_MARKS + 1]
+    assert marks(gallery.consensus([run], View(window=(at[0] + 0.001, 1.0)))) == at[1 : MOST_MARKS + 1]
 
 
 def test_the_result_of_another_log_marks_nothing(directory: Path, tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ from fleet.errors import FleetError
 from fleet.logs.dataset import columns
 from fleet.logs.export import export
 from fleet.logs.topic_names import run_name
-from fleet.pictures import exchange, time_series
+from fleet.pictures import exchange, gallery
 from fleet.pictures.gallery import PER_RUN, WHAT, draw
 from fleet.pictures.report import _from_log, links_table, page
 from fleet.pictures.report import write as write_report
@@ -317,7 +317,7 @@ def test_what_can_be_asked_for_is_what_there_is() -> None:
     assert tuple(WHAT) == KINDS
     assert set(PARTS) == {name for pictures in WHAT.values() for name, _, _ in pictures} - set(WHAT)
     assert set(WHAT) >= PER_RUN
-    assert NothingToDraw and time_series.FORCES
+    assert NothingToDraw and gallery.FORCES
 
 
 def test_a_single_picture_can_be_asked_for_and_none_is_drawn_twice(runs: dict[str, Run]) -> None:

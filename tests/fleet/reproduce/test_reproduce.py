@@ -38,8 +38,7 @@ from fleet.reproduce.figures import (
     inputs,
     topology,
 )
-from fleet.reproduce.report import HEADINGS, chosen, table_1, write
-from fleet.reproduce.run import _network_check
+from fleet.reproduce.run import HEADINGS, _network_check, chosen, table_1, write
 from fleet.result.result import Result, Status
 
 

@@ -18,9 +18,9 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from fleet.logs.open_log import open_log
 from fleet.pictures.beliefs import beliefs
+from fleet.pictures.gallery import formation
 from fleet.pictures.report import believed_errors
 from fleet.pictures.runs import Run, View, load
-from fleet.pictures.time_series import formation
 from fleet.pictures.track import _believed, _tracks, space, top
 from fleet.scenario.loading import load_scenario
 from fleet.scene.model import NewestBeliefs, PlaceBelief, drawn_belief, ellipse

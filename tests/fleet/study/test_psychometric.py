@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import fisher_exact
 
-from fleet.study.psychometric import ENDS, RISING, SCALES, Array, PsychometricCurve, Rise, Walk, _fisher, steepest_rise
+from fleet.study.borders import ENDS, RISING, SCALES, Array, PsychometricCurve, Rise, Walk, _fisher, steepest_rise
 
 CURVE = PsychometricCurve(np.linspace(0.0, 1.0, 65).tolist())
 

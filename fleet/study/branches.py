@@ -12,11 +12,9 @@ from typing import Any, NamedTuple
 
 from fleet.analysis.seed import declared
 from fleet.analysis.verdicts import judge
-from fleet.checks.own_checks import OwnChecks
 from fleet.execution.clock import GrantPolicy
 from fleet.execution.external_agents import refuse
-from fleet.execution.in_process import InProcess
-from fleet.recorder.journal import Journal
+from fleet.execution.in_process import in_process
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.snapshot import Snapshot, Start
 from fleet.scenario.scenario import Scenario
@@ -100,8 +98,8 @@ def run_branch(scenario: Scenario, branch: Branch, progress: Callable[[float], N
         return verdict.margin.value if verdict.passed else min(verdict.margin.value, _FAILED)
 
     path = _Path(branch, margin, certain_margin(scenario) if branch.check == "max_age" else None)
-    journal = Journal(scenario, path, checks=OwnChecks.asked(scenario, begin))
-    runner = InProcess(scenario, journal, start, salt=branch.salt)
+    runner = in_process(scenario, path, start=start, salt=branch.salt)
+    journal = runner.journal
     try:
         runner.serve(GrantPolicy.of(scenario, begin=begin), lambda: progress(0.0))
         journal.finish()

@@ -277,7 +277,7 @@ def parse_scenario(
     problems += [*more, *mistakes]
     if parts is None or problems:
         raise ScenarioError(sorted(problems, key=lambda p: _order(p, source, overrides)))
-    return Scenario.compile(parts, Reading(text, tuple(overrides), folder, policy), source_name)
+    return Scenario(parts, Reading(text, tuple(overrides), folder, policy), source_name)
 
 
 def changed(scenario: Scenario, overrides: Sequence[str | Override]) -> Scenario:

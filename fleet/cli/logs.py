@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from fleet.cli import completion
-from fleet.cli.documents.output import json_option, print_document
+from fleet.cli.documents.output import give, json_option
 from fleet.cli.log_argument import log_argument, newest_log
 from fleet.cli.study_pictures import check_options, export_study, is_study, measure_option, plot_study, report_study
 from fleet.cli.types import FILE, FOLDER, FORCE, NO_PROGRESS, PATH, TIME, VEHICLES, WINDOW, PictureWords, Whole, Words
+from fleet.terminal.status_line import showing, showing_steps
 from fleet.terminal.table import say
 
 if TYPE_CHECKING:
@@ -116,7 +117,6 @@ def plot(
     from fleet.logs.reader import log_path
     from fleet.pictures.gallery import check_signals, write
     from fleet.pictures.runs import View, check_view, load
-    from fleet.terminal.status_line import showing
 
     said: list[str] = []
     with showing("reading") as tell:
@@ -198,7 +198,6 @@ def export(
     from fleet.logs.dataset import fits
     from fleet.logs.export import export as write
     from fleet.logs.open_log import Opening
-    from fleet.terminal.status_line import showing
 
     tables = [(form, folder) for form, folder in (("csv", csv), ("parquet", parquet), ("netcdf", netcdf)) if folder]
     folders = [folder.absolute() for folder in (*(folder for _, folder in tables), traces, ros2) if folder is not None]
@@ -242,7 +241,6 @@ def export(
 
 def _print_scenario(log: Path) -> None:
     from fleet.repeat.recorded_run import script
-    from fleet.terminal.status_line import showing
 
     with showing(f"reading {log}") as tell:
         made = script(log, tell)
@@ -252,7 +250,6 @@ def _print_scenario(log: Path) -> None:
 def _export_bag(log: Path, folder: Path) -> None:
     from fleet.logs.reader import log_path
     from fleet.ros2.bag import write_bag
-    from fleet.terminal.status_line import showing
 
     with showing(f"writing {folder}") as tell:
         paths, missing = write_bag(log_path(log), folder, tell)
@@ -265,7 +262,6 @@ def _export_bag(log: Path, folder: Path) -> None:
 def _export_traces(log: Path, folder: Path, *, force: bool) -> None:
     from fleet.logs.export import write_traces
     from fleet.logs.open_log import open_log
-    from fleet.terminal.status_line import showing
 
     with showing(f"reading {log}") as tell:
         found = open_log(log, ["link/*"], share=tell)
@@ -316,7 +312,6 @@ def report(
     from fleet.pictures.page import check_place
     from fleet.pictures.report import write
     from fleet.pictures.runs import View, check_view, load
-    from fleet.terminal.status_line import showing
 
     check_place(out, force=force)
     chosen = logs or (newest_log(),)
@@ -344,7 +339,7 @@ def report(
 @log_argument
 @json_option
 @NO_PROGRESS
-def info(log: Path, as_json: bool) -> None:
+def info(log: Path) -> None:
     """Summarise LOG (an MCAP file, or a run directory), also if it was cut short.
 
     \b
@@ -353,14 +348,10 @@ def info(log: Path, as_json: bool) -> None:
       fleet info runs/latest/run.mcap --json
     """
     from fleet.logs.info import info_text, read_info
-    from fleet.terminal.status_line import showing
 
     with showing(f"reading {log}") as tell:
         found = read_info(log, tell)
-    if as_json:
-        print_document(found)
-    else:
-        say(info_text(found))
+    give(found, info_text(found))
 
 
 @click.command()
@@ -400,8 +391,6 @@ def movie(
     """
     from fleet.logs.reader import log_path
     from fleet.pictures.page import check_place
-    from fleet.terminal.status_line import showing
-    from fleet.terminal.table import say
     from fleet.view.movie import write
 
     check_place(out, force=force)
@@ -442,7 +431,6 @@ def fit(trace: Path, states: str, interval: int | None, picture: Path | None) ->
     from fleet.errors import FleetError
     from fleet.scenario.sections.link_conditions import read_trace
     from fleet.scenario.text.yaml_reader import yaml_text
-    from fleet.terminal.status_line import showing_steps
 
     if trace.suffix != ".csv":
         raise click.BadParameter(f"expected a file that ends in .csv, got {trace}", param_hint="TRACE")

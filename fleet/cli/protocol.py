@@ -15,12 +15,12 @@ import click
 from fleet.cli.completion import scenarios
 from fleet.cli.group import ListingGroup, report
 from fleet.cli.types import FILE, FOLDER, TIME, TRUST, Whole, time_within
-from fleet.errors import FleetError
+from fleet.errors import FleetError, printable
 from fleet.processes.interrupts import ending_status
+from fleet.terminal.status_line import StatusLine
 
 if TYPE_CHECKING:
     from agents.join import MakeCore
-    from fleet.terminal.status_line import StatusLine
 
 
 _CHECK = "Exit status: 0 every check passed, 1 one did not, 2 usage, or nobody came, 129 terminal closed, 130 Ctrl-C."
@@ -75,7 +75,6 @@ def check(
       fleet protocol check --id 2 --scenario rough-sea --join-file /tmp/join-2.json
       fleet protocol check --id 3 --listen-certified tls/127.0.0.1:7448 --certs certs
     """
-    from fleet.errors import FleetError, printable
     from fleet.hosts.rendezvous import CERTIFIED, Rendezvous, check_free, listening_for_certificates
     from fleet.protocol.conformance import Examination
     from fleet.scenario.loading import load_scenario
@@ -150,15 +149,13 @@ def agent(path: Path, wait: int | None, ros2: str | None, quiet: bool) -> None:
       fleet agent --join runs/latest/join-3.json --ros2       a node of ROS 2 commands vehicle 3
     """
     import setproctitle
-    from rich.console import Console as Terminal
 
     from agents.join import serve
     from agents.join_file import JoinError, JoinFile
-    from fleet.terminal.status_line import StatusLine
     from netem.wire.messages import RUN_OVER, End
     from netem.wire.session import quiet_zenoh
 
-    line = StatusLine(Terminal(stderr=True), quiet=quiet)
+    line = StatusLine(quiet=quiet)
     tell = line.print
     joined = False
 

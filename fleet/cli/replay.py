@@ -8,7 +8,7 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -18,9 +18,7 @@ from fleet.cli.log_argument import log_argument
 from fleet.cli.sessions import ending
 from fleet.cli.types import ENDPOINT, FILE, TIME
 from fleet.errors import FleetError
-
-if TYPE_CHECKING:
-    from fleet.terminal.status_line import StatusLine
+from fleet.terminal.status_line import StatusLine, showing
 
 EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or a full disk, 129 terminal closed, 130 Ctrl-C."
 
@@ -76,22 +74,18 @@ def replay(log: Path, connect: str | None, listen: str | None, quiet: bool, **ho
       fleet replay --speed 0 --wait-for-subscribers --topics 'uuv/*/pose'
       fleet replay robot.mcap --loop --start '20 s' --end '30 s' --connect tcp/127.0.0.1:7447
     """
-    from rich.console import Console as Terminal
-
     from fleet.logs.reader import log_path
     from fleet.logs.tape import Tape
     from fleet.replay.playback import PlaybackOptions, Replay
     from fleet.terminal.keyboard import Keyboard
-    from fleet.terminal.status_line import StatusLine, showing
 
     options = PlaybackOptions(**how)
     if options.step and not Keyboard.possible():
         raise click.UsageError("--step needs a terminal, because a key press continues it")
-    terminal = Terminal(stderr=True)
     with showing(f"reading {log}", quiet=quiet) as tell:
         tape = Tape(log_path(log), tell)
     played = Replay(tape, options)
-    with exit_status(3), ending() as sessions, StatusLine(terminal, quiet=quiet) as line:
+    with exit_status(3), ending() as sessions, StatusLine(quiet=quiet) as line:
         if tape.missing:
             line.print(f"warning: {log}: {tape.missing}")
         bus = _session(connect, listen, None)
@@ -146,15 +140,12 @@ def record(
       fleet record --run paper -o journal.mcap
       fleet record --ros2 -o bag                  everything on the domain of ROS, as ros2 bag record
     """
-    from rich.console import Console as Terminal
-
     from fleet.processes.interrupts import holding_interrupts
     from fleet.replay.capture import PublisherGone, Recorder, TrafficWriter
-    from fleet.terminal.status_line import StatusLine
 
     connect, credentials, keys = _recorded(keys, connect, listen, run, ros2=ros2)
     path = output or Path(f"record-{datetime.now(UTC):%Y%m%d-%H%M%S}{'' if ros2 else '.mcap'}")  # noqa: TID251 (a name)
-    with ending() as sessions, StatusLine(Terminal(stderr=True), quiet=quiet) as line:
+    with ending() as sessions, StatusLine(quiet=quiet) as line:
         if ros2:
             bus, source, keys, open_writer = _ros2(connect, listen, keys, path, line)
         else:

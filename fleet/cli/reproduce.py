@@ -9,6 +9,7 @@ import click
 from fleet.cli.group import exit_status
 from fleet.cli.types import FOLDER, Whole
 from fleet.processes.limits import processors
+from fleet.terminal.status_line import showing_jobs
 from fleet.terminal.table import stdout
 
 
@@ -40,11 +41,9 @@ def reproduce(out: Path, jobs: int | None, cases: tuple[str, ...], formats: tupl
       fleet reproduce --out /tmp/paper --jobs 4 --format png --format pdf
       fleet reproduce --case nboc --case nbc-disturbed
     """
-    from rich.console import Console as Terminal
     from rich.table import Table
 
     from fleet.reproduce.cases import CASES
-    from fleet.terminal.status_line import showing_jobs
 
     names = [name for name in CASES if not cases or any(name.lower().startswith(c.lower()) for c in cases)]
     for case in cases:
@@ -52,8 +51,7 @@ def reproduce(out: Path, jobs: int | None, cases: tuple[str, ...], formats: tupl
             raise click.BadParameter(f"no run begins with {case!r}; there are {', '.join(CASES)}", param_hint="--case")
     from fleet.reproduce.run import reproduce as run_all
 
-    terminal = Terminal(stderr=True)
-    with exit_status(3), showing_jobs(terminal) as tell:
+    with exit_status(3), showing_jobs() as tell:
         path, claims, _ = run_all(out, jobs or processors(), names, formats, tell)
     table = Table(box=None, pad_edge=False)
     for heading in ("verdict", "claim", "under which reading"):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fleet.cli.documents.output import json_option, print_document
+from fleet.cli.documents.output import json_is_asked, json_option, print_document
 from fleet.cli.types import AGE, PATH, Whole, Words
 from fleet.terminal.table import stdout
 
@@ -40,7 +40,6 @@ def ls(
     older_than: float | None,
     verdicts: tuple[str, ...] | None,
     yes: bool,
-    as_json: bool,
 ) -> None:
     """List the live runs of this user, then the runs below a directory, the newest first.
 
@@ -57,7 +56,7 @@ def ls(
     """
     chosen = keep is not None or older_than is not None or verdicts is not None
     if prune:
-        if as_json:
+        if json_is_asked():
             raise click.UsageError("--prune has no --json")
         if not chosen:
             wanted = "give --keep N, --older-than AGE or --verdict LIST; --keep 0 means all of them"
@@ -71,7 +70,7 @@ def ls(
 
     live, found = _live(), past_runs(out)
     size = sum(run.size for run in found)
-    if as_json:
+    if json_is_asked():
         print_document(Runs(live, found, size))
         return
     for row in live:
@@ -155,7 +154,7 @@ def _age(seconds: float) -> str:
 
 @click.command(name="list")
 @json_option
-def list_(as_json: bool) -> None:
+def list_() -> None:
     """List the scenarios that ship with the package, by group, and the studies.
 
     fleet ls lists the runs made of them. The cost of a study is the approximate time of all
@@ -165,7 +164,7 @@ def list_(as_json: bool) -> None:
     from fleet.study.catalogue import list_studies
 
     scenarios, studies = list_scenarios(), list_studies()
-    if as_json:
+    if json_is_asked():
         from fleet.cli.documents.logs import Scenarios
 
         print_document(Scenarios(scenarios, studies))

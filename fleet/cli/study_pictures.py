@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 from click.core import ParameterSource
 
+from fleet.terminal.status_line import showing
 from fleet.terminal.table import say
 
 if TYPE_CHECKING:
@@ -43,7 +44,6 @@ def plot_study(
     """
     store = _open(directory)
     from fleet.study.pictures.gallery import write
-    from fleet.terminal.status_line import showing
 
     said: list[str] = []
     with showing("drawing") as tell:
@@ -61,7 +61,6 @@ def report_study(directory: Path, out: Path, measures: Sequence[str], log_scale:
     """
     store = _open(directory)
     from fleet.study.pictures.report import write
-    from fleet.terminal.status_line import showing
 
     with showing("drawing and adding up") as tell:
         write(out, store, measures, log_scale, tell)

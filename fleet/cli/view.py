@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from typing import TYPE_CHECKING
 
 import click
@@ -94,8 +94,6 @@ def show_page(
         may_act: the page may disturb the run.
         rate: speed of a log, as a multiple of real time.
     """
-    from contextlib import closing
-
     from fleet.terminal.table import say
     from fleet.view.live_feed import LiveFeed
     from fleet.view.log_feed import LogFeed
@@ -134,8 +132,6 @@ def page_process(*, asked: bool, stays: bool) -> Iterator[PageProcess | None]:
     if not asked:
         yield None
         return
-    from contextlib import closing, suppress
-
     from fleet.view.page_process import PageProcess
     from fleet.view.server import Browser, open_listener
 

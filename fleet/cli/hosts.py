@@ -22,7 +22,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 # Limits of --lease [s]. Between processes of one host the lease is an hour.
 _LEASES_S = (2, 1800)
 
-_LEASE = click.option("--lease", metavar="TIME", type=time_within(*_LEASES_S), default="20 s", show_default=True,
+_LEASE = click.option("--lease", type=time_within(*_LEASES_S), default="20 s", show_default=True,
                       help="Close a link between hosts after this time without a sign of life.")  # fmt: skip
 
 
@@ -137,7 +137,7 @@ def hosts() -> None:
 
 
 @hosts.command()
-@click.argument("directory", metavar="DIR", type=FOLDER)
+@click.argument("directory", type=FOLDER)
 @click.option("--host", "names", metavar="NAME_OR_IP", multiple=True,
               help="Name or address that agents use for the router; repeatable. Loopback is always added.")  # fmt: skip
 @click.option("--agents", metavar="N", type=Whole(0, 1000), default=0,
@@ -165,16 +165,14 @@ def certs(directory: Path, names: tuple[str, ...], agents: int, days: int, force
 
 @hosts.command()
 @click.argument("scenario", shell_complete=scenarios)
-@click.option("-o", "--out", "out", metavar="DIR", type=FOLDER,
+@click.option("-o", "--out", "out", type=FOLDER,
               help="Write router.json5, users and credentials.json to DIR; by default print router.json5.")  # fmt: skip
 @click.option("--run", "run", metavar="ID", help="The run's id; by default a random one.")
 @click.option("--listen", metavar="ENDPOINT", default="tls/0.0.0.0:7447", show_default=True,
               help="Where the router listens.")  # fmt: skip
-@click.option("--certs", metavar="DIR", type=FOLDER,
-              help="Where the router finds its certificate, for tls.")  # fmt: skip
+@click.option("--certs", type=FOLDER, help="Where the router finds its certificate, for tls.")
 @click.option("--mutual-tls", is_flag=True, help="The router asks clients for certificates.")
-@click.option("--users-file", metavar="PATH", type=PATH,
-              help="Where the router finds the users; by default in DIR.")  # fmt: skip
+@click.option("--users-file", metavar="PATH", type=PATH, help="Where the router finds the users; by default in DIR.")
 @_LEASE
 @OVERRIDES
 @FORCE

@@ -151,9 +151,8 @@ def heal_words(words: tuple[str, ...], run: str | None) -> tuple[LiveRun, str | 
 @click.command()
 @click.argument("what", metavar="[RUN] FAULT", nargs=-1, required=True, shell_complete=completion.injection)
 @run_option
-@click.option(
-    "--for", "lasts", metavar="TIME", help="How long it lasts; by default to the end of the run, or until healed."
-)
+@click.option("--for", "lasts", metavar="TIME",
+              help="How long it lasts; by default to the end of the run, or until healed.")  # fmt: skip
 @click.option("--id", "name", metavar="ID", help="Its name; by default live-1, live-2, ...")
 @json_option
 def inject(what: tuple[str, ...], run: str | None, lasts: str | None, name: str | None) -> None:

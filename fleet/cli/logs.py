@@ -28,20 +28,13 @@ _OF_LOGS = {name: f"--{name}" for name in ("what", "compare", "vehicles", "windo
 _OF_STUDIES = {"measures": "--measure"}
 
 
-_vehicles = click.option("--vehicles", metavar="LIST", type=VEHICLES, help="Only these, e.g. 1,3-5.")
-_log_scale = click.option(
-    "--log-scale/--linear",
-    default=None,
-    help="Errors, other signals and ages on a logarithmic axis, or all on a linear one. By default errors are "
-    "logarithmic, and a study's measures that span much.",
-)
-_window = click.option(
-    "--window",
-    metavar="A..B",
-    type=WINDOW,
-    help="Only this time, e.g. 20s..40s. By default `messages` shows some rounds, and the other pictures the "
-    "whole run.",
-)
+_vehicles = click.option("--vehicles", type=VEHICLES, help="Only these, e.g. 1,3-5.")
+_log_scale = click.option("--log-scale/--linear", default=None,
+                          help="Errors, other signals and ages on a logarithmic axis, or all on a linear one. By "
+                               "default errors are logarithmic, and a study's measures that span much.")  # fmt: skip
+_window = click.option("--window", type=WINDOW,
+                       help="Only this time, e.g. 20s..40s. By default `messages` shows some rounds, and the other "
+                            "pictures the whole run.")  # fmt: skip
 
 
 def _folder(_: click.Context, __: click.Parameter, value: Path | None) -> Path | None:
@@ -57,24 +50,17 @@ def _folder(_: click.Context, __: click.Parameter, value: Path | None) -> Path |
 
 @click.command()
 @log_argument
+@click.option("-o", "--out", type=FOLDER, callback=_folder,
+              help="The folder for pictures; by default `plots` next to the log.")  # fmt: skip
 @click.option(
-    "-o", "--out", metavar="DIR", type=FOLDER, callback=_folder,
-    help="The folder for pictures; by default `plots` next to the log.",
-)  # fmt: skip
-@click.option(
-    "--what", metavar="LIST", type=PictureWords(KINDS, "all", PARTS), default="all", show_default=True,
+    "--what", type=PictureWords(KINDS, "all", PARTS), default="all", show_default=True,
     shell_complete=completion.pictures,
     help=f"Some of {', '.join(KINDS)}; or all; track-3d, formation: that part of track, of error. Also any signal of "
     "the log: control.leads, command.tau_0, '|error.e|'.",
 )  # fmt: skip
-@click.option(
-    "--format", "formats", metavar="LIST", type=Words(FORMATS), default="png", show_default=True,
-    help="Some of png, svg, pdf.",
-)  # fmt: skip
-@click.option(
-    "--compare", metavar="LOG2", type=PATH, multiple=True,
-    help="Another run on the same axes; repeatable.",
-)  # fmt: skip
+@click.option("--format", "formats", type=Words(FORMATS), default="png", show_default=True,
+              help="Some of png, svg, pdf.")  # fmt: skip
+@click.option("--compare", metavar="LOG2", type=PATH, multiple=True, help="Another run on the same axes; repeatable.")
 @measure_option
 @_vehicles
 @_log_scale
@@ -145,23 +131,13 @@ def _notes(runs: Sequence[Any]) -> Iterator[str]:
 
 @click.command()
 @log_argument
-@click.option("--csv", "csv", metavar="DIR", type=FOLDER, help="Write CSV here.")
-@click.option(
-    "--parquet", metavar="DIR", type=FOLDER,
-    help="Write Parquet here; needs uuv-fleet[parquet].",
-)  # fmt: skip
-@click.option(
-    "--netcdf", metavar="DIR", type=FOLDER,
-    help="Write NetCDF here, by the CF conventions; needs uuv-fleet[tables].",
-)  # fmt: skip
-@click.option(
-    "--traces", metavar="DIR", type=FOLDER,
-    help="Write the fate of each packet here: a CSV file per directed link, which network.links can read.",
-)  # fmt: skip
-@click.option(
-    "--ros2", metavar="DIR", type=FOLDER,
-    help="Write a bag of ROS 2 here; needs uuv-fleet[ros2].",
-)  # fmt: skip
+@click.option("--csv", "csv", type=FOLDER, help="Write CSV here.")
+@click.option("--parquet", type=FOLDER, help="Write Parquet here; needs uuv-fleet[parquet].")
+@click.option("--netcdf", type=FOLDER, help="Write NetCDF here, by the CF conventions; needs uuv-fleet[tables].")
+@click.option("--traces", type=FOLDER,
+              help="Write the fate of each packet here: a CSV file per directed link, which network.links can "
+                   "read.")  # fmt: skip
+@click.option("--ros2", type=FOLDER, help="Write a bag of ROS 2 here; needs uuv-fleet[ros2].")
 @click.option("--scenario", is_flag=True,
               help="Print the scenario that runs LOG again, with all that was injected while it was made.")  # fmt: skip
 @click.option("--topics", metavar="PATTERN", multiple=True, help="Only topics such as 'uuv/*/state'; repeatable.")
@@ -272,14 +248,9 @@ def _export_traces(log: Path, folder: Path, *, force: bool) -> None:
 
 
 @click.command()
-@click.argument(
-    "logs", metavar="[LOG]...", type=PATH, nargs=-1,
-    help="MCAP files or run directories; by default the newest run below runs.",
-)  # fmt: skip
-@click.option(
-    "-o", "--out", metavar="FILE", type=FILE, default=Path("report.html"),
-    show_default=True, help="The page.",
-)  # fmt: skip
+@click.argument("logs", metavar="[LOG]...", type=PATH, nargs=-1,
+                help="MCAP files or run directories; by default the newest run below runs.")  # fmt: skip
+@click.option("-o", "--out", type=FILE, default=Path("report.html"), show_default=True, help="The page.")
 @FORCE
 @measure_option
 @_vehicles
@@ -356,24 +327,18 @@ def info(log: Path) -> None:
 
 @click.command()
 @log_argument
-@click.option(
-    "-o", "--out", metavar="FILE", type=FILE, default=Path("movie.gif"),
-    show_default=True, help="The movie: a .gif, or an .mp4 if ffmpeg is installed.",
-)  # fmt: skip
+@click.option("-o", "--out", type=FILE, default=Path("movie.gif"), show_default=True,
+              help="The movie: a .gif, or an .mp4 if ffmpeg is installed.")  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace what is there.")
 @click.option("--view", type=click.Choice(["above", "3d"]), default="above", show_default=True, help="From where.")
-@click.option("--from", "begin", metavar="TIME", type=TIME, default="0s", help="Begin at this time, e.g. 20s.")
-@click.option("--to", "end", metavar="TIME", type=TIME, help="End at this time; by default at the end of the log.")
-@click.option(
-    "--speed", metavar="X", type=click.FloatRange(0.001, 1000.0),
-    help="Times real time; by default so that the movie lasts 12 s, but never slower than real time.",
-)  # fmt: skip
-@click.option("--fps", metavar="N", type=Whole(1, 50), default=10, show_default=True,
-              help="Pictures per second.")  # fmt: skip
-@click.option(
-    "--width", metavar="PX", type=Whole(320, 1920), default=800, show_default=True,
-    help="In pixels, rounded down to a multiple of 8; the height is three quarters of it.",
-)  # fmt: skip
+@click.option("--from", "begin", type=TIME, default="0s", help="Begin at this time, e.g. 20s.")
+@click.option("--to", "end", type=TIME, help="End at this time; by default at the end of the log.")
+@click.option("--speed", metavar="X", type=click.FloatRange(0.001, 1000.0),
+              help="Times real time; by default so that the movie lasts 12 s, but never slower than real "
+                   "time.")  # fmt: skip
+@click.option("--fps", metavar="N", type=Whole(1, 50), default=10, show_default=True, help="Pictures per second.")
+@click.option("--width", metavar="PX", type=Whole(320, 1920), default=800, show_default=True,
+              help="In pixels, rounded down to a multiple of 8; the height is three quarters of it.")  # fmt: skip
 @NO_PROGRESS
 def movie(
     log: Path, out: Path, force: bool, view: str, begin: int, end: int | None, speed: float | None, fps: int, width: int
@@ -407,13 +372,9 @@ def movie(
 @click.command()
 @click.argument("trace", type=FILE)
 @click.option("--states", type=click.Choice(("2", "3")), default="2", show_default=True, help="How many states.")
-@click.option(
-    "--interval", metavar="TIME", type=TIME, help="Between two packets; by default the median in the trace.",
-)  # fmt: skip
-@click.option(
-    "--picture", metavar="FILE", type=FILE,
-    help="Draw the lengths of bursts, of TRACE and of the fit, into this file (png, svg, pdf).",
-)  # fmt: skip
+@click.option("--interval", type=TIME, help="Between two packets; by default the median in the trace.")
+@click.option("--picture", type=FILE,
+              help="Draw the lengths of bursts, of TRACE and of the fit, into this file (png, svg, pdf).")  # fmt: skip
 @NO_PROGRESS
 def fit(trace: Path, states: str, interval: int | None, picture: Path | None) -> None:
     """Fit link states to what TRACE (CSV) says was delivered, and print them for a scenario.

@@ -14,18 +14,11 @@ from fleet.terminal.table import stdout
 
 
 @click.command()
-@click.option(
-    "--out",
-    metavar="DIR",
-    type=FOLDER,
-    default=Path("reproduction"),
-    show_default=True,
-    help="The folder for report.md, metrics.json and the pictures.",
-)
+@click.option("--out", type=FOLDER, default=Path("reproduction"), show_default=True,
+              help="The folder for report.md, metrics.json and the pictures.")  # fmt: skip
 @click.option("--jobs", metavar="N", type=Whole(1, 256), help="Runs at a time; by default one per core.")
-@click.option(
-    "--case", "cases", metavar="NAME", multiple=True, help="Only runs whose name begins with NAME; repeatable."
-)
+@click.option("--case", "cases", metavar="NAME", multiple=True,
+              help="Only runs whose name begins with NAME; repeatable.")  # fmt: skip
 @click.option("--format", "formats", type=click.Choice(["png", "svg", "pdf"]), multiple=True, default=("png",),
               show_default=True, help="Format of the pictures; repeatable.")  # fmt: skip
 def reproduce(out: Path, jobs: int | None, cases: tuple[str, ...], formats: tuple[str, ...]) -> None:

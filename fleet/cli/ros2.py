@@ -32,19 +32,16 @@ NODE = "uuv_fleet"
 @click.option("--domain", metavar="N", type=Whole(0, 232), help="Domain of ROS; by default ROS_DOMAIN_ID, or 0.")
 @click.option("--distro", type=click.Choice(("humble", "jazzy", "kilted")), default="jazzy", show_default=True,
               help="Distribution of ROS that the nodes run.")  # fmt: skip
-@click.option("--connect", metavar="ENDPOINT", type=ENDPOINT, help="Join the router there, such as rmw_zenohd.")
-@click.option(
-    "--listen", metavar="ENDPOINT", type=ENDPOINT,
-    help="Be the router at this address; by default join the one at tcp/127.0.0.1:7447, or be it.",
-)  # fmt: skip
+@click.option("--connect", type=ENDPOINT, help="Join the router there, such as rmw_zenohd.")
+@click.option("--listen", type=ENDPOINT,
+              help="Be the router at this address; by default join the one at tcp/127.0.0.1:7447, or be "
+                   "it.")  # fmt: skip
 @click.option("--control", is_flag=True, help="Offer services that inject and heal faults of a live run.")
 @click.option("-r", "--rate", metavar="X", type=click.FloatRange(0.001, 1000.0),
               help="For a log: speed in multiples of its own pace.")  # fmt: skip
 @click.option("-l", "--loop", is_flag=True, help="For a log: begin again at the end.")
-@click.option(
-    "--interfaces", metavar="DIR", type=PATH,
-    help="Write the package uuv_fleet_msgs below DIR, for colcon, and stop.",
-)  # fmt: skip
+@click.option("--interfaces", metavar="DIR", type=PATH,
+              help="Write the package uuv_fleet_msgs below DIR, for colcon, and stop.")  # fmt: skip
 @click.option("-q", "--quiet", is_flag=True, help="Print only errors.")
 def ros2(
     what: str | None,

@@ -56,61 +56,33 @@ class RunOptions(cli_hosts.HostsOptions):
 @click.command(epilog=EPILOG)
 @click.argument("scenario", required=False, shell_complete=scenarios)
 @click.option("--from", "begin", metavar="LOG[@TIME]", help="Continue from a snapshot in a log, in one process.")
-@click.option(
-    "-o",
-    "--out",
-    metavar="DIR",
-    type=PATH,
-    default=Path("runs"),
-    show_default=True,
-    help="The folder for run directories.",
-)
+@click.option("-o", "--out", metavar="DIR", type=PATH, default=Path("runs"), show_default=True,
+              help="The folder for run directories.")  # fmt: skip
 @click.option("--seed", type=Whole(0, 2**63 - 1), help="Override the scenario's seed.")
 @click.option("--duration", metavar="TIME", help="Override the scenario's duration, e.g. '20 s'.")
-@click.option(
-    "--speed",
-    type=SPEED,
-    default="max",
-    show_default=True,
-    help="Speed in multiples of real time, or as fast as possible; with --clock real, 1.",
-)
-@click.option(
-    "--clock",
-    type=click.Choice([each.value for each in Clock]),
-    default=Clock.LOCKSTEP.value,
-    show_default=True,
-    help="real: ticks begin by the wall clock and wait for no agent; the result lists late agents.",
-)
-@click.option(
-    "--max-missed",
-    metavar="SHARE",
-    type=SHARE,
-    default="1%",
-    show_default=True,
-    help="With --clock real: the run fails if an agent misses a larger share of its ticks.",
-)
+@click.option("--speed", type=SPEED, default="max", show_default=True,
+              help="Speed in multiples of real time, or as fast as possible; with --clock real, 1.")  # fmt: skip
+@click.option("--clock", type=click.Choice([each.value for each in Clock]), default=Clock.LOCKSTEP.value,
+              show_default=True,
+              help="real: ticks begin by the wall clock and wait for no agent; the result lists late "
+                   "agents.")  # fmt: skip
+@click.option("--max-missed", type=SHARE, default="1%", show_default=True,
+              help="With --clock real: the run fails if an agent misses a larger share of its ticks.")  # fmt: skip
 @click.option("--in-process", is_flag=True, help="One process, no zenoh; the same log, byte for byte.")
 @OVERRIDES
 @disturbances
 @TRUST
 @click.option("--show-config", is_flag=True, help="Print the merged scenario and stop.")
-@click.option(
-    "--port",
-    type=Whole(1, 65535),
-    help="Listen on this port of 127.0.0.1, too, for agents that cannot use the run's Unix socket.",
-)
-@click.option(
-    "--publish", is_flag=True, help="Publish the journal on zenoh during the run; slow listeners do not slow the run."
-)
-@click.option(
-    "--view", is_flag=True, help="Open a page in the browser that shows the run; there you can also disturb it."
-)
+@click.option("--port", type=Whole(1, 65535),
+              help="Listen on this port of 127.0.0.1, too, for agents that cannot use the run's Unix "
+                   "socket.")  # fmt: skip
+@click.option("--publish", is_flag=True,
+              help="Publish the journal on zenoh during the run; slow listeners do not slow the run.")  # fmt: skip
+@click.option("--view", is_flag=True,
+              help="Open a page in the browser that shows the run; there you can also disturb it.")  # fmt: skip
 @click.option("--ros2", is_flag=True, help="Publish the run, and show it to ROS 2 as fleet ros2 does.")
-@click.option(
-    "--wait-for-subscribers",
-    is_flag=True,
-    help="With --publish, --view or --ros2: begin when there is a listener, such as the page.",
-)
+@click.option("--wait-for-subscribers", is_flag=True,
+              help="With --publish, --view or --ros2: begin when there is a listener, such as the page.")  # fmt: skip
 @cli_hosts.hosts_options
 @click.option("--join-timeout", type=TIME, default="300 s", show_default=True,
               help="How long to wait for each external agent.")  # fmt: skip

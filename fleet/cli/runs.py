@@ -26,10 +26,8 @@ VERDICTS = ("pass", "fail", "broke", "stopped")
               help="The folder with run directories.")  # fmt: skip
 @click.option("--prune", is_flag=True, help="Remove runs that are over: those that fit every option below.")
 @click.option("--keep", metavar="N", type=Whole(min=0), help="Keep the newest N of the runs that are over.")
-@click.option(
-    "--older-than", metavar="AGE", type=AGE, help="Only runs that began at least this long ago, e.g. '7 days'."
-)
-@click.option("--verdict", "verdicts", metavar="LIST", type=Words(VERDICTS),
+@click.option("--older-than", type=AGE, help="Only runs that began at least this long ago, e.g. '7 days'.")
+@click.option("--verdict", "verdicts", type=Words(VERDICTS),
               help=f"Only runs with these verdicts: {', '.join(VERDICTS)}.")  # fmt: skip
 @click.option("--yes", is_flag=True, help="Remove them. Without it they are only listed.")
 @json_option

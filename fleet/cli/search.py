@@ -149,7 +149,7 @@ NemesisMode = Literal["swarm", "liveness"] | None
 
 @click.command()
 @click.argument("scenario", shell_complete=scenarios)
-@click.option("--budget", metavar="RUNS|TIME", type=BUDGET, default="200", show_default=True,
+@click.option("--budget", type=BUDGET, default="200", show_default=True,
               help="The number of seeds to try, or the time in which new ones begin, e.g. '10 min'.")  # fmt: skip
 @click.option("--nemesis", is_flag=True, help="Add a nemesis to a scenario without one: a swarm of faults.")
 @click.option("--liveness", is_flag=True,
@@ -158,7 +158,7 @@ NemesisMode = Literal["swarm", "liveness"] | None
 @click.option("--check", metavar="NAME", help="The check that must fail; by default any.")
 @changing_options
 @least_options
-@click.option("--keep", metavar="DIR", type=FOLDER,
+@click.option("--keep", type=FOLDER,
               help="Continue after a failure; keep the smallest scenario of each kind of failure in DIR.")  # fmt: skip
 @JUNIT
 @making_options()
@@ -309,7 +309,7 @@ def _print_search(
 
 
 @click.command()
-@click.argument("folder", metavar="DIR", type=FOLDER)
+@click.argument("folder", type=FOLDER)
 @click.option("--accept", is_flag=True, help="Expect the present verdicts from now on.")
 @cli_junit.JUNIT
 @making_options()
@@ -367,9 +367,9 @@ def _show_regressed(found: Sequence[Regressed]) -> None:
               help="Independent estimates; their spread gives the interval.")  # fmt: skip
 @click.option("--effort", metavar="N", type=Whole(4, 100_000), default=100, show_default=True,
               help="The number of partial runs in each stage.")  # fmt: skip
-@click.option("--budget", metavar="TIME", type=TIME, help="Begin no repeat after this wall time, e.g. '10 min'.")
+@click.option("--budget", type=TIME, help="Begin no repeat after this wall time, e.g. '10 min'.")
 @changing_options
-@click.option("-o", "--out", metavar="FILE", type=FILE,
+@click.option("-o", "--out", type=FILE,
               help="The file for estimates; a later call continues it. By default NAME-rare.json.")  # fmt: skip
 @making_options()
 def rare(

@@ -26,14 +26,11 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 S = TypeVar("S", StudySpec, BoundarySpec)
-OUT = click.option(
-    "-o", "--out", metavar="DIR", type=FOLDER, default=Path("studies"),
-    show_default=True, help="The folder for studies; each gets a directory of its own.",
-)  # fmt: skip
+OUT = click.option("-o", "--out", type=FOLDER, default=Path("studies"), show_default=True,
+                   help="The folder for studies; each gets a directory of its own.")  # fmt: skip
 WORKERS = click.option("--workers", metavar="N", type=Whole(1, 1024), help="Runs at a time; by default one per core.")
 SCHEDULER = click.option("--scheduler", metavar="ADDRESS", help="Use an existing Dask cluster, e.g. tls://host:8786.")
-_LEAST = click.option("-o", "--out", metavar="FILE", type=FILE,
-                      help="The file for the smallest scenario; by default NAME-least.yaml.")  # fmt: skip
+_LEAST = click.option("-o", "--out", type=FILE, help="The file for the smallest scenario; by default NAME-least.yaml.")
 
 
 def least_options(command: F) -> F:

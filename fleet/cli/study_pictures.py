@@ -15,10 +15,9 @@ from fleet.terminal.table import say
 if TYPE_CHECKING:
     from fleet.study.store import Store
 
-measure_option = click.option(
-    "--measure", "measures", metavar="NAME", multiple=True,
-    help="For a study: another measure to show; repeatable. An unknown name lists them.",
-)  # fmt: skip
+measure_option = click.option("--measure", "measures", metavar="NAME", multiple=True,
+                              help="For a study: another measure to show; repeatable. An unknown name lists "
+                                   "them.")  # fmt: skip
 
 
 def is_study(path: Path) -> bool:

@@ -105,9 +105,8 @@ def diff(a: Path, b: Path | None, tolerance: float, everything: bool) -> None:
 @click.command(epilog=_RECOVER)
 @log_argument
 @NO_PROGRESS
-@click.option(
-    "-o", "--out", metavar="OUT", type=_log, help="The file to write; by default LOG.recovered.mcap next to it."
-)
+@click.option("-o", "--out", metavar="OUT", type=_log,
+              help="The file to write; by default LOG.recovered.mcap next to it.")  # fmt: skip
 def recover(log: Path, out: Path | None) -> None:
     """Write the undamaged part of a cut or damaged LOG as a clean file with an index.
 
@@ -188,8 +187,7 @@ def what_if_lines(found: WhatIf) -> list[str]:
 @click.command()
 @log_argument
 @click.option("--check", metavar="NAME", help="The check that failed; by default the first one that did.")
-@click.option("--picture", metavar="FILE", type=FILE,
-              help="Draw it into this file (png, svg, pdf).")  # fmt: skip
+@click.option("--picture", type=FILE, help="Draw it into this file (png, svg, pdf).")
 @click.option("--budget", metavar="RUNS", type=Whole(0, 10_000), default=24, show_default=True,
               help="Healed runs that are tried; 0: only what the log says.")  # fmt: skip
 @making_options()

@@ -69,14 +69,7 @@ def rendezvous(scenario: Scenario, options: HostsOptions, *, in_process: bool) -
     given = [name for name in names if getattr(options, name)]
     if not given:
         return None
-    from fleet.hosts.rendezvous import (
-        CERTIFIED,
-        Rendezvous,
-        check_free,
-        listening,
-        listening_for_certificates,
-        through_router,
-    )
+    from fleet.hosts import rendezvous as meeting
 
     listen, router, lease_ms = options.listen, options.router, options.lease // 1_000_000
     certified = options.listen_certified
@@ -84,13 +77,15 @@ def rendezvous(scenario: Scenario, options: HostsOptions, *, in_process: bool) -
     if in_process:
         raise FleetError(f"{spelt}: a run in one process has no router that others could join")
     if certified and router:
-        raise FleetError(f"{CERTIFIED} is for a run that hosts its router: the one of --router asks for passwords")
+        raise FleetError(
+            f"{meeting.CERTIFIED} is for a run that hosts its router: the one of --router asks for passwords"
+        )
     if listen and router:
         raise FleetError("either --listen or --router, not both")
     if not (listen or router or certified):
         raise FleetError(f"{spelt} needs --listen or --router")
     if options.mutual_tls and not (listen or router):
-        raise FleetError(f"--mutual-tls is for --listen or --router: {CERTIFIED} always asks for certificates")
+        raise FleetError(f"--mutual-tls is for --listen or --router: {meeting.CERTIFIED} always asks for certificates")
     certs, external = options.certs, scenario.external
     if lease_ms >= scenario.spec.stall_timeout / 1e6:
         raise FleetError(
@@ -100,17 +95,17 @@ def rendezvous(scenario: Scenario, options: HostsOptions, *, in_process: bool) -
     if not router:
         if options.credentials:
             raise FleetError("--credentials is for --router: a router of its own makes fresh ones")
-        found = Rendezvous()
+        found = meeting.Rendezvous()
         if listen:
-            found = listening(
+            found = meeting.listening(
                 listen, certs, options.advertise, external=external, mutual=options.mutual_tls, lease_ms=lease_ms
             )
-            check_free(listen)
+            meeting.check_free(listen)
         if certified:
-            found = listening_for_certificates(
+            found = meeting.listening_for_certificates(
                 found, certified, advertise=options.advertise, certs=certs, external=external, lease_ms=lease_ms
             )
-            check_free(certified, CERTIFIED)
+            meeting.check_free(certified, meeting.CERTIFIED)
         if not scenario.external:
             nobody = (
                 f"{spelt}: no vehicle is external, so nobody can join; say who: --set external=true for all of them"
@@ -122,7 +117,9 @@ def rendezvous(scenario: Scenario, options: HostsOptions, *, in_process: bool) -
     if not options.credentials:
         raise FleetError("--router needs --credentials FILE, which fleet hosts acl SCENARIO -o DIR writes")
     known, mutual = options.credentials, options.mutual_tls
-    return through_router(router, known, scenario.vehicles, certs, external=external, mutual=mutual, lease_ms=lease_ms)
+    return meeting.through_router(
+        router, known, scenario.vehicles, certs, external=external, mutual=mutual, lease_ms=lease_ms
+    )
 
 
 @click.group(cls=ListingGroup)

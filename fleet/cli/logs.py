@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -112,7 +112,8 @@ def plot(
     check_signals(what, runs)
     with showing("drawing") as tell:
         paths = write(what, runs, view, out or log_path(log).parent / "plots", formats, said.append, tell)
-    for note in dict.fromkeys([*(f"{r.label}: {r.log.missing}" for r in runs if r.log.missing), *_notes(runs), *said]):
+    cut = [f"{run.label}: {run.log.missing}" for run in runs if run.log.missing]
+    for note in dict.fromkeys([*cut, *(note for run in runs for note in run.notes), *said]):
         say(f"fleet: {note}", err=True)
     _print(paths)
 
@@ -122,11 +123,6 @@ def _print(paths: Sequence[Path]) -> None:
         click.echo(path)
     if not paths:
         sys.exit(1)
-
-
-def _notes(runs: Sequence[Any]) -> Iterator[str]:
-    for run in runs:
-        yield from run.notes
 
 
 @click.command()

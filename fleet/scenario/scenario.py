@@ -13,7 +13,6 @@ from agents.controllers import BUILT_IN, laws, layout
 from agents.signals import SignalLayout
 from fleet.quantities import vehicle_numbers
 from fleet.scenario.parts import Parts
-from fleet.scenario.schema.faults import CurrentSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.schema.vehicle import PlantSection, VehicleSection
 from fleet.scenario.sections.acoustic import inlined_modem
@@ -32,7 +31,7 @@ from world import disturbance
 from world.config import NavNoise, PlantSetup, VehicleSetup, WorldConfig
 from world.plants.classes import file_of
 from world.signal import Signal
-from world.vectors import Vec3, minus
+from world.vectors import minus
 
 
 class Reading(NamedTuple):
@@ -117,7 +116,7 @@ class Scenario:
     @cached_property
     def world_config(self) -> WorldConfig:
         """The configuration of the world. Raises PluginError: a law cannot be used."""
-        spec = self.spec
+        spec, current = self.spec, self.spec.sea.current
         return WorldConfig(
             seed=spec.seed,
             tick_ns=spec.tick,
@@ -126,8 +125,8 @@ class Scenario:
             substeps=spec.physics.substeps,
             vehicles=tuple(map(self._vehicle_setup, range(1, self.vehicles + 1))),
             disturbance=self.disturbance,
-            current=spec.sea.current.mean,
-            drift=_drift(spec.sea.current),
+            current=current.mean,
+            drift=(current.sigma, current.time_constant / 1e9) if any(current.sigma) else None,  # None: it is constant
             faults=self.faults.world,
             absences=self.faults.absences,
             memory_ticks=self.memory_ticks,
@@ -289,11 +288,6 @@ def _without_files(spec: ScenarioSpec, parts: Parts) -> ScenarioSpec:
         network = network.model_copy(update={"links": network.links | inside})
     changes = {"vehicle": in_numbers(spec.vehicle), "navigation": inlined_navigation(spec.navigation, folder)}
     return spec.model_copy(update=changes | {"per_vehicle": per_vehicle, "network": network})
-
-
-def _drift(current: CurrentSection) -> tuple[Vec3, float] | None:
-    """Standard deviation [m/s] and time constant [s] of the sea's own current; None when it is constant."""
-    return (current.sigma, current.time_constant / 1e9) if any(current.sigma) else None
 
 
 def _difference(a: Offset, b: Offset) -> Offset:

@@ -434,9 +434,8 @@ def fit_lines(found: LinkFit, trace: Path) -> list[str]:
         )
     if found.lag > 0.01:
         lines.append(
-            f"no states in continuous time fit these changes from packet to packet exactly: probabilities differ "
-            f"by up to"
-            f"{100 * found.lag:.2g} %; try --states 2"
+            "no states in continuous time fit these changes from packet to packet exactly: probabilities differ by up "
+            f"to {100 * found.lag:.2g} %; try --states 2"
         )
     return lines
 

@@ -1,4 +1,4 @@
-"""Rules on links and on the acoustic"""
+"""Rules on links and on the acoustic channel."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
-from functools import cache, reduce
+from functools import lru_cache, reduce
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -77,16 +77,10 @@ def load_vehicle(name: str, folder: Path | None = None) -> VehicleModel:
 
     Raises DataFileError: with every mistake that was found.
     """
-    if name in shipped_vehicles():
-        return _shipped(name)
     return parse_vehicle(*data_files.find("vehicle", name, _PACKAGE, folder))
 
 
-@cache
-def _shipped(name: str) -> VehicleModel:
-    return parse_vehicle(*data_files.find("vehicle", name, _PACKAGE, None))
-
-
+@lru_cache
 def parse_vehicle(data: bytes, name: str) -> VehicleModel:
     """The vehicle in the bytes of a file. Raises DataFileError: with every mistake that was found."""
     values, problems = data_files.read("vehicle", data, name, ("name", "title", "parameters", "limits"))

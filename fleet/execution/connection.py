@@ -47,14 +47,6 @@ class ConnectionFile(msgspec.Struct):
     key: str = ""
     lease_ms: Annotated[int, msgspec.Meta(gt=0)] = LEASE_MS
 
-    @classmethod
-    def read(cls, path: Path) -> ConnectionFile | None:
-        """The content of the file; None: it does not exist, or another user owns it."""
-        try:
-            return parse_json(read_file(path, MOST_BYTES), cls)
-        except (OSError, DamagedFile):
-            return None
-
 
 @dataclass(frozen=True, slots=True)
 class LiveRun:
@@ -157,17 +149,19 @@ class OpenConnection:
     """A connection to the console of a run that is kept, for who asks again and again."""
 
     def __init__(self, run: LiveRun) -> None:
-        """Raises RemoteError: the run cannot be reached."""
         self._run = run
-        try:
-            self._bus = Bus.connect(run.endpoint, run.credentials, timeout_ms=2000)
-        except BusError as error:
-            raise RemoteError(f"{run.name} cannot be reached: {error}") from None
+        self._bus: Bus | None = None
 
     def ask(self, op: str, **fields: Any) -> dict[str, Any]:
+        """Ask the console; connect before, if need be. Raises RemoteError: it does not answer in time, or refuses."""
         name = self._run.name
-        answer = self._bus.ask(f"{Keys(self._run.run).op}/{op}", request(op, **fields), timeout_s=ASK_S)
+        try:
+            bus = self._bus = self._bus or Bus.connect(self._run.endpoint, self._run.credentials, timeout_ms=2000)
+        except BusError as error:
+            raise RemoteError(f"{name} cannot be reached: {error}") from None
+        answer = bus.ask(f"{Keys(self._run.run).op}/{op}", request(op, **fields), timeout_s=ASK_S)
         if answer is None:
+            self.close()  # perhaps it is the connection
             raise RemoteError(f"{name} did not answer within {ASK_S:g} s; is it over?")
         values = read_map(answer)
         if "error" in values:
@@ -175,7 +169,9 @@ class OpenConnection:
         return values
 
     def close(self) -> None:
-        self._bus.close()
+        if self._bus is not None:
+            self._bus.close()
+            self._bus = None
 
 
 def ask(run: LiveRun, op: str, **fields: Any) -> dict[str, Any]:
@@ -187,8 +183,10 @@ def ask(run: LiveRun, op: str, **fields: Any) -> dict[str, Any]:
 
 
 def _read(directory: Path) -> LiveRun | None:
-    values = ConnectionFile.read(directory / CONNECTION)
-    if values is None:
+    """None: there is no connection file that is ours, or another user owns it."""
+    try:
+        values = parse_json(read_file(directory / CONNECTION, MOST_BYTES), ConnectionFile)
+    except (OSError, DamagedFile):
         return None
     credentials = Credentials.from_values(msgspec.structs.asdict(values))
     return LiveRun(directory, values.scenario, values.pid, values.endpoint, values.run, credentials)

@@ -133,18 +133,23 @@ class _Run:
     result: Result
     in_process: bool
     hosting: Hosting
+    begin: int  # the first tick
     wall_s: float = 0.0  # from the first process on
-
-    @property
-    def realtime(self) -> bool:
-        return self.options.clock is Clock.REAL
 
 
 def execute(scenario: Scenario, options: Options, terminal: Terminal | None = None) -> Result:
-    """Run a scenario to its verdict; progress is shown on `terminal` (None: stderr). Only a caller's mistake raises; a
-    run that breaks is a result. Raises ScenarioError if a plant cannot be started; RunBroken if the port is taken;
-    LogError if the log cannot be created; CheckError if a check in Python cannot be made; FleetError if the run
-    directory cannot be made, the journal cannot be published, or an agent is external in a run in one process.
+    """Run a scenario to its verdict. Only a caller's mistake raises; a run that breaks is a result.
+
+    Args:
+        terminal: where progress is shown; None: stderr.
+
+    Raises:
+        ScenarioError: a plant cannot be started.
+        RunBroken: the port is taken.
+        LogError: the log cannot be created.
+        CheckError: a check in Python cannot be made.
+        FleetError: the run directory cannot be made, the journal cannot be published, or an agent is external in a run
+            in one process.
     """
     try_plants(scenario)
     interrupts = DeferInterrupts()
@@ -170,7 +175,8 @@ def _prepare(
     shared = Hosting() if in_process else hosting(scenario, options)
 
     # Before anything is made, too: one in Python may be wrong.
-    checks = OwnChecks.asked(scenario, 0 if options.start is None else options.start.snapshot.tick)
+    begin = 0 if options.start is None else options.start.snapshot.tick
+    checks = OwnChecks.asked(scenario, begin)
     line = StatusLine(terminal, quiet=options.quiet)
     directory = while_it_lives.enter_context(closing(RunDirectory(options.out, scenario.name, scenario.seed)))
     text = scenario.to_yaml()
@@ -205,7 +211,7 @@ def _prepare(
         seed=scenario.seed,
         status=Status.PASS,
     )
-    return _Run(scenario, options, directory, publisher, log, journal, runner, line, result, in_process, shared)
+    return _Run(scenario, options, directory, publisher, log, journal, runner, line, result, in_process, shared, begin)
 
 
 def _serve(run: _Run) -> None:
@@ -217,7 +223,11 @@ def _serve(run: _Run) -> None:
         began = time.monotonic()
         with run.line:
             progress = ProgressLine(run.scenario, run.journal, run.line, lambda: run.runner.waiting)
-            run.runner.serve(_policy(run.scenario, run.options), progress)
+            speed, lead_ns = run.options.speed, 0
+            if run.options.clock is Clock.REAL:
+                speed, lead_ns = speed or 1.0, WINDOW_NS
+            policy = GrantPolicy.of(run.scenario, speed, lead_ns=lead_ns, begin=run.begin)
+            run.runner.serve(policy, progress)
     except RunBroken as error:
         result.status, result.reason, result.lines = Status.BROKEN, error.reason, error.lines
         if found := next((line.strip() for line in error.lines if NO_THREAD in line), ""):
@@ -242,7 +252,7 @@ def _serve(run: _Run) -> None:
 
 def _judge(run: _Run) -> None:
     more, result = [], run.result
-    if run.realtime:
+    if run.options.clock is Clock.REAL:
         result.timing = punctuality.measured(run.runner.closing.timing, run.options.speed or 1.0)
     if result.timing is not None:
         more.append(punctuality.verdict(result.timing, run.options.most_missed))
@@ -262,10 +272,3 @@ def _report(run: _Run) -> None:
     except OSError as error:
         result.lines.append(f"result.json could not be written: {error.strerror}")
         run.directory.remove_result()
-
-
-def _policy(scenario: Scenario, options: Options) -> GrantPolicy:
-    if options.clock is Clock.REAL:
-        return GrantPolicy.of(scenario, options.speed or 1.0, lead_ns=WINDOW_NS)
-    begin = 0 if options.start is None else options.start.snapshot.tick
-    return GrantPolicy.of(scenario, options.speed, begin=begin)

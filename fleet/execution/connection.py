@@ -116,15 +116,9 @@ def named(run: str, known: list[Path]) -> list[Path]:
     """The runs with this name, or else with this scenario, or else with a name that begins like this."""
     return (
         [directory for directory in known if directory.name == run]
-        or [directory for directory in known if _scenario(directory) == run]
+        or [one for one in known if (found := RUN_NAME.fullmatch(one.name)) and found["scenario"] == run]
         or [directory for directory in known if directory.name.startswith(run)]
     )
-
-
-def _scenario(directory: Path) -> str:
-    """The scenario of a run: its directory is called <scenario>-<seed>-<day>-<time>, perhaps with a number behind."""
-    found = RUN_NAME.fullmatch(directory.name)
-    return found["scenario"] if found else ""
 
 
 def _nothing(run: str | None, known: list[Path], file: str) -> str:

@@ -133,7 +133,6 @@ class _Run:
     result: Result
     in_process: bool
     hosting: Hosting
-    begin: int  # the first tick
     wall_s: float = 0.0  # from the first process on
 
 
@@ -175,8 +174,7 @@ def _prepare(
     shared = Hosting() if in_process else hosting(scenario, options)
 
     # Before anything is made, too: one in Python may be wrong.
-    begin = 0 if options.start is None else options.start.snapshot.tick
-    checks = OwnChecks.asked(scenario, begin)
+    checks = OwnChecks.asked(scenario, 0 if options.start is None else options.start.snapshot.tick)
     line = StatusLine(terminal, quiet=options.quiet)
     directory = while_it_lives.enter_context(closing(RunDirectory(options.out, scenario.name, scenario.seed)))
     text = scenario.to_yaml()
@@ -211,7 +209,7 @@ def _prepare(
         seed=scenario.seed,
         status=Status.PASS,
     )
-    return _Run(scenario, options, directory, publisher, log, journal, runner, line, result, in_process, shared, begin)
+    return _Run(scenario, options, directory, publisher, log, journal, runner, line, result, in_process, shared)
 
 
 def _serve(run: _Run) -> None:
@@ -223,11 +221,7 @@ def _serve(run: _Run) -> None:
         began = time.monotonic()
         with run.line:
             progress = ProgressLine(run.scenario, run.journal, run.line, lambda: run.runner.waiting)
-            speed, lead_ns = run.options.speed, 0
-            if run.options.clock is Clock.REAL:
-                speed, lead_ns = speed or 1.0, WINDOW_NS
-            policy = GrantPolicy.of(run.scenario, speed, lead_ns=lead_ns, begin=run.begin)
-            run.runner.serve(policy, progress)
+            run.runner.serve(_policy(run.scenario, run.options), progress)
     except RunBroken as error:
         result.status, result.reason, result.lines = Status.BROKEN, error.reason, error.lines
         if found := next((line.strip() for line in error.lines if NO_THREAD in line), ""):
@@ -272,3 +266,10 @@ def _report(run: _Run) -> None:
     except OSError as error:
         result.lines.append(f"result.json could not be written: {error.strerror}")
         run.directory.remove_result()
+
+
+def _policy(scenario: Scenario, options: Options) -> GrantPolicy:
+    if options.clock is Clock.REAL:
+        return GrantPolicy.of(scenario, options.speed or 1.0, lead_ns=WINDOW_NS)
+    begin = 0 if options.start is None else options.start.snapshot.tick
+    return GrantPolicy.of(scenario, options.speed, begin=begin)

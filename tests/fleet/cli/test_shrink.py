@@ -14,7 +14,7 @@ from study_engine import Here
 from fleet.cli.documents.studies import Less
 from fleet.cli.main import cli
 from fleet.cli.search import write_least
-from fleet.execution.judged import run
+from fleet.execution.stepped_run import run
 from fleet.study.errors import StudyError
 
 FAILING = """\

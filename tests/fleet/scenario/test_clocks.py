@@ -9,7 +9,7 @@ from small_scenario import small
 
 from fleet.analysis.preflight import warnings
 from fleet.analysis.stability import describe_slack, slack
-from fleet.execution.judged import run
+from fleet.execution.stepped_run import run
 from fleet.scenario.loading import load_scenario, parse_scenario
 from netem.vehicle_clock import VehicleClock
 

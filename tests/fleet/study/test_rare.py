@@ -14,7 +14,7 @@ from marks import slow
 from study_engine import Here
 
 from fleet.cli.main import cli
-from fleet.execution.judged import judged
+from fleet.execution.stepped_run import judged
 from fleet.recorder.snapshot import Snapshot
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario

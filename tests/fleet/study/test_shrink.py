@@ -6,7 +6,7 @@ import pytest
 from small_scenario import small
 from study_engine import Here
 
-from fleet.execution.judged import judged
+from fleet.execution.stepped_run import judged
 from fleet.study.errors import StudyError
 from fleet.study.shrink import Shrinker, number_places
 

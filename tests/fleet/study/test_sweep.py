@@ -15,7 +15,7 @@ from small_scenario import SMALL
 from study_engine import Here
 
 from fleet.errors import ScenarioError
-from fleet.execution.judged import run
+from fleet.execution.stepped_run import run
 from fleet.logs.open_log import open_log
 from fleet.scenario.text.overrides import SET, Override
 from fleet.study import store as stores

@@ -294,9 +294,7 @@ def test_a_cut_link_still_suffers() -> None:
 
 def test_up_lies_over_a_link_that_is_down() -> None:
     netem = channel(
-        links=((1, 2),),
-        conditions={(1, 2): Condition(up=False)},
-        faults=(NetFault("f", 100, None, "up", ((1, 2),)),),
+        links=((1, 2),), conditions={(1, 2): Condition(up=False)}, faults=(NetFault("f", 100, None, "up", ((1, 2),)),)
     )
     assert causes(run(netem, [{1: (b"a",)}, {1: (b"b",)}, {}]))[1, 2] == ["down", "delivered"]
 

@@ -57,8 +57,9 @@ def check_refusals(
     path = EXPECTED / f"messages-{room}.txt"
     sections = _read(path)
     known = sections.get(what, {})
+    hide = {} if hide is None else hide  # which the call may fill
     replayed = (tuple(map(_literal, mistake)) for mistake in known)
-    found = dict(_refusal(call, case, hide or {}) for case in (replayed if cases is None else cases))
+    found = dict(_refusal(call, case, hide) for case in (replayed if cases is None else cases))
     if os.environ.get("WRITE_MESSAGES"):
         known = {case: (known.get(case, ("",))[0] or head, words) for case, (head, words) in found.items()}
         sections[what] = known
@@ -69,6 +70,13 @@ def check_refusals(
     assert not moved, "\n".join(moved)
     other = [f"{case}: {new[1]}, before {old[1]}" for case, (old, new) in pairs.items() if old != new]
     assert not other, "\n".join(["if these words are meant: WRITE_MESSAGES=1 pytest -n 0 and this file", *other])
+
+
+def words_of(section: str) -> dict[str, str]:
+    """What is said of each mistake of a section, by the mistake."""
+    room, _, what = section.partition("/")
+    entries = _read(EXPECTED / f"messages-{room}.txt").get(what, {})
+    return {" ".join(map(_literal, mistake)): "\n".join(words) for mistake, (_, words) in entries.items()}
 
 
 def check_commands(section: str, places: Mapping[str, object], *before: str) -> None:

@@ -96,37 +96,6 @@ def test_agents_may_come_with_certificates_alone(made: Path) -> None:
         listening_for_certificates(both, "tls/0.0.0.0:2", made, ["other"])
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--certs", "c"], "--certs needs --listen or --router"),
-        (["--listen", "tls/0.0.0.0:7447"], "needs certificates: make them, fleet hosts certs"),
-        (["--listen", "tcp/127.0.0.1:1", "--certs", "c"], "are for tls: --listen tls/127.0.0.1:1"),
-        (["--listen", "udp/127.0.0.1:1"], "--listen: expected tls/HOST:PORT"),
-        (["--listen", "tcp/127.0.0.1:1", "--router", "tcp/127.0.0.1:2"], "either --listen or --router"),
-        (["--listen", "tcp/127.0.0.1:1", "--credentials", "f"], "--credentials is for --router"),
-        (["--router", "tcp/127.0.0.1:2"], "--router needs --credentials FILE, which fleet hosts acl"),
-        (["--router", "tcp/127.0.0.1:2", "--credentials", "f"], "f cannot be read: No such file"),
-        (["--router", "tcp/0.0.0.0:2", "--credentials", "f"], "is an address to listen on"),
-        (["--router", "tcp/a:2", "--credentials", "f", "--advertise", "x"], "--advertise is for --listen"),
-        (["--listen", "tcp/192.0.2.7:7447"], "cannot be used (Cannot assign requested address)"),
-        (["--listen", "tcp/127.0.0.1:1", "--in-process"], "a run in one process has no router"),
-        (["--listen", "tcp/127.0.0.1:1", "--lease", "1 s"], "expected 2 s to 1800 s"),
-        (["--listen", "tcp/127.0.0.1:1", "--lease", "60 s"], "--set stall_timeout"),
-        (["--listen-certified", "tls/127.0.0.1:1"], "--listen-certified needs certificates: fleet hosts certs"),
-        (["--listen-certified", "tcp/127.0.0.1:1"], "shown with tls only: --listen-certified tls/127.0.0.1:1"),
-        (["--listen-certified", "tls/a:1", "--router", "tcp/a:2"], "the one of --router asks for passwords"),
-        (["--listen-certified", "tls/a:1", "--mutual-tls"], "--listen-certified always asks for certificates"),
-        (["--listen-certified", "tls/a:1", "--in-process"], "a run in one process has no router"),
-        (["--listen-certified", "tls/a:0"], "--listen-certified: expected tls/HOST:PORT"),
-    ],
-)
-def test_options_that_do_not_go_together_are_refused(arguments: list[str], words: str, tmp_path: Path) -> None:
-    done = CliRunner().invoke(cli, ["run", "paper", "--out", str(tmp_path / "runs"), *arguments])
-    assert done.exit_code == 2 and words in " ".join(done.output.split()), done.output
-    assert not (tmp_path / "runs").exists()
-
-
 # A router that is there already
 def test_acl_prints_no_password_and_writes_them_for_us_alone(made: Path, tmp_path: Path) -> None:
     out = tmp_path / "acl"

@@ -30,8 +30,10 @@ def test_a_refusal_says_what_to_do() -> None:
         if "error" in answer:
             raise CommandRefused(answer["status"], answer["error"])
 
-    links: list[dict[str, Any]] = [{"link": {"1->2": condition}} for condition in ("los 20%", "delay 20")]
-    check_refusals("execution/faults of an operator", inject, [*links, {"kill": 9}, {"at": "3 s", "kill": 3}])
+    texts = ("los 20%", "delay 20", "loss 3% seed 7")
+    links: list[dict[str, Any]] = [*({"link": {"1->2": text}} for text in texts), {"link": {"1->3": "loss 3%"}}]
+    others = [{"kill": 9}, {"at": "3 s", "kill": 3}, {"partition": "half"}, {"mute": 1, "for": "5ms"}]
+    check_refusals("execution/faults of an operator", inject, [*links, *others])
 
 
 def test_checks_are_not_judged_again_and_again(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,16 +15,15 @@ from pathlib import Path
 
 import psutil
 import pytest
-from click.testing import CliRunner
 from ended_runs import CHECKS, LONG
 from first_difference import assert_same_bytes
 from in_process_runs import Alone, log_of, recorded
 from live import FORKSERVER, LiveRun
 from marks import slow
 from spawned import fleet
+from tool import command
 from waiting import wait_for
 
-from fleet.cli.main import cli
 from fleet.logs.reader import LogReader
 from fleet.result.result import Status
 
@@ -34,7 +33,7 @@ def assert_readable(run: LiveRun, least_s: float = 1.0) -> None:
     reader = LogReader(run.log)
     last = max(record.log_ns for record in reader) / 1e9
     assert last >= least_s
-    info = CliRunner().invoke(cli, ["info", str(run.directory), "--json"])
+    info = command("info", run.directory, "--json")
     assert (info.exit_code, info.stderr) == (0, "")
     assert json.loads(info.stdout)["end_s"] == last
     assert json.loads(info.stdout)["run"]["scenario"] == "paper"

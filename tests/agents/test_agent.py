@@ -23,10 +23,9 @@ from agents.codecs import FullCodec
 from agents.config import AgentConfig, Neighbour, Offset
 from agents.controllers import CONTROLLERS
 from agents.errors import AgentError, ControllerError, PayloadError
-from agents.laws import guidance
 from agents.laws.backstepping import NeurodynamicTracking, shunting_step
 from agents.laws.kinematics import RateFilter, earth_velocity, flow_angles, wrap
-from agents.laws.velocity_command import clip, consensus_error, direction_command, floor_speed, slew, virtual_control
+from agents.laws.velocity_command import clip, consensus_error, direction_command, floor_speed, slew
 from agents.neighbours import NeighbourTable
 from agents.payload import SIZE, StateMessage, decode, encode
 from agents.profiles import PROFILES, profile
@@ -265,10 +264,6 @@ def table(extrapolation: Any = "hold") -> NeighbourTable:
     neighbours = (Neighbour(3, 0.8, Offset((0.0, 0.0, 0.0))), Neighbour(1, 1.0, Offset((0.0, -10.0, 0.0))))
     config = replace(agent_config(1), neighbours=neighbours, extrapolation=extrapolation)
     return NeighbourTable(config, FullCodec())
-
-
-def test_what_a_neighbour_does_not_say_is_not_known() -> None:
-    assert table().heard(100) == ()
 
 
 def test_neighbours_come_in_one_order() -> None:
@@ -532,11 +527,6 @@ def test_the_law_cancels_the_vehicles_own_dynamics() -> None:
     assert rate[5:] == pytest.approx((0.0,) * 5, abs=1e-12)
 
 
-def test_virtual_control_with_the_optimal_gain_closes_the_error() -> None:
-    rho = virtual_control((1.0, -2.0, 0.0), (0.3, 0.5, 1.0), (0.7, 0.1, 0.0))
-    assert rho == pytest.approx((0.4, 1.1, 0.0))
-
-
 # ----------------------------------------------------------------------------- determinism and restore
 
 
@@ -584,7 +574,3 @@ def test_an_agent_hears_only_its_in_neighbours() -> None:
     for i in (1, 2, 3, 4):
         heard = {n.id for n in agent_config(i).neighbours}
         assert heard == {j for to, j in WEIGHTS if to == i} == {j for j in (i - 1, i + 1) if 1 <= j <= 4}
-
-
-def test_nothing_in_the_solver_outlives_a_call() -> None:
-    assert not [name for name, value in vars(guidance).items() if type(value).__name__ == "DenseSolver"]

@@ -20,25 +20,24 @@ from typing import Any
 
 import msgpack
 import pytest
-from click.testing import CliRunner
 from failing_laws import failing
 from failing_laws import module as module
 from loops import agent_config
 from marks import slow
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
-from refusals import check_refusals
+from refusals import check_refusals, words_of
 from repository import ROOT
+from tool import command
 
 from agents.agent import Agent
 from agents.config import Law
-from agents.errors import ControllerError
+from agents.errors import AgentError, ControllerError
 from agents.make_agent import make_agent
 from agents.plugins import laws
 from agents.signals import COMMANDED, HEARD
-from fleet.cli.main import cli
 from fleet.cli.new import KINDS
-from fleet.errors import ScenarioError
+from fleet.errors import RunBroken, ScenarioError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.result.result import Result, Status
@@ -188,58 +187,41 @@ def test_the_page_shows_what_one_sees(tmp_path: Path, monkeypatch: pytest.Monkey
     """The message of docs/guide/plugins.md, from the template with the page's typing error in it."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
-    assert CliRunner().invoke(cli, ["new", "controller", "pid"]).exit_code == 0
+    assert command("new", "controller", "pid").exit_code == 0
     path = tmp_path / "pid.yaml"
     text = path.read_text("utf-8")
     wrong = 'controller: {law: "pid:Pid", parameters: {gian: 0.5}}'
     path.write_text(text.replace("controller: pid:Pid", wrong), "utf-8")
-    result = CliRunner().invoke(cli, ["check", "pid.yaml"])
+    result = command("check", "pid.yaml")
     sys.modules.pop("pid")
     assert f"```\n{result.stderr}```\n" in (ROOT / "docs" / "guide" / "plugins.md").read_text("utf-8")
 
 
-@pytest.mark.parametrize(
-    ("choice", "key", "hint"),
-    [
-        ("controller: MODULE:Nothing", "controller.law", "a controller needs step"),
-        ("guidance: MODULE:Nothing\ntracking: neurodynamic", "guidance.law", "a guidance needs step"),
-        ("tracking: {law: 'MODULE:Nothing'}", "tracking.law", "a tracking needs step"),
-        ("agent: MODULE:Nothing", "agent.law", "an agent needs transmit and decide"),
-        ("per_vehicle: {'3-4': {controller: 'MODULE:Nothing'}}", "per_vehicle.3-4.controller.law", "needs step"),
-    ],
-)
-def test_every_place_that_names_a_law_is_checked(
-    choice: str, key: str, hint: str, module: Callable[[str], str], tmp_path: Path
-) -> None:
-    path = tmp_path / "s.yaml"
-    path.write_text(SCENARIO.format(choice.replace("MODULE", module("class Nothing: pass"))), "utf-8")
-    result = CliRunner().invoke(cli, ["check", str(path)])
-    assert result.exit_code == 2
-    assert f"{path}:{CHOICE_LINE}:" in result.stderr
-    assert f" {key}: " in result.stderr
-    assert "it has no method" in result.stderr
-    assert hint in result.stderr
+def test_every_place_that_names_a_law_is_checked(module: Callable[[str], str], tmp_path: Path) -> None:
+    name = module("class Nothing: pass")
+
+    def load(choice: str) -> None:
+        (tmp_path / "s.yaml").write_text(SCENARIO.format(choice.replace("MODULE", name)), "utf-8")
+        load_scenario(tmp_path / "s.yaml")
+
+    check_refusals("agents/places of laws", load, hide={name: "MODULE", str(tmp_path): "HERE"})
 
 
-@pytest.mark.parametrize(
-    ("code", "attribute", "problem"),
-    [
-        ("class Law: pass", "Law", "does not load as a controller: it has no method step"),
-        ("1 / 0", "Law", "does not load: ZeroDivisionError: division by zero"),
-        (GOOD, "Lwa", "does not load: AttributeError"),
-        ("import nowhere_at_all", "Law", "does not load: No module named 'nowhere_at_all'"),
-    ],
-)
-def test_an_entry_point_that_cannot_be_used(
-    code: str, attribute: str, problem: str, module: Callable[[str], str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_entry_point_that_cannot_be_used(module: Callable[[str], str], monkeypatch: pytest.MonkeyPatch) -> None:
     """It exists: to say that there is no such controller would send its author the wrong way."""
-    value = f"{module(code)}:{attribute}"
-    point = EntryPoint("my-law", value, loading.LAWS)
-    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point])
-    with pytest.raises(ScenarioError) as refused:
-        scenario("controller=my-law")
-    assert f"controller.law: my-law: its entry point {value} {problem}" in str(refused.value)
+    hide: dict[str, str] = {}
+
+    def load(attribute: str, change: str) -> None:
+        written = module(changed(change))
+        hide[written] = "mine"
+        point = EntryPoint("my-law", f"{written}:{attribute}", loading.LAWS)
+        monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point])
+        loading.installed.cache_clear()
+        with pytest.raises(ScenarioError) as refused:
+            scenario("controller=my-law")
+        raise AgentError(refused.value.problems[0].message)
+
+    check_refusals("agents/entry points", load, hide=hide)
 
 
 @pytest.mark.parametrize("name", [s.name for s in (*HEARD, *COMMANDED)])
@@ -253,7 +235,7 @@ def test_a_guidance_law_leaves_our_signals_alone(name: str, module: Callable[[st
 
 def test_what_a_module_prints_is_no_data(module: Callable[[str], str]) -> None:
     name = module("print('imported')\n" + GOOD)
-    result = CliRunner().invoke(cli, ["run", "paper", "--set", f"controller={name}:Law", "--show-config"])
+    result = command("run", "paper", "--set", f"controller={name}:Law", "--show-config")
     assert "imported" not in result.stdout
     assert result.stderr == "imported\n"
 
@@ -328,58 +310,43 @@ def test_a_parameter_may_have_any_name(name: str, module: Callable[[str], str]) 
     assert make_agent(replace(agent_config(1), controller=law)).step(nav(0), []).tau[0] == 3.0
 
 
-EXPECTED = "(tau1, tau2, tau3)"
-FAILURES = {
-    "raises": ("1 / 0", "Law raised ZeroDivisionError: division by zero", 10),
-    "raises in json": ("json.loads('')", "Law raised JSONDecodeError: Expecting value", 10),
-    "raises in numpy": ("np.linalg.inv(np.zeros((2, 2)))", "Law raised LinAlgError: Singular matrix", 10),
-    "exits": ("raise SystemExit(0)", "Law raised SystemExit: 0", 10),
-    "cancels": ("raise asyncio.CancelledError", "Law raised CancelledError", 10),
-    "lines": ("raise ValueError('one\\ntwo')", "Law raised ValueError: one two", 10),
-    "long": ("raise ValueError('x' * 10_000)", f"Law raised ValueError: {'x' * 300}... (", 10),
-    "nan": ("return (float('nan'), 0.0, 0.0), {'a': 0.0}", "(nan, 0.0, 0.0): every number must be finite", 8),
-    "two numbers": ("return (1.0, 2.0), {'a': 0.0}", "(1.0, 2.0): expected three numbers", 8),
-    "no tuple": ("return None", f"returned None: expected ({EXPECTED}, telemetry)", 8),
-    "text": ("return '123', {'a': 0.0}", "'123': expected three numbers", 8),
-    "texts": ("return (1.0, 2.0, 3.0, 'x'), {'a': 0.0}", "'x'): expected three numbers", 8),
-    "a set": ("return {3.0, 1.0, 2.0}, {'a': 0.0}", "expected three numbers", 8),
-    "too large": ("return (10**400, 0.0, 0.0), {'a': 0.0}", "expected three numbers", 8),
-    "late": ("return (1 / 0 for _ in range(3)), {'a': 0.0}", "<generator object Law.step.<locals>.<genexpr>>: expe", 8),
-    "endless": ("return itertools.count(), {'a': 0.0}", "returned (tau1, tau2, tau3) count(", 8),
-    "missing": ("return (1.0, 0.0, 0.0), {}", "returned telemetry that lacks a", 8),
-    "unknown": ("return (1.0, 0.0, 0.0), {'a': 0.0, 'b': 1.0}", "returned telemetry that adds b", 8),
-    "bad telemetry": ("return (1.0, 0.0, 0.0), {'a': (1.0, 2.0)}", "returned a = (1.0, 2.0): expected a number", 8),
-    "telemetry text": ("return (1.0, 0.0, 0.0), {'a': '5'}", "returned a = '5': expected a number", 8),
-    "infinite telemetry": ("return (1.0, 0.0, 0.0), {'a': 1e999}", "returned a = inf: every number must be finite", 8),
-}  # fmt: skip
+FAILURES = words_of("agents/failing laws")
 
 
-@pytest.mark.parametrize("kind", FAILURES)
+def broken(s: Scenario, folder: Path) -> None:
+    """Make a run that must break, and raise why it did."""
+    result = run(s, folder)
+    assert result.status is Status.BROKEN
+    raise RunBroken(result.reason)
+
+
 def test_failures_name_vehicle_tick_and_line(
-    kind: str, module: Callable[[str], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    module: Callable[[str], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The line is the user's own, also if what raised was a library that he called."""
     monkeypatch.chdir(tmp_path)
-    line, words, number = FAILURES[kind]
-    name = module(failing(20, line))
-    result = run(scenario(f"controller={name}:Law"), tmp_path)
-    assert result.status is Status.BROKEN
-    assert result.reason.startswith("agent 2, tick 20: Law ")
-    assert words in result.reason
-    assert result.reason.endswith(f"({name}.py:{number})")
+    hide: dict[str, str] = {}
+
+    def fail(line: str) -> None:
+        name = module(failing(20, line))
+        hide[name] = "mine"
+        broken(scenario(f"controller={name}:Law"), tmp_path)
+
+    check_refusals("agents/failing laws", fail, hide=hide)
 
 
-@pytest.mark.parametrize("kind", ["exits", *slow("raises", "nan", "two numbers", "unknown")])
-def test_failures_abort_a_distributed_run(kind: str, module: Callable[[str], str], tmp_path: Path) -> None:
+WRONG = ("return (float('nan'), 0.0, 0.0), {'a': 0.0}", "return (1.0, 0.0, 0.0), {'a': 0.0, 'b': 1.0}")
+
+
+@pytest.mark.parametrize("line", ["raise SystemExit(0)", *slow("1 / 0", "return None", *WRONG)])
+def test_failures_abort_a_distributed_run(line: str, module: Callable[[str], str], tmp_path: Path) -> None:
     """Whatever a law does, `sys.exit(0)` too: a run whose controller failed has not passed."""
-    line, words, number = FAILURES[kind]
     name = module(failing(20, line))
     result = run(scenario(f"controller={name}:Law"), tmp_path, in_process=False)
     assert result.status is Status.BROKEN
     (note,) = [line for line in result.lines if "controller failed" in line]
-    assert "agent 2, tick 20: Law " in note
-    assert words in note
-    assert note.endswith(f"{name}.py:{number})")
+    said, _, place = FAILURES[line].partition(" (mine")
+    assert said in note and note.endswith(f"{name}{place}")
     assert result.reason.startswith("agent 2 (pid ")
     assert json.loads((result.directory / "result.json").read_text("utf-8"))["exit"] == 3
 
@@ -409,12 +376,11 @@ def test_a_law_that_cannot_say_what_it_remembers_is_named(
 def test_coasting_is_the_same_in_processes(module: Callable[[str], str], tmp_path: Path) -> None:
     """Every kind of failure at once, one per vehicle, at different ticks: the run goes on, each vehicle without
     thrust from there on, and the log has the same bytes distributed as in one process."""
-    kinds = list(FAILURES)
     choices = [
-        f"per_vehicle.{i}.controller={module(failing(10 + i, FAILURES[kind][0], vehicle=i))}:Law"
-        for i, kind in enumerate(kinds, start=1)
+        f"per_vehicle.{i}.controller={module(failing(10 + i, line, vehicle=i))}:Law"
+        for i, line in enumerate(FAILURES, start=1)
     ]
-    s = scenario(*choices, "on_controller_error=coast", f"vehicles={len(kinds)}", "initial={scatter: 1 m}")
+    s = scenario(*choices, "on_controller_error=coast", f"vehicles={len(FAILURES)}", "initial={scatter: 1 m}")
     alone, result = run(s, tmp_path), run(s, tmp_path, in_process=False)
     assert alone.status is result.status is Status.PASS
     assert same_bytes(alone, result)
@@ -422,13 +388,12 @@ def test_coasting_is_the_same_in_processes(module: Callable[[str], str], tmp_pat
     for done in (alone, result):
         told = json.loads((done.directory / "result.json").read_text("utf-8"))["notes"]
         notes[done.directory] = sorted(told)
-        assert len(told) == len(kinds)
+        assert len(told) == len(FAILURES)
     assert notes[alone.directory] == notes[result.directory]
-    for i, kind in enumerate(kinds, start=1):
-        words, tick = FAILURES[kind][1].removesuffix(" ("), 10 + i
+    for i, words in enumerate(FAILURES.values(), start=1):
+        said, tick = words.removeprefix("agent 2, tick 20: ").rpartition(" (mine")[0], 10 + i
         (note,) = [n for n in notes[alone.directory] if f" agent {i}: " in n]
-        assert note.startswith(f"t = {tick / 100:.2f} s (tick {tick}) agent {i}: Law ")
-        assert words in note
+        assert note.startswith(f"t = {tick / 100:.2f} s (tick {tick}) agent {i}: {said}")
         assert "; it is not called again, the vehicle coasts" in note
         taus = [tuple(m.tau) for _, m in logged(alone, f"uuv/{i}/command")]
         assert taus == [(1.0, 0.0, 0.0)] * tick + [(0.0, 0.0, 0.0)] * (50 - tick)
@@ -438,7 +403,7 @@ def test_coasting_is_the_same_in_processes(module: Callable[[str], str], tmp_pat
 def test_a_failure_on_the_command_line(module: Callable[[str], str], tmp_path: Path) -> None:
     name = module(failing(20, "1 / 0"))
     choice = ["--set", f"controller={name}:Law", "--set", "checks={}", "--duration", "500 ms"]
-    result = CliRunner().invoke(cli, ["run", "paper", *choice, "--in-process", "--quiet", "--out", str(tmp_path)])
+    result = command("run", "paper", *choice, "--in-process", "--quiet", "--out", str(tmp_path))
     assert (result.exit_code, result.stdout) == (3, f"{(tmp_path / 'latest').resolve()}\n")
     assert result.stderr.startswith("fleet: agent 2, tick 20: Law raised ZeroDivisionError: division by zero (")
 
@@ -554,9 +519,9 @@ def test_templates_run(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.chdir(tmp_path)
     name = f"my_{kind}_law"
     arguments = ["new", "controller", name, "--kind", kind, "--dir", str(tmp_path / "the laws")]
-    written = CliRunner().invoke(cli, arguments, catch_exceptions=False)
+    written = command(*arguments)
     assert written.exit_code == 0
-    again = CliRunner().invoke(cli, arguments)
+    again = command(*arguments)
     assert again.exit_code == 2
     assert "is there already" in again.output
     *_, path = shlex.split(written.stdout)  # the command that it tells to type
@@ -591,7 +556,7 @@ def test_a_whole_agent_sends_what_it_likes(tmp_path: Path, monkeypatch: pytest.M
     """Its payload is its own: twelve bytes here, which our codec would refuse. Distributed as in one process."""
     monkeypatch.chdir(tmp_path)
     arguments = ["new", "controller", "whole_agent", "--kind", "agent", "--dir", str(tmp_path)]
-    assert CliRunner().invoke(cli, arguments, catch_exceptions=False).exit_code == 0
+    assert command(*arguments).exit_code == 0
     s = load_scenario(str(tmp_path / "whole_agent.yaml"), ["duration=1 s", "checks={}"])
     alone, result = run(s, tmp_path), run(s, tmp_path, in_process=False)
     assert same_bytes(alone, result)
@@ -600,29 +565,21 @@ def test_a_whole_agent_sends_what_it_likes(tmp_path: Path, monkeypatch: pytest.M
     assert not logged(alone, "uuv/1/guidance")
 
 
-@pytest.mark.parametrize(
-    ("sends", "does", "words"),
-    [
-        ("['text']", "(0.0, 0.0, 0.0), {}", "expected a list of bytes"),
-        ("[b'x' * 50_000]", "(0.0, 0.0, 0.0), {}", "at most 40000 fit into a round"),
-        ("[]", "(0.0, 0.0, 1e999), {}", "(0.0, 0.0, inf): every number must be finite"),
-        ("[]", "(10**400, 0.0, 0.0), {}", "expected three numbers"),
-        ("[]", "None", f"expected ({EXPECTED}, telemetry)"),
-    ],
-)
-def test_a_whole_agent_that_answers_nonsense(
-    sends: str, does: str, words: str, module: Callable[[str], str], tmp_path: Path
-) -> None:
-    name = module(f"""\
-        class Law:
-            signals = ()
-            def __init__(self, config): pass
-            def transmit(self, nav): return {sends}
-            def decide(self, nav, deliveries): return {does}
-    """)
-    result = run(scenario(f"agent={name}:Law"), tmp_path)
-    assert result.reason.startswith("agent 1, tick 0: Law returned ")
-    assert words in result.reason
+def test_a_whole_agent_that_answers_nonsense(module: Callable[[str], str], tmp_path: Path) -> None:
+    hide = {f"{tmp_path}/": ""}
+
+    def answer(sends: str, does: str) -> None:
+        name = module(f"""\
+            class Law:
+                signals = ()
+                def __init__(self, config): pass
+                def transmit(self, nav): return {sends}
+                def decide(self, nav, deliveries): return {does}
+        """)
+        hide[name] = "mine"
+        broken(scenario(f"agent={name}:Law"), tmp_path)
+
+    check_refusals("agents/nonsense of whole agents", answer, hide=hide)
 
 
 @pytest.mark.parametrize(("method", "rounds"), [("transmit", 2), ("decide", 3)])
@@ -649,7 +606,7 @@ def test_a_whole_agent_that_fails_coasts(
 @pytest.mark.parametrize("name", ["json", "numpy", "fleet"])
 def test_a_template_is_not_hidden_by_another_module(name: str, tmp_path: Path) -> None:
     """What is installed is found before what lies beside a scenario."""
-    result = CliRunner().invoke(cli, ["new", "controller", name, "--dir", str(tmp_path)])
+    result = command("new", "controller", name, "--dir", str(tmp_path))
     assert result.exit_code == 2
     assert f"Python has a module '{name}' already (" in result.output
     assert not os.listdir(tmp_path)
@@ -659,7 +616,7 @@ def test_a_template_is_not_hidden_by_another_module(name: str, tmp_path: Path) -
 def test_a_template_may_have_any_other_name(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also one that YAML, Python or the template has another use for."""
     monkeypatch.chdir(tmp_path)
-    assert CliRunner().invoke(cli, ["new", "controller", name, "--dir", str(tmp_path)]).exit_code == 0
+    assert command("new", "controller", name, "--dir", str(tmp_path)).exit_code == 0
     assert sorted(os.listdir(tmp_path)) == [f"{name}.py", f"{name}.yaml"]
     s = load_scenario(tmp_path / f"{name}.yaml", ["duration=100 ms", "checks={}"])
     assert run(s, tmp_path).status is Status.PASS

@@ -7,23 +7,22 @@ import hashlib
 import os
 import random
 import shutil
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from textwrap import dedent
 
 import pytest
-from click.testing import CliRunner, Result
 from marks import slow
 from repository import MODULES, ROOT, tree
+from spawned import python
+from tool import command as invoke
 
 import fleet
 from agents.config import Law
 from agents.join import _admit
 from agents.join_file import JoinError
 from agents.plugins import laws
-from fleet.cli.main import cli
 from fleet.errors import ScenarioError
 from fleet.pictures.gallery import WHAT
 from fleet.pictures.runs import load
@@ -94,8 +93,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     folder = tmp_path_factory.mktemp("stranger")
     name = write_laws(folder)
     (folder / "s.yaml").write_text(SCENARIO.format(name))
-    command = [sys.executable, "-P", "-m", "fleet", "run", "s.yaml", "--in-process", "-q"]
-    ran = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120)
+    ran = python("-P", "-m", "fleet", "run", "s.yaml", "--in-process", "-q", cwd=folder)
     assert ran.returncode == 0, ran.stderr
     return (folder / "runs" / "latest").resolve() / "run.mcap", name
 
@@ -116,8 +114,9 @@ def victim(recorded: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.Monke
     return str(log), tmp_path / f"{name}.mark", name
 
 
-def invoke(*arguments: str) -> Result:
-    return CliRunner().invoke(cli, list(arguments))
+def assert_refused(words: str, *arguments: object) -> None:
+    found = invoke(*arguments)
+    assert found.exit_code == 2 and words in found.stderr, found.output
 
 
 # --- reading -----------------------------------------------------------------
@@ -165,8 +164,7 @@ def test_a_matplotlibrc_that_lies_about_does_not_count(victim: tuple[str, Path, 
     """It could have LaTeX run over the names in a log, and no picture would repeat."""
     log, mark, _ = victim
     (mark.parent / "matplotlibrc").write_text("text.usetex: True\n")
-    command = [sys.executable, "-P", "-m", "fleet", "plot", log, "--what", "error", "-o", "plots"]
-    drawn = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    drawn = python("-P", "-m", "fleet", "plot", log, "--what", "error", "-o", "plots")
     assert drawn.returncode == 0, drawn.stderr
 
 
@@ -177,7 +175,7 @@ def test_replay_knows_no_scenario() -> None:
         "fleet.replay.capture, fleet.logs.info, fleet.execution.connection, fleet.logs.recover, fleet.logs.deviation; "
         "sys.exit('fleet.scenario.scenario' in sys.modules)"
     )
-    assert subprocess.run([sys.executable, "-P", "-c", code], timeout=120).returncode == 0
+    assert python("-P", "-c", code).returncode == 0
 
 
 def test_nothing_is_unpickled() -> None:
@@ -205,9 +203,7 @@ RUNNING = (["verify", "LOG"], ["whatif", "LOG", "--agent", "1"], ["run", "--from
 
 def test_why_runs_no_module_of_mine_unasked(victim: tuple[str, Path, str]) -> None:
     log, mark, name = victim
-    refused = invoke("why", log)
-    assert refused.exit_code == 2
-    assert f"would run {name}.py, which is not installed, and a log names it" in refused.stderr
+    assert_refused(f"would run {name}.py, which is not installed, and a log names it", "why", log)
     assert not mark.exists()
     assert "every check passed" in " ".join(invoke("why", log, "--trust").stderr.split())
 
@@ -255,16 +251,14 @@ def test_what_does_not_run_needs_no_trust(victim: tuple[str, Path, str]) -> None
     mine = write_laws(mark.parent)
     assert invoke("whatif", log, "--agent", "1", "--controller", f"{mine}:Main").exit_code == 0
     assert (mark.parent / f"{mine}.mark").exists()
-    again = invoke("run", "--from", log, "--set", f"controller={mine}:Main", "-q")
-    assert again.exit_code == 2 and "per_vehicle.2.guidance.law" in again.stderr
+    assert_refused("per_vehicle.2.guidance.law", "run", "--from", log, "--set", f"controller={mine}:Main", "-q")
     assert not mark.exists()
 
 
 def test_installed_laws_run(victim: tuple[str, Path, str], monkeypatch: pytest.MonkeyPatch) -> None:
     log, mark, name = victim
     mark.with_suffix(".py").unlink()
-    missing = invoke("verify", log)
-    assert missing.exit_code == 2 and f"there is no module '{name}'" in missing.stderr
+    assert_refused(f"there is no module '{name}'", "verify", log)
     monkeypatch.syspath_prepend(str(mark.parent / "site"))
     write_laws(mark.parent / "site", name)
     assert invoke("verify", log).exit_code == 0
@@ -273,17 +267,14 @@ def test_installed_laws_run(victim: tuple[str, Path, str], monkeypatch: pytest.M
 def test_with_python_first_in_the_current_directory(victim: tuple[str, Path, str]) -> None:
     """`python -m fleet` finds modules there before all others: they are no more installed for that."""
     log, mark, _ = victim
-    command = [sys.executable, "-m", "fleet", "verify", log]
-    refused = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    refused = python("-m", "fleet", "verify", log)
     assert refused.returncode == 2 and "would run" in refused.stderr
     assert not mark.exists()
 
 
 def test_a_python_path_is_the_user_s_word(victim: tuple[str, Path, str]) -> None:
     log, mark, _ = victim
-    command = [sys.executable, "-P", "-m", "fleet", "verify", log]
-    environment = os.environ | {"PYTHONPATH": str(mark.parent)}
-    ran = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+    ran = python("-P", "-m", "fleet", "verify", log, environment={"PYTHONPATH": str(mark.parent)})
     assert ran.returncode == 0, ran.stderr
     assert mark.exists()
 
@@ -315,9 +306,8 @@ def test_agents_get_what_was_allowed(tmp_path: Path, monkeypatch: pytest.MonkeyP
     for folder, more in ((tmp_path / "laws", ["run"]), (tmp_path.parent / f"{tmp_path.name}-else", ["run", "--trust"])):
         name = write_laws(folder)
         (folder / "s.yaml").write_text(small(name))
-        for start in ([sys.executable, "-P", "-m"], [sys.executable, "-m"]):
-            command = [*start, "fleet", *more, os.path.relpath(folder / "s.yaml"), "-q"]
-            ran = subprocess.run(command, capture_output=True, text=True, timeout=120)
+        for start in (["-P", "-m"], ["-m"]):
+            ran = python(*start, "fleet", *more, os.path.relpath(folder / "s.yaml"), "-q")
             assert ran.returncode == 0, ran.stderr
 
 
@@ -331,9 +321,8 @@ def test_a_scenario_from_elsewhere(where: str, tmp_path: Path, monkeypatch: pyte
     name = write_laws(there if where == "beside it" else here)
     (there / "s.yaml").write_text(small(name))
     for arguments in (["run", "-q"], ["protocol", "check", "--id", "1", "--scenario"]):
-        refused = invoke(*arguments, "../there/s.yaml")
-        assert refused.exit_code == 2
-        assert "and the scenario that names it lies outside of the current directory" in refused.stderr
+        words = "and the scenario that names it lies outside of the current directory"
+        assert_refused(words, *arguments, "../there/s.yaml")
     checked = invoke("check", "../there/s.yaml")
     assert checked.exit_code == 0
     assert "valid as far as it was checked" in checked.stdout
@@ -355,8 +344,7 @@ def test_below_the_current_directory_it_reaches_for_nothing_above(
     name = write_laws(tmp_path)
     (tmp_path / "unpacked").mkdir()
     (tmp_path / "unpacked" / "s.yaml").write_text(small(name))
-    refused = invoke("run", "unpacked/s.yaml", "-q")
-    assert refused.exit_code == 2 and "the scenario is not beside it" in refused.stderr
+    assert_refused("the scenario is not beside it", "run", "unpacked/s.yaml", "-q")
     assert not (tmp_path / f"{name}.mark").exists()
 
 
@@ -371,8 +359,7 @@ def test_the_scenario_of_a_run_is_a_record(
         (tmp_path / "run" / gone).unlink(missing_ok=True)
         for folder, file in ((tmp_path, "run/scenario.yaml"), (tmp_path / "run", "scenario.yaml")):
             monkeypatch.chdir(folder)
-            refused = invoke("run", file, "-q")
-            assert refused.exit_code == 2 and "is the record of a run" in refused.stderr
+            assert_refused("is the record of a run", "run", file, "-q")
     assert not (tmp_path / "run" / f"{name}.mark").exists()
 
 
@@ -458,8 +445,9 @@ def test_the_children_take_nothing_from_the_current_directory(tmp_path: Path) ->
     """The forkserver is a `python -c`: it took any `selectors.py` that lay about for Python's own."""
     for name in ("selectors", "socket", "signal", "agents", "netem"):
         (tmp_path / f"{name}.py").write_text("from pathlib import Path; Path(__file__).with_suffix('.mark').touch()")
-    command = [sys.executable, "-P", "-m", "fleet", "run", "paper", "--duration", "200 ms", "--set", "checks={}", "-q"]
-    ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    ran = python(
+        *["-P", "-m", "fleet", "run", "paper", "--set", "duration=200ms", "--set", "checks={}", "-q"], cwd=tmp_path
+    )
     assert ran.returncode == 0, ran.stderr
     assert not list(tmp_path.glob("*.mark"))
 

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import subprocess
-import sys
 import zipfile
 from collections.abc import Callable
 from importlib.machinery import PathFinder
@@ -13,11 +10,13 @@ from pathlib import Path
 
 import pytest
 from repository import ROOT
+from spawned import python
 
 from fleet import packages
 from fleet.packages import damaged, foreign
 
 NAMES = ("agents", "world", "netem")
+OURS = ("-c", "from fleet.__main__ import main; main()")
 THEIRS = "raise RuntimeError('theirs has run')\n"
 
 
@@ -42,19 +41,6 @@ def distribution(folder: Path, package: str) -> Path:
 def at(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the packages be looked for in one place only."""
     monkeypatch.setattr(packages, "find_spec", lambda name: PathFinder.find_spec(name, [str(place)]))
-
-
-def python(*arguments: str, path: Path) -> subprocess.CompletedProcess[str]:
-    environment = os.environ | {"PYTHONPATH": str(path)}
-    return subprocess.run(
-        [sys.executable, *arguments],
-        env=environment,
-        cwd=path,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
 
 
 def test_ours_are_ours_wherever_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -93,7 +79,7 @@ def test_what_is_not_ours_is_named(
 @pytest.mark.parametrize("name", NAMES)
 def test_the_command_says_whose_it_is(name: str, tmp_path: Path) -> None:
     """In one line, without running anything of theirs."""
-    done = python("-c", "from fleet.__main__ import main; main()", "list", path=distribution(tmp_path, name))
+    done = python(*OURS, "list", cwd=distribution(tmp_path, name), environment={"PYTHONPATH": str(tmp_path)})
     assert (done.returncode, done.stdout) == (3, "")
     (line,) = done.stderr.splitlines()
     assert line.startswith(f"fleet: the package {name} in {tmp_path / name} is that of impostor, or mixed ")
@@ -103,7 +89,7 @@ def test_files_that_are_missing_within_are_noticed_where_they_are_imported(tmp_p
     """Somebody else's package was in the same place, and was taken away with the files that both had."""
     shutil.copytree(ROOT / "agents", tmp_path / "agents", ignore=shutil.ignore_patterns("__pycache__"))
     (tmp_path / "agents" / "plugins" / "laws.py").unlink()
-    done = python("-c", "from fleet.__main__ import main; main()", "check", "paper", path=tmp_path)
+    done = python(*OURS, "check", "paper", cwd=tmp_path, environment={"PYTHONPATH": str(tmp_path)})
     assert (done.returncode, len(done.stderr.splitlines())) == (3, 1), done.stderr
     assert "not whole: No module named 'agents.plugins.laws'; install uuv-fleet into " in done.stderr
     assert damaged(ImportError("no module", name="numpy")) == damaged(ImportError("no module")) == ""
@@ -112,9 +98,10 @@ def test_files_that_are_missing_within_are_noticed_where_they_are_imported(tmp_p
 def test_a_plug_in_notices_it_at_its_first_import(tmp_path: Path) -> None:
     """What is left of ours beside somebody else's files would seem to work."""
     shutil.copytree(ROOT / "agents", tmp_path / "agents", ignore=shutil.ignore_patterns("__pycache__"))
+    there = {"cwd": tmp_path, "environment": {"PYTHONPATH": str(tmp_path)}}
     for begin, status in (('"""Agents: ours."""', 0), ("import logging", 1)):
         (tmp_path / "agents" / "__init__.py").write_text(f"{begin}\n")
-        done = python("-c", "import agents.api", path=tmp_path)
+        done = python("-c", "import agents.api", **there)
         assert done.returncode == status, done.stderr
     assert done.stderr.splitlines()[-1].startswith(f"ImportError: the package agents in {tmp_path / 'agents'} is not ")
-    assert python("-OO", "-c", "import agents.api", path=tmp_path).returncode == 0  # there docstrings are not kept
+    assert python("-OO", "-c", "import agents.api", **there).returncode == 0  # there docstrings are not kept

@@ -18,10 +18,11 @@ import pytest
 from live_directory import live_directory
 from marks import slow
 from repository import ROOT
+from spawned import python
+from tool import command
 
 from agents.join_file import JoinError, JoinFile
 from fleet.analysis.stability import oldest_s
-from fleet.cli.main import cli
 from fleet.errors import FleetError, ScenarioError
 from fleet.execution.connection import live_runs
 from fleet.execution.execute import execute
@@ -58,9 +59,7 @@ def test_a_pipe_is_no_input(pipe: Path) -> None:
         "import sys; sys.path[:0] = ['tests/fuzz', 'tests/support'];"
         "import test_strange_files as t; from pathlib import Path; t.read_all(Path(sys.argv[1]))"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(pipe)], cwd=ROOT, capture_output=True, text=True, check=False, timeout=120
-    )
+    done = python("-c", code, pipe, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     said = done.stdout.splitlines()
     assert len(said) == 7
@@ -312,13 +311,12 @@ def test_results_of_earlier_and_later_versions(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("text", ["", "[]", "null", "{", '{"endpoint": 5}', '{"run": "a/b"}', "[" * 100_000, "PIPE"])
 def test_no_observe_file_crashes_a_recorder(text: str, tmp_path: Path) -> None:
-    from click.testing import CliRunner
 
     with live_directory(tmp_path) as run:
         if text == "PIPE":
             os.mkfifo(run / "observe.json")
         else:
             (run / "observe.json").write_text(text)
-        done = CliRunner().invoke(cli, ["record", "--run", str(run), "-o", str(tmp_path / "x.mcap")])
+        done = command("record", "--run", run, "-o", tmp_path / "x.mcap")
     assert done.exit_code == 2
     assert "is no live run that is published: there is no usable observe.json" in " ".join(done.output.split())

@@ -92,10 +92,6 @@ def test_one_payload_is_one_broadcast() -> None:
     assert netem.entered[1, 2] == netem.entered[1, 3] == (1, 0)
 
 
-def test_only_graph_neighbours_decode() -> None:
-    assert causes(run(channel(links=((1, 2),)), [{1: (b"a",)}, {}])) == {(1, 2): ["delivered"]}
-
-
 def test_preamble_and_bit_rate_make_the_airtime() -> None:
     slow = replace(MODEM, bit_rate=80.0, preamble=1.0)
     assert slow.airtime_ns(15) == 2_500_000_000
@@ -172,72 +168,79 @@ def test_a_modem_that_talks_does_not_begin_again() -> None:
     assert [(f.sent_tick, f.due_tick) for f in fates if f.dst == 2] == [(0, 129), (100, 137)]
 
 
-def test_range() -> None:
-    far = CLOSE | {3: (3001.0, 0.0, 0.0)}
-    found = causes(run(channel(), [{1: (b"a",)}, {}, {}, {}], far))
-    assert found == {(1, 2): ["delivered"], (1, 3): ["range"]}
+ORIGIN = (0.0, 0.0, 0.0)
+ROW = {1: ORIGIN, 2: (30.0, 0.0, 0.0), 3: (60.0, 0.0, 0.0)}
+HALF = AcousticConfig(replace(MODEM, bit_rate=400.0))
+TO_2: dict[str, Any] = {"links": ((1, 2),)}
+BOTH_TO_2: dict[str, Any] = {"links": ((1, 2), (3, 2))}
+TEN: Traffic = {1: (bytes(10),), 3: (bytes(10),)}
+TWENTY: Traffic = {i: (bytes(20),) for i in (1, 3, 4)}
+ONE: Traffic = {1: (b"a",)}
 
 
-def test_half_duplex() -> None:
-    """All three talk at tick 0: whoever listens is talking."""
-    found = causes(run(channel(), [{i: (bytes(10),) for i in (1, 2, 3)}, {}]))
-    assert found == {link: ["half duplex"] for link in ALL}
+def fault(kind: Any, *links: Link, begin: int = 0, end: int | None = 100, **more: Any) -> dict[str, Any]:
+    return {"faults": (NetFault("f", begin, end, kind, links, **more),)}
 
 
-def test_half_duplex_counts_any_part_of_it() -> None:
-    """3 hears 1 from tick 2 to 12; its own word of one tick ends at 1, or at 3."""
-    for size, cause in ((1, "delivered"), (2, "delivered"), (3, "half duplex")):
-        assert causes(run(channel(links=((1, 3),)), [{1: (bytes(10),), 3: (bytes(size),)}, {}])) == {(1, 3): [cause]}
+def at_2(x: float) -> Places:
+    """1 is 10 m from 2, and 3 so far on its other side."""
+    return {1: ORIGIN, 2: (10.0, 0.0, 0.0), 3: (10.0 + x, 0.0, 0.0)}
 
 
-def test_collision_of_equals_loses_both() -> None:
-    places = {1: (0.0, 0.0, 0.0), 2: (30.0, 0.0, 0.0), 3: (60.0, 0.0, 0.0)}
-    found = causes(run(channel(links=((1, 2), (3, 2))), [{1: (bytes(10),), 3: (bytes(10),)}, {}], places))
-    assert found == {(1, 2): ["collision"], (3, 2): ["collision"]}
+def around(*talkers: int) -> tuple[list[Traffic], Places]:
+    """Of 3 and 4 each alone is 11 dB below 1, and the two together 8 dB."""
+    places = {1: ORIGIN, 2: (10.0, 0.0, 0.0), 3: (64.0, 0.0, 0.0), 4: (10.0, 54.0, 0.0)}
+    return [{i: TWENTY[i] for i in talkers}], places
 
 
-def test_capture_saves_the_stronger() -> None:
-    """15 log10(10) = 15 dB louder is enough, 15 log10(4) = 9 dB is not."""
-    for distance, cause in ((100.0, "delivered"), (40.0, "collision")):
-        places = {1: (0.0, 0.0, 0.0), 2: (10.0, 0.0, 0.0), 3: (10.0 + distance, 0.0, 0.0)}
-        found = causes(run(channel(links=((1, 2), (3, 2))), [{1: (bytes(20),), 3: (bytes(20),)}, {}], places))
-        assert found == {(1, 2): [cause], (3, 2): ["collision"]}
+FOUR: dict[str, Any] = {**TO_2, "vehicles": (1, 2, 3, 4)}
+LOUD: dict[str, Any] = {**TO_2, "acoustic": AcousticConfig(replace(MODEM, capture=40.0))}
+NEAR_ONLY: dict[str, Any] = {**TO_2, "acoustic": AcousticConfig(replace(MODEM, interference_range=29.0))}
+WELL, BOTH_WELL = {(1, 2): "delivered"}, {(1, 2): "delivered", (1, 3): "delivered"}
+HISTORIES: dict[str, tuple[dict[str, Any], list[Traffic], Places, dict[Link, str]]] = {
+    "only graph neighbours decode": (TO_2, [ONE], CLOSE, WELL),
+    "range": ({}, [ONE, {}, {}], CLOSE | {3: (3001.0, 0.0, 0.0)}, {(1, 2): "delivered", (1, 3): "range"}),
+    "all three talk": ({}, [{i: (bytes(10),) for i in (1, 2, 3)}], CLOSE, dict.fromkeys(ALL, "half duplex")),
+    # 3 hears 1 from tick 2 to 12; its own word of one tick ends at 1, or at 3.
+    **{f"3 talks for {n} ticks": ({"links": ((1, 3),)}, [{1: (bytes(10),), 3: (bytes(n),)}], CLOSE, {(1, 3): told})
+       for n, told in ((1, "delivered"), (2, "delivered"), (3, "half duplex"))},
+    "equals": (BOTH_TO_2, [TEN], ROW, {(1, 2): "collision", (3, 2): "collision"}),
+    # 15 log10(10) = 15 dB louder is enough, 15 log10(4) = 9 dB is not.
+    "15 dB louder": (BOTH_TO_2, [TWENTY], at_2(100.0), {(1, 2): "delivered", (3, 2): "collision"}),
+    "9 dB louder": (BOTH_TO_2, [TWENTY], at_2(40.0), {(1, 2): "collision", (3, 2): "collision"}),
+    "one interferer": (FOUR, *around(1, 3), WELL),
+    "another": (FOUR, *around(1, 4), WELL),
+    "they add up": (FOUR, *around(1, 3, 4), {(1, 2): "collision"}),
+    # 1 at 2 from tick 1 to 11; 3 is heard there from tick 3 to 4, or from 13 on.
+    "a part": (LOUD, [{1: (bytes(10),), 3: (b"x",)}], CLOSE | {3: (60.0, 0.0, 0.0)}, {(1, 2): "collision"}),
+    "too late": (LOUD, [{1: (bytes(10),), 3: (b"x",)}], CLOSE | {3: (195.0, 0.0, 0.0)}, WELL),
+    # 3 talks from tick 0 to 128; 1 begins at tick 100, while 3's message still comes in.
+    "of an earlier round": ({"acoustic": HALF}, [{3: (bytes(64),)}, {1: (bytes(60),)}, {}], ROW, {
+        (1, 2): "collision", (3, 2): "collision", (3, 1): "half duplex", (1, 3): "half duplex"}),
+    "beyond the interference range": (NEAR_ONLY, [TEN], ROW, WELL),
+    "the muted make no noise": ({**TO_2, **fault("mute", vehicles=(3,))}, [TEN], ROW, WELL),
+    # A partition closes ears to words, not to noise.
+    "a cut link": ({**BOTH_TO_2, **fault("partition", (3, 2), (2, 3))}, [TEN], ROW,
+                   {(1, 2): "collision", (3, 2): "partition"}),
+    "mute": (fault("mute", vehicles=(1,)), [ONE], CLOSE, dict.fromkeys(BOTH_WELL, "mute")),
+    "mute between rounds": (fault("mute", begin=1, end=90, vehicles=(1,)), [ONE], CLOSE, BOTH_WELL),
+    "partition": (fault("partition", (1, 2)), [ONE], CLOSE, BOTH_WELL | {(1, 2): "partition"}),
+    "down": (fault("down", (1, 3)), [ONE], CLOSE, BOTH_WELL | {(1, 3): "down"}),
+    "deaf": (fault("deaf", vehicles=(2,)), [ONE], CLOSE, BOTH_WELL | {(1, 2): "deaf"}),
+    "loss": (fault("link", (1, 2), condition=Condition(loss=1.0)), [ONE], CLOSE, BOTH_WELL | {(1, 2): "loss"}),
+    "a link": (fault("link", (1, 2), condition=Condition(up=False)), [ONE], CLOSE, BOTH_WELL | {(1, 2): "down"}),
+}  # fmt: skip
 
 
-def test_interferers_add_up() -> None:
-    """Each alone is 11 dB below, the two together 8 dB."""
-    vehicles = (1, 2, 3, 4)
-    places = {1: (0.0, 0.0, 0.0), 2: (10.0, 0.0, 0.0), 3: (64.0, 0.0, 0.0), 4: (10.0, 54.0, 0.0)}
-    for talkers, cause in (((1, 3), "delivered"), ((1, 4), "delivered"), ((1, 3, 4), "collision")):
-        netem = channel(links=((1, 2),), vehicles=vehicles)
-        assert causes(run(netem, [{i: (bytes(20),) for i in talkers}, {}], places)) == {(1, 2): [cause]}
+@pytest.mark.parametrize("history", HISTORIES)
+def test_who_hears_whom(history: str) -> None:
+    made, traffic, places, found = HISTORIES[history]
+    assert causes(run(channel(**made), [*traffic, {}], places)) == {link: [cause] for link, cause in found.items()}
 
 
-def test_a_partial_overlap_is_a_collision() -> None:
-    """1 at 2 from tick 1 to 11. 3, as far, is heard from tick 1 on; 30 m further away from 3 to 4, or from 13 on."""
-    for north, cause in ((45.0, "collision"), (15.0 + 165.0, "delivered")):
-        places = {1: (0.0, 0.0, 0.0), 2: (15.0, 0.0, 0.0), 3: (north + 15.0, 0.0, 0.0)}
-        loud = AcousticConfig(replace(MODEM, capture=40.0))
-        netem = channel(loud, links=((1, 2),))
-        assert causes(run(netem, [{1: (bytes(10),), 3: (b"x",)}, {}], places)) == {(1, 2): [cause]}
-
-
-def test_an_interferer_of_an_earlier_round() -> None:
-    """3 talks from tick 0 to 128, 1 begins at tick 100, and both reach 2 at the same strength."""
-    acoustic = AcousticConfig(replace(MODEM, bit_rate=400.0))
-    places = {1: (0.0, 0.0, 0.0), 2: (30.0, 0.0, 0.0), 3: (60.0, 0.0, 0.0)}
-    found = causes(run(channel(acoustic), [{3: (bytes(64),)}, {1: (bytes(60),)}, {}, {}], places))
-    assert found[1, 2] == ["collision"]
-    assert found[3, 2] == ["collision"]
-    assert found[3, 1] == ["half duplex"]  # it began to talk while 3's message still came in
-    assert found[1, 3] == ["half duplex"]
-
-
-def test_an_interferer_beyond_the_interference_range_is_none() -> None:
-    places = {1: (0.0, 0.0, 0.0), 2: (30.0, 0.0, 0.0), 3: (60.0, 0.0, 0.0)}
-    deaf = AcousticConfig(replace(MODEM, interference_range=29.0))
-    netem = channel(deaf, links=((1, 2),))
-    assert causes(run(netem, [{1: (bytes(10),), 3: (bytes(10),)}, {}], places)) == {(1, 2): ["delivered"]}
+def test_up_lies_over_a_link_that_is_down() -> None:
+    netem = channel(**TO_2, conditions={(1, 2): Condition(up=False)}, **fault("up", (1, 2), begin=100, end=None))
+    assert causes(run(netem, [ONE, {1: (b"b",)}, {}]))[1, 2] == ["down", "delivered"]
 
 
 def test_noise_loses_what_the_formula_says() -> None:
@@ -251,54 +254,6 @@ def test_noise_loses_what_the_formula_says() -> None:
     fates = run(channel(quiet, ((1, 2),), vehicles=(1, 2)), [{1: (bytes(size),)}] * n + [{}, {}], places)
     count = sum(f.cause == "snr" for f in fates)
     assert abs(count / n - lost) < 3 * (lost * (1 - lost) / n) ** 0.5
-
-
-@pytest.mark.parametrize(
-    ("fault", "found"),
-    [
-        (NetFault("f", 0, 100, "mute", vehicles=(1,)), {(1, 2): "mute", (1, 3): "mute"}),
-        (NetFault("f", 0, 100, "partition", ((1, 2),)), {(1, 2): "partition", (1, 3): "delivered"}),
-        (NetFault("f", 0, 100, "down", ((1, 3),)), {(1, 2): "delivered", (1, 3): "down"}),
-        (NetFault("f", 0, 100, "deaf", vehicles=(2,)), {(1, 2): "deaf", (1, 3): "delivered"}),
-        (
-            NetFault("f", 0, 100, "link", ((1, 2),), condition=Condition(loss=1.0)),
-            {(1, 2): "loss", (1, 3): "delivered"},
-        ),
-        (
-            NetFault("f", 0, 100, "link", ((1, 2),), condition=Condition(up=False)),
-            {(1, 2): "down", (1, 3): "delivered"},
-        ),
-        (NetFault("f", 1, 90, "mute", vehicles=(1,)), {(1, 2): "delivered", (1, 3): "delivered"}),  # between rounds
-    ],
-)
-def test_faults_act_as_on_every_network(fault: NetFault, found: dict[Link, str]) -> None:
-    fates = run(channel(faults=(fault,)), [{1: (b"a",)}, {}])
-    assert causes(fates) == {link: [cause] for link, cause in found.items()}
-
-
-def test_the_muted_make_no_noise() -> None:
-    muted = NetFault("f", 0, 100, "mute", vehicles=(3,))
-    places = {1: (0.0, 0.0, 0.0), 2: (30.0, 0.0, 0.0), 3: (60.0, 0.0, 0.0)}
-    netem = channel(links=((1, 2),), faults=(muted,))
-    assert causes(run(netem, [{1: (bytes(10),), 3: (bytes(10),)}, {}], places)) == {(1, 2): ["delivered"]}
-
-
-def test_a_cut_link_still_suffers() -> None:
-    """A partition closes ears to words, not to noise."""
-    split = NetFault("f", 0, 100, "partition", ((3, 2), (2, 3)))
-    places = {1: (0.0, 0.0, 0.0), 2: (30.0, 0.0, 0.0), 3: (60.0, 0.0, 0.0)}
-    netem = channel(links=((1, 2), (3, 2)), faults=(split,))
-    found = causes(run(netem, [{1: (bytes(10),), 3: (bytes(10),)}, {}], places))
-    assert found == {(1, 2): ["collision"], (3, 2): ["partition"]}
-
-
-def test_up_lies_over_a_link_that_is_down() -> None:
-    netem = channel(
-        links=((1, 2),),
-        conditions={(1, 2): Condition(up=False)},
-        faults=(NetFault("f", 100, None, "up", ((1, 2),)),),
-    )
-    assert causes(run(netem, [{1: (b"a",)}, {1: (b"b",)}, {}]))[1, 2] == ["down", "delivered"]
 
 
 def test_slow_agents_hand_over_late() -> None:

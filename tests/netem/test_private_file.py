@@ -8,6 +8,7 @@ from typing import Annotated
 
 import msgspec
 import pytest
+from refusals import check_refusals
 
 from netem.private_file import DamagedFile, ExposedFile, parse_json, read_private
 
@@ -22,28 +23,10 @@ def test_what_it_says() -> None:
     assert parse_json(b'{"name": "a", "other": 1}', Known) == Known("a")
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ('{"count": 1}', "it has no 'name'"),
-        ('{"name": 1}', "name: expected str, got int"),
-        ('{"name": "a", "count": true}', "count: expected int, got bool"),
-        ('{"name": "a", "count": 0}', "count: expected int >= 1"),
-        ('{"name": "too long"}', "name: expected str of length <= 5"),
-        ('{"name": "a", "users": {"b": 3}}', "users[...]: expected a list, got int"),
-        ("[1]", "expected a map, got list"),
-        ("{", "not JSON"),
-        ("", "not JSON"),
-        ("NaN", "not JSON"),
-        ('{"name": "' + "\\ud800" + '"}', ""),
-        ('{"users": ' + '{"a":' * 100_000, ""),
-    ],
-)
-def test_what_is_refused(text: str, words: str) -> None:
-    with pytest.raises(DamagedFile) as caught:
-        parse_json(text.encode(), Known)
-    assert words in str(caught.value)
-    assert "`" not in str(caught.value)
+def test_what_is_refused() -> None:
+    check_refusals("netem/private files", lambda text: parse_json(text.encode(), Known))
+    with pytest.raises(DamagedFile):
+        parse_json(('{"users": ' + '{"a":' * 100_000).encode(), Known)
 
 
 def test_who_may_read_it(tmp_path: Path) -> None:

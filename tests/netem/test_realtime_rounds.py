@@ -20,15 +20,7 @@ from netem.main import RealtimeNetemProcess
 from netem.realtime_rounds import RealtimeRounds
 from netem.wire.codec import decode, encode
 from netem.wire.keys import Keys
-from netem.wire.messages import (
-    Arrival,
-    Delivery,
-    LinkReport,
-    Pace,
-    Receipt,
-    Round,
-    Transmission,
-)
+from netem.wire.messages import Arrival, Delivery, LinkReport, Pace, Receipt, Round, Transmission
 from netem.wire.shell import Item, request
 
 KEYS = Keys("5ea")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -11,8 +12,14 @@ from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario
+from fleet.scenario.text.overrides import Override
 
 Alone = Callable[..., Result]
+
+
+def recorded(folder: Path, name: str, *overrides: Override | str, **options: Any) -> Result:
+    """A run of a scenario in this process; `options` are further ones of `Options`."""
+    return execute(load_scenario(name, overrides), Options(folder, quiet=True, **{"in_process": True, **options}))
 
 
 @pytest.fixture(scope="session")
@@ -22,9 +29,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Alone:
 
     def run(name: str, *overrides: str) -> Result:
         if (name, *overrides) not in known:
-            out = tmp_path_factory.mktemp("made")
-            scenario = load_scenario(name, overrides)
-            known[name, *overrides] = execute(scenario, Options(out, in_process=True, quiet=True))
+            known[name, *overrides] = recorded(tmp_path_factory.mktemp("made"), name, *overrides)
         return known[name, *overrides]
 
     return run

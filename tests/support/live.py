@@ -122,6 +122,15 @@ class LiveRun:
         code = self._process.wait(limit)
         return code if code >= 0 else 128 - code
 
+    def ends(self, status: int, limit: float = READY_S) -> None:
+        """It does so soon, with this status, in words and not in a traceback; and nobody is left."""
+        watch = Stopwatch()
+        assert self.status(limit) == status, self.printed
+        self.until_nobody_is_left()
+        print(f"over after {watch.s:.2f} s")
+        assert watch.s < limit
+        assert "Traceback" not in self.said
+
     def until_nobody_is_left(self, limit: float = READY_S) -> None:
         """Wait until no process that belonged to the run is alive."""
         wait_for(lambda: not self.alive(), limit, f"the end of {[_title(p) for p in self.alive()]}")

@@ -113,6 +113,19 @@ class ProtocolNetwork:
         return {i: told[signal] for i, told in self.told.items()}
 
 
+def memory_goes_on(make: Callable[[], ProtocolNetwork], before: int, after: int, *those: int) -> None:
+    """Agents that are restarted from their memory say and do what they would have done."""
+    plain, resumed = nets = make(), make()
+    for net in nets:
+        net.run(before, loss=0.3, delay=(1, 25))
+    for i in those:
+        resumed.restart_from_memory(i)
+    for net in nets:
+        net.run(after, loss=0.3, delay=(1, 25))
+    assert plain.told == resumed.told
+    assert {i: a.state() for i, a in plain.agents.items()} == {i: a.state() for i, a in resumed.agents.items()}
+
+
 def both_ways(*pairs: Link) -> list[Link]:
     return [link for a, b in pairs for link in ((a, b), (b, a))]
 

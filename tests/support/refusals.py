@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import ast
 import os
+import shlex
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from click.testing import CliRunner
 from repository import EXPECTED
-
-from fleet.cli.main import cli
+from tool import command
 
 Entries = dict[tuple[str, ...], tuple[str, list[str]]]  # mistake: class with fields, words
 _FIELDS_IN_WORDS = {"message", "hint", "reason", "lines", "problem", "problems"}
@@ -38,8 +37,7 @@ def type_command(*arguments: str) -> None:
     Raises:
         CommandRefused: It ended with a status other than 0.
     """
-    done = CliRunner().invoke(cli, list(arguments), prog_name="fleet")
-    assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
+    done = command(*arguments)
     if done.exit_code:
         raise CommandRefused(done.exit_code, " ".join(done.stderr.split()))
 
@@ -59,8 +57,9 @@ def check_refusals(
     path = EXPECTED / f"messages-{room}.txt"
     sections = _read(path)
     known = sections.get(what, {})
+    hide = {} if hide is None else hide  # which the call may fill
     replayed = (tuple(map(_literal, mistake)) for mistake in known)
-    found = dict(_refusal(call, case, hide or {}) for case in (replayed if cases is None else cases))
+    found = dict(_refusal(call, case, hide) for case in (replayed if cases is None else cases))
     if os.environ.get("WRITE_MESSAGES"):
         known = {case: (known.get(case, ("",))[0] or head, words) for case, (head, words) in found.items()}
         sections[what] = known
@@ -71,6 +70,25 @@ def check_refusals(
     assert not moved, "\n".join(moved)
     other = [f"{case}: {new[1]}, before {old[1]}" for case, (old, new) in pairs.items() if old != new]
     assert not other, "\n".join(["if these words are meant: WRITE_MESSAGES=1 pytest -n 0 and this file", *other])
+
+
+def words_of(section: str) -> dict[str, str]:
+    """What is said of each mistake of a section, by the mistake."""
+    room, _, what = section.partition("/")
+    entries = _read(EXPECTED / f"messages-{room}.txt").get(what, {})
+    return {" ".join(map(_literal, mistake)): "\n".join(words) for mistake, (_, words) in entries.items()}
+
+
+def check_commands(section: str, places: Mapping[str, object], *before: str) -> None:
+    """Likewise commands, each typed behind these words. Names in them stand for places, as in the words of errors."""
+    hide = {str(place): name for name, place in sorted(places.items(), key=lambda item: -len(str(item[1])))}
+
+    def typed(line: str) -> None:
+        for place, name in hide.items():
+            line = line.replace(name, place)
+        type_command(*before, *shlex.split(line))
+
+    check_refusals(section, typed, hide=hide)
 
 
 def _refusal(

@@ -20,6 +20,7 @@ from typing import Any
 import pytest
 import zenoh
 from free_ports import free_port
+from in_process_runs import recorded
 from live import LiveRun
 from waiting import wait_for
 
@@ -27,12 +28,9 @@ import fleet.execution.supervisor
 import netem.wire.access
 import netem.wire.bus
 from fleet.execution.directory import RunDirectory
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.logs.reader import LogReader
 from fleet.processes.children import RunFolder
 from fleet.result.result import Status
-from fleet.scenario.loading import load_scenario
 from netem.errors import BusError
 from netem.wire.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, Credentials, Listener, agent_role, generate
 from netem.wire.bus import Bus, Respond
@@ -77,6 +75,9 @@ HEARD_BY = {
 }
 ROLES = [CONSOLE, NETEM, OPERATOR, "agent-1", "agent-2", HOST]
 ATTACKERS = ["agent-1", HOST, NETEM, CONSOLE, OPERATOR]
+
+
+ENFORCED = pytest.mark.parametrize("guard", ["as in every run", "incoming only", "outgoing only"], indirect=True)
 
 
 def listeners(key: str) -> set[str]:
@@ -256,9 +257,7 @@ def test_nobody_can_say_what_is_not_theirs(guarded: Hall) -> None:
     on a wildcard, which would name its own key among others, is refused as a whole."""
     for role in ATTACKERS:
         forged, deleted = f"forged by {role}".encode(), guarded.who_heard(b"")
-        allowed = (
-            {KEYS.rx("*"), KEYS.host("*")} if role == NETEM else set()
-        )  # it may put every inbox, at once or one by one
+        allowed = {KEYS.rx("*"), KEYS.host("*")} if role == NETEM else set()  # every inbox, at once or one by one
         for key in [*(key for key, speakers in PUTS.items() if role not in speakers), *WILD_PUTS]:
             if key not in allowed:
                 guarded.put(role, key, forged)
@@ -302,20 +301,14 @@ def everybody_says_everything(hall: Hall) -> None:
 
 
 @pytest.mark.parametrize("guard", ["as in every run", "outgoing only"], indirect=True)
-def test_agent_overhears_nothing(guarded: Hall) -> None:
-    """Not its neighbour's inbox or nav, not the fleet's frames: only what it said itself and what is meant for it."""
+def test_agent_and_operator_overhear_nothing(guarded: Hall) -> None:
+    """Not a neighbour's inbox or nav, not the fleet's frames: only what an agent said itself and what is meant for it.
+    The operator's credentials are for asking the console; they read no traffic."""
     own = {KEYS.cmd(1), KEYS.tx(1), KEYS.note("agent-1"), KEYS.nav(1), KEYS.rx(1)}
-    overheard = wiretap(guarded, "agent-1")
+    by_agent, by_operator = wiretap(guarded, "agent-1"), wiretap(guarded, OPERATOR)
     everybody_says_everything(guarded)
-    assert overheard <= own
-
-
-@pytest.mark.parametrize("guard", ["as in every run", "outgoing only"], indirect=True)
-def test_operator_overhears_nothing(guarded: Hall) -> None:
-    """The operator's credentials are for asking the console; they read no traffic."""
-    overheard = wiretap(guarded, OPERATOR)
-    everybody_says_everything(guarded)
-    assert overheard == set()
+    assert by_agent <= own
+    assert by_operator == set()
 
 
 def test_without_the_list_an_agent_overhears_everything(unguarded: Hall) -> None:
@@ -330,15 +323,7 @@ def test_without_the_list_an_agent_overhears_everything(unguarded: Hall) -> None
 
 # --- asking and answering --------------------------------------------------
 
-QUESTIONS = [
-    KEYS.cfg(2),
-    KEYS.cfg(HOST),
-    KEYS.cfg("*"),
-    KEYS.ctl(WORLD),
-    KEYS.ctl(NETEM),
-    f"{KEYS.op}/status",
-    f"{KEYS.prefix}/**",
-]
+QUESTIONS = [*map(KEYS.cfg, (2, HOST, "*")), *map(KEYS.ctl, (WORLD, NETEM)), f"{KEYS.op}/status", f"{KEYS.prefix}/**"]
 
 
 def answers(hall: Hall, role: str, key: str) -> list[str]:
@@ -351,7 +336,7 @@ def allowed(hall: Hall, role: str, key: str) -> list[str]:
     return wait_for(lambda: answers(hall, role, key), LIMIT_S, f"an answer on {key}")
 
 
-@pytest.mark.parametrize("guard", ["as in every run", "incoming only", "outgoing only"], indirect=True)
+@ENFORCED
 def test_agent_learns_its_own_slice_only(guarded: Hall) -> None:
     """An agent cannot know the fleet: the configuration of others, the control of processes and the operator's
     questions stay closed to it, by name and by wildcard."""
@@ -364,7 +349,7 @@ def test_without_the_list_an_agent_learns_everything(unguarded: Hall) -> None:
         allowed(unguarded, "agent-1", key)
 
 
-@pytest.mark.parametrize("guard", ["as in every run", "incoming only", "outgoing only"], indirect=True)
+@ENFORCED
 def test_nobody_answers_for_another(guarded: Hall) -> None:
     """An agent that offers itself as the console or the world is never asked."""
     for expression in (KEYS.cfg(2), KEYS.cfg("*"), KEYS.ctl("*"), f"{KEYS.op}/**", f"{KEYS.prefix}/**"):
@@ -456,7 +441,7 @@ def test_no_secret_is_left_lying_about(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr(fleet.execution.supervisor, "generate", remember)
     monkeypatch.setattr(RunDirectory, "write_connection", look_round)
     out = tmp_path / "runs"
-    result = execute(load_scenario("paper", ["duration=1 s", "checks={}"]), Options(out, quiet=True))
+    result = recorded(out, "paper", "duration=1 s", "checks={}", in_process=False)
     assert result.status is Status.PASS
     assert len(leaked) == 7
     assert exposed == []

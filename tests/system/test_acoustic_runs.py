@@ -6,16 +6,14 @@ from pathlib import Path
 
 import pytest
 from first_difference import assert_same_bytes
+from in_process_runs import recorded
 
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario
 
 
 def run(out: Path, name: str, *overrides: str, in_process: bool = True) -> Result:
-    options = Options(out, quiet=True, in_process=in_process)
-    return execute(load_scenario(name, ["log.every=50 ticks", *overrides]), options)
+    return recorded(out, name, "log.every=50 ticks", *overrides, in_process=in_process)
 
 
 def test_distributed_is_in_process(tmp_path: Path) -> None:

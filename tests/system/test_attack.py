@@ -16,16 +16,13 @@ from typing import Any
 import pytest
 from attack import SCENARIO, Attack
 from free_ports import free_port
-from in_process_runs import Alone, log_of
+from in_process_runs import Alone, log_of, recorded
 from waiting import wait_for
 
 import fleet.execution.supervisor
 from fleet.execution.directory import RunDirectory
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.logs.reader import LogReader
 from fleet.result.result import Result, Status
-from fleet.scenario.loading import load_scenario
 from netem.wire.access import OBSERVER, OPERATOR, Credentials, generate
 from netem.wire.bus import Bus
 from netem.wire.codec import encode
@@ -53,8 +50,7 @@ def attacked(tmp_path_factory: pytest.TempPathFactory) -> tuple[Attack, Result]:
         patch.setattr(fleet.execution.supervisor, "generate", attack.generate)
         patch.setattr(RunDirectory, "write_connection", write_and_attack)
         try:
-            options = Options(tmp_path_factory.mktemp("attacked"), quiet=True)
-            result = execute(load_scenario("paper", SCENARIO), options)
+            result = recorded(tmp_path_factory.mktemp("attacked"), "paper", *SCENARIO, in_process=False)
         finally:
             os.umask(before)
             attack.close()
@@ -137,12 +133,12 @@ def test_a_flood_changes_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     monkeypatch.setattr(fleet.execution.supervisor, "generate", attack.generate)
     monkeypatch.setattr(RunDirectory, "write_connection", write_and_flood)
     try:
-        flooded = execute(load_scenario("paper", SHORT), Options(tmp_path / "a", quiet=True))
+        flooded = recorded(tmp_path / "a", "paper", *SHORT, in_process=False)
     finally:
         over.set()
         threads[0].join(60)
         attack.close()
-    alone = execute(load_scenario("paper", SHORT), Options(tmp_path / "b", quiet=True, in_process=True))
+    alone = recorded(tmp_path / "b", "paper", *SHORT)
     assert (flooded.status, flooded.reason, flooded.lines) == (Status.PASS, "", [])
     assert flooded.digest == alone.digest
     rejected = flooded.values["rejected"]

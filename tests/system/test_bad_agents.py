@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from textwrap import dedent
@@ -16,20 +14,17 @@ import pytest
 from ended_runs import CHECKS, LONG
 from failing_laws import NAN_IN_THE_CORE
 from first_difference import assert_same_bytes
-from in_process_runs import Alone, log_of
+from in_process_runs import Alone, log_of, recorded
 from live import LiveRun
+from spawned import fleet as fleet_process
 
 import agents.make_agent
 import fleet.execution.in_process
 import fleet.execution.supervisor
 from agents.controllers import TRACKING
-from agents.errors import ControllerError
 from fleet.execution.directory import RunDirectory
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.logs.reader import LogReader
 from fleet.result.result import Result, Status
-from fleet.scenario.loading import load_scenario
 from netem.wire.access import Credentials
 from netem.wire.bus import Bus
 from netem.wire.codec import encode
@@ -78,7 +73,7 @@ def test_controller_that_computes_nan(tmp_path: Path) -> None:
     """The agent stops at the sample in which its numbers stop making sense, and what it printed is shown."""
     with LiveRun(tmp_path / "runs", "paper", *LONG, environment=sabotage(tmp_path / "s", NAN_IN_THE_CORE)) as run:
         assert run.status(60.0) == 3
-        run.until_nobody_is_left()
+        run.until_nobody_is_left()  # the traceback of the law is shown
         assert "agent 3 (pid " in run.said
         assert "exited with status 70 at t = 0.5" in run.said
         assert "controller failed: agent 3, tick 57: control.demand is (nan, nan, nan)" in run.said
@@ -91,7 +86,7 @@ def test_controller_that_computes_nan_in_process(tmp_path: Path, monkeypatch: py
     """Likewise in the plain loop: a broken run with vehicle and tick, not a traceback."""
     monkeypatch.setitem(TRACKING, "neurodynamic", TRACKING["neurodynamic"])  # restored after the sabotage
     exec(dedent(NAN_IN_THE_CORE), {})
-    result = execute(load_scenario("paper"), Options(tmp_path, in_process=True, quiet=True))
+    result = recorded(tmp_path, "paper")
     assert result.status is Status.BROKEN
     assert result.reason == "agent 3, tick 57: control.demand is (nan, nan, nan)"
 
@@ -102,8 +97,7 @@ def test_nan_command_is_refused_by_the_world(tmp_path: Path) -> None:
     end of the run says both."""
     arguments = [*LONG, "--set", "stall_timeout=1 s"]
     with LiveRun(tmp_path / "runs", "paper", *arguments, environment=sabotage(tmp_path / "s", NAN_COMMAND)) as run:
-        assert run.status(60.0) == 3
-        run.until_nobody_is_left()
+        run.ends(3)
         assert "waiting for agent 3" in run.said
         assert "rejected on " in run.said
         assert "malformed cmd message: tau[0]: expected a finite number, got nan" in run.said
@@ -115,7 +109,7 @@ def test_nan_command_in_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(agents.make_agent, "make_agent", agents.make_agent.make_agent)  # restored after the sabotage
     exec(dedent(NAN_COMMAND), {})
     monkeypatch.setattr(fleet.execution.in_process, "make_agent", agents.make_agent.make_agent)
-    result = execute(load_scenario("paper"), Options(tmp_path, in_process=True, quiet=True))
+    result = recorded(tmp_path, "paper")
     assert result.status is Status.BROKEN
     assert "nan" in result.reason
     assert "3" in result.reason
@@ -162,9 +156,8 @@ class Intruder:
         bus.close()
 
     def run(self, tmp_path: Path, *overrides: str) -> Result:
-        scenario = load_scenario("paper", [CHECKS, "duration=4 s", *overrides])
         try:
-            return execute(scenario, Options(tmp_path / "runs", quiet=True, speed=4.0))
+            return recorded(tmp_path / "runs", "paper", CHECKS, "duration=4 s", *overrides, in_process=False, speed=4.0)
         finally:
             self._over.set()
             if self._thread is not None:
@@ -248,11 +241,6 @@ def test_notes_that_lie_are_only_notes(tmp_path: Path, monkeypatch: pytest.Monke
     assert_unaffected(result, alone)
 
 
-def test_controller_error_names_vehicle_and_tick() -> None:
-    error = ControllerError(3, 57, "control.demand is (nan,)")
-    assert str(error) == "agent 3, tick 57: control.demand is (nan,)"
-
-
 LONG_PAYLOADS = """
     from msgspec.structs import replace
     from netem.wire import codec
@@ -271,16 +259,8 @@ LONG_PAYLOADS = """
 @pytest.mark.slow
 def test_long_payloads_travel_in_parts(tmp_path: Path) -> None:
     """Two neighbours' payloads of 30 kB do not fit into one message; the agents refuse them, and nobody dies."""
-    environment = sabotage(tmp_path / "site", LONG_PAYLOADS)
-    command = [sys.executable, "-m", "fleet", "run", "paper", "-q", "--duration", "500 ms", "--set", "checks={}"]
-    done = subprocess.run(
-        [*command, "--out", str(tmp_path / "runs")],
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+    words = ["run", "paper", "-q", "--duration", "500 ms", "--set", "checks={}", "--out", tmp_path / "runs"]
+    done = fleet_process(*words, environment=sabotage(tmp_path / "site", LONG_PAYLOADS))
     assert done.returncode == 0, done.stderr
     result = json.loads((tmp_path / "runs" / "latest" / "result.json").read_text("utf-8"))
     assert result["vehicles"]["2"]["payloads_rejected"] == 10  # two neighbours, five rounds

@@ -7,7 +7,6 @@ import os
 import re
 import shutil
 import subprocess
-import sys
 import venv
 import zipfile
 from collections.abc import Iterator
@@ -15,6 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+import spawned
 from repository import ROOT
 
 from fleet.execution.execute import execute
@@ -25,23 +25,12 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 COPIED = (".packaging", "agents", "fleet", "netem", "world", "pyproject.toml", "README.md", "LICENSE", "NOTICE")
 # Tests of modules that are not compiled: they say the same there as on the sources.
 PLAIN = (
-    "agents/test_own_samples.py",
-    "agents/test_trust.py",
-    "netem/test_acoustic.py",
-    "netem/test_correlation.py",
-    "netem/test_fading.py",
-    "netem/test_grammar.py",
-    "netem/test_private_file.py",
-    "netem/test_propagation.py",
-    "netem/wire/test_refusals.py",
-    "netem/wire/test_certificate_router.py",
-    "netem/wire/test_messages.py",
-    "world/navigation/test_leaks.py",
-    "world/plants/test_bluerov2.py",
-    "world/plants/test_fmu.py",
-    "world/plants/test_fmu_archive.py",
-    "world/plants/test_remus100.py",
-)
+    "agents/test_own_samples.py", "agents/test_trust.py", "netem/test_acoustic.py", "netem/test_correlation.py",
+    "netem/test_fading.py", "netem/test_grammar.py", "netem/test_private_file.py", "netem/test_propagation.py",
+    "netem/wire/test_refusals.py", "netem/wire/test_certificate_router.py", "netem/wire/test_messages.py",
+    "world/navigation/test_leaks.py", "world/plants/test_bluerov2.py", "world/plants/test_fmu.py",
+    "world/plants/test_fmu_archive.py", "world/plants/test_remus100.py",
+)  # fmt: skip
 # A law that fails at a tick, so that the line of its file has to be told.
 FAILING = """\
 class Failing:
@@ -118,12 +107,8 @@ def build(tmp_path: Path, python: Path, modules: str = "", **environment: str) -
     done = subprocess.run(
         [python, "-m", "pip", "wheel", "-v", "--no-deps", "-w", str(tmp_path), str(sources)],
         env=ours | {"PIP_NO_COMPILE": "1"} | environment,
-        check=True,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        timeout=850,
-    )
+        check=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=850,
+    )  # fmt: skip
     assert sorted(path.name for path in sources.iterdir() if path.suffix != ".egg-info") == sorted(COPIED)
     (wheel,) = tmp_path.glob("*.whl")
     part, unpacked = tmp_path / "part", tmp_path / "unpacked"
@@ -168,16 +153,8 @@ def compiled(place: Path, python: Path) -> Path:
 
 
 def fleet(packages: Path, *arguments: str, folder: Path, typed: str = "") -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "fleet", *arguments],
-        input=typed,
-        env=os.environ | {"PYTHONPATH": f"{packages}{os.pathsep}{folder}"},
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+    paths = {"PYTHONPATH": f"{packages}{os.pathsep}{folder}"}
+    return spawned.fleet(*arguments, input=typed, environment=paths, cwd=folder)
 
 
 def test_it_says_that_it_is_compiled(compiled: Path, tmp_path: Path) -> None:
@@ -222,17 +199,8 @@ def test_a_law_of_the_user_runs_and_its_failure_names_the_line(compiled: Path, t
     result = fleet(compiled, "run", "mine.yaml", "--in-process", "-q", "--trust", folder=tmp_path)
     assert result.returncode == 0, result.stderr
     (tmp_path / "failing.py").write_text(FAILING)
-    result = fleet(
-        compiled,
-        "run",
-        "paper",
-        "--set",
-        "controller=failing:Failing",
-        "--in-process",
-        "-q",
-        "--trust",
-        folder=tmp_path,
-    )
+    options = ["--set", "controller=failing:Failing", "--in-process", "-q", "--trust"]
+    result = fleet(compiled, "run", "paper", *options, folder=tmp_path)
     assert result.returncode == 3 and "Traceback" not in result.stderr
     assert re.search(r"failing\.py[^\n]*(line |:)9", result.stderr), result.stderr
 
@@ -266,14 +234,7 @@ def test_a_law_can_be_debugged(compiled: Path, tmp_path: Path) -> None:
 
 def test_a_traceback_of_compiled_code_names_file_and_line(compiled: Path, tmp_path: Path) -> None:
     code = "from world.sea import World; World(None)"
-    result = subprocess.run(
-        [sys.executable, "-c", code],
-        env=os.environ | {"PYTHONPATH": str(compiled)},
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    result = spawned.python("-c", code, environment={"PYTHONPATH": str(compiled)}, cwd=tmp_path)
     place = re.search(r'File "world/sea\.py", line (\d+), in __init__', result.stderr)
     assert place is not None, result.stderr
     assert (compiled / "world" / "sea.py").read_text().splitlines()[int(place[1]) - 1].strip()
@@ -306,15 +267,8 @@ def test_the_tests_of_the_cores_pass(compiled: Path, tmp_path: Path) -> None:
         (tmp_path / room).symlink_to(compiled / room)
     rooms = ["tests/agents", "tests/netem", "tests/world", *(f"--ignore=tests/{name}" for name in PLAIN)]
     assert all((tmp_path / "tests" / name).is_file() for name in PLAIN)
-    result = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--hypothesis-profile=few", *rooms],
-        env=os.environ | {"PYTHONPATH": str(compiled)},
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=850,
-        check=False,
-    )
+    words = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "--hypothesis-profile=few", *rooms]
+    result = spawned.python(*words, environment={"PYTHONPATH": str(compiled)}, cwd=tmp_path, timeout=850)
     assert result.returncode == 0, result.stdout[-3000:]
 
 

@@ -12,20 +12,17 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
-from click.testing import CliRunner
+from in_process_runs import recorded
 from live import LiveRun
 from msgspec.structs import replace
+from refusals import check_refusals
 from tool import tool as op
 from waiting import wait_for
 
-from agents.join_file import JoinError, JoinFile
-from fleet.cli.main import cli
+from agents.join_file import JoinFile
 from fleet.errors import FleetError
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.logs.reader import digest
 from fleet.scenario.loading import load_scenario, parse_scenario
 from netem.wire.messages import PROTOCOL_VERSION
@@ -84,9 +81,7 @@ def join_file(run: LiveRun, incarnation: int = 0) -> Path:
 
 def reference(tmp_path: Path, *overrides: str) -> str:
     """The digest of the same scenario with our agents only, in one process."""
-    return execute(
-        load_scenario("paper", overrides), Options(tmp_path / "reference", in_process=True, quiet=True)
-    ).digest
+    return recorded(tmp_path / "reference", "paper", *overrides).digest
 
 
 def test_who_joins_is_the_agent_that_would_have_been_started(tmp_path: Path) -> None:
@@ -197,15 +192,10 @@ def test_nobody_comes(tmp_path: Path) -> None:
 
 
 def test_nobody_can_join_a_run_in_one_process(tmp_path: Path) -> None:
-    scenario = load_scenario("paper", [EXTERNAL])
-    with pytest.raises(
-        FleetError, match=r"^vehicle 3 is external: a run in one process cannot have agents that are started elsewhere"
-    ):
-        execute(scenario, Options(tmp_path, in_process=True, quiet=True))
+    words = r"^vehicle 3 is external: a run in one process cannot have agents that are started elsewhere"
+    with pytest.raises(FleetError, match=words):
+        recorded(tmp_path, "paper", EXTERNAL)
     assert list(tmp_path.iterdir()) == []
-    result = CliRunner().invoke(cli, ["check", "ideal", "--set", "external=true"])
-    assert result.exit_code == 2
-    assert "external: nobody can join an ideal network" in result.output
 
 
 def test_external_is_of_a_vehicle_or_of_all() -> None:
@@ -220,47 +210,21 @@ def test_external_is_of_a_vehicle_or_of_all() -> None:
 
 
 GOOD = {"endpoint": "tcp/127.0.0.1:1", "run": "ab", "vehicle": 3, "user": "agent-3", "password": "x"}
+GOOD["version"] = PROTOCOL_VERSION
 
 
-@pytest.mark.parametrize(
-    ("values", "mode", "expected"),
-    [
-        (GOOD | {"version": PROTOCOL_VERSION}, 0o644, "can be read by others (mode 0644, expected 0600): chmod 600"),
-        (GOOD | {"version": 99}, 0o600, f"speaks version 99 of the protocol, this fleet version {PROTOCOL_VERSION}"),
-        ({"version": PROTOCOL_VERSION}, 0o600, "is no join file: it has no 'endpoint'"),
-        (GOOD | {"version": PROTOCOL_VERSION, "vehicle": "3"}, 0o600, "vehicle: expected int, got str"),
-        (GOOD | {"version": PROTOCOL_VERSION, "ca": 1}, 0o600, "ca: expected str, got int"),
-        ([1], 0o600, "expected a map, got list"),
-        ("{", 0o600, "not JSON"),
-        (None, 0o600, "there is no "),
-    ],
-)
-def test_what_is_wrong_with_a_join_file(values: Any, mode: int, expected: str, tmp_path: Path) -> None:
+def test_what_is_wrong_with_a_join_file(tmp_path: Path) -> None:
+    """Each entry is what is changed (+) in a good one, or the whole file, and its mode."""
     path = tmp_path / "join-3.json"
-    if values is not None:
-        path.write_text(values if isinstance(values, str) else json.dumps(values))
-        path.chmod(mode)
-    with pytest.raises(JoinError) as caught:
-        JoinFile.read(path)
-    assert expected in str(caught.value)
-    result = CliRunner().invoke(cli, ["agent"])
-    assert result.exit_code == 2
 
-
-@pytest.mark.parametrize(
-    ("key", "value", "expected"),
-    [
-        ("endpoint", "foo", "expected tcp/HOST:PORT"),
-        ("endpoint", "tcp/a:1,b", "got 'b'"),
-        ("ca", "zzz", "expected PEM"),
-    ],
-)
-def test_what_cannot_be_connected_with_is_said_before_that(key: str, value: str, expected: str, tmp_path: Path) -> None:
-    path = tmp_path / "join-3.json"
-    JoinFile("tcp/127.0.0.1:1", "5ea", 3, "agent-3", "secret").write(path)
-    path.write_text(json.dumps(json.loads(path.read_text()) | {key: value}))
-    with pytest.raises(JoinError, match=expected):
+    def read(change: str, mode: str = "600") -> None:
+        path.unlink(missing_ok=True)
+        if change != "no file":
+            path.write_text(json.dumps(GOOD | json.loads(change[2:])) if change.startswith("+ ") else change)
+            path.chmod(int(mode, 8))
         JoinFile.read(path)
+
+    check_refusals("agents/join files", read, hide={str(tmp_path): "HERE"})
 
 
 def test_a_join_file_round_trips(tmp_path: Path) -> None:

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import hashlib
+from functools import partial
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 from fmu_units import VARIABLES, build, description
+from in_process_runs import recorded
 from marks import slow
 from repository import ROOT
 from small_scenario import SMALL
+from tool import command
 
-from fleet.cli.main import cli
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.logs.open_log import open_log
 from fleet.logs.reader import digest
-from fleet.result.result import Result, Status
+from fleet.result.result import Status
 from fleet.scenario.loading import load_scenario
 from fleet.study.modules import folder_of, modules_of, packed
 
@@ -39,17 +38,15 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def call(*arguments: str) -> tuple[int, str]:
     """The exit status of a command, and what it says on one line."""
-    result = CliRunner().invoke(cli, arguments)
+    result = command(*arguments)
     return result.exit_code, " ".join(result.output.split())
 
 
-def run(*overrides: str, distributed: bool = False) -> Result:
-    scenario = load_scenario("units.yaml", overrides)
-    return execute(scenario, Options(Path("runs"), in_process=not distributed, quiet=True))
+run = partial(recorded, Path("runs"), "units.yaml")
 
 
 def test_a_fleet_of_units_gives_the_same_bytes_alone_and_distributed(folder: Path) -> None:
-    alone, distributed = run(), run(distributed=True)
+    alone, distributed = run(), run(in_process=False)
     assert (alone.status, distributed.status) == (Status.PASS, Status.PASS)
     assert digest(alone.directory / "run.mcap") == digest(distributed.directory / "run.mcap")
     log = open_log(alone.directory)

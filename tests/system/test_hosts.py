@@ -16,14 +16,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner
 from free_ports import free_port
 from host_certificates import made as made
 from live import LiveRun
+from refusals import check_refusals
+from spawned import fleet
+from tool import command
 from waiting import wait_for
 
 from agents.join_file import JoinFile
-from fleet.cli.main import cli
 from fleet.errors import FleetError
 from fleet.execution.connection import ask, find
 from fleet.hosts import certificates, router_config
@@ -48,21 +49,16 @@ def test_credentials_of_another_run_are_refused(tmp_path: Path) -> None:
     (tmp_path / router_config.CREDENTIALS).chmod(0o640)
     with pytest.raises(FleetError, match="can be read by others"):
         read_credentials(tmp_path / router_config.CREDENTIALS, 3)
-    for text in (
-        "",
-        "[]",
-        '{"run": 1}',
-        '{"run": "a", "vehicles": 1, "users": {"world": 3}}',
-        '{"run": 1, "vehicles": 1e999}',
-        "[" * 9999,
-    ):
+
+    def read(text: str) -> None:
         (tmp_path / "f").write_text(text)
         (tmp_path / "f").chmod(0o600)
-        with pytest.raises(FleetError, match="no credentials file"):
-            read_credentials(tmp_path / "f", 1)
-    for text in ("", "a/b", "*", "a b", "ü", "x" * 65):
-        with pytest.raises(FleetError, match="--run"):
-            run_id(text)
+        read_credentials(tmp_path / "f", 1)
+
+    check_refusals("hosts/credentials", read, hide={str(tmp_path): "HERE"})
+    check_refusals("hosts/names of runs", run_id)
+    with pytest.raises(FleetError, match="no credentials file"):
+        read("[" * 9999)
 
 
 ROUTER = """
@@ -92,29 +88,17 @@ def test_a_run_through_a_router_has_the_digest_of_one_without(made: Path, tmp_pa
     port, out = free_port(), tmp_path / "acl"
     endpoint = f"tls/127.0.0.1:{port}"
     common = ["paper", "--duration", "1 s", "--set", "checks={}", "--quiet", "--out", str(tmp_path / "runs")]
-    written = CliRunner().invoke(
-        cli, ["acl", "paper", "-o", str(out), "--listen", endpoint, "--certs", str(made), "--mutual-tls"]
-    )
+    written = command("hosts", "acl", "paper", "-o", out, "--listen", endpoint, "--certs", made, "--mutual-tls")
     assert written.exit_code == 0, written.output
-    through = [
-        "--router",
-        endpoint,
-        "--credentials",
-        str(out / router_config.CREDENTIALS),
-        "--certs",
-        str(made),
-        "--mutual-tls",
-    ]
+    through = ["--router", endpoint, "--credentials", out / router_config.CREDENTIALS, "--certs", made, "--mutual-tls"]
     with router(out / router_config.CONFIG):
-        run = [sys.executable, "-m", "fleet", "run", *common, *through]
-        done = subprocess.run(run, capture_output=True, text=True, timeout=120, check=False)
+        done = fleet("run", *common, *through)
         assert done.returncode == 0, done.stderr
     result = json.loads((tmp_path / "runs" / "latest" / "result.json").read_text())
     left = b"".join(file.read_bytes() for file in (tmp_path / "runs").rglob("*") if file.is_file())
     _, credentials = read_credentials(out / router_config.CREDENTIALS, 4)
     assert not [c.user for c in credentials.values() if c.password.encode() in left]
-    alone = [sys.executable, "-m", "fleet", "run", *common, "--in-process"]
-    assert subprocess.run(alone, capture_output=True, timeout=120, check=False).returncode == 0
+    assert fleet("run", *common, "--in-process").returncode == 0
     assert json.loads((tmp_path / "runs" / "latest" / "result.json").read_text())["digest"] == result["digest"]
 
 
@@ -156,10 +140,10 @@ def test_a_router_serves_one_run_of_an_id_at_a_time(tmp_path: Path) -> None:
         world, console = (Bus.connect(endpoint, found.credentials[role]) for role in ("world", "console"))
         world.token(Keys("twice").alive("world"))
         wait_for(lambda: console.tokens(Keys("twice").alive("*")), LIMIT_S, "the world's token")
-        out = ["--set", "vehicles=1", "--out", str(tmp_path / "runs"), "--quiet"]
-        run = ["run", "paper", "--router", endpoint, "--credentials", str(tmp_path / router_config.CREDENTIALS), *out]
-        done = subprocess.run([sys.executable, "-m", "fleet", *run], capture_output=True, timeout=120, check=False)
-        assert done.returncode == 3 and b"run twice is going on" in done.stderr, done.stderr
+        words = ["--set", "vehicles=1", "--out", tmp_path / "runs", "--quiet"]
+        words += ["--router", endpoint, "--credentials", tmp_path / router_config.CREDENTIALS]
+        done = fleet("run", "paper", *words)
+        assert done.returncode == 3 and "run twice is going on" in done.stderr, done.stderr
         world.close()
         console.close()
 
@@ -179,17 +163,8 @@ def test_connections_are_closed_without_waiting() -> None:
 @pytest.mark.slow
 def test_who_comes_back_after_his_death_is_sent_away(tmp_path: Path) -> None:
     """A session of zenoh links again by itself, with its token: it must not hold the place of the next agent."""
-    arguments = [
-        "--duration",
-        "4 s",
-        "--speed",
-        "2",
-        "--set",
-        "checks={tumbled: waived, deaths: {at_most: 1}}",
-        "--set",
-        "per_vehicle={1: {external: true}}",
-    ]
-    with LiveRun(tmp_path, "paper", *arguments) as run:
+    arguments = ["--duration", "4 s", "--speed", "2", "--set", "checks={tumbled: waived, deaths: {at_most: 1}}"]
+    with LiveRun(tmp_path, "paper", *arguments, "--set", "per_vehicle={1: {external: true}}") as run:
         file = tmp_path / "latest" / "join-1.json"
         wait_for(file.exists, LIMIT_S, "the join file")
         joining, keys = JoinFile.read(file), Keys(JoinFile.read(file).run)

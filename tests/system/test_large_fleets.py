@@ -6,10 +6,9 @@ from pathlib import Path
 
 import psutil
 import pytest
+from in_process_runs import recorded
 
-from fleet.execution.execute import Status, execute
-from fleet.execution.options import Options
-from fleet.scenario.loading import load_scenario
+from fleet.result.result import Status
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -17,9 +16,8 @@ FLEET = ["vehicles=200", "tick=100 ms", "duration=2 s", "checks={ledger: balance
 
 
 def test_two_hundred_vehicles(tmp_path: Path) -> None:
-    scenario = load_scenario("paper", FLEET)
-    apart = execute(scenario, Options(tmp_path / "apart", quiet=True))
+    apart = recorded(tmp_path / "apart", "paper", *FLEET, in_process=False)
     assert apart.status is Status.PASS, (apart.reason, apart.lines)
-    one = execute(scenario, Options(tmp_path / "one", quiet=True, in_process=True))
+    one = recorded(tmp_path / "one", "paper", *FLEET)
     assert apart.values["digest"] == one.values["digest"]
     assert [p for p in psutil.Process().children(recursive=True) if "[paper]" in " ".join(p.cmdline())] == []

@@ -111,28 +111,14 @@ def test_every_live_action_is_a_script_line(tmp_path: Path) -> None:
     assert result.digest == digest(log)
 
 
-def test_what_cannot_be_injected_is_refused_in_words(tmp_path: Path) -> None:
+def test_who_asks_for_the_impossible_is_refused_and_stop_ends_the_run(tmp_path: Path) -> None:
     out = tmp_path / "runs"
     with LiveRun(out, "paper", "--duration", "60 s", *SLOW) as live:
         live.until_running()
-        cases: list[tuple[list[str], str, int]] = [
-            (["inject", "lnk", "1->2", "loss 3%"], 'did you mean "link"', 2),
-            (["inject", "link", "1->2"], 'got only the links "1->2"; as in link 1->2 loss 30%', 2),
-            (["inject", "link", "1->3", "loss 3%"], "the graph has no link 1->3; links: 2->1, 1->2", 2),
-            (["inject", "link", "1->2", "lss 3%"], 'unknown link condition "lss"', 2),
-            (["inject", "link", "1->2", "loss 3% seed 7"], "a seed belongs in a scenario", 2),
-            (["inject", "mute", "9"], "there is no vehicle 9", 2),
-            (["inject", "partition", "half"], "is no partition", 2),
-            (["inject", "mute", "1", "--for", "5ms"], "not a whole number of ticks", 2),
-            (["heal", "nothing"], "there is no active fault 'nothing'; none is active", 2),
-        ]
-        for arguments, words, code in cases:
-            done = tool(out, *arguments)
-            assert (done.returncode, words in done.stderr) == (code, True), (arguments, done.stderr)
-            assert "Traceback" not in done.stderr
+        done = tool(out, "inject", "link", "1->3", "loss 3%")
+        assert (done.returncode, "the graph has no link 1->3; links: 2->1, 1->2" in done.stderr) == (2, True), done
         assert tool(out, "stop").returncode == 0
-        assert live.status(20.0) == 130
-        live.until_nobody_is_left()
+        live.ends(130)
         assert "stopped: the operator asked for it" in live.said
     done = tool(out, "status")
     assert (done.returncode, "is no live run" in done.stderr) == (3, True)

@@ -16,14 +16,12 @@ from pathlib import Path
 from secrets import token_hex
 
 import pytest
+from in_process_runs import recorded
 from live import LiveRun
 from waiting import wait_for
 
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.hosts import certificates
 from fleet.repeat.verify import verify
-from fleet.scenario.loading import load_scenario
 
 pytest.importorskip("cryptography", reason="cryptography is not installed: pip install 'uuv-fleet[hosts]'")
 ADDRESSES = {"east": "10.231.1", "west": "10.231.2"}  # of the cable's ends: .1 is the sea
@@ -47,19 +45,8 @@ class Hosts:
             ip("netns", "add", self._space(name))
             ip("-n", self._space(name), "link", "set", "lo", "up")
         for name, network in ADDRESSES.items():
-            ip(
-                "link",
-                "add",
-                name,
-                "netns",
-                self._space("sea"),
-                "type",
-                "veth",
-                "peer",
-                "sea",
-                "netns",
-                self._space(name),
-            )
+            peer = f"type veth peer sea netns {self._space(name)}".split()
+            ip("link", "add", name, "netns", self._space("sea"), *peer)
             for space, link, number in (("sea", name, 1), (name, "sea", 2)):
                 ip("-n", self._space(space), "addr", "add", f"{network}.{number}/24", "dev", link)
                 ip("-n", self._space(space), "link", "set", link, "up")
@@ -139,8 +126,7 @@ def started(hosts: Hosts, pki: Path, out: Path, *arguments: str) -> tuple[LiveRu
 
 
 def reference(tmp_path: Path) -> str:
-    scenario = load_scenario("paper", ["checks={}", "duration=6 s"])
-    return execute(scenario, Options(tmp_path / "reference", in_process=True, quiet=True)).digest
+    return recorded(tmp_path / "reference", "paper", "checks={}", "duration=6 s").digest
 
 
 def until_waiting(hosts: Hosts, run: LiveRun, *agents: int) -> None:

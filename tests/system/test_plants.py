@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from repository import ROOT
+from tool import command
 
-from fleet.cli.main import cli
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.open_log import open_log
@@ -35,6 +34,9 @@ def mixed(*overrides: str) -> Scenario:
 
 def run(scenario: Scenario, folder: Path, *, in_process: bool = True, **options: Any) -> Result:
     return execute(scenario, Options(folder, in_process=in_process, quiet=True, **options))
+
+
+FAILING = "per_vehicle.2.vehicle={plant: {name: 'own_plants:Failing', parameters: {how: raise, at: 60}}}"
 
 
 @pytest.fixture(scope="module")
@@ -86,8 +88,7 @@ def test_a_recorded_agent_answers_as_it_did(recorded: Result) -> None:
 
 
 def test_a_plant_that_fails_is_left_behind(tmp_path: Path) -> None:
-    failing = "per_vehicle.2.vehicle={plant: {name: 'own_plants:Failing', parameters: {how: raise, at: 60}}}"
-    result = run(mixed(failing), tmp_path / "on")
+    result = run(mixed(FAILING), tmp_path / "on")
     assert result.status is Status.CHECK_FAILED  # a death that no fault asked for
     (note,) = [note for note in result.values["notes"] if "vehicle 2" in note]
     assert "error: Failing raised ZeroDivisionError: no water (" in note
@@ -97,8 +98,7 @@ def test_a_plant_that_fails_is_left_behind(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("in_process", [True, False], ids=["in one process", "as processes"])
 def test_a_plant_that_fails_ends_the_run(in_process: bool, tmp_path: Path) -> None:
-    failing = "per_vehicle.2.vehicle={plant: {name: 'own_plants:Failing', parameters: {how: raise, at: 60}}}"
-    result = run(mixed(failing, "on_death=abort"), tmp_path, in_process=in_process)
+    result = run(mixed(FAILING, "on_death=abort"), tmp_path, in_process=in_process)
     assert result.status is Status.BROKEN
     said = "\n".join((result.reason, *result.lines))
     assert "vehicle 2, tick 60: Failing raised ZeroDivisionError: no water (" in said
@@ -106,15 +106,8 @@ def test_a_plant_that_fails_ends_the_run(in_process: bool, tmp_path: Path) -> No
 
 
 def test_a_plant_that_cannot_start_is_told_before_the_run(tmp_path: Path) -> None:
-    asked = [
-        "run",
-        "rough-sea",
-        "--out",
-        str(tmp_path / "runs"),
-        "--set",
-        "per_vehicle.2.vehicle.plant=own_plants:Elsewhere",
-    ]
-    found = CliRunner().invoke(cli, asked)
+    plant = "per_vehicle.2.vehicle.plant=own_plants:Elsewhere"
+    found = command("run", "rough-sea", "--out", tmp_path / "runs", "--set", plant)
     assert found.exit_code == 2
     assert "plant own_plants:Elsewhere: vehicle 2, tick 0: Elsewhere has the pose (" in found.stderr
     assert not (tmp_path / "runs").exists()
@@ -126,13 +119,13 @@ def test_the_guide_shows_the_example_that_runs(tmp_path: Path, monkeypatch: pyte
     shown = page.split("```python\n")[1].split("```")[0]
     assert (examples / "torpedo.py").read_text("utf-8").split("\n", 2)[2].strip() == shown.strip()
     monkeypatch.chdir(examples)
-    assert CliRunner().invoke(cli, ["check", "torpedo.yaml"]).exit_code == 0
-    more = ["--in-process", "-q", "--duration", "2 s", "--set", "checks={ledger: balanced}", "--out", str(tmp_path)]
-    found = CliRunner().invoke(cli, ["run", "torpedo.yaml", *more])
+    assert command("check", "torpedo.yaml").exit_code == 0
+    more = ["--in-process", "-q", "--duration", "2 s", "--set", "checks={ledger: balanced}", "--out", tmp_path]
+    found = command("run", "torpedo.yaml", *more)
     assert found.exit_code == 0, found.output
 
 
 @pytest.mark.slow
 def test_the_example_holds_its_formation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT / "docs" / "examples")
-    assert CliRunner().invoke(cli, ["run", "torpedo.yaml", "--in-process", "-q", "--out", str(tmp_path)]).exit_code == 0
+    assert command("run", "torpedo.yaml", "--in-process", "-q", "--out", tmp_path).exit_code == 0

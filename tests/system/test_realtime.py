@@ -10,19 +10,17 @@ from textwrap import dedent
 
 import pytest
 from hand import Hand
+from in_process_runs import recorded
 from live import LiveRun
 
 from fleet.errors import FleetError
 from fleet.execution.connection import RemoteError
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.pictures.gallery import punctuality
 from fleet.pictures.runs import NothingToDraw, View, load
 from fleet.repeat.verify import verify
 from fleet.repeat.what_if import what_if
 from fleet.result.file import read_result
 from fleet.result.result import Status
-from fleet.scenario.loading import load_scenario
 from netem.vehicle_clock import Clock
 
 SLEEPER = """
@@ -42,9 +40,9 @@ SLEEPER = """
 
 
 def test_a_real_run_is_on_time_and_lockstep_or_says_why_not(tmp_path: Path) -> None:
-    scenario = load_scenario("paper", ["duration=2 s", "checks={ledger: balanced, middleware_loss: {at_most: 0}}"])
-    found = execute(scenario, Options(tmp_path, quiet=True, clock=Clock.REAL, speed=0.5, most_missed=1.0))
-    same = execute(scenario, Options(tmp_path, quiet=True, in_process=True))
+    words = ["paper", "duration=2 s", "checks={ledger: balanced, middleware_loss: {at_most: 0}}"]
+    found = recorded(tmp_path, *words, in_process=False, clock=Clock.REAL, speed=0.5, most_missed=1.0)
+    same = recorded(tmp_path, *words)
     assert (found.status, found.reason) == (Status.PASS, "")
     measured = found.timing
     assert measured is not None
@@ -73,10 +71,8 @@ def test_a_real_run_is_on_time_and_lockstep_or_says_why_not(tmp_path: Path) -> N
 def test_an_agent_too_slow_for_its_ticks_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "sleeper.py").write_text(dedent(SLEEPER))
     monkeypatch.syspath_prepend(str(tmp_path))
-    scenario = load_scenario(
-        "paper", ["duration=2 s", "checks={}", "per_vehicle={2: {controller: 'sleeper:Sleeper'}}", "graph.shape=path"]
-    )
-    found = execute(scenario, Options(tmp_path, quiet=True, clock=Clock.REAL, speed=1.0))
+    words = ["paper", "duration=2 s", "checks={}", "per_vehicle={2: {controller: 'sleeper:Sleeper'}}"]
+    found = recorded(tmp_path, *words, in_process=False, clock=Clock.REAL, speed=1.0)
     assert found.status is Status.CHECK_FAILED
     assert found.timing is not None
     row = found.timing.vehicles["2"]

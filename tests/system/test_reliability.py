@@ -6,45 +6,26 @@ import json
 import resource
 import signal
 import subprocess
-import sys
 from functools import partial
 from pathlib import Path
 from time import sleep
 
 import pytest
+from in_process_runs import recorded
 from live import LiveRun
-
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
-from fleet.scenario.loading import load_scenario
+from spawned import fleet
 
 CHECKS = "checks={ledger: balanced, middleware_loss: {at_most: 0}, tumbled: waived, deaths: waived}"
 
 
-def result(directory: Path) -> dict[str, object]:
-    values: dict[str, object] = json.loads((directory / "result.json").read_text("utf-8"))
-    return values
-
-
 def undisturbed(folder: Path, *overrides: str) -> str:
     """The digest of the same run in one process."""
-    return execute(load_scenario("paper", [CHECKS, *overrides]), Options(folder, in_process=True, quiet=True)).digest
-
-
-def few_files(soft: int, hard: int) -> None:
-    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    return recorded(folder, "paper", CHECKS, *overrides).digest
 
 
 def fleet_run(folder: Path, soft: int, hard: int) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "fleet", "run", "paper", "--duration", "200 ms", "--set", CHECKS, "-q"]
-    return subprocess.run(
-        [*command, "--out", str(folder)],
-        preexec_fn=partial(few_files, soft, hard),
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
+    words = ["run", "paper", "--duration", "200 ms", "--set", CHECKS, "-q", "--out", folder]
+    return fleet(*words, preexec_fn=partial(resource.setrlimit, resource.RLIMIT_NOFILE, (soft, hard)))
 
 
 @pytest.mark.slow
@@ -70,6 +51,6 @@ def test_a_suspended_console_only_takes_longer(tmp_path: Path, whole: bool) -> N
         sleep(1.0)
         run.send(signal.SIGCONT, group=whole)
         assert run.status() == 0
-        values = result(run.directory)
+        values = json.loads((run.directory / "result.json").read_text("utf-8"))
     assert values["digest"] == undisturbed(tmp_path / "same", "duration=4 s")
     assert values["middleware_lost"] == 0

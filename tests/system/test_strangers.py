@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import socket
-import subprocess
-import sys
 from collections.abc import Callable
 from contextlib import ExitStack, closing, suppress
 from functools import partial
@@ -18,16 +16,15 @@ import pytest
 import zenoh
 from attack import SCENARIO, Attack
 from free_ports import free_port
+from in_process_runs import recorded
 from live import LiveRun
+from spawned import fleet as fleet_process
 from waiting import wait_for
 
 import fleet.execution.supervisor
 from fleet.execution.directory import RunDirectory
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.processes.children import Children, Exit, RunFolder
 from fleet.result.result import Result, Status
-from fleet.scenario.loading import load_scenario
 from netem.wire.access import Credentials
 from netem.wire.bus import Bus
 from netem.wire.keys import Keys
@@ -51,7 +48,7 @@ def attacked(attack: Callable[[Attack, Keys, str], None], patch: pytest.MonkeyPa
     patch.setattr(fleet.execution.supervisor, "generate", thief.generate)
     patch.setattr(RunDirectory, "write_connection", write_and_attack)
     try:
-        return execute(load_scenario("paper", SCENARIO), Options(out, quiet=True))
+        return recorded(out, "paper", *SCENARIO, in_process=False)
     finally:
         thief.close()
 
@@ -59,8 +56,7 @@ def attacked(attack: Callable[[Attack, Keys, str], None], patch: pytest.MonkeyPa
 def assert_unharmed(result: Result, tmp_path: Path) -> None:
     """It has passed, with the log of a run in one process."""
     assert (result.status, result.reason, result.lines) == (Status.PASS, "", [])
-    alone = execute(load_scenario("paper", SCENARIO), Options(tmp_path / "alone", quiet=True, in_process=True))
-    assert result.digest == alone.digest
+    assert result.digest == recorded(tmp_path / "alone", "paper", *SCENARIO).digest
 
 
 @pytest.mark.slow
@@ -152,14 +148,8 @@ def test_zenohs_variables_in_the_environment_do_nothing(tmp_path: Path) -> None:
     ) as run:
         assert run.status() == 0, run.printed
     out = tmp_path / "x.mcap"
-    done = subprocess.run(
-        [sys.executable, "-m", "fleet", "record", "--connect", "tcp/127.0.0.1:1", "--key", "a", "-o", str(out)],
-        env=os.environ | environment,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
+    words = ["record", "--connect", "tcp/127.0.0.1:1", "--key", "a", "-o", out]
+    done = fleet_process(*words, environment=environment)
     assert "tcp/127.0.0.1:1" in done.stderr, done.stderr
     assert "Traceback" not in done.stderr
     assert "panic" not in done.stderr

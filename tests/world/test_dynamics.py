@@ -275,9 +275,7 @@ def test_actuators_limit_and_refuse() -> None:
 
 @settings(max_examples=20)
 @given(
-    st.lists(st.sampled_from((1, 2, 3, 4)), max_size=60),
-    st.integers(1, 3),
-    st.sampled_from((ZERO, (0.2, -0.1, 0.05))),
+    st.lists(st.sampled_from((1, 2, 3, 4)), max_size=60), st.integers(1, 3), st.sampled_from((ZERO, (0.2, -0.1, 0.05)))
 )
 def test_the_fleet_is_every_vehicle_alone(order: list[int], substeps: int, current: Vec3) -> None:
     """Vehicles meet only in the network: running ahead of each other, in any order, changes no bit."""

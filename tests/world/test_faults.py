@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from loops import world_config
-from small_scenario import only_problem, small
+from small_scenario import small
 from world_copy import copy_state
 
 from fleet.scenario.loading import parse_scenario
@@ -189,8 +189,3 @@ def test_what_a_scenario_says(entry: str, kind: str, values: tuple[float, ...]) 
     assert (found.kind, found.begin, found.end, found.values) == (kind, 10, 30, values)
     assert parse_scenario(s.to_yaml(), "again.yaml") == s
     assert decode(encode(WorldFaults((found,)))) == WorldFaults((found,))
-
-
-def test_vehicles_that_are_not_there() -> None:
-    assert "there is no vehicle 9" in only_problem("faults=[{at: 0 s, noise: {vehicles: 9, position_noise: 1 m}}]")
-    assert 'did you mean "position_noise"?' in only_problem("faults=[{at: 0 s, noise: {positon_noise: 1 m}}]")

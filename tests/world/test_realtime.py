@@ -23,13 +23,7 @@ from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario, frame_every
 from netem.errors import OutOfPlace
 from netem.realtime_rounds import RealtimeRounds
-from netem.wire.messages import (
-    Command,
-    Nav,
-    Receipt,
-    Round,
-    Transmission,
-)
+from netem.wire.messages import Command, Nav, Receipt, Round, Transmission
 from world.lockstep import NavTo
 from world.realtime import RealtimeRun
 from world.realtime_process import TickSchedule
@@ -255,9 +249,7 @@ def test_an_agent_that_ends_drifts_from_the_tick_it_did_not_answer() -> None:
     assert [life.tick for frame in frames for life in frame.lives] == [1]
 
 
-@given(
-    st.lists(st.tuples(st.integers(0, 3 * PERIOD_NS), st.booleans()), min_size=1, max_size=60),
-)
+@given(st.lists(st.tuples(st.integers(0, 3 * PERIOD_NS), st.booleans()), min_size=1, max_size=60))
 def test_ticks_never_begin_early_and_every_moved_moment_is_accounted_for(late: list[tuple[int, bool]]) -> None:
     """Wall time passed = ticks times the period + what the clock was moved by + what the last tick was late."""
     schedule = TickSchedule(PERIOD_NS)

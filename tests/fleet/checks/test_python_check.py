@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from fed_checks import FAULTS, fate, fed
+from refusals import check_refusals
 from small_scenario import SMALL, small
 
 import fleet.checks.own_checks
@@ -121,28 +122,25 @@ def test_the_end_may_show_a_failure(module: Path) -> None:
 STEP = "class Check:\n    def __init__(self, facts): self.n = 0\n    def step(self, tick):\n        "
 
 
-@pytest.mark.parametrize(
-    ("body", "words"),
-    [
-        ("raise ValueError('why not')", "Check raised ValueError: why not (own_checks_here.py:7) at 0 s"),
-        ("raise SystemExit", "Check raised SystemExit (own_checks_here.py:7) at 0 s"),
-        ("tick.vehicles[0]['nav.zz']", "vehicle 1 has no signal 'nav.zz'; did you mean"),
-        (
-            "return True",
-            "Check returned True: expected None or a fleet.checks.api.Failure (own_checks_here.py:6) at 0 s",
-        ),
-        ("return Failure(3)", "Check returned a Failure with message 3: expected a text"),
-        ("return Failure('x', 3)", "Check returned a Failure with vehicles 3 and values {}: expected numbers"),
-        ("return Failure('x', (9,))", "Check returned a Failure of vehicle 9: there is none"),
-        ("return Failure('x', (), {'a': 'b'})", "with vehicles () and values {'a': 'b'}: expected numbers"),
-        ("while True: pass", "Check took longer than its budget of 50 ms (own_checks_here.py:7) at 0 s"),
-    ],
-)
-def test_a_broken_check_is_no_pass(module: Path, monkeypatch: pytest.MonkeyPatch, body: str, words: str) -> None:
+BODIES = (
+    "raise ValueError('why not')", "raise SystemExit", "tick.vehicles[0]['nav.zz']", "return True", "return Failure(3)",
+    "return Failure('x', 3)", "return Failure('x', (9,))", "return Failure('x', (), {'a': 'b'})", "while True: pass",
+    "return None\n    def verdict(self): return 1 / 0",
+)  # fmt: skip
+
+
+def test_a_broken_check_is_no_pass(module: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fleet.checks.own_checks, "BUDGET_S", 0.05)
-    found = verdict(module, STEP + body + "\n")
-    assert not found.passed and found.moment is not None and found.moment.tick == 0 and found.value is None
-    assert found.found.startswith("the check is broken, so nothing is known: ") and words in found.found
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+
+    def check(body: str) -> None:
+        sys.modules.pop("own_checks_here", None)
+        found = verdict(module, STEP + body + "\n")
+        assert found.moment is None if "verdict" in body else found.moment is not None and found.moment.tick == 0
+        if not found.passed and found.value is None:
+            raise RuntimeError(found.found)
+
+    check_refusals("checks/broken", check, BODIES)
 
 
 def test_a_check_whose_process_is_suspended_is_not_broken(module: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -183,48 +181,28 @@ def test_what_lasts_to_the_end_is_there_at_the_last_tick(module: Path) -> None:
     assert found.found == "(4.0, [1, 3], ['gone'])"
 
 
-def test_a_broken_verdict_is_no_pass(module: Path) -> None:
-    found = verdict(module, STEP + "return None\n    def verdict(self): return 1 / 0\n")
-    assert not found.passed
-    assert "Check raised ZeroDivisionError: division by zero (own_checks_here.py:8)" in found.found
+NOTHING = "class Check:\n    def __init__(self, facts): raise ValueError('no')\n    def step(self, tick): pass\n"
 
 
 def test_one_that_cannot_be_made_is_found_before_the_run(module: Path) -> None:
-    with pytest.raises(
-        CheckError, match=r"own_checks_here:Check: Check raised ValueError: no \(own_checks_here.py:5\)"
-    ):
-        verdict(
-            module,
-            "class Check:\n    def __init__(self, facts): raise ValueError('no')\n    def step(self, tick): pass\n",
-        )
+    with pytest.raises(CheckError, match=r"Check: Check raised ValueError: no \(own_checks_here.py:5\)"):
+        verdict(module, NOTHING)
 
 
-@pytest.mark.parametrize(
-    ("code", "key", "words"),
-    [
-        (None, "own_checks_here:Check", "there is no module 'own_checks_here'"),
-        ("x = 1\n", "own_checks_here:Check", "module 'own_checks_here' has no 'Check'"),
-        ("1 / 0\n", "own_checks_here:Check", "importing it failed: ZeroDivisionError: division by zero"),
-        ("class Check: pass\n", "own_checks_here:Check", "it has no method step"),
-        (
-            "class Check:\n    def step(self): pass\n",
-            "own_checks_here:Check",
-            "its step cannot be called as step(tick)",
-        ),
-        (DEEP, "own_checks_here:Check", "cannot be made with these parameters: got an unexpected keyword argument 'x'"),
-        (DEEP, "own checks:Check", "expected package.module:Class"),
-    ],
-)
-def test_what_cannot_be_used_is_refused_with_its_line(module: Path, code: str | None, key: str, words: str) -> None:
-    if code is not None:
-        module.write_text(HEAD + code)
-    scenario = module.with_name("here.yaml")
-    scenario.write_text(SMALL + f'checks:\n  "{key}": {{x: 1}}\n')
-    with pytest.raises(ScenarioError) as caught:
+def test_what_cannot_be_used_is_refused_with_its_line(module: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+
+    def load(code: str, key: str = "own_checks_here:Check") -> None:
+        sys.modules.pop("own_checks_here", None)
+        module.unlink(missing_ok=True)
+        if code:
+            module.write_text(HEAD + code)
+        scenario = module.with_name("here.yaml")
+        scenario.write_text(SMALL + f'checks:\n  "{key}": {{x: 1}}\n')
         load_scenario(scenario)
-    (problem,) = caught.value.problems
-    assert problem.line == SMALL.count("\n") + 2
-    assert words in problem.message
+
+    cases = ["", "x = 1\n", "1 / 0\n", "class Check: pass\n", "class Check:\n    def step(self): pass\n", DEEP]
+    check_refusals("checks/useless", load, [*cases, (DEEP, "own checks:Check")], hide={str(module.parent): "HERE"})
 
 
 def test_a_check_that_nobody_allowed_does_not_run(module: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,7 @@ from math import inf
 
 import pytest
 from fed_checks import Depth, fed
-from small_scenario import only_problem, small
+from small_scenario import small
 
 from fleet.execution.stepped_run import judged
 from fleet.study.one_run import Task, make_run
@@ -62,19 +62,3 @@ def test_a_row_has_it_beside_the_checks() -> None:
 def test_no_bound_where_it_was_never_reached() -> None:
     assert Searched("s", 1, runs=200, reached=[Reached("deep", 200, 1, 3)]).most_failures is not None
     assert Searched("s", 1, runs=200, reached=[Reached("deep", 200, 0)]).most_failures is None
-
-
-@pytest.mark.parametrize(
-    ("check", "words"),
-    [
-        (
-            "signal: {topic: state.z, above: 8 m, sometimes: true, never: true}",
-            'sometimes: cannot be combined with "never"',
-        ),
-        ("signal: {topic: state.z, above: 8 m, sometimes: true, eventually_within: 1 s}", "cannot be combined with"),
-        ("signal: {topic: state.z, above: 8 m, sometimes: false}", "expected true"),
-        ('"fleet.protocols.checks:TrueMean": {sometimes: 1}', "expected true"),
-    ],
-)
-def test_mistakes_are_told(check: str, words: str) -> None:
-    assert words in only_problem(f"checks={{{check}}}")

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from failing_laws import failing
 from failing_laws import module as module
+from refusals import check_refusals
 from small_scenario import SMALL, small
 
 import fleet
-from fleet.errors import ScenarioError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.execution.stepped_run import override_texts, run
@@ -54,19 +55,10 @@ def test_a_run_that_breaks_is_a_result(module: Callable[[str], str]) -> None:
 
 
 def test_changes_are_read_as_options_are() -> None:
-    assert override_texts({"seed": 3, "network.links.*.loss": "30 %", "checks": {"ledger": {}}}) == [
-        "seed=3",
-        "network.links.*.loss=30 %",
-        'checks={"ledger": {}}',
-    ]
-    with pytest.raises(TypeError, match="net: expected a list of texts"):
-        run("paper", net="* loss 30 %")
-    with pytest.raises(TypeError, match="expected a mapping or a list"):
-        run("paper", set="duration=3 s")
-    with pytest.raises(TypeError, match="net: expected a list of texts"):
-        run("paper", net="* loss 30 %")
-    with pytest.raises(ScenarioError, match="expected a time"):
-        run("paper", set={"duration": 3})
+    found = override_texts({"seed": 3, "network.links.*.loss": "30 %", "checks": {"ledger": {}}})
+    assert found == ["seed=3", "network.links.*.loss=30 %", 'checks={"ledger": {}}']
+    wrong: list[dict[str, Any]] = [{"net": "* loss 30 %"}, {"set": "duration=3 s"}, {"set": {"duration": 3}}]
+    check_refusals("execution/arguments of run", lambda given: run("paper", **given), wrong)
 
 
 def test_the_package_offers_it() -> None:

@@ -3,45 +3,43 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 from unittest.mock import MagicMock
 
 import pytest
+from refusals import CommandRefused, check_refusals
 from small_scenario import small
 
 from fleet.execution import operator as module
 from fleet.execution.clock import GrantPolicy, LiveClock
-from fleet.execution.operator import Fleet, Operator
+from fleet.execution.operator import Operator
 from fleet.recorder.journal import Journal
+from fleet.scenario.scenario import Scenario
 
 
-@pytest.mark.parametrize(
-    ("fault", "said"),
-    [
-        ({"link": {"1->2": "los 20%"}}, 'link.1->2: unknown link condition "los"; did you mean "loss"?'),
-        (
-            {"link": {"1->2": "delay 20"}},
-            'link.1->2: the delay "20" has no unit; write "20ms", or "20us", which is how ',
-        ),
-        ({"kill": 9}, "kill: there is no vehicle 9: the vehicles are 1 to 3"),
-        ({"at": "3 s", "kill": 3}, "expected a fault without `at`, because it begins now"),
-    ],
-)
-def test_a_refusal_says_what_to_do(fault: dict[str, Any], said: str) -> None:
-    scenario = small()
+def operator_of(scenario: Scenario, fleet: Any) -> Operator:
     clock = LiveClock(GrantPolicy(scenario.ticks, scenario.tick_ns, scenario.round_ticks, 1, None), 0.0)
-    fleet = cast("Fleet", SimpleNamespace(granted=3))
-    operator = Operator(scenario, Journal(scenario, MagicMock()), clock, fleet)
-    answer = operator.handle({"op": "inject", "fault": fault})
-    assert answer["status"] == 2
-    assert answer["error"].startswith(said)
+    return Operator(scenario, Journal(scenario, MagicMock()), clock, fleet)
+
+
+def test_a_refusal_says_what_to_do() -> None:
+    operator = operator_of(small(), SimpleNamespace(granted=3))
+
+    def inject(fault: dict[str, Any]) -> None:
+        answer = operator.handle({"op": "inject", "fault": fault})
+        if "error" in answer:
+            raise CommandRefused(answer["status"], answer["error"])
+
+    texts = ("los 20%", "delay 20", "loss 3% seed 7")
+    links: list[dict[str, Any]] = [*({"link": {"1->2": text}} for text in texts), {"link": {"1->3": "loss 3%"}}]
+    others = [{"kill": 9}, {"at": "3 s", "kill": 3}, {"partition": "half"}, {"mute": 1, "for": "5ms"}]
+    check_refusals("execution/faults of an operator", inject, [*links, *others])
 
 
 def test_checks_are_not_judged_again_and_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """However often pages ask: the run goes on meanwhile."""
     scenario = small("checks={formation_error: {below: 1 m, after: 500 ms}}")
-    clock = LiveClock(GrantPolicy(scenario.ticks, scenario.tick_ns, scenario.round_ticks, 1, None), 0.0)
-    operator = Operator(scenario, Journal(scenario, MagicMock()), clock, cast("Fleet", SimpleNamespace(granted=3)))
+    operator = operator_of(scenario, SimpleNamespace(granted=3))
     first = operator.handle({"op": "checks"})["checks"]
     assert first[0]["check"] == "formation_error" and first[0]["passed"] is None
     judged = MagicMock(return_value=[])
@@ -60,9 +58,8 @@ class Healed:
 
     def __init__(self, granted: int, *faults: str) -> None:
         scenario = small("duration=3 s", "network.period=100 ms", f"faults=[{', '.join(faults)}]")
-        clock = LiveClock(GrantPolicy(scenario.ticks, scenario.tick_ns, scenario.round_ticks, 1, None), 0.0)
         self.fleet = MagicMock(granted=granted)
-        self.operator = Operator(scenario, Journal(scenario, MagicMock()), clock, self.fleet)
+        self.operator = operator_of(scenario, self.fleet)
 
     def heal(self, name: Any = None) -> dict[str, Any]:
         return self.operator.handle({"op": "heal", "id": name})

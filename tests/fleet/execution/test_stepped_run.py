@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 from failing_laws import failing
 from failing_laws import module as module
 from notebook_pages import run_page
+from refusals import check_refusals
 from repository import ROOT
 from small_scenario import small
 
 import fleet
-from fleet.errors import FleetError
-from fleet.execution.operator import RefusedError
 from fleet.execution.stepped_run import Run
 from fleet.execution.stepped_run import run as run_once
 from fleet.logs.reader import digest
@@ -84,24 +84,16 @@ def test_faults_begin_with_the_next_tick_and_the_log_has_them(tmp_path: Path) ->
 
 
 def test_what_is_wrong_is_said_and_the_run_goes_on() -> None:
+    def call(name: str, *given: Any) -> None:
+        found = getattr(run, name)
+        found(*given)
+
     with Run(small()) as run:
-        with pytest.raises(RefusedError, match=r"the graph has no link 1<->3"):
-            run.inject("down 1<->3")
-        with pytest.raises(RefusedError, match=r"there is no active fault 'x'; none is active"):
-            run.heal("x")
-        with pytest.raises(FleetError, match=r"has no check speed; it has tumbled, deaths"):
-            run.margin("speed")
-        for by in (0, -1, "15 ms", "0 s", 2.5):
-            with pytest.raises(FleetError, match=r"expected a whole number of ticks of 10 ms, 1 or more"):
-                run.step(by)  # type: ignore[arg-type]
-        with pytest.raises(FleetError, match=r'expected a number of ticks, or a time such as "1 s"'):
-            run.step("soon")
-        with pytest.raises(FleetError, match=r"the run goes on at t = 0 s: step on"):
-            _ = run.result
+        steps = [("step", by) for by in (0, -1, "15 ms", "0 s", 2.5, "soon")]
+        others = [("inject", "down 1<->3"), ("heal", "x"), ("margin", "speed"), ("result",)]
+        check_refusals("execution/calls of a run", call, [*steps, *others])
         assert run.to_end().sim_s == 1.0
-        for late in (run.step, lambda: run.inject("mute 2"), run.heal):
-            with pytest.raises(FleetError, match=r"the run is over at t = 1 s"):
-                late()
+        check_refusals("execution/calls of one that is over", call, [("step",), ("inject", "mute 2"), ("heal",)])
     with pytest.raises(TypeError, match=r"Run\(\) has no argument 'duration'; .*set=\{'duration': '5 s'\}"):
         fleet.Run("paper", duration="5 s")  # type: ignore[arg-type]
 

@@ -8,14 +8,13 @@ from pathlib import Path
 from shutil import copytree
 
 import pytest
-from click.testing import CliRunner, Result
+from in_process_runs import recorded as run
 from msgspec import structs
+from refusals import check_commands
 from small_scenario import SMALL
 from study_engine import Here
+from tool import command
 
-from fleet.cli.main import cli
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.explanation.no_return import HealingSearch, healed, remake, with_moments
 from fleet.explanation.why import Explanation, Question, Why, lines
 from fleet.scenario.loading import load_scenario, parse_scenario
@@ -27,18 +26,14 @@ TIGHT = "checks: {formation_error: {below: 5.5 m, vehicles: 1}, tumbled: waived}
 
 
 def recorded(folder: Path, name: str, *overrides: str) -> Path:
-    result = execute(load_scenario(name, overrides), Options(folder, in_process=True, quiet=True))
-    assert result.directory is not None
-    return result.directory
+    directory = run(folder, name, *overrides).directory
+    assert directory is not None
+    return directory
 
 
 def explained(log: Path, check: str | None = None, most_runs: int = 24) -> Why:
     explanation = Explanation(Question(log, check, most_runs), lambda doing, runs: None)
     return explanation.find(Here(), NO_MODULES) if explanation.searches else explanation.without_runs()
-
-
-def call(*args: object) -> Result:
-    return CliRunner().invoke(cli, ["why", *map(str, args)])
 
 
 @pytest.fixture(scope="module")
@@ -169,27 +164,18 @@ def test_what_healing_leaves_of_a_scenario() -> None:
 def test_the_command(small_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fleet.study.engine.engine_of", lambda *_: nullcontext(Here()))
     picture = tmp_path / "why.png"
-    result = call(small_log, "--picture", picture)
+    result = command("why", small_log, "--picture", picture)
     assert result.exit_code == 0, result.output
     assert "small, seed 1: formation_error failed" in result.stdout
     assert "the point of no return" in result.stdout
     assert picture.read_bytes().startswith(b"\x89PNG")
-    document = json.loads(call(small_log, "--json", "--budget", "0").stdout)
+    document = json.loads(command("why", small_log, "--json", "--budget", 0).stdout)
     assert (document["check"], document["no_return"]["how"]) == ("formation_error", "not possible")
 
 
 def test_what_cannot_be_explained(small_log: Path, tmp_path: Path) -> None:
     passed = recorded(tmp_path, "ideal", "duration=200 ms", "checks={tumbled: waived}")
-    for arguments, said in (
-        ([passed], "every check passed, so there is nothing to explain"),
-        ([small_log, "--check", "deaths"], "the check deaths passed; these failed: formation_error"),
-        ([small_log, "--check", "typo"], "the check typo is none of this run; these failed: formation_error"),
-        ([small_log, "--picture", tmp_path / "why.gif"], "a picture ends in one of .png, .svg, .pdf"),
-        ([tmp_path / "nothing.mcap"], "cannot read"),
-    ):
-        result = call(*arguments)
-        assert result.exit_code == 2, result.output
-        assert said in " ".join(result.stderr.split())
+    check_commands("repeat/what cannot be explained", {"PASSED": passed, "LOG": small_log, "HERE": tmp_path}, "why")
 
 
 def test_a_log_without_snapshots(small_log: Path, why: Why, tmp_path: Path) -> None:
@@ -207,9 +193,8 @@ def test_a_run_that_cannot_be_made_again_is_explained_by_its_log(
     assert why.no_return.words == "the agent of vehicle 3 is external"
     copytree(small_log, tmp_path / "bare")
     (tmp_path / "bare" / "result.json").unlink()
-    result = call(tmp_path / "bare")
-    assert result.exit_code == 2
-    assert "what its checks came to is not known" in " ".join(result.stderr.split())
+    result = command("why", tmp_path / "bare")
+    assert result.exit_code == 2 and "what its checks came to is not known" in " ".join(result.stderr.split())
 
 
 def test_the_words_are_of_the_log(small_log: Path) -> None:

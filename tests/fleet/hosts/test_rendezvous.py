@@ -13,16 +13,15 @@ from typing import Any
 
 import click
 import pytest
-from click.testing import CliRunner
 from free_ports import free_port
 from host_certificates import made as made
 from hypothesis import given
 from hypothesis import strategies as st
 from repository import ROOT
+from tool import command
 
 from fleet.cli.group import command_of
 from fleet.cli.hosts import HostsOptions, rendezvous
-from fleet.cli.main import cli
 from fleet.errors import FleetError
 from fleet.hosts import router_config
 from fleet.hosts.rendezvous import Rendezvous, listening, listening_for_certificates, parse_endpoint, read_credentials
@@ -96,43 +95,11 @@ def test_agents_may_come_with_certificates_alone(made: Path) -> None:
         listening_for_certificates(both, "tls/0.0.0.0:2", made, ["other"])
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--certs", "c"], "--certs needs --listen or --router"),
-        (["--listen", "tls/0.0.0.0:7447"], "needs certificates: make them, fleet hosts certs"),
-        (["--listen", "tcp/127.0.0.1:1", "--certs", "c"], "are for tls: --listen tls/127.0.0.1:1"),
-        (["--listen", "udp/127.0.0.1:1"], "--listen: expected tls/HOST:PORT"),
-        (["--listen", "tcp/127.0.0.1:1", "--router", "tcp/127.0.0.1:2"], "either --listen or --router"),
-        (["--listen", "tcp/127.0.0.1:1", "--credentials", "f"], "--credentials is for --router"),
-        (["--router", "tcp/127.0.0.1:2"], "--router needs --credentials FILE, which fleet hosts acl"),
-        (["--router", "tcp/127.0.0.1:2", "--credentials", "f"], "f cannot be read: No such file"),
-        (["--router", "tcp/0.0.0.0:2", "--credentials", "f"], "is an address to listen on"),
-        (["--router", "tcp/a:2", "--credentials", "f", "--advertise", "x"], "--advertise is for --listen"),
-        (["--listen", "tcp/192.0.2.7:7447"], "cannot be used (Cannot assign requested address)"),
-        (["--listen", "tcp/127.0.0.1:1", "--in-process"], "a run in one process has no router"),
-        (["--listen", "tcp/127.0.0.1:1", "--lease", "1 s"], "expected 2 s to 1800 s"),
-        (["--listen", "tcp/127.0.0.1:1", "--lease", "60 s"], "--set stall_timeout"),
-        (["--listen-certified", "tls/127.0.0.1:1"], "--listen-certified needs certificates: fleet hosts certs"),
-        (["--listen-certified", "tcp/127.0.0.1:1"], "shown with tls only: --listen-certified tls/127.0.0.1:1"),
-        (["--listen-certified", "tls/a:1", "--router", "tcp/a:2"], "the one of --router asks for passwords"),
-        (["--listen-certified", "tls/a:1", "--mutual-tls"], "--listen-certified always asks for certificates"),
-        (["--listen-certified", "tls/a:1", "--in-process"], "a run in one process has no router"),
-        (["--listen-certified", "tls/a:0"], "--listen-certified: expected tls/HOST:PORT"),
-    ],
-)
-def test_options_that_do_not_go_together_are_refused(arguments: list[str], words: str, tmp_path: Path) -> None:
-    done = CliRunner().invoke(cli, ["run", "paper", "--out", str(tmp_path / "runs"), *arguments])
-    assert done.exit_code == 2 and words in " ".join(done.output.split()), done.output
-    assert not (tmp_path / "runs").exists()
-
-
 # A router that is there already
 def test_acl_prints_no_password_and_writes_them_for_us_alone(made: Path, tmp_path: Path) -> None:
     out = tmp_path / "acl"
     arguments = ["hosts", "acl", "paper", "--certs", str(made), "--run", "trial"]
-    printed = CliRunner().invoke(cli, arguments)
-    written = CliRunner().invoke(cli, [*arguments, "-o", str(out)])
+    printed, written = command(*arguments), command(*arguments, "-o", out)
     assert printed.exit_code == written.exit_code == 0, printed.output + written.output
     run, credentials = read_credentials(out / router_config.CREDENTIALS, 4)
     assert run == "trial" and credentials["agent-3"].user == "trial-agent-3"
@@ -144,26 +111,26 @@ def test_acl_prints_no_password_and_writes_them_for_us_alone(made: Path, tmp_pat
     assert {stat.S_IMODE((out / name).stat().st_mode) for name in (router_config.USERS, router_config.CREDENTIALS)} == {
         0o600
     }
-    again = CliRunner().invoke(cli, [*arguments, "-o", str(out)])
+    again = command(*arguments, "-o", out)
     assert again.exit_code == 2 and "--force" in again.output
     assert read_credentials(out / router_config.CREDENTIALS, 4)[1] == credentials
 
 
 def _command(words: str) -> click.Command:
-    command = command_of(words.split()[0])
-    return command.commands[words.split()[1]] if isinstance(command, click.Group) else command
+    found = command_of(words.split()[0])
+    return found.commands[words.split()[1]] if isinstance(found, click.Group) else found
 
 
 # The page
 def test_the_page_names_options_that_there_are() -> None:
     page = (ROOT / "docs" / "guide" / "hosts.md").read_text()
-    named = {command: set() for command in ("run", "hosts certs", "hosts acl", "agent")}
-    for command, rest in re.findall(r"\bfleet (run|hosts certs|hosts acl|agent) ([^`#\n]*)", page):
-        named[command] |= set(re.findall(r"--[a-z-]+", rest))
+    named = {name: set() for name in ("run", "hosts certs", "hosts acl", "agent")}
+    for name, rest in re.findall(r"\bfleet (run|hosts certs|hosts acl|agent) ([^`#\n]*)", page):
+        named[name] |= set(re.findall(r"--[a-z-]+", rest))
     assert {"--listen", "--router", "--certs"} <= named["run"] and named["agent"] == {"--join"}
-    for command, options in named.items():
-        known = {option for parameter in _command(command).params for option in parameter.opts}
-        assert options <= known, command
+    for name, options in named.items():
+        known = {option for parameter in _command(name).params for option in parameter.opts}
+        assert options <= known, name
 
 
 def test_the_pages_service_is_one(tmp_path: Path) -> None:

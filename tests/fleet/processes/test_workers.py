@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from repository import ROOT
+from spawned import python
 from worker_items import die_at_once, die_once, hang, known_to_the_worker_alone, masked, sleep, step, unpicklable
 
 from fleet.errors import RunBroken
@@ -125,9 +124,7 @@ def test_so_does_the_first_process_of_a_program(tmp_path: Path) -> None:
     """What multiprocessing starts before it lifts the block of SIGINT."""
     (tmp_path / "first.py").write_text(FIRST)
     place = os.pathsep.join(map(str, (ROOT, ROOT / "tests" / "support")))
-    done = subprocess.run(
-        [sys.executable, tmp_path / "first.py"], env=os.environ | {"PYTHONPATH": place}, capture_output=True, text=True
-    )
+    done = python(tmp_path / "first.py", environment={"PYTHONPATH": place})
     assert (done.returncode, done.stdout.split()) == (0, [str(signal.SIGHUP.value), str(signal.SIGINT.value)]), done
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from protocol_network import Link, ProtocolNetwork, Still, delivery, line, nav, ring, stand_still
+from protocol_network import Link, ProtocolNetwork, delivery, line, memory_goes_on, nav, ring, stand_still
 from small_scenario import small
 
 from agents.api import pack
@@ -63,12 +63,10 @@ def test_loss_makes_the_naive_one_agree_on_a_wrong_number() -> None:
 def test_the_exact_one_finds_it_whatever_is_lost_late_or_repeated(
     seed: int, loss: float, delay: tuple[int, int], links: list[Link]
 ) -> None:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(average, "FormationAgent", Still)
-        net = network(ExactAverage, links, seed)
-        net.run(100, loss=loss, delay=delay, repeat=0.2)
-        net.run(400, delay=delay, repeat=0.2)
-        assert off(net, *MEASURED) < 1e-6
+    net = network(ExactAverage, links, seed)
+    net.run(100, loss=loss, delay=delay, repeat=0.2)
+    net.run(400, delay=delay, repeat=0.2)
+    assert off(net, *MEASURED) < 1e-6
 
 
 @settings(max_examples=20)
@@ -77,19 +75,17 @@ def test_a_vehicle_that_ends_takes_its_measurement_with_it_and_brings_it_back(
     seed: int, victim: int, before: int, away: int
 ) -> None:
     """Whenever it ends, and however long it is away: also if the others have not noticed yet."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(average, "FormationAgent", Still)
-        net = network(ExactAverage, seed=seed)
-        net.run(before + 1, loss=0.2, delay=(1, 30))
-        net.kill(victim)
-        net.run(away, loss=0.2, delay=(1, 30))
-        if away > 60:  # longer than it takes to be forgotten
-            net.run(150)
-            assert off(net, *(set(MEASURED) - {victim})) < 1e-6
-        net.start(victim)
-        net.run(60, loss=0.2, delay=(1, 30))
-        net.run(120)
-        assert off(net, *MEASURED) < 1e-9
+    net = network(ExactAverage, seed=seed)
+    net.run(before + 1, loss=0.2, delay=(1, 30))
+    net.kill(victim)
+    net.run(away, loss=0.2, delay=(1, 30))
+    if away > 60:  # longer than it takes to be forgotten
+        net.run(150)
+        assert off(net, *(set(MEASURED) - {victim})) < 1e-6
+    net.start(victim)
+    net.run(60, loss=0.2, delay=(1, 30))
+    net.run(120)
+    assert off(net, *MEASURED) < 1e-9
 
 
 @pytest.mark.parametrize(("loss", "forget_after_s"), [(0.6, 2.3), (0.8, 5.2), (0.9, 11.0)])
@@ -178,16 +174,11 @@ def test_what_makes_no_sense_is_refused_and_changes_nothing(case: str) -> None:
     assert state == told_after(law, b"")[0]
 
 
-@pytest.mark.parametrize("law", [ExactAverage, NaiveAverage])
-def test_the_payload_of_another_protocol_is_passed_over(law: type[Any]) -> None:
+@pytest.mark.parametrize(("law", "good"), [(ExactAverage, pack(EXACT, exact())), (NaiveAverage, pack(NAIVE, [2, 12]))])
+def test_another_protocol_is_passed_over_and_who_is_no_neighbour_refused(law: type[Any], good: bytes) -> None:
     state, told = told_after(law, pack("election", [[1, 2, 3, 4]]))
-    assert told["refused"] == 0
-    assert state == told_after(law, b"")[0]
-
-
-def test_one_who_is_no_neighbour_is_refused() -> None:
-    assert told_after(ExactAverage, pack(EXACT, exact()), src=3)[1]["refused"] == 1
-    assert told_after(NaiveAverage, pack(NAIVE, [2, 12.0]), src=3)[1]["refused"] == 1
+    assert (told["refused"], state) == (0, told_after(law, b"")[0])
+    assert [told_after(law, good, src)[1]["refused"] for src in (2, 3)] == [0, 1]
 
 
 class Liar(ExactAverage):
@@ -212,13 +203,7 @@ def test_a_neighbour_that_lies_is_believed_until_it_is_gone() -> None:
 
 @pytest.mark.parametrize("law", [ExactAverage, NaiveAverage])
 def test_its_memory_goes_on(law: type[Any]) -> None:
-    plain, resumed = (network(law, seed=3) for _ in range(2))
-    for net in (plain, resumed):
-        net.run(20, loss=0.3, delay=(1, 25))
-    resumed.restart_from_memory(2)
-    for net in (plain, resumed):
-        net.run(20, loss=0.3, delay=(1, 25))
-    assert plain.told == resumed.told
+    memory_goes_on(lambda: network(law, seed=3), 20, 20, 2)
 
 
 def test_what_is_not_given_is_drawn_from_seed_and_vehicle() -> None:

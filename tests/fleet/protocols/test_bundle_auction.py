@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import pytest
-from protocol_network import ROUND_TICKS, ProtocolNetwork, delivery, line, nav, ring, stand_still
+from protocol_network import ROUND_TICKS, ProtocolNetwork, delivery, line, memory_goes_on, nav, ring, stand_still
+from refusals import check_refusals
 from small_scenario import small
 
 from agents.api import Nav, pack, unpack
+from fleet.checks.api import Facts
 from fleet.protocols.bundle_auction import KIND, BundleAuction
+from fleet.protocols.checks import AgreeAfterHeal, AtMostOneLeader, NoConflict
+from fleet.protocols.election import Election
+from fleet.protocols.event_triggered import EventTriggered
 
 pytestmark = pytest.mark.usefixtures("stand_still")
 __all__ = ["stand_still"]
@@ -141,33 +147,26 @@ def test_a_possible_lie_is_believed_and_the_places_wait() -> None:
 
 
 def test_its_memory_goes_on() -> None:
-    plain, resumed = ProtocolNetwork(agent, ring(4)), ProtocolNetwork(agent, ring(4))
-    for net in (plain, resumed):
-        net.run(7, loss=0.3, delay=(1, 25))
-    for i in (1, 2, 3, 4):
-        resumed.restart_from_memory(i)
-    for net in (plain, resumed):
-        net.run(20, loss=0.3, delay=(1, 25))
-    assert plain.told == resumed.told
-    assert {i: a.state() for i, a in plain.agents.items()} == {i: a.state() for i, a in resumed.agents.items()}
+    memory_goes_on(lambda: ProtocolNetwork(agent, ring(4)), 7, 20, 1, 2, 3, 4)
 
 
-@pytest.mark.parametrize(
-    ("parameters", "expected"),
-    [
-        ({"places": []}, "a list of 1 to 32 places"),
-        ({"places": [[1.0, 2.0]]}, "expected x, y and z"),
-        ({"places": [[1.0, 2.0, float("nan")]]}, "expected x, y and z"),
-        ({"bundle": 0}, "bundle: expected a whole number from 1 to 32, got 0"),
-        ({"bundle": 2.5}, "bundle: expected a whole number"),
-        ({"speed_mps": 0.0}, "speed_mps: expected a number above 0"),
-        ({"silence_s": float("inf")}, "silence_s: expected a number above 0"),
-        ({"discount": 1.0}, "discount: expected a number between 0 and 1"),
-    ],
-)
-def test_parameters_that_make_no_sense_are_refused(parameters: Any, expected: str) -> None:
-    with pytest.raises(ValueError, match=expected):
-        agent(**parameters)
+def test_parameters_that_make_no_sense_are_refused() -> None:
+    """Also those of the other protocols and of their checks."""
+    nan, inf = float("nan"), float("inf")
+    no_places: list[dict[str, Any]] = [{"places": each} for each in ([], [[1.0, 2.0]], [[1.0, 2.0, nan]])]
+    odd = [{"bundle": 0}, {"bundle": 2.5}, {"speed_mps": 0.0}, {"silence_s": inf}, {"discount": 1.0}]
+    check_refusals("protocols/auction", lambda given: agent(**given), [*no_places, *odd])
+    odd = [{"threshold_m": -0.1}, {"threshold_m": nan}, {"silence_s": 0.0}, {"ahead_s": -1.0}]
+    event_triggered = partial(EventTriggered, SCENARIO.agent_config(1))
+    check_refusals("protocols/event triggered", lambda given: event_triggered(**given), odd)
+    voters: list[dict[str, Any]] = [{"vehicles": 3}, {"vehicles": 4, "quorum": "most"}]
+    check_refusals("protocols/election", lambda given: Election(SCENARIO.agent_config(4), **given), voters)
+    facts = Facts("three", 1, 3, 10.0, 0.1, 0.0, ((2, 1), (2, 3), (3, 2)), {})
+    checks: list[tuple[type[Any], dict[str, Any]]] = [
+        (AtMostOneLeader, {"per": "x"}), (AgreeAfterHeal, {"within": "1 s", "quorum": "x"}),
+        (NoConflict, {"places": PLACES, "bundle": 2}),  # there is no way from each to all
+    ]  # fmt: skip
+    check_refusals("protocols/checks", lambda check, given: check(facts, **given), checks)
 
 
 def test_a_message_of_the_largest_auction_fits_into_a_round() -> None:

@@ -158,9 +158,3 @@ def test_a_run_that_ends_before_there_is_agreement_does_not_pass() -> None:
     assert isinstance(check.verdict(), Failure)
     assert first_failure(check, [(1.5, (), *FIRST)], ("leads", "leader")) is None
     assert check.verdict() == "agreed 1.5 s after a change at the latest"
-
-
-@pytest.mark.parametrize(("check", "given"), [(AtMostOneLeader, {"per": "x"}), (AgreeAfterHeal, {"quorum": "x"})])
-def test_parameters_that_make_no_sense_are_refused(check: Any, given: Any) -> None:
-    with pytest.raises(ValueError, match="expected fleet or side, got 'x'"):
-        check(FACTS, **({"within": "1 s"} if check is AgreeAfterHeal else {}), **given)

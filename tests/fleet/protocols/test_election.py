@@ -8,11 +8,10 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from protocol_network import ROUND_TICKS, ProtocolNetwork, Still, delivery, line, nav, ring, stand_still
+from protocol_network import ROUND_TICKS, ProtocolNetwork, delivery, line, memory_goes_on, nav, ring, stand_still
 from small_scenario import small
 
 from agents.api import pack, unpack
-from fleet.protocols import election
 from fleet.protocols.election import RECORDS, Election
 
 pytestmark = pytest.mark.usefixtures("stand_still")
@@ -59,14 +58,12 @@ def disturb(net: ProtocolNetwork, draw: Random, kinds: int) -> None:
 @given(seed=st.integers(0, 10**6), links=st.sampled_from(GRAPHS), loss=st.floats(0.0, 0.8), late=st.integers(1, 500))
 def test_a_quorum_of_the_fleet_never_has_two_leaders(seed: int, links: Any, loss: float, late: int) -> None:
     """Whatever is lost and however late it is, who ends and comes back, and how it is cut."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(election, "FormationAgent", Still)
-        net, draw = network(links=links, seed=seed), Random(seed)
-        for _ in range(25):
-            disturb(net, draw, kinds=4)
-            for _ in range(draw.randrange(LEASE)):
-                net.run(1, loss=loss, delay=(1, late), repeat=0.1)
-                assert len(leaders(net)) <= 1
+    net, draw = network(links=links, seed=seed), Random(seed)
+    for _ in range(25):
+        disturb(net, draw, kinds=4)
+        for _ in range(draw.randrange(LEASE)):
+            net.run(1, loss=loss, delay=(1, late), repeat=0.1)
+            assert len(leaders(net)) <= 1
 
 
 @settings(max_examples=12)
@@ -74,30 +71,28 @@ def test_a_quorum_of_the_fleet_never_has_two_leaders(seed: int, links: Any, loss
 def test_all_agree_within_the_bound_after_any_history(seed: int, links: Any, quorum: Any) -> None:
     """Two leases and seven times what news take across, after the last change; one lease after it one leads at most."""
     spread = 8  # rounds: over four links of up to two rounds
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(election, "FormationAgent", Still)
-        net, draw = network(quorum, links, seed), Random(seed)
-        for _ in range(8):
-            match draw.randrange(3):
-                case 0 if len(net.agents) == 5:
-                    net.kill(draw.randint(1, 5))
-                case 1 if len(net.agents) < 5:
-                    net.start(min({1, 2, 3, 4, 5} - set(net.agents)))
-                case 2:
-                    one = {i for i in range(1, 6) if draw.random() < 0.5}
-                    net.split(one, {1, 2, 3, 4, 5} - one)
-            net.run(draw.randrange(3 * LEASE), delay=(1, 20))
-        net.split()
-        for i in {1, 2, 3, 4, 5} - set(net.agents):
-            net.start(i)
-        net.run(LEASE, delay=(1, 20))
-        for _ in range(LEASE + 7 * spread):
-            net.run(1, delay=(1, 20))
-            assert len(leaders(net)) <= 1
-        (leader,) = leaders(net)
-        assert agreed(net, leader, 1, 2, 3, 4, 5)
-        net.run(2 * LEASE, delay=(1, 20))
-        assert agreed(net, leader, 1, 2, 3, 4, 5)
+    net, draw = network(quorum, links, seed), Random(seed)
+    for _ in range(8):
+        match draw.randrange(3):
+            case 0 if len(net.agents) == 5:
+                net.kill(draw.randint(1, 5))
+            case 1 if len(net.agents) < 5:
+                net.start(min({1, 2, 3, 4, 5} - set(net.agents)))
+            case 2:
+                one = {i for i in range(1, 6) if draw.random() < 0.5}
+                net.split(one, {1, 2, 3, 4, 5} - one)
+        net.run(draw.randrange(3 * LEASE), delay=(1, 20))
+    net.split()
+    for i in {1, 2, 3, 4, 5} - set(net.agents):
+        net.start(i)
+    net.run(LEASE, delay=(1, 20))
+    for _ in range(LEASE + 7 * spread):
+        net.run(1, delay=(1, 20))
+        assert len(leaders(net)) <= 1
+    (leader,) = leaders(net)
+    assert agreed(net, leader, 1, 2, 3, 4, 5)
+    net.run(2 * LEASE, delay=(1, 20))
+    assert agreed(net, leader, 1, 2, 3, 4, 5)
 
 
 def two_lead(seed: int) -> tuple[bool, bool]:
@@ -119,9 +114,7 @@ def two_lead(seed: int) -> tuple[bool, bool]:
 @given(seed=st.integers(0, 10**6))
 def test_nobody_leads_by_its_lease_while_another_does_also_suspended(seed: int) -> None:
     """At any true time, over pauses, deaths, restarts and partitions."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(election, "FormationAgent", Still)
-        assert not two_lead(seed)[1]
+    assert not two_lead(seed)[1]
 
 
 @pytest.mark.slow
@@ -152,15 +145,13 @@ def test_a_suspended_leader_leads_until_its_voters_are_free(quorum: str) -> None
 @settings(max_examples=15)
 @given(seed=st.integers(0, 10**6), quorum=st.sampled_from(["fleet", "side"]), loss=st.floats(0.0, 0.8))
 def test_a_leader_that_hears_nothing_more_leads_until_it_said(seed: int, quorum: str, loss: float) -> None:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(election, "FormationAgent", Still)
-        net = network(quorum, seed=seed)
-        net.run(LEASE + seed % LEASE, loss=loss, delay=(1, 40))
-        for i in leaders(net):
-            agent, until = net.agents[i], round(net.told[i]["leads_until"] * 100)
-            assert until > net.tick - ROUND_TICKS
-            for tick in range(net.tick, until + 1):
-                assert agent.decide(nav(tick), [])[1]["leads"] == (tick < until)
+    net = network(quorum, seed=seed)
+    net.run(LEASE + seed % LEASE, loss=loss, delay=(1, 40))
+    for i in leaders(net):
+        agent, until = net.agents[i], round(net.told[i]["leads_until"] * 100)
+        assert until > net.tick - ROUND_TICKS
+        for tick in range(net.tick, until + 1):
+            assert agent.decide(nav(tick), [])[1]["leads"] == (tick < until)
 
 
 @pytest.mark.parametrize("quorum", ["fleet", "side"])
@@ -310,19 +301,7 @@ def test_a_neighbour_that_lies_is_believed_until_it_is_gone() -> None:
 
 
 def test_its_memory_goes_on() -> None:
-    plain, resumed = (network(seed=3) for _ in range(2))
-    for net in (plain, resumed):
-        net.run(LEASE + 5, loss=0.3, delay=(1, 25))
-    resumed.restart_from_memory(2)
-    for net in (plain, resumed):
-        net.run(LEASE, loss=0.3, delay=(1, 25))
-    assert plain.told == resumed.told
-
-
-@pytest.mark.parametrize("parameters", [{"vehicles": 4}, {"vehicles": 5, "quorum": "most"}])
-def test_parameters_that_make_no_sense_are_refused(parameters: Any) -> None:
-    with pytest.raises(ValueError, match=r"expected fleet or side|there is a vehicle 5"):
-        Election(SCENARIO.agent_config(5), **parameters)
+    memory_goes_on(lambda: network(seed=3), LEASE + 5, LEASE, 2)
 
 
 def test_records_that_are_old_are_not_passed_on() -> None:

@@ -9,20 +9,17 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
+from in_process_runs import recorded
 from plain_messages import encoded
+from tool import command
 
 import fleet.execution.execute
 import fleet.execution.in_process
 from agents.config import AgentConfig
 from agents.make_agent import make_agent
-from fleet.cli.main import cli
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.logs.schemas import Doubles, MessageField
 from fleet.repeat.verify import NotRecordedError, verification_lines, verify
 from fleet.result.result import Status
-from fleet.scenario.loading import load_scenario
 
 EXTERNAL = "per_vehicle={3: {external: true}}"
 LINKS = "'*': 'delay 200ms 50ms loss 20% duplicate 10% corrupt 20%', '3->4': 'corrupt 100%', '3->2': 'down'"
@@ -43,8 +40,7 @@ def log(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Monk
     name, overrides = CASES[request.param]
     with monkeypatch.context() as patch:
         patch.setattr(fleet.execution.execute, "refuse", lambda *_: None)
-        scenario = load_scenario(name, ["checks={}", EXTERNAL, *overrides])
-        result = execute(scenario, Options(tmp_path, in_process=True, quiet=True))
+        result = recorded(tmp_path, name, "checks={}", EXTERNAL, *overrides)
     assert result.status is Status.PASS, result.reason
 
     def others(config: AgentConfig) -> object:
@@ -80,10 +76,10 @@ def test_a_cut_log_is_verified_as_far_as_it_tells(log: Path, share: float) -> No
 
 @pytest.mark.parametrize("log", ["snapshots"], indirect=True)
 def test_nothing_goes_on_from_it_and_whatif_says_whose_it_is(log: Path) -> None:
-    refused = CliRunner().invoke(cli, ["run", "--from", str(log), "--quiet"])
+    refused = command("run", "--from", log, "--quiet")
     assert refused.exit_code == 2
     assert "vehicle 3 is external in" in refused.output
-    asked = CliRunner().invoke(cli, ["whatif", str(log), "--agent", "3"])
+    asked = command("whatif", log, "--agent", 3)
     assert asked.exit_code == 0, asked.output
     assert "note  vehicle 3 is external: what was recorded is what somebody else's agent commanded" in asked.output
     assert "identical" in asked.output
@@ -91,8 +87,7 @@ def test_nothing_goes_on_from_it_and_whatif_says_whose_it_is(log: Path) -> None:
 
 def test_thinned_commands_cannot_be_said_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fleet.execution.execute, "refuse", lambda *_: None)
-    scenario = load_scenario("paper", ["duration=1 s", "checks={}", EXTERNAL, "log.every=10 ticks"])
-    result = execute(scenario, Options(tmp_path, in_process=True, quiet=True))
+    result = recorded(tmp_path, "paper", "duration=1 s", "checks={}", EXTERNAL, "log.every=10 ticks")
     with pytest.raises(NotRecordedError, match=r"has every 10th command only: .*\(log\.command: 1 tick\)$"):
         verify(result.directory)
 

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import msgpack
 import pytest
-from click.testing import CliRunner
 from failing_laws import failing
 from failing_laws import module as module
 from fault_histories import EVERYTHING
 from marks import slow
 from ranged import DYING
+from refusals import check_commands
 from small_scenario import small
+from tool import command
 
-from fleet.cli.main import cli
 from fleet.errors import FleetError
 from fleet.execution.execute import _policy, execute
 from fleet.execution.options import Options
@@ -189,36 +189,17 @@ def test_when_there_is_one() -> None:
 
 
 def test_what_cannot_go_on_says_why(module: Callable[[str], str], tmp_path: Path) -> None:
-    first = str(recorded(tmp_path, "paper", "duration=1 s", "log.snapshot=500 ms").directory)
-    without = str(recorded(tmp_path, "paper", "duration=1 s", "log.snapshot=0 s").directory)
     law = module(failing(10**6, "pass"))
-    forgetful = str(
-        recorded(tmp_path, "paper", "duration=1 s", f"controller={law}:Law", "log.snapshot=500 ms").directory
-    )
-    for begin, sets, words in (
-        (f"{first}@400ms", [], "the first is at 500 ms"),
-        (without, [], "it ended before the first, or has log.snapshot: 0 s"),
-        (forgetful, [], f"{law}:Law has no state() and restore()"),
-        (f"{first}@30s", [], "ends at 1 s, got 30 s"),
-        (f"{first}@soon", [], "as in runs/latest@20s"),
-        (first, ["vehicles=5"], "the number of vehicles cannot change"),
-        (first, ["graph.shape=ring"], "the links of the graph cannot change"),
-        (first, ["network.period=50 ms"], "the round period cannot change"),
-        (first, ["duration=400 ms"], "the run would be over before"),
-        (first, ["nonsense=1"], 'unknown key "nonsense"'),
-        (str(tmp_path / "nothing"), [], "cannot read"),
-    ):
-        arguments = ["run", "--from", begin, "--out", str(tmp_path), *(a for s in sets for a in ("--set", s))]
-        result = CliRunner().invoke(cli, arguments)
-        assert (result.exit_code, words in result.stderr) == (2, True), (arguments, result.stderr)
-    assert CliRunner().invoke(cli, ["run"]).exit_code == 2
+    logs = {"LOG": (), "WITHOUT": ("log.snapshot=0 s",), "FORGETFUL": (f"controller={law}:Law",)}
+    short = ("duration=1 s", "log.snapshot=500 ms")
+    places = {name: recorded(tmp_path, "paper", *short, *overrides).directory for name, overrides in logs.items()}
+    check_commands("repeat/what cannot go on", places | {"mine": law, "HERE": tmp_path}, "run", "--from")
     assert parse_from("a@b@20 s") == (Path("a@b"), 20_000_000_000)
 
 
 def test_on_the_command_line(tmp_path: Path) -> None:
     first = recorded(tmp_path, "paper", "duration=1 s", "log.snapshot=500 ms")
-    arguments = ["run", "--from", f"{first.directory}@0.5s", "--out", str(tmp_path)]
-    result = CliRunner().invoke(cli, arguments)
+    result = command("run", "--from", f"{first.directory}@0.5s", "--out", tmp_path)
     assert result.exit_code == 0, result.output
     assert "goes on from t = 500 ms of " in result.stderr
     assert "0.5 s simulated, t = 0.5 to 1 s, in " in result.stdout.splitlines()[-2]

@@ -12,17 +12,17 @@ from textwrap import dedent
 from typing import Any
 
 import pytest
-from click.testing import CliRunner, Result
 from failing_laws import NAN_IN_THE_CORE
+from in_process_runs import recorded
 from live import LiveRun
 from marks import slow
 from mcap.records import Attachment, Metadata
+from tool import command as tool
 from tool import tool as op
 from waiting import wait_for
 
 import fleet.logs.deviation
 from agents.controllers import TRACKING
-from fleet.cli.main import cli
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.decoder import Decoder
@@ -34,7 +34,6 @@ from fleet.logs.salvage import Item, Salvage
 from fleet.repeat.resume import continuation
 from fleet.repeat.verify import Verification, verification_lines, verify
 from fleet.result.result import Status
-from fleet.scenario.loading import load_scenario
 
 Part = Item | Message
 ROUGH = "network.links={'*': 'delay 200ms 50ms loss 30%'}"
@@ -58,8 +57,7 @@ CASES: dict[str, tuple[str, list[str]]] = {
 
 def run(out: Path, scenario: str, *overrides: str) -> Path:
     """The log of a run in this process."""
-    loaded = load_scenario(scenario, ["checks={tumbled: waived}", *overrides])
-    result = execute(loaded, Options(out, in_process=True, quiet=True))
+    result = recorded(out, scenario, "checks={tumbled: waived}", *overrides)
     assert result.status is Status.PASS, (result.reason, result.lines)
     return result.directory / "run.mcap"
 
@@ -67,12 +65,6 @@ def run(out: Path, scenario: str, *overrides: str) -> Path:
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return run(tmp_path_factory.mktemp("log"), "paper", "duration=2.5 s", ROUGH, "log.every=10 ticks")
-
-
-def tool(*arguments: object) -> Result:
-    result = CliRunner().invoke(cli, [str(argument) for argument in arguments])
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result
 
 
 def altered(log: Path, out: Path, change: Callable[[int, Part], Part | None]) -> Path:
@@ -119,7 +111,7 @@ def test_a_log_is_reproduced(case: str, tmp_path: Path) -> None:
     scenario, overrides = CASES[case]
     log = run(tmp_path, scenario, *overrides)
     result = tool("verify", log.parent)
-    assert (result.exit_code, result.stderr) == (0, "")
+    assert result.exit_code == 0, result.output
     count = sum(1 for _ in LogReader(log))
     end_s = max(record.log_ns for record in LogReader(log)) / 1e9
     assert result.stdout == f"reproduced bit for bit ({count} messages), up to t = {end_s:g} s\n"
@@ -163,14 +155,13 @@ def test_an_interrupt_in_the_middle_of_a_message(number: int, tmp_path: Path, mo
     monkeypatch.setattr(McapWriter, "message", interrupted)
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        result = execute(load_scenario("paper", ["checks={}"]), Options(tmp_path, in_process=True, quiet=True))
+        result = recorded(tmp_path, "paper", "checks={}")
     finally:
         signal.signal(signal.SIGTERM, before)
     assert result.status is Status.INTERRUPTED and next(messages) > 600
     found = verify(result.directory)
-    assert found.reproduced and verification_lines(found)[0].endswith("where the run was ended"), verification_lines(
-        found
-    )
+    said = verification_lines(found)
+    assert found.reproduced and said[0].endswith("where the run was ended"), said
 
 
 @pytest.mark.parametrize("then", ["die", "abort"])
@@ -178,8 +169,7 @@ def test_a_run_with_a_controller_that_failed(then: str, tmp_path: Path, monkeypa
     """What it left before is reproduced; what it would do next is not asked for, whether the run went on or not."""
     monkeypatch.setitem(TRACKING, "neurodynamic", TRACKING["neurodynamic"])  # restored after the sabotage
     exec(dedent(NAN_IN_THE_CORE), {})
-    scenario = load_scenario("paper", ["duration=2 s", "checks={}", f"on_controller_error={then}"])
-    result = execute(scenario, Options(tmp_path, in_process=True, quiet=True))
+    result = recorded(tmp_path, "paper", "duration=2 s", "checks={}", f"on_controller_error={then}")
     found = verify(result.directory)
     assert found.reproduced, verification_lines(found)
     assert found.until_s == (pytest.approx(0.5, abs=0.1) if result.status is Status.BROKEN else 2.0)

@@ -7,28 +7,26 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 from failing_laws import failing
 from failing_laws import module as module
 from fault_histories import EVERYTHING
+from in_process_runs import recorded
 from marks import slow
+from refusals import check_commands
+from tool import command
 
-from fleet.cli.main import cli
-from fleet.errors import FleetError, ScenarioError
+from fleet.errors import FleetError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.repeat.resume import continuation
 from fleet.repeat.what_if import what_if
 from fleet.result.result import Status
-from fleet.scenario.loading import load_scenario
 
 LINKS = 'network.links={"*": delay 60ms 30ms loss 20% duplicate 20% corrupt 20%}'
 
 
 def run(folder: Path, name: str, *overrides: str) -> Path:
-    result = execute(
-        load_scenario(name, ["checks={tumbled: waived}", *overrides]), Options(folder, in_process=True, quiet=True)
-    )
+    result = recorded(folder, name, "checks={tumbled: waived}", *overrides)
     assert result.status is Status.PASS, result.reason
     return result.directory
 
@@ -38,18 +36,11 @@ def run(folder: Path, name: str, *overrides: str) -> Path:
     [
         ("paper", ["duration=3 s", LINKS, EVERYTHING]),
         *slow(("ideal", ["duration=1 s"])),
-        pytest.param(
-            *("acoustic-80bps", ["duration=20 s", "log.every=1 tick", "faults=[{at: 8 s, for: 6 s, kill: 2}]"]),
-            marks=pytest.mark.slow,
+        *slow(
+            ("acoustic-80bps", ["duration=20 s", "log.every=1 tick", "faults=[{at: 8 s, for: 6 s, kill: 2}]"]),
+            ("paper", ["duration=1 s", "sensors.position_noise=5 cm", "neighbours.drop_after=200 ms"]),
+            ("dead-reckoning", ["duration=2 s"]),
         ),
-        pytest.param(
-            *(
-                "paper",
-                ["duration=1 s", "on_death=continue", "sensors.position_noise=5 cm", "neighbours.drop_after=200 ms"],
-            ),
-            marks=pytest.mark.slow,
-        ),
-        *slow(("dead-reckoning", ["duration=2 s"])),
         (
             "election",
             ["duration=2 s", "log.every=1 tick", "agent.clock={drift: {sigma: 900 ppm}, offset: -40 ms}", EVERYTHING],
@@ -73,9 +64,7 @@ def test_another_law_commands_something_else(tmp_path: Path) -> None:
     later = what_if(directory, 3, ["neighbours.extrapolate=hold"])  # hears nobody before 0.01 s
     assert later.first_s is not None
     assert 0.0 < later.first_s < 0.5
-    shown = json.loads(
-        CliRunner().invoke(cli, ["whatif", str(directory), "--agent", "3", "--controller", "bsmc", "--json"]).stdout
-    )
+    shown = json.loads(command("whatif", directory, "--agent", 3, "--controller", "bsmc", "--json").stdout)
     assert shown["components"]["surge force"]["max"] == abs(found.found - found.recorded)[:, 0].max()
 
 
@@ -86,7 +75,7 @@ def test_a_law_of_the_users(module: Callable[[str], str], tmp_path: Path, monkey
     with pytest.raises(FleetError, match="agent 2, tick 50: Law raised ValueError: enough"):
         what_if(directory, 2, [f"controller={law}:Law"])
     monkeypatch.chdir(tmp_path)
-    asked = CliRunner().invoke(cli, ["whatif", str(directory), "--agent", "2", "--controller", f"{law}:Law"])
+    asked = command("whatif", directory, "--agent", 2, "--controller", f"{law}:Law")
     line = f"fleet: agent 2, tick 50: Law raised ValueError: enough ({law}.py:10)\n"
     assert (asked.exit_code, asked.stderr.endswith(line)) == (3, True), asked.stderr  # as of a run
     coasting = what_if(directory, 2, [f"controller={law}:Law", "on_controller_error=coast"])
@@ -96,26 +85,13 @@ def test_a_law_of_the_users(module: Callable[[str], str], tmp_path: Path, monkey
 def test_what_cannot_be_asked_is_refused_in_words(tmp_path: Path) -> None:
     directory = run(tmp_path, "paper", "duration=1 s")
     thin = run(tmp_path, "paper", "duration=1 s", "log.nav=5 ticks")
-    for arguments, words in (
-        ([str(directory), "--agent", "9"], "there is no agent 9: the agents are 1 to 4"),
-        ([str(thin), "--agent", "1"], "has every 5th nav only"),
-        ([str(directory), "--agent", "1", "--set", "vehicles=5"], "another number of vehicles"),
-        ([str(directory), "--agent", "1", "--controller", "pid"], "--controller pid: controller.law: there is no"),
-        ([str(directory), "--agent", "1", "--plot", str(tmp_path / "x.gif")], "a picture ends in one of .png"),
-        ([str(tmp_path / "nothing"), "--agent", "1"], "cannot read"),
-    ):
-        result = CliRunner().invoke(cli, ["whatif", *arguments])
-        assert (result.exit_code, words in result.stderr) == (2, True), (arguments, result.stderr)
-    with pytest.raises(ScenarioError):
-        what_if(directory, 1, ["nonsense=1"])
+    check_commands("repeat/what cannot be asked", {"LOG": directory, "THIN": thin, "HERE": tmp_path}, "whatif")
 
 
 def test_the_picture(tmp_path: Path) -> None:
     directory = run(tmp_path, "paper", "duration=1 s", "faults=[{at: 300 ms, for: 200 ms, mute: 1}]")
     picture = tmp_path / "3.svg"
-    result = CliRunner().invoke(
-        cli, ["whatif", str(directory), "--agent", "3", "--controller", "bc", "--plot", str(picture)]
-    )
+    result = command("whatif", directory, "--agent", 3, "--controller", "bc", "--plot", picture)
     assert result.exit_code == 0, result.output
     assert "surge force [N]" in picture.read_text()
 
@@ -137,5 +113,5 @@ def test_a_log_that_is_not_whole_is_said_to_be(tmp_path: Path) -> None:
     assert what_if(log, 1).notes == []
     with log.open("r+b") as file:
         file.truncate(log.stat().st_size * 2 // 3)
-    result = CliRunner().invoke(cli, ["whatif", str(log), "--agent", "1"])
+    result = command("whatif", log, "--agent", 1)
     assert result.exit_code == 0 and "note  the log is NOT WHOLE: " in result.stderr, result.output

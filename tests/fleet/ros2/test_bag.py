@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from foreign_log import foreign
 from in_process_runs import Alone, alone, log_of
 from mcap.reader import make_reader
+from refusals import check_commands
+from tool import command
 
 import fleet
-from fleet.cli.main import cli
 from fleet.ros2.mapping import GRAVITY, SEA_WATER, SURFACE_PA
 from fleet.ros2.translation import ERROR, OK
 
@@ -24,7 +24,7 @@ Messages = dict[str, list]
 
 
 def export(*arguments: str | Path) -> str:
-    done = CliRunner().invoke(cli, ["export", *map(str, arguments)])
+    done = command("export", *arguments)
     assert done.exit_code == 0, done.output
     return done.output
 
@@ -93,24 +93,8 @@ def test_belief_and_faults_and_verdicts(alone: Alone, tmp_path: Path) -> None:
     assert any("check" in name and level in (OK, ERROR) for name, level in statuses[-1].items())
 
 
-@pytest.mark.parametrize(
-    ("arguments", "problem"),
-    [
-        (["--ros2", "{there}"], "exists already"),
-        (["--ros2", "bag", "--topics", "uuv/*"], "--topics chooses tables"),
-        (["--ros2", "bag", "--csv", "bag"], "each form needs a folder of its own"),
-    ],
-)
-def test_mistakes(alone: Alone, tmp_path: Path, arguments: list[str], problem: str) -> None:
-    filled = [text.replace("{there}", str(tmp_path)) for text in arguments]
-    done = CliRunner().invoke(cli, ["export", str(log_of(alone("paper", *SHORT))), *filled])
-    assert done.exit_code == 2
-    assert problem in " ".join(done.output.split())
-
-
-def test_a_log_of_others_has_nothing_for_ros(tmp_path: Path) -> None:
-    log = foreign(tmp_path / "other.mcap")
-    done = CliRunner().invoke(cli, ["export", str(log), "--ros2", str(tmp_path / "bag")])
-    assert done.exit_code == 2
-    assert "it is no log of a run" in " ".join(done.output.split())
+def test_what_cannot_be_exported(alone: Alone, tmp_path: Path) -> None:
+    """Also a log of others, which has nothing for ROS."""
+    places = {"LOG": log_of(alone("paper", *SHORT)), "HERE": tmp_path, "OTHER": foreign(tmp_path / "other.mcap")}
+    check_commands("ros2/exports", places, "export")
     assert not (tmp_path / "bag").exists()

@@ -8,15 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner
 from in_process_runs import alone as alone
 from ros_session import ros_router
 from showing import going_on
+from tool import command
 from traffic import LIMIT_S, Command
 from traffic import log as log
 from waiting import wait_for
 
-from fleet.cli.main import cli
 from fleet.logs.tape import Tape
 from fleet.ros2.bridge import RosBridge, play_log
 from fleet.ros2.node import RosNode
@@ -75,15 +74,9 @@ def test_what_cannot_be_recorded_is_told_once(tmp_path: Path) -> None:
     attachment = pack(Attachment(1, 1, bytes(16)))
     good = Entity(0, "/clock", CLOCK, types.hash(CLOCK))
     humble = Entity(0, "/humble", CLOCK, "TypeHashNotSupported")
-    cases = [
-        (good.key, data, attachment),
-        (humble.key, data, attachment),
-        (good.key, data[:5], attachment),
-        (good.key, data, None),
-        (Entity(0, "/clock2", CLOCK, "RIHS01_0").key, data, attachment),
-        (Entity(0, "/own", "own_msgs/msg/Own", "RIHS01_0").key, data, attachment),
-        ("0/anything", data, attachment),
-    ]
+    others = [Entity(0, "/clock2", CLOCK, "RIHS01_0").key, Entity(0, "/own", "own_msgs/msg/Own", "RIHS01_0").key]
+    cases = [(key, data, attachment) for key in (good.key, humble.key, *others, "0/anything")]
+    cases += [(good.key, data[:5], attachment), (good.key, data, None)]
     for _ in range(2):
         for key, payload, attached in cases:
             writer.add(ZenohSample(key, payload, False, "zenoh/bytes", attached, None), 5)
@@ -92,14 +85,9 @@ def test_what_cannot_be_recorded_is_told_once(tmp_path: Path) -> None:
     assert writer.samples == 4
     assert {topic: len(some) for topic, some in read(tmp_path / "bag").items()} == {"/clock": 2, "/humble": 2}
     assert len(told) == 5
-    for words in (
-        "no rosgraph_msgs/msg/Clock in CDR",
-        "without an attachment",
-        "another version",
-        "not known here",
-        "no key of rmw_zenoh",
-    ):
-        assert any(words in text for text in told), (words, told)
+    text = "\n".join(told)
+    for words in ("another version", "not known here", "no key of rmw_zenoh", f"no {CLOCK} in CDR", "an attachment"):
+        assert words in text
 
 
 def test_a_killed_recorder_leaves_a_bag_that_can_be_recovered(tmp_path: Path) -> None:
@@ -116,14 +104,14 @@ def test_a_killed_recorder_leaves_a_bag_that_can_be_recovered(tmp_path: Path) ->
     shutil.copytree(folder, killed)
     writer.close()
     assert [path.name for path in killed.iterdir()] == ["bag.mcap"]
-    done = CliRunner().invoke(cli, ["recover", str(killed)])
+    done = command("recover", killed)
     said = "bag.recovered: 3 messages up to t = 3 s; LOST: the end: the file is cut"
     assert (done.exit_code, said in done.output) == (3, True), done.output
     assert [one.clock.sec for one in read(tmp_path / "killed" / "bag.recovered")["/clock"]] == [1, 2, 3]
     assert sorted(path.name for path in (tmp_path / "killed").iterdir()) == ["bag", "bag.recovered"]
-    assert "exists already" in CliRunner().invoke(cli, ["recover", str(killed)]).output
+    assert "exists already" in command("recover", killed).output
     with (killed / "bag.mcap").open("r+b") as file:
         file.truncate(killed.joinpath("bag.mcap").stat().st_size - 40)
-    done = CliRunner().invoke(cli, ["recover", str(killed), "-o", str(tmp_path / "cut")])
+    done = command("recover", killed, "-o", tmp_path / "cut")
     assert (done.exit_code, "LOST" in done.output) == (3, True), done.output
     assert [one.clock.sec for one in read(tmp_path / "cut")["/clock"]] == [1, 2]

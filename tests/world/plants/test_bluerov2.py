@@ -173,14 +173,14 @@ def test_from_some_speed_on_it_does_not_hold_its_pitch_by_itself() -> None:
     assert grown(critical + 0.05)
 
 
+def energy(state: PlantState) -> float:
+    kinetic = 0.5 * float(np.sum(TOTAL * np.square(state[6:12])))
+    return kinetic + bluerov2.Z_B * MASS * G * (cos(state[3]) * cos(state[4]) - 1.0)
+
+
 def test_energy_only_falls_without_thrust() -> None:
     plant = rov(density=NEUTRAL)
     state = plant.start((0.0, 0.0, 5.0, 0.3, -0.4, 1.0), (0.5, -0.3, 0.2, 0.4, -0.3, 0.6))
-
-    def energy(state: PlantState) -> float:
-        kinetic = 0.5 * float(np.sum(TOTAL * np.square(state[6:12])))
-        return kinetic + bluerov2.Z_B * MASS * G * (cos(state[3]) * cos(state[4]) - 1.0)
-
     energies = [energy(state)]
     state = run(plant, state, 30.0, see=lambda state: energies.append(energy(state)))
     assert all(b < a for a, b in pairwise(energies))
@@ -192,11 +192,6 @@ def test_without_drag_nothing_gets_lost(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(bluerov2, "QUADRATIC", (0.0,) * 6)
     plant = rov(density=NEUTRAL)
     state = plant.start((0.0, 0.0, 5.0, 0.1, -0.1, 1.0), (0.3, -0.2, 0.1, 0.2, -0.1, 0.3))
-
-    def energy(state: PlantState) -> float:
-        kinetic = 0.5 * float(np.sum(TOTAL * np.square(state[6:12])))
-        return kinetic + bluerov2.Z_B * MASS * G * cos(state[3]) * cos(state[4])
-
     end = run(plant, state, 5.0)
     assert energy(end) == pytest.approx(energy(state), abs=1e-8)
 

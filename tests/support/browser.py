@@ -25,7 +25,6 @@ def served(*arguments: str) -> Iterator[str]:
     """`fleet view ...` in a process of its own; yields the address that it prints."""
     command = [sys.executable, "-m", "fleet", "view", *arguments, "--no-open"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
         try:
             printed = ""
             while not (address := address_in(printed)):

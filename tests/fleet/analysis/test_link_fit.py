@@ -35,7 +35,7 @@ def trace_of(states: LinkStates, packets: int, every_ns: int = SECOND // 2) -> T
 
 
 def states_of(section: dict) -> LinkStates:
-    return small(f"network.links={inline({'*': section})}").netem_config.changing[1, 2]  # type: ignore[return-value]
+    return small(f"network.links={inline({'*': section})}").netem_config.changing[1, 2]
 
 
 TWO = {"states": {"good": {"condition": "loss 2% delay 50ms", "mean": "8 s"},
@@ -133,7 +133,7 @@ def test_on_the_command_line(tmp_path: Path) -> None:
     results = [CliRunner().invoke(cli, ["fit", str(trace), "--picture", str(path)]) for path in pictures]
     assert results[0].exit_code == 0, results[0].output
     assert pictures[0].read_bytes() == pictures[1].read_bytes() and results[0].stdout == results[1].stdout
-    network = plain(read(Source("y", results[0].stdout))[0])  # type: ignore[arg-type]
+    network = plain(read(Source("y", results[0].stdout))[0])
     assert isinstance(states_of(network["network"]["links"]["*"]).conditions[0], Condition)
     for words in ("1000 packets, one every 0.5 s", "log-likelihood", "mean burst of losses", "bad:"):
         assert words in results[0].stderr

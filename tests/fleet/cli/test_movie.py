@@ -23,7 +23,7 @@ def test_it_prints_the_file_and_replaces_nothing_without_force(alone: Alone, tmp
     found = called(run, *options)
     assert (found.exit_code, found.stdout) == (0, f"{out}\n"), found.output
     with Image.open(out) as movie:
-        assert (movie.size, movie.n_frames) == ((320, 240), 2)  # type: ignore[attr-defined]
+        assert (movie.size, movie.n_frames) == ((320, 240), 2)
     refused = called(run, *options)
     assert refused.exit_code == 2 and "replace it with --force" in refused.stderr
     assert called(run, *options, "--force", "--view", "3d").exit_code == 0

@@ -197,7 +197,7 @@ def test_a_part_of_a_log(run: Path) -> None:
         assert all(np.array_equal(part[name][field], full[field][kept]) for field in full.fields)
     for wrong in ({"every": 0}, {"start": 2.0, "end": 1.0}):
         with pytest.raises(LogReadError, match=r"every=0|start=2"):
-            fleet.open_log(run, **wrong)  # type: ignore[arg-type]
+            fleet.open_log(run, **wrong)
 
 
 @given(st.lists(st.tuples(st.integers(0, 5), st.floats(width=16)), min_size=1, max_size=60))
@@ -229,7 +229,7 @@ def test_pictures_of_a_log_that_cannot_be_held(run: Path, monkeypatch: pytest.Mo
     assert thin.log.faults == whole.log.faults
     drawn = dict((name, figure) for name, _, figure in draw(["track", "error", "links", "ages"], [thin], View()))  # noqa: C402
     assert not [figure for figure in drawn.values() if isinstance(figure, str)]
-    (line,) = [line for line in drawn["error"].axes[0].get_lines() if line.get_gid() == "paper-vehicle-1"]  # type: ignore[union-attr]
+    (line,) = [line for line in drawn["error"].axes[0].get_lines() if line.get_gid() == "paper-vehicle-1"]
     assert not np.isnan(np.asarray(line.get_ydata(), float)).any()  # thinned is not silent
 
 

@@ -208,7 +208,7 @@ def test_importing_the_package_is_light() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
     with pytest.raises(AttributeError, match="no attribute 'swim'"):
-        _ = fleet.swim  # type: ignore[attr-defined]
+        _ = fleet.swim
 
 
 def test_example_of_the_page(run: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

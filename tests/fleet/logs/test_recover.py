@@ -85,7 +85,6 @@ def mended(path: Path, data: bytes) -> tuple[Recovered, list[Record], LogReader]
     with out.open("rb") as file:
         indexed = make_reader(file, validate_crcs=True)
         summary = indexed.get_summary()
-        assert summary is not None and summary.statistics is not None
         assert summary.statistics.message_count == len(messages) == found.messages
     assert bool(reader.missing) == bool(found.lost)
     return found, messages, reader
@@ -301,7 +300,6 @@ def make(kind: str, folder: Path) -> Path:
     elif kind == "fifo":
         os.mkfifo(path)
     else:
-        assert content is not None
         path.write_bytes(content if isinstance(content, bytes) else content.encode())
     return path
 

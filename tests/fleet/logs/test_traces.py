@@ -51,7 +51,7 @@ def test_a_round_trip_is_exact(name: str, overrides: list[str], tmp_path: Path) 
     """Run, traces, run with the traces: each packet has the same fate and the same delay, whatever the network was."""
     first = run(load_scenario(name, [*COMMON, *overrides]), tmp_path / "first")
     files = write_traces(first, tmp_path / "traces")
-    links = plain(read(Source("links.yaml", files[-1].read_text()))[0])["links"]  # type: ignore[arg-type]
+    links = plain(read(Source("links.yaml", files[-1].read_text()))[0])["links"]
     period = load_scenario(name, overrides).spec.network.period
     network = {"period": f"{period} ns", "payload": load_scenario(name).spec.network.payload, "links": links}
     inside = {link: entry | {"trace": str(tmp_path / "traces" / entry["trace"])} for link, entry in links.items()}

@@ -56,7 +56,6 @@ def test_whole_numbers_are_steps_that_do_not_hide_each_other(run: Run) -> None:
         line for line in ax.get_lines() if str(line.get_gid()).startswith("failed-") and line.get_marker() == "x"
     ]
     (moment,) = [verdict.moment for verdict in run.verdicts if verdict.check == "nobody"]
-    assert moment is not None
     assert crosses and {float(np.asarray(cross.get_xdata())[0]) for cross in crosses} == {moment.at_s}
     assert "fails at" in ax.get_xlabel()
 

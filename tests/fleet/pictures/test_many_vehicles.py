@@ -39,12 +39,12 @@ def gids(figure: Figure) -> list[str]:
 
 @pytest.mark.parametrize("draw", [track.top, track.space])
 def test_tracks_name_the_worst_and_draw_the_others_together(run: Run, draw: object) -> None:
-    figure = draw([run], WHOLE)  # type: ignore[operator]
+    figure = draw([run], WHOLE)
     found = gids(figure)
     assert sum(gid.startswith("vehicle-") for gid in found) == 3
     assert found.count("others") == 1
     (others,) = [artist for artist in figure.findobj(LineCollection) if artist.get_gid() == "others"]
-    assert len(others._paths if draw is track.top else others._segments3d) == N - 3  # type: ignore[attr-defined]
+    assert len(others._paths if draw is track.top else others._segments3d) == N - 3
 
 
 def test_the_oldest_links_have_a_row(run: Run) -> None:

@@ -55,9 +55,8 @@ def test_drawn_clocks_are_normal_and_each_vehicle_has_its_own() -> None:
 def test_what_slots_bear_is_their_guard_less_sound_and_a_tick() -> None:
     scenario = small("duration=4 s", WATER)
     found = slack(scenario)
-    assert found is not None
     # The slot is 1.5 s; the formation is 7.07 m across; a start is up to a tick late.
-    airtime_s = scenario.acoustic.modem.airtime_ns(15) / 1e9  # type: ignore[union-attr]
+    airtime_s = scenario.acoustic.modem.airtime_ns(15) / 1e9
     assert found.difference_s == pytest.approx(1.5 - airtime_s - 50**0.5 / 1500 - 0.01, abs=1e-6)
     assert found.drift == pytest.approx(found.difference_s / 8)
     assert "ppm, fast or slow, in a run of 4 s" in next(describe_slack(scenario))

@@ -39,9 +39,7 @@ def small(*overrides: str, folder: Path | None = None) -> Scenario:
 
 
 def told(*overrides: str, folder: Path | None = None) -> AcousticConfig:
-    acoustic = small(*overrides, folder=folder).netem_config.acoustic
-    assert acoustic is not None
-    return acoustic
+    return small(*overrides, folder=folder).netem_config.acoustic
 
 
 # --- files -----------------------------------------------------------------
@@ -108,7 +106,6 @@ def test_defaults() -> None:
     assert small("network={}").netem_config.acoustic is None
     assert small("network={}").agent_config(1).codec == "full"
     everything = small("network=acoustic").netem_config.acoustic
-    assert everything is not None
     assert everything.modem == load_modem("s2c")
     assert small("network=acoustic") == small("network={acoustic: }") == small("network={acoustic: s2c}")
 
@@ -145,7 +142,6 @@ def test_everything_that_can_be_said() -> None:
 def test_a_modem_file_lies_beside_the_scenario_and_is_not_needed_afterwards(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text(shipped_text("fsk-80").replace("value = 80", "value = 160"))
     s = small("network.acoustic=mine.toml", folder=tmp_path)
-    assert s.acoustic is not None
     assert s.acoustic.modem == replace(load_modem("fsk-80"), bit_rate=160.0)
     again = parse_scenario(s.to_yaml(), "small.yaml")
     assert again == s
@@ -264,7 +260,6 @@ def test_the_default_back_off_is_the_best_load() -> None:
     """G = n T / (T + B/2) = 1/2 for every number of vehicles, when news is always waiting."""
     for vehicles in (1, 3, 20):
         s = small(f"vehicles={vehicles}")
-        assert s.acoustic is not None
         airtime = s.acoustic.modem.airtime_ns(15) / 1e9
         mean, _ = turn_s(s.spec.network, s.acoustic, vehicles, s.tick_ns)
         assert vehicles * airtime / mean == pytest.approx(0.5)

@@ -70,7 +70,6 @@ def test_a_log_needs_no_file(tmp_path: Path) -> None:
     per_vehicle = 'per_vehicle={"2": {navigation: {trace: nav.csv}}}'
     s = parse_scenario(SMALL, "small.yaml", ["navigation={grade: own.toml, tilt: 1 deg}", per_vehicle], tmp_path)
     own, traced, _ = (control.navigation for control in s.controls)
-    assert isinstance(own, DeadReckoning)
     assert (own.grade.dvl_noise, own.grade.tilt) == (pytest.approx(0.055), radians(1.0))
     assert traced == NavigationTrace((TracePoint(0, 0, 0, 0, radians(1.0)), TracePoint(0.5, 0.25, -1, 0, radians(2.0))))
     for name in ("own.toml", "nav.csv"):

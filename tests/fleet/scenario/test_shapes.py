@@ -335,7 +335,6 @@ def test_a_mixed_fleet_runs_the_same_way_everywhere(tmp_path: Path) -> None:
     assert (fleet.directory / "run.mcap").read_bytes() == (alone.directory / "run.mcap").read_bytes()
     with (alone.directory / "run.mcap").open("rb") as file:
         summary = make_reader(file).get_summary()
-    assert summary is not None
     schema: dict[str, Any] = {c.topic: summary.schemas[c.schema_id].name for c in summary.channels.values()}
     tracking = ["Neurodynamic", "Backstepping", "Neurodynamic", "Backstepping", "SlidingMode", "SlidingMode"]
     assert [schema[f"uuv/{i}/control"] for i in range(1, 7)] == [f"uuv_fleet.{law}Control" for law in tracking]

@@ -25,7 +25,6 @@ LONG = ("duration=100 s", "graph={shape: ring}", "vehicles=6", "nemesis=swarm")
 
 
 def drawn(s: Scenario) -> list[DrawnFault]:
-    assert s.undrawn.nemesis is not None
     return swarm.draw(s.undrawn.nemesis, s.ground)
 
 
@@ -69,7 +68,7 @@ def test_what_is_drawn_is_a_list_before_the_run_and_makes_the_same_run() -> None
 def aimed(s: Scenario, *faults: tuple[str, str, float, float]) -> list[str]:
     """The targets of faults, each of (kind, aim, at, for) [s]."""
     those = [
-        DrawnFault(n, NemesisPick.model_validate({"drawn": kind}), int(at * S), int(lasts * S), aim)  # type: ignore[arg-type]
+        DrawnFault(n, NemesisPick.model_validate({"drawn": kind}), int(at * S), int(lasts * S), aim)
         for n, (kind, aim, at, lasts) in enumerate(faults, start=1)
     ]
     written = swarm.written(those, s.ground)
@@ -116,7 +115,6 @@ CHECKS = (
 def test_liveness_heals_a_core_and_leaves_the_others_broken() -> None:
     for seed in range(20):
         s = small(*LONG, "nemesis=liveness", CHECKS, f"seed={seed}")
-        assert s.undrawn.nemesis is not None
         core = set(liveness.core(s.undrawn.nemesis, s.ground))
         inside = [pair for pair in s.ground.pairs if set(pair) <= core]
         assert len(core) == 4 and reached([min(core)], beside(inside)) == core
@@ -139,7 +137,6 @@ def test_vehicles_that_lack_an_instrument_are_not_hit_there() -> None:
     s = small(*LONG, some, "nemesis={mode: swarm, mean: 1 s, pick: [clock]}")
     assert {i for fault in s.spec.faults for i in vehicles_of(fault)} == {2}
     plain = small(*LONG)
-    assert plain.undrawn.nemesis is not None
     assert not {"clock", "compass"} & {pick.drawn for pick in swarm.picks_of(plain.undrawn.nemesis, plain.ground)}
     ideal = load_scenario("ideal", ["nemesis={mode: swarm, mean: 1 s}"])
     assert {action(fault) for fault in ideal.spec.faults} <= set(WorldFaultKind)

@@ -164,11 +164,11 @@ class _Cluster:
 
 
 def test_workers_with_other_versions_are_told_apart_before_the_first_run() -> None:
-    check_versions(_Cluster(versions()))  # type: ignore[arg-type]
+    check_versions(_Cluster(versions()))
     with pytest.raises(StudyError, match=r"worker tcp://10.0.0.3:1 has numpy 1.0 \(here "):
-        check_versions(_Cluster(versions() | {"numpy": "1.0"}))  # type: ignore[arg-type]
+        check_versions(_Cluster(versions() | {"numpy": "1.0"}))
     with pytest.raises(StudyError, match=r"worker tcp://10.0.0.3:1 lacks fleet"):
-        check_versions(_Cluster(ModuleNotFoundError("No module named 'fleet'", name="fleet")))  # type: ignore[arg-type]
+        check_versions(_Cluster(ModuleNotFoundError("No module named 'fleet'", name="fleet")))
 
 
 class KilledWorker(Exception):
@@ -183,7 +183,7 @@ class _Future(SimpleNamespace):
         return "error" if self.error else "finished"
 
     def exception(self) -> Exception | None:
-        return self.error  # type: ignore[no-any-return]
+        return self.error
 
     def result(self) -> Row:
         return Row(seed=1, key=self.task.key, status="pass")

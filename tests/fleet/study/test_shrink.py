@@ -30,7 +30,6 @@ def test_what_is_not_needed_goes_and_what_is_left_fails() -> None:
     assert found.check == "formation_error"
     (fault,) = found.scenario.spec.faults
     assert fault.id == "push"
-    assert fault.wrench is not None
     assert 0.0 < fault.wrench.force[0] < 400.0
     assert found.scenario.vehicles == 2
     assert found.steps[0] == "1 of 5 faults are needed"

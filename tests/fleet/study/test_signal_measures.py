@@ -33,7 +33,6 @@ def numbers(scenario: Scenario, *names: str) -> dict[str, float]:
 def test_a_measure_is_that_of_the_samples_in_the_log(tmp_path: Path, every: str) -> None:
     scenario = small(f"log={{every: {every}}}", "network.links={'*': delay 50ms loss 30%}")
     directory = execute(scenario, Options(tmp_path, in_process=True, quiet=True)).directory
-    assert directory is not None
     log = open_log(directory)
     topics = [{i: log[f"uuv/{i}/{group}"] for i in (1, 2, 3)} for group in ("error", "command", "guidance", "state")]
     error, command, guidance, state = topics

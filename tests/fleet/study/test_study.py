@@ -40,7 +40,6 @@ def test_a_script_runs_the_file_of_a_study_with_changes() -> None:
     assert study.seeds == [7]
     assert list(study.to_pandas()["loss"]) == [0.0, 50.0]
     spec = Store.open(study.directory).record.spec
-    assert spec is not None
     assert (spec.timeout, spec.draw, spec.seeds, spec.set) == ("90 s", 3, "7,7", {"profile": "hardened"})
 
 
@@ -53,7 +52,6 @@ def test_mistakes_in_the_file_are_raised() -> None:
 def test_a_time_limit_is_kept_with_the_study() -> None:
     study = fleet.sweep("small.yaml", seeds=1, timeout_s=1.5)
     spec = Store.open(study.directory).record.spec
-    assert spec is not None
     assert (spec.timeout, spec.seeds) == ("1.5 s", "1")
 
 

@@ -186,7 +186,6 @@ def test_laws_of_a_study_obey_the_rules_of_scenarios(
     text = f"study: {{scenario: paper, set: {{controller: {{law: '{module}:Law'}}}}}}"
     Path(file).write_text(text, "utf-8")
     named = study_named(file)
-    assert named is not None
     with pytest.raises(ScenarioError) as caught:
         load_points(plan_of(*named))
     assert Path("it_ran").exists() is runs

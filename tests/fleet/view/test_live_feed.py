@@ -94,7 +94,7 @@ def test_what_is_charted_from_the_start_is_followed_without_a_browser(monkeypatc
         followed.append(key)
         return lambda: followed.remove(key)
 
-    monkeypatch.setattr(LiveJournal, "connect", lambda *_: LiveJournal(SimpleNamespace(subscribe=subscribe), KEYS))  # type: ignore[arg-type]
+    monkeypatch.setattr(LiveJournal, "connect", lambda *_: LiveJournal(SimpleNamespace(subscribe=subscribe), KEYS))
     feed = LiveFeed(LiveSource(Path("x"), Observed("", "", "", "x"), None))
     charted = {KEYS.log(topic) for topic in topics}
     assert charted <= set(followed)

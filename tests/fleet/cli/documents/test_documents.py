@@ -73,7 +73,6 @@ def commands(group: click.Group) -> dict[str, click.Command]:
     context = click.Context(group)
     for name in group.list_commands(context):
         command = group.get_command(context, name)
-        assert command is not None
         found[name] = command
         if isinstance(command, click.Group):
             found |= {f"{name} {inner}": one for inner, one in commands(command).items()}
@@ -252,7 +251,6 @@ def test_run_on_a_wall_clock_and_published(tmp_path: Path) -> None:
                     "--publish", "--out", tmp_path, "--json", "-q")  # fmt: skip
     found = printed(Result, result)
     assert found.published is not None
-    assert found.timing is not None
     assert (found.timing.clock, list(found.timing.vehicles)) == ("real", ["1", "2", "3", "4"])
 
 
@@ -287,7 +285,6 @@ def test_verify_of_a_log_that_is_not_reproduced(recorded: Path, monkeypatch: pyt
     result = invoke("verify", recorded, "--json")
     found = printed(Verification, result)
     assert (result.exit_code, found.reproduced) == (1, False)
-    assert found.difference is not None
     assert found.difference.a == found.difference.b
     assert (found.difference.number, found.difference.fields[0].field) == (0, "pose.orientation.x")
 
@@ -299,9 +296,7 @@ def test_diff(recorded: Path, tmp_path: Path) -> None:
     result = invoke("diff", recorded, tmp_path / "latest", "--json")
     found = printed(Compared, result)
     assert (result.exit_code, found.same, found.within) == (1, False, False)
-    assert found.first is not None
     assert found.first.a == found.first.b
-    assert found.first.a is not None
     assert {f"{found.first.a.topic}.{row.field}" for row in found.first.fields} <= {s.signal for s in found.signals}
     assert found.others["link/1-2.corrupted"] == 2
     assert found.only_a["uuv/1/nav"] == 10

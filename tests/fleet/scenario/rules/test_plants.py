@@ -56,7 +56,6 @@ def test_without_a_plant_all_is_as_it_was() -> None:
 
 def test_roll_at_the_start() -> None:
     setup = plants(small(ROLLING, STATES))[0]
-    assert setup is not None
     assert (setup.phi0, setup.p0) == (pytest.approx(0.17453292519943295), 1.0)
 
 

@@ -169,15 +169,6 @@ def test_show_config_tells_mistakes_of_the_points(engines: list[Here]) -> None:
     assert "cannot be used together with --json" in sweep("small.yaml", "--show-config", "--json").stderr
 
 
-def test_a_damaged_spec_is_said(engines: list[Here]) -> None:
-    directory = Path(sweep("small.yaml", *VARY, "-q").stdout.strip())
-    record = json.loads((directory / "study.json").read_text("utf-8"))
-    spec = record["spec"]
-    for damaged in (spec | {"timeout": "soon"}, spec | {"title": "\x1b[31m"}, spec | {"vary": 3}):
-        (directory / "study.json").write_text(json.dumps(record | {"spec": damaged}), "utf-8")
-        assert "study.json is damaged" in sweep(str(directory), "--show-config").stderr
-
-
 def test_json_is_one_document_with_intervals(engines: list[Here]) -> None:
     result = sweep("small.yaml", *VARY, "--measure", "loss_share", "--json")
     document = msgspec.json.decode(result.stdout, type=Swept)

@@ -138,15 +138,6 @@ def test_a_row_is_a_run() -> None:
     assert rows["passed"][1] == direct.passed
 
 
-def test_levels_and_widths_are_checked() -> None:
-    plan = Plan("small.yaml", (Override(NET, "* loss {loss}"),), (parse_along("loss=0 %..9 %", 0.1),))
-    with pytest.raises(StudyError, match="level must be between 0 and 1"):
-        prepare_borders(plan, BoundarySpec(level=0.0), Path("a"))
-    assert not Path("a").exists()
-    with pytest.raises(StudyError, match="a share of the range"):
-        parse_along("loss=0 %..9 %", 1.0)
-
-
 @pytest.mark.parametrize(
     ("text", "width", "count", "second"),
     [

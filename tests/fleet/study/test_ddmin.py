@@ -45,7 +45,3 @@ def test_two_of_forty_are_found_in_few_tests() -> None:
     asked = Asked({7, 31})
     assert ddmin(range(40), asked) == [7, 31]
     assert asked.count < 80
-
-
-def test_what_always_fails_needs_nothing() -> None:
-    assert ddmin("abc", lambda parts: [True] * len(parts)) == []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from contextlib import nullcontext
 from pathlib import Path
 from statistics import fmean
@@ -11,6 +12,7 @@ import msgpack
 import pytest
 from click.testing import CliRunner, Result
 from marks import slow
+from refusals import check_refusals, type_command
 from study_engine import Here
 
 from fleet.cli.main import cli
@@ -176,22 +178,8 @@ def test_it_finds_the_known_probability_and_goes_on() -> None:
 
 
 @pytest.mark.usefixtures("here")
-@pytest.mark.parametrize(
-    ("args", "said"),
-    [
-        (("--check", "max_age", "--effort", "4", "--net", "* loss 0%"), "so splitting cannot help"),
-        (("--check", "deaths"), "You can use: max_age"),
-        (("--check", "max_age", "--set", "log.snapshot=0 s"), "seldom has no snapshots"),
-        (
-            ("--check", "max_age", "--set", "sea.current={sigma: 0.1 0 0 m/s, time_constant: 10 s}"),
-            "current cannot be drawn again from a snapshot on",
-        ),
-    ],
-)
-def test_what_cannot_be_split_is_told(args: tuple[str, ...], said: str) -> None:
-    result = call(*args)
-    assert result.exit_code != 0
-    assert said in str(result.exception) + result.output
+def test_what_cannot_be_split_is_told() -> None:
+    check_refusals("study/rare failures", lambda line: type_command("rare", "seldom.yaml", *shlex.split(line)))
 
 
 @pytest.mark.usefixtures("here")

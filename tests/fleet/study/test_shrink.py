@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import pytest
 from small_scenario import small
 from study_engine import Here
 
 from fleet.execution.judged import judged
-from fleet.study.errors import StudyError
 from fleet.study.shrink import Shrinker, number_places
 
 FAULTS = (
@@ -57,19 +55,3 @@ def test_the_runs_may_be_used_up() -> None:
     found = shrinker(FAULTS, CHECK, engine=engine).shrink(most_runs=4)
     assert len(engine.tasks) <= 4
     assert not judged(found.scenario).passed
-
-
-@pytest.mark.parametrize(
-    ("overrides", "check", "message"),
-    [
-        (
-            ("checks={formation_error: {below: 99 m, after: 0 s}, tumbled: waived, deaths: waived}",),
-            None,
-            "every check passes",
-        ),
-        ((FAULTS, CHECK), "ledger", "the check ledger does not fail; these do: formation_error, tumbled"),
-    ],
-)
-def test_nothing_to_shrink_is_said(overrides: tuple[str, ...], check: str | None, message: str) -> None:
-    with pytest.raises(StudyError, match=message):
-        shrinker(*overrides).shrink(check)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -12,11 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as some
 from made_up_study import LOSS, damage, made_up, usual
 from pandas.testing import assert_frame_equal
+from refusals import check_refusals
 
 from fleet.cli.main import cli
 from fleet.study.errors import StudyError
@@ -60,28 +63,27 @@ def test_a_named_pipe_is_refused_and_not_waited_for(which: str, store: Store) ->
     assert_refused(store.directory, "it is a pipe, not a file|is no regular file")
 
 
-@pytest.mark.parametrize(
-    ("statement", "words"),
-    [
-        ("UPDATE runs SET status = 'great'", "a value of another type in runs"),
-        ("UPDATE runs SET status = '\x1b[2J' WHERE seed = 2", "a value of another type in runs"),
-        ("UPDATE runs SET e_rms_m = 'x' WHERE seed = 2", "a value of another type in runs"),
-        ("UPDATE runs SET reason = x'ff' WHERE seed = 2", "a value of another type in runs"),
-        ("UPDATE points SET scenario = x'ff'", "a value of another type in points"),
-        ("UPDATE runs SET reason = CAST(x'ff' AS TEXT)", "Could not decode to UTF-8"),
-        ("UPDATE runs SET seed = 99 WHERE seed = 1", "runs of points or seeds that are not its own"),
-        ("CREATE TABLE more (a)", "its tables are not those"),
-        ("CREATE TRIGGER evil AFTER INSERT ON runs BEGIN DELETE FROM runs; END", "its tables are not those"),
-        ("CREATE VIEW all_points AS SELECT * FROM points", "its tables are not those"),
-        ("ALTER TABLE runs ADD COLUMN more", "its tables are not those"),
-        ("DROP TABLE runs", "its tables are not those"),
-        ("PRAGMA journal_mode = WAL", "no database of a study"),
-    ],
-)
-def test_what_no_study_writes(statement: str, words: str, store: Store) -> None:
-    damage(store.directory, statement)
-    with pytest.raises(StudyError, match=words):
-        open_study(store.directory).to_pandas()
+def test_what_no_study_writes(store: Store, tmp_path: Path) -> None:
+    """Into the database, and into the record beside it."""
+    copy = tmp_path / "copy"
+    record = json.loads((store.directory / NAME).read_text("utf-8"))
+
+    def fresh() -> None:
+        shutil.rmtree(copy, ignore_errors=True)
+        shutil.copytree(store.directory, copy)
+
+    def stated(statement: str) -> None:
+        fresh()
+        damage(copy, statement)
+        open_study(copy).to_pandas()
+
+    def recorded(change: str) -> None:
+        fresh()
+        (copy / NAME).write_text(json.dumps(record | yaml.safe_load(change)), "utf-8")
+        open_study(copy)
+
+    check_refusals("study/statements", stated, hide={str(copy): "STUDY"})
+    check_refusals("study/records", recorded, hide={str(copy): "STUDY"})
 
 
 def test_every_reader_refuses_it(store: Store) -> None:

@@ -7,7 +7,6 @@ from statistics import mean, stdev
 import pytest
 from small_scenario import small
 
-from fleet.analysis.preflight import warnings
 from fleet.analysis.stability import describe_slack, slack
 from fleet.execution.judged import run
 from fleet.scenario.loading import load_scenario, parse_scenario
@@ -61,20 +60,6 @@ def test_what_slots_bear_is_their_guard_less_sound_and_a_tick() -> None:
     assert found.drift == pytest.approx(found.difference_s / 8)
     assert "ppm, fast or slow, in a run of 4 s" in next(describe_slack(scenario))
     assert slack(small()) is None and list(describe_slack(small())) == []
-
-
-@pytest.mark.parametrize(
-    ("clock", "overlaps"),
-    [
-        ("per_vehicle={'2': {agent: {clock: {offset: 1400 ms}}}}", "2 is 1.4 s ahead of that of vehicle 1"),
-        ("per_vehicle={'2': {agent: {clock: {offset: -1400 ms}}}}", "3 is 1.4 s ahead of that of vehicle 2"),
-        ("agent.clock.offset=1400 ms", ""),
-        ("faults=[{at: 1 s, for: 1 s, clock: {vehicles: 1, step: 1400 ms}}]", "at 1 s the clock of vehicle 1 is 1.4 s"),
-    ],
-)
-def test_slots_that_overlap_are_told_before_a_run(clock: str, overlaps: str) -> None:
-    found = warnings(small("duration=4 s", WATER, clock))
-    assert (len(found) == 1 and overlaps in found[0]) if overlaps else found == []
 
 
 def test_only_differences_matter_and_the_log_keeps_the_truth() -> None:

@@ -19,7 +19,6 @@ from refusals import check_refusals
 from small_scenario import small
 
 from fleet.analysis.stability import analyse
-from fleet.errors import ScenarioError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.result.result import Result, Status
@@ -230,11 +229,6 @@ def test_a_fault_behind_the_end_is_warned_of() -> None:
     assert [fault.id for fault in s.netem_config.faults] == ["f3"]
     assert s.world_config.absences == ()
     assert "fault f1, f2: the run is over before it begins" in analyse(s).warnings
-
-
-def test_an_ideal_network_has_no_faults() -> None:
-    with pytest.raises(ScenarioError, match="needs a network, and this one is ideal"):
-        small("network=ideal", "faults=[{at: 0 s, kill: 1}]")
 
 
 # --- deaths ----------------------------------------------------------------

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import suppress
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from small_scenario import SMALL, WILD, small
@@ -19,14 +18,6 @@ def test_a_vehicle_that_is_named_has_the_signal() -> None:
     plant = "per_vehicle={2: {vehicle: {plant: remus100}}}"
     assert small(checks.format(""), plant).spec.checks.signal
     assert small(checks.format(", vehicles: 2"), plant).spec.checks.signal
-
-
-def test_a_mistake_has_its_line() -> None:
-    text = SMALL + "checks:\n  signal:\n    - {topic: state.x, below: 3 m}\n    - {topic: state.y, below: 3 kg}\n"
-    with pytest.raises(ScenarioError) as caught:
-        parse_scenario(text, "small.yaml")
-    (problem,) = caught.value.problems
-    assert (problem.line, problem.message.partition(": ")[0]) == (SMALL.count("\n") + 4, "checks.signal.2.below")
 
 
 def test_names_are_unique() -> None:

@@ -137,11 +137,5 @@ def test_on_the_command_line(tmp_path: Path) -> None:
     assert isinstance(states_of(network["network"]["links"]["*"]).conditions[0], Condition)
     for words in ("1000 packets, one every 0.5 s", "log-likelihood", "mean burst of losses", "bad:"):
         assert words in results[0].stderr
-    for arguments, words in (
-        (["nowhere.csv"], "there is no such file"),
-        ([str(trace), "--picture", "x.txt"], "ends in one of"),
-        (["t.txt"], "ends in .csv"),
-    ):
-        failed = CliRunner().invoke(cli, ["fit", *arguments])
-        assert failed.exit_code != 0
-        assert words in failed.output + str(failed.exception)
+    failed = CliRunner().invoke(cli, ["fit", str(trace), "--picture", "x.txt"])
+    assert failed.exit_code == 2 and "ends in one of" in failed.output

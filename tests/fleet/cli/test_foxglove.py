@@ -37,20 +37,6 @@ def test_a_log_is_served_until_ctrl_c(log: Path) -> None:
         assert server.status() == 130 and "Traceback" not in server.printed, server.printed
 
 
-@pytest.mark.parametrize(
-    ("arguments", "code", "words"),
-    [
-        (["--control"], 2, "a log cannot be disturbed any more"),
-        (["--rate", "0"], 2, "--rate"),
-        (["--port", "70000"], 2, "--port"),
-        (["--host", "192.0.2.1"], 3, "cannot listen on 192.0.2.1:"),
-    ],
-)
-def test_what_cannot_be_done_with_a_log(arguments: list[str], code: int, words: str, log: Path) -> None:
-    found, said = invoke("view", "--foxglove", log, *arguments)
-    assert found == code and words in said, said
-
-
 def test_without_the_sdk_a_line_says_what_to_install(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fleet.cli.foxglove.find_spec", lambda name: None)
     code, said = invoke("view", "--foxglove", log)

@@ -180,20 +180,6 @@ def test_a_fault_that_has_the_name_of_its_run_is_not_guessed(
         assert f"say fleet heal {run.name} (all its faults) or fleet heal {run.name} live (that one)" in result.stderr
 
 
-def test_faults_are_listed_by_status() -> None:
-    result = invoke("faults")
-    assert (
-        result.exit_code == 2 and "here it is fleet status (those that are active; --all: every one)" in result.stderr
-    )
-
-
-def test_no_live_run(answers: dict[str, Any]) -> None:
-    for command in ("status", "heal", "stop"):
-        result = invoke(command)
-        assert (result.exit_code, result.stdout) == (3, "") and "fleet: no live run" in result.stderr
-    assert json.loads(invoke("ls", "--json").stdout)["live"] == []
-
-
 def test_a_run_that_does_not_answer(answers: dict[str, Any], tmp_path: Path) -> None:
     """It is listed, with what is wrong; a command for it ends with 3."""
     answers["status"] = answers["heal"] = RemoteError("paper-1 did not answer within 5 s; is it over?")
@@ -224,14 +210,6 @@ def test_the_kind_of_a_refusal_is_its_status(
             status,
             f"fleet: {run.name}: refused: no; and no live run is called 'nosuch'\n",
         )
-
-
-@pytest.mark.parametrize("option", ["for", "id"])
-def test_what_the_words_of_a_fault_say_already_is_no_option_again(option: str) -> None:
-    """One of the two would be ignored without a word."""
-    result = invoke("inject", "mute", "3", option, "5s", f"--{option}", "10s")
-    assert result.exit_code == 2
-    assert f"--{option} 10s: the fault says {option} 5s already" in result.stderr
 
 
 @pytest.mark.parametrize("command", [["inject", "mute", "3"], ["heal"], ["clock", "pause"], ["status"], ["stop"]])

@@ -37,9 +37,3 @@ def test_a_log_that_is_cut_is_drawn_and_said_to_be_cut(alone: Alone, tmp_path: P
     told = [line for line in found.stderr.splitlines() if not line.startswith("drawing ")]
     assert found.exit_code == 0 and told[0].startswith(f"fleet: {cut}: "), found.output
     assert (tmp_path / "a.gif").exists()
-
-
-def test_what_is_no_log_is_said(tmp_path: Path) -> None:
-    (tmp_path / "a.mcap").write_text("no log")
-    found = called(tmp_path / "a.mcap", "-o", tmp_path / "a.gif")
-    assert found.exit_code == 2 and "MCAP" in found.stderr and not (tmp_path / "a.gif").exists()

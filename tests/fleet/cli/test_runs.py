@@ -63,6 +63,7 @@ def test_ls(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_ls_of_nothing(tmp_path: Path) -> None:
     result = invoke("ls", "--out", tmp_path)
     assert (result.exit_code, result.stdout, result.stderr) == (0, "", f"no run below {tmp_path}\n")
+    assert msgspec.json.decode(invoke("ls", "--json", "--out", tmp_path).stdout, type=Runs).live == []
 
 
 @pytest.mark.parametrize(

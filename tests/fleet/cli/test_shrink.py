@@ -50,13 +50,6 @@ def test_the_least_scenario_is_written_and_fails(tmp_path: Path) -> None:
     assert call("shrink", "small-least.yaml", "--out", "small-least.yaml", "--force").exit_code == 0
 
 
-def test_a_place_that_cannot_be_written_is_said_before_any_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fleet.study.engine.engine_of", None)  # no run is made
-    result = call("shrink", "small.yaml", "--out", 300 * "x")
-    assert result.exit_code == 2
-    assert "cannot be written: File name too long; choose another file with --out" in " ".join(result.stderr.split())
-
-
 def test_a_scenario_that_cannot_be_written_after_all_is_printed(tmp_path: Path) -> None:
     tried = small()
     with pytest.raises(StudyError, match="the least scenario stands above"):

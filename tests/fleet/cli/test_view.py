@@ -23,13 +23,6 @@ def refused(*arguments: object) -> tuple[int, str]:
     return result.exit_code, " ".join(result.output.split())
 
 
-def test_a_run_in_one_process_has_no_page_of_its_own(tmp_path: Path) -> None:
-    result = CliRunner().invoke(cli, ["run", "paper", "--in-process", "--view", "--out", str(tmp_path)])
-    assert result.exit_code == 2
-    assert "--view needs a run with processes" in result.stderr
-    assert not list(tmp_path.iterdir())
-
-
 def test_without_nicegui_no_run_is_started_and_nothing_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "find_spec", lambda name: None)
     result = CliRunner().invoke(cli, ["run", "paper", "--view", "--out", str(tmp_path)])
@@ -38,23 +31,12 @@ def test_without_nicegui_no_run_is_started_and_nothing_is_read(tmp_path: Path, m
     assert not list(tmp_path.iterdir())
 
 
-def test_what_is_neither_a_run_nor_a_log_is_said(tmp_path: Path) -> None:
-    result = CliRunner().invoke(cli, ["view", str(tmp_path / "nothing"), "--no-open"])
-    assert result.exit_code == 2 and "nothing" in result.stderr
-    text = tmp_path / "text.mcap"
-    text.write_text("no log")
-    result = CliRunner().invoke(cli, ["view", str(text), "--no-open"])
-    assert result.exit_code == 2 and "no MCAP log" in " ".join(result.stderr.split())
-
-
 @pytest.mark.parametrize("viewer", [[], ["--foxglove"]])
 def test_options_that_are_for_the_other_kind_are_refused(
     viewer: list[str], log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In the page as in Foxglove."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    code, said = refused(log, "--control", *viewer)
-    assert code == 2 and "a log cannot be disturbed any more" in said
     with live_directory(tmp_path / "runs", "paper") as directory:
         write_observed(directory / OBSERVE, Observed("tcp/127.0.0.1:1", "observer", "secret", "0123abcd"))
         for option in (["--rate", "2"], ["--loop"]):

@@ -88,9 +88,6 @@ def test_copies_and_damage_make_one_row_each(tmp_path: Path) -> None:
 
 
 def test_on_the_command_line(tmp_path: Path) -> None:
-    log = run(load_scenario("ideal", [*COMMON, "duration=1 s"]), tmp_path / "ideal").path
-    result = CliRunner().invoke(cli, ["export", str(log), "--traces", str(tmp_path / "t"), "--topics", "x"])
-    assert "--topics chooses tables" in result.output
     log = run(load_scenario("paper", [*COMMON, "duration=1 s"]), tmp_path / "paper").path
     arguments = ["export", str(log), "--traces", str(tmp_path / "t")]
     assert (done := CliRunner().invoke(cli, arguments)).exit_code == 0

@@ -30,6 +30,17 @@ def places(s: Scenario) -> tuple[tuple[float, ...], ...]:
     return tuple(plan.start for plan in s.plans)
 
 
+def read_back(s: Scenario) -> Scenario:
+    """The scenario as it is printed and read again: it is the same, and so is all that it compiles to."""
+    again = parse_scenario(s.to_yaml(), "again.yaml")
+    assert again == s and again.to_yaml() == s.to_yaml()
+    assert (again.world_config, again.netem_config) == (s.world_config, s.netem_config)
+    assert [again.agent_config(i) for i in range(1, s.vehicles + 1)] == [
+        s.agent_config(i) for i in range(1, s.vehicles + 1)
+    ]
+    return again
+
+
 def only_problem(*overrides: str) -> str:
     with pytest.raises(ScenarioError) as caught:
         small(*overrides)

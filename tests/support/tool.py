@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-import subprocess
 from pathlib import Path
 
-from click.testing import CliRunner
+from click.testing import CliRunner, Result
 
 from fleet.cli.main import cli
 
 
-def tool(out: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """A command for the newest run below a directory, as from another terminal, but without starting Python."""
-    result = CliRunner().invoke(cli, [*arguments, "--run", str(out / "latest")])
+def invoke(*arguments: object) -> Result:
+    """A command, as on a terminal of 100 columns (click leaves two of them free); nothing but SystemExit leaves it."""
+    result = CliRunner().invoke(cli, [str(each) for each in arguments], prog_name="fleet", terminal_width=98)
     assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return subprocess.CompletedProcess(arguments, result.exit_code, result.stdout, result.stderr)
+    return result
+
+
+def tool(out: Path, *arguments: str) -> Result:
+    """A command for the newest run below a directory, as from another terminal, but without starting Python."""
+    return invoke(*arguments, "--run", out / "latest")

@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from small_scenario import small
+from tool import invoke
 
 from fleet.analysis import link_fit
 from fleet.analysis.link_fit import _expect, fit_losses
-from fleet.cli.main import cli
 from fleet.errors import FleetError
 from fleet.scenario.sections.trace_table import TraceRow, TraceTable, read_csv
 from fleet.scenario.text.yaml_reader import Source, inline, plain, read
@@ -130,12 +129,12 @@ def test_on_the_command_line(tmp_path: Path) -> None:
     trace = tmp_path / "modem-log.csv"
     trace.write_text(trace_of(states_of(TWO), 1_000).text())
     pictures = [tmp_path / "a.png", tmp_path / "b.png"]
-    results = [CliRunner().invoke(cli, ["fit", str(trace), "--picture", str(path)]) for path in pictures]
+    results = [invoke("fit", trace, "--picture", path) for path in pictures]
     assert results[0].exit_code == 0, results[0].output
     assert pictures[0].read_bytes() == pictures[1].read_bytes() and results[0].stdout == results[1].stdout
     network = plain(read(Source("y", results[0].stdout))[0])
     assert isinstance(states_of(network["network"]["links"]["*"]).conditions[0], Condition)
     for words in ("1000 packets, one every 0.5 s", "log-likelihood", "mean burst of losses", "bad:"):
         assert words in results[0].stderr
-    failed = CliRunner().invoke(cli, ["fit", str(trace), "--picture", "x.txt"])
+    failed = invoke("fit", trace, "--picture", "x.txt")
     assert failed.exit_code == 2 and "ends in one of" in failed.output

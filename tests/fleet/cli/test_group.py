@@ -8,6 +8,7 @@ from importlib import import_module
 
 import pytest
 from click.testing import CliRunner
+from tool import invoke
 
 from fleet.cli.group import command_of
 from fleet.cli.main import cli
@@ -19,12 +20,12 @@ def test_a_disk_that_fails_is_not_the_users_mistake(monkeypatch: pytest.MonkeyPa
         raise OSError(5, os.strerror(5))
 
     monkeypatch.setattr("fleet.scenario.catalogue.list_scenarios", fail)
-    result = CliRunner().invoke(cli, ["list"])
+    result = invoke("list")
     assert (result.exit_code, result.stderr) == (3, "fleet: Input/output error\n")
 
 
 def test_an_argument_with_bytes_that_are_no_text() -> None:
-    result = CliRunner().invoke(cli, ["check", "paper", "--set", "name=\udcff"])
+    result = invoke("check", "paper", "--set", "name=\udcff")
     assert isinstance(result.exception, SystemExit), result.exception
     assert result.exit_code == 2 and "Traceback" not in result.output
 
@@ -55,7 +56,7 @@ def test_words_of_other_tools_name_verbs_of_ours() -> None:
 def test_a_former_verb_names_the_new_line() -> None:
     assert not FORMER.keys() & VERBS.keys()
     for old, now in FORMER.items():
-        result = CliRunner().invoke(cli, [old, "x"], prog_name="fleet")
+        result = invoke(old, "x")
         assert (result.exit_code, result.stdout) == (2, "")
         assert f"fleet {old} is now: {now}\n" in result.stderr
         assert now.split()[1] in VERBS

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
-from click.testing import CliRunner, Result
 from in_process_runs import Alone
 from PIL import Image
-
-from fleet.cli.main import cli
+from tool import invoke
 
 SHORT = ("duration=1 s", "faults=[{at: 400 ms, for: 400 ms, id: cut, partition: halves}]", "checks={tumbled: waived}")
-
-
-def called(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(cli, ["movie", *map(str, arguments)])
+called = partial(invoke, "movie")
 
 
 def test_it_prints_the_file_and_replaces_nothing_without_force(alone: Alone, tmp_path: Path) -> None:

@@ -3,21 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytest
-from click.testing import CliRunner
+from tool import invoke
 from traffic import PAGE, endpoint
 from traffic import log as log
 
 from fleet.cli.group import command_of
-from fleet.cli.main import cli
-
-
-def invoke(*arguments: Any) -> tuple[int, str]:
-    result = CliRunner().invoke(cli, [str(a) for a in arguments])
-    assert not isinstance(result.exception, Exception) or isinstance(result.exception, SystemExit), result.exception
-    return result.exit_code, result.output
 
 
 def test_nobody_there(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -25,8 +17,8 @@ def test_nobody_there(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         "netem.wire.open_bus.OpenBus.connect.__func__.__kwdefaults__", {"timeout_ms": 200}, raising=False
     )
     for arguments in (["replay", log], ["record", "-k", "x", "-o", tmp_path / "x.mcap"]):
-        code, said = invoke(*arguments, "--connect", endpoint())
-        assert code == 3 and "nobody answers" in said and ".rs:" not in said
+        refused = invoke(*arguments, "--connect", endpoint())
+        assert refused.exit_code == 3 and "nobody answers" in refused.output and ".rs:" not in refused.output
     assert list(tmp_path.iterdir()) == []
 
 

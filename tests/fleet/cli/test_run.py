@@ -8,16 +8,10 @@ from pathlib import Path
 
 import click
 import pytest
-from click.testing import CliRunner, Result
-
-from fleet.cli.main import cli
+from tool import invoke
 
 QUICK = ["--in-process", "--duration", "500 ms", "--set", "checks={}", "-q"]
 WORDS = ["--fault", "at 100ms for 200ms partition halves", "--net", "* loss 20%", "--net", "1->2 down"]
-
-
-def invoke(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(cli, [str(argument) for argument in arguments], prog_name="fleet")
 
 
 def test_faults_and_links_in_words_become_part_of_the_run(tmp_path: Path) -> None:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
+from tool import invoke
 
-from fleet.cli.main import cli
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.export import link_trace, write_traces
@@ -90,7 +89,7 @@ def test_copies_and_damage_make_one_row_each(tmp_path: Path) -> None:
 def test_on_the_command_line(tmp_path: Path) -> None:
     log = run(load_scenario("paper", [*COMMON, "duration=1 s"]), tmp_path / "paper").path
     arguments = ["export", str(log), "--traces", str(tmp_path / "t")]
-    assert (done := CliRunner().invoke(cli, arguments)).exit_code == 0
+    assert (done := invoke(*arguments)).exit_code == 0
     assert done.stdout.split()[-1] == str(tmp_path / "t" / "links.yaml")
     assert (tmp_path / "t" / "1-2.csv").read_text().startswith("time [s],delivered,delay [ms]\n0,1,0\n0.1,1,0\n")
-    assert "already holds 1-2.csv" in CliRunner().invoke(cli, arguments).output
+    assert "already holds 1-2.csv" in invoke(*arguments).output

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -117,12 +116,3 @@ def test_signals_are_completed(directory: Path) -> None:
 
     assert completed("control.lead") == ["control.leader", "control.leads", "control.leads_until"]
     assert completed("inputs,tra") == ["inputs,track", "inputs,track-3d"]
-
-
-def test_a_result_of_another_log_adds_nothing(directory: Path, tmp_path: Path) -> None:
-    (tmp_path / "run.mcap").write_bytes((directory / "run.mcap").read_bytes())
-    result = json.loads((directory / "result.json").read_text())
-    (tmp_path / "result.json").write_text(json.dumps(result | {"digest": "0" * 16}))
-    (again,) = load([tmp_path])
-    assert again.verdicts == [] and again.failures == []
-    assert list(map(str, signals_of_checks([again]))) == ["state.z", "control.leads", "control.leader"]

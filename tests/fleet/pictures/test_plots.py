@@ -4,26 +4,24 @@ from __future__ import annotations
 
 import csv
 import errno
-import importlib.util
 import json
 import re
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from html_page import Page
 from in_process_runs import Alone
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from msgspec.structs import replace
 from repository import ROOT
+from tool import invoke
 
 import fleet
 from fleet.cli.logs import KINDS, PARTS
-from fleet.cli.main import cli
 from fleet.errors import FleetError
 from fleet.logs.dataset import columns
 from fleet.logs.export import export
@@ -359,28 +357,22 @@ def test_units_of_vectors_go_to_their_components(directories: dict[str, Path]) -
 
 def test_export_replaces_nothing_unless_told(directories: dict[str, Path], tmp_path: Path) -> None:
     arguments = ["export", str(directories["one"]), "--csv", str(tmp_path), "--topics", "uuv/*/state"]
-    first = CliRunner().invoke(cli, arguments)
+    first = invoke(*arguments)
     assert (first.exit_code, first.stderr) == (0, "")
     assert first.stdout.split() == [str(tmp_path / "uuv-1-state.csv"), str(tmp_path / "export.json")]
     (tmp_path / "uuv-1-state.csv").write_text("mine")
-    again = CliRunner().invoke(cli, arguments)
+    again = invoke(*arguments)
     assert again.exit_code == 2
     assert "already holds uuv-1-state.csv" in again.stderr
     assert (tmp_path / "uuv-1-state.csv").read_text() == "mine"
-    assert CliRunner().invoke(cli, [*arguments, "--force"]).exit_code == 0
+    assert invoke(*arguments, "--force").exit_code == 0
     assert (tmp_path / "uuv-1-state.csv").read_text().startswith("t [s],x [m],")
 
 
 def test_an_export_of_a_cut_log_says_so(directories: dict[str, Path], tmp_path: Path) -> None:
-    cut = CliRunner().invoke(cli, ["export", str(directories["cut"]), "--csv", str(tmp_path), "--topics", "faults"])
+    cut = invoke("export", directories["cut"], "--csv", tmp_path, "--topics", "faults")
     assert cut.exit_code == 0
     assert "the file is cut" in cut.stderr
-
-
-@pytest.mark.skipif(importlib.util.find_spec("pyarrow") is not None, reason="pyarrow is installed")
-def test_parquet_names_what_to_install(directories: dict[str, Path], tmp_path: Path) -> None:
-    with pytest.raises(FleetError, match=r"pip install 'uuv-fleet\[parquet\]'"):
-        export(fleet.open_log(directories["one"]), tmp_path, "parquet")
 
 
 def test_parquet_reads_back(directories: dict[str, Path], tmp_path: Path) -> None:
@@ -402,7 +394,7 @@ def test_parquet_reads_back(directories: dict[str, Path], tmp_path: Path) -> Non
 def test_plot_command(directories: dict[str, Path], tmp_path: Path) -> None:
     what = ["--what", "error,links", "--format", "png,svg,pdf"]
     arguments = ["plot", str(directories["faulty"]), "-o", str(tmp_path), *what]
-    result = CliRunner().invoke(cli, arguments, catch_exceptions=False)
+    result = invoke(*arguments)
     said = [line for line in result.stderr.splitlines() if not line.startswith(("reading", "drawing"))]
     assert (result.exit_code, said) == (0, [])
     assert result.stdout.split() == [
@@ -410,49 +402,21 @@ def test_plot_command(directories: dict[str, Path], tmp_path: Path) -> None:
     ]
     assert (tmp_path / "error.pdf").read_bytes().startswith(b"%PDF")
     before = (tmp_path / "error.svg").read_bytes()
-    CliRunner().invoke(cli, arguments)
+    invoke(*arguments)
     assert (tmp_path / "error.svg").read_bytes() == before
 
 
 def test_plot_beside_the_log_and_of_a_cut_one(directories: dict[str, Path]) -> None:
-    cut = CliRunner().invoke(cli, ["plot", str(directories["cut"]), "--what", "inputs", "--vehicles", "1,3-4"])
+    cut = invoke("plot", directories["cut"], "--what", "inputs", "--vehicles", "1,3-4")
     assert cut.exit_code == 0
     assert cut.stdout.strip() == str(directories["cut"] / "plots" / "inputs.png")
     assert "the file is cut" in cut.stderr
-    none = CliRunner().invoke(cli, ["plot", str(directories["one"]), "--what", "links"])
+    none = invoke("plot", directories["one"], "--what", "links")
     assert (none.exit_code, none.stdout) == (1, "")
     assert "links: not drawn: the log has no links" in none.stderr
 
 
 # --- the report ------------------------------------------------------------
-
-
-class Page(HTMLParser):
-    """What a page would load, its words, and whether its elements close."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.loads: list[str] = []
-        self.words: list[str] = []
-        self.pictures = 0
-        self._open: list[str] = []
-        self.feed(text)
-        assert self._open == []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        if tag not in ("meta", "img", "br", "link"):
-            self._open.append(tag)
-        for name, value in attrs:
-            if name in ("src", "href", "data", "srcset", "action"):
-                self.loads.append(str(value))
-        self.pictures += tag == "img"
-        assert tag not in ("script", "link", "iframe", "object")
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self._open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        self.words.append(data)
 
 
 @pytest.fixture
@@ -464,7 +428,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("few")
 def test_report_is_one_file_that_loads_nothing(directories: dict[str, Path], tmp_path: Path) -> None:
     out = tmp_path / "r.html"
-    result = CliRunner().invoke(cli, ["report", str(directories["faulty"]), "-o", str(out)], catch_exceptions=False)
+    result = invoke("report", directories["faulty"], "-o", out)
     said = [line for line in result.stderr.splitlines() if not line.endswith(" %")]  # progress of a slow machine
     assert (result.exit_code, result.stdout, said) == (0, f"{out}\n", [])
     text = out.read_text("utf-8")
@@ -472,7 +436,7 @@ def test_report_is_one_file_that_loads_nothing(directories: dict[str, Path], tmp
     assert all(load.startswith("data:image/png;base64,") for load in found.loads)
     assert "http" not in re.sub(r'src="data:[^"]*"', "", text)
     assert "url(" not in text and "@import" not in text
-    assert found.pictures == 1
+    assert [tag for tag, _ in found.tags].count("img") == 1
     words = " ".join(found.words)
     values = json.loads((directories["faulty"] / "result.json").read_text())
     assert values["digest"] in words

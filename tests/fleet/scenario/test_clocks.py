@@ -5,11 +5,11 @@ from __future__ import annotations
 from statistics import mean, stdev
 
 import pytest
-from small_scenario import small
+from small_scenario import read_back, small
 
 from fleet.analysis.stability import describe_slack, slack
 from fleet.execution.judged import run
-from fleet.scenario.loading import load_scenario, parse_scenario
+from fleet.scenario.loading import load_scenario
 from netem.vehicle_clock import VehicleClock
 
 WATER = "network={period: 1 s, payload: compact, acoustic: {modem: mfsk-1066, mac: tdma, slot: 1500 ms, guard: 200 ms}}"
@@ -25,7 +25,7 @@ def test_a_clock_is_of_all_or_of_some_and_reads_back() -> None:
         1: VehicleClock(5_000_000, 20e-6), 2: VehicleClock(5_000_000, -15e-6), 3: VehicleClock(-1_000_000_000, 20e-6)
     }  # fmt: skip
     assert scenario.clocks == scenario.world_config.clocks == scenario.netem_config.clocks == expected
-    assert parse_scenario(scenario.to_yaml(), "again.yaml") == scenario
+    read_back(scenario)
     assert small().clocks == {}
 
 

@@ -5,17 +5,17 @@ from __future__ import annotations
 import json
 import shlex
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from statistics import fmean
 
 import msgpack
 import pytest
-from click.testing import CliRunner, Result
 from marks import slow
 from refusals import check_refusals, type_command
 from study_engine import Here
+from tool import invoke
 
-from fleet.cli.main import cli
 from fleet.execution.judged import judged
 from fleet.recorder.snapshot import Snapshot
 from fleet.scenario.loading import load_scenario, parse_scenario
@@ -159,8 +159,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Path("seldom.yaml").write_text(SELDOM, "utf-8")
 
 
-def call(*args: str) -> Result:
-    return CliRunner().invoke(cli, ["rare", "seldom.yaml", *args])
+call = partial(invoke, "rare", "seldom.yaml")
 
 
 @pytest.mark.usefixtures("here")

@@ -14,14 +14,13 @@ from typing import Any
 
 import pytest
 import yaml
-from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as some
 from made_up_study import LOSS, damage, made_up, usual
 from pandas.testing import assert_frame_equal
 from refusals import check_refusals
+from tool import invoke
 
-from fleet.cli.main import cli
 from fleet.study.errors import StudyError
 from fleet.study.record import NAME, read_record
 from fleet.study.row import Row
@@ -47,7 +46,7 @@ def assert_refused(directory: Path, words: str) -> None:
         with pytest.raises(StudyError, match=words):
             reader(directory)
     for command in COMMANDS:
-        found = CliRunner().invoke(cli, [*command, str(directory)])
+        found = invoke(*command, directory)
         assert found.exit_code == 2 and found.stderr.count("\n") == 1, (command, found.output)
 
 
@@ -124,26 +123,21 @@ def test_a_file_that_is_cut_off_or_no_database(store: Store) -> None:
             Store.open(store.directory).frame()
 
 
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    return made_up(tmp_path_factory.mktemp("strange") / "study", LOSS, row=usual)
+
+
 @given(at=some.integers(0, 10**6), byte=some.integers(0, 255))
-def test_a_changed_byte_gives_rows_or_words(at: int, byte: int, tmp_path_factory: pytest.TempPathFactory) -> None:
-    store = _once(tmp_path_factory)
-    file = store.directory / FILE
+def test_a_changed_byte_gives_rows_or_words(at: int, byte: int, kept: Store) -> None:
+    file = kept.directory / FILE
     whole = file.read_bytes()
     damaged = bytearray(whole)
     damaged[at % len(damaged)] = byte
     file.write_bytes(damaged)
     with suppress(StudyError):
-        Store.open(store.directory).frame()
+        Store.open(kept.directory).frame()
     file.write_bytes(whole)
-
-
-_made: list[Store] = []
-
-
-def _once(factory: pytest.TempPathFactory) -> Store:
-    if not _made:
-        _made.append(made_up(factory.mktemp("strange") / "study", LOSS, row=usual))
-    return _made[0]
 
 
 KILLED = """

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import time
-from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
-from small_scenario import SMALL
-from study_engine import Here
+from study_engine import made_here
 
 import fleet
 from fleet.errors import ScenarioError
@@ -27,9 +25,7 @@ study:
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fleet.study.study.engine_of", lambda *_: nullcontext(Here()))
-    monkeypatch.chdir(tmp_path)
-    Path("small.yaml").write_text(SMALL, "utf-8")
+    made_here(tmp_path, monkeypatch)
 
 
 def test_a_script_runs_the_file_of_a_study_with_changes() -> None:

@@ -12,12 +12,12 @@ from typing import Any, TypeVar
 import click
 import msgspec
 import pytest
-from click.testing import CliRunner
 from click.testing import Result as Invoked
 from failing_laws import failing
 from failing_laws import module as module
 from repository import ROOT
 from small_scenario import SMALL
+from tool import invoke
 
 from fleet.cli.documents.failure import FailedCommand
 from fleet.cli.documents.logs import Checked, Compared, Scenarios
@@ -37,10 +37,6 @@ S = TypeVar("S", bound=msgspec.Struct)
 QUICK = ["paper", "--in-process", "--duration", "300 ms"]
 NO_CHECKS = ["--set", "checks={}"]
 RUNAWAY = ["--set", "faults=[{at: 100 ms, wrench: {force: 1e200 1e200 0 N}}]", "--set", "on_death=abort"]
-
-
-def invoke(*arguments: str | Path) -> Invoked:
-    return CliRunner().invoke(cli, [str(argument) for argument in arguments], prog_name="fleet")
 
 
 def printed(struct: type[S], result: Invoked) -> S:

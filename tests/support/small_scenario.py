@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from hypothesis import strategies as st
 
@@ -39,6 +41,25 @@ def read_back(s: Scenario) -> Scenario:
         s.agent_config(i) for i in range(1, s.vehicles + 1)
     ]
     return again
+
+
+def accepted(*overrides: str) -> bool:
+    """Whether the small scenario may be changed so: then it reads back. Otherwise a mistake says why."""
+    try:
+        s = small(*overrides)
+    except ScenarioError as error:
+        assert error.problems and str(error)  # noqa: PT017 - most are errors, all must be ours
+        return False
+    read_back(s)
+    return True
+
+
+@pytest.fixture
+def small_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """The small scenario as a file in this folder."""
+    monkeypatch.chdir(tmp_path)
+    Path("small.yaml").write_text(SMALL, "utf-8")
+    return "small.yaml"
 
 
 def only_problem(*overrides: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import click
 from click.testing import CliRunner, Result
 
 from fleet.cli.main import cli
@@ -14,6 +15,17 @@ def invoke(*arguments: object) -> Result:
     result = CliRunner().invoke(cli, [str(each) for each in arguments], prog_name="fleet", terminal_width=98)
     assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
     return result
+
+
+def commands(group: click.Group = cli) -> dict[str, click.Command]:
+    """Every command by its name, those of groups with the group's name before them."""
+    found: dict[str, click.Command] = {}
+    context = click.Context(group)
+    for name in sorted(group.list_commands(context)):
+        found[name] = command = group.get_command(context, name)
+        if isinstance(command, click.Group):
+            found |= {f"{name} {inner}": one for inner, one in commands(command).items()}
+    return found
 
 
 def tool(out: Path, *arguments: str) -> Result:

@@ -14,7 +14,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import click
 import msgspec
 import pytest
 from mcap.reader import make_reader
@@ -22,10 +21,9 @@ from mcap_protobuf.decoder import DecoderFactory
 from repository import EXPECTED, ROOT
 from rich.console import Console as Terminal
 from screens import assert_screen
-from tool import invoke
+from tool import commands, invoke
 
 import fleet
-from fleet.cli.main import cli
 from fleet.errors import FleetError
 from fleet.logs.reader import digest
 from fleet.recorder.log_file import LogError
@@ -37,19 +35,6 @@ from fleet.study.catalogue import shipped_studies
 SHIPPED = [row.name for row in list_scenarios()]
 
 
-def names_below(group: click.Group, prefix: str = "") -> list[str]:
-    """Every command, those of groups with the group's name before them."""
-    found = []
-    context = click.Context(group)
-    for name in sorted(group.list_commands(context)):
-        command = group.get_command(context, name)
-        found.append(prefix + name)
-        if isinstance(command, click.Group):
-            found += names_below(command, f"{prefix}{name} ")
-    return found
-
-
-COMMANDS = names_below(cli)
 QUICK = ["--in-process", "--duration", "500 ms"]
 NO_CHECKS = ["--set", "checks={}"]
 
@@ -89,17 +74,13 @@ def test_python_dash_m() -> None:
 
 def test_every_help_has_an_example_and_explains_every_option() -> None:
     """An example where a command takes anything but --help and --json; a group lists its commands instead."""
-    for name in COMMANDS:
+    for name, command in commands().items():
         result = invoke(*name.split(), "--help")
         assert result.exit_code == 0
         options = result.output.count("\n  --") + result.output.count("\n  -")
         if options > 3 and "\nCommands:" not in result.output:
             assert f"\n    fleet {name}" in result.output
-        found: click.Command = cli
-        for word in name.split():
-            assert isinstance(found, click.Group)
-            found = found.get_command(click.Context(found), word) or cli
-        for parameter in found.params:
+        for parameter in command.params:
             told = getattr(parameter, "hidden", False) or getattr(parameter, "help", None)
             assert parameter.param_type_name == "argument" or told, (name, parameter.name)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -56,34 +56,26 @@ def other_schema(name: str, data: Callable[[Schema], bytes]) -> Change:
     return change
 
 
-def fields(schema: Schema) -> Iterator[tuple[descriptor_pb2.FileDescriptorSet, descriptor_pb2.FieldDescriptorProto]]:
-    found = descriptor_pb2.FileDescriptorSet.FromString(schema.data)
-    for file in found.file:
-        for message in file.message_type:
-            for field in message.field:
-                yield found, field
-
-
 def garbage(schema: Schema) -> bytes:
     return b"\xff\xff"
 
 
-def texts(schema: Schema) -> bytes:
-    for found, field in fields(schema):  # noqa: B007
-        field.type = descriptor_pb2.FieldDescriptorProto.TYPE_STRING
-    return found.SerializeToString()
+def with_fields(change: Callable[[descriptor_pb2.FieldDescriptorProto], None]) -> Callable[[Schema], bytes]:
+    """Damage that changes each field."""
+
+    def damage(schema: Schema) -> bytes:
+        found = descriptor_pb2.FileDescriptorSet.FromString(schema.data)
+        for message in (message for file in found.file for message in file.message_type):
+            for field in message.field:
+                change(field)
+        return found.SerializeToString()
+
+    return damage
 
 
-def numbers(schema: Schema) -> bytes:
-    for found, field in fields(schema):  # noqa: B007
-        field.type = descriptor_pb2.FieldDescriptorProto.TYPE_DOUBLE
-    return found.SerializeToString()
-
-
-def renamed(schema: Schema) -> bytes:
-    for found, field in fields(schema):  # noqa: B007
-        field.name = f"q_{field.name}"
-    return found.SerializeToString()
+texts = with_fields(lambda field: setattr(field, "type", field.TYPE_STRING))
+numbers = with_fields(lambda field: setattr(field, "type", field.TYPE_DOUBLE))
+renamed = with_fields(lambda field: setattr(field, "name", f"q_{field.name}"))
 
 
 def said(*arguments: object) -> str:

@@ -93,10 +93,6 @@ def lines(ax: Axes, gid: str) -> list[Any]:
     return [line for line in ax.get_lines() if re.fullmatch(gid, str(line.get_gid() or ""))]
 
 
-def labels(figure: Figure) -> list[str]:
-    return [label for ax in figure.axes for label in (ax.get_xlabel(), ax.get_ylabel()) if label]
-
-
 RUNS = ("faulty", "one", "ideal", "acoustic", "twenty", "mixed")
 
 
@@ -111,7 +107,7 @@ def test_every_picture_of_every_run(name: str, runs: dict[str, Run]) -> None:
             continue
         if name in ("faulty", "one", "twenty"):  # the others only differ in what is on the axes
             figure.draw_without_rendering()
-        for label in labels(figure):
+        for label in filter(None, (label for ax in figure.axes for label in (ax.get_xlabel(), ax.get_ylabel()))):
             assert re.search(r"\[[^]]+\]|^link|^vehicle|^UUV", label), (picture, label)
         if picture != "track-3d" and name in ("faulty", "twenty"):
             width, height = figure.get_size_inches()

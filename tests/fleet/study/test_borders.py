@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from pandas.testing import assert_frame_equal
-from small_scenario import SMALL
+from small_scenario import small_file as small_file
 from study_engine import Drawn, Here
 
 import fleet
@@ -29,10 +29,7 @@ from fleet.study.values import parse_axis
 LINKS = Override(NET, "* delay {delay} loss {loss}")
 
 
-@pytest.fixture(autouse=True)
-def small_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("small.yaml").write_text(SMALL, "utf-8")
+pytestmark = pytest.mark.usefixtures("small_file")
 
 
 def prepared(name: str, seeds: int = 40, along: str = "loss=0 %..95 %") -> Borders:

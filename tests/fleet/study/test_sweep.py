@@ -12,6 +12,7 @@ from failing_laws import failing
 from made_up_study import damage
 from pandas.testing import assert_frame_equal
 from small_scenario import SMALL
+from small_scenario import small_file as small_file
 from study_engine import Here
 
 from fleet.errors import ScenarioError
@@ -31,13 +32,6 @@ from world.plugins.trust import trusting
 
 CHECKS = Override(SET, "checks={formation_error: {below: 0.9 m, after: 0.9 s}}")
 LINKS = Override(SET, "network.links={'*': delay 50ms loss 10%}")
-
-
-@pytest.fixture
-def small_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "small.yaml").write_text(SMALL, "utf-8")
-    return "small.yaml"
 
 
 def plan(file: str, *axes: str, seeds: tuple[int, ...] = (1, 2)) -> Plan:

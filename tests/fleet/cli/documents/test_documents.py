@@ -7,9 +7,8 @@ import os
 import signal
 import sys
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
-import click
 import msgspec
 import pytest
 from click.testing import Result as Invoked
@@ -17,13 +16,12 @@ from failing_laws import failing
 from failing_laws import module as module
 from repository import ROOT
 from small_scenario import SMALL
-from tool import invoke
+from tool import commands, invoke
 
 from fleet.cli.documents.failure import FailedCommand
 from fleet.cli.documents.logs import Checked, Compared, Scenarios
 from fleet.cli.documents.output import print_document
 from fleet.cli.documents.page import DOCUMENTS, page, schema
-from fleet.cli.main import cli
 from fleet.execution.supervisor import Supervisor
 from fleet.logs.info import Info
 from fleet.logs.reader import digest
@@ -64,19 +62,8 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 # --- the structs and their page ----------------------------------------------
 
 
-def commands(group: click.Group) -> dict[str, click.Command]:
-    found: dict[str, click.Command] = {}
-    context = click.Context(group)
-    for name in group.list_commands(context):
-        command = group.get_command(context, name)
-        found[name] = command
-        if isinstance(command, click.Group):
-            found |= {f"{name} {inner}": one for inner, one in commands(command).items()}
-    return found
-
-
 def test_every_command_with_json_has_its_struct() -> None:
-    asked = {name for name, command in commands(cli).items() if any(p.name == "as_json" for p in command.params)}
+    asked = {name for name, command in commands().items() if any(p.name == "as_json" for p in command.params)}
     assert asked == set(DOCUMENTS) - {"check LOG"}
 
 
@@ -86,15 +73,10 @@ def test_the_page_is_current() -> None:
     assert shown == page() == invoke("about", "--schemas").stdout
 
 
-def records_of(command: str) -> dict[str, Any]:
-    found: dict[str, Any] = schema(command)["$defs"]
-    return found
-
-
 def test_every_record_is_explained_and_has_its_section() -> None:
     text, documents = page(), {document.__name__ for document in [*DOCUMENTS.values(), FailedCommand]}
     assert all(f"\n## fleet {command}\n" in text for command in DOCUMENTS)
-    for name, record in (row for command in DOCUMENTS for row in records_of(command).items()):
+    for name, record in (row for command in DOCUMENTS for row in schema(command)["$defs"].items()):
         assert record["description"].endswith("."), name
         assert not record["description"].startswith(f"{name}("), f"{name} has no docstring of its own"
         for field, described in record["properties"].items():

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-from small_scenario import SMALL
+from small_scenario import small_file as small_file
 from study_engine import Drawn
 
 from fleet.scenario.text.overrides import NET, SET, Override
@@ -20,10 +20,7 @@ from fleet.study.values import parse_axis
 DELAY, HOW = "delay=0 ms, 100 ms, 1 s", "neighbours.extrapolate=hold, neighbour"
 
 
-@pytest.fixture(autouse=True)
-def small_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("small.yaml").write_text(SMALL, "utf-8")
+pytestmark = pytest.mark.usefixtures("small_file")
 
 
 def borders_of(per: Sequence[str], *, run: bool = True) -> Borders:

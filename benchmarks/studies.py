@@ -21,7 +21,7 @@ from msgspec import Struct
 from rich.console import Console as Terminal
 
 from benchmarks.figures import show_rows
-from fleet.execution.judged import judged
+from fleet.execution.stepped_run import judged
 from fleet.processes.workers import Workers
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.text.overrides import SET, Override

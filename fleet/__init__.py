@@ -10,8 +10,8 @@ from warnings import warn
 from fleet.cores import hidden_cores
 
 if TYPE_CHECKING:
-    from fleet.execution.judged import run as run
     from fleet.execution.stepped_run import Run as Run
+    from fleet.execution.stepped_run import run as run
     from fleet.logs.open_log import Log as Log
     from fleet.logs.open_log import open_log as open_log
     from fleet.result.result import Result as Result
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _OFFERED = {
     "Result": "fleet.result.result",
-    "run": "fleet.execution.judged",
+    "run": "fleet.execution.stepped_run",
     "Run": "fleet.execution.stepped_run",
     "Log": "fleet.logs.open_log",
     "open_log": "fleet.logs.open_log",

@@ -65,8 +65,8 @@ def fleet_runs(request: pytest.FixtureRequest) -> FleetRuns:
 
 
 def _run(name: str, seeds: list[int], changes: Any, trust: bool, directory: Path) -> list[Result]:
-    from fleet.execution.judged import run as run_once
     from fleet.execution.stepped_run import override_texts
+    from fleet.execution.stepped_run import run as run_once
     from fleet.study.row import Reached
 
     texts = override_texts(changes)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import closing
 from dataclasses import replace
 
-from agents.config import AgentConfig, Law
+from agents.config import Law
 from agents.controllers import BUILT_IN, laws
 from agents.errors import ControllerError
 from agents.make_agent import make_agent
@@ -31,7 +31,9 @@ def try_laws(scenario: Scenario) -> None:
             continue
         tried.append(own)
         try:
-            _first_sample(scenario, i)
+            agent = make_agent(replace(scenario.agent_config(i), on_error="abort"))
+            if not scenario.ideal:
+                agent.step(Nav(0, 0, *scenario.initial[i - 1]), [])
         except PluginError:  # one that may not run; one that cannot be used was found when the scenario was read
             continue
         except ControllerError as error:
@@ -67,10 +69,3 @@ def try_plants(scenario: Scenario) -> None:
             continue
     if problems:
         raise ScenarioError(problems)
-
-
-def _first_sample(scenario: Scenario, i: int) -> None:
-    config: AgentConfig = replace(scenario.agent_config(i), on_error="abort")
-    agent = make_agent(config)
-    if not scenario.ideal:
-        agent.step(Nav(0, 0, *scenario.initial[i - 1]), [])

@@ -17,7 +17,7 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.checks import EVERY
 from fleet.scenario.schema.control import KeepApartSection
 from fleet.scenario.sections.timeline import OF_THE_NETWORK
-from netem.condition import Condition, Link, effective
+from netem.condition import Link, effective
 from world.errors import PluginError
 from world.vectors import Vec3, plus
 
@@ -55,13 +55,9 @@ def _losses(scenario: Scenario) -> dict[Link, float]:
             given += [(link, fault.condition) for link in fault.links]
     found: dict[Link, float] = {}
     for link, condition in given:
-        if _one_by_one(condition):
+        if 0.0 < condition.loss < 1.0 and condition.loss_model is None and not condition.loss_correlation:
             found[link] = max(condition.loss, found.get(link, 0.0))
     return found
-
-
-def _one_by_one(condition: Condition) -> bool:
-    return 0.0 < condition.loss < 1.0 and condition.loss_model is None and not condition.loss_correlation
 
 
 def _forget_after_s(law: Law) -> float | None:
@@ -149,9 +145,12 @@ BY_ROUND = frozenset(OF_THE_NETWORK) - {"slow", "clock"}  # faults that act at r
 
 def warnings(scenario: Scenario) -> list[str]:
     """One sentence for each setting that is valid and hardly intended."""
-    return [*check_warnings(scenario), *_idle_faults(scenario), *_correlated(scenario), *forgetting_warnings(scenario),
-            *keep_apart_warnings(scenario), *short_traces(scenario), *slot_warnings(scenario),
-            *_large_log(scenario)]  # fmt: skip
+    found = [*check_warnings(scenario), *_idle_faults(scenario), *_correlated(scenario)]
+    found += [*forgetting_warnings(scenario), *keep_apart_warnings(scenario)]
+    found += [*short_traces(scenario), *slot_warnings(scenario)]
+    if hint := large_log_hint(log_mb(scenario)):
+        found.append(f"the log will have about {log_mb(scenario):.0f} MB; {hint}")
+    return found
 
 
 def check_warnings(scenario: Scenario) -> list[str]:
@@ -170,11 +169,8 @@ def log_mb(scenario: Scenario) -> float:
 
 def large_log_hint(megabytes: float) -> str:
     """What to do about it; empty for a log of usual size."""
-    return (
-        ""
-        if megabytes <= LARGE_MB
-        else f"{THIN} thins it to a tenth (fleet whatif needs log.nav and log.command: 1 tick)"
-    )
+    hint = f"{THIN} thins it to a tenth (fleet whatif needs log.nav and log.command: 1 tick)"
+    return hint if megabytes > LARGE_MB else ""
 
 
 def _never_judged(scenario: Scenario) -> Iterator[str]:
@@ -278,8 +274,3 @@ def _correlated(scenario: Scenario) -> Iterator[str]:
                 "delays keep their distribution, and each is independent of the one before"
             ] = None
     yield from found
-
-
-def _large_log(scenario: Scenario) -> Iterator[str]:
-    if hint := large_log_hint(log_mb(scenario)):
-        yield f"the log will have about {log_mb(scenario):.0f} MB; {hint}"

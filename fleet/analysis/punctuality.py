@@ -58,20 +58,11 @@ def _label(timing: Timing) -> tuple[str, list[str]]:
 def verdict(timing: Timing, most_missed: float) -> Verdict:
     """Whether no agent missed more than a share of its ticks, nor the clock was moved by more than that."""
     found = f"{timing.label}: {'; '.join(timing.reasons)}" if timing.reasons else timing.label
-    value, asked = max(missed_share(timing), moved_share(timing)), f"at most {most_missed:.3g} of all ticks missed"
-    return Verdict("on_time", value <= most_missed, asked, found, value, most_missed, "1").with_margin(
-        most_missed - value, "1"
-    )
-
-
-def missed_share(timing: Timing) -> float:
-    """The share of its ticks that the worst agent missed."""
-    return max((row.missed_share for row in timing.vehicles.values()), default=0.0)
-
-
-def moved_share(timing: Timing) -> float:
-    """By what share of the run the world moved the clock, because it was late itself."""
-    return timing.world.slipped_s / max(1e-9, timing.world.run_s)
+    moved = timing.world.slipped_s / max(1e-9, timing.world.run_s)
+    value = max(moved, *(row.missed_share for row in timing.vehicles.values()), 0.0)
+    asked = f"at most {most_missed:.3g} of all ticks missed"
+    judged = Verdict("on_time", value <= most_missed, asked, found, value, most_missed, "1")
+    return judged.with_margin(most_missed - value, "1")
 
 
 def summary(timing: Timing) -> str:

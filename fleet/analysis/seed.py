@@ -12,8 +12,7 @@ from math import dist
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections import clocks, formation, graph, liveness, nemesis, partitions, swarm
 from netem import access, air, fading, impairment, link_states, link_trace, ranges
-from netem.condition import Condition, Link
-from netem.faults import NetFault
+from netem.condition import Condition
 from netem.link_states import LinkStates
 from netem.link_trace import LinkTrace
 from world import current, sea, sensors
@@ -45,8 +44,9 @@ def _parts(scenario: Scenario) -> Iterator[tuple[str, list[str]]]:
     yield "random graph", graph.draws(spec.graph, spec.vehicles)
     yield "sensor noise", sensors.draws(scenario.noise)
     for control in scenario.controls:
-        if isinstance(control.navigation, DeadReckoning):
-            yield "navigation", _navigation(control.navigation)
+        if isinstance(own := control.navigation, DeadReckoning):
+            of_fixes = [purpose for source in own.fixes for purpose in fixes.draws(source)]
+            yield "navigation", [*navigator.draws(own), *instruments.draws(own), *of_fixes]
     for clock in clocks.clock_sections(spec):
         yield "clocks", clocks.draws(clock)
     yield "current", current.draws("", spec.sea.current.sigma)
@@ -67,31 +67,17 @@ def _parts(scenario: Scenario) -> Iterator[tuple[str, list[str]]]:
         yield "faults", sea.draws(fault)
         yield "faults", config.draws(fault)
     for over in scenario.faults.network:
-        yield "faults", _of_fault(over, scenario.conditions)
+        # A seed of a link's own holds for what is put over its condition, too.
+        seeds = [known.seed if (known := scenario.conditions.get(link)) else None for link in over.links]
+        yield "faults", [] if over.condition is None or None not in seeds else _of_condition(over.condition)
     if scenario.other_laws:
         yield f"{PERHAPS}laws of yours", []
     if scenario.plants:
         yield f"{PERHAPS}plants", []
 
 
-def _navigation(config: DeadReckoning) -> list[str]:
-    of_fixes = [purpose for source in config.fixes for purpose in fixes.draws(source)]
-    return [*navigator.draws(config), *instruments.draws(config), *of_fixes]
-
-
 def _of_condition(condition: Condition) -> list[str]:
     return impairment.draws(condition) if condition.seed is None else []  # one of its own: the scenario's is not asked
-
-
-def _of_fault(fault: NetFault, conditions: dict[Link, Condition]) -> list[str]:
-    if fault.condition is None or all(_has_seed(conditions.get(link)) for link in fault.links):
-        return []
-    return _of_condition(fault.condition)
-
-
-def _has_seed(condition: Condition | None) -> bool:
-    """Whether a link has a seed of its own, which holds for what is put over its condition, too."""
-    return condition is not None and condition.seed is not None
 
 
 def _acoustic(scenario: Scenario) -> Iterator[tuple[str, list[str]]]:

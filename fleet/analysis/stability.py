@@ -17,7 +17,7 @@ of `fleet.analysis.border`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from math import inf
 from typing import Any, NamedTuple
@@ -175,6 +175,7 @@ def analyse(scenario: Scenario, *, linear: bool = True, tell: Callable[[], None]
     values = sorted(eigenvalues(M).tolist(), key=lambda v: (v.real, v.imag))
     largest = [_largest_gain(control) for control in scenario.controls]
     settled = [_settled_gain(scenario, i) for i in range(1, scenario.vehicles + 1)]
+    ends = [gain for gain in settled if gain is not None]
     unreached = _unreached(scenario)
     at_most = at_settled = None
     not_linear = "not every vehicle is reached" if unreached else "" if linear else "not asked for"
@@ -189,17 +190,12 @@ def analyse(scenario: Scenario, *, linear: bool = True, tell: Callable[[], None]
         eigenvalues=[complex(value) for value in values],
         spectral_radius_A=float(max(abs(eigenvalues(A)))),
         gain_max=max((max(gain) for gain in largest if gain is not None), default=None),
-        settled=_most(settled),
+        settled=(max(g[0] for g in ends), max(g[1] for g in ends), max(g[2] for g in ends)) if ends else None,
         at_most=at_most,
         at_settled=at_settled,
         not_linear=not_linear,
     )
-    found.warnings.extend(_graph_warnings(found))
-    loop = _loop_warning(scenario, found)
-    found.warnings.extend(loop or [*_shunting_warning(scenario, found), *_dead_reckoning_warning(scenario, found)])
-    found.warnings.extend(_vehicle_warnings(scenario))
-    found.warnings.extend(_fault_warnings(scenario))
-    found.warnings.extend(_check_warnings(scenario))
+    found.warnings.extend(_warnings(scenario, found))
     return found
 
 
@@ -372,11 +368,6 @@ def _settled_gain(scenario: Scenario, i: int) -> Vec3 | None:
     return gains[0], gains[1], gains[2]
 
 
-def _most(gains: Sequence[Vec3 | None]) -> Vec3 | None:
-    known = [gain for gain in gains if gain is not None]
-    return (max(g[0] for g in known), max(g[1] for g in known), max(g[2] for g in known)) if known else None
-
-
 def _optimised(scenario: Scenario) -> bool:
     return any(control.guidance_law.name == "optimal" for control in scenario.controls)
 
@@ -391,83 +382,67 @@ def shunting_decay(scenario: Scenario) -> float | None:
     return min(decays) if decays else None
 
 
-def _graph_warnings(found: Analysis) -> list[str]:
-    if not found.unreached:
-        return []
-    return [
-        f"no chain of links leads from a vehicle that follows the reference (b_i > 0) to "
-        f"{vehicle_names(found.unreached)}. L+B is singular, so these have no defined place in the formation. Add "
-        "links, or vehicles to graph.reference"
-    ]
-
-
-def _loop_warning(scenario: Scenario, found: Analysis) -> list[str]:
-    fleet = found.at_settled
-    if fleet is None or found.settled is None or not fleet.unstable(gain := max(found.settled)):
-        return []
-    border = fleet.gain_border(gain)
-    if border == 0.0:
-        return ["the linear loop is unstable at every gain: the formation is not kept"]
-    what = f"K settles at {_vector(found.settled)}" if _optimised(scenario) else f"K is {gain:.4g} 1/s"
-    limit = f"{border:.4g} 1/s" + (" for its largest axis" if len({*found.settled}) > 1 else "")
-    return [
-        f"{what}, above the limit of the linear loop. With these rounds and delays the limit is {limit}. "
-        f"Above it {_mode(fleet.mode(border))}, and the formation is not kept. Lower the gain, or shorten rounds "
-        "or delays"
-    ]
-
-
-def _shunting_warning(scenario: Scenario, found: Analysis) -> list[str]:
-    decay = shunting_decay(scenario)
-    if decay is None or found.gain_max is None or found.gain_max * found.lambda_max < decay:
-        return []
-    return [
-        f"K lambda_max(L+B) = {found.gain_max * found.lambda_max:.4g} 1/s is not below a = {decay:g} 1/s, so the surge "
-        f"loop of the neurodynamic law can burst. Set guidance.k_max below {decay / found.lambda_max:.4g} 1/s; the "
-        "true limit may be lower"
-    ]
-
-
-def _dead_reckoning_warning(scenario: Scenario, found: Analysis) -> list[str]:
-    age = oldest_s(scenario)
-    product = dead_reckoning(scenario, found, age)
-    if product is None or product < 1.0:
-        return []
-    return [
-        f"K tau rho(A) = {product:.4g} is not below 1 at an age of {age:.4g} s, so extrapolation with the "
-        f"neighbours' velocities is unstable. Use neighbours.extrapolate: reference, or set guidance.k_max below "
-        f"{1.0 / (age * found.spectral_radius_A):.4g} 1/s; the true limit may be lower"
-    ]
-
-
-def _vehicle_warnings(scenario: Scenario) -> list[str]:
-    warnings = []
+def _warnings(scenario: Scenario, found: Analysis) -> Iterator[str]:
+    if found.unreached:
+        yield (
+            f"no chain of links leads from a vehicle that follows the reference (b_i > 0) to "
+            f"{vehicle_names(found.unreached)}. L+B is singular, so these have no defined place in the formation. Add "
+            "links, or vehicles to graph.reference"
+        )
+    if loop := _loop_warning(scenario, found):
+        yield loop
+    else:
+        yield from _rule_warnings(scenario, found)
     unstable = []
     for i, control in enumerate(scenario.controls, start=1):
         m1, m2, m3, *_ = control.vehicle.inertia
         if control.plant is None and control.cascade and not (m1 < m2 and m1 < m3):
             unstable.append(i)
     if unstable:
-        warnings.append(
+        yield (
             f"{vehicle_names(unstable)}: the surge inertia m1 is not below m2 and m3, so the attack and sideslip "
             "angles are unstable under the paper's tracking laws (docs/background/paper.md, G28)"
         )
-    return warnings
-
-
-def _fault_warnings(scenario: Scenario) -> list[str]:
     spec = scenario.spec
     late = [section.id or f"f{n}" for n, section in enumerate(spec.faults, start=1) if section.at >= spec.duration]
-    if not late:
-        return []
-    return [f"fault {', '.join(late)}: the run is over before it begins"]
-
-
-def _check_warnings(scenario: Scenario) -> list[str]:
+    if late:
+        yield f"fault {', '.join(late)}: the run is over before it begins"
     connectivity = Connectivity.asked(scenario)
-    if connectivity is None or not connectivity.trivial:
-        return []
-    return ["checks.connected always holds: its vehicles follow the reference themselves (graph.reference)"]
+    if connectivity is not None and connectivity.trivial:
+        yield "checks.connected always holds: its vehicles follow the reference themselves (graph.reference)"
+
+
+def _loop_warning(scenario: Scenario, found: Analysis) -> str:
+    fleet = found.at_settled
+    if fleet is None or found.settled is None or not fleet.unstable(gain := max(found.settled)):
+        return ""
+    border = fleet.gain_border(gain)
+    if border == 0.0:
+        return "the linear loop is unstable at every gain: the formation is not kept"
+    what = f"K settles at {_vector(found.settled)}" if _optimised(scenario) else f"K is {gain:.4g} 1/s"
+    limit = f"{border:.4g} 1/s" + (" for its largest axis" if len({*found.settled}) > 1 else "")
+    return (
+        f"{what}, above the limit of the linear loop. With these rounds and delays the limit is {limit}. "
+        f"Above it {_mode(fleet.mode(border))}, and the formation is not kept. Lower the gain, or shorten rounds "
+        "or delays"
+    )
+
+
+def _rule_warnings(scenario: Scenario, found: Analysis) -> Iterator[str]:
+    decay, age = shunting_decay(scenario), oldest_s(scenario)
+    if decay is not None and found.gain_max is not None and not found.gain_max * found.lambda_max < decay:
+        yield (
+            f"K lambda_max(L+B) = {found.gain_max * found.lambda_max:.4g} 1/s is not below a = {decay:g} 1/s, so the "
+            f"surge loop of the neurodynamic law can burst. Set guidance.k_max below {decay / found.lambda_max:.4g} "
+            "1/s; the true limit may be lower"
+        )
+    product = dead_reckoning(scenario, found, age)
+    if product is not None and not product < 1.0:
+        yield (
+            f"K tau rho(A) = {product:.4g} is not below 1 at an age of {age:.4g} s, so extrapolation with the "
+            f"neighbours' velocities is unstable. Use neighbours.extrapolate: reference, or set guidance.k_max below "
+            f"{1.0 / (age * found.spectral_radius_A):.4g} 1/s; the true limit may be lower"
+        )
 
 
 def _components(scenario: Scenario) -> list[list[int]]:

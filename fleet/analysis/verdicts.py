@@ -37,12 +37,9 @@ def judge(scenario: Scenario, journal: Journal, middleware_lost: int) -> list[Ve
             verdicts.append(_below(name, below, journal))
     for check in checks.recovery_time or ():
         verdicts += _recovery_times(check, scenario, journal)
-    if checks.min_separation is not None:
-        verdicts.append(_min_separation(checks.min_separation, scenario, journal))
-    if checks.max_age is not None:
-        verdicts.append(_max_age(checks.max_age, scenario, journal))
-    if checks.connected is not None:
-        verdicts.append(_connected(checks.connected, scenario, journal))
+    for name, judged in (("min_separation", _min_separation), ("max_age", _max_age), ("connected", _connected)):
+        if (declared := getattr(checks, name)) is not None:
+            verdicts.append(judged(declared, scenario, journal))
     tumbled, deaths = checks.tumbled or Tumbled(), checks.deaths or Standing()
     if not tumbled.waived:
         verdicts.append(_tumbled(tumbled, scenario, journal))

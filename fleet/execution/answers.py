@@ -9,14 +9,9 @@ from msgspec import Meta, Struct
 from fleet.result.result import Formation
 from fleet.scenario.sections.vehicle_events import VehicleEvents
 
-RunName = str
-Directory = str
-ScenarioName = str
 At = Annotated[float, Meta(description="Simulated time [s].")]
 End = Annotated[float, Meta(description="Simulated time at which the run ends [s].")]
 Clock = Annotated[str, Meta(description="In words: paused, as fast as it goes, 2 x real time.")]
-FaultId = str
-FaultWords = str
 From = Annotated[float, Meta(description="Simulated time at which it begins [s].")]
 To = Annotated[float, Meta(description="Simulated time of its end, at the latest that of the run [s].")]
 UntilHealed = Annotated[bool, Meta(description="Whether it has no end of its own but the run's.")]
@@ -25,9 +20,9 @@ UntilHealed = Annotated[bool, Meta(description="Whether it has no end of its own
 class LiveRunRow(Struct):
     """One live run."""
 
-    run: RunName
-    directory: Directory
-    scenario: ScenarioName
+    run: str
+    directory: str
+    scenario: str
     pid: int
     endpoint: Annotated[str, Meta(description="Of its router.")]
     at_s: Annotated[float | None, Meta(description="null: it did not answer.")] = None
@@ -39,8 +34,8 @@ class LiveRunRow(Struct):
 class FaultRow(Struct):
     """One fault of a run."""
 
-    id: FaultId
-    what: FaultWords
+    id: str
+    what: str
     from_s: From
     to_s: To
     until_healed: UntilHealed
@@ -85,9 +80,9 @@ class LinkRow(Struct):
 class RunStatus(Struct):
     """`fleet status --json`: how a live run is doing."""
 
-    run: RunName
-    directory: Directory
-    scenario: ScenarioName
+    run: str
+    directory: str
+    scenario: str
     at_s: At
     end_s: End
     clock: Clock
@@ -106,9 +101,9 @@ class RunStatus(Struct):
 class Injected(Struct):
     """`fleet inject --json`: the fault that was injected."""
 
-    run: RunName
-    id: FaultId
-    what: FaultWords
+    run: str
+    id: str
+    what: str
     from_s: From
     to_s: To
     until_healed: UntilHealed
@@ -117,7 +112,7 @@ class Injected(Struct):
 class Healed(Struct):
     """`fleet heal --json`: which faults end."""
 
-    run: RunName
+    run: str
     healed: list[str]
     at_s: float
 
@@ -125,7 +120,7 @@ class Healed(Struct):
 class ClockSet(Struct):
     """`fleet clock --json`: how the clock goes now."""
 
-    run: RunName
+    run: str
     clock: Clock
     at_s: Annotated[float, Meta(description="Simulated time.")]
 
@@ -133,5 +128,5 @@ class ClockSet(Struct):
 class Stopping(Struct):
     """`fleet stop --json`: the run ends now."""
 
-    run: RunName
+    run: str
     at_s: At

@@ -53,19 +53,10 @@ class LiveClock:
 
     def __init__(self, policy: GrantPolicy, now: float) -> None:
         self._policy = policy
-        self._speed_limit = policy.speed_limit
+        self.speed_limit = policy.speed_limit  # the greatest speed, in multiples of real time; None: no limit
         self._origin = now, 0  # wall time and tick from which the speed counts
         self._now = now
         self._held: int | None = None  # paused at this grant
-
-    @property
-    def ticks(self) -> int:
-        return self._policy.ticks
-
-    @property
-    def speed_limit(self) -> float | None:
-        """The greatest speed, in multiples of real time; None: no limit."""
-        return self._speed_limit
 
     @property
     def clock(self) -> Clock:
@@ -85,14 +76,10 @@ class LiveClock:
     def until(self, written: int, now: float) -> int:
         """The grant when ticks up to `written` are in the log, at wall time `now` [s]."""
         self._now = now
-        limit = replace(self._policy, speed_limit=None).until(written, 0.0)
-        if self._held is not None:
-            return min(limit, self._held)
-        if self._speed_limit is None:
-            return limit
         since, tick = self._origin
-        passed = int((now - since) * self._speed_limit * 1e9) + self._policy.lead_ns
-        return min(limit, tick + passed // self._policy.tick_ns + 1)
+        speed_limit = self.speed_limit if self._held is None else None
+        limit = replace(self._policy, speed_limit=speed_limit, begin=tick).until(written, now - since)
+        return limit if self._held is None else min(limit, self._held)
 
     def pause(self, granted: int) -> None:
         self._held = granted if self._held is None else self._held
@@ -107,11 +94,11 @@ class LiveClock:
 
     def set_speed_limit(self, granted: int, speed_limit: float | None) -> None:
         """From now on go at most at this speed, in multiples of real time; None: as fast as possible."""
-        self._speed_limit = speed_limit
+        self.speed_limit = speed_limit
         self._origin = self._now, granted
 
     def describe(self) -> str:
         """The state in words: `paused`, `as fast as it goes`, `2 x real time`."""
         if self.paused:
             return "paused"
-        return "as fast as it goes" if self._speed_limit is None else f"{self._speed_limit:g} x real time"
+        return "as fast as it goes" if self.speed_limit is None else f"{self.speed_limit:g} x real time"

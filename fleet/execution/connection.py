@@ -47,14 +47,6 @@ class ConnectionFile(msgspec.Struct):
     key: str = ""
     lease_ms: Annotated[int, msgspec.Meta(gt=0)] = LEASE_MS
 
-    @classmethod
-    def read(cls, path: Path) -> ConnectionFile | None:
-        """The content of the file; None: it does not exist, or another user owns it."""
-        try:
-            return parse_json(read_file(path, MOST_BYTES), cls)
-        except (OSError, DamagedFile):
-            return None
-
 
 @dataclass(frozen=True, slots=True)
 class LiveRun:
@@ -124,15 +116,9 @@ def named(run: str, known: list[Path]) -> list[Path]:
     """The runs with this name, or else with this scenario, or else with a name that begins like this."""
     return (
         [directory for directory in known if directory.name == run]
-        or [directory for directory in known if _scenario(directory) == run]
+        or [one for one in known if (found := RUN_NAME.fullmatch(one.name)) and found["scenario"] == run]
         or [directory for directory in known if directory.name.startswith(run)]
     )
-
-
-def _scenario(directory: Path) -> str:
-    """The scenario of a run: its directory is called <scenario>-<seed>-<day>-<time>, perhaps with a number behind."""
-    found = RUN_NAME.fullmatch(directory.name)
-    return found["scenario"] if found else ""
 
 
 def _nothing(run: str | None, known: list[Path], file: str) -> str:
@@ -157,17 +143,19 @@ class OpenConnection:
     """A connection to the console of a run that is kept, for who asks again and again."""
 
     def __init__(self, run: LiveRun) -> None:
-        """Raises RemoteError: the run cannot be reached."""
         self._run = run
-        try:
-            self._bus = Bus.connect(run.endpoint, run.credentials, timeout_ms=2000)
-        except BusError as error:
-            raise RemoteError(f"{run.name} cannot be reached: {error}") from None
+        self._bus: Bus | None = None
 
     def ask(self, op: str, **fields: Any) -> dict[str, Any]:
+        """Ask the console; connect before, if need be. Raises RemoteError: it does not answer in time, or refuses."""
         name = self._run.name
-        answer = self._bus.ask(f"{Keys(self._run.run).op}/{op}", request(op, **fields), timeout_s=ASK_S)
+        try:
+            bus = self._bus = self._bus or Bus.connect(self._run.endpoint, self._run.credentials, timeout_ms=2000)
+        except BusError as error:
+            raise RemoteError(f"{name} cannot be reached: {error}") from None
+        answer = bus.ask(f"{Keys(self._run.run).op}/{op}", request(op, **fields), timeout_s=ASK_S)
         if answer is None:
+            self.close()  # perhaps it is the connection
             raise RemoteError(f"{name} did not answer within {ASK_S:g} s; is it over?")
         values = read_map(answer)
         if "error" in values:
@@ -175,7 +163,9 @@ class OpenConnection:
         return values
 
     def close(self) -> None:
-        self._bus.close()
+        if self._bus is not None:
+            self._bus.close()
+            self._bus = None
 
 
 def ask(run: LiveRun, op: str, **fields: Any) -> dict[str, Any]:
@@ -187,8 +177,10 @@ def ask(run: LiveRun, op: str, **fields: Any) -> dict[str, Any]:
 
 
 def _read(directory: Path) -> LiveRun | None:
-    values = ConnectionFile.read(directory / CONNECTION)
-    if values is None:
+    """None: there is no connection file that is ours, or another user owns it."""
+    try:
+        values = parse_json(read_file(directory / CONNECTION, MOST_BYTES), ConnectionFile)
+    except (OSError, DamagedFile):
         return None
     credentials = Credentials.from_values(msgspec.structs.asdict(values))
     return LiveRun(directory, values.scenario, values.pid, values.endpoint, values.run, credentials)

@@ -17,7 +17,6 @@ from fleet.errors import RunBroken, StoppedError
 from fleet.execution.clock import GrantPolicy, LiveClock
 from fleet.execution.directory import RunDirectory
 from fleet.execution.hosting import Hosting
-from fleet.execution.notes import tick_text
 from fleet.execution.operator import Operator
 from fleet.execution.options import Options
 from fleet.execution.runner import Closing
@@ -218,7 +217,7 @@ class Console:
                 asked = now
                 fleet.waiting = f"{fleet.who_waits()}, {now - moved:.0f} s"
             if now - moved > self._scenario.stall_timeout_s:
-                stalled = f"nothing moved for {self._scenario.stall_timeout_s:g} s at {self._now()}"
+                stalled = f"nothing moved for {self._scenario.stall_timeout_s:g} s at {fleet.now()}"
                 raise RunBroken(f"{stalled}: {fleet.who_waits()}", self.notes[-5:])
             progress()
 
@@ -274,7 +273,7 @@ class Console:
                 i, alive = data
                 (self._fleet.registered if alive else self._fleet.unregistered)(i)
             case EventKind.ROUTER_LOST:
-                at = self._now()
+                at = self._fleet.now()
                 raise RunBroken(f"the link to the router at {data} has ended at {at}: closed, or silent for the lease")
 
     def _record_message(self, kind: EventKind, data: bytes) -> None:
@@ -314,6 +313,3 @@ class Console:
             elif kind is not EventKind.OPERATION:
                 self._handle(kind, data)
         raise self._fleet.explain(exits)
-
-    def _now(self) -> str:
-        return tick_text(self._journal.framed, self._scenario.tick_ns)

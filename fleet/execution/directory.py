@@ -146,15 +146,13 @@ def remove_secrets(directory: Path) -> None:
 
 
 def _make_unique(out: Path, base: str) -> Path:
-    number = 1
+    path, number = out / base, 1
     while True:
-        path = out / (base if number == 1 else f"{base}-{number}")
-        try:
+        with suppress(FileExistsError):
             path.mkdir()
-        except FileExistsError:
-            number += 1
-        else:
             return path
+        number += 1
+        path = out / f"{base}-{number}"
 
 
 # --- past runs: those below a directory: which there are, what they came to, how large they are, and which may go

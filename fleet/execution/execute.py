@@ -135,16 +135,20 @@ class _Run:
     hosting: Hosting
     wall_s: float = 0.0  # from the first process on
 
-    @property
-    def realtime(self) -> bool:
-        return self.options.clock is Clock.REAL
-
 
 def execute(scenario: Scenario, options: Options, terminal: Terminal | None = None) -> Result:
-    """Run a scenario to its verdict; progress is shown on `terminal` (None: stderr). Only a caller's mistake raises; a
-    run that breaks is a result. Raises ScenarioError if a plant cannot be started; RunBroken if the port is taken;
-    LogError if the log cannot be created; CheckError if a check in Python cannot be made; FleetError if the run
-    directory cannot be made, the journal cannot be published, or an agent is external in a run in one process.
+    """Run a scenario to its verdict. Only a caller's mistake raises; a run that breaks is a result.
+
+    Args:
+        terminal: where progress is shown; None: stderr.
+
+    Raises:
+        ScenarioError: a plant cannot be started.
+        RunBroken: the port is taken.
+        LogError: the log cannot be created.
+        CheckError: a check in Python cannot be made.
+        FleetError: the run directory cannot be made, the journal cannot be published, or an agent is external in a run
+            in one process.
     """
     try_plants(scenario)
     interrupts = DeferInterrupts()
@@ -242,7 +246,7 @@ def _serve(run: _Run) -> None:
 
 def _judge(run: _Run) -> None:
     more, result = [], run.result
-    if run.realtime:
+    if run.options.clock is Clock.REAL:
         result.timing = punctuality.measured(run.runner.closing.timing, run.options.speed or 1.0)
     if result.timing is not None:
         more.append(punctuality.verdict(result.timing, run.options.most_missed))

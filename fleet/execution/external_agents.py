@@ -111,17 +111,13 @@ class ExternalAgents:
             return {"error": f"an agent {i} is here already"}
         return {"incarnation": awaited.incarnation, "begin": awaited.begin, "version": PROTOCOL_VERSION}
 
-    def awaited_text(self) -> str:
-        """The awaited agents in words: `agent 3 (external), agent 4 (external)`; empty: none."""
-        names = ", ".join(f"agent {i} (external)" for i in self.awaited[:8])
-        more = f" and {len(self._awaited) - 8} more" if len(self._awaited) > 8 else ""
-        return f"{names}{more}"
-
     def waiting(self, waited_s: float, most_s: float) -> str:
         """Whom the run waits for, in words. Raises RunBroken: they did not join within `most_s`."""
+        names = ", ".join(f"agent {i} (external)" for i in self.awaited[:8])
+        names += f" and {len(self._awaited) - 8} more" if len(self._awaited) > 8 else ""
         if waited_s > most_s:
-            raise RunBroken(f"{self.awaited_text()} did not join within {most_s:g} s; --join-timeout gives more time")
-        return f"waiting for {self.awaited_text()} to join, {waited_s:.0f} s"
+            raise RunBroken(f"{names} did not join within {most_s:g} s; --join-timeout gives more time")
+        return f"waiting for {names} to join, {waited_s:.0f} s"
 
     def close(self) -> None:
         for i in self._files:

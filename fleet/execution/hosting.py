@@ -14,7 +14,6 @@ from fleet.errors import FleetError
 from fleet.execution.options import Options
 from fleet.processes.limits import processors
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.per_vehicle import Control
 from netem.vehicle_clock import Clock
 from netem.wire.access import agent_role, host_role
 
@@ -64,17 +63,14 @@ def hosting(scenario: Scenario, options: Options) -> Hosting:
         if router or options.clock is Clock.REAL or len(own) <= AUTO_ABOVE:
             return Hosting()
         # A law of a user's may keep what it knows in its module, or end its process: it shares none unasked.
-        ours = [i for i in own if not _plugged(scenario.controls[i - 1])]
+        known = {i: laws(scenario.controls[i - 1]).items() for i in own}
+        ours = [i for i in own if all(law.name in BUILT_IN[kind] for kind, law in known[i])]
         return _shared(ours, min(AUTO_MOST, ceil(len(ours) / (AUTO_PER_CPU * processors()))))
     if most > 1 and options.clock is Clock.REAL:
         raise _refused(most, "with --clock real an agent that is late would make the others late")
     if most > 1 and router:
         raise _refused(most, "a router that is there already has a login for each agent, and none for several")
     return _shared(own, most)
-
-
-def _plugged(control: Control) -> bool:
-    return any(law.name not in BUILT_IN[kind] for kind, law in laws(control).items())
 
 
 def _shared(own: Sequence[int], most: int) -> Hosting:

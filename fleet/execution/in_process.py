@@ -90,7 +90,7 @@ class InProcess:
         self.closing = Closing()
         self._dead: set[tuple[int, int]] = set()  # (vehicle, life) of agents that ended by themselves
         self._failures: dict[tuple[int, int], ControllerError] = {}  # by tick and vehicle: what ends the run
-        self._granted = 0
+        self.granted = 0  # ticks below it may have begun
         self._speaker = WORLD  # whose message is being taken
         self._post: deque[tuple[int, int, bytes]] = deque()  # (from, to, message) for agents
 
@@ -127,12 +127,12 @@ class InProcess:
         for i in range(1, self._scenario.vehicles + 1):
             self._loops[i] = self._born(i, 0, 0)
         if self._begin is not None:
-            self._granted = self._begin.snapshot.tick
+            self.granted = self._begin.snapshot.tick
             self._resume(self._begin)
 
     def advance(self, until: int) -> bool:
         """Grant ticks below `until`, and go so far; returns whether an agent was asked. Raises as `serve`."""
-        self._granted = max(self._granted, until)
+        self.granted = max(self.granted, until)
         try:
             self._from_world(self._world.grant(until))
             moves = bool(self._post)
@@ -168,10 +168,6 @@ class InProcess:
         return self._world.finished
 
     # What is done to the fleet between two ticks: `Fleet`.
-
-    @property
-    def granted(self) -> int:
-        return self._granted
 
     def set_network_faults(self, faults: Sequence[NetFault]) -> bool:
         self.rounds.netem.faults = tuple(faults)
@@ -213,19 +209,18 @@ class InProcess:
         self.rounds.resume(tick, snapshot.network)
         self.journal.resume(snapshot)
         lives, memories = self._world.state.lives, snapshot.memories
-        for i in sorted(set(self._loops) - set(memories)):  # it was gone there, and may be there now
-            self._loops[i] = self._born(i, lives.incarnation(i, tick), tick)
-        for i, memory in memories.items():
-            loop = self._loops[i] = self._born(i, self._world.state.lives.incarnation(i, tick), tick)
-            loop.remember(memory, anew=i in start.anew)
+        for i in self._loops:
+            loop = self._loops[i] = self._born(i, lives.incarnation(i, tick), tick)
+            if i in memories:  # else it was gone there, and may be there now
+                loop.remember(memories[i], anew=i in start.anew)
 
     def _born(self, i: int, incarnation: int, begin: int) -> AgentLife:
         if i in self._other_agents:
             return self._other_agents[i](incarnation, begin)
         scenario = self._scenario
-        core = make_agent(_over_the_wire(scenario.agent_config(i)))
+        config = msgpack.unpackb(msgpack.packb(scenario.agent_config(i).to_values()))  # as if over the wire
         return AgentLoop(
-            core,
+            make_agent(AgentConfig.from_values(config)),
             scenario.round_ticks,
             incarnation=incarnation,
             begin=begin,
@@ -244,7 +239,7 @@ class InProcess:
         deaths = self.deaths.setdefault(i, [])
         self._note(error.tick, f"agent {i}", f"controller failed: {error}")
         restart = self._scenario.spec.on_death == "restart" and len(deaths) < MOST_RESTARTS
-        until = self._scenario.next_round(self._granted) if restart else None
+        until = self._scenario.next_round(self.granted) if restart else None
         deaths.append("controller failed")
         self._dead.add((i, self._loops[i].incarnation))
         if until is not None:
@@ -333,7 +328,3 @@ def in_process(
     begin = 0 if start is None else start.snapshot.tick
     checks = OwnChecks.asked(scenario, begin) if judged else None
     return InProcess(scenario, Journal(scenario, log, checks=checks), start, agents, salt)
-
-
-def _over_the_wire(config: AgentConfig) -> AgentConfig:
-    return AgentConfig.from_values(msgpack.unpackb(msgpack.packb(config.to_values())))

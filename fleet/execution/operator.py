@@ -26,7 +26,7 @@ from fleet.recorder.settling import below_from, least_s, stayed
 from fleet.scenario.rules.faults import fault_problems
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultEntry, FaultSection
-from fleet.scenario.sections.timeline import Event, Kill, Part, action, begin_and_end, parts, with_end, words
+from fleet.scenario.sections.timeline import Kill, Part, action, begin_and_end, parts, with_end, words
 from fleet.scenario.sections.vehicle_events import vehicle_events
 from netem.faults import NetFault
 from netem.vehicle_clock import Clock
@@ -332,7 +332,8 @@ class Operator:
             return active
         if not isinstance(name, str):
             raise RefusedError("expected the id of a fault, or none for all of them")
-        became = {event.fault: event.what for event in self._states()}
+        events = (*self.journal.tumbled.values(), *self.journal.diverged.values())
+        became = {event.fault: event.what for event in events}
         if name in became:
             raise RefusedError(f"{name} is no fault but an event of the vehicle ({became[name]}), and cannot be healed")
         if name not in active:
@@ -380,9 +381,6 @@ class Operator:
         for event in self.journal.deaths.values():
             found[event.fault] = self._row(event.fault, event.what, event.tick, None, "active")
         return list(found.values())
-
-    def _states(self) -> list[Event]:
-        return [*self.journal.tumbled.values(), *self.journal.diverged.values()]
 
     def _row(self, name: str, what: str, begin: int, end: int | None, state: str) -> dict[str, Any]:
         last = self.scenario.ticks

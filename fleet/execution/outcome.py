@@ -19,7 +19,12 @@ from fleet.scenario.scenario import Scenario
 
 def settle(journal: Journal, log: LogFile | NoLog, runner: Runner, result: Result) -> None:
     """Close the log, and enter into the ledger what was still on the way."""
-    _close_log(log, result)
+    try:
+        log.close()
+    except LogError as error:
+        log.abandon()
+        if result.status is Status.PASS:
+            result.status, result.reason = Status.BROKEN, str(error)
     result.digest = log.digest
     for link, (sent, duplicated) in runner.closing.entered.items():
         journal.ledger.enter(link, sent=sent, duplicated=duplicated)
@@ -40,15 +45,6 @@ def judge_run(scenario: Scenario, journal: Journal, result: Result, *, lost: int
     if lost:
         result.status = Status.BROKEN
         result.reason = f"the middleware lost {lost} messages: the run is invalid"
-
-
-def _close_log(file: LogFile | NoLog, result: Result) -> None:
-    try:
-        file.close()
-    except LogError as error:
-        file.abandon()
-        if result.status is Status.PASS:
-            result.status, result.reason = Status.BROKEN, str(error)
 
 
 def account_for(

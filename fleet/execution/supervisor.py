@@ -165,11 +165,9 @@ class Launch:
         if self._options.port is None or self.joins_router:
             return listener
         loopback = f"tcp/127.0.0.1:{free_port(self._options.port)}"
-        return (
-            Listener((loopback,), LEASE_MS)
-            if listener is None
-            else replace(listener, endpoints=(loopback, *listener.endpoints))
-        )
+        if listener is None:
+            return Listener((loopback,), LEASE_MS)
+        return replace(listener, endpoints=(loopback, *listener.endpoints))
 
 
 # --- post mortem
@@ -442,7 +440,7 @@ class Supervisor:
             self.external.expect(i, 0, 0)  # another one may join in its place
         elif i not in self.starting and i not in self._gone:
             if self._scenario.spec.on_death == "abort":
-                raise RunBroken(f"agent {i} (external) left at {self._now()}")
+                raise RunBroken(f"agent {i} (external) left at {self.now()}")
             self._died(i, f"agent {i} (external) left", "left: its session ended", "")
             self._gone.add(i)
 
@@ -544,7 +542,7 @@ class Supervisor:
     def _computing(self, role: str) -> int:
         return 0 if self._launch is None else self._launch.computing(role)
 
-    def _now(self) -> str:
+    def now(self) -> str:
         return tick_text(self._journal.framed, self._scenario.tick_ns)
 
     # Words for a person.
@@ -563,4 +561,4 @@ class Supervisor:
 
     def explain(self, exits: Sequence[Exit]) -> RunBroken:
         processes = self._hosting.children(self._children.by_role)
-        return explain(exits, processes, self.notes.lines, self._now(), self._computing)
+        return explain(exits, processes, self.notes.lines, self.now(), self._computing)

@@ -143,7 +143,7 @@ def _columns(
         elif field.is_repeated or kind.full_name in inside:
             yield name, _getter(path, list if field.is_repeated else None), object, field.is_repeated
         elif kind.full_name in _TIMES and {"seconds", "nanos"} <= set(kind.fields_by_name):
-            yield name, _getter(path, _seconds), np.float64, False
+            yield name, _getter(path, lambda t: (t.seconds * 1_000_000_000 + t.nanos) / 1e9), np.float64, False
         elif all(part.type == FieldDescriptor.TYPE_DOUBLE and not part.is_repeated for part in kind.fields):
             yield name, _getter(path, _vector([part.name for part in kind.fields])), np.float64, False
         else:
@@ -153,10 +153,6 @@ def _columns(
 def _getter(path: tuple[str, ...], then: _Getter | None) -> _Getter:
     get = attrgetter(".".join(path))
     return get if then is None else lambda message: then(get(message))
-
-
-def _seconds(stamp: Any) -> float:
-    return float((stamp.seconds * 1_000_000_000 + stamp.nanos) / 1e9)
 
 
 def _vector(names: list[str]) -> _Getter:

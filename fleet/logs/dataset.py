@@ -51,6 +51,9 @@ class TableColumn(NamedTuple):
     def heading(self) -> str:
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
+    def holds(self, kind: type[Any]) -> bool:
+        return self.values.dtype == object and any(isinstance(value, kind) for value in self.values)
+
 
 def columns(topic: Topic, undivided: Collection[str] = ()) -> list[TableColumn]:
     """The table of what is held of a topic; the time comes first. Vectors in `undivided` stay one column. Raises
@@ -110,9 +113,9 @@ def dataset(topic: Topic, table: list[TableColumn], run: Mapping[str, str]) -> x
     rises = bool(np.all(np.diff(time.values) > 0))
     dim = "t" if rises else "sample"
     names = _names([column.name for column in fields])
-    kept = [(name, column) for name, column in zip(names, fields, strict=True) if not _holds_bytes(column)]
+    kept = {name: column for name, column in zip(names, fields, strict=True) if not column.holds(bytes)}
     found = xr.Dataset(
-        {name: (dim, column.values, _attributes(column, topic.schema)) for name, column in kept},
+        {name: (dim, column.values, _attributes(column, topic.schema)) for name, column in kept.items()},
         {"t": (dim, time.values, {"units": "s", "long_name": time.meaning})},
         {"Conventions": CONVENTIONS, "title": topic.name, **_about(run)},
     )
@@ -188,7 +191,3 @@ def _names(names: list[str]) -> list[str]:
         taken.add(plain)
         found.append(plain)
     return found
-
-
-def _holds_bytes(column: TableColumn) -> bool:
-    return column.values.dtype == object and any(isinstance(value, bytes) for value in column.values)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, islice, zip_longest
 from math import inf, isfinite, isnan
@@ -20,7 +20,7 @@ from msgspec import Meta, Struct
 
 from fleet.logs.decoder import Decoder, FieldValue
 from fleet.logs.reader import LogReader, Record
-from fleet.logs.records import Block, Message
+from fleet.logs.records import Block
 from fleet.logs.schemas import ANEW, FROM, FROM_TICK, START
 
 # --- first difference of two logs: the first message that is not the same in both, field by field
@@ -43,13 +43,9 @@ class Side:
     def __str__(self) -> str:
         if self.record is None:
             return f"the log ends here{f' ({self.why})' if self.why else ''}"
-        return f"{self.record.topic}, {self._when}, sent {self.record.publish_ns} ns, seq {self.record.sequence}"
-
-    @property
-    def _when(self) -> str:
-        assert self.record is not None
-        at = self.record.log_ns
-        return f"tick {at / self.tick_ns:g}, t = {at / 1e9:g} s" if self.tick_ns else f"t = {at / 1e9:g} s"
+        topic, at, publish_ns, sequence, _ = self.record
+        tick = f"tick {at / self.tick_ns:g}, " if self.tick_ns else ""
+        return f"{topic}, {tick}t = {at / 1e9:g} s, sent {publish_ns} ns, seq {sequence}"
 
 
 class MessageRow(Struct, frozen=True):
@@ -100,7 +96,7 @@ def difference(number: int, a: Side, b: Side) -> Difference:
     if apart:
         alike = len(pairs) - len(apart)
         tail = [f"  ({alike} other field{'s' * (alike != 1)} the same)"] if alike else []
-        words += "\n".join([*_table(lines), *tail])
+        words += "\n".join([*(f"  {line}" for line in _table(lines)), *tail])
     else:  # the same values, written in another way
         words += f"  {a.name}: {_bytes(a.record.data)}\n  {b.name}: {_bytes(b.record.data)}"
     return Difference(number, _message(a), _message(b), fields, words)
@@ -194,19 +190,13 @@ def _gap(a: FieldValue | None, b: FieldValue | None) -> str:
     if isinstance(a.value, bytes) and isinstance(b.value, bytes):
         place = next((n for n, (x, y) in enumerate(zip(a.value, b.value, strict=False)) if x != y), None)
         return "length" if place is None else f"byte {place}"
-    if (
-        isinstance(a.value, int | float)
-        and isinstance(b.value, int | float)
-        and isfinite(a.value)
-        and isfinite(b.value)
-    ):
-        return f"{abs(a.value - b.value):.3g}"
-    return ""
+    finite = all(isinstance(one.value, int | float) and isfinite(one.value) for one in (a, b))
+    return f"{abs(a.value - b.value):.3g}" if finite else ""
 
 
-def _table(rows: list[tuple[str, ...]]) -> list[str]:
+def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    return ["  " + "  ".join(f"{cell:<{w}}" for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+    return ["  ".join(f"{cell:<{w}}" for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
 
 
 MOST_WAITING_BYTES = 64 << 20  # of them
@@ -313,8 +303,10 @@ class _Stream:
         if not self._records and self._block is not None:
             channels = self._reader.channels
             some = self._block.take(np.arange(self._at, min(self._at + _STEP, len(self._block))))
-            self._records = [Record(channels[m.channel].topic, *_order(m)) for m in some.messages()]
-            self._records.reverse()
+            self._records = [
+                Record(channels[channel].topic, log_ns, publish_ns, sequence, data)
+                for channel, sequence, log_ns, publish_ns, data in some.messages()
+            ][::-1]
         return self._records[-1] if self._records else None
 
     def step(self) -> None:
@@ -342,10 +334,6 @@ class _Stream:
             self._skip(count)
             other._skip(count)
         return skipped
-
-
-def _order(m: Message) -> tuple[int, int, int, bytes]:
-    return m.log_ns, m.publish_ns, m.sequence, m.data
 
 
 def _equal(a: LogReader, mine: Block, b: LogReader, theirs: Block) -> bool:
@@ -470,8 +458,6 @@ def deviation_lines(found: LogComparison, most: int | None) -> Iterator[str]:
         yield f"not the same, and no number: {path} in {count} messages"
     cells = [("signal", "max |a - b|", "unit", "at t", "messages"), *rows(found, most)]
     if len(cells) > 1:
-        widths = [max(len(row[k]) for row in cells) for k in range(5)]
-        for row in cells:
-            yield "  ".join(f"{cell:<{w}}" for cell, w in zip(row, widths, strict=True)).rstrip()
+        yield from _table(cells)
     if most is not None and len(found.signals) > most:
         yield f"and {len(found.signals) - most} more signals: --all shows them"

@@ -115,7 +115,8 @@ def export(log: Log, folder: Path, form: str, *, force: bool = False, share: Tel
     need(name, packages, extra)
     topics = [name for name in log if fits(log[name])]
     left_out = [name for name in log if len(log[name]) and name not in topics]
-    paths = {name: folder / f"{_file_name(name)}.{suffix}" for name in topics}
+    plain = {name: "".join(c if c.isalnum() or c in "-_." else "-" for c in name) for name in topics}
+    paths = {name: folder / f"{plain[name]}.{suffix}" for name in topics}
     if len(set(paths.values())) < len(paths):
         raise FleetError(f"topics of {log.path} differ only in characters that a file name cannot have")
     there = [path.name for path in [*paths.values(), folder / INDEX] if path.exists()]
@@ -332,10 +333,6 @@ def batched(sheets: Iterable[Sheet], most: int, most_bytes: float = inf) -> Iter
         size += sheet.topic.size
     if some:
         yield some
-
-
-def _file_name(topic: str) -> str:
-    return "".join(c if c.isalnum() or c in "-_." else "-" for c in topic)
 
 
 def _has_large(column: TableColumn) -> bool:

@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Annotated, NamedTuple
 
 from msgspec import Meta, Struct
 
 from fleet.logs.reader import LogReadError
 from fleet.logs.topic import Topic
+from fleet.quantities import QuantityError, vehicle_numbers
 
 MOST_EVENTS = 200_000  # of faults
+
+
+def kind_and_vehicles(what: str) -> tuple[str, Sequence[int]]:
+    """The kind of a fault, and the vehicles that its words name, as in `kill 3`; none if they name something else."""
+    kind, _, who = what.partition(" ")
+    try:
+        return kind, vehicle_numbers(who)
+    except QuantityError:
+        return kind, ()
 
 
 class FaultInterval(NamedTuple):

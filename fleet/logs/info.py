@@ -111,17 +111,15 @@ def info_text(info: Info) -> str:
 
 
 def _happened(info: Info) -> list[str]:
-    lines = ["faults"] if info.faults else []
+    lines = []
     if info.unread:
         limits = f"the first {MOST_EVENTS}, or {_MOST_TEXT >> 20} MiB, of them"
-        lines.insert(0, f"LEFT OUT: {info.unread} messages about faults; only {limits} are read")
-    lines += [f"  {f.id}: {f.from_s:.10g} to {f.to_s:.10g} s: {f.what}" for f in info.faults[:MOST_FAULTS]]
-    if len(info.faults) > MOST_FAULTS:
-        lines.append(f"  ... and {len(info.faults) - MOST_FAULTS} more: --json")
-    lines += ["events of vehicles"] if info.events else []
-    lines += [f"  {event}" for event in info.events[:MOST_FAULTS]]
-    if len(info.events) > MOST_FAULTS:
-        lines.append(f"  ... and {len(info.events) - MOST_FAULTS} more: --json")
+        lines.append(f"LEFT OUT: {info.unread} messages about faults; only {limits} are read")
+    faults = [f"{f.id}: {f.from_s:.10g} to {f.to_s:.10g} s: {f.what}" for f in info.faults]
+    for heading, some in (("faults", faults), ("events of vehicles", [*map(str, info.events)])):
+        lines += [heading, *(f"  {one}" for one in some[:MOST_FAULTS])] if some else []
+        if len(some) > MOST_FAULTS:
+            lines.append(f"  ... and {len(some) - MOST_FAULTS} more: --json")
     return lines
 
 

@@ -182,16 +182,14 @@ class McapWriter:
 
     def schema(self, name: str, encoding: str, data: bytes) -> int:
         self._schemas.append(Schema(data=data, encoding=encoding, id=len(self._schemas) + 1, name=name))
-        self._chunk += _packed([self._schemas[-1]])
-        self._end_long_chunk()
+        self._declare(self._schemas[-1])
         return self._schemas[-1].id
 
     def channel(self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]) -> int:
         """Declare a channel with messages of a schema (0: of none), and return its number."""
         number = len(self._channels) + 1
         self._channels.append(Channel(number, topic, encoding, dict(metadata), schema))
-        self._chunk += _packed([self._channels[-1]])
-        self._end_long_chunk()
+        self._declare(self._channels[-1])
         return number
 
     def message(self, channel: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
@@ -263,7 +261,8 @@ class McapWriter:
         self._target.write(data)
         return offset, len(data)
 
-    def _end_long_chunk(self) -> None:
+    def _declare(self, record: McapRecord) -> None:
+        self._chunk += _packed([record])
         if len(self._chunk) > CHUNK_BYTES:
             self._end_chunk()
 

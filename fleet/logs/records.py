@@ -274,14 +274,9 @@ def _zstd(packed: bytes, size: int) -> bytes:
     return zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
 
 
-def _lz4(packed: bytes, size: int) -> bytes:
-    found: bytes = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
-    return found
-
-
 _UNPACK: dict[str, Callable[[bytes, int], bytes]] = {
     "zstd": _zstd,
-    "lz4": _lz4,
+    "lz4": lambda packed, size: lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1),
     "": lambda packed, size: packed,
 }
 

@@ -6,6 +6,7 @@ Its `gaps` are the numbers of the messages, from 0, that follow a gap.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -58,20 +59,13 @@ def recover(path: Path, out: Path | None = None, tell: Tell = lambda _: None) ->
                 part.unlink()
             else:
                 part.replace(out)
-        except KeyboardInterrupt:
-            _remove(part)
+        except (KeyboardInterrupt, OSError) as error:
+            with suppress(OSError):  # the error that led here is on its way to the user
+                part.unlink(missing_ok=True)
+            if isinstance(error, OSError):
+                raise FleetError(f"cannot write {out}: {error.strerror or error}") from error
             raise
-        except OSError as error:
-            _remove(part)
-            raise FleetError(f"cannot write {out}: {error.strerror or error}") from error
     return found
-
-
-def _remove(part: Path) -> None:
-    try:
-        part.unlink(missing_ok=True)
-    except OSError:
-        return  # the error that led here is on its way to the user
 
 
 def _copy(path: Path, out: Path, salvage: Salvage, target: IO[bytes], magic: bool) -> Recovered:

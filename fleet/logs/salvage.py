@@ -74,9 +74,7 @@ class Damage:
 
 
 class _DamagedError(Exception):
-    def __init__(self, what: str, span_ns: tuple[int, int] | None = None) -> None:
-        super().__init__(what)
-        self.what, self.span_ns = what, span_ns
+    """What cannot be read, and perhaps the time that was there, as for `Damage`."""
 
 
 @dataclass(slots=True)
@@ -132,7 +130,9 @@ class Salvage:
         while not self.ended:
             try:
                 opcode, body, behind = self._record(self.at, size)
-                self._say(size)
+                if self.at - self._told >= _TELL or self._told == 0:
+                    self._told = self.at
+                    self.tell(self.at / size)
                 if opcode == Opcode.MESSAGE and not self._chunked:
                     if self._gather(body, behind):
                         yield from self._gathered()
@@ -153,7 +153,7 @@ class Salvage:
                 return
             except _DamagedError as error:
                 yield from self._gathered()
-                self.damage.append(Damage(self.at, error.what, error.span_ns))
+                self.damage.append(Damage(self.at, *error.args))
                 self._lost_at = self.at
                 found = self._behind(self.at, size) if self.beyond else None
                 if found is None:
@@ -166,16 +166,13 @@ class Salvage:
             # One bit turns an index into a message, which has no CRC of its own.
             raise _DamagedError("a message outside the chunks")
         elif opcode == Opcode.MESSAGE_INDEX:
-            count = _index_entries(body)
+            # A channel, and a time and a place for each message.
+            if len(body) % 16 != 6 or U32.unpack_from(body, 2)[0] != len(body) - 6:
+                raise _DamagedError("a damaged message index")
             if self.damage and self.damage[-1].offset == self._lost_at:
-                self.damage[-1].messages += count
+                self.damage[-1].messages += len(body) // 16
         else:
             yield from self._plain(opcode, body)
-
-    def _say(self, size: int) -> None:
-        if self.at - self._told >= _TELL or self._told == 0:
-            self._told = self.at
-            self.tell(self.at / size)
 
     def _gather(self, body: bytes, behind: int) -> bool:
         """Keep a message that is in no chunk until there are some; whether there are."""
@@ -334,13 +331,6 @@ class Salvage:
                 total = zlib.crc32(head + body, total)
         except BROKEN:
             return False, stated
-
-
-def _index_entries(body: bytes) -> int:
-    # A channel, and a time and a place for each message.
-    if len(body) % 16 != 6 or U32.unpack_from(body, 2)[0] != len(body) - 6:
-        raise _DamagedError("a damaged message index")
-    return (len(body) - 6) // 16
 
 
 def _too_late_ns(run: Mapping[str, str]) -> int:

@@ -96,22 +96,13 @@ RANGED = (
     MessageField("range_error", "m", "the range minus that distance"),
 )
 # By name, the schemas that every log of a run may have.
-OURS = {
-    f"{PACKAGE}.{name}": columns
-    for name, columns in (
-        *(
-            ("State", STATE),
-            ("StateWithRoll", STATE + ROLL),
-            ("Command", COMMAND),
-            ("Error", ERROR),
-            ("Clock", CLOCK_ERROR),
-        ),
-        *(("Belief", BELIEF), ("Fix", FIX), ("Located", LOCATED)),
-        *(("Fault", FAULT), ("Snapshot", SNAPSHOT), ("Packet", PACKET), ("RangedPacket", RANGED)),
-    )
-}
+_OURS = {"State": STATE, "StateWithRoll": STATE + ROLL, "Command": COMMAND, "Error": ERROR, "Clock": CLOCK_ERROR}
+_OURS |= {"Belief": BELIEF, "Fix": FIX, "Located": LOCATED, "Fault": FAULT, "Snapshot": SNAPSHOT}
+_OURS |= {"Packet": PACKET, "RangedPacket": RANGED}
+OURS = {f"{PACKAGE}.{name}": columns for name, columns in _OURS.items()}
 
 
+@lru_cache(maxsize=256)  # vehicles that run the same share it
 def flat_schema(name: str, columns: tuple[MessageField, ...]) -> Schema:
     """A schema of our own; dots in the name put it into packages below ours."""
     below, _, name = name.rpartition(".")
@@ -121,14 +112,9 @@ def flat_schema(name: str, columns: tuple[MessageField, ...]) -> Schema:
     )
     message = file.message_type.add(name=name)
     for number, column in enumerate(columns, start=1):
-        repeated = descriptor_pb2.FieldDescriptorProto.LABEL_REPEATED
-        optional = descriptor_pb2.FieldDescriptorProto.LABEL_OPTIONAL
-        message.field.add(
-            name=column.name,
-            number=number,
-            type=column.type,
-            label=repeated if column.width else optional,
-        )
+        kinds = descriptor_pb2.FieldDescriptorProto
+        label = kinds.LABEL_REPEATED if column.width else kinds.LABEL_OPTIONAL
+        message.field.add(name=column.name, number=number, type=column.type, label=label)
     pool = descriptor_pool.DescriptorPool()
     pool.Add(file)
     descriptor = pool.FindMessageTypeByName(f"{package}.{name}")

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from mcap.records import Channel, Schema
+from mcap.records import Channel
 
 from fleet.logs.reader import LogReader, LogReadError, Tell, open_file
 from fleet.logs.records import Array, Block, together
@@ -55,9 +55,9 @@ class Tape:
         message.
         """
         self.path = path
-        self._reader = reader = LogReader(path, tell)
+        reader = LogReader(path, tell)
         self._offsets = array("Q")  # where each stretch begins
-        self._firsts = array("Q")  # number of its first message
+        self.firsts = array("Q")  # number of its first message
         self._dues = array("Q")  # when that is due
         self._floors = array("Q")  # when the message before it is due
         self.counts: list[tuple[Array, Array]] = []  # channels of each stretch, and how many messages
@@ -69,7 +69,7 @@ class Tape:
             nonlocal total, latest
             channel = np.concatenate([block.channel for block in pending])
             self._offsets.append(pending[0].offset)
-            self._firsts.append(total)
+            self.firsts.append(total)
             self._floors.append(latest)
             self._dues.append(max(latest, int(pending[0].log_ns[0])))
             kinds, counts = np.unique(channel, return_counts=True)
@@ -79,12 +79,14 @@ class Tape:
             pending.clear()
 
         for block in reader.blocks():
-            if pending and block.offset != pending[-1].offset and _size(pending) >= _STRETCH:
+            held = sum({one.offset: len(one.data) for one in pending}.values())
+            if pending and block.offset != pending[-1].offset and held >= _STRETCH:
                 enter()
             pending.append(block)
         if pending:
             enter()
-        self.missing = reader.missing
+        self.missing, self.channels, self.schemas = reader.missing, reader.channels, reader.schemas
+        self.metadata, self.profile = reader.metadata, reader.profile
         if not total:
             raise LogReadError(f"{path} holds no message{f': {self.missing}' if self.missing else ''}")
         self._total, self.end_ns = total, latest
@@ -104,22 +106,6 @@ class Tape:
         for message in some.messages():
             yield Entry(channels[message.channel], *message[1:])
 
-    @property
-    def channels(self) -> dict[int, Channel]:
-        return self._reader.channels
-
-    @property
-    def schemas(self) -> dict[int, Schema]:
-        return self._reader.schemas
-
-    @property
-    def metadata(self) -> dict[str, dict[str, str]]:
-        return self._reader.metadata
-
-    @property
-    def profile(self) -> str:
-        return self._reader.profile
-
     def due(self, number: int) -> int:
         """When message `number` is due [ns]: never earlier than one before it."""
         k, within = self._place(number)
@@ -128,12 +114,8 @@ class Tape:
     def _place(self, number: int) -> tuple[int, int]:
         if not 0 <= number < self._total:
             raise IndexError(number)
-        k = bisect_right(self._firsts, number) - 1
-        return k, number - self._firsts[k]
-
-    def first(self, k: int) -> int:
-        """The number of the first message of part `k` of the file."""
-        return self._firsts[k]
+        k = bisect_right(self.firsts, number) - 1
+        return k, number - self.firsts[k]
 
     def stretch_before(self, ns: int) -> int:
         """The last part of the file with a first message due before a time; -1 if there is none."""
@@ -144,8 +126,8 @@ class Tape:
         if k in self._open:
             self._open.move_to_end(k)
             return self._open[k]
-        end = self._firsts[k + 1] if k + 1 < len(self._firsts) else self._total
-        wanted = end - self._firsts[k]
+        end = self.firsts[k + 1] if k + 1 < len(self.firsts) else self._total
+        wanted = end - self.firsts[k]
         while len(self._open) > 1 and sum(stretch.size for stretch in self._open.values()) > _HELD:
             self._open.popitem(last=False)
         self._open[k] = found = _unpack(self.path, self._offsets[k], wanted, self._floors[k])
@@ -180,8 +162,7 @@ class Track:
         while at < some.stop:
             k, within = self._place(at)
             numbers = self._of(k)[0][within : within + some.stop - at]
-            first = self._tape.first(k)
-            yield from zip((numbers + first).tolist(), self._tape.entries(k, numbers), strict=True)
+            yield from zip((numbers + self._tape.firsts[k]).tolist(), self._tape.entries(k, numbers), strict=True)
             at += len(numbers)
 
     def before(self, ns: int) -> int:
@@ -223,7 +204,3 @@ def _unpack(path: Path, offset: int, messages: int, floor: int) -> _Stretch:
     block = together(blocks).take(np.arange(messages))
     # A message earlier than the one before it is due together with it: the order of the file is kept.
     return _Stretch(block, np.maximum(np.maximum.accumulate(block.log_ns), np.uint64(floor)))
-
-
-def _size(blocks: list[Block]) -> int:
-    return sum({block.offset: len(block.data) for block in blocks}.values())

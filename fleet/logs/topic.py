@@ -64,7 +64,8 @@ class Topic:
         self.last_ns = -1
         self.step_ns = 0
         self._count = 0
-        self._declared = schema if schema is not None and _is_protobuf(channel, schema) else None
+        protobuf = schema is not None and channel.message_encoding == schema.encoding == "protobuf"
+        self._declared = schema if protobuf else None
         self._declarations = declared_by(channel)
         self.fields_kept: frozenset[str] | None = None  # None: all
         self._columnizer: Columnizer | None = None
@@ -279,7 +280,3 @@ class Topic:
 
 def _refuse(topic: Topic) -> None:
     raise topic.too_large()
-
-
-def _is_protobuf(channel: Channel, schema: Schema) -> bool:
-    return bool(channel.message_encoding == "protobuf" and schema.encoding == "protobuf")

@@ -255,22 +255,17 @@ def _asked(ax: Axes, runs: Sequence[Run], name: SignalName) -> None:
 def _as_asked(run: Run, check: SignalCheck, name: SignalName) -> AskedOfSignal | None:
     if parse_name(check.topic) != name:
         return None
-    each = {}
-    for i in run.log.vehicles:
-        found = _find_of(run, i, name)
-        each[i] = {} if found is None else {name.name: SignalPlace(slice(0, 1), found)}
+    each: dict[int, dict[str, SignalPlace]] = {i: {} for i in run.log.vehicles}
+    if (found := _find(run, name)) is not None:
+        place = SignalPlace(slice(0, 1), _unit(found, found.component))
+        for i in each:
+            topic = _topic(run, i, name.group)
+            if topic is not None and found.field in topic:
+                each[i] = {name.name: place}
     try:
         return ask(check, each)
     except SignalCheckError:
         return None
-
-
-def _find_of(run: Run, i: int, name: SignalName) -> str | None:
-    found = _find(run, name)
-    topic = _topic(run, i, name.group)
-    if found is None or topic is None or found.field not in topic:
-        return None
-    return _unit(found, found.component)
 
 
 def _failed(ax: Axes, runs: Sequence[Run], name: SignalName, shift: dict[int, float] | None) -> None:

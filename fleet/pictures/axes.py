@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import cycle
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -243,15 +244,15 @@ def over_time(
 def finish(figure: Figure, axes: Sequence[Axes], runs: Sequence[Run], notes: Sequence[str] = ()) -> None:
     """Shade the faults, name them above the first axis, label the time axis and put the words below it."""
     named = _shade(axes, runs)
-    lines = [*named, *draw_failures(axes, runs), *notes, *(_cut(run, len(runs)) for run in runs if run.log.missing)]
+    lines = [*named, *draw_failures(axes, runs), *notes]
+    for run in runs:
+        if run.log.missing:
+            whose = f"{run.label}: " if len(runs) > 1 else ""
+            lines.append(f"{whose}the log is not whole, it ends at {run.log.end:g} s")
     axes[-1].set_xlabel("\n".join(["time [s]", *lines]))
     rows = {text.xyann[1] for text in axes[0].texts if isinstance(text, Annotation) and text.get_gid() == "fault-name"}
     _grow(figure, TEXT_PT * len(lines) + LABEL_PT * len(rows))
     figure.align_ylabels(list(axes))
-
-
-def _cut(run: Run, runs: int) -> str:
-    return f"{run.label + ': ' if runs > 1 else ''}the log is not whole, it ends at {run.log.end:g} s"
 
 
 def draw_lines(
@@ -321,11 +322,8 @@ def _draw_bands(
 
 def _legend_of_runs(figure: Figure, runs: Sequence[Run]) -> None:
     """Each run by its colour, and by its dashes in words: what a dash means is not seen in a short sample of it."""
-    rows = []
-    for r, run in enumerate(runs):
-        k = r % len(STYLES)
-        rows.append((f"{STYLE_NAMES[k]}: {run.label}", COLOURS[r % len(COLOURS)], STYLES[k]))
-    legend_of(figure, rows)
+    looks = zip(runs, cycle(STYLE_NAMES), cycle(COLOURS), cycle(STYLES), strict=False)
+    legend_of(figure, [(f"{name}: {run.label}", colour, style) for run, name, colour, style in looks])
 
 
 def _draw_line(ax: Axes, gid: str, series: Series, whole: float, log: bool, style: dict[str, Any]) -> bool:

@@ -12,13 +12,13 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from fleet.logs.fault_intervals import kind_and_vehicles
 from fleet.logs.records import Array
 from fleet.logs.topic_names import link_topic
 from fleet.palette import COLOURS
 from fleet.pictures.axes import finish, legend_of, marks_legend, over_time
 from fleet.pictures.runs import NothingToDraw, Run, View
 from fleet.pictures.style import LABEL_PT, THIN, plain_decades
-from fleet.quantities import vehicle_numbers
 from netem.condition import Link
 from netem.fault_kinds import Cause
 
@@ -72,10 +72,6 @@ def fates_of(run: Run, link: Link) -> tuple[Array, Array, Array, Array]:
     return packets["sent"], packets["due"], fate.astype(object), packets["seq"]
 
 
-def _style(fate: str) -> tuple[str, str]:
-    return FATES.get(fate, ("p", "#777777"))
-
-
 def rank(fate: str) -> tuple[int, str]:
     """The place of a fate in legends, and which lies upon which: as in `FATES`."""
     return (list(FATES).index(fate) if fate in FATES else len(FATES)), fate
@@ -119,7 +115,7 @@ def spacetime(runs: Sequence[Run], view: View) -> Figure:
         raise NothingToDraw(f"no message was under way from {first:g} to {last:g} s")
     handles = []
     for name in sorted(lines, key=rank):
-        mark, colour = _style(name)
+        mark, colour = FATES.get(name, ("p", "#777777"))
         if name == Cause.DELIVERED:
             colour, mark = COLOURS[0], "."
         ax.add_collection(
@@ -181,24 +177,14 @@ def _moment(run: Run, packets: dict[Link, tuple[Array, Array, Array, Array]]) ->
 
 
 def _life(ax: Axes, run: Run, i: int, row: int) -> None:
-    absent = [
-        (fault.begin, fault.end)
-        for fault in run.log.faults
-        if (kind := fault.what.split(" ", 1))[0] in ("kill", "pause") and i in _numbers(kind[-1])
-    ]
+    named = [(fault, *kind_and_vehicles(fault.what)) for fault in run.log.faults]
+    absent = [(fault.begin, fault.end) for fault, kind, who in named if kind in ("kill", "pause") and i in who]
     at = 0.0
     for begin, end in sorted(absent):
         ax.plot([at, begin], [row, row], color="0.55", linewidth=THIN, zorder=1)
         ax.plot([begin, end], [row, row], color="0.55", linewidth=THIN, linestyle=":", zorder=1, gid=f"absent-{i}")
         at = end
     ax.plot([at, run.log.end], [row, row], color="0.55", linewidth=THIN, zorder=1)
-
-
-def _numbers(text: str) -> Sequence[int]:
-    try:
-        return vehicle_numbers(text)
-    except ValueError:
-        return ()
 
 
 def peak_ages(run: Run, link: Link, edges: Array) -> Array:

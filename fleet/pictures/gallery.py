@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from textwrap import wrap
@@ -17,7 +18,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
-from fleet.errors import FleetError
 from fleet.logs.payload_kinds import DAMAGED, count_kinds
 from fleet.logs.reader import Tell
 from fleet.logs.records import Array
@@ -41,7 +41,7 @@ from fleet.pictures.axes import bounds as draw_bounds
 from fleet.pictures.beliefs import beliefs
 from fleet.pictures.exchange import FATES, fates_of, links_between, name_rows, rank
 from fleet.pictures.runs import NothingToDraw, Run, View, origin, with_gaps
-from fleet.pictures.style import COLUMN_IN, HEAVY, LABEL_PT, STYLES, THIN, panels, plain_decades, save
+from fleet.pictures.style import COLUMN_IN, HEAVY, LABEL_PT, STYLES, THIN, panels, plain_decades, save_all
 from fleet.pictures.thresholds import draw_thresholds, thresholds
 from fleet.result.file import ResultError, read_result
 from fleet.result.result import Spread, Timing
@@ -107,17 +107,14 @@ def _norm(runs: Sequence[Run], view: View, name: str, label: str, error: str, *,
 
 def _logarithmic(ax: Axes) -> None:
     """A logarithmic axis from a micrometre on."""
-    low = min((v[np.isfinite(v) & (v > 0)].min(initial=np.inf) for v in _values(ax)), default=np.inf)
+    values = [np.asarray(line.get_ydata(), float) for line in ax.get_lines()]
+    low = min((v[np.isfinite(v) & (v > 0)].min(initial=np.inf) for v in values), default=np.inf)
     if low == np.inf:
         return
     ax.set_yscale("log", nonpositive="mask")
     if low < SMALLEST:
         ax.set_ylim(SMALLEST, None)
     plain_decades(ax.yaxis)
-
-
-def _values(ax: Axes) -> list[Array]:
-    return [np.asarray(line.get_ydata(), float) for line in ax.get_lines()]
 
 
 def inputs(runs: Sequence[Run], view: View) -> Figure:
@@ -531,16 +528,6 @@ def write(
     """Draw into a folder, which is made if need be; returns the files. `tell` gets a sentence about each picture that
     could not be drawn. Raises FleetError if the folder cannot be written.
     """
-    paths: list[Path] = []
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, title, of, figure in _each(what, runs, view, share):
-            if isinstance(figure, str):
-                tell(f"{name}: not drawn: {figure}")
-            else:
-                paths += save(figure, folder / name, formats, origin(of, title))
-    except OSError as error:
-        raise FleetError(
-            f"cannot write pictures to {folder}: {error.strerror}; choose another place with -o DIR"
-        ) from error
-    return paths
+    drawn = _each(what, runs, view, share)
+    each = ((name, figure, partial(origin, of, title)) for name, title, of, figure in drawn)
+    return save_all(each, folder, formats, tell)

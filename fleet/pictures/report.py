@@ -361,8 +361,8 @@ def _section(number: int, run: Run, found: RunResult, kinds: Sequence[str], view
         blocks += [Heading("Verdicts"), *([Text(result.reason)] if result.reason else [])]
         blocks.append(checks_table(result.checks) if result.checks else Text("No check was judged."))
     faults = [(fault.id, f"{fault.begin:g}", f"{fault.end:g}", fault.what) for fault in log.faults]
-    blocks.append(Heading("Faults"))
-    blocks.append(Table(("fault", "from [s]", "to [s]", "what"), faults, "last") if faults else Text(_NO_FAULT))
+    listed = Table(("fault", "from [s]", "to [s]", "what"), faults, "last")
+    blocks += [Heading("Faults"), listed if faults else Text("There was no fault.")]
     if events := vehicle_events((event.what, event.begin) for event in log.events):
         rows = [(event.what, event.times, f"{event.first_s:.10g}") for event in events]
         blocks += [Heading("What happened to vehicles"), Table(("event", "times", "first at [s]"), rows)]
@@ -386,7 +386,6 @@ def _section(number: int, run: Run, found: RunResult, kinds: Sequence[str], view
     return blocks + ([Listing(log.scenario_text, "scenario.yaml")] if log.scenario_text else [])
 
 
-_NO_FAULT = "There was no fault."
 _REPEATED = (
     "The log holds the merged scenario; with the faults that were injected while it ran it is what "
     "`fleet export --scenario` prints. The same scenario and the same versions give the same digest."
@@ -409,7 +408,7 @@ def _facts(number: int, run: Run, found: RunResult) -> list[tuple[str, Any]]:
 
 
 def _result(run: Run) -> RunResult:
-    of_log = run.digest
+    of_log = run.log.digest
     try:
         result = read_result(run.log.path.parent)
     except FileNotFoundError:

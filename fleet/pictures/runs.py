@@ -75,10 +75,6 @@ class Run:
             self.notes.append(f"{self.label}: no limits and bounds, {str(error).splitlines()[0]}")
             return None
 
-    @property
-    def digest(self) -> str:
-        return self.log.digest
-
     @cached_property
     def verdicts(self) -> list[Verdict]:
         """The checks as the result beside the log has them; empty: there is none, or it is of another log."""
@@ -86,7 +82,7 @@ class Run:
             result = read_result(self.log.path.parent)
         except (FileNotFoundError, ResultError):
             return []
-        return result.checks if result.digest == self.digest else []
+        return result.checks if result.digest == self.log.digest else []
 
     @property
     def failures(self) -> list[tuple[str, float]]:
@@ -125,7 +121,7 @@ def load(
     check_readable(paths)
     # Poses are states in another form.
     logs = [Opening(path, _WANTED, share, drawn=_DRAWN, most_held=most_held).read() for path in paths]
-    names = [_name(log) for log in logs]
+    names = [log.run.get("scenario", "") or log.path.stem for log in logs]
     often = Counter(names)
     labels = [name if often[name] == 1 else run_name(log.path) for name, log in zip(names, logs, strict=True)]
     seen: Counter[str] = Counter()
@@ -140,10 +136,6 @@ _WANTED = [*(f"uuv/*/{group}" for group in GROUPS), "faults", "link/*"]
 
 
 _DRAWN = {"link/*": frozenset({"seq", "copy", "sent", "due", "fate", "corrupted"})}  # without payloads
-
-
-def _name(log: Log) -> str:
-    return log.run.get("scenario", "") or log.path.stem
 
 
 def with_gaps(t: Array, values: Array, step: float = 0.0) -> tuple[Array, Array]:
@@ -163,11 +155,12 @@ def with_gaps(t: Array, values: Array, step: float = 0.0) -> tuple[Array, Array]
 
 def origin(runs: Sequence[Run], title: str) -> Provenance:
     """The origin written into a picture's file: scenario, seed and digest of each run."""
-    names = ("scenario", "seed", "digest")
-    each = [(run.log.run.get("scenario") or run.label, run.log.run.get("seed", "unknown"), run.digest) for run in runs]
-    return Provenance(
-        title, tuple((name, " and ".join(of)) for name, of in zip(names, zip(*each, strict=True), strict=True))
-    )
+    facts = {
+        "scenario": [run.log.run.get("scenario") or run.label for run in runs],
+        "seed": [run.log.run.get("seed", "unknown") for run in runs],
+        "digest": [run.log.digest for run in runs],
+    }
+    return Provenance(title, tuple((name, " and ".join(each)) for name, each in facts.items()))
 
 
 def first_words(names: Sequence[Any], most: int = 6) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from math import log10
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -124,6 +124,30 @@ def save(figure: Figure, stem: Path, formats: Sequence[str] = ("png",), origin: 
         with whole_file(path) as part:
             figure.savefig(part, format=form, dpi=DPI, metadata=metadata(form, origin))
         paths.append(path)
+    return paths
+
+
+def save_all(
+    drawn: Iterable[tuple[str, Figure | str, Callable[[], Provenance]]],
+    folder: Path,
+    formats: Sequence[str],
+    tell: Callable[[str], None],
+) -> list[Path]:
+    """Write pictures into a folder, which is made if need be; returns the files. `drawn`: of each its name, the figure
+    or why there is none, and what makes its origin. `tell`: called with a sentence about each that is not drawn. Raises
+    FleetError: the folder cannot be written."""
+    paths: list[Path] = []
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, figure, origin in drawn:
+            if isinstance(figure, str):
+                tell(f"{name}: not drawn: {figure}")
+            else:
+                paths += save(figure, folder / name, formats, origin())
+    except OSError as error:
+        raise FleetError(
+            f"cannot write pictures to {folder}: {error.strerror}; choose another place with -o DIR"
+        ) from error
     return paths
 
 

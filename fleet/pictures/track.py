@@ -16,13 +16,13 @@ from matplotlib.patches import Circle, Patch
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
+from fleet.logs.fault_intervals import kind_and_vehicles
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
 from fleet.pictures.axes import MOST_NAMED, marks_legend, outliers, spread
 from fleet.pictures.beliefs import beliefs
 from fleet.pictures.runs import NothingToDraw, Run, View, first_words
 from fleet.pictures.style import COLUMN_IN, LABEL_PT, LEGEND_PT, NORMAL, STYLE_NAMES, STYLES, THIN
-from fleet.quantities import vehicle_numbers
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
 from fleet.scene.model import SceneModel, ellipse
 from fleet.scene.primitives import AreaShape, CylinderShape, LineShape, Primitive
@@ -115,21 +115,13 @@ def happenings(run: Run, view: View, tracks: Mapping[int, tuple[Array, Array]]) 
     """
     found = []
     for fault in (*run.log.faults, *run.log.events):
-        kind, _, who = fault.what.partition(" ")
-        for i in numbers(who) if kind in MARKS else ():
+        kind, vehicles = kind_and_vehicles(fault.what)
+        for i in vehicles if kind in MARKS else ():
             if i in tracks and (view.window is None or view.window[0] <= fault.begin <= view.window[1]):
                 t, positions = tracks[i]
                 k = min(int(np.searchsorted(t, fault.begin)), len(t) - 1)
                 found.append(Happening(i, *MARKS[kind], fault.begin, positions[k]))
     return sorted(found, key=lambda one: (one.t, one.vehicle))
-
-
-def numbers(text: str) -> Sequence[int]:
-    """The vehicles that a fault's text names; none if it names something else."""
-    try:
-        return vehicle_numbers(text)
-    except ValueError:
-        return ()
 
 
 def told(found: Sequence[Happening]) -> list[str]:
@@ -399,7 +391,8 @@ def _tracks(runs: Sequence[Run], view: View) -> tuple[list[VehicleTrack], list[A
             if topic not in run.log or not len(run.log[topic]):
                 continue
             state = run.log[topic]
-            inside = _inside(state.t, view)
+            first, last = view.window or (-np.inf, np.inf)
+            inside = (state.t >= first) & (state.t <= last)
             positions = np.column_stack([state["x"], state["y"], state["z"]])[inside]
             if len(positions):
                 found.append(VehicleTrack(run, i, state.t[inside], positions, GREY, "-"))
@@ -443,10 +436,6 @@ def _apart(tracks: list[VehicleTrack]) -> tuple[list[VehicleTrack], list[Vehicle
 
 def _ends(tracks: Sequence[VehicleTrack]) -> Array:
     return np.array([track.positions[-1] for track in tracks])
-
-
-def _inside(t: Array, view: View) -> Array:
-    return np.full(len(t), True) if view.window is None else (t >= view.window[0]) & (t <= view.window[1])
 
 
 def _extent(positions: Sequence[Array]) -> tuple[Array, Array]:

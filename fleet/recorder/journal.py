@@ -214,7 +214,9 @@ class Journal:
                 if tumble.tick < self._last:  # otherwise nothing is left of the run for it to last
                     self.add_event(event)
             else:
-                self._tumbles_until(tumble.vehicle, tumble.tick)
+                spell = max(n for n, spell in enumerate(self.tumbles) if spell.vehicle == tumble.vehicle)
+                self.tumbles[spell] = self.tumbles[spell]._replace(end=tumble.tick)
+                self.add_event(replace(self.tumbled.pop(tumble.vehicle), tick=tumble.tick, action="ends"))
         if frame.tick == self._last:
             for lasts in (*self.deaths.values(), *self.diverged.values(), *self.tumbled.values()):
                 self.add_event(replace(lasts, tick=frame.tick, action="ends"))
@@ -235,11 +237,6 @@ class Journal:
         if tick < self._last:
             self.tumbled[i] = event
         return event
-
-    def _tumbles_until(self, i: int, tick: int) -> None:
-        spell = max(n for n, spell in enumerate(self.tumbles) if spell.vehicle == i)
-        self.tumbles[spell] = self.tumbles[spell]._replace(end=tick)
-        self.add_event(replace(self.tumbled.pop(i), tick=tick, action="ends"))
 
     def _name(self, wanted: str) -> str:
         """An id for an event that was not planned: `wanted`, or with a number behind it if that is taken."""

@@ -9,7 +9,7 @@ the fleet, so that they hardly lag behind the hulls between two messages.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from math import sqrt
 from typing import Any
@@ -80,9 +80,7 @@ class Scene:
         """`start`: the snapshot that the run continues."""
         self._scenario = scenario
         self._model = SceneModel(scenario)
-        self.links = LinkHistories(scenario.graph.links)
-        if start is not None:
-            self.links = LinkHistories(scenario.graph.links, start.drawn, start.tick)
+        self.links = LinkHistories(scenario.graph.links, *(() if start is None else (start.drawn, start.tick)))
         self._seen: Frame | None = None  # the last at which they were asked
         self._commanded: dict[int, int] = {}  # at which tick last
         masses = {i: scenario.controls[i - 1].vehicle.m for i in range(1, scenario.vehicles + 1)}
@@ -95,7 +93,10 @@ class Scene:
         self._locating = frozenset(i for i in self._navigating if locates(scenario.layout(i)))
         self._telemetry: dict[int, Sequence[float]] = {}  # of those that locate themselves, at the tick of `see`
         self._beliefs: dict[tuple[int, int], Template] = {}  # by vehicle and number of coordinates
-        self._names = {link: _link(link).SerializeToString() for link in scenario.graph.links}
+        self._names = {
+            (src, dst): SceneEntity(frame_id=REFERENCE, id=f"link {src}-{dst}", frame_locked=True).SerializeToString()
+            for src, dst in scenario.graph.links
+        }
         self._lines = {state: Template(partial(_line, state), 6) for state in FOXGLOVE.links}
         self._offsets: list[Vec3] = []  # where the vehicles should be in the message before
         self._formation = b""  # and how that is drawn
@@ -120,16 +121,14 @@ class Scene:
         places = {row.id: _relative(row.eta[:3], origin) for row in frame.vehicles}
         for link, name in self._names.items():
             found.append(field(b"\x12", stamp + name + self._line(link, places, silent)))
-        found += [field(b"\x12", stamp + self._belief(row, places[row.id])) for row in self._believers(frame)]
+        believers = (row for row in frame.vehicles if row.id in self._navigating)
+        found += [field(b"\x12", stamp + self._belief(row, places[row.id])) for row in believers]
         offsets = self._model.offsets(t)
         if offsets != self._offsets:
             self._offsets = offsets
             self._formation = _formation(self._model.moving(t), self._model.diameters).SerializeToString()
         found.append(field(b"\x12", stamp + self._formation))
         return b"".join(found)
-
-    def _believers(self, frame: Frame) -> Iterator[VehicleFrame]:
-        return (row for row in frame.vehicles if row.id in self._navigating)
 
     def _belief(self, row: VehicleFrame, place: Vec3) -> bytes:
         """The vehicle's belief about its place; at a tick without one an empty entity that replaces the one before."""
@@ -164,10 +163,6 @@ class Scene:
             (x, y, z), (u, v, w) = begin, end
             begin = (x + u) / 2, (y + v) / 2, (z + w) / 2
         return self._lines[state](*begin, *end)
-
-
-def _link(link: Link) -> SceneEntity:
-    return SceneEntity(frame_id=REFERENCE, id=f"link {link[0]}-{link[1]}", frame_locked=True)
 
 
 def _line(state: LinkState, *ends: float) -> SceneEntity:
@@ -235,19 +230,13 @@ def hull(i: int, mass: float, silent: bool) -> SceneEntity:
         metadata=[KeyValuePair(key="agent", value="silent" if silent else "commanding")],
         cylinders=[
             CylinderPrimitive(
-                pose=at(0.05 * length, forward),
-                size=Vector3(x=d, y=d, z=0.6 * length),
-                bottom_scale=1.0,
+                pose=at(x * length, forward),
+                size=Vector3(x=d, y=d, z=long * length),
+                bottom_scale=bottom,
                 top_scale=1.0,
                 color=colour,
-            ),
-            CylinderPrimitive(
-                pose=at(-0.375 * length, forward),
-                size=Vector3(x=d, y=d, z=0.25 * length),
-                bottom_scale=0.3,
-                top_scale=1.0,
-                color=colour,
-            ),
+            )
+            for x, long, bottom in ((0.05, 0.6, 1.0), (-0.375, 0.25, 0.3))
         ],
         spheres=[SpherePrimitive(pose=at(0.35 * length), size=Vector3(x=0.3 * length, y=d, z=d), color=colour)],
         cubes=[

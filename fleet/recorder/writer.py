@@ -150,7 +150,10 @@ class LogWriter:
         navigating = [i for i in range(1, scenario.vehicles + 1) if scenario.belief(i)]
         self._ticks = TickMessages(
             {
-                group: {i: self._topic(f"uuv/{i}/{group}", schema) for i, schema in schemas.items()}
+                group: {
+                    i: VehicleTopic(self._channel(name := f"uuv/{i}/{group}", schema), name)
+                    for i, schema in schemas.items()
+                }
                 for group, schemas in self._schemas(plants).items()
             },
             {i: scenario.layout(i) for i in range(1, scenario.vehicles + 1)},
@@ -208,18 +211,11 @@ class LogWriter:
             "control": {},
             "error": dict.fromkeys(ids, flat_schema("Error", ERROR)),
         }
-        made: dict[tuple[str, tuple[Signal, ...]], Schema] = {}
         for i in ids:
-            config = self._scenario.agent_config(i)
-            layout = self._scenario.layout(i)
+            config, layout = self._scenario.agent_config(i), self._scenario.layout(i)
             for group in ("guidance", "control"):
-                signals = getattr(layout, group)
-                if not signals:
-                    continue
-                name = schema_name(config, group)
-                if (name, signals) not in made:
-                    made[name, signals] = flat_schema(name, signal_columns(signals))
-                found[group][i] = made[name, signals]
+                if signals := getattr(layout, group):
+                    found[group][i] = flat_schema(schema_name(config, group), signal_columns(signals))
         if self._scenario.clocks:
             found[OF_THE_CLOCK] = dict.fromkeys(self._scenario.clocks, flat_schema("Clock", CLOCK_ERROR))
         if plants:
@@ -228,18 +224,12 @@ class LogWriter:
             if signals:
                 plant = self._scenario.controls[i - 1].plant
                 assert plant is not None
-                name = message_name(plant.name, OF_THE_PLANT)
-                if (name, signals) not in made:
-                    made[name, signals] = flat_schema(name, signal_columns(signals))
-                found[OF_THE_PLANT][i] = made[name, signals]
+                found[OF_THE_PLANT][i] = flat_schema(message_name(plant.name, OF_THE_PLANT), signal_columns(signals))
         if navigating := [i for i in ids if self._scenario.belief(i)]:
             found[OF_NAVIGATION] = dict.fromkeys(navigating, flat_schema("Belief", BELIEF))
         if locating := [i for i in ids if locates(self._scenario.layout(i))]:
             found[OF_LOCALIZATION] = dict.fromkeys(locating, flat_schema("Located", LOCATED))
         return found
-
-    def _topic(self, name: str, schema: Schema) -> VehicleTopic:
-        return VehicleTopic(self._channel(name, schema), name)
 
     def _channel(self, topic: str, schema: Schema) -> int:
         number = self._sink.channel(topic, schema)
@@ -317,7 +307,9 @@ def _both(sink: MessageSink, tap: Tap) -> Callable[[int, int, int, int, bytes], 
 
 def run_metadata(scenario: Scenario, start: Start | None = None) -> dict[str, str]:
     """The metadata that determine a run's result, in addition to the scenario attachment."""
-    return {
+    sources = {f"law {law.name}": law_class(kind, law) for kind, law in scenario.other_laws}
+    sources |= {f"plant {name}": plant_class(name, plant.parameters or {}) for name, plant in scenario.plants.items()}
+    found = {
         "scenario": scenario.name,
         "seed": str(scenario.seed),
         "tick_ns": str(scenario.tick_ns),
@@ -327,20 +319,12 @@ def run_metadata(scenario: Scenario, start: Start | None = None) -> dict[str, st
         "uuv-fleet": version("uuv-fleet"),
         "piqp": version("piqp"),
         "python": ".".join(platform.python_version_tuple()[:2]),
-        **_plugin_metadata(scenario),
-        **({} if start is None else _start_metadata(start)),
+        "resumable": _resumable(scenario),
+        **{what: f"sha256 {fingerprint(c)}" for what, c in sources.items()},
     }
-
-
-def _start_metadata(start: Start) -> dict[str, str]:
-    anew = " ".join(map(str, start.anew))
-    return {FROM_TICK: str(start.snapshot.tick), FROM: start.source, ANEW: anew}
-
-
-def _plugin_metadata(scenario: Scenario) -> dict[str, str]:
-    sources = {f"law {law.name}": law_class(kind, law) for kind, law in scenario.other_laws}
-    sources |= {f"plant {name}": plant_class(name, plant.parameters or {}) for name, plant in scenario.plants.items()}
-    return {"resumable": _resumable(scenario)} | {what: f"sha256 {fingerprint(c)}" for what, c in sources.items()}
+    if start is not None:
+        found |= {FROM_TICK: str(start.snapshot.tick), FROM: start.source, ANEW: " ".join(map(str, start.anew))}
+    return found
 
 
 def _resumable(scenario: Scenario) -> str:

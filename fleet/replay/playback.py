@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from fleet.errors import FleetError
@@ -115,21 +115,7 @@ class Replay:
         if not player.paused:
             now = time.monotonic_ns()
             pace.update(now, player.position(now))  # without a terminal the first line comes after some seconds
-        while not player.over:
-            if away := keyboard.suspended_ns():
-                player.stood_still(away)
-                pace.restart()
-            now = time.monotonic_ns()
-            self._publish(player.due(now, MOST))
-            if line.due():
-                line.show(self._describe(now, pace))
-            now = time.monotonic_ns()
-            wait_ns = player.wait_ns(now)
-            nap_s = NAP_S if wait_ns is None else min(NAP_S, wait_ns / 1e9)
-            for key in keyboard.read(0.0 if player.over else nap_s):
-                self._publish(obey(player, key, time.monotonic_ns()))
-                pace.restart()
-                line.show(self._describe(time.monotonic_ns(), pace))
+        play_out(player, keyboard, line, self._publish, lambda: self._describe(time.monotonic_ns(), pace), pace.restart)
 
     def _wait(self, line: StatusLine) -> None:
         while self._wishes.wait and (missing := self.unmatched()):
@@ -177,6 +163,30 @@ class Replay:
             f"played {self.published} messages in {wall_s:.2f} s "
             f"({self.published / max(wall_s, 1e-9):.0f} messages/s), {self.player.missed} late"
         )
+
+
+def play_out(
+    player: Player,
+    keyboard: Keyboard,
+    line: StatusLine,
+    publish: Callable[[range], None],
+    describe: Callable[[], list[Piece]],
+    jumped: Callable[[], None] = lambda: None,
+) -> None:
+    """Hand out messages when they are due, and obey the keyboard, until all are played. `publish`: gets the indexes of
+    messages. `jumped`: called when the time does not just go on."""
+    while not player.over:
+        if away := keyboard.suspended_ns():
+            player.stood_still(away)
+            jumped()
+        publish(player.due(time.monotonic_ns(), MOST))
+        if line.due():
+            line.show(describe())
+        wait_ns = 0 if player.over else player.wait_ns(time.monotonic_ns())
+        for key in keyboard.read(NAP_S if wait_ns is None else min(NAP_S, wait_ns / 1e9)):
+            publish(obey(player, key, time.monotonic_ns()))
+            jumped()
+            line.show(describe())
 
 
 def obey(player: Player, key: Key, now: int) -> range:

@@ -13,7 +13,7 @@ from fleet.execution.connection import LiveRun, OpenConnection, RemoteError, ask
 from fleet.logs.tape import Tape, Track
 from fleet.replay.capture import PublisherGone
 from fleet.replay.live_journal import LiveJournal, left_out
-from fleet.replay.playback import MOST, NAP_S, obey
+from fleet.replay.playback import play_out
 from fleet.replay.player import Player
 from fleet.replay.topics import ask_topics
 from fleet.ros2.mapping import OF_BRIDGE, SOURCES, is_source
@@ -38,9 +38,7 @@ class RosBridge:
     def __init__(self, node: RosNode, translation: Translation) -> None:
         """Declare the topics. Raises FleetError: a type is not known."""
         self.node, self._translation = node, translation
-        self._publishers = {
-            name: node.publisher(name, topic.type, topic.qos) for name, topic in translation.topics()
-        }  # fmt: skip
+        self._publishers = {name: node.publisher(name, one.type, one.qos) for name, one in translation.topics()}
         (clock,) = OF_BRIDGE
         self._clock = node.publisher(clock.name, clock.type, clock.qos)
         translation.wanted = lambda name: self._publishers[name].matched
@@ -101,8 +99,7 @@ def show_run(bridge: RosBridge, journal: LiveJournal, source: LiveSource, line: 
                 bridge.take(*message)
             bridge.checks(checks.look())
             bridge.tell(line)
-            if line.due():
-                line.show(bridge.describe())
+            line.update(bridge.describe)
             if ended is None and over():
                 ended = time.monotonic()
     finally:
@@ -113,24 +110,15 @@ def show_run(bridge: RosBridge, journal: LiveJournal, source: LiveSource, line: 
 
 def play_log(bridge: RosBridge, tape: Tape, keyboard: Keyboard, line: StatusLine, *, rate: float, loop: bool) -> None:
     track = Track(tape, [number for number, channel in tape.channels.items() if is_source(channel.topic)])
-    player = Player(
-        track, 0, tape.end_ns, rate=rate, loop=loop, now=time.monotonic_ns(), before=track.before
-    )  # fmt: skip
-    while not player.over:
-        if away := keyboard.suspended_ns():
-            player.stood_still(away)
-        _play(bridge, tape, track, player.due(time.monotonic_ns(), MOST))
+    now = time.monotonic_ns()
+    player = Player(track, 0, tape.end_ns, rate=rate, loop=loop, now=now, before=track.before)
+
+    def publish(some: range) -> None:
+        for _, entry in track.entries(some):
+            bridge.take(entry.channel.topic, entry.log_ns, entry.data)
         bridge.tell(line)
-        if line.due():
-            line.show(bridge.describe())
-        wait = player.wait_ns(time.monotonic_ns())
-        for key in keyboard.read(NAP_S if wait is None else min(NAP_S, wait / 1e9)):
-            _play(bridge, tape, track, obey(player, key, time.monotonic_ns()))
 
-
-def _play(bridge: RosBridge, tape: Tape, track: Track, some: range) -> None:
-    for _, entry in track.entries(some):
-        bridge.take(entry.channel.topic, entry.log_ns, entry.data)
+    play_out(player, keyboard, line, publish, bridge.describe)
 
 
 def offer_control(node: RosNode, run: LiveRun) -> None:

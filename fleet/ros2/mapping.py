@@ -239,19 +239,16 @@ class MessageMaker:
         return self._new("rosgraph_msgs/msg/Clock", clock=self.time(ns))
 
     def vector(self, value: Vec3) -> Any:
-        x, y, z = value
-        return self._new("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+        return self._new("geometry_msgs/msg/Vector3", **dict(zip("xyz", value, strict=True)))
 
     def _point(self, value: Vec3) -> Any:
-        x, y, z = value
-        return self._new("geometry_msgs/msg/Point", x=x, y=y, z=z)
+        return self._new("geometry_msgs/msg/Point", **dict(zip("xyz", value, strict=True)))
 
     def pose(self, place: Vec3, turn: Quaternion = (NO_TURN.x, NO_TURN.y, NO_TURN.z, NO_TURN.w)) -> Any:
         return self._new("geometry_msgs/msg/Pose", position=self._point(place), orientation=self._quaternion(turn))
 
     def _quaternion(self, value: Quaternion) -> Any:
-        x, y, z, w = value
-        return self._new("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+        return self._new("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", value, strict=True)))
 
     @staticmethod
     def _array(values: list[float]) -> Any:

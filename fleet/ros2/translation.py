@@ -81,27 +81,20 @@ def marker_array(maker: MessageMaker, ns: int, scene: Any) -> Any:
 def _markers(maker: MessageMaker, ns: int, scene: Any) -> Iterator[Any]:
     for entity in scene.entities:
         text = next((pair.value for pair in entity.metadata if pair.key == "state"), "")
-        shapes = [
-            *((LINE_STRIP, line, "", {"points": line.points}) for line in entity.lines),
-            *((CYLINDER, one, "", {}) for one in entity.cylinders),
-            *((SPHERE, one, "", {}) for one in entity.spheres),
-            *((CUBE, one, "", {}) for one in entity.cubes),
-            *((TEXT, one, one.text, {}) for one in entity.texts),
-        ]
-        for number, (kind, shape, own, more) in enumerate(shapes):
-            yield _marker(maker, ns, entity, number, kind, shape, own or text, more)
+        kinds = ((LINE_STRIP, entity.lines), (CYLINDER, entity.cylinders), (SPHERE, entity.spheres),
+                 (CUBE, entity.cubes), (TEXT, entity.texts))  # fmt: skip
+        for number, (kind, shape) in enumerate((kind, shape) for kind, some in kinds for shape in some):
+            yield _marker(maker, ns, entity, number, kind, shape, getattr(shape, "text", "") or text)
 
 
-def _marker(
-    maker: MessageMaker, ns: int, entity: Any, number: int, kind: int, shape: Any, text: str, more: dict[str, Any]
-) -> Any:
+def _marker(maker: MessageMaker, ns: int, entity: Any, number: int, kind: int, shape: Any, text: str) -> Any:
     new = maker.types.new
     size = {LINE_STRIP: (LINE_M, 0.0, 0.0), TEXT: (0.0, 0.0, TEXT_M)}.get(kind)
     if size is None:
         size = (shape.size.x, shape.size.y, shape.size.z)
     colour, place, turn = shape.color, shape.pose.position, shape.pose.orientation
     turned = (turn.x, turn.y, turn.z, turn.w)
-    points = [new("geometry_msgs/msg/Point", x=p.x, y=p.y, z=p.z) for p in more.get("points", ())]
+    points = [new("geometry_msgs/msg/Point", x=p.x, y=p.y, z=p.z) for p in getattr(shape, "points", ())]
     whole: dict[str, Any] = {
         "header": maker.header(ns, entity.frame_id),
         "ns": entity.id,

@@ -64,10 +64,6 @@ class Measure:
     what: str  # in words
     of: Callable[[Result], float]  # computes it
 
-    @property
-    def name(self) -> str:
-        return self.column.name
-
 
 def _over_vehicles(number: Callable[[VehicleResult], float | None], join: Join) -> Callable[[Result], float]:
     """A number of all vehicles; NaN if one of them does not have it."""

@@ -18,7 +18,7 @@ from typing import NamedTuple
 from fleet.cores import cores
 from fleet.errors import FleetError
 from fleet.execution.directory import LOG, SCENARIO
-from fleet.execution.judged import judged
+from fleet.execution.stepped_run import judged
 from fleet.recorder.log_file import LogFile
 from fleet.result.file import write_result
 from fleet.result.result import Result
@@ -160,7 +160,7 @@ def _measured(result: Result, samples: Samples) -> Row:
             None if margin is None else float(margin.value),
         )
         checks[name] = checks[name].and_then(found) if name in checks else found
-    numbers |= {measure.name: float(measure.of(result)) for measure in MEASURES.values()}
+    numbers |= {name: float(measure.of(result)) for name, measure in MEASURES.items()}
     numbers |= {name: float(value) for name, value in samples.numbers().items()}
     return Row(seed=result.seed, status=str(result.status), reason=_text(result.reason), digest=result.digest,
                passed=result.passed, checks=checks, numbers=numbers)  # fmt: skip

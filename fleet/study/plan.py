@@ -90,7 +90,7 @@ class Plan:
         if sampled:
             groups.append(_drawn(sampled, self.draw))
         if self.zipped:
-            _check_lengths(grid)
+            _check_equal({a.key: len(a.values) for a in grid}, "zipped keys need as many values as each other")
             groups.append(
                 [
                     dict(zip((axis.key for axis in grid), row, strict=True))
@@ -161,11 +161,9 @@ def parse_seeds(text: str) -> tuple[int, ...]:
     return tuple(seeds)
 
 
-def _check_lengths(axes: Sequence[Axis]) -> None:
-    lengths = {axis.key: len(axis.values) for axis in axes}
-    if len(set(lengths.values())) > 1:
-        listed = ", ".join(f"{key} {length}" for key, length in lengths.items())
-        raise StudyError(f"zipped keys need as many values as each other: {listed}")
+def _check_equal(counts: Mapping[str, int], otherwise: str) -> None:
+    if len(set(counts.values())) > 1:
+        raise StudyError(f"{otherwise}: {', '.join(f'{key} {count}' for key, count in counts.items())}")
 
 
 def _drawn(axes: Sequence[Axis], seed: int) -> list[dict[str, AxisValue]]:
@@ -176,9 +174,7 @@ def _drawn(axes: Sequence[Axis], seed: int) -> list[dict[str, AxisValue]]:
     from scipy.stats import qmc
 
     counts = {axis.key: axis.count for axis in axes}
-    if len(set(counts.values())) > 1:
-        listed = ", ".join(f"{key} {count}" for key, count in counts.items())
-        raise StudyError(f"keys that are drawn are drawn together, so they need the same count: {listed}")
+    _check_equal(counts, "keys that are drawn are drawn together, so they need the same count")
     kinds = {axis.how for axis in axes}
     if len(kinds) > 1:
         raise StudyError("keys that are drawn are drawn together: all random, or all latin")

@@ -207,8 +207,15 @@ class _Search:
             one.runs, one.hits, one.seed = tried.reached.get(one.name, (0, 0, None))
 
     def _count(self, row: Row) -> None:
-        seed = row.seed
-        failed = self._counted(row)
+        seed, failed = row.seed, list[str]()
+        if row.judged:
+            self.found.runs += 1
+            if self._check is not None and self._check not in row.checks:
+                raise StudyError(f"{self.found.name} has no check {self._check}")
+            failed = self._fails(row)
+        else:
+            self.found.without += 1
+            self.found.reason = self.found.reason or row.reason
         for one in self.found.reached:
             one.count(row)
         for check in failed if self._keep is not None else failed[:1]:
@@ -225,14 +232,3 @@ class _Search:
                                 found="" if value is None else f"{value:.4g}", version=row.version),
                         scenario,
                     )  # fmt: skip
-
-    def _counted(self, row: Row) -> list[str]:
-        found, check = self.found, self._check
-        if not row.judged:
-            found.without += 1
-            found.reason = found.reason or row.reason
-            return []
-        found.runs += 1
-        if check is not None and check not in row.checks:
-            raise StudyError(f"{found.name} has no check {check}")
-        return self._fails(row)

@@ -109,17 +109,19 @@ class Shrinker:
             return
         self._doing = "a shorter run"
         before = self._tree["duration"]
-        end = time_ns(before)
         tick = time_ns(self._tree["tick"])
-        while True:
-            shorter = [int(share * end) // tick * tick for share in _SHARES]
-            candidates = [{**self._tree, "duration": show_time(ns)} for ns in shorter if 0 < ns < end]
-            tree = self._least(candidates)
-            if tree is None:
-                break
-            self._tree, end = tree, time_ns(tree["duration"])
+        end = self._shortened(time_ns(before), tick, lambda time: {**self._tree, "duration": time})
         if end < time_ns(before):
             yield f"{self._tree['duration']} instead of {before}"
+
+    def _shortened(self, ns: int, step: int, made: Callable[[str], Tree]) -> int:
+        """The shortest time [ns], in whole steps, with which the run still fails. `made`: the scenario with a time."""
+        while True:
+            shorter = [time for share in _SHARES if 0 < (time := int(share * ns) // step * step) < ns]
+            trees = [made(show_time(time)) for time in shorter]
+            if (tree := self._least(trees)) is None:
+                return ns
+            self._tree, ns = tree, shorter[trees.index(tree)]
 
     def _fewer_vehicles(self) -> Iterator[str]:
         self._doing = "fewer vehicles"
@@ -135,15 +137,11 @@ class Shrinker:
             if "for" not in fault:
                 continue
             before = time_ns(fault["for"])
-            lasts = before
-            while True:
-                shorter = [int(share * lasts) // 10**6 * 10**6 for share in _SHARES]
-                tree = self._least(
-                    [_with_fault(self._tree, k, {"for": show_time(ns)}) for ns in shorter if 0 < ns < lasts]
-                )
-                if tree is None:
-                    break
-                self._tree, lasts = tree, time_ns(tree["faults"][k]["for"])
+
+            def lasting(time: str, k: int = k) -> Tree:
+                return _with_fault(self._tree, k, {"for": time})
+
+            lasts = self._shortened(before, 10**6, lasting)
             if lasts < before:
                 yield f"fault {fault.get('id', k + 1)} lasts {show_time(lasts)} instead of {show_time(before)}"
 

@@ -344,25 +344,19 @@ class Store:
         """Write rows of runs, all or none. Raises StudyError."""
         names = [column.name for column in self.columns]
         values = [_flat(row, names) for row in rows]
-        if self._writer is None:
-            with closing(self._connect("rw")) as file:
-                self._insert(file, values)
-        else:
-            self._insert(self._writer, values)
-
-    def _insert(self, file: sqlite3.Connection, values: list[list[Any]]) -> None:
-        try:
-            with file:
-                file.executemany(
-                    f"INSERT INTO runs VALUES ({_places(len(self.columns))}) ON CONFLICT DO NOTHING", values
+        with ExitStack() as stack:
+            file = self._writer or stack.enter_context(closing(self._connect("rw")))
+            try:
+                with file:
+                    places = _places(len(self.columns))
+                    file.executemany(f"INSERT INTO runs VALUES ({places}) ON CONFLICT DO NOTHING", values)
+            except (OSError, sqlite3.Error) as error:
+                broken = StudyError(
+                    f"cannot write the study {self.directory}: {error}; what was written before stays, and the study "
+                    "can be gone on with"
                 )
-        except (OSError, sqlite3.Error) as error:
-            broken = StudyError(
-                f"cannot write the study {self.directory}: {error}; what was written before stays, and the study can "
-                "be gone on with"
-            )
-            broken.status = 3  # nothing else should have been asked for
-            raise broken from None
+                broken.status = 3  # nothing else should have been asked for
+                raise broken from None
 
     def rows(self, numbers: Sequence[str] = (), *, checks: bool = False, details: bool = False) -> list[Row]:
         """All rows, ordered by point and seed, so that their order does not tell who ran them. `checks`: whether they

@@ -32,15 +32,9 @@ def summarise(store: Store, measures: Sequence[MeasureColumn] = ()) -> list[Poin
     found = []
     for number, rows in by_point.items():
         judged = [row for row in rows if row.has_result]
-        found.append(
-            PointSummary(
-                store.points[number].values,
-                len(rows),
-                len(rows) - len(judged),
-                pass_rate(sum(row.passed is True for row in judged), len(judged)),
-                {column.name: median([column.number(row.number(column.name)) for row in judged]) for column in chosen},
-            )
-        )
+        passed = pass_rate(sum(row.passed is True for row in judged), len(judged))
+        medians = {c.name: median([c.number(row.number(c.name)) for row in judged]) for c in chosen}
+        found.append(PointSummary(store.points[number].values, len(rows), len(rows) - len(judged), passed, medians))
     return found
 
 

@@ -191,53 +191,44 @@ class _BudgetSpent(Exception):
 
 
 class Work:
+    """Makes runs of a study, which is locked, and writes their rows, many at once."""
+
     def __init__(self, store: Store, engine: Engine, tell: Callable[[Progress], None], until: float) -> None:
         self.store, self.engine, self.until, self._tell = store, engine, until, tell
         self.progress = Progress(0, 0, began=time.monotonic())
+        self._waiting, self._written = list[Row](), time.monotonic()
 
     def wait(self) -> None:
-        """Show where it is. Raises _BudgetSpent."""
+        """Write rows that have waited for long enough, and show where it is. Raises _BudgetSpent."""
+        if len(self._waiting) >= _WRITE_ROWS or time.monotonic() - self._written > _WRITE_S:
+            self._flush()
         self._tell(self.progress)
         if time.monotonic() > self.until:
             raise _BudgetSpent
 
     def make(self, tasks: Iterator[Task]) -> set[tuple[int, int]]:
-        """Make some runs of the study, which is locked, and write their rows as they come. Returns (point, seed) of
-        those that were made."""
-        rows = _Rows(self)
+        """Make some runs. Returns (point, seed) of those that were made."""
+        made, progress = set[tuple[int, int]](), self.progress
+
+        def take(rows: list[Row]) -> None:
+            for row in rows:
+                made.add((row.point, row.seed))
+                progress.count(row)
+                progress.failed += not row.has_result
+            self._waiting += rows
+            progress.made += len(rows)
+            progress.new += len(rows)
+            self.wait()
+
         try:
-            self.engine.make(tasks, rows.take, rows.wait)
+            self.engine.make(tasks, take, self.wait)
         finally:
-            rows.flush()
-        return rows.made
+            self._flush()
+        return made
 
-
-class _Rows:
-    """Takes rows as they come, and writes many at once."""
-
-    def __init__(self, work: Work) -> None:
-        self.made = set[tuple[int, int]]()
-        self._work, self._waiting, self._written = work, list[Row](), time.monotonic()
-
-    def take(self, rows: list[Row]) -> None:
-        progress = self._work.progress
-        for row in rows:
-            self.made.add((row.point, row.seed))
-            progress.count(row)
-            progress.failed += not row.has_result
-        self._waiting += rows
-        progress.made += len(rows)
-        progress.new += len(rows)
-        self.wait()
-
-    def wait(self) -> None:
-        if len(self._waiting) >= _WRITE_ROWS or time.monotonic() - self._written > _WRITE_S:
-            self.flush()
-        self._work.wait()
-
-    def flush(self) -> None:
+    def _flush(self) -> None:
         if self._waiting:
-            self._work.store.add(self._waiting)
+            self.store.add(self._waiting)
             self._waiting.clear()
         self._written = time.monotonic()
 

@@ -16,6 +16,7 @@ from fleet.logs.topic_names import believer_of, link_of
 from fleet.result.file import ResultError, read_result
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signals import OF_LOCALIZATION, OF_NAVIGATION
+from fleet.view.chart_signals import Signals
 from fleet.view.view_state import Row, ViewState
 from netem.fault_kinds import Cause
 
@@ -29,8 +30,13 @@ _BELIEFS = {
 }
 
 
-def take(picture: ViewState, topic: str, at_s: float, data: bytes, *, moving: bool = True) -> None:
-    """Bring one message into a picture. A message that is damaged, or too large to be one of ours, is left out."""
+def take(
+    picture: ViewState, topic: str, at_s: float, data: bytes, signals: Signals | None = None, *, moving: bool = True
+) -> None:
+    """Bring one message into a picture, with the values of the signals that are followed. A message that is damaged, or
+    too large to be one of ours, is left out."""
+    for name, value in () if signals is None else signals.values(topic, data):
+        picture.signal(name, at_s, value)
     with suppress(DecodeError):
         if topic == TRANSFORMS:
             picture.transforms(at_s, decoded(FrameTransforms, data))
@@ -44,19 +50,16 @@ def take(picture: ViewState, topic: str, at_s: float, data: bytes, *, moving: bo
 
 def fault_message(data: bytes) -> Any:
     """A message of the topic `faults`; None: it is damaged."""
-    try:
+    with suppress(DecodeError):
         return decoded(_FAULT, data)
-    except DecodeError:
-        return None
 
 
 def is_lost(data: bytes) -> bool:
     """Whether a message of a topic `link/<src>-<dst>` tells of a packet that did not arrive whole."""
-    try:
+    with suppress(DecodeError):
         packet = decoded(_PACKET, data)
-    except DecodeError:
-        return False
-    return bool(packet.corrupted or packet.fate not in (Cause.DELIVERED, Cause.IN_FLIGHT))
+        return bool(packet.corrupted or packet.fate not in (Cause.DELIVERED, Cause.IN_FLIGHT))
+    return False
 
 
 def checks_so_far(rows: list[Row]) -> Row:

@@ -76,21 +76,19 @@ class LiveBridge:
         hand, and viewers are to control."""
         offered = services(source.controlled()) if control else ()
         self._journal = journal
-        self._topics = ask_topics(journal.bus, journal.keys)
-        self._numbers = {topic: n for n, topic in enumerate(sorted(self._topics))}
+        self._topics = dict(sorted(ask_topics(journal.bus, journal.keys).items()))
+        self._numbers = {topic: n for n, topic in enumerate(self._topics)}
         self.server = FoxgloveServer(
             source.directory.name,
             host,
             port,
             {
-                n: FoxgloveChannel(
-                    topic, "protobuf", self._topics[topic].schema, "protobuf", self._topics[topic].descriptor_set
-                )
-                for topic, n in self._numbers.items()
+                n: FoxgloveChannel(topic, "protobuf", known.schema, "protobuf", known.descriptor_set)
+                for n, (topic, known) in enumerate(self._topics.items())
             },
             services=offered,
         )
-        self._names = {n: topic for topic, n in self._numbers.items()}
+        self._names = list(self._topics)
         self._ends: dict[int, Callable[[], None]] = {}
         self._latest_ns = 0
         self.missing = journal.missing
@@ -122,8 +120,7 @@ class LiveBridge:
         self.server.time(self._latest_ns)
         if self.server.fell_behind():
             line.print(FELL_BEHIND)
-        if line.due():
-            line.show(self._describe())
+        line.update(self._describe)
 
     def _take(self) -> None:
         for message in self._journal.take():

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
+from functools import partial
 
 from fleet.logs.tape import Tape, Track
 from fleet.replay.capture import ATTACHMENT, DELETE, KIND
@@ -57,8 +58,7 @@ class LogBridge:
                 self._come_to_the_end(now)
             if self.server.fell_behind():
                 line.print(FELL_BEHIND)
-            if line.due():
-                line.show(self._describe(now))
+            line.update(partial(self._describe, now))
             wait = self._player.wait_ns(time.monotonic_ns())
             events = self.server.events(NAP_S if wait is None else min(NAP_S, wait / 1e9))
             self._choose([event for event in events if isinstance(event, Subscription)])

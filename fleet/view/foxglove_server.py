@@ -13,6 +13,7 @@ import json
 import logging
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from queue import Empty, SimpleQueue
 from typing import Any, NamedTuple
 
@@ -53,6 +54,12 @@ class FoxgloveChannel(NamedTuple):
     schema: str  # its name
     schema_encoding: str
     schema_data: bytes
+
+    def made(self, context: foxglove.Context) -> foxglove.Channel:
+        schema = None
+        if self.schema:
+            schema = foxglove.Schema(name=self.schema, encoding=self.schema_encoding, data=self.schema_data)
+        return foxglove.Channel(self.topic, message_encoding=self.encoding, schema=schema, context=context)
 
 
 class ServiceOffer(NamedTuple):
@@ -102,7 +109,7 @@ class FoxgloveServer:
         self._told_ns = 0  # wall time
         self.sent = 0  # messages that somebody wanted
         self._context = context = foxglove.Context()  # the SDK itself does not hold it
-        self._channels = {number: _made(channel, context) for number, channel in channels.items()}
+        self._channels = {number: channel.made(context) for number, channel in channels.items()}
         numbers: dict[int, list[int]] = {}  # the SDK has one channel for those of one topic and schema
         for number, made in self._channels.items():
             numbers.setdefault(made.id(), []).append(number)
@@ -133,12 +140,10 @@ class FoxgloveServer:
     def events(self, timeout_s: float) -> list[Subscription | PlaybackRequest]:
         """The requests of clients since the last call; waits for the first one up to a time."""
         found: list[Subscription | PlaybackRequest] = []
-        try:
+        with suppress(Empty):
             found.append(self._events.get(timeout=timeout_s) if timeout_s > 0 else self._events.get_nowait())
             while True:
                 found.append(self._events.get_nowait())
-        except Empty:
-            pass
         for event in found:
             if isinstance(event, Subscription):
                 change = self._wanted.add if event.wanted else self._wanted.discard
@@ -183,11 +188,6 @@ class FoxgloveServer:
     def close(self) -> None:
         self._drops.close()
         self._server.stop()
-
-
-def _made(channel: FoxgloveChannel, context: foxglove.Context) -> foxglove.Channel:
-    schema = _schema(channel.schema, channel.schema_encoding, channel.schema_data) if channel.schema else None
-    return foxglove.Channel(channel.topic, message_encoding=channel.encoding, schema=schema, context=context)
 
 
 def _started(host: str, ports: Sequence[int], **settings: Any) -> WebSocketServer:
@@ -248,10 +248,9 @@ class _Drops(logging.Handler):
 
 def _service(offer: ServiceOffer) -> Service:
     def handle(request: ServiceRequest) -> bytes:
-        try:
+        asked: Any = None
+        with suppress(ValueError):
             asked = json.loads(request.payload or b"{}")
-        except ValueError:
-            raise FleetError(f"{offer.name} takes a JSON object") from None
         if not isinstance(asked, dict):
             raise FleetError(f"{offer.name} takes a JSON object")
         known = offer.request.get("properties", asked)  # a schema without them says nothing of keys
@@ -269,8 +268,5 @@ def _service(offer: ServiceOffer) -> Service:
 
 
 def _json(name: str, schema: dict[str, Any]) -> MessageSchema:
-    return MessageSchema(encoding="json", schema=_schema(name, "jsonschema", json.dumps(schema).encode()))
-
-
-def _schema(name: str, encoding: str, data: bytes) -> foxglove.Schema:
-    return foxglove.Schema(name=name, encoding=encoding, data=data)
+    described = foxglove.Schema(name=name, encoding="jsonschema", data=json.dumps(schema).encode())
+    return MessageSchema(encoding="json", schema=described)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection
 from contextlib import suppress
 from typing import Any
 
-from fleet.execution.connection import LiveRun, OpenConnection, RemoteError, find, is_live
+from fleet.execution.connection import OpenConnection, RemoteError, find, is_live
 from fleet.execution.directory import SCENARIO, in_use
 from fleet.logs.topic_names import BELIEFS, link_of
 from fleet.replay.live_journal import LiveJournal, Missing, left_out
@@ -73,11 +73,6 @@ class LiveFeed:
         return self._journal.missing
 
     @property
-    def run(self) -> LiveRun | None:
-        """The run, if it may be disturbed."""
-        return self._run
-
-    @property
     def may_act(self) -> bool:
         """Whether the run may be disturbed, now or as soon as its console answers."""
         return self._run is not None or self.source.awaited
@@ -96,9 +91,7 @@ class LiveFeed:
                     shown_s = placed[0]
                 placed = at_s, data
             else:
-                take(self.picture, topic, at_s, data)
-                for name, value in self.signals.values(topic, data):
-                    self.picture.signal(name, at_s, value)
+                take(self.picture, topic, at_s, data, self.signals)
         if placed is not None:
             take(self.picture, TRANSFORMS, *placed)
         for topic, log_ns, data in beliefs:
@@ -148,15 +141,8 @@ class LiveFeed:
             raise RemoteError(f"{self.name} may only be watched with these credentials", 2)
         if self._over:
             raise RemoteError(f"{self._over}: nothing can be changed any more")
-        try:
-            if self._connection is None:
-                self._connection = OpenConnection(self._run)
-            return self._connection.ask(op, **fields)
-        except RemoteError as error:
-            if error.status != 2 and self._connection is not None:  # perhaps it is the connection
-                self._connection.close()
-                self._connection = None
-            raise
+        self._connection = self._connection or OpenConnection(self._run)
+        return self._connection.ask(op, **fields)
 
     def clock(self) -> Row:
         status, over = self._status, self._over

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from fleet.logs.fault_intervals import MOST_EVENTS
+from fleet.logs.fault_intervals import MOST_EVENTS, intervals
 from fleet.logs.open_log import Log, Opening
 from fleet.logs.reader import LogReadError
 from fleet.logs.records import Array
@@ -45,7 +45,9 @@ def samples(path: Path, end_s: float, vehicles: int, neighbours: Mapping[int, Co
     names = [f"uuv/{i}/error" for i in range(1, vehicles + 1)]
     log = Opening(path, [*names, "link/*"], drawn={"uuv/*": frozenset({"formation_norm"}), "link/*": _LINK}).read()
     at = np.linspace(0.0, end_s, 1 + max(1, min(_most(vehicles), round(end_s / LEAST_S))))
-    errors = [_at(at, _column(log, name, "formation_norm")) for name in names]
+    columns = [_column(log, name, "formation_norm") for name in names]
+    unknown = np.full(len(at), np.nan)
+    errors = [np.interp(at, t, v, left=np.nan, right=np.nan) if len(t) else unknown for t, v in columns]
     if not any(np.isfinite(some).any() for some in errors):
         return []
     links = {(src, dst): _link(log, link_topic((src, dst))) for dst, sources in neighbours.items() for src in sources}
@@ -133,11 +135,6 @@ def _link(log: Log, name: str) -> Topic | None:
         return topic if len(topic) and numbers and all(len(topic[field]) for field in _LINK) else None
     except LogReadError:
         return None
-
-
-def _at(at: Array, column: tuple[Array, Array]) -> Array:
-    t, values = column
-    return np.interp(at, t, values, left=np.nan, right=np.nan) if len(t) else np.full(len(at), np.nan)
 
 
 def _age(at: Array, links: Collection[Topic | None]) -> Array:
@@ -231,24 +228,20 @@ class LogFeed:
     def _all_faults(self) -> list[Row]:
         """Every fault that the log tells of, with its end. Raises LogReadError: they are more than anybody could look
         at."""
-        found: dict[str, Row] = {}
+        happened: list[tuple[float, str, str, str]] = []
         held = 0  # bytes
-        end_s = self._tape.end_ns / 1e9
         track = Track(self._tape, [n for n, topic in self._topics.items() if topic == FAULTS])
         for _, entry in track.entries(range(len(track))):
             held += len(entry.data)
             if len(track) > MOST_EVENTS or held > MOST_FAULT_BYTES:
                 most = f"{MOST_EVENTS} messages or {MOST_FAULT_BYTES} bytes"
                 raise LogReadError(f"{self.path} tells of more faults than are shown: expected at most {most}")
-            event, at_s = fault_message(entry.data), entry.log_ns / 1e9
-            if event is None:  # damaged
-                continue
-            if event.action == "begins":
-                times = {"from_s": at_s, "to_s": end_s, "until_healed": False}
-                found[event.fault] = {"id": event.fault, "what": event.what} | times
-            elif event.fault in found:
-                found[event.fault]["to_s"] = at_s
-        return list(found.values())
+            if (event := fault_message(entry.data)) is not None:
+                happened.append((entry.log_ns / 1e9, event.fault, event.action, event.what))
+        return [
+            {"id": one.id, "what": one.what, "from_s": one.begin, "to_s": one.end, "until_healed": False}
+            for one in intervals(happened, self._tape.end_ns / 1e9)
+        ]
 
     def advance(self) -> bool:
         """Take what is due; whether there is something new to show."""
@@ -269,10 +262,7 @@ class LogFeed:
 
     def _take(self, some: range, *, moving: bool) -> None:
         for _, entry in self._track.entries(some):
-            topic = entry.channel.topic
-            take(self.picture, topic, entry.log_ns / 1e9, entry.data, moving=moving)
-            for name, value in self.signals.values(topic, entry.data):
-                self.picture.signal(name, entry.log_ns / 1e9, value)
+            take(self.picture, entry.channel.topic, entry.log_ns / 1e9, entry.data, self.signals, moving=moving)
 
     def _take_beliefs(self) -> None:
         """Take the newest of each vehicle: they are many, and a picture shows one."""
@@ -330,9 +320,9 @@ class LogFeed:
             times = [one.first_s for one in self.picture.vehicle_events if one.what.startswith((TUMBLED, DIVERGED))]
             return min(times, default=None)
         if row["check"] == "formation_error" and (asked := section.formation_error) is not None:
-            who = None if asked.vehicles is None else vehicle_numbers(asked.vehicles)
-            vehicles = range(1, self.scenario.vehicles + 1) if who is None else who
-            return first_above(self.path, vehicles, asked.below, asked.after / 1e9)
+            everyone = range(1, self.scenario.vehicles + 1)
+            who = everyone if asked.vehicles is None else vehicle_numbers(asked.vehicles)
+            return first_above(self.path, who, asked.below, asked.after / 1e9)
         return None
 
     def whole(self, names: Collection[str] = ()) -> Row:

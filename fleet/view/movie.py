@@ -95,9 +95,14 @@ def write(
     begin_s, end_s = _window(feed, window)
     speed = speed or max(1.0, (end_s - begin_s) / LASTS_S)
     count = 1 + max(1, round((end_s - begin_s) / speed * fps))
-    if isinstance(writer, GifWriter):
-        _check_memory(count, width)
-    charted = {name: _charted(feed, name) for name in feed.charted}
+    held = count * width * (width * 3 // 4)
+    if isinstance(writer, GifWriter) and held > MOST_BYTES:
+        raise FleetError(
+            f"{count} pictures of this size take {held / 1e9:.1f} GB of memory, and {MOST_BYTES / 1e9:g} GB are "
+            "allowed: choose a higher --speed, a lower --fps or --width, or write an .mp4"
+        )
+    of_all = {name: feed.signals.of_all(name) for name in feed.charted}
+    charted = {name: (feed.signals.by_name[next(iter(of.values()))].unit, of) for name, of in of_all.items()}
     feed.follow([each for _, names in charted.values() for each in names.values()])
     scene = MovieScene(
         feed.picture, begin_s, end_s, speed, above=view == "above", verdict=feed.checks.get("verdict"), charted=charted
@@ -115,16 +120,6 @@ def write(
     return feed.missing or ""
 
 
-def _check_memory(count: int, width: int) -> None:
-    """Raises FleetError: so many pictures of a GIF do not fit into memory."""
-    held = count * width * (width * 3 // 4)
-    if held > MOST_BYTES:
-        raise FleetError(
-            f"{count} pictures of this size take {held / 1e9:.1f} GB of memory, and {MOST_BYTES / 1e9:g} GB are "
-            "allowed: choose a higher --speed, a lower --fps or --width, or write an .mp4"
-        )
-
-
 def _grab(writer: GifWriter | FFMpegWriter, drawn: Iterator[int], tell: Callable[[int], None]) -> None:
     """Take each picture when it is drawn, and end the file. Raises CalledProcessError: ffmpeg failed."""
     try:
@@ -139,11 +134,6 @@ def _grab(writer: GifWriter | FFMpegWriter, drawn: Iterator[int], tell: Callable
                 writer.finish()
         raise
     writer.finish()
-
-
-def _charted(feed: LogFeed, name: str) -> tuple[str, dict[int, str]]:
-    names = feed.signals.of_all(name)
-    return feed.signals.by_name[next(iter(names.values()))].unit, names
 
 
 def _drawn(

@@ -48,9 +48,7 @@ class PageProcess:
         """Say that the journal of the run can be read: the page is its first subscriber."""
         self._say(str(directory))
 
-    def over(self, directory: Path) -> None:
-        """Say that the run is over: if it was so short that it was never seen, its log is shown."""
-        self._say(str(directory))
+    over = published  # said again, when the run is over: if it was so short that it was never seen, its log is shown
 
     def _say(self, told: str | dict[str, Any]) -> None:
         stdin = pipe(self._process.stdin)

@@ -12,8 +12,8 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from math import asin, atan2, dist
 from typing import Any
 
+from fleet.logs.fault_intervals import kind_and_vehicles
 from fleet.logs.payload_kinds import DAMAGED, kind_of
-from fleet.quantities import QuantityError, vehicle_numbers
 from fleet.scenario.scenario import Scenario, timeline
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED, VehicleEvents, is_fault, vehicle_events
 from fleet.scene.model import (
@@ -312,10 +312,10 @@ class ViewState:
     def _states(self) -> dict[int, str]:
         found: dict[int, list[str]] = {}
         for row in (*self.known_faults, *self._events.values()):
-            kind, _, rest = row["what"].partition(" ")
+            kind = row["what"].partition(" ")[0]
             word = NO_AGENT if kind in KILLS else kind if kind in (TUMBLED, DIVERGED, "mute", "freeze") else ""
             if word and row["from_s"] <= self.at_s < row["to_s"]:
-                for i in _named(rest):
+                for i in kind_and_vehicles(row["what"])[1]:
                     found.setdefault(i, []).append(word)
         return {i: ", ".join(dict.fromkeys(some)) for i, some in found.items()}
 
@@ -366,11 +366,3 @@ def _scripted(scenario: Scenario) -> list[Row]:
         {"id": name, "what": what, "from_s": begin_s, "to_s": min(to_s, end_s), "until_healed": False}
         for name, begin_s, to_s, what in timeline(scenario)
     ]
-
-
-def _named(text: str) -> tuple[int, ...]:
-    """The vehicles that stand behind the kind of a fault; none if it has something else there."""
-    try:
-        return tuple(vehicle_numbers(text))
-    except QuantityError:
-        return ()

@@ -14,8 +14,8 @@ from repository import ROOT
 
 import fleet
 from fleet.execution.execute import execute
-from fleet.execution.judged import run
 from fleet.execution.options import Options
+from fleet.execution.stepped_run import run
 from fleet.result.result import Status
 from fleet.scenario.loading import parse_scenario
 

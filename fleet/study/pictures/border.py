@@ -15,8 +15,8 @@ from fleet.palette import COLOURS
 from fleet.pictures.style import LABEL_PT, LEGEND_PT, NORMAL, PAGE_IN, STYLES, Provenance, panels, save
 from fleet.study.borders import Border, Borders, Run, Theory
 from fleet.study.errors import StudyError
-from fleet.study.pictures.marks import text
-from fleet.study.pictures.points import key_words, short_words, value_words
+from fleet.study.pictures.marks import axis_label, text
+from fleet.study.pictures.points import short_words, value_words
 from fleet.study.record import AxisRecord
 
 MOST_PANELS = 16
@@ -80,9 +80,9 @@ def _across(borders: Borders, every: Sequence[_One], varied: Sequence[AxisRecord
         title = ", ".join(filter(None, (_words(borders, columns[column]), _words(borders, rows[row]))))
         ax.set_title("\n".join(filter(None, (title, _shunting(here)))), fontsize=LABEL_PT + 1)
         if row == len(rows) - 1:
-            ax.set_xlabel(_label(across))
+            ax.set_xlabel(axis_label(across))
         if column == 0:
-            ax.set_ylabel(_label(borders.along))
+            ax.set_ylabel(axis_label(borders.along))
     _legend(borders, figure, kinds, every, single=len(kinds) == 1)
     return figure
 
@@ -130,7 +130,7 @@ def _below_each_other(borders: Borders, every: Sequence[_One], varied: Sequence[
     ax.set_yticks(range(len(every)), [_words(borders, kind) for kind in _kinds(every, varied)])
     ax.set_ylim(len(every) - 0.4, -0.6)
     ax.set_xlim(*_limits(borders))
-    ax.set_xlabel(_label(borders.along))
+    ax.set_xlabel(axis_label(borders.along))
     _legend(borders, figure, [{}], every, single=True)
     return figure
 
@@ -195,10 +195,6 @@ def _clip(border: Border, bottom: float, top: float) -> float:
 def _limits(borders: Borders) -> tuple[float, float]:
     room = 0.04 * (borders.places[-1] - borders.places[0])
     return borders.places[0] - room, borders.places[-1] + room
-
-
-def _label(axis: AxisRecord) -> str:
-    return text(key_words(axis.key)) + (f" [{text(axis.unit)}]" if axis.unit else "")
 
 
 def _words(borders: Borders, kind: Mapping[str, float | str]) -> str:

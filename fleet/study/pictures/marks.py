@@ -22,7 +22,8 @@ from matplotlib.transforms import Transform
 from fleet.errors import printable
 from fleet.palette import COLOURS
 from fleet.pictures.style import LEGEND_PT
-from fleet.study.pictures.points import Cell, Key, Quantity, Value, VariedKey, short_words, value_words
+from fleet.study.pictures.points import Cell, Key, Quantity, Value, VariedKey, key_words, short_words, value_words
+from fleet.study.record import AxisRecord
 from fleet.study.statistics import CONFIDENCE, LEAST, Estimate, levels
 
 LONGEST_NAME = 30  # characters
@@ -44,8 +45,8 @@ def text(words: str, most: int = LONGEST_NAME) -> str:
     return words.replace("$", r"\$") if not words.startswith("_") else f" {words}".replace("$", r"\$")
 
 
-def axis_label(dimension: VariedKey) -> str:
-    return text(dimension.name) + (f" [{text(dimension.unit)}]" if dimension.unit else "")
+def axis_label(axis: VariedKey | AxisRecord) -> str:
+    return text(key_words(axis.key)) + (f" [{text(axis.unit)}]" if axis.unit else "")
 
 
 def wrapped(words: str, width: int = WRAPPED) -> str:

@@ -176,17 +176,13 @@ def load(store: Store, measures: Sequence[str] = ()) -> Points:
         numbers[name][~np.isfinite(numbers[name])] = np.nan
         if name in columns and columns[name].missing_is_largest:
             numbers[name][np.isnan(numbers[name]) & (state == MADE)] = np.inf
+    values: list[dict[Any, None]] = [dict.fromkeys(key[k] for key in keys) for k in range(len(axes))]
     dimensions = tuple(
-        VariedKey(axis.key, axis.unit, tuple(_distinct([key[k] for key in keys], axis.unit is not None)))
-        for k, axis in enumerate(axes)
+        VariedKey(axis.key, axis.unit, tuple(some if axis.unit is None else sorted(some)))
+        for axis, some in zip(axes, values, strict=True)
     )
     units = {name: column.unit for name, column in columns.items()}
     return Points(dimensions, keys, state, numbers, units)
-
-
-def _distinct(values: Sequence[Any], ordered: bool) -> Sequence[Any]:
-    found = dict.fromkeys(values)
-    return sorted(found) if ordered else list(found)
 
 
 def minus(value: Value, first: Value) -> str:

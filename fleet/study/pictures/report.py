@@ -18,7 +18,7 @@ from fleet.logs.topic_names import STAMP
 from fleet.pictures.page import Block, Heading, Listing, Mark, Table, Text, images, render, write_page
 from fleet.pictures.report import rest
 from fleet.study.pictures.gallery import draw
-from fleet.study.pictures.points import NOT_MADE, NOT_NEEDED, PASSED, Points, Quantity, VariedKey, factors, load, minus
+from fleet.study.pictures.points import NOT_MADE, NOT_NEEDED, PASSED, Points, Quantity, factors, load, minus
 from fleet.study.row import Row
 from fleet.study.statistics import Estimate, compare, levels
 from fleet.study.store import Store
@@ -55,7 +55,7 @@ def page(store: Store, points: Points, log_scale: bool | None = None, share: Tel
         blocks.append(Text(_BORDER.format(place=place)))
     if missing := int((points.state == NOT_MADE).sum()):
         blocks.append(Text(f"{missing} runs are not made yet; `fleet sweep {place}` makes them.", "warn"))
-    if axes := [_axis(each) for each in points.dimensions]:
+    if axes := [(one.key, one.unit or "", _some([*map(one.shown, one.values)])) for one in points.dimensions]:
         blocks += [Heading("What varies", 2), Table(("what varies", "unit", "values"), axes, "words")]
     blocks += [Heading("Results", 2), Text(_STATISTICS)]
     if pictures.drawn or pictures.missing:
@@ -153,11 +153,6 @@ def _begun(directory: Path) -> str:
 
 def _time(seconds: float) -> str:
     return f"{seconds:.3g} s" if seconds < 60.0 else str(timedelta(seconds=round(seconds)))
-
-
-def _axis(dimension: VariedKey) -> tuple[str, str, str]:
-    values = [dimension.shown(value) for value in dimension.values]
-    return dimension.key, dimension.unit or "", _some(values)
 
 
 def _some(values: Sequence[str]) -> str:

@@ -14,7 +14,7 @@ from small_scenario import small
 import netem.draws
 from fleet.analysis import seed as analysis
 from fleet.analysis.seed import PERHAPS, declared, seeded
-from fleet.execution.judged import run
+from fleet.execution.stepped_run import run
 from fleet.scenario.catalogue import shipped_scenarios
 from fleet.scenario.loading import changed, load_scenario
 from fleet.scenario.scenario import Scenario

@@ -15,8 +15,8 @@ from fleet.checks.own_checks import OwnChecks
 from fleet.execution.clock import GrantPolicy
 from fleet.execution.execute import execute
 from fleet.execution.in_process import InProcess
-from fleet.execution.judged import judged
 from fleet.execution.options import Options
+from fleet.execution.stepped_run import judged
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import NoLog
 from fleet.recorder.writer import LogWriter

@@ -8,7 +8,7 @@ import pytest
 from fed_checks import Depth, fed
 from small_scenario import only_problem, small
 
-from fleet.execution.judged import judged
+from fleet.execution.stepped_run import judged
 from fleet.study.one_run import Task, make_run
 from fleet.study.row import Reached, Row, sometimes_names
 from fleet.study.search import Searched

@@ -12,7 +12,7 @@ from small_scenario import SMALL
 from study_engine import made_here
 from tool import invoke
 
-from fleet.execution.judged import run
+from fleet.execution.stepped_run import run
 
 RANDOM = """\
 nemesis: {every: 400 ms, for: 300 ms, pick: [mute, deaf, {wrench: {vehicles: 1, force: 400 0 0 N}}]}

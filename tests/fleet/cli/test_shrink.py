@@ -12,7 +12,7 @@ from tool import invoke
 
 from fleet.cli.documents.studies import Less
 from fleet.cli.search import write_least
-from fleet.execution.judged import run
+from fleet.execution.stepped_run import run
 from fleet.study.errors import StudyError
 
 FAILING = """\

@@ -13,9 +13,8 @@ from small_scenario import SMALL, small
 import fleet
 from fleet.errors import ScenarioError
 from fleet.execution.execute import execute
-from fleet.execution.judged import run
 from fleet.execution.options import Options
-from fleet.execution.stepped_run import override_texts
+from fleet.execution.stepped_run import override_texts, run
 from fleet.result.result import Status
 from fleet.scenario.loading import parse_scenario
 

@@ -14,7 +14,7 @@ from repository import ROOT
 from small_scenario import small
 
 from fleet.errors import FleetError
-from fleet.execution.judged import run as run_once
+from fleet.execution.stepped_run import run as run_once
 from fleet.rl.offered import parallel_env
 
 pytest.importorskip("pettingzoo", reason="the extra [rl] is not installed")

@@ -14,7 +14,7 @@ from small_scenario import small_file as small_file
 from study_engine import Drawn, Here
 
 import fleet
-from fleet.execution.judged import run
+from fleet.execution.stepped_run import run
 from fleet.scenario.text.overrides import NET, SET, Override
 from fleet.study.borders import Borders, find_borders, parse_along, prepare_borders, theory
 from fleet.study.errors import StudyError

@@ -10,7 +10,7 @@ import pytest
 from small_scenario import small
 from study_engine import Here, Rows
 
-from fleet.execution.judged import judged, run
+from fleet.execution.stepped_run import judged, run
 from fleet.study.errors import StudyError
 from fleet.study.failures import INDEX, FailureFolder, FoundFailure, Regression, make_least
 from fleet.study.modules import NO_MODULES

@@ -16,7 +16,7 @@ from refusals import check_refusals, type_command
 from study_engine import Here
 from tool import invoke
 
-from fleet.execution.judged import judged
+from fleet.execution.stepped_run import judged
 from fleet.recorder.snapshot import Snapshot
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario

@@ -10,7 +10,7 @@ import pytest
 from small_scenario import small
 from study_engine import Here, Rows
 
-from fleet.execution.judged import judged
+from fleet.execution.stepped_run import judged
 from fleet.study.one_run import Task
 from fleet.study.row import CheckRow
 from fleet.study.search import Searched, nemesis_of, search

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from small_scenario import small
 from study_engine import Here
 
-from fleet.execution.judged import judged
+from fleet.execution.stepped_run import judged
 from fleet.study.shrink import Shrinker, ddmin, number_places
 
 FAULTS = (

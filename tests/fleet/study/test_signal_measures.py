@@ -10,8 +10,8 @@ import pytest
 from small_scenario import SMALL, small
 
 from fleet.execution.execute import execute
-from fleet.execution.judged import judged
 from fleet.execution.options import Options
+from fleet.execution.stepped_run import judged
 from fleet.logs.open_log import open_log
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.overrides import SET, Override

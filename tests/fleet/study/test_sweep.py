@@ -16,7 +16,7 @@ from small_scenario import small_file as small_file
 from study_engine import Here
 
 from fleet.errors import ScenarioError
-from fleet.execution.judged import run
+from fleet.execution.stepped_run import run
 from fleet.logs.open_log import open_log
 from fleet.scenario.text.overrides import NET, SET, Override
 from fleet.study import store as stores

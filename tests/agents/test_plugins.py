@@ -28,7 +28,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from refusals import check_refusals, words_of
 from repository import ROOT
-from tool import command
+from tool import invoke
 
 from agents.agent import Agent
 from agents.config import Law
@@ -187,12 +187,12 @@ def test_the_page_shows_what_one_sees(tmp_path: Path, monkeypatch: pytest.Monkey
     """The message of docs/guide/plugins.md, from the template with the page's typing error in it."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
-    assert command("new", "controller", "pid").exit_code == 0
+    assert invoke("new", "controller", "pid").exit_code == 0
     path = tmp_path / "pid.yaml"
     text = path.read_text("utf-8")
     wrong = 'controller: {law: "pid:Pid", parameters: {gian: 0.5}}'
     path.write_text(text.replace("controller: pid:Pid", wrong), "utf-8")
-    result = command("check", "pid.yaml")
+    result = invoke("check", "pid.yaml")
     sys.modules.pop("pid")
     assert f"```\n{result.stderr}```\n" in (ROOT / "docs" / "guide" / "plugins.md").read_text("utf-8")
 
@@ -235,7 +235,7 @@ def test_a_guidance_law_leaves_our_signals_alone(name: str, module: Callable[[st
 
 def test_what_a_module_prints_is_no_data(module: Callable[[str], str]) -> None:
     name = module("print('imported')\n" + GOOD)
-    result = command("run", "paper", "--set", f"controller={name}:Law", "--show-config")
+    result = invoke("run", "paper", "--set", f"controller={name}:Law", "--show-config")
     assert "imported" not in result.stdout
     assert result.stderr == "imported\n"
 
@@ -403,7 +403,7 @@ def test_coasting_is_the_same_in_processes(module: Callable[[str], str], tmp_pat
 def test_a_failure_on_the_command_line(module: Callable[[str], str], tmp_path: Path) -> None:
     name = module(failing(20, "1 / 0"))
     choice = ["--set", f"controller={name}:Law", "--set", "checks={}", "--duration", "500 ms"]
-    result = command("run", "paper", *choice, "--in-process", "--quiet", "--out", str(tmp_path))
+    result = invoke("run", "paper", *choice, "--in-process", "--quiet", "--out", str(tmp_path))
     assert (result.exit_code, result.stdout) == (3, f"{(tmp_path / 'latest').resolve()}\n")
     assert result.stderr.startswith("fleet: agent 2, tick 20: Law raised ZeroDivisionError: division by zero (")
 
@@ -519,9 +519,9 @@ def test_templates_run(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.chdir(tmp_path)
     name = f"my_{kind}_law"
     arguments = ["new", "controller", name, "--kind", kind, "--dir", str(tmp_path / "the laws")]
-    written = command(*arguments)
+    written = invoke(*arguments)
     assert written.exit_code == 0
-    again = command(*arguments)
+    again = invoke(*arguments)
     assert again.exit_code == 2
     assert "is there already" in again.output
     *_, path = shlex.split(written.stdout)  # the command that it tells to type
@@ -556,7 +556,7 @@ def test_a_whole_agent_sends_what_it_likes(tmp_path: Path, monkeypatch: pytest.M
     """Its payload is its own: twelve bytes here, which our codec would refuse. Distributed as in one process."""
     monkeypatch.chdir(tmp_path)
     arguments = ["new", "controller", "whole_agent", "--kind", "agent", "--dir", str(tmp_path)]
-    assert command(*arguments).exit_code == 0
+    assert invoke(*arguments).exit_code == 0
     s = load_scenario(str(tmp_path / "whole_agent.yaml"), ["duration=1 s", "checks={}"])
     alone, result = run(s, tmp_path), run(s, tmp_path, in_process=False)
     assert same_bytes(alone, result)
@@ -606,7 +606,7 @@ def test_a_whole_agent_that_fails_coasts(
 @pytest.mark.parametrize("name", ["json", "numpy", "fleet"])
 def test_a_template_is_not_hidden_by_another_module(name: str, tmp_path: Path) -> None:
     """What is installed is found before what lies beside a scenario."""
-    result = command("new", "controller", name, "--dir", str(tmp_path))
+    result = invoke("new", "controller", name, "--dir", str(tmp_path))
     assert result.exit_code == 2
     assert f"Python has a module '{name}' already (" in result.output
     assert not os.listdir(tmp_path)
@@ -616,7 +616,7 @@ def test_a_template_is_not_hidden_by_another_module(name: str, tmp_path: Path) -
 def test_a_template_may_have_any_other_name(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also one that YAML, Python or the template has another use for."""
     monkeypatch.chdir(tmp_path)
-    assert command("new", "controller", name, "--dir", str(tmp_path)).exit_code == 0
+    assert invoke("new", "controller", name, "--dir", str(tmp_path)).exit_code == 0
     assert sorted(os.listdir(tmp_path)) == [f"{name}.py", f"{name}.yaml"]
     s = load_scenario(tmp_path / f"{name}.yaml", ["duration=100 ms", "checks={}"])
     assert run(s, tmp_path).status is Status.PASS

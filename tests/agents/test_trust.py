@@ -16,7 +16,7 @@ import pytest
 from marks import slow
 from repository import MODULES, ROOT, tree
 from spawned import python
-from tool import command as invoke
+from tool import invoke
 
 import fleet
 from agents.config import Law

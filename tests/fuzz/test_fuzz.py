@@ -26,7 +26,7 @@ from hypothesis import strategies as st
 from live_directory import live_directory
 from msgspec.structs import astuple
 from nowhere import Nowhere, serve
-from tool import command as typed
+from tool import invoke as typed
 
 import fleet
 from agents.join import serve as serve_agent

@@ -19,7 +19,7 @@ from live_directory import live_directory
 from marks import slow
 from repository import ROOT
 from spawned import python
-from tool import command
+from tool import invoke
 
 from agents.join_file import JoinError, JoinFile
 from fleet.analysis.stability import oldest_s
@@ -317,6 +317,6 @@ def test_no_observe_file_crashes_a_recorder(text: str, tmp_path: Path) -> None:
             os.mkfifo(run / "observe.json")
         else:
             (run / "observe.json").write_text(text)
-        done = command("record", "--run", run, "-o", tmp_path / "x.mcap")
+        done = invoke("record", "--run", run, "-o", tmp_path / "x.mcap")
     assert done.exit_code == 2
     assert "is no live run that is published: there is no usable observe.json" in " ".join(done.output.split())

@@ -31,7 +31,7 @@ def conditions(draw: st.DrawFn) -> Condition:
         delay_ns=delay,
         jitter_ns=jitter,
         delay_correlation=draw(chance) if jitter else 0.0,
-        distribution=shape if jitter else "uniform",  # type: ignore[arg-type]
+        distribution=shape if jitter else "uniform",
         loss=draw(chance) if model is None else 0.0,
         loss_correlation=draw(chance) if model is None else 0.0,
         loss_model=model,

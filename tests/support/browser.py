@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import re
 import shutil
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from math import dist
 from typing import Any
 
 import pytest
+from live import Command
 from waiting import wait_for
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
@@ -23,19 +22,8 @@ _ADDRESS = re.compile(r"http://\S+\?token=\S+")
 @contextmanager
 def served(*arguments: str) -> Iterator[str]:
     """`fleet view ...` in a process of its own; yields the address that it prints."""
-    command = [sys.executable, "-m", "fleet", "view", *arguments, "--no-open"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        try:
-            printed = ""
-            while not (address := address_in(printed)):
-                line = process.stdout.readline()
-                assert line, f"it ended: {printed}"
-                printed += line
-            yield address
-        finally:
-            process.terminate()
-            process.wait(SOON_S)
+    with Command("view", *arguments, "--no-open") as viewer:
+        yield address_in(viewer.until("?token=").printed)
 
 
 def address_in(printed: str) -> str:

@@ -99,7 +99,6 @@ class CAgent:
 
     def run(self) -> int:
         """Carry what it says until it ends; its exit status."""
-        assert self._process.stdout is not None
         while head := self._process.stdout.read(5):
             letter = chr(head[0])
             data = self._process.stdout.read(int.from_bytes(head[1:], "little"))
@@ -113,13 +112,11 @@ class CAgent:
                     self.reason = data.decode()
                 case _:
                     self._put[letter](data)
-        assert self._process.stderr is not None
         said = self._process.stderr.read()
         assert said == b"", said.decode()
         return self._process.wait(60)
 
     def _give(self, letter: str, data: bytes) -> None:
-        assert self._process.stdin is not None
         with self._lock:
             if self._process.poll() is None:
                 self.frames.append((letter, data))

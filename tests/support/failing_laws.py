@@ -8,6 +8,11 @@ from pathlib import Path
 from textwrap import dedent
 
 import pytest
+from small_scenario import SMALL
+
+from fleet.scenario.loading import parse_scenario
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.trust import Policy
 
 
 @pytest.fixture
@@ -38,6 +43,13 @@ class Law:
             {line}
         return (1.0, 0.0, 0.0), {{"a": 0.0}}
 """
+
+
+def with_law(folder: Path, name: str, code: str) -> Scenario:
+    """The small scenario with a law from a module beside it, which is trusted."""
+    (folder / f"{name}.py").write_text(code, "utf-8")
+    text = f"{SMALL}controller: {name}:Law\n"
+    return parse_scenario(text, "small.yaml", folder=folder, policy=Policy(stranger=""))
 
 
 # Code that makes a law of ours compute NaN once, in vehicle 3, whether the laws are compiled or not.

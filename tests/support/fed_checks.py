@@ -35,7 +35,6 @@ def fed(
     """
     scenario = small("duration=4 s", f"checks={{{checks}}}", *([faults] if faults else []))
     own = OwnChecks.asked(scenario)
-    assert own is not None
     events, waiting = list(scenario.faults.events), list(fates)
     verdicts: list[Verdict] = []
     for tick in range(round(until_s * 100) + 1):

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from tempfile import mkstemp
 from time import monotonic
-from types import TracebackType
+from typing import Any, Self
 
 import psutil
 from waiting import wait_for
@@ -23,42 +23,35 @@ FORKSERVER = "forkserver"
 READY_S = 60.0
 
 
-class LiveRun:
-    """`python -m fleet run ...` as a subprocess; nothing of it is left when the `with` block ends."""
+class Command:
+    """`python -m fleet ...` in the background; nothing of it is left when the `with` block ends."""
 
     def __init__(
-        self, out: Path, *arguments: str, environment: dict[str, str] | None = None, host: Sequence[str] = ()
+        self,
+        *arguments: Any,
+        environment: dict[str, str] | None = None,
+        before: Sequence[str] = (),
+        own_group: bool = False,
     ) -> None:
-        """Args:
-        host: the words before the command that make it run on another host.
-        """
-        self.out = out
-        descriptor, name = mkstemp(prefix="printed-")  # not in `out`, which may be a full disk
+        """`before`: the words before the command, which limit it or make it run on another host."""
+        descriptor, name = mkstemp(prefix="printed-")  # not where it writes, which may be a full disk
         self._printed = Path(name)
         with os.fdopen(descriptor, "wb") as printed:
             self._process = subprocess.Popen(
-                [*host, sys.executable, "-m", "fleet", "run", *arguments, "--out", str(out)],
+                [*before, sys.executable, "-m", "fleet", *map(str, arguments)],
                 stdin=subprocess.DEVNULL,
                 stdout=printed,
                 stderr=subprocess.STDOUT,
                 env=os.environ | (environment or {}),
-                start_new_session=True,
+                start_new_session=own_group,
             )
         self.pid = self._process.pid
-        self._met: dict[int, psutil.Process] = {}
 
-    def __enter__(self) -> LiveRun:
+    def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        left = self.alive()
-        if not self.over:
-            self._process.kill()
-        for process in left:
-            with contextlib.suppress(psutil.NoSuchProcess):
-                process.kill()
+    def __exit__(self, *_: object) -> None:
+        self._process.kill()
         self._process.wait(60)
         self._printed.unlink()
 
@@ -66,6 +59,44 @@ class LiveRun:
     def printed(self) -> str:
         """Everything it said, stdout and stderr."""
         return self._printed.read_text("utf-8", "replace")
+
+    @property
+    def over(self) -> bool:
+        return self._process.poll() is not None
+
+    def until(self, text: str) -> Self:
+        """Wait until it has printed that."""
+        wait_for(lambda: text in self.printed or self.over, READY_S, f"{text!r}")
+        assert text in self.printed, self.printed
+        return self
+
+    def send(self, number: signal.Signals, *, group: bool = False) -> None:
+        """A signal to it, or to its whole process group as a terminal would send it."""
+        (os.killpg if group else os.kill)(self.pid, number)
+
+    def status(self, limit: float = READY_S) -> int:
+        """The exit status, a shell's 128 + n for death by signal n; waits for the end."""
+        code = self._process.wait(limit)
+        return code if code >= 0 else 128 - code
+
+
+class LiveRun(Command):
+    """`python -m fleet run ...` in a group of its own; none of its processes is left when the `with` block ends."""
+
+    def __init__(
+        self, out: Path, *arguments: str, environment: dict[str, str] | None = None, host: Sequence[str] = ()
+    ) -> None:
+        """`host`: the words before the command that make it run on another host."""
+        self.out = out
+        super().__init__("run", *arguments, "--out", out, environment=environment, before=host, own_group=True)
+        self._met: dict[int, psutil.Process] = {}
+
+    def __exit__(self, *_: object) -> None:
+        left = self.alive()
+        super().__exit__()
+        for process in left:
+            with contextlib.suppress(psutil.NoSuchProcess):
+                process.kill()
 
     @property
     def said(self) -> str:
@@ -103,24 +134,11 @@ class LiveRun:
         self.family()
         return self
 
-    @property
-    def over(self) -> bool:
-        return self._process.poll() is not None
-
     def logged_s(self) -> float:
         """Sim time up to which the log can be read now."""
         if not self.log.exists() or not self.log.stat().st_size:
             return 0.0
         return max((record.log_ns for record in LogReader(self.log)), default=0) / 1e9
-
-    def send(self, number: signal.Signals, *, group: bool = False) -> None:
-        """A signal to the console, or to its whole process group as a terminal would send it."""
-        (os.killpg if group else os.kill)(self.pid, number)
-
-    def status(self, limit: float = READY_S) -> int:
-        """The exit status, a shell's 128 + n for death by signal n; waits for the end."""
-        code = self._process.wait(limit)
-        return code if code >= 0 else 128 - code
 
     def ends(self, status: int, limit: float = READY_S) -> None:
         """It does so soon, with this status, in words and not in a traceback; and nobody is left."""

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from repository import EXPECTED
-from tool import command
+from tool import invoke
 
 Entries = dict[tuple[str, ...], tuple[str, list[str]]]  # mistake: class with fields, words
 _FIELDS_IN_WORDS = {"message", "hint", "reason", "lines", "problem", "problems"}
@@ -37,7 +37,7 @@ def type_command(*arguments: str) -> None:
     Raises:
         CommandRefused: It ended with a status other than 0.
     """
-    done = command(*arguments)
+    done = invoke(*arguments)
     if done.exit_code:
         raise CommandRefused(done.exit_code, " ".join(done.stderr.split()))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import Any
 
 import zenoh
@@ -18,21 +18,15 @@ from netem.wire.ros_bus import RosBus
 @contextmanager
 def ros_router() -> Iterator[tuple[RosBus, str]]:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    bus = RosBus.be_router(endpoint)
-    try:
+    with closing(RosBus.be_router(endpoint)) as bus:
         yield bus, endpoint
-    finally:
-        bus.close()
 
 
 @contextmanager
 def ros_node(endpoint: str, name: str, domain: int = 0, distribution: str = "jazzy") -> Iterator[RosNode]:
     """A node of ours that has joined."""
-    bus = RosBus.join(endpoint)
-    try:
+    with closing(RosBus.join(endpoint)) as bus:
         yield RosNode(bus, types_of(distribution), domain, name)
-    finally:
-        bus.close()
 
 
 @contextmanager
@@ -43,8 +37,5 @@ def foreign_session(endpoint: str) -> Iterator[Any]:
         "mode": "client", "connect/endpoints": [endpoint], "scouting/multicast/enabled": False,
     }.items():  # fmt: skip
         config.insert_json5(key, json.dumps(value))
-    session = zenoh.open(config)
-    try:
+    with closing(zenoh.open(config)) as session:
         yield session
-    finally:
-        session.close()

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from itertools import islice
+from pathlib import Path
 from typing import Any
+
+import pytest
+from small_scenario import SMALL
 
 from fleet.study.modules import Modules
 from fleet.study.one_run import Task, make_run
@@ -54,3 +59,20 @@ class Drawn(Here):
         passed = self._passes(task.text, task.seed)
         status = "failed" if passed is None else "pass" if passed else "check_failed"
         return [Row(key=task.key, point=task.point, seed=task.seed, status=status, passed=passed)]
+
+
+def made_here(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, text: str = SMALL, engine: Callable[[], Here] = Here
+) -> list[Here]:
+    """Go to a folder with `small.yaml`, and make the runs of studies in this process: the engines that were used."""
+    used: list[Here] = []
+
+    def engine_of(*_: Any, **__: Any) -> Any:
+        used.append(engine())
+        return nullcontext(used[-1])
+
+    for module in ("engine", "study"):
+        monkeypatch.setattr(f"fleet.study.{module}.engine_of", engine_of)
+    monkeypatch.chdir(folder)
+    Path("small.yaml").write_text(text, "utf-8")
+    return used

@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import signal
-import subprocess
-import sys
-from collections.abc import Iterator
 from pathlib import Path
-from tempfile import mkstemp
 from typing import Any
 
 import pytest
 from in_process_runs import Alone, log_of
+from live import Command as Command
 from repository import ROOT
 from waiting import wait_for
 
@@ -28,49 +23,6 @@ SHORT = ["duration=2 s", "checks={}"]
 
 def endpoint() -> str:
     return f"tcp/127.0.0.1:{free_port(None)}"
-
-
-class Command:
-    """`python -m fleet ...` in the background; nothing of it is left when the `with` block ends."""
-
-    def __init__(self, *arguments: Any, most_kib: int | None = None, environment: dict[str, str] | None = None) -> None:
-        """`most_kib`: the largest file that it may write [KiB]."""
-        limit = [] if most_kib is None else ["bash", "-c", f'ulimit -f {most_kib}; exec "$@"', "bash"]
-        descriptor, name = mkstemp(prefix="printed-")
-        self._printed = Path(name)
-        with os.fdopen(descriptor, "wb") as printed:
-            self._process = subprocess.Popen(
-                [*limit, sys.executable, "-m", "fleet", *map(str, arguments)],
-                stdin=subprocess.DEVNULL,
-                stdout=printed,
-                stderr=subprocess.STDOUT,
-                env=os.environ | (environment or {}),
-            )
-        self.pid = self._process.pid
-
-    def __enter__(self) -> Command:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._process.kill()
-        self._process.wait(60)
-        self._printed.unlink()
-
-    @property
-    def printed(self) -> str:
-        return self._printed.read_text("utf-8", "replace")
-
-    def until(self, text: str) -> Command:
-        """Wait until it has printed that."""
-        wait_for(lambda: text in self.printed or self._process.poll() is not None, LIMIT_S, f"{text!r}")
-        assert text in self.printed, self.printed
-        return self
-
-    def send(self, number: signal.Signals) -> None:
-        self._process.send_signal(number)
-
-    def status(self) -> int:
-        return self._process.wait(LIMIT_S)
 
 
 class Ear:
@@ -90,12 +42,7 @@ class Ear:
         return self.samples
 
 
-@contextlib.contextmanager
-def session(bus: OpenBus) -> Iterator[OpenBus]:
-    try:
-        yield bus
-    finally:
-        bus.close()
+session = contextlib.closing
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ from in_process_runs import Alone, log_of, recorded
 from live import FORKSERVER, LiveRun
 from marks import slow
 from spawned import fleet
-from tool import command
+from tool import invoke
 from waiting import wait_for
 
 from fleet.logs.reader import LogReader
@@ -33,7 +33,7 @@ def assert_readable(run: LiveRun, least_s: float = 1.0) -> None:
     reader = LogReader(run.log)
     last = max(record.log_ns for record in reader) / 1e9
     assert last >= least_s
-    info = command("info", run.directory, "--json")
+    info = invoke("info", run.directory, "--json")
     assert (info.exit_code, info.stderr) == (0, "")
     assert json.loads(info.stdout)["end_s"] == last
     assert json.loads(info.stdout)["run"]["scenario"] == "paper"

@@ -162,7 +162,7 @@ def test_one_that_leaves(policy: str, tmp_path: Path) -> None:
         first = agent(join_file(run))
         wait_for(lambda: "agent 3 (external) has joined" in run.printed, READY_S, "agent 3")
         # Until then another one may come in its place, whatever the policy.
-        wait_for(lambda: op(tmp_path / "runs", "status").returncode == 0, READY_S, "the run to begin")
+        wait_for(lambda: op(tmp_path / "runs", "status").exit_code == 0, READY_S, "the run to begin")
         if policy == "continue":
             code, said = ended(agent(join_file(run)))
             assert (code, "does not wait for an agent 3: one has joined already" in said) == (2, True), said
@@ -170,7 +170,7 @@ def test_one_that_leaves(policy: str, tmp_path: Path) -> None:
         code, said = ended(first)
         assert (code, said.splitlines()[-1]) == (130, "left the run")
         if policy != "abort":
-            assert op(tmp_path / "runs", "clock", "speed", "max").returncode == 0
+            assert op(tmp_path / "runs", "clock", "speed", "max").exit_code == 0
         if policy == "restart":
             assert ended(agent(join_file(run, incarnation=1)))[0] == 0
         assert run.status() == (3 if policy == "abort" else 0), run.printed

@@ -12,7 +12,7 @@ from in_process_runs import recorded
 from marks import slow
 from repository import ROOT
 from small_scenario import SMALL
-from tool import command
+from tool import invoke
 
 from fleet.logs.open_log import open_log
 from fleet.logs.reader import digest
@@ -38,7 +38,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def call(*arguments: str) -> tuple[int, str]:
     """The exit status of a command, and what it says on one line."""
-    result = command(*arguments)
+    result = invoke(*arguments)
     return result.exit_code, " ".join(result.output.split())
 
 

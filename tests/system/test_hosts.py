@@ -21,7 +21,7 @@ from host_certificates import made as made
 from live import LiveRun
 from refusals import check_refusals
 from spawned import fleet
-from tool import command
+from tool import invoke
 from waiting import wait_for
 
 from agents.join_file import JoinFile
@@ -88,7 +88,7 @@ def test_a_run_through_a_router_has_the_digest_of_one_without(made: Path, tmp_pa
     port, out = free_port(), tmp_path / "acl"
     endpoint = f"tls/127.0.0.1:{port}"
     common = ["paper", "--duration", "1 s", "--set", "checks={}", "--quiet", "--out", str(tmp_path / "runs")]
-    written = command("hosts", "acl", "paper", "-o", out, "--listen", endpoint, "--certs", made, "--mutual-tls")
+    written = invoke("hosts", "acl", "paper", "-o", out, "--listen", endpoint, "--certs", made, "--mutual-tls")
     assert written.exit_code == 0, written.output
     through = ["--router", endpoint, "--credentials", out / router_config.CREDENTIALS, "--certs", made, "--mutual-tls"]
     with router(out / router_config.CONFIG):

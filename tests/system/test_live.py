@@ -91,10 +91,10 @@ def test_every_live_action_is_a_script_line(tmp_path: Path) -> None:
         # Its vehicle is not waited for at the tick at which the agent was to come back, but earlier.
         hand.until(float(again_dead.stdout.partition("from t = ")[2].split()[0]) + 0.2)
         early = tool(out, "heal", "live-7")
-        assert tool(out, "clock", "speed", "max").returncode == 0
+        assert tool(out, "clock", "speed", "max").exit_code == 0
         assert live.status(60.0) == 0, live.said
         log = live.log
-    assert [a.returncode for a in answers] == [0] * 10, [a.stderr for a in answers]
+    assert [a.exit_code for a in answers] == [0] * 10, [a.stderr for a in answers]
     name = log.parent.name
     assert answers[0].stdout.startswith(f"{name}: live-1: link 1<->2: delay 60ms 20ms loss gemodel 10% 40%")
     assert healed.stdout.startswith(f"{name}: healed split at t = ")
@@ -116,12 +116,12 @@ def test_who_asks_for_the_impossible_is_refused_and_stop_ends_the_run(tmp_path: 
     with LiveRun(out, "paper", "--duration", "60 s", *SLOW) as live:
         live.until_running()
         done = tool(out, "inject", "link", "1->3", "loss 3%")
-        assert (done.returncode, "the graph has no link 1->3; links: 2->1, 1->2" in done.stderr) == (2, True), done
-        assert tool(out, "stop").returncode == 0
+        assert (done.exit_code, "the graph has no link 1->3; links: 2->1, 1->2" in done.stderr) == (2, True), done
+        assert tool(out, "stop").exit_code == 0
         live.ends(130)
         assert "stopped: the operator asked for it" in live.said
     done = tool(out, "status")
-    assert (done.returncode, "is no live run" in done.stderr) == (3, True)
+    assert (done.exit_code, "is no live run" in done.stderr) == (3, True)
 
 
 @pytest.mark.slow
@@ -132,9 +132,9 @@ def test_two_runs_do_not_disturb_each_other(tmp_path: Path) -> None:
     with LiveRun(out, *arguments) as one, LiveRun(tmp_path / "other", *arguments) as other:
         one.until_running()
         other.until_running()
-        assert tool(out, "inject", "partition", "halves").returncode == 0
+        assert tool(out, "inject", "partition", "halves").exit_code == 0
         for place in (out, tmp_path / "other"):
-            assert tool(place, "clock", "speed", "max").returncode == 0
+            assert tool(place, "clock", "speed", "max").exit_code == 0
         assert (one.status(60.0), other.status(60.0)) == (0, 0)
         results: list[Any] = [json.loads((live.directory / "result.json").read_text()) for live in (one, other)]
     lost = [sum(account["lost"].get("partition", 0) for account in r["ledger"].values()) for r in results]

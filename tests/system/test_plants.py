@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from repository import ROOT
-from tool import command
+from tool import invoke
 
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
@@ -107,7 +107,7 @@ def test_a_plant_that_fails_ends_the_run(in_process: bool, tmp_path: Path) -> No
 
 def test_a_plant_that_cannot_start_is_told_before_the_run(tmp_path: Path) -> None:
     plant = "per_vehicle.2.vehicle.plant=own_plants:Elsewhere"
-    found = command("run", "rough-sea", "--out", tmp_path / "runs", "--set", plant)
+    found = invoke("run", "rough-sea", "--out", tmp_path / "runs", "--set", plant)
     assert found.exit_code == 2
     assert "plant own_plants:Elsewhere: vehicle 2, tick 0: Elsewhere has the pose (" in found.stderr
     assert not (tmp_path / "runs").exists()
@@ -119,13 +119,13 @@ def test_the_guide_shows_the_example_that_runs(tmp_path: Path, monkeypatch: pyte
     shown = page.split("```python\n")[1].split("```")[0]
     assert (examples / "torpedo.py").read_text("utf-8").split("\n", 2)[2].strip() == shown.strip()
     monkeypatch.chdir(examples)
-    assert command("check", "torpedo.yaml").exit_code == 0
+    assert invoke("check", "torpedo.yaml").exit_code == 0
     more = ["--in-process", "-q", "--duration", "2 s", "--set", "checks={ledger: balanced}", "--out", tmp_path]
-    found = command("run", "torpedo.yaml", *more)
+    found = invoke("run", "torpedo.yaml", *more)
     assert found.exit_code == 0, found.output
 
 
 @pytest.mark.slow
 def test_the_example_holds_its_formation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT / "docs" / "examples")
-    assert command("run", "torpedo.yaml", "--in-process", "-q", "--out", tmp_path).exit_code == 0
+    assert invoke("run", "torpedo.yaml", "--in-process", "-q", "--out", tmp_path).exit_code == 0

@@ -109,7 +109,6 @@ def test_a_vehicle_that_grows_by_itself_is_named() -> None:
     """`follow-the-leader` was said to grow in the speed loop at 2.7 Hz, the nearest point of a determinant that has no
     zero there."""
     fleet = analyse(load_scenario("follow-the-leader")).at_most
-    assert fleet is not None
     mode = fleet.mode(fleet.gain_border(0.3))
     assert (mode.loop, round(mode.frequency_hz, 1)) == ("course", 1.6)
 
@@ -162,7 +161,6 @@ def test_a_division_by_zero_that_changes_no_result_is_no_warning(monkeypatch: py
 def test_the_simulation_decays_below_the_limit_and_grows_above(what: str, case: Case, seconds: float) -> None:
     """5 % below and above the computed border; all rows are in docs/background/stability.md."""
     found = gain_row(case, seconds) if what == "gain" else delay_row(case, seconds)
-    assert found is not None
     assert found.holds, line(found)
 
 
@@ -178,7 +176,6 @@ def test_the_rule_of_thumb_is_optimistic(graph: str, thumb: float, simulated: fl
     """K lambda_max < a promises 18 to 25 % more than there is; simulated independently, with messages at every tick."""
     found = analyse(load_scenario("ideal", [f"graph={graph}", "controller=nbc"]))
     assert 10.0 / found.lambda_max == pytest.approx(thumb, rel=5e-3)
-    assert found.at_most is not None
     assert found.at_most.gain_border(2.0) == pytest.approx(simulated, rel=0.05)
 
 
@@ -214,7 +211,6 @@ def test_what_a_gain_that_is_optimised_bears() -> None:
     scenario = load_scenario("paper")
     found = analyse(scenario)
     assert found.settled == pytest.approx((0.3, 0.3, 1.171), abs=1e-3)
-    assert found.at_settled is not None
     assert 0.25 <= 0.01 * (found.at_settled.delay_border(max(found.settled or ())) or 0) <= 0.30
     assert "2 1/s at most: unstable if it stays so large" in "\n".join(report(scenario, found))
 
@@ -260,7 +256,6 @@ def test_who_does_not_know_the_trajectory_goes_by_the_velocities_that_it_hears()
         "paper", ["controller=nbc", "guidance.K0=0.3 0.3 0.3 1/s", "graph.reference=[1]", "knows_reference=false"]
     )
     fleet = analyse(scenario).at_most
-    assert fleet is not None
     assert [member.told for member in fleet.members] == [True, False, False, False]
     assert fleet.unstable(0.3) == 0
 

@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner
 from failing_laws import module as module
+from tool import invoke
 
 from fleet.analysis.first_sample import try_laws
-from fleet.cli.main import cli
 from fleet.errors import ScenarioError
 from fleet.scenario.loading import load_scenario
 
@@ -44,7 +43,7 @@ def test_a_law_is_made_and_answers(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     name = module(LAW.format(made=made, stepped=stepped))
-    result = CliRunner().invoke(cli, ["check", "paper", "--set", f"{kind}={name}:Law"])
+    result = invoke("check", "paper", "--set", f"{kind}={name}:Law")
     assert result.exit_code == (2 if said else 0), result.stderr
     assert said.replace("FILE", f"{name}.py") in result.stderr
     assert not said or result.stderr.startswith(f"fleet: paper.yaml: {kind} {name}:Law: agent 1, tick 0: Law ")

@@ -2,29 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from small_scenario import small
 
-from fleet.analysis.stability import analyse, matrices, oldest_s, report
-from fleet.scenario.loading import load_scenario, parse_scenario
+from fleet.analysis.stability import analyse, eigenvalues, matrices, oldest_s, report
+from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
-
-SMALL = """\
-title: A fleet
-vehicles: {n}
-duration: 1 s
-reference: {{start: 0 0 5 m, velocity: 0.5 0 0 m/s}}
-formation: {{shape: grid}}
-graph: {graph}
-initial: {{scatter: 1 m}}
-network: {{period: 50 ms}}
-"""
 
 
 def fleet(graph: str, n: int = 4, *overrides: str) -> Scenario:
-    return parse_scenario(SMALL.format(n=n, graph=graph), "t.yaml", overrides)
+    return small(f"vehicles={n}", f"graph={graph}", "formation={shape: grid}", *overrides)
 
 
 def test_the_paper_fleet() -> None:
@@ -126,3 +118,45 @@ def test_a_vehicle_whose_flow_angles_are_unstable() -> None:
     loop, warning = analyse(load_scenario("paper", usual)).warnings
     assert loop.startswith("the linear loop is unstable at every gain")
     assert warning.startswith("vehicles 1, 2, 3, 4: the surge inertia m1")
+
+
+RNG = np.random.default_rng(3)
+
+
+def chain(n: int, ahead: float, behind: float) -> Any:
+    A = np.diag(np.full(n - 1, ahead), -1) + np.diag(np.full(n - 1, behind), 1)
+    return np.diag(A.sum(axis=1) + 1.0) - A
+
+
+def ring(n: int, ahead: float, behind: float) -> Any:
+    A = np.roll(np.eye(n), -1, axis=1) * ahead + np.roll(np.eye(n), 1, axis=1) * behind
+    return np.diag(A.sum(axis=1) + 1.0) - A
+
+
+TWO = np.kron(np.eye(2), chain(5, 1.0, 0.8))  # two graphs that are not connected
+
+
+@pytest.mark.parametrize(
+    ("M", "real"),
+    [
+        (chain(8, 1.0, 0.8), True),
+        (TWO, True),
+        (ring(6, 1.0, 1.0), True),
+        (ring(6, 1.0, 0.8), False),  # against the cycle the weights are others
+        (chain(6, 1.0, 0.0), False),  # one way only
+        (np.zeros((3, 3)), True),
+        (RNG.uniform(0.1, 1.0, (7, 7)), False),
+    ],
+)
+def test_like_the_general_method(M: Any, real: bool) -> None:
+    found = eigenvalues(M)
+    assert np.isrealobj(found) == real or not np.iscomplexobj(np.linalg.eigvals(M))
+    assert np.allclose(np.sort_complex(found), np.sort_complex(np.linalg.eigvals(M)), atol=1e-9)
+
+
+def test_a_long_chain_has_no_imaginary_parts() -> None:
+    """The general method gives 1,000 vehicles eigenvalues such as 4.595+0.000475i."""
+    found = eigenvalues(chain(400, 1.0, 0.8))
+    assert np.isrealobj(found)
+    assert found.min() == pytest.approx(1.0)
+    assert found.max() < 2.8 + 2.0 * np.sqrt(0.8)

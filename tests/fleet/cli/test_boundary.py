@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import pytest
-from click.testing import CliRunner, Result
 from made_up_study import damage
-from small_scenario import SMALL
-from study_engine import Drawn
+from study_engine import Drawn, made_here
+from tool import invoke
 
 from fleet.cli.documents.studies import BoundaryFound
-from fleet.cli.main import cli
 
 ARGS = [
     "small.yaml",
@@ -25,26 +22,17 @@ ARGS = [
     "--net",
     "* loss {loss} delay {delay}",
 ]
+boundary = partial(invoke, "boundary")
 
 
 @pytest.fixture(autouse=True)
 def engines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Drawn]:
     """The engines that were used: with a delay of 1 s everything fails, else what has 40 % of loss or more."""
-    used: list[Drawn] = []
-
-    def engine_of(*_: Any, **__: Any) -> Any:
-        used.append(Drawn(lambda text, _: "1s" not in text and any(f"loss {k}%" in text for k in (0, 10, 20, 30))))
-        return nullcontext(used[-1])
-
-    monkeypatch.setattr("fleet.study.engine.engine_of", engine_of)
-    monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")
-    Path("small.yaml").write_text(SMALL, "utf-8")
-    return used
-
-
-def boundary(*args: str) -> Result:
-    return CliRunner().invoke(cli, ["boundary", *args])
+    losses = [f"loss {percent}%" for percent in (0, 10, 20, 30)]
+    return made_here(
+        tmp_path, monkeypatch, engine=lambda: Drawn(lambda text, _: "1s" not in text and any(s in text for s in losses))
+    )
 
 
 def test_the_table_the_picture_and_the_directory() -> None:

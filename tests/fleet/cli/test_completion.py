@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 from live_directory import live_directory
+from tool import invoke
 
 from fleet.cli.main import cli
 from fleet.scenario.loading import load_scenario
@@ -55,5 +56,5 @@ def test_bash_gets_what_it_can_parse(live: str, monkeypatch: pytest.MonkeyPatch)
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_every_shell_has_its_part(shell: str) -> None:
-    result = CliRunner().invoke(cli, ["completion", shell])
+    result = invoke("completion", shell)
     assert (result.exit_code, f"_FLEET_COMPLETE={shell}_complete" in result.output) == (0, True)

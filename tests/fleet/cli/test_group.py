@@ -5,32 +5,14 @@ from __future__ import annotations
 import os
 import re
 from importlib import import_module
-from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from tool import invoke
 
 from fleet.cli.group import command_of
 from fleet.cli.main import cli
 from fleet.cli.verbs import ELSEWHERE, FORMER, GROUPS, VERBS
-
-LONG = "x" * 300  # longer than any file system takes
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["info", LONG], ["export", LONG, "--scenario"], ["recover", LONG],
-        ["hosts", "certs", LONG], ["new", "controller", LONG],
-    ],
-    ids=lambda arguments: arguments[0],
-)  # fmt: skip
-def test_a_name_that_no_file_can_have(arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    result = CliRunner().invoke(cli, arguments)
-    assert isinstance(result.exception, SystemExit), result.exception
-    (line,) = result.stderr.splitlines()
-    assert (result.exit_code, line.startswith("fleet: "), line.endswith(": File name too long")) == (2, True, True)
 
 
 def test_a_disk_that_fails_is_not_the_users_mistake(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -38,12 +20,12 @@ def test_a_disk_that_fails_is_not_the_users_mistake(monkeypatch: pytest.MonkeyPa
         raise OSError(5, os.strerror(5))
 
     monkeypatch.setattr("fleet.scenario.catalogue.list_scenarios", fail)
-    result = CliRunner().invoke(cli, ["list"])
+    result = invoke("list")
     assert (result.exit_code, result.stderr) == (3, "fleet: Input/output error\n")
 
 
 def test_an_argument_with_bytes_that_are_no_text() -> None:
-    result = CliRunner().invoke(cli, ["check", "paper", "--set", "name=\udcff"])
+    result = invoke("check", "paper", "--set", "name=\udcff")
     assert isinstance(result.exception, SystemExit), result.exception
     assert result.exit_code == 2 and "Traceback" not in result.output
 
@@ -74,21 +56,7 @@ def test_words_of_other_tools_name_verbs_of_ours() -> None:
 def test_a_former_verb_names_the_new_line() -> None:
     assert not FORMER.keys() & VERBS.keys()
     for old, now in FORMER.items():
-        result = CliRunner().invoke(cli, [old, "x"], prog_name="fleet")
+        result = invoke(old, "x")
         assert (result.exit_code, result.stdout) == (2, "")
         assert f"fleet {old} is now: {now}\n" in result.stderr
         assert now.split()[1] in VERBS
-
-
-@pytest.mark.parametrize(
-    ("typed", "hint"),
-    [
-        (["help"], "fleet run --help"),
-        (["new", "gossip"], 'fleet new has no "gossip"; expected check, controller, '),
-        (["bench", "scale"], "python -m benchmarks"),
-    ],
-    ids=" ".join,
-)
-def test_a_command_that_is_not_there_says_what_to_type(typed: list[str], hint: str) -> None:
-    result = CliRunner().invoke(cli, typed, prog_name="fleet")
-    assert result.exit_code == 2 and hint in result.stderr, result.stderr

@@ -7,12 +7,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 from rich.console import Console as Terminal
 
 from agents.join_file import JoinError, JoinFile, NotYetError
 from fleet.cli import protocol
-from fleet.cli.main import cli
 from fleet.terminal.status_line import StatusLine
 
 FILE = JoinFile("unixsock-stream//tmp/x", "abc", 3, "agent-3", "secret")
@@ -92,9 +90,3 @@ def test_a_run_that_is_over_is_waited_for_and_another_version_is_not(
     found, told = patiently(path, lambda: JoinFile.read(path), iter(()))
     assert isinstance(found, JoinError) and not isinstance(found, NotYetError)
     assert told == []
-
-
-@pytest.mark.parametrize("value", ["5", "0 s", "2 years", "100000 s"])
-def test_the_time_to_wait_has_a_unit_and_limits(value: str) -> None:
-    result = CliRunner().invoke(cli, ["agent", "--join", "nowhere.json", f"--wait={value}"])
-    assert result.exit_code == 2 and "--wait" in result.stderr

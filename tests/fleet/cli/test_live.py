@@ -9,21 +9,13 @@ from typing import Any
 
 import msgspec
 import pytest
-from click.testing import CliRunner, Result
 from live_directory import live_directory
 from refusals import check_refusals, type_command
+from tool import invoke
 
 from fleet.cli.documents.logs import Runs
-from fleet.cli.main import cli
 from fleet.execution.answers import ClockSet, Healed, Injected, Stopping
 from fleet.execution.connection import RemoteError
-
-
-def invoke(*arguments: str) -> Result:
-    result = CliRunner().invoke(cli, arguments, prog_name="fleet")
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result
-
 
 FAULT = {"id": "live-1", "what": "mute 3", "from_s": 12.4, "to_s": 22.4, "until_healed": False}
 TUMBLED = {"what": "tumbled 3", "times": 10, "first_s": 12.45, "id": "tumbled-3-10", "last_s": 40.0, "lasts": True}
@@ -43,32 +35,30 @@ STATUS: dict[str, Any] = {
 }  # fmt: skip
 
 
-@pytest.fixture
-def answers(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """What each operation is answered with; an exception is raised."""
-    given: dict[str, Any] = dict(ANSWERS)
+class Answers(dict[str, Any]):
+    """What each operation is answered with; an exception is raised. Which run was asked for what is kept."""
 
-    def ask(run: Any, op: str, **fields: Any) -> dict[str, Any]:
-        if isinstance(given[op], Exception):
-            raise given[op]
-        return dict(given[op])
+    def __init__(self) -> None:
+        super().__init__(ANSWERS)
+        self.asked: list[tuple[str, str, dict[str, Any]]] = []  # but for its list of faults
 
-    monkeypatch.setattr("fleet.execution.connection.ask", ask)
-    return given
-
-
-@pytest.fixture
-def asked(answers: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, dict[str, Any]]]:
-    """Which run was asked for what, but for its list of faults."""
-    found: list[tuple[str, str, dict[str, Any]]] = []
-
-    def ask(run: Any, op: str, **fields: Any) -> dict[str, Any]:
+    def __call__(self, run: Any, op: str, **fields: Any) -> dict[str, Any]:
         if op != "faults":
-            found.append((run.name, op, fields))
-        return dict(answers[op])
+            self.asked.append((run.name, op, fields))
+        if isinstance(self[op], Exception):
+            raise self[op]
+        return dict(self[op])
 
-    monkeypatch.setattr("fleet.execution.connection.ask", ask)
+
+@pytest.fixture
+def answers(monkeypatch: pytest.MonkeyPatch) -> Answers:
+    monkeypatch.setattr("fleet.execution.connection.ask", found := Answers())
     return found
+
+
+@pytest.fixture
+def asked(answers: Answers) -> list[tuple[str, str, dict[str, Any]]]:
+    return answers.asked
 
 
 CASES: list[tuple[list[str], type[msgspec.Struct], str]] = [
@@ -180,20 +170,6 @@ def test_a_fault_that_has_the_name_of_its_run_is_not_guessed(
         assert f"say fleet heal {run.name} (all its faults) or fleet heal {run.name} live (that one)" in result.stderr
 
 
-def test_faults_are_listed_by_status() -> None:
-    result = invoke("faults")
-    assert (
-        result.exit_code == 2 and "here it is fleet status (those that are active; --all: every one)" in result.stderr
-    )
-
-
-def test_no_live_run(answers: dict[str, Any]) -> None:
-    for command in ("status", "heal", "stop"):
-        result = invoke(command)
-        assert (result.exit_code, result.stdout) == (3, "") and "fleet: no live run" in result.stderr
-    assert json.loads(invoke("ls", "--json").stdout)["live"] == []
-
-
 def test_a_run_that_does_not_answer(answers: dict[str, Any], tmp_path: Path) -> None:
     """It is listed, with what is wrong; a command for it ends with 3."""
     answers["status"] = answers["heal"] = RemoteError("paper-1 did not answer within 5 s; is it over?")
@@ -224,14 +200,6 @@ def test_the_kind_of_a_refusal_is_its_status(
             status,
             f"fleet: {run.name}: refused: no; and no live run is called 'nosuch'\n",
         )
-
-
-@pytest.mark.parametrize("option", ["for", "id"])
-def test_what_the_words_of_a_fault_say_already_is_no_option_again(option: str) -> None:
-    """One of the two would be ignored without a word."""
-    result = invoke("inject", "mute", "3", option, "5s", f"--{option}", "10s")
-    assert result.exit_code == 2
-    assert f"--{option} 10s: the fault says {option} 5s already" in result.stderr
 
 
 @pytest.mark.parametrize("command", [["inject", "mute", "3"], ["heal"], ["clock", "pause"], ["status"], ["stop"]])

@@ -7,17 +7,9 @@ import shutil
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
 from in_process_runs import Alone
 from marks import slow
-
-from fleet.cli.main import cli
-
-
-def invoke(*arguments: str | Path) -> Result:
-    result = CliRunner().invoke(cli, [str(a) for a in arguments], prog_name="fleet", terminal_width=80)
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result
+from tool import invoke
 
 
 @pytest.fixture

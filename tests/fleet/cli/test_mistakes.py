@@ -1,7 +1,7 @@
 """Mistakes on the command line: the status and words of each, as `tests/expected/messages-cli.txt` says.
 
-Each entry there is a command as it is typed in a folder with three scenarios and two Python files. All that a command
-is wrong about is found before it does anything: the folder stays as it is.
+Each entry there is a command as it is typed in a folder with three scenarios, two Python files, a log and files
+that are no logs. All that a command is wrong about is found before it does anything: the folder stays as it is.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
+from in_process_runs import Alone, log_of
 from refusals import check_refusals, type_command
 from small_scenario import SMALL
 from study_engine import Here
@@ -20,28 +21,36 @@ nemesis: {every: 400 ms, for: 300 ms, pick: [mute, deaf]}
 checks: {formation_error: {below: 4.6 m, after: 800 ms}, tumbled: waived}
 """
 FILES = {
-    "small.yaml": SMALL,
-    "random.yaml": SMALL + RANDOM,
-    "ring.yaml": "title: a ring\n",
-    "ring.py": "x = 1\n",
-    "rung.py": "x = 1\n",
+    "small.yaml": SMALL.encode(),
+    "random.yaml": (SMALL + RANDOM).encode(),
+    "ring.yaml": b"title: a ring\n",
+    "ring.py": b"x = 1\n",
+    "rung.py": b"x = 1\n",
+    "empty.mcap": b"",
+    "text.mcap": b"no log at all",
+    "begun.mcap": b"\x89MCAP0\r\n",
+    "torn.mcap": b"\x89MCAP0\r\n\x06" + b"\xff" * 8,
 }
+LONG = "x" * 300  # longer than any file system takes
 
 
-def files(folder: Path) -> dict[str, str]:
-    return {str(path.relative_to(folder)): path.read_text("utf-8") for path in folder.rglob("*")}
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*")}
 
 
-def test_a_mistake_is_told_with_its_remedy_and_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_mistake_is_told_with_its_remedy_and_changes_nothing(
+    alone: Alone, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("fleet.study.engine.engine_of", lambda *_, **__: nullcontext(Here()))
     monkeypatch.chdir(tmp_path)
-    for name, text in FILES.items():
-        Path(name).write_text(text, "utf-8")
+    there = FILES | {"run.mcap": log_of(alone("paper", "duration=2 s", "checks={}")).read_bytes()}
+    for name, data in there.items():
+        Path(name).write_bytes(data)
 
     def typed(line: str) -> None:
         try:
-            type_command(*shlex.split(line))
+            type_command(*shlex.split(line.replace("LONG", LONG)))
         finally:
-            assert files(tmp_path) == FILES, line
+            assert files(tmp_path) == there, line
 
-    check_refusals("cli/commands", typed, hide={str(tmp_path): "HERE"})
+    check_refusals("cli/commands", typed, hide={str(tmp_path): "HERE", LONG: "LONG"})

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
-from click.testing import CliRunner, Result
 from in_process_runs import Alone
 from PIL import Image
-
-from fleet.cli.main import cli
+from tool import invoke
 
 SHORT = ("duration=1 s", "faults=[{at: 400 ms, for: 400 ms, id: cut, partition: halves}]", "checks={tumbled: waived}")
-
-
-def called(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(cli, ["movie", *map(str, arguments)])
+called = partial(invoke, "movie")
 
 
 def test_it_prints_the_file_and_replaces_nothing_without_force(alone: Alone, tmp_path: Path) -> None:
@@ -23,7 +19,7 @@ def test_it_prints_the_file_and_replaces_nothing_without_force(alone: Alone, tmp
     found = called(run, *options)
     assert (found.exit_code, found.stdout) == (0, f"{out}\n"), found.output
     with Image.open(out) as movie:
-        assert (movie.size, movie.n_frames) == ((320, 240), 2)  # type: ignore[attr-defined]
+        assert (movie.size, movie.n_frames) == ((320, 240), 2)
     refused = called(run, *options)
     assert refused.exit_code == 2 and "replace it with --force" in refused.stderr
     assert called(run, *options, "--force", "--view", "3d").exit_code == 0
@@ -37,9 +33,3 @@ def test_a_log_that_is_cut_is_drawn_and_said_to_be_cut(alone: Alone, tmp_path: P
     told = [line for line in found.stderr.splitlines() if not line.startswith("drawing ")]
     assert found.exit_code == 0 and told[0].startswith(f"fleet: {cut}: "), found.output
     assert (tmp_path / "a.gif").exists()
-
-
-def test_what_is_no_log_is_said(tmp_path: Path) -> None:
-    (tmp_path / "a.mcap").write_text("no log")
-    found = called(tmp_path / "a.mcap", "-o", tmp_path / "a.gif")
-    assert found.exit_code == 2 and "MCAP" in found.stderr and not (tmp_path / "a.gif").exists()

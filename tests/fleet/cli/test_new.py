@@ -8,9 +8,9 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
+from tool import invoke
 
-from fleet.cli.main import cli
 from fleet.cli.new import write_scenario
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
@@ -24,7 +24,7 @@ SWITCHED_OFF = re.compile(r"^ *#(?=[^ #\n])", re.M)  # a key that may be switche
 
 
 def new(*arguments: str) -> Result:
-    return CliRunner().invoke(cli, ["new", "scenario", *arguments])
+    return invoke("new", "scenario", *arguments)
 
 
 def test_it_is_checked_runs_and_passes_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -32,7 +32,7 @@ def test_it_is_checked_runs_and_passes_as_it_is(tmp_path: Path, monkeypatch: pyt
     written = new("harbour", "--dir", "some where")
     assert written.exit_code == 0, written.output
     check, run = written.stdout.partition("now: ")[2].split(" && ")  # what it says to type
-    checked = CliRunner().invoke(cli, shlex.split(check)[1:])
+    checked = invoke(*shlex.split(check)[1:])
     assert (checked.exit_code, checked.stderr) == (0, "")
     assert checked.stdout.startswith("harbour: valid. 4 vehicles")
     assert shlex.split(run)[:2] == ["fleet", "run"]
@@ -80,17 +80,17 @@ def test_a_name_that_yaml_has_another_use_for(name: str, tmp_path: Path) -> None
 def test_a_plant_is_checked_and_runs_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
-    written = CliRunner().invoke(cli, ["new", "plant", "sea_glider"])
+    written = invoke("new", "plant", "sea_glider")
     assert written.stdout == "wrote sea_glider.py and sea_glider.yaml; now: fleet run sea_glider.yaml\n"
     assert "class SeaGlider:" in Path("sea_glider.py").read_text("utf-8")
-    checked = CliRunner().invoke(cli, ["check", "sea_glider.yaml"])
+    checked = invoke("check", "sea_glider.yaml")
     assert (checked.exit_code, checked.stderr) == (0, "")
 
 
 def test_a_current_carries_the_template_of_a_plant_along(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What it does in the water does not depend on where the water goes."""
     monkeypatch.syspath_prepend(str(tmp_path))
-    CliRunner().invoke(cli, ["new", "plant", "drifting_glider", "--dir", str(tmp_path)])
+    invoke("new", "plant", "drifting_glider", "--dir", tmp_path)
     config = PlantConfig(1, 0.01, 1, load_vehicle("paper").params)
     plant = import_module("drifting_glider").DriftingGlider(config)
     current, none = (0.3, -0.2, 0.1), (0.0, 0.0, 0.0)
@@ -110,7 +110,7 @@ def test_the_fleet_of_the_template_of_a_plant_holds_its_formation(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
-    assert CliRunner().invoke(cli, ["new", "plant", "ocean_glider"]).exit_code == 0
+    assert invoke("new", "plant", "ocean_glider").exit_code == 0
     assert Path("ocean_glider.py").exists()
     result = execute(load_scenario("ocean_glider.yaml"), Options(tmp_path, in_process=True, quiet=True))
     assert result.status is Status.PASS, result.checks
@@ -123,9 +123,9 @@ def test_a_protocol_is_checked_runs_and_passes_as_it_is(
     """With its check in Python and those on signals; its agents can go on from a log, and break on a worse network."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
-    written = CliRunner().invoke(cli, ["new", "protocol", name])
+    written = invoke("new", "protocol", name)
     assert written.stdout == f"wrote {name}.py, {name}_check.py and {name}.yaml; now: fleet run {name}.yaml\n"
-    checked = CliRunner().invoke(cli, ["check", f"{name}.yaml"])
+    checked = invoke("check", f"{name}.yaml")
     assert (checked.exit_code, checked.stderr) == (0, ""), checked.output
     if name != "gossip":
         return
@@ -143,6 +143,6 @@ def test_a_protocol_is_checked_runs_and_passes_as_it_is(
 
 def test_a_protocol_needs_the_name_of_its_check_too(tmp_path: Path) -> None:
     (tmp_path / "gossip_check.py").write_text("mine")
-    refused = CliRunner().invoke(cli, ["new", "protocol", "gossip", "--dir", str(tmp_path)])
+    refused = invoke("new", "protocol", "gossip", "--dir", tmp_path)
     assert refused.exit_code == 2 and "gossip_check.py is there already" in refused.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["gossip_check.py"]

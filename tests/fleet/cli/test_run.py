@@ -8,16 +8,10 @@ from pathlib import Path
 
 import click
 import pytest
-from click.testing import CliRunner, Result
-
-from fleet.cli.main import cli
+from tool import invoke
 
 QUICK = ["--in-process", "--duration", "500 ms", "--set", "checks={}", "-q"]
 WORDS = ["--fault", "at 100ms for 200ms partition halves", "--net", "* loss 20%", "--net", "1->2 down"]
-
-
-def invoke(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(cli, [str(argument) for argument in arguments], prog_name="fleet")
 
 
 def test_faults_and_links_in_words_become_part_of_the_run(tmp_path: Path) -> None:
@@ -29,22 +23,10 @@ def test_faults_and_links_in_words_become_part_of_the_run(tmp_path: Path) -> Non
     assert invoke("export", tmp_path / "latest", "--scenario").stdout.count("partition: halves") == 1
 
 
-def test_a_mistake_names_the_option_that_was_typed() -> None:
-    """Which is short for --set, and was not typed as such."""
-    wrong = invoke("run", "paper", "--duration", "5x", "--seed", "3", "--set", "tick=7 m").stderr
-    assert '--duration 5x: duration: expected a time such as "50 ms", got the unknown unit "x"' in wrong
-    assert "--set tick=7 m: tick: expected a time" in wrong
-    assert "--set duration" not in wrong
-
-
 def test_check_takes_the_same_words() -> None:
     result = invoke("check", "paper", *WORDS)
     assert result.exit_code == 0
     assert "fault from 0.1 to 0.3 s: partition halves (id f1)" in result.stdout
-    wrong = invoke("check", "paper", "--fault", "at 5s kil 3", "--net", "1->9 down")
-    assert wrong.exit_code == 2
-    assert '\n--fault at 5s kil 3: no fault is called "kil"' in wrong.stderr
-    assert "fleet: --net 1->9 down: network.links.1->9: the graph has no such link" in wrong.stderr
 
 
 # --- log: none ------------------------------------------------------------------

@@ -7,19 +7,12 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from click.testing import CliRunner, Result
 from live_directory import live_directory
+from tool import invoke
 
 from fleet.cli.documents.logs import Runs
-from fleet.cli.main import cli
 
 HOURS = {"pass": 1, "check_failed": 50, "broken": 100, "interrupted": 300}
-
-
-def invoke(*arguments: str | Path) -> Result:
-    result = CliRunner().invoke(cli, [str(a) for a in arguments], prog_name="fleet", terminal_width=80)
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result
 
 
 @pytest.fixture
@@ -63,6 +56,7 @@ def test_ls(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_ls_of_nothing(tmp_path: Path) -> None:
     result = invoke("ls", "--out", tmp_path)
     assert (result.exit_code, result.stdout, result.stderr) == (0, "", f"no run below {tmp_path}\n")
+    assert msgspec.json.decode(invoke("ls", "--json", "--out", tmp_path).stdout, type=Runs).live == []
 
 
 @pytest.mark.parametrize(

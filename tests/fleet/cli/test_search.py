@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import json
-from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from click.testing import CliRunner, Result
 from small_scenario import SMALL
-from study_engine import Here
+from study_engine import made_here
+from tool import invoke
 
-from fleet.cli.main import cli
 from fleet.execution.stepped_run import run
 
 RANDOM = """\
@@ -20,17 +19,12 @@ nemesis: {every: 400 ms, for: 300 ms, pick: [mute, deaf, {wrench: {vehicles: 1, 
 checks: {formation_error: {below: 4.6 m, after: 800 ms}, tumbled: waived}
 """
 CALM = "checks.formation_error.below=99 m"
+call = partial(invoke, "search")
 
 
 @pytest.fixture(autouse=True)
 def random_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fleet.study.engine.engine_of", lambda *_: nullcontext(Here()))
-    monkeypatch.chdir(tmp_path)
-    Path("small.yaml").write_text(SMALL + RANDOM, "utf-8")
-
-
-def call(*args: str) -> Result:
-    return CliRunner().invoke(cli, ["search", *args])
+    made_here(tmp_path, monkeypatch, SMALL + RANDOM)
 
 
 def test_the_first_seed_that_fails_is_made_less() -> None:
@@ -68,19 +62,18 @@ def test_with_a_folder_it_goes_on_and_regress_runs_what_is_kept() -> None:
     assert "formation_error: first with seed 2; " in result.stdout
     assert "\nfleet run kept/small-formation_error.yaml --seed 2  # fails formation_error, sha256 " in result.stdout
     assert ElementTree.parse("j.xml").getroot().attrib["failures"] == "1"
-    again = CliRunner().invoke(cli, ["regress", "kept", "--junit", "r.xml", "--json"])
+    again = invoke("regress", "kept", "--junit", "r.xml", "--json")
     assert (again.exit_code, json.loads(again.stdout)["as_expected"]) == (0, True)
     (case,) = ElementTree.parse("r.xml").getroot().iter("testcase")
     assert case.attrib["name"] == "small-formation_error.yaml" and "fleet run" in (case.findtext("system-out") or "")
     path = Path("kept/small-formation_error.yaml")
     path.write_text(path.read_text("utf-8").replace("below: 4.6 m", "below: 99 m"), "utf-8")
-    differs = CliRunner().invoke(cli, ["regress", "kept"])
+    differs = invoke("regress", "kept")
     assert differs.exit_code == 1 and "DIFFERS small-formation_error.yaml: passes; expected: fails formation_error" in (
         " ".join(differs.stdout.split())
     )
-    assert CliRunner().invoke(cli, ["regress", "kept", "--accept"]).exit_code == 0
-    assert CliRunner().invoke(cli, ["regress", "kept"]).exit_code == 0
-    assert CliRunner().invoke(cli, ["regress", "nowhere"]).exit_code == 2
+    assert invoke("regress", "kept", "--accept").exit_code == 0
+    assert invoke("regress", "kept").exit_code == 0
     little = call("small.yaml", "--budget", "2", "--set", CALM, "--set", sometimes)
     assert little.exit_code == 0
     assert "no failure found, but the runs did not get everywhere: far was reached in none of 2 runs" in " ".join(

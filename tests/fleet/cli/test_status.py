@@ -10,14 +10,14 @@ from typing import Any
 
 import msgspec
 import pytest
-from click.testing import CliRunner
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from live_directory import live_directory
 from rich.console import Console
+from screens import assert_screen
+from tool import invoke
 
 from fleet.cli.live import screen, watch_run
-from fleet.cli.main import cli
 from fleet.execution.answers import RunStatus
 from fleet.execution.connection import RemoteError, find
 
@@ -75,19 +75,7 @@ def shown(values: dict[str, Any], height: int | None = None, *, every: bool = Fa
 
 
 def test_a_status_in_80_columns() -> None:
-    lines = shown(answer())
-    assert [line.rstrip() for line in lines] == [
-        "paper-disturbed-1-20261122-120000: t = 12.40 of 60 s, 1 x real time",
-        "formation error 4.000 m (UUV 4), median 1.000 m",
-        "packets 10000000 delivered, 3000000 lost",
-        "fault live-1: 10.0 s left: partition 1,2,3,4,5,6,7,8,9,10 /",
-        "11,12,13,14,15,16,17,18,19,20",
-        "UUV  state              formation error            e  settled       oldest news",
-        *(f"{i}    tumbled, no agent          {i}.000 m  12345.678 m       no  1234.50 s, of 20" for i in range(1, 5)),
-        "link  delivered     lost   share        age",
-        *(f"{i}->{i + 1}    1000000  1000000  50.0 %  1234.50 s" for i in range(1, 6)),
-        "and 1 more link: --all",
-    ]
+    assert_screen("status", "".join(f"{line.rstrip()}\n" for line in shown(answer())))
 
 
 @settings(max_examples=25)
@@ -180,7 +168,7 @@ def test_watching_ends_with_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("fleet.execution.connection.is_live", lambda run: False)
     monkeypatch.setattr("fleet.cli.live.EVERY_S", 0.0)
     with live_directory(tmp_path) as run:
-        result = CliRunner().invoke(cli, ["status", "-w", "--all"])
+        result = invoke("status", "-w", "--all")
     assert result.exit_code == 0
     assert ask.asked == [{"all": True}] * 4
     assert result.stdout.count(f"{run.name}: t = 12.40 of 60 s") == 3
@@ -216,14 +204,14 @@ def test_watching_a_run_that_only_does_not_answer(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr("fleet.execution.connection.ask", Ends(1))
     monkeypatch.setattr("fleet.cli.live.EVERY_S", 0.0)
     with live_directory(tmp_path):
-        result = CliRunner().invoke(cli, ["status", "-w"])
+        result = invoke("status", "-w")
     assert (result.exit_code, result.stderr) == (3, "fleet: gone\n")
 
 
 def test_a_status_as_a_document(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fleet.execution.connection.ask", Ends(9))
     with live_directory(tmp_path) as run:
-        found = msgspec.json.decode(CliRunner().invoke(cli, ["status", "--json"]).stdout, type=RunStatus)
+        found = msgspec.json.decode(invoke("status", "--json").stdout, type=RunStatus)
         assert (found.run, found.directory, len(found.vehicles)) == (run.name, str(run), 4)
-        both = CliRunner().invoke(cli, ["status", "--json", "--watch"])
+        both = invoke("status", "--json", "--watch")
         assert both.exit_code == 2 and "one document" in both.stderr

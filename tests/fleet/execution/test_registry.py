@@ -11,7 +11,7 @@ import pytest
 from live import LiveRun
 from live_directory import live_directory
 from small_scenario import SMALL
-from tool import command
+from tool import invoke
 
 from fleet.execution import registry
 from fleet.execution.connection import find
@@ -156,14 +156,14 @@ def test_a_run_is_found_from_any_folder_and_kill_9_leaves_no_ghost(
     """The real thing: a run is asked from elsewhere; its console is killed, and nothing says any more that it lives."""
     monkeypatch.chdir("/")
     with LiveRun(tmp_path / "runs", "paper", "--speed", "1").until_running(0.2) as run:
-        said = command("inject", "mute", 3, "--for", "1 s")
+        said = invoke("inject", "mute", 3, "--for", "1 s")
         assert said.stdout.startswith(f"{run.directory.name}: live-1: mute 3, from t = "), said.output
-        refused = command("inject", "kill", 9, "--run", "pap")
+        refused = invoke("inject", "kill", 9, "--run", "pap")
         assert (refused.exit_code, "there is no vehicle 9" in refused.stderr) == (2, True)
         run.send(9)
         run.until_nobody_is_left()
         assert not in_use(run.directory)
-        assert command("ls").stdout == ""
-        assert command("status").exit_code == 3
+        assert invoke("ls").stdout == ""
+        assert invoke("status").exit_code == 3
         assert list(place.iterdir()) == []
         assert not (run.directory / "connection.json").exists()

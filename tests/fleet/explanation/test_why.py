@@ -13,7 +13,7 @@ from msgspec import structs
 from refusals import check_commands
 from small_scenario import SMALL
 from study_engine import Here
-from tool import command
+from tool import invoke
 
 from fleet.explanation.no_return import HealingSearch, healed, remake, with_moments
 from fleet.explanation.why import Explanation, Question, Why, lines
@@ -164,12 +164,12 @@ def test_what_healing_leaves_of_a_scenario() -> None:
 def test_the_command(small_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fleet.study.engine.engine_of", lambda *_: nullcontext(Here()))
     picture = tmp_path / "why.png"
-    result = command("why", small_log, "--picture", picture)
+    result = invoke("why", small_log, "--picture", picture)
     assert result.exit_code == 0, result.output
     assert "small, seed 1: formation_error failed" in result.stdout
     assert "the point of no return" in result.stdout
     assert picture.read_bytes().startswith(b"\x89PNG")
-    document = json.loads(command("why", small_log, "--json", "--budget", 0).stdout)
+    document = json.loads(invoke("why", small_log, "--json", "--budget", 0).stdout)
     assert (document["check"], document["no_return"]["how"]) == ("formation_error", "not possible")
 
 
@@ -193,7 +193,7 @@ def test_a_run_that_cannot_be_made_again_is_explained_by_its_log(
     assert why.no_return.words == "the agent of vehicle 3 is external"
     copytree(small_log, tmp_path / "bare")
     (tmp_path / "bare" / "result.json").unlink()
-    result = command("why", tmp_path / "bare")
+    result = invoke("why", tmp_path / "bare")
     assert result.exit_code == 2 and "what its checks came to is not known" in " ".join(result.stderr.split())
 
 

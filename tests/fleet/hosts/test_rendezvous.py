@@ -18,7 +18,7 @@ from host_certificates import made as made
 from hypothesis import given
 from hypothesis import strategies as st
 from repository import ROOT
-from tool import command
+from tool import invoke
 
 from fleet.cli.group import command_of
 from fleet.cli.hosts import HostsOptions, rendezvous
@@ -99,7 +99,7 @@ def test_agents_may_come_with_certificates_alone(made: Path) -> None:
 def test_acl_prints_no_password_and_writes_them_for_us_alone(made: Path, tmp_path: Path) -> None:
     out = tmp_path / "acl"
     arguments = ["hosts", "acl", "paper", "--certs", str(made), "--run", "trial"]
-    printed, written = command(*arguments), command(*arguments, "-o", out)
+    printed, written = invoke(*arguments), invoke(*arguments, "-o", out)
     assert printed.exit_code == written.exit_code == 0, printed.output + written.output
     run, credentials = read_credentials(out / router_config.CREDENTIALS, 4)
     assert run == "trial" and credentials["agent-3"].user == "trial-agent-3"
@@ -111,7 +111,7 @@ def test_acl_prints_no_password_and_writes_them_for_us_alone(made: Path, tmp_pat
     assert {stat.S_IMODE((out / name).stat().st_mode) for name in (router_config.USERS, router_config.CREDENTIALS)} == {
         0o600
     }
-    again = command(*arguments, "-o", out)
+    again = invoke(*arguments, "-o", out)
     assert again.exit_code == 2 and "--force" in again.output
     assert read_credentials(out / router_config.CREDENTIALS, 4)[1] == credentials
 

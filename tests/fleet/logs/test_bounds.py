@@ -12,7 +12,6 @@ from typing import Any
 import lz4.frame
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from foreign_log import foreign
 from google.protobuf import struct_pb2
 from huge_log import again, blobs, bomb, chunk, record, text, write
@@ -20,10 +19,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from in_process_runs import Alone, log_of
 from mcap.opcode import Opcode
+from tool import invoke
 from waiting import wait_for
 
 import fleet
-from fleet.cli.main import cli
 from fleet.logs import columns, decoder, deviation, export, open_log, reader, records, tape, topic
 from fleet.logs.info import info_text, read_info
 from fleet.logs.open_log import Opening, Part
@@ -86,7 +85,7 @@ def test_a_bomb_takes_no_memory(tmp_path: Path, says: int) -> None:
 def test_one_scanner_for_all(tmp_path: Path, command: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     path = write(tmp_path / "a.mcap", iter([(chunk(b"", 0, 1, size=64 * MIB + 1), 1, 0, 1)]))
-    result = CliRunner().invoke(cli, [*command, str(path)])
+    result = invoke(*command, path)
     assert isinstance(result.exception, SystemExit | None), result.exception
     assert result.exit_code in (0, 1, 2, 3)
     if "--scenario" not in command:
@@ -197,7 +196,7 @@ def test_a_part_of_a_log(run: Path) -> None:
         assert all(np.array_equal(part[name][field], full[field][kept]) for field in full.fields)
     for wrong in ({"every": 0}, {"start": 2.0, "end": 1.0}):
         with pytest.raises(LogReadError, match=r"every=0|start=2"):
-            fleet.open_log(run, **wrong)  # type: ignore[arg-type]
+            fleet.open_log(run, **wrong)
 
 
 @given(st.lists(st.tuples(st.integers(0, 5), st.floats(width=16)), min_size=1, max_size=60))
@@ -229,7 +228,7 @@ def test_pictures_of_a_log_that_cannot_be_held(run: Path, monkeypatch: pytest.Mo
     assert thin.log.faults == whole.log.faults
     drawn = dict((name, figure) for name, _, figure in draw(["track", "error", "links", "ages"], [thin], View()))  # noqa: C402
     assert not [figure for figure in drawn.values() if isinstance(figure, str)]
-    (line,) = [line for line in drawn["error"].axes[0].get_lines() if line.get_gid() == "paper-vehicle-1"]  # type: ignore[union-attr]
+    (line,) = [line for line in drawn["error"].axes[0].get_lines() if line.get_gid() == "paper-vehicle-1"]
     assert not np.isnan(np.asarray(line.get_ydata(), float)).any()  # thinned is not silent
 
 
@@ -320,7 +319,7 @@ def test_progress_is_told_on_stderr(command: str, run: Path, tmp_path: Path, mon
         "recover": ["-o", tmp_path / "a"], "export": ["--csv", tmp_path / "t", "--topics", "faults"],
         "plot": ["-o", tmp_path, "--what", "error"], "report": ["-o", tmp_path / "r.html"], "diff": [run],
     }  # fmt: skip
-    result = CliRunner().invoke(cli, [command, str(run), *map(str, out.get(command, []))])
+    result = invoke(command, run, *map(str, out.get(command, [])))
     assert result.exit_code == 0, result.output
     doing = {"diff": "comparing", "recover": "recovering"}.get(command, "reading")
     assert any(line.startswith(doing) and line.endswith(" %") for line in result.stderr.splitlines())
@@ -328,7 +327,7 @@ def test_progress_is_told_on_stderr(command: str, run: Path, tmp_path: Path, mon
 
 
 def test_nothing_is_said_of_what_is_short(run: Path) -> None:
-    result = CliRunner().invoke(cli, ["info", str(run)])
+    result = invoke("info", run)
     assert (result.exit_code, result.stderr) == (0, "")
 
 

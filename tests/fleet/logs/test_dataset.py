@@ -127,7 +127,7 @@ def test_what_is_too_large_is_refused(log: Log, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("what", ["to_xarray", "to_pandas", "netcdf"])
+@pytest.mark.parametrize("what", ["to_xarray", "to_pandas", "netcdf", "parquet"])
 def test_without_the_packages_a_line_says_what_to_install(
     what: str, log: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -136,6 +136,8 @@ def test_without_the_packages_a_line_says_what_to_install(
         "to_xarray": log.to_xarray,
         "to_pandas": lambda: log.to_pandas("uuv/1/state"),
         "netcdf": lambda: export(log, tmp_path, "netcdf"),
+        "parquet": lambda: export(log, tmp_path, "parquet"),
     }
-    with pytest.raises(FleetError, match=r"not installed: pip install 'uuv-fleet\[tables\]'"):
+    extra = "parquet" if what == "parquet" else "tables"
+    with pytest.raises(FleetError, match=rf"not installed: pip install 'uuv-fleet\[{extra}\]'"):
         calls[what]()

@@ -54,17 +54,16 @@ def test_packets_are_counted_by_kind_and_a_damaged_name_is_no_kind() -> None:
     )
     empty = Packets(fate=[])
     size = len(mine)
-    assert count_kinds([link, empty]) == [  # type: ignore[list-item]
+    assert count_kinds([link, empty]) == [
         KindCount("mine", 3, 1, 3 * size),
         KindCount(DAMAGED, 1, 0, size),
         KindCount(STATE, 1, 1, len(state)),
     ]
-    assert count_kinds([Packets(fate=["loss"])]) is None  # type: ignore[list-item]
+    assert count_kinds([Packets(fate=["loss"])]) is None
 
 
 def test_a_run_with_a_protocol_has_two_kinds(alone: Alone) -> None:
     log = open_log(log_of(alone("average")), ["link/*"])
     kinds = count_kinds(map(log.__getitem__, log))
-    assert kinds is not None
     assert {one.kind for one in kinds} == {STATE, "average/exact", DAMAGED}
     assert sum(one.packets for one in kinds) == log.messages

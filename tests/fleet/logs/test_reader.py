@@ -1,7 +1,9 @@
-"""Where a log is, and what is said when it is not there."""
+"""Where a log is, what is said when it is not there, its records, and the digest: one SHA-256 over all its messages."""
 
 from __future__ import annotations
 
+import hashlib
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,6 +15,7 @@ from mcap.writer import Writer
 
 from fleet.logs import records
 from fleet.logs.reader import LogReader, LogReadError, log_path, open_file
+from fleet.logs.records import Digest
 
 
 def test_a_link_to_a_run_gives_the_run(tmp_path: Path) -> None:
@@ -123,3 +126,41 @@ def test_records_are_found_as_one_by_one(data: bytes, at_once: int) -> None:
         except records.NonsenseError:
             found.append("nonsense")
     assert found == list(one_by_one(data))
+
+
+TIMES = st.integers(0, 2**64 - 1)
+MESSAGES = st.lists(st.tuples(st.binary(max_size=5), TIMES, TIMES, st.integers(0, 2**32 - 1), st.binary(max_size=9)))
+
+
+@given(MESSAGES, st.sets(st.integers(0, 50)), st.sets(st.integers(0, 50)))
+def test_it_is_the_hash_of_all_parts(
+    messages: list[tuple[bytes, int, int, int, bytes]], asked: set[int], joined: set[int]
+) -> None:
+    """Also when it was asked for in between, and when some come put together."""
+    digest, whole = Digest(), b""
+    for number, (topic, log_ns, publish_ns, sequence, data) in enumerate(messages):
+        parts = topic + struct.pack("<QQII", log_ns, publish_ns, sequence, len(data)) + data
+        if number in joined:
+            digest.add_batch(parts)
+        else:
+            digest.add(topic, log_ns, publish_ns, sequence, data)
+        whole += parts
+        if number in asked:
+            assert digest.hexdigest() == hashlib.sha256(whole).hexdigest()
+    assert digest.hexdigest() == hashlib.sha256(whole).hexdigest()
+
+
+def test_more_messages_than_are_hashed_at_once() -> None:
+    digest, whole = Digest(), b""
+    for number in range(2500):
+        digest.add(b"t", number, number, number, b"x" * (number % 7))
+        whole += b"t" + struct.pack("<QQII", number, number, number, number % 7) + b"x" * (number % 7)
+    assert digest.hexdigest() == hashlib.sha256(whole).hexdigest()
+
+
+def test_batches_longer_than_are_held() -> None:
+    digest, whole = Digest(), b""
+    for number in range(20):
+        digest.add_batch(bytes([number]) * 10_000)
+        whole += bytes([number]) * 10_000
+    assert digest.hexdigest() == hashlib.sha256(whole).hexdigest()

@@ -18,15 +18,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
+from huge_log import HEAD, MESSAGE, chunk
 from in_process_runs import Alone, log_of
 from live import LiveRun
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from repository import SUPPORT
+from tool import invoke
 
-from fleet.cli.main import cli
 from fleet.errors import FleetError
 from fleet.logs.reader import GAPS, LOST, RECOVERY, LogReader, LogReadError, Record
 from fleet.logs.records import MAGIC, MOST_BYTES
@@ -43,18 +43,11 @@ def log(made: Alone) -> Path:
     return log_of(made("paper", *SMALL))
 
 
-def tool(*arguments: object) -> Result:
-    """A command line; whatever is wrong with a file, nothing but SystemExit leaves it."""
-    result = CliRunner().invoke(cli, [str(argument) for argument in arguments])
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result
-
-
 def records(data: bytes) -> Iterator[tuple[int, int, int]]:
     """(opcode, offset, length of the content) of the records outside chunks."""
     at = len(MAGIC)
     while at + 9 < len(data):
-        opcode, length = struct.unpack_from("<BQ", data, at)
+        opcode, length = HEAD.unpack_from(data, at)
         yield opcode, at, length
         at += 9 + length
 
@@ -85,7 +78,6 @@ def mended(path: Path, data: bytes) -> tuple[Recovered, list[Record], LogReader]
     with out.open("rb") as file:
         indexed = make_reader(file, validate_crcs=True)
         summary = indexed.get_summary()
-        assert summary is not None and summary.statistics is not None
         assert summary.statistics.message_count == len(messages) == found.messages
     assert bool(reader.missing) == bool(found.lost)
     return found, messages, reader
@@ -95,18 +87,18 @@ def mended(path: Path, data: bytes) -> tuple[Recovered, list[Record], LogReader]
 
 
 def test_a_whole_log_comes_out_as_the_same_bytes(log: Path, tmp_path: Path) -> None:
-    result = tool("recover", log, "-o", tmp_path / "out.mcap")
+    result = invoke("recover", log, "-o", tmp_path / "out.mcap")
     assert (result.exit_code, result.stderr) == (0, "")
     assert result.stdout.endswith("up to t = 2.5 s; nothing is lost\n")
     assert (tmp_path / "out.mcap").read_bytes() == log.read_bytes()
-    again = tool("recover", log, "-o", tmp_path / "out.mcap")
+    again = invoke("recover", log, "-o", tmp_path / "out.mcap")
     assert (again.exit_code, again.stdout) == (2, "")
     assert "exists already" in again.stderr
 
 
 def test_beside_the_log_by_default(log: Path, tmp_path: Path) -> None:
     (tmp_path / "run.mcap").write_bytes(log.read_bytes())
-    assert tool("recover", tmp_path).exit_code == 0
+    assert invoke("recover", tmp_path).exit_code == 0
     assert (tmp_path / "run.recovered.mcap").read_bytes() == log.read_bytes()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.mcap", "run.recovered.mcap"]
 
@@ -232,10 +224,10 @@ def test_recovery_goes_on_behind_a_damaged_chunk(log: Path, tmp_path: Path) -> N
     assert found.lost == f"a damaged chunk at byte {begin}, {span}, {gone} messages"
     assert reader.missing.startswith("it was recovered from a damaged file, of which this is lost: a damaged chunk")
     # Everything else stops before it.
-    info = tool("info", tmp_path / "a")
+    info = invoke("info", tmp_path / "a")
     assert (info.exit_code, f"{gap} messages" in info.stdout) == (0, True)
     assert "NOT WHOLE: a damaged chunk at byte" in info.stdout
-    assert tool("recover", tmp_path / "a", "-o", tmp_path / "b").exit_code == 3
+    assert invoke("recover", tmp_path / "a", "-o", tmp_path / "b").exit_code == 3
 
 
 def test_a_damaged_first_chunk(log: Path, tmp_path: Path) -> None:
@@ -301,7 +293,6 @@ def make(kind: str, folder: Path) -> Path:
     elif kind == "fifo":
         os.mkfifo(path)
     else:
-        assert content is not None
         path.write_bytes(content if isinstance(content, bytes) else content.encode())
     return path
 
@@ -312,15 +303,15 @@ def test_what_is_no_log(kind: str, log: Path, tmp_path: Path) -> None:
     path = make(kind, tmp_path)
     said = BAD[kind][1]
     for command in (("export", "--scenario"), ("verify",)):
-        result = tool(*command, path)
+        result = invoke(*command, path)
         assert (result.exit_code, result.stdout) == (2, "")
         assert said in result.stderr
     mcap = kind in ("magic", "noise", "zeros")
     for arguments in (("info", path), ("diff", path, log, "-q"), ("diff", log, path, "-q")):
-        result = tool(*arguments)
+        result = invoke(*arguments)
         assert result.exit_code == (2 if not mcap else 0 if arguments[0] == "info" else 1), arguments
         assert mcap or (said in result.stderr and not result.stdout)
-    result = tool("recover", path, "-o", tmp_path / "out")
+    result = invoke("recover", path, "-o", tmp_path / "out")
     assert result.exit_code == (2 if kind in ("folder", "fifo") else 1)
     assert result.stderr and not result.stdout
     assert not (tmp_path / "out").exists()
@@ -330,11 +321,11 @@ def test_an_mcap_that_is_not_ours(tmp_path: Path) -> None:
     """Information, recovery and comparison need no scenario; the others say that it has none."""
     path = tmp_path / "foreign.mcap"
     foreign(path)
-    assert "not a log of uuv-fleet" in tool("info", path).stdout
+    assert "not a log of uuv-fleet" in invoke("info", path).stdout
     for command in (("export", "--scenario"), ("verify",)):
-        assert "holds no scenario: it was not written by fleet run" in tool(*command, path).stderr
-    assert tool("diff", path, path).stdout == "the same bit for bit (3 messages)\n"
-    assert tool("recover", path, "-o", tmp_path / "out").exit_code == 0
+        assert "holds no scenario: it was not written by fleet run" in invoke(*command, path).stderr
+    assert invoke("diff", path, path).stdout == "the same bit for bit (3 messages)\n"
+    assert invoke("recover", path, "-o", tmp_path / "out").exit_code == 0
     assert list(LogReader(tmp_path / "out")) == list(LogReader(path))
 
 
@@ -342,35 +333,33 @@ def test_a_log_of_which_only_the_head_is_left(log: Path, tmp_path: Path) -> None
     """Killed within its first second a run leaves its scenario: it can be run again, but not compared."""
     path = tmp_path / "a"
     path.write_bytes(head(log))
-    assert tool("export", path, "--scenario").exit_code == 0
-    assert "0 messages" in tool("info", path).stdout
-    result = tool("verify", path)
+    assert invoke("export", path, "--scenario").exit_code == 0
+    assert "0 messages" in invoke("info", path).stdout
+    result = invoke("verify", path)
     assert (result.exit_code, result.stdout) == (3, "")
     assert f"holds no message: {CUT}" in result.stderr
-    assert tool("recover", path).exit_code == 1
+    assert invoke("recover", path).exit_code == 1
 
 
-def chunk(size: int, packed: bytes, compression: bytes = b"zstd", crc: int = 0) -> bytes:
+def lie(size: int, packed: bytes, compression: str = "zstd") -> bytes:
     """A chunk that states what it is told to."""
-    body = struct.pack("<QQQI", 0, 0, size, crc) + struct.pack("<I", len(compression)) + compression
-    body += struct.pack("<Q", len(packed)) + packed
-    return struct.pack("<BQ", Opcode.CHUNK, len(body)) + body
+    return chunk(packed, 0, 0, size=size, compression=compression)
 
 
 CRAFTED = {
-    "no content": struct.pack("<BQ", Opcode.CHUNK, 0),
-    "an empty chunk": chunk(0, b""),
-    "an empty uncompressed chunk": chunk(0, b"", b""),
-    "a petabyte unpacked": chunk(1 << 50, b"\x28\xb5\x2f\xfd\x20\x00\x01\x00\x00"),
-    "a bomb": chunk(MOST_BYTES, b"\x28\xb5\x2f\xfd\xe0" + struct.pack("<Q", 1 << 45) + b"\x01\x00\x00"),
-    "a petabyte packed": struct.pack("<BQ", Opcode.CHUNK, 1 << 50) + bytes(100),
-    "a petabyte of attachment": struct.pack("<BQ", Opcode.ATTACHMENT, 1 << 50) + bytes(100),
-    "more than there is": struct.pack("<BQ", Opcode.METADATA, 100) + bytes(20),
-    "lz4": chunk(10, bytes(10), b"lz4"),
+    "no content": HEAD.pack(Opcode.CHUNK, 0),
+    "an empty chunk": lie(0, b""),
+    "an empty uncompressed chunk": lie(0, b"", ""),
+    "a petabyte unpacked": lie(1 << 50, b"\x28\xb5\x2f\xfd\x20\x00\x01\x00\x00"),
+    "a bomb": lie(MOST_BYTES, b"\x28\xb5\x2f\xfd\xe0" + struct.pack("<Q", 1 << 45) + b"\x01\x00\x00"),
+    "a petabyte packed": HEAD.pack(Opcode.CHUNK, 1 << 50) + bytes(100),
+    "a petabyte of attachment": HEAD.pack(Opcode.ATTACHMENT, 1 << 50) + bytes(100),
+    "more than there is": HEAD.pack(Opcode.METADATA, 100) + bytes(20),
+    "lz4": lie(10, bytes(10), "lz4"),
     "an endless name": struct.pack("<BQI", Opcode.METADATA, 8, 0xFFFFFFFF) + bytes(4),
-    "a message within that has no end": chunk(9, struct.pack("<BQ", Opcode.MESSAGE, 1 << 60), b""),
-    "a message too short": chunk(12, struct.pack("<BQ", Opcode.MESSAGE, 3) + bytes(3), b""),
-    "a message of nobody": chunk(31, struct.pack("<BQHIQQ", Opcode.MESSAGE, 22, 99, 0, 0, 0), b""),
+    "a message within that has no end": lie(9, HEAD.pack(Opcode.MESSAGE, 1 << 60), b""),
+    "a message too short": lie(12, HEAD.pack(Opcode.MESSAGE, 3) + bytes(3), b""),
+    "a message of nobody": lie(31, HEAD.pack(Opcode.MESSAGE, 22) + MESSAGE.pack(99, 0, 0, 0), b""),
     "no UTF-8": struct.pack("<BQI", Opcode.HEADER, 6, 2) + b"\xff\xfe",
     "kind 0": bytes(9),
 }
@@ -402,7 +391,7 @@ def test_a_damaged_scenario_is_not_run(log: Path, tmp_path: Path) -> None:
     at = data.index(b"seed: 1")
     data[at + 6] = ord("2")
     (tmp_path / "a").write_bytes(data)
-    result = tool("verify", tmp_path / "a")
+    result = invoke("verify", tmp_path / "a")
     assert result.exit_code == 2
     assert "holds no scenario (a damaged attachment at byte" in result.stderr
 
@@ -451,13 +440,13 @@ def test_a_fleet_killed_leaves_a_log_that_verifies(victim: str, tmp_path: Path) 
         run.until_nobody_is_left()
         logged_s = run.logged_s()
         assert logged_s >= 2.0
-        result = tool("verify", run.directory)
+        result = invoke("verify", run.directory)
         assert result.exit_code == 0, result.output
         assert result.stdout.startswith("reproduced bit for bit (")
         assert f"up to t = {logged_s:g} s of 60 s, as far as the file goes: the file is cut" in result.stdout
-        assert tool("recover", run.directory).exit_code == 3
-        assert tool("verify", run.directory / "run.recovered.mcap").exit_code == 0
-        assert tool("diff", run.log, run.directory / "run.recovered.mcap", "-q").exit_code == 0
+        assert invoke("recover", run.directory).exit_code == 3
+        assert invoke("verify", run.directory / "run.recovered.mcap").exit_code == 0
+        assert invoke("diff", run.log, run.directory / "run.recovered.mcap", "-q").exit_code == 0
 
 
 def test_a_file_that_may_not_grow(tmp_path: Path) -> None:
@@ -477,10 +466,10 @@ def test_a_file_that_may_not_grow(tmp_path: Path) -> None:
     assert (done.returncode, done.stdout) == (3, f"{(tmp_path / 'latest').resolve()}\n")
     assert "cannot write the log" in done.stderr and "File too large" in done.stderr
     assert "Traceback" not in done.stderr
-    result = tool("verify", tmp_path / "latest")
+    result = invoke("verify", tmp_path / "latest")
     assert result.exit_code == 0, result.output
     assert "as far as the file goes" in result.stdout
-    assert tool("recover", tmp_path / "latest").exit_code == 3
+    assert invoke("recover", tmp_path / "latest").exit_code == 3
 
 
 def test_recovery_onto_a_full_disk(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

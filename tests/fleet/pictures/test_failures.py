@@ -27,7 +27,6 @@ def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
         f"checks={{signal: [{', '.join(CHECKS)}], formation_error: {{below: 1 mm}}}}", "initial.surge=1 m/s"
     )
     result = execute(scenario, Options(tmp_path_factory.mktemp("runs"), in_process=True, quiet=True))
-    assert result.directory is not None
     return result.directory
 
 

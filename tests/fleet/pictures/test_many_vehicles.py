@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 from in_process_runs import Alone
 from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
 
 from fleet.logs.info import info_text, read_info
 from fleet.pictures import exchange, gallery, track
@@ -33,18 +32,14 @@ def run(directory: Path) -> Run:
     return found
 
 
-def gids(figure: Figure) -> list[str]:
-    return [str(gid) for artist in figure.findobj() if (gid := artist.get_gid())]
-
-
 @pytest.mark.parametrize("draw", [track.top, track.space])
 def test_tracks_name_the_worst_and_draw_the_others_together(run: Run, draw: object) -> None:
-    figure = draw([run], WHOLE)  # type: ignore[operator]
-    found = gids(figure)
+    figure = draw([run], WHOLE)
+    found = [str(gid) for artist in figure.findobj() if (gid := artist.get_gid())]
     assert sum(gid.startswith("vehicle-") for gid in found) == 3
     assert found.count("others") == 1
     (others,) = [artist for artist in figure.findobj(LineCollection) if artist.get_gid() == "others"]
-    assert len(others._paths if draw is track.top else others._segments3d) == N - 3  # type: ignore[attr-defined]
+    assert len(others._paths if draw is track.top else others._segments3d) == N - 3
 
 
 def test_the_oldest_links_have_a_row(run: Run) -> None:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from datetime import datetime
-from html import unescape
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
+from html_page import words_of
+from tool import invoke
 
-from fleet.cli.main import cli
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.pictures.gallery import WHAT
@@ -36,7 +34,7 @@ def test_report_names_the_run_that_latest_is_and_says_when_it_began(tmp_path: Pa
     stamp = datetime.strptime(directory.name, "paper-1-%Y%m%d-%H%M%S").strftime("%Y-%m-%d %H:%M:%S UTC")
     text = page(load([tmp_path / "latest"]), View())
     assert f"<title>uuv-fleet: {directory.name}</title>" in text
-    words = " | ".join(w for w in map(str.strip, unescape(re.sub(r"<[^>]*>", "\n", text)).split("\n")) if w)
+    words = words_of(text)
     assert "latest" not in words and f"{directory}/run.mcap" in words
     for said in (
         f"begun | {stamp}",
@@ -66,14 +64,14 @@ def test_a_report_is_not_overwritten_without_force(tmp_path: Path) -> None:
     out = tmp_path / "r.html"
     out.write_text("mine")
     arguments = ["report", str(log), "-o", str(out)]
-    refused = CliRunner().invoke(cli, arguments)
+    refused = invoke(*arguments)
     assert refused.exit_code == 2 and out.read_text() == "mine"
     assert refused.stderr == (
         f"fleet: {out} already exists; choose another place with -o FILE, or replace it with --force\n"
     )
-    assert CliRunner().invoke(cli, [*arguments, "--force"]).exit_code == 0
+    assert invoke(*arguments, "--force").exit_code == 0
     assert "<!DOCTYPE html>" in out.read_text()
     out = tmp_path / "loop"
     out.symlink_to("loop")  # a traceback in Python 3.11 and 3.12
-    assert CliRunner().invoke(cli, ["report", str(log), "-o", str(out)]).exit_code == 0
+    assert invoke("report", log, "-o", out).exit_code == 0
     assert out.is_file() and not list(tmp_path.glob("*.part"))

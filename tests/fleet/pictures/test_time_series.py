@@ -106,7 +106,6 @@ def test_an_input_beyond_the_limit_is_shown(run: Run, monkeypatch: pytest.Monkey
     """A line is cut off at a limit that it keeps, and not at one that it does not."""
     strong = Run(run.log, "strong")
     found = run.series(1, "command", "applied")
-    assert found is not None
     series = strong.series
     monkeypatch.setattr(
         Run, "series",

@@ -10,7 +10,7 @@ import pytest
 from in_process_runs import recorded
 from refusals import check_refusals
 from small_scenario import SMALL
-from tool import command
+from tool import invoke
 
 from fleet.errors import FleetError, ScenarioError
 from fleet.execution.execute import execute
@@ -163,15 +163,15 @@ def test_what_cannot_be_judged_is_said(folder: Path) -> None:
 
 def test_the_command(folder: Path) -> None:
     result = run()
-    printed = command("check", result.directory, "-q")
+    printed = invoke("check", result.directory, "-q")
     assert printed.exit_code == 1
     assert "FAIL  low: state.z below 1 m; found 1.0" in printed.output
     assert "judged up to t = 2 s of 2 s" in printed.output
     both = "checks={signal: [{name: deep, topic: state.z, below: 90 m}, {name: low, topic: state.z, below: 1 m}]}"
-    lines = command("check", result.directory, "-q", "--set", both).output.splitlines()
+    lines = invoke("check", result.directory, "-q", "--set", both).output.splitlines()
     assert [line.split(":")[0] for line in lines[:2]] == ["FAIL  low", "pass  deep"]  # failed ones on top
     asked = "checks={signal: {name: deep, topic: state.z, below: 90 m}}"
-    good = command("check", result.directory, "-q", "--json", "--set", asked)
+    good = invoke("check", result.directory, "-q", "--json", "--set", asked)
     assert good.exit_code == 0, good.output
     document = json.loads(good.stdout)
     assert document["passed"] and [row["check"] for row in document["checks"]] == ["deep"]

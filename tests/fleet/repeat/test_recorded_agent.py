@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from in_process_runs import recorded
 from plain_messages import encoded
-from tool import command
+from tool import invoke
 
 import fleet.execution.execute
 import fleet.execution.in_process
@@ -76,10 +76,10 @@ def test_a_cut_log_is_verified_as_far_as_it_tells(log: Path, share: float) -> No
 
 @pytest.mark.parametrize("log", ["snapshots"], indirect=True)
 def test_nothing_goes_on_from_it_and_whatif_says_whose_it_is(log: Path) -> None:
-    refused = command("run", "--from", log, "--quiet")
+    refused = invoke("run", "--from", log, "--quiet")
     assert refused.exit_code == 2
     assert "vehicle 3 is external in" in refused.output
-    asked = command("whatif", log, "--agent", 3)
+    asked = invoke("whatif", log, "--agent", 3)
     assert asked.exit_code == 0, asked.output
     assert "note  vehicle 3 is external: what was recorded is what somebody else's agent commanded" in asked.output
     assert "identical" in asked.output

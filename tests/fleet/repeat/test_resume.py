@@ -14,7 +14,7 @@ from marks import slow
 from ranged import DYING
 from refusals import check_commands
 from small_scenario import small
-from tool import command
+from tool import invoke
 
 from fleet.errors import FleetError
 from fleet.execution.execute import _policy, execute
@@ -199,7 +199,7 @@ def test_what_cannot_go_on_says_why(module: Callable[[str], str], tmp_path: Path
 
 def test_on_the_command_line(tmp_path: Path) -> None:
     first = recorded(tmp_path, "paper", "duration=1 s", "log.snapshot=500 ms")
-    result = command("run", "--from", f"{first.directory}@0.5s", "--out", tmp_path)
+    result = invoke("run", "--from", f"{first.directory}@0.5s", "--out", tmp_path)
     assert result.exit_code == 0, result.output
     assert "goes on from t = 500 ms of " in result.stderr
     assert "0.5 s simulated, t = 0.5 to 1 s, in " in result.stdout.splitlines()[-2]

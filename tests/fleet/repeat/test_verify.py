@@ -17,7 +17,7 @@ from in_process_runs import recorded
 from live import LiveRun
 from marks import slow
 from mcap.records import Attachment, Metadata
-from tool import command as tool
+from tool import invoke
 from tool import tool as op
 from waiting import wait_for
 
@@ -110,7 +110,7 @@ def flipped(message: Message) -> Message:
 def test_a_log_is_reproduced(case: str, tmp_path: Path) -> None:
     scenario, overrides = CASES[case]
     log = run(tmp_path, scenario, *overrides)
-    result = tool("verify", log.parent)
+    result = invoke("verify", log.parent)
     assert result.exit_code == 0, result.output
     count = sum(1 for _ in LogReader(log))
     end_s = max(record.log_ns for record in LogReader(log)) / 1e9
@@ -122,20 +122,20 @@ def test_everything_that_happened_to_a_live_run(tmp_path: Path) -> None:
     """Injected, healed, killed from outside, and ended with Ctrl-C: a distributed run comes again as far as it went."""
     with LiveRun(tmp_path / "runs", "rough-sea", "--duration", "600 s", "--speed", "4") as run:
         run.until_running(1.0)
-        assert op(run.out, "inject", "link", "1<->2", "delay 300ms loss 20%", "--for", "1s").returncode == 0
-        assert op(run.out, "inject", "gust", "velocity=0.3 0 0 m/s", "over=20 s").returncode == 0
+        assert op(run.out, "inject", "link", "1<->2", "delay 300ms loss 20%", "--for", "1s").exit_code == 0
+        assert op(run.out, "inject", "gust", "velocity=0.3 0 0 m/s", "over=20 s").exit_code == 0
         run.role("agent 3").kill()
         died_s = run.logged_s()
-        assert op(run.out, "inject", "partition", "halves").returncode == 0
+        assert op(run.out, "inject", "partition", "halves").exit_code == 0
         wait_for(lambda: run.logged_s() > died_s + 3.0, 60.0, "three more seconds")
-        assert op(run.out, "heal").returncode == 0
+        assert op(run.out, "heal").exit_code == 0
         died_s = run.logged_s()
         wait_for(lambda: run.logged_s() > died_s + 2.0, 60.0, "two more seconds")
         run.send(signal.SIGINT, group=True)
         assert run.status() == 130
         events = [r for r in LogReader(run.log) if r.topic == "faults"]
         assert len(events) >= 6
-        result = tool("verify", run.directory)
+        result = invoke("verify", run.directory)
         assert result.exit_code == 0, result.output
         assert result.stdout.endswith(f"up to t = {run.logged_s():g} s of 600 s, where the run was ended\n")
 
@@ -179,7 +179,7 @@ def test_a_cut_log_is_verified_as_far_as_it_goes(log: Path, tmp_path: Path) -> N
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(log.read_bytes()[: log.stat().st_size * 2 // 3])
     count = sum(1 for _ in LogReader(cut))
-    result = tool("verify", cut)
+    result = invoke("verify", cut)
     assert result.exit_code == 0
     assert result.stdout.startswith(f"reproduced bit for bit ({count} messages), up to t = ")
     assert "s of 2.5 s, as far as the file goes: the file is cut" in result.stdout
@@ -188,7 +188,7 @@ def test_a_cut_log_is_verified_as_far_as_it_goes(log: Path, tmp_path: Path) -> N
 def test_one_bit_is_found(log: Path, tmp_path: Path) -> None:
     """Topic, time, tick, and the one field that differs on both sides, with its unit."""
     number = next(n for n, r in enumerate(LogReader(log)) if r.topic == "uuv/3/nav" and r.log_ns == 1_500_000_000)
-    result = tool("verify", altered(log, tmp_path / "a", at(number, flipped)))
+    result = invoke("verify", altered(log, tmp_path / "a", at(number, flipped)))
     assert result.exit_code == 1
     first, head, names, field, rest = result.stdout.splitlines()
     assert first == f"NOT reproduced: {number} messages are the same, then"
@@ -224,7 +224,7 @@ def test_metadata_that_contradict_the_scenario(log: Path, tmp_path: Path) -> Non
     def change(n: int, item: Part) -> Part:
         return replace(item, metadata=item.metadata | {"seed": "7"}) if isinstance(item, Metadata) else item
 
-    result = tool("verify", altered(log, tmp_path / "a", change))
+    result = invoke("verify", altered(log, tmp_path / "a", change))
     assert result.exit_code == 1
     assert "contradiction: metadata seed: 7, but its scenario says 1" in result.stdout
 
@@ -251,7 +251,7 @@ def test_other_versions_are_a_likely_reason(log: Path, tmp_path: Path) -> None:
     same = verify(altered(log, tmp_path / "same", lambda n, item: item if n >= 0 else change(n, item)))
     assert same.reproduced and len(same.versions) == 2
     assert len(verification_lines(same)) == 1
-    result = tool("verify", altered(log, tmp_path / "a", change))
+    result = invoke("verify", altered(log, tmp_path / "a", change))
     assert result.exit_code == 1
     assert "likely why: piqp: recorded with 0.5.0, here is 0." in result.stdout
     assert "likely why: law my:Law: recorded with sha256 abc, here is unknown" in result.stdout
@@ -281,7 +281,7 @@ def test_scenarios_that_do_not_run_here(log: Path, tmp_path: Path) -> None:
             return replace(item, data=item.data + b"\nno_such_key: 1\n")
         return item
 
-    result = tool("verify", altered(log, tmp_path / "a", change))
+    result = invoke("verify", altered(log, tmp_path / "a", change))
     assert (result.exit_code, result.stdout) == (2, "")
     assert "no_such_key" in result.stderr
 
@@ -302,7 +302,7 @@ def test_verification_of_nothing_is_no_success() -> None:
 
 def test_the_same_log(log: Path, tmp_path: Path) -> None:
     count = sum(1 for _ in LogReader(log))
-    result = tool("diff", log, log.parent, "-q")
+    result = invoke("diff", log, log.parent, "-q")
     assert (result.exit_code, result.stdout) == (0, f"the same bit for bit ({count} messages)\n")
 
 
@@ -312,7 +312,7 @@ def nudged(tmp_path: Path, metres: str) -> Path:
 
 def test_deviation_and_tolerance(log: Path, tmp_path: Path) -> None:
     other = nudged(tmp_path, "-10.100000001")
-    result = tool("diff", log, other, "-q", "--all")
+    result = invoke("diff", log, other, "-q", "--all")
     assert result.exit_code == 1
     lines = result.stdout.splitlines()
     assert lines[0].startswith("they part at message 2: uuv/3/pose, tick 0")
@@ -322,9 +322,9 @@ def test_deviation_and_tolerance(log: Path, tmp_path: Path) -> None:
     assert any("link/*.payload in " in line for line in lines)
     assert lines[-1] == "besides, not the same: attachment scenario.yaml"
     worst = float(table[0][1])
-    near = tool("diff", log, other, "-q", "--tolerance", worst * 1.01)
+    near = invoke("diff", log, other, "-q", "--tolerance", worst * 1.01)
     assert near.exit_code == 0 and near.stdout.splitlines()[-1].startswith("within the tolerance of ")
-    far = tool("diff", log, other, "-q", "--tolerance", worst / 2)
+    far = invoke("diff", log, other, "-q", "--tolerance", worst / 2)
     assert far.exit_code == 1 and far.stdout.splitlines()[-1].startswith("NOT within the tolerance of ")
 
 
@@ -346,7 +346,7 @@ def test_a_run_and_its_continuation_are_compared_from_where_it_begins(tmp_path: 
         scenario, start = continuation(whole, 1_000_000_000, changes)
         rest = execute(scenario, Options(tmp_path, in_process=True, quiet=True, start=start)).directory
         for logs, name in (((whole, rest), "b"), ((rest, whole), "a")):
-            result = tool("diff", *logs, "-q")
+            result = invoke("diff", *logs, "-q")
             lines = result.stdout.splitlines()
             assert result.exit_code == status, result.stdout
             assert lines[0].startswith(f"compared from t = 1 s on, where {name} begins: it goes on from {whole}")
@@ -354,7 +354,7 @@ def test_a_run_and_its_continuation_are_compared_from_where_it_begins(tmp_path: 
             if changes:
                 assert ", tick 100, t = 1 s" in lines[1]
             assert not any("start.msgpack" in line or "metadata" in line or "only in" in line for line in lines)
-        assert tool("diff", rest, rest, "-q").stdout.startswith("the same bit for bit (")
+        assert invoke("diff", rest, rest, "-q").stdout.startswith("the same bit for bit (")
 
 
 def test_missing_messages_and_topics_are_counted(log: Path, tmp_path: Path) -> None:
@@ -364,7 +364,7 @@ def test_missing_messages_and_topics_are_counted(log: Path, tmp_path: Path) -> N
     assert found.only_a["uuv/1/pose"] == 12
     assert found.only_b.keys() <= {"scene"}  # every 0.5 s there, but every 0.6 s where frames are 0.2 s apart
     assert not found.within(inf)
-    result = tool("diff", log, fewer, "-q", "--tolerance", "1e9")
+    result = invoke("diff", log, fewer, "-q", "--tolerance", "1e9")
     assert result.exit_code == 1
     assert "only in a: " in result.stdout and "of uuv/*/pose" in result.stdout
 
@@ -377,7 +377,7 @@ def test_memory_is_bounded(log: Path, tmp_path: Path, monkeypatch: pytest.Monkey
     found = compare(LogReader(log), LogReader(cut))
     count, left = (sum(1 for _ in LogReader(path)) for path in (log, cut))
     assert (found.same, sum(found.only_a.values())) == (left, count - left)
-    result = tool("diff", log, cut, "-q")
+    result = invoke("diff", log, cut, "-q")
     assert result.exit_code == 1
     assert "b is NOT WHOLE: the file is cut" in result.stdout
     assert "  b: the log ends here (the file is cut" in result.stdout

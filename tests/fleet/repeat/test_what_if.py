@@ -13,7 +13,7 @@ from fault_histories import EVERYTHING
 from in_process_runs import recorded
 from marks import slow
 from refusals import check_commands
-from tool import command
+from tool import invoke
 
 from fleet.errors import FleetError
 from fleet.execution.execute import execute
@@ -64,7 +64,7 @@ def test_another_law_commands_something_else(tmp_path: Path) -> None:
     later = what_if(directory, 3, ["neighbours.extrapolate=hold"])  # hears nobody before 0.01 s
     assert later.first_s is not None
     assert 0.0 < later.first_s < 0.5
-    shown = json.loads(command("whatif", directory, "--agent", 3, "--controller", "bsmc", "--json").stdout)
+    shown = json.loads(invoke("whatif", directory, "--agent", 3, "--controller", "bsmc", "--json").stdout)
     assert shown["components"]["surge force"]["max"] == abs(found.found - found.recorded)[:, 0].max()
 
 
@@ -75,7 +75,7 @@ def test_a_law_of_the_users(module: Callable[[str], str], tmp_path: Path, monkey
     with pytest.raises(FleetError, match="agent 2, tick 50: Law raised ValueError: enough"):
         what_if(directory, 2, [f"controller={law}:Law"])
     monkeypatch.chdir(tmp_path)
-    asked = command("whatif", directory, "--agent", 2, "--controller", f"{law}:Law")
+    asked = invoke("whatif", directory, "--agent", 2, "--controller", f"{law}:Law")
     line = f"fleet: agent 2, tick 50: Law raised ValueError: enough ({law}.py:10)\n"
     assert (asked.exit_code, asked.stderr.endswith(line)) == (3, True), asked.stderr  # as of a run
     coasting = what_if(directory, 2, [f"controller={law}:Law", "on_controller_error=coast"])
@@ -91,7 +91,7 @@ def test_what_cannot_be_asked_is_refused_in_words(tmp_path: Path) -> None:
 def test_the_picture(tmp_path: Path) -> None:
     directory = run(tmp_path, "paper", "duration=1 s", "faults=[{at: 300 ms, for: 200 ms, mute: 1}]")
     picture = tmp_path / "3.svg"
-    result = command("whatif", directory, "--agent", 3, "--controller", "bc", "--plot", picture)
+    result = invoke("whatif", directory, "--agent", 3, "--controller", "bc", "--plot", picture)
     assert result.exit_code == 0, result.output
     assert "surge force [N]" in picture.read_text()
 
@@ -113,5 +113,5 @@ def test_a_log_that_is_not_whole_is_said_to_be(tmp_path: Path) -> None:
     assert what_if(log, 1).notes == []
     with log.open("r+b") as file:
         file.truncate(log.stat().st_size * 2 // 3)
-    result = command("whatif", log, "--agent", 1)
+    result = invoke("whatif", log, "--agent", 1)
     assert result.exit_code == 0 and "note  the log is NOT WHOLE: " in result.stderr, result.output

@@ -213,7 +213,8 @@ def test_whether_the_other_side_is_gone(monkeypatch: pytest.MonkeyPatch) -> None
 def test_full_disk(tmp_path: Path) -> None:
     """A file that may not grow ends the recording with status 3; what was flushed is there."""
     where, path = endpoint(), tmp_path / "x.mcap"
-    with Command("record", "-k", "x", "-o", path, "--listen", where, most_kib=64) as recorder:
+    limited = ["bash", "-c", 'ulimit -f 64; exec "$@"', "bash"]
+    with Command("record", "-k", "x", "-o", path, "--listen", where, before=limited) as recorder:
         recorder.until("recording")
         put_until(where, 20_000, recorder, "fleet: cannot write")
         assert recorder.status() == 3

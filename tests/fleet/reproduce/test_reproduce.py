@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tool import command
+from tool import invoke
 
 import fleet
 from agents.controllers import CONTROLLERS
@@ -397,7 +397,7 @@ def test_every_picture_can_be_drawn(name: str) -> None:
 def test_command_with_a_few_cases(tmp_path: Path) -> None:
     """Two runs that end early, in two processes: a report with pictures of what there is, and no claim."""
     cases = ("--case", "bc-unlimited", "--case", "nbc-unlimited")
-    result = command("reproduce", "--out", tmp_path / "r", *cases, "--jobs", 2)
+    result = invoke("reproduce", "--out", tmp_path / "r", *cases, "--jobs", 2)
     assert result.exit_code == 0, result.output
     assert "no claim can be judged on these runs alone" in result.output
     text = (tmp_path / "r" / "report.md").read_text("utf-8")

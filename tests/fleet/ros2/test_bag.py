@@ -11,7 +11,7 @@ from foreign_log import foreign
 from in_process_runs import Alone, alone, log_of
 from mcap.reader import make_reader
 from refusals import check_commands
-from tool import command
+from tool import invoke
 
 import fleet
 from fleet.ros2.mapping import GRAVITY, SEA_WATER, SURFACE_PA
@@ -24,7 +24,7 @@ Messages = dict[str, list]
 
 
 def export(*arguments: str | Path) -> str:
-    done = command("export", *arguments)
+    done = invoke("export", *arguments)
     assert done.exit_code == 0, done.output
     return done.output
 

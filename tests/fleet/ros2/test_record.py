@@ -11,7 +11,7 @@ import pytest
 from in_process_runs import alone as alone
 from ros_session import ros_router
 from showing import going_on
-from tool import command
+from tool import invoke
 from traffic import LIMIT_S, Command
 from traffic import log as log
 from waiting import wait_for
@@ -104,14 +104,14 @@ def test_a_killed_recorder_leaves_a_bag_that_can_be_recovered(tmp_path: Path) ->
     shutil.copytree(folder, killed)
     writer.close()
     assert [path.name for path in killed.iterdir()] == ["bag.mcap"]
-    done = command("recover", killed)
+    done = invoke("recover", killed)
     said = "bag.recovered: 3 messages up to t = 3 s; LOST: the end: the file is cut"
     assert (done.exit_code, said in done.output) == (3, True), done.output
     assert [one.clock.sec for one in read(tmp_path / "killed" / "bag.recovered")["/clock"]] == [1, 2, 3]
     assert sorted(path.name for path in (tmp_path / "killed").iterdir()) == ["bag", "bag.recovered"]
-    assert "exists already" in command("recover", killed).output
+    assert "exists already" in invoke("recover", killed).output
     with (killed / "bag.mcap").open("r+b") as file:
         file.truncate(killed.joinpath("bag.mcap").stat().st_size - 40)
-    done = command("recover", killed, "-o", tmp_path / "cut")
+    done = invoke("recover", killed, "-o", tmp_path / "cut")
     assert (done.exit_code, "LOST" in done.output) == (3, True), done.output
     assert [one.clock.sec for one in read(tmp_path / "cut")["/clock"]] == [1, 2]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import astuple, replace
 
-from fleet.errors import ScenarioError
 from fleet.scenario import catalogue
 from fleet.scenario.catalogue import ListedScenario, list_scenarios, shipped_scenarios
 from fleet.scenario.loading import load_scenario, parse_scenario
@@ -56,5 +55,3 @@ def test_the_group_is_no_part_of_a_run() -> None:
     scenario = load_scenario("lossy")
     assert scenario == load_scenario("lossy", ["group=faults"])
     assert "group" not in scenario.to_yaml()
-    with pytest.raises(ScenarioError, match="group: expected start here or network"):
-        load_scenario("lossy", ["group=weather"])

@@ -16,14 +16,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from live import LiveRun
 from refusals import check_refusals
-from small_scenario import small
+from small_scenario import read_back, small
 
 from fleet.analysis.stability import analyse
-from fleet.errors import ScenarioError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.result.result import Result, Status
-from fleet.scenario.loading import load_scenario, parse_scenario
+from fleet.scenario.loading import load_scenario
 from fleet.scenario.schema.faults import ACTIONS, DrawnKind
 from fleet.scenario.sections.partitions import partition
 from netem.condition import Condition
@@ -206,7 +205,7 @@ TIMELINE = (
 
 def test_a_timeline_compiles_and_prints_back() -> None:
     s = small(TIMELINE)
-    assert parse_scenario(s.to_yaml(), "again.yaml") == s
+    read_back(s)
     kinds = [(f.id, f.kind, f.begin, f.end) for f in s.netem_config.faults]
     assert kinds == [
         ("f1", "link", 10, 30),
@@ -230,11 +229,6 @@ def test_a_fault_behind_the_end_is_warned_of() -> None:
     assert [fault.id for fault in s.netem_config.faults] == ["f3"]
     assert s.world_config.absences == ()
     assert "fault f1, f2: the run is over before it begins" in analyse(s).warnings
-
-
-def test_an_ideal_network_has_no_faults() -> None:
-    with pytest.raises(ScenarioError, match="needs a network, and this one is ideal"):
-        small("network=ideal", "faults=[{at: 0 s, kill: 1}]")
 
 
 # --- deaths ----------------------------------------------------------------

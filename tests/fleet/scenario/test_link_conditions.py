@@ -10,7 +10,9 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from small_scenario import SMALL, small
+from marks import slow
+from refusals import check_refusals
+from small_scenario import SMALL, read_back, small
 
 from fleet.analysis.link_shares import effective_loss, link_lines
 from fleet.analysis.preflight import warnings
@@ -22,7 +24,6 @@ from fleet.scenario.sections.data_files import DataFileError
 from fleet.scenario.sections.link_conditions import load_trace
 from fleet.scenario.sections.trace_table import MOST_ROWS, TraceRow, TraceTable, read_csv
 from netem.condition import Condition
-from netem.link_states import LinkStates
 from netem.link_trace import LinkTrace
 
 SECOND = 10**9
@@ -37,10 +38,9 @@ def of(link: tuple[int, int], *overrides: str) -> Any:
     return small(*overrides).netem_config.changing[link]
 
 
-def traced(folder: Path, *keys: str, text: str | None = LOG) -> Scenario:
+def traced(folder: Path, *keys: str, text: str = LOG) -> Scenario:
     """The small scenario with a trace on 1->2."""
-    if text is not None:
-        (folder / "log.csv").write_text(text)
+    (folder / "log.csv").write_text(text)
     links = f"network.links={{1->2: {{{', '.join(('trace: log.csv', *keys))}}}}}"
     return parse_scenario(SMALL, "small.yaml", [links], folder)
 
@@ -54,7 +54,6 @@ def test_states_and_what_follows_from_them() -> None:
     assert set(s.netem_config.changing) == {(1, 2), (2, 1), (3, 2)}
     assert s.conditions == {(2, 3): Condition(loss=0.01)}
     states = s.netem_config.changing[1, 2]
-    assert isinstance(states, LinkStates)
     assert states.shares == pytest.approx((0.8, 0.2))
     assert effective_loss(states) == pytest.approx(0.16)
     assert declared(s)["link states"] == ["link state", "stay in link state"] * 3
@@ -91,9 +90,7 @@ def test_a_trace_is_read_exactly_and_carried_along(tmp_path: Path) -> None:
     trace = s.netem_config.changing[1, 2]
     rows = (Condition(412_500_000, rate_bit_s=80), Condition(loss=1.0), Condition(SECOND, rate_bit_s=160))
     assert trace == LinkTrace(rows, (0, 2_500_000_000, 3 * SECOND), 3_500_000_000)
-    again = parse_scenario(s.to_yaml(), "small.yaml")
-    assert again == s
-    assert again.netem_config == s.netem_config
+    again = read_back(s)
     (tmp_path / "log.csv").write_text(LOG.replace("412.5", "1"))
     assert changed(s, ["seed=2"]).netem_config.changing[1, 2].conditions[0].delay_ns == 1_000_000
     assert changed(again, ["seed=2"]).netem_config.changing == s.netem_config.changing
@@ -110,7 +107,6 @@ def test_a_trace_is_read_exactly_and_carried_along(tmp_path: Path) -> None:
 )
 def test_options_of_a_trace(keys: list[str], times: tuple[int, ...], period: int, tmp_path: Path) -> None:
     found = traced(tmp_path, *keys).netem_config.changing[1, 2]
-    assert isinstance(found, LinkTrace)
     assert (found.times_ns, found.period_ns) == (times, period)
     assert len(found.conditions) == (len(times) or 2)
 
@@ -123,50 +119,30 @@ def test_a_trace_of_ratios_and_one_that_ends_early(tmp_path: Path) -> None:
     assert "the trace of 1->2 has 3 rows for 20 rounds: after its last row the link is down" in "".join(warnings(short))
 
 
+def test_mistakes_in_traces(tmp_path: Path) -> None:
+    check_refusals("scenario/traces of links", lambda text, *keys: traced(tmp_path, *keys, text=text))
+
+
 @pytest.mark.parametrize(
-    ("keys", "text", "words"),
+    ("text", "words"),
     [
-        ([], None, "there is no such file"),
-        ([], "", "it is empty"),
-        ([], "time [s],delivered\n", "there is no row below line 1"),
-        ([], "time [s],delivered\n0,1\n2,1\n1,0\n", "line 4: the time goes back: expected 2 s or later, got 1 s"),
-        ([], "time [s],delivered\n0,1\n0.2,\n", "line 3: delivered: a hole: expected 0 or 1, got nothing"),
-        ([], "time [s],delivered,delay [ms]\n0,1,\n", "line 2: delay: a hole: expected a number, got nothing"),
-        ([], "time [s],delivered\n0,1\n\n3,1\n", "line 3: expected 2 cells, got 0"),
-        ([], "time [s],delay [ms]\n0,1\n1,ten\n", 'line 3: delay: expected a number, got "ten"'),
-        ([], "time [s],delay [ms]\n0,-1\n", "line 2: delay: expected 0 to 86400 s, got -0.001 s"),
-        ([], "time [s],delay [furlong]\n0,1\n",
-         'line 1: the column delay has the unknown unit "furlong": expected delay [s] or delay [ms]'),
-        ([], "time [s],delay\n0,1\n", "line 1: the column delay has no unit"),
-        ([], "time [s],dealy [ms]\n0,1\n", 'line 1: no such column "dealy [ms]"; did you mean "delay"?'),
-        ([], "time [s]," * 1_000_000 + "\n", "line 1: expected some of the columns time, delivered, delay"),
-        ([], "time [s],time [ms],delivered\n0,0,1\n", "line 1: time is there twice"),
-        ([], "time [s]\n0\n", "line 1: no such column: expected one of delivered"),
-        ([], "delivered\n1\n", "no such column: time, which a trace by time needs"),
-        ([], "time [s],snr [dB]\n0,3\n", "it has snr and no delivered"),
-        (["lost_below: 3 dB"], LOG, "has no effect: the trace says what was delivered"),
-        (["start: 9 s"], LOG, "expected a time in the trace, 10 s to 13 s, got 9 s"),
-        (["offset: random"], LOG, "needs loop: true"),
-        (["by: packet", "time_scale: 2"], LOG, "has no effect by packet"),
-        ([], 'time [s],delivered\n0,"1\n', "not CSV"),
-        ([], "time [s],delivered\n" + "0,1\n" * (MOST_ROWS + 1), f"more than {MOST_ROWS} rows"),
-        pytest.param(
-            [],
-            "time [s],delay [ns]\n" + "".join(f"{n},{n:09}\n" for n in range(90_000)),
-            "900000 is the most",
-            marks=pytest.mark.slow,
-        ),
-        ([], "x" * 10_000_001, "larger than 10 MB"),
+        ("time [s]," * 1_000_000 + "\n", "line 1: expected some of the columns time, delivered, delay"),
+        ("time [s],delivered\n" + "0,1\n" * (MOST_ROWS + 1), f"more than {MOST_ROWS} rows"),
+        *slow(("time [s],delay [ns]\n" + "".join(f"{n},{n:09}\n" for n in range(90_000)), "900000 is the most")),
+        ("x" * 10_000_001, "larger than 10 MB"),
     ],
-)  # fmt: skip
-def test_mistakes_in_traces(keys: list[str], text: str | None, words: str, tmp_path: Path) -> None:
+    ids=["wide", "long", "digits", "large"],
+)
+def test_traces_that_are_too_large(text: str, words: str, tmp_path: Path) -> None:
     with pytest.raises(ScenarioError) as caught:
-        traced(tmp_path, *keys, text=text)
+        traced(tmp_path, text=text)
     assert words in str(caught.value)
     assert len(str(caught.value)) < 2000
 
 
-def test_what_is_no_file_is_refused_at_once(tmp_path: Path) -> None:
+def test_a_trace_that_is_not_there_or_no_file_is_refused_at_once(tmp_path: Path) -> None:
+    with pytest.raises(DataFileError, match="there is no such file"):
+        load_trace("log.csv", tmp_path)
     os.mkfifo(tmp_path / "log.csv")
     with pytest.raises(DataFileError, match="it is a pipe"):
         load_trace("log.csv", tmp_path)

@@ -23,6 +23,8 @@ BASES = {
     "acoustic": ACOUSTIC.replace("duration: 1 s", "duration: 8 s"),
     "link states": SMALL.replace("50 ms}", f"50 ms, links: {STATES}}}"),
     "links": SMALL.replace("50 ms}", "50 ms, links: {'*': delay 2ms}}"),
+    "checks": SMALL
+    + "faults: [{at: 100 ms, for: 100 ms, id: split, mute: 1}, {at: 300 ms, mute: 2}, {at: 500 ms, kill: 3}]\n",
     "faults": SMALL + "faults: [{id: cut, at: 100 ms, for: 100 ms, down: 1->2}, {id: off, at: 300 ms, down: 2->3}]\n",
 }
 
@@ -40,6 +42,11 @@ def changed(text: str, *changes: str) -> Scenario:
 @pytest.mark.parametrize("name", BASES)
 def test_a_mistake_is_told_with_its_place(name: str) -> None:
     check_refusals(f"scenario/{name}", partial(changed, BASES[name]))
+
+
+def test_a_mistake_in_a_file_has_its_line() -> None:
+    """Of what is written below the small scenario."""
+    check_refusals("scenario/lines", lambda text: parse_scenario(SMALL + text, "small.yaml"))
 
 
 @pytest.mark.parametrize("name", ["follow-the-leader"])

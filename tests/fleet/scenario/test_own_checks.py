@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
-
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from small_scenario import SMALL, WILD, small
+from small_scenario import SMALL, WILD, accepted, read_back, small
 
-from fleet.errors import ScenarioError
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.schema.checks import SignalCheck
 
@@ -19,14 +15,6 @@ def test_a_vehicle_that_is_named_has_the_signal() -> None:
     plant = "per_vehicle={2: {vehicle: {plant: remus100}}}"
     assert small(checks.format(""), plant).spec.checks.signal
     assert small(checks.format(", vehicles: 2"), plant).spec.checks.signal
-
-
-def test_a_mistake_has_its_line() -> None:
-    text = SMALL + "checks:\n  signal:\n    - {topic: state.x, below: 3 m}\n    - {topic: state.y, below: 3 kg}\n"
-    with pytest.raises(ScenarioError) as caught:
-        parse_scenario(text, "small.yaml")
-    (problem,) = caught.value.problems
-    assert (problem.line, problem.message.partition(": ")[0]) == (SMALL.count("\n") + 4, "checks.signal.2.below")
 
 
 def test_names_are_unique() -> None:
@@ -40,8 +28,8 @@ def test_a_scenario_is_written_back() -> None:
         "checks={signal: [{name: a, topic: '|error.e|', equals: 3 m, within: 10 cm, vehicles: all, after: 300 ms}, "
         "{topic: state.z, within: [1 m, 2 m], never: true, for_at_least: 1 s}, {topic: state.u, at_most_one: true}]}"
     )
-    again = parse_scenario(scenario.to_yaml(), "small.yaml")
-    assert again == scenario and "never: true" in scenario.to_yaml()
+    read_back(scenario)
+    assert "never: true" in scenario.to_yaml()
     assert "signal" not in small().to_yaml()
     classes = '"no_module_here:A": [{x: 2 s, name: one}, {}]'
     with_class = parse_scenario(f"{SMALL}checks: {{{classes}, ledger: balanced}}\n", "s")
@@ -53,5 +41,4 @@ def test_a_scenario_is_written_back() -> None:
 @given(key=st.sampled_from([*SignalCheck.model_fields, "signal"]), value=WILD)
 def test_anything_is_read_or_refused(key: str, value: str) -> None:
     check = value if key == "signal" else f"{{topic: state.z, below: 3 m, {key}: {value}}}"
-    with suppress(ScenarioError):
-        small(f"checks.signal={check}")
+    accepted(f"checks.signal={check}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
+from functools import partial
 
 import pytest
 import yaml
@@ -85,8 +86,9 @@ def test_reads_vectors() -> None:
 
 def test_says_what_was_expected() -> None:
     """Of values as they stand in a file, each with what it should be."""
-    named = {dimension.name: dimension for dimension in q.DIMENSIONS}
-    check_refusals("scenario/quantities", lambda value, name: q.scalar(yaml.safe_load(value), named[name]))
+    readers = {dimension.name: partial(q.scalar, dimension=dimension) for dimension in q.DIMENSIONS}
+    readers |= {"nanoseconds": q.time_ns, "ticks": q.ticks}
+    check_refusals("scenario/quantities", lambda value, name: readers[name](yaml.safe_load(value)))
 
 
 @pytest.mark.parametrize("dimension", WITH_UNIT, ids=lambda d: d.name)
@@ -100,24 +102,9 @@ def test_every_example_and_unit_reads(dimension: q.Dimension) -> None:
             q.parse("3", dimension)
 
 
-@pytest.mark.parametrize("text", ["0.1 ns", "1e-12 s"])
-def test_no_fractions_of_a_nanosecond(text: str) -> None:
-    with pytest.raises(q.QuantityError, match="whole number of nanoseconds"):
-        q.time_ns(text)
-
-
-def test_no_time_beyond_64_bits() -> None:
-    with pytest.raises(q.QuantityError, match="292 years"):
-        q.time_ns("1e11 s")
-
-
 def test_ticks() -> None:
     assert q.ticks("10 ticks") == 10
     assert q.ticks("1 tick") == 1
-    with pytest.raises(q.QuantityError):
-        q.ticks("1.5 ticks")
-    with pytest.raises(q.QuantityError):
-        q.ticks("100 ms")
 
 
 @given(st.one_of(st.text(), st.text("0123456789.e+-ms /Ndeg", max_size=20)), st.sampled_from(q.DIMENSIONS))

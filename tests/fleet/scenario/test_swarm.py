@@ -1,4 +1,4 @@
-"""A swarm of faults: what the seed draws of it, whom it is aimed at, and that it is a list before the run."""
+"""Faults that the seed draws, of a swarm and of a nemesis: whom they are aimed at, all in a list before the run."""
 
 from __future__ import annotations
 
@@ -7,15 +7,16 @@ from math import log
 from statistics import mean
 
 import pytest
-from small_scenario import small
+from small_scenario import read_back, small
 
 from fleet.execution.stepped_run import judged
 from fleet.quantities import vehicle_numbers
-from fleet.scenario.loading import load_scenario, parse_scenario
+from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.schema.faults import WORDS, NemesisPick
+from fleet.scenario.schema.faults import WORDS, FaultSection, NemesisPick
 from fleet.scenario.sections import liveness, swarm
 from fleet.scenario.sections.graph import beside, reached
+from fleet.scenario.sections.nemesis import within_limit
 from fleet.scenario.sections.swarm import HELD, DrawnFault
 from fleet.scenario.sections.timeline import action, vehicles_of
 from netem.fault_kinds import WorldFaultKind
@@ -25,7 +26,6 @@ LONG = ("duration=100 s", "graph={shape: ring}", "vehicles=6", "nemesis=swarm")
 
 
 def drawn(s: Scenario) -> list[DrawnFault]:
-    assert s.undrawn.nemesis is not None
     return swarm.draw(s.undrawn.nemesis, s.ground)
 
 
@@ -57,8 +57,8 @@ def test_what_is_drawn_is_a_list_before_the_run_and_makes_the_same_run() -> None
     for seed in range(1, 9):
         s = small(words, *more, f"seed={seed}")
         seen |= {action(fault) for fault in s.spec.faults}
-        again = parse_scenario(s.to_yaml(), "again.yaml")
-        assert again == s and again.undrawn.nemesis is None
+        again = read_back(s)
+        assert again.undrawn.nemesis is None
         result = judged(s)
         assert result.status in ("pass", "check_failed"), result.reason
         if seed < 3:
@@ -69,7 +69,7 @@ def test_what_is_drawn_is_a_list_before_the_run_and_makes_the_same_run() -> None
 def aimed(s: Scenario, *faults: tuple[str, str, float, float]) -> list[str]:
     """The targets of faults, each of (kind, aim, at, for) [s]."""
     those = [
-        DrawnFault(n, NemesisPick.model_validate({"drawn": kind}), int(at * S), int(lasts * S), aim)  # type: ignore[arg-type]
+        DrawnFault(n, NemesisPick.model_validate({"drawn": kind}), int(at * S), int(lasts * S), aim)
         for n, (kind, aim, at, lasts) in enumerate(faults, start=1)
     ]
     written = swarm.written(those, s.ground)
@@ -116,7 +116,6 @@ CHECKS = (
 def test_liveness_heals_a_core_and_leaves_the_others_broken() -> None:
     for seed in range(20):
         s = small(*LONG, "nemesis=liveness", CHECKS, f"seed={seed}")
-        assert s.undrawn.nemesis is not None
         core = set(liveness.core(s.undrawn.nemesis, s.ground))
         inside = [pair for pair in s.ground.pairs if set(pair) <= core]
         assert len(core) == 4 and reached([min(core)], beside(inside)) == core
@@ -129,7 +128,7 @@ def test_liveness_heals_a_core_and_leaves_the_others_broken() -> None:
         assert (never.vehicles, never.after) == (None, 0)
         error = s.spec.checks.formation_error
         assert error is not None and (set(vehicle_numbers(error.vehicles or "")), error.after) == (core, 60 * S)
-        assert parse_scenario(s.to_yaml(), "again.yaml") == s
+        read_back(s)
     led = small(*LONG, "graph={shape: path, reference: [1]}", "knows_reference=false", "nemesis=liveness")
     assert led.undrawn.nemesis is not None and 1 in liveness.core(led.undrawn.nemesis, led.ground)
 
@@ -139,7 +138,44 @@ def test_vehicles_that_lack_an_instrument_are_not_hit_there() -> None:
     s = small(*LONG, some, "nemesis={mode: swarm, mean: 1 s, pick: [clock]}")
     assert {i for fault in s.spec.faults for i in vehicles_of(fault)} == {2}
     plain = small(*LONG)
-    assert plain.undrawn.nemesis is not None
     assert not {"clock", "compass"} & {pick.drawn for pick in swarm.picks_of(plain.undrawn.nemesis, plain.ground)}
     ideal = load_scenario("ideal", ["nemesis={mode: swarm, mean: 1 s}"])
     assert {action(fault) for fault in ideal.spec.faults} <= set(WorldFaultKind)
+
+
+SWARM = ("duration=60 s", "vehicles=5", "graph={shape: ring}")
+ONE = "nemesis={mode: swarm, pick: [kill, mute, down], mean: 2 s, most_silent: 1}"
+
+
+def fault(at: str, **more: str) -> FaultSection:
+    return FaultSection.model_validate({"at": at, **more})
+
+
+def silent_at_once(scenario: Scenario) -> int:
+    """The most vehicles that are silent at a time."""
+    spells = [
+        (one.at, one.at + (one.for_ or scenario.duration_ns), vehicles_of(one))
+        for one in scenario.spec.faults
+        if action(one) in ("kill", "mute", "pause")
+    ]
+    return max((len({i for a, b, who in spells if a <= at < b for i in who}) for at, _, _ in spells), default=0)
+
+
+def test_what_goes_beyond_is_left_out() -> None:
+    faults = [fault("1 s", kill="1", **{"for": "4 s"}), fault("2 s", mute="1", **{"for": "1 s"}),
+              fault("3 s", kill="2", **{"for": "9 s"}), fault("4 s", down="1->2"), fault("5 s", pause="3")]  # fmt: skip
+
+    def kept(most: int | None, *own: FaultSection) -> list[bool]:
+        left = within_limit(most, faults, own)
+        return [one in left for one in faults]
+
+    assert kept(None) == [True] * 5
+    assert kept(1) == [True, True, False, True, True]  # of the same vehicle; after the first
+    assert kept(2) == [True, True, True, True, True]
+    assert kept(1, fault("0 s", kill="5")) == [False, False, False, True, False]
+
+
+def test_a_seed_keeps_to_it() -> None:
+    free = [small(*SWARM, ONE, "nemesis.most_silent=5", f"seed={n}") for n in range(1, 10)]
+    kept = [small(*SWARM, ONE, f"seed={n}") for n in range(1, 10)]
+    assert max(map(silent_at_once, free)) > 1 and max(map(silent_at_once, kept)) == 1

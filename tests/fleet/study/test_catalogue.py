@@ -30,7 +30,6 @@ def test_the_list_says_what_a_study_is() -> None:
     assert [study.name for study in listed] == ["acoustic", "controllers", "loss-delay", "rate"]
     for study in listed:
         named = study_named(study.name)
-        assert named is not None
         assert (study.title, study.scenario, study.runs) == (
             named.spec.title,
             named.spec.scenario,
@@ -43,6 +42,5 @@ def test_the_list_says_what_a_study_is() -> None:
 @pytest.mark.parametrize("name", shipped_studies())
 def test_what_ships_can_be_run(name: str) -> None:
     named = study_named(name)
-    assert named is not None
     scenarios = load_points(thinned(plan_of(*named)))
     assert len({scenario.to_yaml() for scenario in scenarios}) == len(scenarios)

@@ -15,14 +15,11 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
-from click.testing import CliRunner, Result
-from failing_laws import failing
+from failing_laws import failing, with_law
 from small_scenario import SMALL, small
+from tool import invoke
 from waiting import wait_for
 
-from fleet.cli.main import cli
-from fleet.scenario.loading import parse_scenario
-from fleet.scenario.trust import Policy
 from fleet.study.engine import LOST, DaskEngine, check_versions, dask_engine, need_extra, versions
 from fleet.study.errors import StudyError
 from fleet.study.modules import modules_of
@@ -30,10 +27,6 @@ from fleet.study.one_run import Task
 from fleet.study.row import FAILED, Row
 
 LIMIT_S = 60.0
-
-
-def invoke(*arguments: str) -> Result:
-    return CliRunner().invoke(cli, arguments)
 
 
 @contextmanager
@@ -99,14 +92,10 @@ def test_laws_travel_and_a_worker_of_a_cluster_that_is_killed_costs_no_run(
 ) -> None:
     far = tmp_path / "far"  # where workers look for modules
     far.mkdir()
-    (tmp_path / "far_law.py").write_text("import helper_of_far_law\n" + failing(3, "pass"), "utf-8")
     (tmp_path / "helper_of_far_law.py").write_text("", "utf-8")
-    (tmp_path / "lame_law.py").write_text("import only_here\n" + failing(3, "pass"), "utf-8")
     monkeypatch.setitem(sys.modules, "only_here", ModuleType("only_here"))
-    scenarios = [
-        parse_scenario(f"{SMALL}controller: {name}:Law\n", "small.yaml", folder=tmp_path, policy=Policy(stranger=""))
-        for name in ("far_law", "lame_law")
-    ]
+    needs = {"far_law": "helper_of_far_law", "lame_law": "only_here"}
+    scenarios = [with_law(tmp_path, name, f"import {other}\n" + failing(3, "pass")) for name, other in needs.items()]
     file = tmp_path / "scheduler.json"
     with ExitStack() as stack:
         where = ["--scheduler-file", str(file)]
@@ -164,11 +153,11 @@ class _Cluster:
 
 
 def test_workers_with_other_versions_are_told_apart_before_the_first_run() -> None:
-    check_versions(_Cluster(versions()))  # type: ignore[arg-type]
+    check_versions(_Cluster(versions()))
     with pytest.raises(StudyError, match=r"worker tcp://10.0.0.3:1 has numpy 1.0 \(here "):
-        check_versions(_Cluster(versions() | {"numpy": "1.0"}))  # type: ignore[arg-type]
+        check_versions(_Cluster(versions() | {"numpy": "1.0"}))
     with pytest.raises(StudyError, match=r"worker tcp://10.0.0.3:1 lacks fleet"):
-        check_versions(_Cluster(ModuleNotFoundError("No module named 'fleet'", name="fleet")))  # type: ignore[arg-type]
+        check_versions(_Cluster(ModuleNotFoundError("No module named 'fleet'", name="fleet")))
 
 
 class KilledWorker(Exception):
@@ -183,7 +172,7 @@ class _Future(SimpleNamespace):
         return "error" if self.error else "finished"
 
     def exception(self) -> Exception | None:
-        return self.error  # type: ignore[no-any-return]
+        return self.error
 
     def result(self) -> Row:
         return Row(seed=1, key=self.task.key, status="pass")

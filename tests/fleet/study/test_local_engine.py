@@ -14,12 +14,10 @@ from typing import Any
 
 import psutil
 import pytest
-from failing_laws import failing
+from failing_laws import failing, with_law
 from marks import slow
-from small_scenario import SMALL, small
+from small_scenario import small
 
-from fleet.scenario.loading import parse_scenario
-from fleet.scenario.trust import Policy
 from fleet.study.engine import LOST, LocalEngine, local_engine
 from fleet.study.modules import modules_of
 from fleet.study.one_run import Task
@@ -105,11 +103,7 @@ def test_a_law_of_the_users_runs_there_and_one_that_kills_its_workers_costs_its_
     engine: LocalEngine, tmp_path: Path
 ) -> None:
     laws = {"good_law": "pass", "deadly_law": "__import__('os')._exit(1)"}
-    scenarios = []
-    for name, line in laws.items():
-        (tmp_path / f"{name}.py").write_text(failing(3, line), "utf-8")
-        text = f"{SMALL}controller: {name}:Law\n"
-        scenarios.append(parse_scenario(text, "small.yaml", folder=tmp_path, policy=Policy(stranger="")))
+    scenarios = [with_law(tmp_path, name, failing(3, line)) for name, line in laws.items()]
     modules = modules_of(scenarios, tmp_path)
     strange = tmp_path / "strange"  # where nothing was ever let in
     strange.mkdir()
@@ -138,10 +132,7 @@ def test_a_law_that_hangs_within_a_tick_costs_its_run_and_its_worker_once(
 ) -> None:
     monkeypatch.setattr("fleet.study.engine.GRACE_S", 0.1)
     name = f"stuck_law_{len(line)}"
-    (tmp_path / f"{name}.py").write_text(failing(3, line), "utf-8")
-    stuck = parse_scenario(
-        f"{SMALL}controller: {name}:Law\n", "small.yaml", folder=tmp_path, policy=Policy(stranger="")
-    )
+    stuck = with_law(tmp_path, name, failing(3, line))
     modules = modules_of([stuck], tmp_path)
     made(engine, tasks(4))
     before = set(engine.workers.pids)

@@ -6,23 +6,45 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import yaml
 from refusals import check_refusals
 from small_scenario import small
 
+import fleet
 from fleet.errors import FleetError
+from fleet.scenario.text.overrides import NET, SET, Override
+from fleet.scenario.text.yaml_reader import Source
 from fleet.study.borders import parse_along
 from fleet.study.failures import INDEX, FailureFolder, Regression
-from fleet.study.measures import signal_columns_of
-from fleet.study.plan import parse_seeds
+from fleet.study.given import set_values, varied
+from fleet.study.measures import find_columns, signal_columns_of
+from fleet.study.plan import Plan, parse_seeds
 from fleet.study.stopping import check_until
+from fleet.study.study_file import parse_study
+from fleet.study.sweep import load_points
 from fleet.study.values import parse_axis
 
-READERS: dict[str, Callable[[str], object]] = {
+
+def points(*options: str) -> None:
+    """The points of a study of two seconds of `rough-sea`; an option is its flag and its text."""
+    typed = [option.split(" ", 1) for option in options]
+    changes = [Override({"--net": NET, "--set": SET}[flag], text) for flag, text in typed if flag != "--vary"]
+    axes = [parse_axis(text) for flag, text in typed if flag == "--vary"]
+    load_points(Plan("rough-sea", (Override(SET, "duration=2 s"), *changes), tuple(axes)))
+
+
+READERS: dict[str, Callable[..., object]] = {
     "axes": parse_axis,
     "borders": lambda text: parse_along(text, 0.1),
+    "files": lambda text: parse_study(Source("my.yaml", text)),
+    "keywords": lambda text: fleet.sweep("paper", **yaml.safe_load(text)),
+    "measures": lambda text: find_columns([text]),
     "measures of signals": lambda text: signal_columns_of([text], [small()]),
+    "points": points,
     "rules of stopping": check_until,
     "seeds": parse_seeds,
+    "set": lambda text: set_values([text]),
+    "varied": lambda *texts: varied(list(texts)),
 }
 
 

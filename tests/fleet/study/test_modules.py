@@ -46,7 +46,6 @@ def test_a_worker_writes_them_once(ready: Modules, tag: str, monkeypatch: pytest
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry != str(tmp_path)])
     folder = folder_of(ready)
-    assert folder is not None
     assert (folder / f"package_{tag}" / "law.py").read_text("utf-8").startswith("import helper_")
     assert folder.stat().st_mode & 0o077 == 0
     assert folder_of(ready) == folder

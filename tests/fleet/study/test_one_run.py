@@ -6,7 +6,7 @@ import threading
 from pathlib import Path
 
 import pytest
-from failing_laws import failing
+from failing_laws import failing, with_law
 from in_process_runs import Alone, log_of
 from marks import slow
 from ranged import DYING
@@ -14,8 +14,7 @@ from small_scenario import SMALL
 from waiting import wait_for
 
 from fleet.logs.open_log import open_log
-from fleet.scenario.loading import load_scenario, parse_scenario
-from fleet.scenario.trust import Policy
+from fleet.scenario.loading import load_scenario
 from fleet.study.modules import modules_of
 from fleet.study.one_run import Task, make_run, make_run_in_time
 from fleet.study.row import FAILED
@@ -27,9 +26,7 @@ def test_a_law_that_hangs_within_a_tick_costs_its_run(
 ) -> None:
     monkeypatch.setattr("fleet.study.one_run.GRACE_S", 0.1)
     name = "hanging_law" if "while" in line else "sleeping_law"
-    (tmp_path / f"{name}.py").write_text(failing(3, line), "utf-8")
-    text = f"{SMALL}controller: {name}:Law\n"
-    scenario = parse_scenario(text, "small.yaml", folder=tmp_path, policy=Policy(stranger=""))
+    scenario = with_law(tmp_path, name, failing(3, line))
     before = set(threading.enumerate())
     task = Task("a", 2, 7, "small", scenario.to_yaml(), 0.2, modules_of([scenario], tmp_path))
     row = make_run_in_time(task)

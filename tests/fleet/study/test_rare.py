@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import json
+import shlex
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from statistics import fmean
 
 import msgpack
 import pytest
-from click.testing import CliRunner, Result
 from marks import slow
+from refusals import check_refusals, type_command
 from study_engine import Here
+from tool import invoke
 
-from fleet.cli.main import cli
 from fleet.execution.stepped_run import judged
 from fleet.recorder.snapshot import Snapshot
 from fleet.scenario.loading import load_scenario, parse_scenario
@@ -59,15 +61,12 @@ def streak(rounds: int, length: int, loss: float) -> float:
 
 
 def part_of(scenario: Scenario, branch: Branch) -> PartRow:
-    part = run_branch(scenario, branch, lambda t: None).part
-    assert part is not None
-    return part
+    return run_branch(scenario, branch, lambda t: None).part
 
 
 def test_a_part_without_salt_goes_on_as_the_run_did() -> None:
     scenario = seldom()
     whole = next(verdict for verdict in judged(scenario).checks if verdict.check == "max_age")
-    assert whole.margin is not None
     part = part_of(scenario, Branch("max_age", 0))
     assert part.best == whole.margin.value and part.ticks == scenario.ticks
     margin, state = part.places[1]
@@ -160,8 +159,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Path("seldom.yaml").write_text(SELDOM, "utf-8")
 
 
-def call(*args: str) -> Result:
-    return CliRunner().invoke(cli, ["rare", "seldom.yaml", *args])
+call = partial(invoke, "rare", "seldom.yaml")
 
 
 @pytest.mark.usefixtures("here")
@@ -179,22 +177,8 @@ def test_it_finds_the_known_probability_and_goes_on() -> None:
 
 
 @pytest.mark.usefixtures("here")
-@pytest.mark.parametrize(
-    ("args", "said"),
-    [
-        (("--check", "max_age", "--effort", "4", "--net", "* loss 0%"), "so splitting cannot help"),
-        (("--check", "deaths"), "You can use: max_age"),
-        (("--check", "max_age", "--set", "log.snapshot=0 s"), "seldom has no snapshots"),
-        (
-            ("--check", "max_age", "--set", "sea.current={sigma: 0.1 0 0 m/s, time_constant: 10 s}"),
-            "current cannot be drawn again from a snapshot on",
-        ),
-    ],
-)
-def test_what_cannot_be_split_is_told(args: tuple[str, ...], said: str) -> None:
-    result = call(*args)
-    assert result.exit_code != 0
-    assert said in str(result.exception) + result.output
+def test_what_cannot_be_split_is_told() -> None:
+    check_refusals("study/rare failures", lambda line: type_command("rare", "seldom.yaml", *shlex.split(line)))
 
 
 @pytest.mark.usefixtures("here")

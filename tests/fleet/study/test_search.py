@@ -11,7 +11,6 @@ from small_scenario import small
 from study_engine import Here, Rows
 
 from fleet.execution.stepped_run import judged
-from fleet.study.errors import StudyError
 from fleet.study.one_run import Task
 from fleet.study.row import CheckRow
 from fleet.study.search import Searched, nemesis_of, search
@@ -100,12 +99,3 @@ def test_a_nemesis_is_added_where_there_is_none() -> None:
     assert added.undrawn.nemesis is not None
     events = added.faults.events
     assert events and max(event.tick for event in events) <= 0.75 * added.ticks
-    with pytest.raises(StudyError, match="already has a nemesis: change that one"):
-        nemesis_of(added)
-
-
-def test_what_cannot_be_searched_is_said() -> None:
-    with pytest.raises(StudyError, match="no random faults, so all seeds have the same: --nemesis adds some"):
-        searched(CHECK)
-    with pytest.raises(StudyError, match="small has no check formation_error"):
-        searched(NEMESIS, check="formation_error")

@@ -1,14 +1,14 @@
-"""The least that breaks a run: what is needed stays, and what is left fails by itself."""
+"""The least that breaks a run: what is left fails by itself, and nothing of it can be left out."""
 
 from __future__ import annotations
 
-import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from small_scenario import small
 from study_engine import Here
 
 from fleet.execution.stepped_run import judged
-from fleet.study.errors import StudyError
-from fleet.study.shrink import Shrinker, number_places
+from fleet.study.shrink import Shrinker, ddmin, number_places
 
 FAULTS = (
     "faults=["
@@ -30,7 +30,6 @@ def test_what_is_not_needed_goes_and_what_is_left_fails() -> None:
     assert found.check == "formation_error"
     (fault,) = found.scenario.spec.faults
     assert fault.id == "push"
-    assert fault.wrench is not None
     assert 0.0 < fault.wrench.force[0] < 400.0
     assert found.scenario.vehicles == 2
     assert found.steps[0] == "1 of 5 faults are needed"
@@ -60,17 +59,40 @@ def test_the_runs_may_be_used_up() -> None:
     assert not judged(found.scenario).passed
 
 
-@pytest.mark.parametrize(
-    ("overrides", "check", "message"),
-    [
-        (
-            ("checks={formation_error: {below: 99 m, after: 0 s}, tumbled: waived, deaths: waived}",),
-            None,
-            "every check passes",
-        ),
-        ((FAULTS, CHECK), "ledger", "the check ledger does not fail; these do: formation_error, tumbled"),
-    ],
-)
-def test_nothing_to_shrink_is_said(overrides: tuple[str, ...], check: str | None, message: str) -> None:
-    with pytest.raises(StudyError, match=message):
-        shrinker(*overrides).shrink(check)
+class Asked:
+    """Fails if all of some items are there; counts what it is asked."""
+
+    def __init__(self, needed: set[int]) -> None:
+        self.needed, self.count = needed, 0
+
+    def __call__(self, parts: list[list[int]]) -> list[bool]:
+        self.count += len(parts)
+        return [self.needed <= set(part) for part in parts]
+
+
+@given(st.integers(0, 60).flatmap(lambda n: st.tuples(st.just(n), st.sets(st.integers(0, max(0, n - 1)), max_size=6))))
+def test_exactly_what_is_needed_is_left(case: tuple[int, set[int]]) -> None:
+    n, needed = case
+    if n == 0:
+        needed = set()
+    assert ddmin(range(n), Asked(needed)) == sorted(needed)
+
+
+@given(st.integers(1, 40), st.integers(1, 5), st.integers(0, 999))
+def test_no_item_of_the_rest_can_be_left_out(n: int, least: int, seed: int) -> None:
+    """Whatever fails: here a part whose sum is large enough, or that has an odd item beside an even one."""
+
+    def fails(parts: list[list[int]]) -> list[bool]:
+        return [sum((item * seed) % 7 for item in part) >= least for part in parts]
+
+    if not fails([list(range(n))])[0]:
+        return
+    left = ddmin(range(n), fails)
+    assert fails([left])[0]
+    assert not any(fails([left[:k] + left[k + 1 :] for k in range(len(left))]))
+
+
+def test_two_of_forty_are_found_in_few_tests() -> None:
+    asked = Asked({7, 31})
+    assert ddmin(range(40), asked) == [7, 31]
+    assert asked.count < 80

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import comb
 from random import Random
 
@@ -15,22 +15,27 @@ from fleet.study.row import PartRow
 STEPS = 60
 
 
-def walk(asks: Sequence[Ask], height: int, *, frozen: bool = False) -> list[PartRow]:
-    """Walks of +1 or -1; the margin is how far below the height its highest point was, less a half."""
-    return [_one(ask, height, frozen=frozen) for ask in asks]
-
-
-def _one(ask: Ask, height: int, *, frozen: bool) -> PartRow:
+def go_on(ask: Ask, until: int, move: Callable[[int, Random], int], most: int, salt: int) -> PartRow:
+    """Steps from where a part begins; the margin is how far below `most` the highest place was, less a half."""
     step, at = (int(part) for part in (ask.start.state or b"0 0").split())
-    draws, best, places, begin = Random(0 if frozen else ask.salt), ask.start.best, [], step
-    while step < STEPS:
-        step, at = step + 1, at + draws.choice((-1, 1))
-        if (margin := height - 0.5 - at) < best:
+    draws, best, places, begin = Random(salt), ask.start.best, [], step
+    while step < until:
+        step, at = step + 1, move(at, draws)
+        if (margin := most - 0.5 - at) < best:
             best = margin
             places.append((best, f"{step} {at}".encode()))
             if ask.level is not None and best <= ask.level:
                 break
     return PartRow(best, places, step - begin)
+
+
+def either_way(at: int, draws: Random) -> int:
+    return at + draws.choice((-1, 1))
+
+
+def walk(asks: Sequence[Ask], height: int, *, frozen: bool = False) -> list[PartRow]:
+    """Walks of +1 or -1."""
+    return [go_on(ask, STEPS, either_way, height, 0 if frozen else ask.salt) for ask in asks]
 
 
 def known(height: int) -> float:
@@ -53,21 +58,8 @@ def test_it_estimates_what_is_known(height: int, repeats: int) -> None:
 
 
 def losses(asks: Sequence[Ask], most: int) -> list[PartRow]:
-    """A hundred rounds, of which each is lost with 10 %; the margin is how far the longest row of losses is below."""
-    return [_lost(ask, most) for ask in asks]
-
-
-def _lost(ask: Ask, most: int) -> PartRow:
-    round_, row = (int(part) for part in (ask.start.state or b"0 0").split())
-    draws, best, places, begin = Random(ask.salt), ask.start.best, [], round_
-    while round_ < 100:
-        round_, row = round_ + 1, row + 1 if draws.random() < 0.1 else 0
-        if (margin := most - 0.5 - row) < best:
-            best = margin
-            places.append((best, f"{round_} {row}".encode()))
-            if ask.level is not None and best <= ask.level:
-                break
-    return PartRow(best, places, round_ - begin)
+    """Rows of losses in a hundred rounds, of which each is lost with 10 %."""
+    return [go_on(ask, 100, lambda row, draws: row + 1 if draws.random() < 0.1 else 0, most, ask.salt) for ask in asks]
 
 
 def in_a_row(most: int) -> float:

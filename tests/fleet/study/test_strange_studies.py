@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -12,13 +13,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner
+import yaml
 from hypothesis import given
 from hypothesis import strategies as some
 from made_up_study import LOSS, damage, made_up, usual
 from pandas.testing import assert_frame_equal
+from refusals import check_refusals
+from tool import invoke
 
-from fleet.cli.main import cli
 from fleet.study.errors import StudyError
 from fleet.study.record import NAME, read_record
 from fleet.study.row import Row
@@ -44,7 +46,7 @@ def assert_refused(directory: Path, words: str) -> None:
         with pytest.raises(StudyError, match=words):
             reader(directory)
     for command in COMMANDS:
-        found = CliRunner().invoke(cli, [*command, str(directory)])
+        found = invoke(*command, directory)
         assert found.exit_code == 2 and found.stderr.count("\n") == 1, (command, found.output)
 
 
@@ -60,28 +62,27 @@ def test_a_named_pipe_is_refused_and_not_waited_for(which: str, store: Store) ->
     assert_refused(store.directory, "it is a pipe, not a file|is no regular file")
 
 
-@pytest.mark.parametrize(
-    ("statement", "words"),
-    [
-        ("UPDATE runs SET status = 'great'", "a value of another type in runs"),
-        ("UPDATE runs SET status = '\x1b[2J' WHERE seed = 2", "a value of another type in runs"),
-        ("UPDATE runs SET e_rms_m = 'x' WHERE seed = 2", "a value of another type in runs"),
-        ("UPDATE runs SET reason = x'ff' WHERE seed = 2", "a value of another type in runs"),
-        ("UPDATE points SET scenario = x'ff'", "a value of another type in points"),
-        ("UPDATE runs SET reason = CAST(x'ff' AS TEXT)", "Could not decode to UTF-8"),
-        ("UPDATE runs SET seed = 99 WHERE seed = 1", "runs of points or seeds that are not its own"),
-        ("CREATE TABLE more (a)", "its tables are not those"),
-        ("CREATE TRIGGER evil AFTER INSERT ON runs BEGIN DELETE FROM runs; END", "its tables are not those"),
-        ("CREATE VIEW all_points AS SELECT * FROM points", "its tables are not those"),
-        ("ALTER TABLE runs ADD COLUMN more", "its tables are not those"),
-        ("DROP TABLE runs", "its tables are not those"),
-        ("PRAGMA journal_mode = WAL", "no database of a study"),
-    ],
-)
-def test_what_no_study_writes(statement: str, words: str, store: Store) -> None:
-    damage(store.directory, statement)
-    with pytest.raises(StudyError, match=words):
-        open_study(store.directory).to_pandas()
+def test_what_no_study_writes(store: Store, tmp_path: Path) -> None:
+    """Into the database, and into the record beside it."""
+    copy = tmp_path / "copy"
+    record = json.loads((store.directory / NAME).read_text("utf-8"))
+
+    def fresh() -> None:
+        shutil.rmtree(copy, ignore_errors=True)
+        shutil.copytree(store.directory, copy)
+
+    def stated(statement: str) -> None:
+        fresh()
+        damage(copy, statement)
+        open_study(copy).to_pandas()
+
+    def recorded(change: str) -> None:
+        fresh()
+        (copy / NAME).write_text(json.dumps(record | yaml.safe_load(change)), "utf-8")
+        open_study(copy)
+
+    check_refusals("study/statements", stated, hide={str(copy): "STUDY"})
+    check_refusals("study/records", recorded, hide={str(copy): "STUDY"})
 
 
 def test_every_reader_refuses_it(store: Store) -> None:
@@ -122,26 +123,21 @@ def test_a_file_that_is_cut_off_or_no_database(store: Store) -> None:
             Store.open(store.directory).frame()
 
 
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    return made_up(tmp_path_factory.mktemp("strange") / "study", LOSS, row=usual)
+
+
 @given(at=some.integers(0, 10**6), byte=some.integers(0, 255))
-def test_a_changed_byte_gives_rows_or_words(at: int, byte: int, tmp_path_factory: pytest.TempPathFactory) -> None:
-    store = _once(tmp_path_factory)
-    file = store.directory / FILE
+def test_a_changed_byte_gives_rows_or_words(at: int, byte: int, kept: Store) -> None:
+    file = kept.directory / FILE
     whole = file.read_bytes()
     damaged = bytearray(whole)
     damaged[at % len(damaged)] = byte
     file.write_bytes(damaged)
     with suppress(StudyError):
-        Store.open(store.directory).frame()
+        Store.open(kept.directory).frame()
     file.write_bytes(whole)
-
-
-_made: list[Store] = []
-
-
-def _once(factory: pytest.TempPathFactory) -> Store:
-    if not _made:
-        _made.append(made_up(factory.mktemp("strange") / "study", LOSS, row=usual))
-    return _made[0]
 
 
 KILLED = """

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import time
-from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
-from small_scenario import SMALL
-from study_engine import Here
+from study_engine import made_here
 
 import fleet
 from fleet.errors import ScenarioError
@@ -27,9 +25,7 @@ study:
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fleet.study.study.engine_of", lambda *_: nullcontext(Here()))
-    monkeypatch.chdir(tmp_path)
-    Path("small.yaml").write_text(SMALL, "utf-8")
+    made_here(tmp_path, monkeypatch)
 
 
 def test_a_script_runs_the_file_of_a_study_with_changes() -> None:
@@ -40,7 +36,6 @@ def test_a_script_runs_the_file_of_a_study_with_changes() -> None:
     assert study.seeds == [7]
     assert list(study.to_pandas()["loss"]) == [0.0, 50.0]
     spec = Store.open(study.directory).record.spec
-    assert spec is not None
     assert (spec.timeout, spec.draw, spec.seeds, spec.set) == ("90 s", 3, "7,7", {"profile": "hardened"})
 
 
@@ -53,7 +48,6 @@ def test_mistakes_in_the_file_are_raised() -> None:
 def test_a_time_limit_is_kept_with_the_study() -> None:
     study = fleet.sweep("small.yaml", seeds=1, timeout_s=1.5)
     spec = Store.open(study.directory).record.spec
-    assert spec is not None
     assert (spec.timeout, spec.seeds) == ("1.5 s", "1")
 
 

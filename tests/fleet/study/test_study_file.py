@@ -1,4 +1,4 @@
-"""The file of a study: every mistake at its place, and no text that does harm."""
+"""The file of a study: what is read, and no text that does harm. Its mistakes stand in `messages-study.txt`."""
 
 from __future__ import annotations
 
@@ -21,13 +21,6 @@ from world.plugins.trust import trusting
 
 def parse(text: str, folder: Path | None = None) -> StudySpec:
     return parse_study(Source("my.yaml", text), folder)
-
-
-def mistakes(text: str) -> list[tuple[int, int, str, str]]:
-    """Line, column, message and hint of each."""
-    with pytest.raises(ScenarioError) as caught:
-        parse(text)
-    return [(problem.line, problem.column, problem.message, problem.hint) for problem in caught.value.problems]
 
 
 def test_every_key_is_read() -> None:
@@ -70,73 +63,6 @@ study:
         measures=["e_rms_m", "tumbles"],
         timeout="5 min",
     )
-
-
-def test_all_mistakes_are_told_each_at_its_place() -> None:
-    found = mistakes("""\
-vehicles: 4
-study:
-  scenari: x
-  vary:
-    delay: 1 s..0 s/3
-    loss: [1, 1]
-    a b: 1, 2
-  seeds: -3
-  zip: 7
-  draw: 1.5
-  measures: [e_rms, 3]
-  timeout: 5
-  run_takes: -1 s
-  set: 3
-  net: [1]
-""")
-    assert found == [
-        (
-            1,
-            1,
-            'unknown key "vehicles": a study is the one key "study"',
-            "keys of the scenario stand in set, below study",
-        ),
-        (3, 3, 'unknown key "scenari"', 'did you mean "scenario"?'),
-        (3, 3, '"scenario" is missing in "study"', "a shipped name, or a file beside this one"),
-        (5, 12, "vary: delay=1 s..0 s/3: the low end must be below the high end", ""),
-        (6, 11, "vary: loss=1, 1: the value 1 is given twice", ""),
-        (7, 10, "vary: expected a key such as network.links.*.loss, got 'a b'", ""),
-        (8, 10, "seeds: expected a number of seeds such as 20, or seeds such as 5..24 or 3,7,9, got '-3'", ""),
-        (9, 8, "zip: expected true or false, got 7", ""),
-        (10, 9, "draw: expected a whole number from 0 on, got 1.5", ""),
-        (11, 14, 'measures: there is no measure "e_rms"; did you mean "e_rms_m"?', ""),
-        (11, 21, "measures: expected a text, got 3", ""),
-        (12, 12, "timeout: expected a text, got 5", ""),
-        (13, 14, 'run_takes: expected a time that is not negative, got "-1 s"', ""),
-        (14, 8, "set: expected a mapping of keys of the scenario to values, got 3", ""),
-        (15, 9, "net: expected a text, got 1", ""),
-    ]
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("study: 3", "study: expected a mapping with at least a scenario, got 3"),
-        ("study:", "study: expected a mapping with at least a scenario, got nothing"),
-        ("- study", 'study: expected a mapping with the key "study"'),
-        ("study: {scenario: paper, scenario: ideal}", 'the key "scenario" is here twice'),
-        ("study: {scenario: paper, seeds: 3, vary: {a: 1..9}}", "vary: a=1..9: how many values?"),
-        ('study: {scenario: "a\\e[31mb"}', "scenario: a line break or a control character is in it"),
-        ('study: {scenario: paper, set: {a: "\\e[31m"}}', "set: a line break or a control character is in it"),
-        ('study: {scenario: paper, vary: {a: "1\\n2"}}', "vary: a line break or a control character is in it"),
-        ("study: &a {scenario: paper, set: *a}", "stands for something that contains it"),
-        ("study: {scenario: [", "not YAML"),
-    ],
-)
-def test_what_is_no_study(text: str, message: str) -> None:
-    assert message in mistakes(text)[0][2]
-
-
-def test_no_message_has_a_control_character_of_the_file() -> None:
-    with pytest.raises(ScenarioError) as caught:
-        parse('{"\\e]0;x\\a": 1, study: {"\\e[2J": 1, scenario: paper, vary: {"\\e[31m": 1}, measures: ["\\e[1m"]}}')
-    assert "\x1b" not in str(caught.value)
 
 
 def test_a_scenario_beside_the_study_is_found_there(tmp_path: Path) -> None:
@@ -186,7 +112,6 @@ def test_laws_of_a_study_obey_the_rules_of_scenarios(
     text = f"study: {{scenario: paper, set: {{controller: {{law: '{module}:Law'}}}}}}"
     Path(file).write_text(text, "utf-8")
     named = study_named(file)
-    assert named is not None
     with pytest.raises(ScenarioError) as caught:
         load_points(plan_of(*named))
     assert Path("it_ran").exists() is runs

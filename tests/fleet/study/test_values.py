@@ -10,10 +10,6 @@ from fleet.study.errors import StudyError
 from fleet.study.values import Axis, AxisValue, axis, parse_axis, values_text
 
 
-def texts(text: str) -> list[str]:
-    return [value.text for value in parse_axis(text).values]
-
-
 @pytest.mark.parametrize(
     ("text", "unit", "values"),
     [
@@ -33,8 +29,8 @@ def texts(text: str) -> list[str]:
     ],
 )
 def test_values(text: str, unit: str, values: list[str]) -> None:
-    assert texts(text) == values
-    assert parse_axis(text).unit == unit
+    found = parse_axis(text)
+    assert ([value.text for value in found.values], found.unit) == (values, unit)
 
 
 def test_numbers_are_in_the_unit_of_the_axis() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from threading import Thread
 from types import SimpleNamespace
@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import msgpack
 import pytest
-from foxglove_client import viewer
+from foxglove_client import Viewer, viewer
 from live import LiveRun
 from showing import Fingers, going_on, quiet_line
 from traffic import LIMIT_S, endpoint, session
@@ -46,7 +46,7 @@ class Source(NamedTuple):
 class ZBytes(bytes):
     """Zenoh's."""
 
-    def to_bytes(self) -> bytes:  # type: ignore[override]
+    def to_bytes(self) -> bytes:
         return self
 
 
@@ -54,6 +54,12 @@ class ZBytes(bytes):
 def joined(observed: Observed) -> Iterator[OpenBus]:
     with session(OpenBus.connect(observed.endpoint, Credentials(observed.user, observed.password))) as bus:
         yield bus
+
+
+@contextmanager
+def watched(bridge: LiveBridge) -> Iterator[Viewer]:
+    with closing(bridge.server), going_on(lambda _, line: bridge.run(line)), viewer(bridge.server.endpoint) as watcher:
+        yield watcher
 
 
 def test_only_what_viewers_want_is_fetched(log: Path, tmp_path: Path) -> None:
@@ -71,23 +77,20 @@ def test_only_what_viewers_want_is_fetched(log: Path, tmp_path: Path) -> None:
         bridge = LiveBridge(
             LiveSource(tmp_path, observed, None), LiveJournal(bus, Keys(observed.run)), "127.0.0.1", 0, control=False
         )
-        try:
-            with going_on(lambda _, line: bridge.run(line)), viewer(bridge.server.endpoint) as watcher:
-                assert set(watcher.channels) == {c.topic for c in Tape(log).channels.values()}
-                assert not watcher.services and watcher.infos[0]["capabilities"] == ["time"]
-                watcher.subscribe("uuv/2/state", "link/1-2")
-                wait_for(lambda: fetched() == {"transforms", "uuv/2/state", "link/1-2"}, LIMIT_S, "subscriptions")
-                watcher.unsubscribe("link/1-2")
-                wait_for(lambda: fetched() == {"transforms", "uuv/2/state"}, LIMIT_S, "the end of one")
-                count = len(open_log(log)["uuv/2/state"])
-                player = Thread(target=lambda: replay.play(Fingers(), quiet_line()))
-                player.start()
-                watcher.until(lambda: len(watcher.messages) == count)
-                player.join()
-                publisher.close()
-                watcher.until(lambda: "the run is over" in watcher.told)
-        finally:
-            bridge.server.close()
+        with watched(bridge) as watcher:
+            assert set(watcher.channels) == {c.topic for c in Tape(log).channels.values()}
+            assert not watcher.services and watcher.infos[0]["capabilities"] == ["time"]
+            watcher.subscribe("uuv/2/state", "link/1-2")
+            wait_for(lambda: fetched() == {"transforms", "uuv/2/state", "link/1-2"}, LIMIT_S, "subscriptions")
+            watcher.unsubscribe("link/1-2")
+            wait_for(lambda: fetched() == {"transforms", "uuv/2/state"}, LIMIT_S, "the end of one")
+            count = len(open_log(log)["uuv/2/state"])
+            player = Thread(target=lambda: replay.play(Fingers(), quiet_line()))
+            player.start()
+            watcher.until(lambda: len(watcher.messages) == count)
+            player.join()
+            publisher.close()
+            watcher.until(lambda: "the run is over" in watcher.told)
 
 
 def test_who_only_watches_cannot_control(log: Path, tmp_path: Path) -> None:
@@ -159,34 +162,30 @@ def test_a_service_call_cuts_a_link_of_a_live_run(tmp_path: Path) -> None:
     with LiveRun(tmp_path / "runs", *arguments) as run:
         run.until_running(0.5)
         source = find_source(str(run.directory), tmp_path)
-        assert isinstance(source, LiveSource)
         with joined(source.observed) as bus:
             bridge = LiveBridge(source, LiveJournal(bus, Keys(source.observed.run)), "127.0.0.1", 0, control=True)
-            try:
-                with going_on(lambda _, line: bridge.run(line)), viewer(bridge.server.endpoint) as watcher:
-                    watcher.subscribe(*topics)
-                    watcher.until(lambda: watcher.of("link/1-2"))
-                    cut = watcher.call("/fleet/inject", what="down '1->2'", id="cut")
-                    assert cut["id"] == "cut" and cut["until_healed"]
-                    after_ns = int((cut["from_s"] + 0.5) * 1e9)
-                    watcher.until(lambda: watcher.of("link/1-2")[-1].log_ns > after_ns)
-                    assert [fault["state"] for fault in watcher.call("/fleet/faults")["faults"]] == ["active"]
-                    assert "there is a fault cut already" in watcher.call("/fleet/inject", what="down 2->1", id="cut")
-                    assert "has no link 1->9" in watcher.call("/fleet/inject", what="down 1->9")
-                    assert 'did you mean "down"' in watcher.call("/fleet/inject", what="dawn 1->2")
-                    assert "inject takes what, for, id" in watcher.call("/fleet/inject", fault="down 1->2")
-                    assert "what? The words of fleet inject" in watcher.call("/fleet/inject")
-                    assert watcher.call("/fleet/heal", id="cut")["healed"] == ["cut"]
-                    assert watcher.call("/fleet/clock", do="pause")["clock"] == "paused"
-                    assert watcher.call("/fleet/clock", do="step")["clock"] == "paused"
-                    assert "the clock knows" in watcher.call("/fleet/clock", do="speed", value=-1)
-                    watcher.call("/fleet/clock", do="speed", value=10)
-                    assert watcher.call("/fleet/clock", do="resume")["clock"] == "10 x real time"
-                    watcher.until(lambda: "the run is over" in watcher.told)  # it may come before the last messages
-                    watcher.until(lambda: len(watcher.messages) == bridge.server.sent)
-                    assert watcher.times == sorted(watcher.times)
-            finally:
-                bridge.server.close()
+            with watched(bridge) as watcher:
+                watcher.subscribe(*topics)
+                watcher.until(lambda: watcher.of("link/1-2"))
+                cut = watcher.call("/fleet/inject", what="down '1->2'", id="cut")
+                assert cut["id"] == "cut" and cut["until_healed"]
+                after_ns = int((cut["from_s"] + 0.5) * 1e9)
+                watcher.until(lambda: watcher.of("link/1-2")[-1].log_ns > after_ns)
+                assert [fault["state"] for fault in watcher.call("/fleet/faults")["faults"]] == ["active"]
+                assert "there is a fault cut already" in watcher.call("/fleet/inject", what="down 2->1", id="cut")
+                assert "has no link 1->9" in watcher.call("/fleet/inject", what="down 1->9")
+                assert 'did you mean "down"' in watcher.call("/fleet/inject", what="dawn 1->2")
+                assert "inject takes what, for, id" in watcher.call("/fleet/inject", fault="down 1->2")
+                assert "what? The words of fleet inject" in watcher.call("/fleet/inject")
+                assert watcher.call("/fleet/heal", id="cut")["healed"] == ["cut"]
+                assert watcher.call("/fleet/clock", do="pause")["clock"] == "paused"
+                assert watcher.call("/fleet/clock", do="step")["clock"] == "paused"
+                assert "the clock knows" in watcher.call("/fleet/clock", do="speed", value=-1)
+                watcher.call("/fleet/clock", do="speed", value=10)
+                assert watcher.call("/fleet/clock", do="resume")["clock"] == "10 x real time"
+                watcher.until(lambda: "the run is over" in watcher.told)  # it may come before the last messages
+                watcher.until(lambda: len(watcher.messages) == bridge.server.sent)
+                assert watcher.times == sorted(watcher.times)
         assert run.status() == 0, run.printed
         link = open_log(run.log)["link/1-2"]
         while_cut = (link.sent > cut["from_s"]) & (link.sent < cut["from_s"] + 0.5)

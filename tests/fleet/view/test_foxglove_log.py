@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
@@ -25,11 +25,8 @@ S = 1_000_000_000
 @contextmanager
 def shown(log: Path, *, rate: float = 1.0, loop: bool = False) -> Iterator[tuple[Viewer, Fingers]]:
     bridge = LogBridge(Tape(log), "127.0.0.1", 0, rate=rate, loop=loop)
-    try:
-        with going_on(bridge.run) as fingers, viewer(bridge.server.endpoint) as found:
-            yield found, fingers
-    finally:
-        bridge.server.close()
+    with closing(bridge.server), going_on(bridge.run) as fingers, viewer(bridge.server.endpoint) as found:
+        yield found, fingers
 
 
 def test_a_viewer_gets_the_log(log: Path, records: list[Record]) -> None:
@@ -82,30 +79,27 @@ def test_a_viewer_controls_how_a_log_is_played(log: Path, records: list[Record])
 def test_only_what_is_asked_for_is_decoded(log: Path, records: list[Record]) -> None:
     """A second topic comes with its last message; one that is given up comes no more; without a viewer it waits."""
     bridge = LogBridge(Tape(log), "127.0.0.1", 0, rate=1.0, loop=False)
-    try:
-        with going_on(bridge.run):
-            with viewer(bridge.server.endpoint) as watcher:
-                watcher.control(play=False, seek_ns=1 * S)
-                watcher.subscribe("scene")
-                watcher.until(lambda: watcher.of("scene"))
-                assert watcher.of("scene")[0].log_ns == max(
-                    r.log_ns for r in records if r.topic == "scene" and r.log_ns < S
-                )
-                watcher.subscribe("uuv/2/error")
-                watcher.until(lambda: watcher.of("uuv/2/error"))
-                watcher.unsubscribe("scene")
-                watcher.control(play=True, rate=1000.0, request="on")
-                watcher.until(lambda: watcher.states[-1].status == "ended")
-                watcher.until(lambda: watcher.messages[-1].log_ns == 2 * S)
-                assert len(watcher.of("scene")) == 1
-                assert bridge.server.sent == len(watcher.messages)
-            wait_for(lambda: not bridge.server.viewers, LIMIT_S, "the viewer to leave")
-            with viewer(bridge.server.endpoint) as watcher:
-                watcher.subscribe("uuv/2/error")  # somebody comes after the end: it begins again
-                watcher.until(lambda: watcher.of("uuv/2/error"))
-                assert watcher.of("uuv/2/error")[0].log_ns < S
-    finally:
-        bridge.server.close()
+    with closing(bridge.server), going_on(bridge.run):
+        with viewer(bridge.server.endpoint) as watcher:
+            watcher.control(play=False, seek_ns=1 * S)
+            watcher.subscribe("scene")
+            watcher.until(lambda: watcher.of("scene"))
+            assert watcher.of("scene")[0].log_ns == max(
+                r.log_ns for r in records if r.topic == "scene" and r.log_ns < S
+            )
+            watcher.subscribe("uuv/2/error")
+            watcher.until(lambda: watcher.of("uuv/2/error"))
+            watcher.unsubscribe("scene")
+            watcher.control(play=True, rate=1000.0, request="on")
+            watcher.until(lambda: watcher.states[-1].status == "ended")
+            watcher.until(lambda: watcher.messages[-1].log_ns == 2 * S)
+            assert len(watcher.of("scene")) == 1
+            assert bridge.server.sent == len(watcher.messages)
+        wait_for(lambda: not bridge.server.viewers, LIMIT_S, "the viewer to leave")
+        with viewer(bridge.server.endpoint) as watcher:
+            watcher.subscribe("uuv/2/error")  # somebody comes after the end: it begins again
+            watcher.until(lambda: watcher.of("uuv/2/error"))
+            assert watcher.of("uuv/2/error")[0].log_ns < S
 
 
 @pytest.mark.parametrize("how", ["loop", "keyboard"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from typing import Any
 
 import pytest
@@ -25,8 +26,6 @@ def test_a_port_that_is_taken() -> None:
         with pytest.raises(FleetError, match=rf"cannot listen on {HOST}:{port}: .*in use") as caught:
             FoxgloveServer("third", HOST, port, CHANNELS)
         assert caught.value.status == 3
-        with pytest.raises(FleetError, match=r"cannot listen on 192\.0\.2\.1"):
-            FoxgloveServer("fourth", "192.0.2.1", 0, CHANNELS)
     finally:
         first.close()
         second.close()
@@ -34,22 +33,18 @@ def test_a_port_that_is_taken() -> None:
 
 def test_nobody_waits_for_a_viewer_that_takes_nothing() -> None:
     """What has waited longest is left out for it, which is told; the newest messages come when it takes them again."""
-    server = FoxgloveServer("x", HOST, 0, CHANNELS)
     data, count = b"x" * 1000, 4 * BACKLOG  # more than sockets and queue hold
-    try:
-        with viewer(server.endpoint, most=10) as slow:
-            slow.subscribe("a")
-            assert wait_for(lambda: server.events(0.1), LIMIT_S, "a subscription") and server.viewers == 1
-            for n in range(count):
-                server.put(7, data, n)
-            assert server.sent == count
-            assert server.fell_behind() and not server.fell_behind()
-            slow.until(lambda: slow.messages and slow.messages[-1].log_ns == count - 1)
-            assert len(slow.messages) < count
-            slow.until(lambda: slow.told)
-            assert "left out" in slow.told[0]
-    finally:
-        server.close()
+    with closing(FoxgloveServer("x", HOST, 0, CHANNELS)) as server, viewer(server.endpoint, most=10) as slow:
+        slow.subscribe("a")
+        assert wait_for(lambda: server.events(0.1), LIMIT_S, "a subscription") and server.viewers == 1
+        for n in range(count):
+            server.put(7, data, n)
+        assert server.sent == count
+        assert server.fell_behind() and not server.fell_behind()
+        slow.until(lambda: slow.messages and slow.messages[-1].log_ns == count - 1)
+        assert len(slow.messages) < count
+        slow.until(lambda: slow.told)
+        assert "left out" in slow.told[0]
 
 
 def test_services_answer_and_refuse_in_words() -> None:
@@ -60,13 +55,14 @@ def test_services_answer_and_refuse_in_words() -> None:
             raise FleetError("there is no link 1->9")
         return {"got": asked}
 
-    server = FoxgloveServer("x", HOST, 0, CHANNELS, services=[ServiceOffer("/do", {"type": "object"}, {}, call)])
-    try:
-        with viewer(server.endpoint) as watcher:
-            watcher.until(lambda: watcher.services)
-            assert watcher.call("/do", a=1) == {"got": {"a": 1}}
-            assert "there is no link 1->9" in watcher.call("/do", no=1)
-            assert "takes a JSON object" in watcher.call("/do", body="[1]")
-            assert "takes a JSON object" in watcher.call("/do", body="{")
-    finally:
-        server.close()
+    with (
+        closing(
+            FoxgloveServer("x", HOST, 0, CHANNELS, services=[ServiceOffer("/do", {"type": "object"}, {}, call)])
+        ) as server,
+        viewer(server.endpoint) as watcher,
+    ):
+        watcher.until(lambda: watcher.services)
+        assert watcher.call("/do", a=1) == {"got": {"a": 1}}
+        assert "there is no link 1->9" in watcher.call("/do", no=1)
+        assert "takes a JSON object" in watcher.call("/do", body="[1]")
+        assert "takes a JSON object" in watcher.call("/do", body="{")

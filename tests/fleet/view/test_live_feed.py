@@ -29,6 +29,14 @@ def journal() -> LiveJournal:
     return LiveJournal(nothing, KEYS)
 
 
+def feed_of(picture: ViewState, **more: Any) -> Any:
+    """A feed of such a run, with no more than it needs here."""
+    feed: Any = object.__new__(LiveFeed)
+    rate, signals = SimpleNamespace(value=1.0, update=lambda *_: None), SimpleNamespace(values=lambda *_: ())
+    vars(feed).update(_journal=journal(), picture=picture, _rate=rate, signals=signals, **more)
+    return feed
+
+
 def sample(topic: str, data: bytes, place: int) -> Any:
     """A sample of zenoh at time 0."""
     return SimpleNamespace(
@@ -40,9 +48,7 @@ def sample(topic: str, data: bytes, place: int) -> Any:
 
 
 def test_messages_that_did_not_come_are_said_also_when_the_run_is_over() -> None:
-    feed: Any = object.__new__(LiveFeed)
-    vars(feed).update(_journal=journal(), picture=ViewState(small()), _over="", _published=True, _status={})
-    feed._rate = SimpleNamespace(value=1.0)
+    feed = feed_of(ViewState(small()), _over="", _published=True, _status={})
     assert feed.clock()["note"] == ""
     feed.missing.came("transforms", 0)
     feed.missing.came("transforms", 3)
@@ -55,10 +61,7 @@ def test_messages_that_did_not_come_are_said_also_when_the_run_is_over() -> None
 
 def test_what_the_queue_has_no_room_for_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fleet.replay.live_journal.MOST_WAITING", 3)
-    feed: Any = object.__new__(LiveFeed)
-    vars(feed).update(_journal=journal(), picture=ViewState(small()))
-    feed._rate = SimpleNamespace(update=lambda *_: None)
-    feed.signals = SimpleNamespace(values=lambda *_: ())
+    feed = feed_of(ViewState(small()))
     place = count()
     for many in (1, 6):
         for _ in range(many):
@@ -68,9 +71,7 @@ def test_what_the_queue_has_no_room_for_is_counted(monkeypatch: pytest.MonkeyPat
 
 
 def test_of_many_beliefs_the_newest_is_shown_and_none_is_missing() -> None:
-    feed: Any = object.__new__(LiveFeed)
-    vars(feed).update(_journal=journal(), picture=ViewState(small("navigation=mems")))
-    feed._rate = SimpleNamespace(update=lambda *_: None)
+    feed = feed_of(ViewState(small("navigation=mems")))
     message = flat_schema("Belief", BELIEF).message
     for north in (1.0, 2.0, 3.0):
         feed._journal.receive_newest(sample("uuv/2/belief", message(off=[north, 0.0, 0.0]).SerializeToString(), 0))
@@ -94,7 +95,7 @@ def test_what_is_charted_from_the_start_is_followed_without_a_browser(monkeypatc
         followed.append(key)
         return lambda: followed.remove(key)
 
-    monkeypatch.setattr(LiveJournal, "connect", lambda *_: LiveJournal(SimpleNamespace(subscribe=subscribe), KEYS))  # type: ignore[arg-type]
+    monkeypatch.setattr(LiveJournal, "connect", lambda *_: LiveJournal(SimpleNamespace(subscribe=subscribe), KEYS))
     feed = LiveFeed(LiveSource(Path("x"), Observed("", "", "", "x"), None))
     charted = {KEYS.log(topic) for topic in topics}
     assert charted <= set(followed)

@@ -136,7 +136,6 @@ def copied(log: Path, out: Path, schema: str = "", *, late: bool = False) -> Pat
         reader, writer = make_reader(source), Writer(target)
         writer.start("", "")
         summary = reader.get_summary()
-        assert summary is not None
         schemas = {
             n: writer.register_schema(s.name, s.encoding, b"\x0a\xff damaged" if s.name == schema else s.data)
             for n, s in summary.schemas.items()

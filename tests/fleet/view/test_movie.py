@@ -49,7 +49,7 @@ def test_a_gif_has_its_pictures_and_the_same_bytes_again(log: Path, tmp_path: Pa
     assert out.read_bytes() == (tmp_path / "b.gif").read_bytes()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.gif", "b.gif"]
     with Image.open(out) as movie:
-        assert (movie.size, movie.n_frames, movie.info["duration"]) == ((320, 240), 5, 250)  # type: ignore[attr-defined]
+        assert (movie.size, movie.n_frames, movie.info["duration"]) == ((320, 240), 5, 250)
         pictures = []
         for k in range(5):
             movie.seek(k)

@@ -31,6 +31,13 @@ class AskedFeed(LiveFeed):
         return {}
 
 
+def viewer_of(page: Page, **more: Any) -> Any:
+    """A browser that shows a page, with no more than it needs here."""
+    viewer: Any = object.__new__(Viewer)
+    vars(viewer).update(_page=page, signals={}, **more)
+    return viewer
+
+
 @pytest.mark.parametrize("op", ["inject", "heal", "clock"])
 def test_a_page_that_may_only_watch_asks_the_console_for_nothing(op: str) -> None:
     feed = AskedFeed()
@@ -42,8 +49,7 @@ def test_a_page_that_may_only_watch_asks_the_console_for_nothing(op: str) -> Non
 
 def test_a_page_that_may_only_watch_saves_no_scenario() -> None:
     page = Page(AskedFeed(), may_act=False)
-    viewer: Any = object.__new__(Viewer)
-    viewer._page = page
+    viewer = viewer_of(page)
     with pytest.raises(FleetError, match="only watch"):
         asyncio.run(viewer._do({"do": "script"}))
     assert not page.commands
@@ -79,8 +85,7 @@ def test_signals_are_followed_as_long_as_a_page_shows_them() -> None:
     page = Page(feed, may_act=False)
 
     def opened() -> Any:
-        viewer: Any = object.__new__(Viewer)
-        vars(viewer).update(_page=page, _ready=False, signals={})
+        viewer = viewer_of(page, _ready=False)
         page._viewers.append(viewer)
         return viewer
 
@@ -110,9 +115,8 @@ def test_the_curves_of_the_newest_question_are_given_last(monkeypatch: pytest.Mo
     feed: Any = object.__new__(LogFeed)
     feed.whole = list
     given: list[list[str]] = []
-    viewer: Any = object.__new__(Viewer)
-    vars(viewer).update(_page=Page(feed, may_act=False), _ready=True, signals={})
-    viewer.element = SimpleNamespace(give=lambda changes: given.append(changes["whole"]))
+    element = SimpleNamespace(give=lambda changes: given.append(changes["whole"]))
+    viewer = viewer_of(Page(feed, may_act=False), _ready=True, element=element)
 
     async def ask_twice() -> None:
         begun: list[asyncio.Event] = []
@@ -151,17 +155,8 @@ def test_pictures_do_not_pile_up_for_a_browser_that_does_not_take_them() -> None
     feed.picture = ViewState(small())
     page = Page(feed, may_act=False)
     given: list[Any] = []
-    viewer: Any = object.__new__(Viewer)
-    vars(viewer).update(
-        _page=page,
-        _ready=True,
-        _sent=0,
-        _seen=0,
-        _left_out=0,
-        _slow_until=0.0,
-        _told=-1,
-        element=SimpleNamespace(give=given.append),
-    )
+    counts = {"_sent": 0, "_seen": 0, "_left_out": 0, "_slow_until": 0.0, "_told": -1}
+    viewer = viewer_of(page, _ready=True, element=SimpleNamespace(give=given.append), **counts)
     for _ in range(1000):
         viewer.show({"t": 0.0})
     left_out = 1000 - MOST_AHEAD - 1

@@ -41,13 +41,6 @@ def test_each_door_has_a_free_port_that_listens_and_a_token_of_its_own() -> None
             pass
 
 
-def test_a_port_that_is_taken_is_said() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        with pytest.raises(FleetError, match=f"port {port} of 127.0.0.1 .* in use.*--port"):
-            open_listener(port=port)
-
-
 @pytest.mark.parametrize("host", ["192.0.2.1", "a..b", "a" * 64])
 def test_an_address_that_is_not_ours_is_said(host: str) -> None:
     with pytest.raises(FleetError, match=re.escape(host)):
@@ -68,12 +61,6 @@ def test_the_names_by_which_a_page_is_reached(host: str, names: set[str]) -> Non
     with socket.socket() as nowhere:
         assert PageListener(host, 80, nowhere, "token").names == names
     assert is_loopback(host) == ("localhost" in names)
-
-
-def test_without_nicegui_a_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "find_spec", lambda name: None)
-    with pytest.raises(FleetError, match=r"uuv-fleet\[view\]"):
-        open_listener()
 
 
 def test_a_browser_is_led_by_a_file_of_this_user_and_not_by_its_arguments(monkeypatch: pytest.MonkeyPatch) -> None:

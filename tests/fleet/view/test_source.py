@@ -41,7 +41,7 @@ def test_a_live_run_by_name_or_the_one_that_began_last(tmp_path: Path) -> None:
             found = find_source(name, tmp_path)
             assert isinstance(found, LiveSource) and found.directory == paper
             assert found.observed == OBSERVED and found.run is not None
-        assert find_source("ideal", tmp_path).directory == ideal  # type: ignore[union-attr]
+        assert find_source("ideal", tmp_path).directory == ideal
         only = find_source(str(paper / OBSERVE), tmp_path)
         assert isinstance(only, LiveSource) and only.run is not None
         copy = shutil.copy(paper / OBSERVE, tmp_path / "given.json")

@@ -5,11 +5,10 @@ from __future__ import annotations
 import shlex
 
 import pytest
-from click.testing import CliRunner
 from refusals import check_refusals
 from small_scenario import small
+from tool import invoke
 
-from fleet.cli.main import cli
 from fleet.scenario.text.fault_words import read_fault
 from fleet.view import page as words
 
@@ -44,7 +43,7 @@ def test_the_command_to_copy_says_the_same() -> None:
 )
 def test_each_is_a_command_of_the_command_line(command: str) -> None:
     """It is understood as far as to look for the run, which there is none of."""
-    result = CliRunner().invoke(cli, shlex.split(command)[1:])
+    result = invoke(*shlex.split(command)[1:])
     assert "no live run" in result.stderr, result.stderr
 
 

@@ -7,23 +7,21 @@ import os
 import signal
 import sys
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
-import click
 import msgspec
 import pytest
-from click.testing import CliRunner
 from click.testing import Result as Invoked
 from failing_laws import failing
 from failing_laws import module as module
 from repository import ROOT
 from small_scenario import SMALL
+from tool import commands, invoke
 
 from fleet.cli.documents.failure import FailedCommand
 from fleet.cli.documents.logs import Checked, Compared, Scenarios
 from fleet.cli.documents.output import print_document
 from fleet.cli.documents.page import DOCUMENTS, page, schema
-from fleet.cli.main import cli
 from fleet.execution.supervisor import Supervisor
 from fleet.logs.info import Info
 from fleet.logs.reader import digest
@@ -37,10 +35,6 @@ S = TypeVar("S", bound=msgspec.Struct)
 QUICK = ["paper", "--in-process", "--duration", "300 ms"]
 NO_CHECKS = ["--set", "checks={}"]
 RUNAWAY = ["--set", "faults=[{at: 100 ms, wrench: {force: 1e200 1e200 0 N}}]", "--set", "on_death=abort"]
-
-
-def invoke(*arguments: str | Path) -> Invoked:
-    return CliRunner().invoke(cli, [str(argument) for argument in arguments], prog_name="fleet")
 
 
 def printed(struct: type[S], result: Invoked) -> S:
@@ -68,20 +62,8 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 # --- the structs and their page ----------------------------------------------
 
 
-def commands(group: click.Group) -> dict[str, click.Command]:
-    found: dict[str, click.Command] = {}
-    context = click.Context(group)
-    for name in group.list_commands(context):
-        command = group.get_command(context, name)
-        assert command is not None
-        found[name] = command
-        if isinstance(command, click.Group):
-            found |= {f"{name} {inner}": one for inner, one in commands(command).items()}
-    return found
-
-
 def test_every_command_with_json_has_its_struct() -> None:
-    asked = {name for name, command in commands(cli).items() if any(p.name == "as_json" for p in command.params)}
+    asked = {name for name, command in commands().items() if any(p.name == "as_json" for p in command.params)}
     assert asked == set(DOCUMENTS) - {"check LOG"}
 
 
@@ -91,15 +73,10 @@ def test_the_page_is_current() -> None:
     assert shown == page() == invoke("about", "--schemas").stdout
 
 
-def records_of(command: str) -> dict[str, Any]:
-    found: dict[str, Any] = schema(command)["$defs"]
-    return found
-
-
 def test_every_record_is_explained_and_has_its_section() -> None:
     text, documents = page(), {document.__name__ for document in [*DOCUMENTS.values(), FailedCommand]}
     assert all(f"\n## fleet {command}\n" in text for command in DOCUMENTS)
-    for name, record in (row for command in DOCUMENTS for row in records_of(command).items()):
+    for name, record in (row for command in DOCUMENTS for row in schema(command)["$defs"].items()):
         assert record["description"].endswith("."), name
         assert not record["description"].startswith(f"{name}("), f"{name} has no docstring of its own"
         for field, described in record["properties"].items():
@@ -252,7 +229,6 @@ def test_run_on_a_wall_clock_and_published(tmp_path: Path) -> None:
                     "--publish", "--out", tmp_path, "--json", "-q")  # fmt: skip
     found = printed(Result, result)
     assert found.published is not None
-    assert found.timing is not None
     assert (found.timing.clock, list(found.timing.vehicles)) == ("real", ["1", "2", "3", "4"])
 
 
@@ -287,7 +263,6 @@ def test_verify_of_a_log_that_is_not_reproduced(recorded: Path, monkeypatch: pyt
     result = invoke("verify", recorded, "--json")
     found = printed(Verification, result)
     assert (result.exit_code, found.reproduced) == (1, False)
-    assert found.difference is not None
     assert found.difference.a == found.difference.b
     assert (found.difference.number, found.difference.fields[0].field) == (0, "pose.orientation.x")
 
@@ -299,9 +274,7 @@ def test_diff(recorded: Path, tmp_path: Path) -> None:
     result = invoke("diff", recorded, tmp_path / "latest", "--json")
     found = printed(Compared, result)
     assert (result.exit_code, found.same, found.within) == (1, False, False)
-    assert found.first is not None
     assert found.first.a == found.first.b
-    assert found.first.a is not None
     assert {f"{found.first.a.topic}.{row.field}" for row in found.first.fields} <= {s.signal for s in found.signals}
     assert found.others["link/1-2.corrupted"] == 2
     assert found.only_a["uuv/1/nav"] == 10

@@ -66,13 +66,9 @@ def test_the_example_of_every_kind_is_a_fault(kind: str) -> None:
     assert words(ENTRY.validate_python({"at": "1 s", **read_fault(example(kind))})).split()[0] == kind
 
 
-def shipped_faults() -> list[FaultSection]:
-    """Those of the timelines, and those that the nemesis draws."""
-    return [fault for name in shipped_scenarios() for fault in load_scenario(name).spec.faults]
-
-
 def test_every_fault_of_the_shipped_scenarios_is_told_in_words_and_read_again() -> None:
-    faults = shipped_faults()
+    """Those of the timelines, and those that the nemesis draws."""
+    faults = [fault for name in shipped_scenarios() for fault in load_scenario(name).spec.faults]
     assert len(faults) > 10
     assert [ENTRY.validate_python(read_fault(told(fault))) for fault in faults] == faults
 

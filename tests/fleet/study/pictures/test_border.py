@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-from small_scenario import SMALL
+from small_scenario import small_file as small_file
 from study_engine import Drawn
 
 from fleet.scenario.text.overrides import NET, SET, Override
@@ -20,10 +20,7 @@ from fleet.study.values import parse_axis
 DELAY, HOW = "delay=0 ms, 100 ms, 1 s", "neighbours.extrapolate=hold, neighbour"
 
 
-@pytest.fixture(autouse=True)
-def small_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("small.yaml").write_text(SMALL, "utf-8")
+pytestmark = pytest.mark.usefixtures("small_file")
 
 
 def borders_of(per: Sequence[str], *, run: bool = True) -> Borders:
@@ -36,7 +33,7 @@ def borders_of(per: Sequence[str], *, run: bool = True) -> Borders:
     borders = Borders(store)
     if run:
         passes = Drawn(lambda text, _: "delay 1s" not in text and any(f"loss {k}%" in text for k in range(51)))
-        find_borders(borders, passes, lambda *_, **__: None)  # type: ignore[arg-type]
+        find_borders(borders, passes, lambda *_, **__: None)
     return borders
 
 
@@ -52,7 +49,7 @@ def test_one_key_goes_to_the_right_and_runs_are_marked() -> None:
     assert ax.get_ylabel() == "loss [%]"
     assert [label.get_text() for label in ax.get_xticklabels()] == ["0", "100", "1000"]
     line = next(line for line in ax.lines if len(line.get_xdata()) == 3)
-    heights = [float(y) for y in line.get_ydata()]  # type: ignore[union-attr]
+    heights = [float(y) for y in line.get_ydata()]
     assert heights[:2] == [pytest.approx(55.0, abs=5.0)] * 2
     assert heights[2] == 0.0
     dots = [line for line in ax.lines if line.get_marker() == "."]

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 from repository import ROOT
 
-from fleet import packages
-from fleet.packages import damaged, foreign
+from fleet import __main__ as packages
+from fleet.__main__ import damaged, foreign
 
 NAMES = ("agents", "world", "netem")
 THEIRS = "raise RuntimeError('theirs has run')\n"

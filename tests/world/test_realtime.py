@@ -31,8 +31,8 @@ from netem.wire.messages import (
     Transmission,
 )
 from world.lockstep import NavTo
+from world.main import TickSchedule
 from world.realtime import RealtimeRun
-from world.realtime_process import TickSchedule
 
 SIZE = SHORT.layout(1).size
 

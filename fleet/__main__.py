@@ -16,7 +16,7 @@ from fleet.terminal.output import OutputError, give_up_output, open_streams
 # Net new objects between two collections. Most of what a command makes at first, modules and classes, stays: Python's
 # own 700 let the collector walk through it again and again, for a sixth of the time of a short run.
 COLLECT_EVERY = 200_000
-NOT_OURS = 3  # the exit status when packages of ours were replaced
+CANNOT_RUN = 3  # the exit status when packages of ours were replaced, or cannot be loaded
 READER_GONE = 128 + signal.SIGPIPE  # what a shell shows for `seq 99999 | head -1`
 
 
@@ -50,7 +50,7 @@ def main() -> None:
 def _command_line() -> int:
     """The exit status of what was asked for."""
     if text := foreign():
-        return _not_ours(text)
+        return _cannot_run(text)
     import click
 
     try:
@@ -59,8 +59,12 @@ def _command_line() -> int:
         status = cli(standalone_mode=False)
     except ImportError as error:
         if text := damaged(error):
-            return _not_ours(text)
-        raise
+            return _cannot_run(text)
+        if isinstance(error, ModuleNotFoundError):
+            raise
+        return _cannot_run(f"{error}; is there enough memory to load it?")
+    except MemoryError:
+        return _cannot_run("there is not enough memory")
     except click.Abort as abort:
         return ending_status(abort.__cause__)
     except click.ClickException as error:
@@ -73,9 +77,9 @@ def _command_line() -> int:
     return status if isinstance(status, int) else 0
 
 
-def _not_ours(text: str) -> int:
+def _cannot_run(text: str) -> int:
     sys.stderr.write(f"fleet: {text}\n")
-    return NOT_OURS
+    return CANNOT_RUN
 
 
 _interrupted = False

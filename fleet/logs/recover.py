@@ -18,6 +18,7 @@ from fleet.logs.mcap_writer import McapWriter
 from fleet.logs.reader import GAPS, LOST, RECOVERY, Tell, log_path, lost, open_any
 from fleet.logs.records import MAGIC, Block, Message
 from fleet.logs.salvage import ChunkEnd, Item, Salvage
+from netem.private_file import whole_file
 
 _YEAR_1973_S = 1e8
 
@@ -48,30 +49,17 @@ def recover(path: Path, out: Path | None = None, tell: Tell = lambda _: None) ->
     out = out or path.with_name(f"{path.stem}.recovered.mcap")
     if out.exists():
         raise FleetError(f"{out} exists already: choose another place with -o OUT")
-    part = out.with_name(f"{out.name}.part")
     with open_any(path) as source:
         magic = source.read(len(MAGIC)) == MAGIC
         try:
-            with part.open("wb") as target:
-                found = _copy(path, out, Salvage(source, beyond=True, tell=tell), target, magic)
-            if found.nothing:
-                part.unlink()
-            else:
-                part.replace(out)
-        except KeyboardInterrupt:
-            _remove(part)
-            raise
+            with whole_file(out) as part:
+                with part.open("wb") as target:
+                    found = _copy(path, out, Salvage(source, beyond=True, tell=tell), target, magic)
+                if found.nothing:
+                    part.unlink()
         except OSError as error:
-            _remove(part)
             raise FleetError(f"cannot write {out}: {error.strerror or error}") from error
     return found
-
-
-def _remove(part: Path) -> None:
-    try:
-        part.unlink(missing_ok=True)
-    except OSError:
-        return  # the error that led here is on its way to the user
 
 
 def _copy(path: Path, out: Path, salvage: Salvage, target: IO[bytes], magic: bool) -> Recovered:

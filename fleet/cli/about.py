@@ -30,10 +30,9 @@ _MOST_CHECKS = 20
 
 
 @click.command()
-@click.argument(
-    "words", nargs=-1, metavar="[RUN]",
-    help="A run directory; by default the newest run below runs, if there is one. With --schemas: a command.",
-)  # fmt: skip
+@click.argument("words", nargs=-1, metavar="[RUN]",
+                help="A run directory; by default the newest run below runs, if there is one. With --schemas: a "
+                     "command.")  # fmt: skip
 @click.option("--schemas", is_flag=True,
               help="Print what --json prints: a page about all commands, or the JSON Schema of one.")  # fmt: skip
 def about(words: tuple[str, ...], schemas: bool) -> None:

@@ -9,17 +9,27 @@ from typing import TYPE_CHECKING
 import click
 
 from fleet.cli.completion import scenarios
-from fleet.cli.documents.output import print_document
-from fleet.cli.study_options import OUT, Asked, Making, making_options, spec_options, study_directory
-from fleet.study.spec import BoundarySpec
-from fleet.terminal.table import say, stdout
+from fleet.cli.documents.output import json_is_asked, print_document
+from fleet.cli.study_options import (
+    OUT,
+    Asked,
+    Making,
+    axis_columns,
+    cell,
+    making_options,
+    progress_pieces,
+    show_reached,
+    spec_options,
+    study_directory,
+)
+from fleet.study.spec import BoundarySpec, seconds
+from fleet.terminal.status_line import StatusLine
+from fleet.terminal.table import Piece, TerminalColumn, say, show, stdout
 
 if TYPE_CHECKING:
     from fleet.study.borders import Border, Borders
     from fleet.study.modules import Modules
     from fleet.study.sweep import Progress
-    from fleet.terminal.status_line import StatusLine
-    from fleet.terminal.table import Piece
 
 OUTSIDE = ("below", "above")
 
@@ -54,10 +64,10 @@ def boundary(scenario: str, asked: Asked[BoundarySpec], out: Path, how: Making) 
     if borders.open():
         _run(borders, modules, timeout_s, how)
     found = borders.found()
-    if not (how.as_json or how.quiet):
+    if not (json_is_asked() or how.quiet):
         _show(borders, found)
     picture = _picture(borders, how)
-    if how.as_json:
+    if json_is_asked():
         from fleet.cli.documents.studies import boundary_document
 
         print_document(boundary_document(borders, found, None if picture is None else str(picture)))
@@ -68,7 +78,6 @@ def boundary(scenario: str, asked: Asked[BoundarySpec], out: Path, how: Making) 
 def _opened(name: str, asked: Asked[BoundarySpec]) -> tuple[Borders, Modules, float] | None:
     """The study of a directory, the modules that its runs need and the time that a run may take; None: it is none."""
     from fleet.study.borders import Borders
-    from fleet.study.spec import seconds
     from fleet.study.store import Store
     from fleet.study.study_file import refuse_study
     from fleet.study.sweep import modules_again
@@ -125,16 +134,12 @@ def _picture(borders: Borders, how: Making) -> Path | None:
 
 
 def _pieces(line: StatusLine, progress: Progress, *, known: int, of: int) -> list[Piece]:
-    from fleet.cli.study_options import progress_pieces
-    from fleet.terminal.table import Piece
 
     drawn, rate, failed = progress_pieces(line, known / of, progress)
     return [Piece(0, [f"{known} / {of} borders"]), drawn, Piece(2, [f"{progress.made} runs"]), rate, failed]
 
 
 def _show(borders: Borders, found: list[Border]) -> None:
-    from fleet.cli.study_options import axis_columns, cell, show_reached
-    from fleet.terminal.table import TerminalColumn, show
 
     along = borders.along
     unit = f" [{along.unit}]" if along.unit else ""

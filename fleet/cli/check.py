@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, NoReturn
 import click
 
 from fleet.cli.completion import scenarios
-from fleet.cli.documents.output import json_option, print_document
+from fleet.cli.documents.output import give, json_is_asked, json_option, print_document
 from fleet.cli.types import NO_PROGRESS, OVERRIDES, TRUST, disturbances
+from fleet.terminal.status_line import showing, showing_steps
 from fleet.terminal.table import say
 
 if TYPE_CHECKING:
@@ -28,9 +29,7 @@ _CHECK = "Exit status: 0 valid, or every check of a log passes; 1 one does not; 
 @TRUST
 @json_option
 @NO_PROGRESS
-def check(
-    scenario: str, overrides: tuple[str, ...], fault: tuple[Override, ...], net: tuple[Override, ...], as_json: bool
-) -> None:
+def check(scenario: str, overrides: tuple[str, ...], fault: tuple[Override, ...], net: tuple[Override, ...]) -> None:
     """Check SCENARIO without running it, and report all mistakes at once; or judge LOG by checks.
 
     It then prints what theory predicts: whether the graph is connected and the reference reaches every vehicle, the
@@ -51,12 +50,11 @@ def check(
     if is_log(scenario):
         if fault or net:
             raise click.UsageError(f"{scenario} is a log: --net and --fault are for a scenario")
-        _check_log(Path(scenario), overrides, as_json=as_json)
+        _check_log(Path(scenario), overrides)
     from fleet.analysis.first_sample import try_laws, try_plants
     from fleet.analysis.preflight import warnings
     from fleet.analysis.stability import analyse, report
     from fleet.scenario.loading import load_scenario
-    from fleet.terminal.status_line import showing_steps
 
     refused: list[Problem] = []
     loaded = load_scenario(scenario, [*overrides, *net, *fault], refused=refused)
@@ -65,8 +63,8 @@ def check(
     with showing_steps("limits of the linear loop") as step:
         found = analyse(loaded, tell=step)
         told = [*found.warnings, *warnings(loaded)]
-        lines = [] if as_json else report(loaded, found)
-    if as_json:
+        lines = [] if json_is_asked() else report(loaded, found)
+    if json_is_asked():
         from fleet.cli.documents.logs import checked
 
         print_document(checked(loaded, found, told, refused))
@@ -83,19 +81,17 @@ def is_log(name: str) -> bool:
     return name.endswith(".mcap") or (Path(name).is_dir() and name not in shipped_scenarios())
 
 
-def _check_log(log: Path, overrides: tuple[str, ...], *, as_json: bool) -> NoReturn:
+def _check_log(log: Path, overrides: tuple[str, ...]) -> NoReturn:
     from fleet.repeat.check_log import check_log
-    from fleet.terminal.status_line import showing
 
     with showing(f"reading {log}") as reading:
         found = check_log(log, overrides, reading)
-    if as_json:
-        print_document(found)
-    else:
-        for verdict in sorted(found.verdicts, key=lambda verdict: verdict.passed):  # failed ones on top
-            say(f"{'pass' if verdict.passed else 'FAIL'}  {verdict.check}: {verdict.asked}; found {verdict.words}")
-        how_far = f"judged up to t = {found.until_s:g} s of {found.end_s:g} s"
-        say(f"{how_far}, as far as the file goes: {found.missing}" if found.missing else how_far)
+    lines = [
+        f"{'pass' if verdict.passed else 'FAIL'}  {verdict.check}: {verdict.asked}; found {verdict.words}"
+        for verdict in sorted(found.verdicts, key=lambda verdict: verdict.passed)  # failed ones on top
+    ]
+    missing = f", as far as the file goes: {found.missing}" if found.missing else ""
+    give(found, *lines, f"judged up to t = {found.until_s:g} s of {found.end_s:g} s{missing}")
     sys.exit(0 if found.passed else 1)
 
 

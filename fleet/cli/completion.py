@@ -106,20 +106,15 @@ def pictures(context: click.Context, parameter: click.Parameter, typed: str) -> 
     before, comma, last = typed.rpartition(",")
     words = [*getattr(parameter.type, "words", ())]
     try:
+        from fleet.execution.directory import newest_run
         from fleet.logs.topic_names import signal_names
 
         # Where the option has no value yet, click has not told the arguments apart.
         log = context.params.get("log") or next(iter(context.args), None)
-        words += signal_names(_newest_log() if log is None else Path(log))
+        words += signal_names(Path(log) if log else newest_run(RUNS) or RUNS)
     except Exception:
         words = words[:]  # no log, or none that can be read: the words alone
     return [CompletionItem(_for_the_shell(before + comma + word)) for word in words if word.startswith(last)]
-
-
-def _newest_log() -> Any:
-    from fleet.execution.directory import newest_run
-
-    return newest_run(RUNS)
 
 
 @_words

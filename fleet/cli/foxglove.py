@@ -7,7 +7,6 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import click
-from rich.console import Console as Terminal
 
 from fleet.cli.sessions import ending
 from fleet.logs.tape import Tape
@@ -35,7 +34,7 @@ def serve(
         raise click.UsageError(
             "--foxglove needs foxglove-sdk, which is not installed: pip install 'uuv-fleet[foxglove]'"
         )
-    with StatusLine(Terminal(stderr=True), quiet=False) as line:
+    with StatusLine(quiet=False) as line:
         if isinstance(source, LogSource):
             _serve_log(source, host, port, line, rate=rate, loop=loop)
         else:

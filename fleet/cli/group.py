@@ -90,11 +90,11 @@ class FleetGroup(click.Group):
         try:
             return super().invoke(ctx)
         except click.ClickException as error:  # click prints it
-            _document(ctx, error, error.format_message(), error.exit_code)
+            _document(error, error.format_message(), error.exit_code)
             raise
         except (FleetError, NetemError, OSError, UnicodeEncodeError) as error:
             status = report(error)
-            _document(ctx, error, _words(error), status)
+            _document(error, _words(error), status)
             ctx.exit(status)
 
 
@@ -141,8 +141,8 @@ def _words(error: Exception) -> str:
             return str(error)
 
 
-def _document(ctx: click.Context, error: Exception, message: str, status: int) -> None:
-    if json_is_asked(ctx):
+def _document(error: Exception, message: str, status: int) -> None:
+    if json_is_asked():
         from fleet.cli.documents.failure import failure
 
         print_document(failure(error, message, status))

@@ -22,7 +22,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 # Limits of --lease [s]. Between processes of one host the lease is an hour.
 _LEASES_S = (2, 1800)
 
-_LEASE = click.option("--lease", metavar="TIME", type=time_within(*_LEASES_S), default="20 s", show_default=True,
+_LEASE = click.option("--lease", type=time_within(*_LEASES_S), default="20 s", show_default=True,
                       help="Close a link between hosts after this time without a sign of life.")  # fmt: skip
 
 
@@ -69,14 +69,7 @@ def rendezvous(scenario: Scenario, options: HostsOptions, *, in_process: bool) -
     given = [name for name in names if getattr(options, name)]
     if not given:
         return None
-    from fleet.hosts.rendezvous import (
-        CERTIFIED,
-        Rendezvous,
-        check_free,
-        listening,
-        listening_for_certificates,
-        through_router,
-    )
+    from fleet.hosts import rendezvous as meeting
 
     listen, router, lease_ms = options.listen, options.router, options.lease // 1_000_000
     certified = options.listen_certified
@@ -84,13 +77,15 @@ def rendezvous(scenario: Scenario, options: HostsOptions, *, in_process: bool) -
     if in_process:
         raise FleetError(f"{spelt}: a run in one process has no router that others could join")
     if certified and router:
-        raise FleetError(f"{CERTIFIED} is for a run that hosts its router: the one of --router asks for passwords")
+        raise FleetError(
+            f"{meeting.CERTIFIED} is for a run that hosts its router: the one of --router asks for passwords"
+        )
     if listen and router:
         raise FleetError("either --listen or --router, not both")
     if not (listen or router or certified):
         raise FleetError(f"{spelt} needs --listen or --router")
     if options.mutual_tls and not (listen or router):
-        raise FleetError(f"--mutual-tls is for --listen or --router: {CERTIFIED} always asks for certificates")
+        raise FleetError(f"--mutual-tls is for --listen or --router: {meeting.CERTIFIED} always asks for certificates")
     certs, external = options.certs, scenario.external
     if lease_ms >= scenario.spec.stall_timeout / 1e6:
         raise FleetError(
@@ -100,17 +95,17 @@ def rendezvous(scenario: Scenario, options: HostsOptions, *, in_process: bool) -
     if not router:
         if options.credentials:
             raise FleetError("--credentials is for --router: a router of its own makes fresh ones")
-        found = Rendezvous()
+        found = meeting.Rendezvous()
         if listen:
-            found = listening(
+            found = meeting.listening(
                 listen, certs, options.advertise, external=external, mutual=options.mutual_tls, lease_ms=lease_ms
             )
-            check_free(listen)
+            meeting.check_free(listen)
         if certified:
-            found = listening_for_certificates(
+            found = meeting.listening_for_certificates(
                 found, certified, advertise=options.advertise, certs=certs, external=external, lease_ms=lease_ms
             )
-            check_free(certified, CERTIFIED)
+            meeting.check_free(certified, meeting.CERTIFIED)
         if not scenario.external:
             nobody = (
                 f"{spelt}: no vehicle is external, so nobody can join; say who: --set external=true for all of them"
@@ -122,7 +117,9 @@ def rendezvous(scenario: Scenario, options: HostsOptions, *, in_process: bool) -
     if not options.credentials:
         raise FleetError("--router needs --credentials FILE, which fleet hosts acl SCENARIO -o DIR writes")
     known, mutual = options.credentials, options.mutual_tls
-    return through_router(router, known, scenario.vehicles, certs, external=external, mutual=mutual, lease_ms=lease_ms)
+    return meeting.through_router(
+        router, known, scenario.vehicles, certs, external=external, mutual=mutual, lease_ms=lease_ms
+    )
 
 
 @click.group(cls=ListingGroup)
@@ -137,7 +134,7 @@ def hosts() -> None:
 
 
 @hosts.command()
-@click.argument("directory", metavar="DIR", type=FOLDER)
+@click.argument("directory", type=FOLDER)
 @click.option("--host", "names", metavar="NAME_OR_IP", multiple=True,
               help="Name or address that agents use for the router; repeatable. Loopback is always added.")  # fmt: skip
 @click.option("--agents", metavar="N", type=Whole(0, 1000), default=0,
@@ -165,16 +162,14 @@ def certs(directory: Path, names: tuple[str, ...], agents: int, days: int, force
 
 @hosts.command()
 @click.argument("scenario", shell_complete=scenarios)
-@click.option("-o", "--out", "out", metavar="DIR", type=FOLDER,
+@click.option("-o", "--out", "out", type=FOLDER,
               help="Write router.json5, users and credentials.json to DIR; by default print router.json5.")  # fmt: skip
 @click.option("--run", "run", metavar="ID", help="The run's id; by default a random one.")
 @click.option("--listen", metavar="ENDPOINT", default="tls/0.0.0.0:7447", show_default=True,
               help="Where the router listens.")  # fmt: skip
-@click.option("--certs", metavar="DIR", type=FOLDER,
-              help="Where the router finds its certificate, for tls.")  # fmt: skip
+@click.option("--certs", type=FOLDER, help="Where the router finds its certificate, for tls.")
 @click.option("--mutual-tls", is_flag=True, help="The router asks clients for certificates.")
-@click.option("--users-file", metavar="PATH", type=PATH,
-              help="Where the router finds the users; by default in DIR.")  # fmt: skip
+@click.option("--users-file", metavar="PATH", type=PATH, help="Where the router finds the users; by default in DIR.")
 @_LEASE
 @OVERRIDES
 @FORCE

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from fleet.study.search import Searched
     from fleet.study.store import Store
 
-JUNIT = click.option("--junit", metavar="FILE", type=FILE,
-                     help="Also write the result as a JUnit file, for CI services.")  # fmt: skip
+JUNIT = click.option("--junit", type=FILE, help="Also write the result as a JUnit file, for CI services.")
 
 
 def write(path: Path | None, suite: str, cases: Sequence[JUnitCase]) -> None:

@@ -13,8 +13,9 @@ import click
 
 from fleet.cli import completion
 from fleet.cli.completion import CLOCK_WORDS
-from fleet.cli.documents.output import json_option, print_document
+from fleet.cli.documents.output import give, json_is_asked, json_option, print_document
 from fleet.cli.group import USAGE
+from fleet.terminal.status_line import rewritable
 from fleet.terminal.table import stdout
 
 if TYPE_CHECKING:
@@ -150,12 +151,11 @@ def heal_words(words: tuple[str, ...], run: str | None) -> tuple[LiveRun, str | 
 @click.command()
 @click.argument("what", metavar="[RUN] FAULT", nargs=-1, required=True, shell_complete=completion.injection)
 @run_option
-@click.option(
-    "--for", "lasts", metavar="TIME", help="How long it lasts; by default to the end of the run, or until healed."
-)
+@click.option("--for", "lasts", metavar="TIME",
+              help="How long it lasts; by default to the end of the run, or until healed.")  # fmt: skip
 @click.option("--id", "name", metavar="ID", help="Its name; by default live-1, live-2, ...")
 @json_option
-def inject(what: tuple[str, ...], run: str | None, lasts: str | None, name: str | None, as_json: bool) -> None:
+def inject(what: tuple[str, ...], run: str | None, lasts: str | None, name: str | None) -> None:
     """Inject a fault into a live run.
 
     It acts within half a second of simulated time. The command prints the time at which it began.
@@ -188,20 +188,17 @@ def inject(what: tuple[str, ...], run: str | None, lasts: str | None, name: str 
         if value is not None:
             fault[key] = value
     found = answer(Injected, find(run), "inject", fault=fault)
-    if as_json:
-        print_document(found)
-        return
     until = f"until {found.to_s:.2f} s"
     if found.until_healed:
         until = f"until healed, at the latest the end at {found.to_s:g} s"
-    click.echo(f"{found.run}: {found.id}: {found.what}, from t = {found.from_s:.2f} s {until}")
+    give(found, f"{found.run}: {found.id}: {found.what}, from t = {found.from_s:.2f} s {until}")
 
 
 @click.command()
 @click.argument("words", metavar="[RUN] [ID]", nargs=-1, shell_complete=completion.healing)
 @run_option
 @json_option
-def heal(words: tuple[str, ...], run: str | None, as_json: bool) -> None:
+def heal(words: tuple[str, ...], run: str | None) -> None:
     """End a fault of a live run, or all of them. fleet status shows their ids.
 
     \b
@@ -220,10 +217,7 @@ def heal(words: tuple[str, ...], run: str | None, as_json: bool) -> None:
         if run is not None or len(words) != 1 or name is None:
             raise
         raise RemoteError(f"{error}; and no live run is called {name!r}", error.status) from None
-    if as_json:
-        print_document(found)
-        return
-    click.echo(f"{found.run}: healed {', '.join(found.healed) or 'nothing'} at t = {found.at_s:.2f} s")
+    give(found, f"{found.run}: healed {', '.join(found.healed) or 'nothing'} at t = {found.at_s:.2f} s")
 
 
 @click.command()
@@ -231,7 +225,7 @@ def heal(words: tuple[str, ...], run: str | None, as_json: bool) -> None:
                 shell_complete=completion.clock)  # fmt: skip
 @run_option
 @json_option
-def clock(words: tuple[str, ...], run: str | None, as_json: bool) -> None:
+def clock(words: tuple[str, ...], run: str | None) -> None:
     """Pause, step or pace a live run.
 
     \b
@@ -259,17 +253,14 @@ def clock(words: tuple[str, ...], run: str | None, as_json: bool) -> None:
     except ValueError:
         raise click.BadParameter(f"expected a number above 0, got {value!r}", param_hint="VALUE") from None
     found = answer(ClockSet, find(run), "clock", do=do, value=number)
-    if as_json:
-        print_document(found)
-        return
     onward = "; fleet clock resume goes on" if found.clock == "paused" else ""
-    click.echo(f"{found.run}: {found.clock}, t = {found.at_s:.2f} s{onward}")
+    give(found, f"{found.run}: {found.clock}, t = {found.at_s:.2f} s{onward}")
 
 
 @click.command()
 @run_argument
 @json_option
-def stop(run: str | None, as_json: bool) -> None:
+def stop(run: str | None) -> None:
     """Stop a live run; what it has recorded stays.
 
     \b
@@ -281,10 +272,7 @@ def stop(run: str | None, as_json: bool) -> None:
     from fleet.execution.connection import find
 
     found = answer(Stopping, find(run), "stop")
-    if as_json:
-        print_document(found)
-        return
-    click.echo(f"{found.run}: stopping at t = {found.at_s:.2f} s")
+    give(found, f"{found.run}: stopping at t = {found.at_s:.2f} s")
 
 
 EVERY_S = 1.0
@@ -297,7 +285,7 @@ MOST_EVENTS = 3
 @click.option("-w", "--watch", is_flag=True, help="Repeat every second, until the run is over or Ctrl-C.")
 @click.option("--all", "every", is_flag=True, help="All vehicles, links and faults, not only the worst and active.")
 @json_option
-def status(run: str | None, watch: bool, every: bool, as_json: bool) -> None:
+def status(run: str | None, watch: bool, every: bool) -> None:
     """Show the state of a live run.
 
     It prints the time, the processes that the run waits for, active faults with their ids, the fate of vehicles, and
@@ -310,19 +298,17 @@ def status(run: str | None, watch: bool, every: bool, as_json: bool) -> None:
       fleet status paper --all
       fleet status -w paper-1-20261121-120000
     """
-    if watch and as_json:
+    if watch and json_is_asked():
         raise click.UsageError("--json prints one document, and --watch many: give one of them")
     from fleet.execution.connection import find
 
     found = find(run)
-    if as_json:
-        print_document(_status(found, every))
-        return
-    terminal = stdout()
     if watch:
-        watch_run(found, every, terminal)
+        watch_run(found, every, stdout())
+    elif json_is_asked():
+        print_document(_status(found, every))
     else:
-        terminal.print(screen(_status(found, every), every))
+        stdout().print(screen(_status(found, every), every))
 
 
 def _status(found: LiveRun, every: bool) -> RunStatus:
@@ -336,7 +322,6 @@ def watch_run(found: LiveRun, every: bool, terminal: Console) -> None:
     from rich.live import Live
 
     from fleet.execution.connection import RemoteError, is_live
-    from fleet.terminal.status_line import rewritable
 
     in_place = rewritable(terminal) and not terminal.is_dumb_terminal
     values = _status(found, every)

@@ -27,10 +27,9 @@ def log_argument(command: F) -> F:
     def with_log(*arguments: Any, log: Path | None, **options: Any) -> Any:
         return command(*arguments, log=newest_log() if log is None else log, **options)
 
-    argument = click.argument(
-        "log", type=PATH, required=False,
-        help="An MCAP file or a run directory; by default the newest run below runs.",
-    )  # fmt: skip
+    argument = click.argument("log", type=PATH, required=False,
+                              help="An MCAP file or a run directory; by default the newest run below "
+                                   "runs.")  # fmt: skip
     return argument(with_log)  # type: ignore[return-value]
 
 
@@ -48,11 +47,10 @@ def newest_log() -> Path:
     return found
 
 
-SHOWN = click.argument(
-    "what", metavar="[RUN|LOG]", required=False, shell_complete=completion.published_runs,
-    help="A live run that was started with --publish (its name, its scenario or its directory), an MCAP file, or "
-         "a run directory. By default the live run that began last; if none lives, the newest run below runs.",
-)  # fmt: skip
+SHOWN = click.argument("what", metavar="[RUN|LOG]", required=False, shell_complete=completion.published_runs,
+                       help="A live run that was started with --publish (its name, its scenario or its directory), an "
+                            "MCAP file, or a run directory. By default the live run that began last; if none lives, "
+                            "the newest run below runs.")  # fmt: skip
 
 
 def find_shown(what: str | None, rate: float | None, *, control: bool, loop: bool) -> LiveSource | LogSource:

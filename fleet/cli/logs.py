@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
+from click.core import ParameterSource
 
 from fleet.cli import completion
-from fleet.cli.documents.output import json_option, print_document
+from fleet.cli.documents.output import give, json_option
 from fleet.cli.log_argument import log_argument, newest_log
-from fleet.cli.study_pictures import check_options, export_study, is_study, measure_option, plot_study, report_study
 from fleet.cli.types import FILE, FOLDER, FORCE, NO_PROGRESS, PATH, TIME, VEHICLES, WINDOW, PictureWords, Whole, Words
+from fleet.errors import FleetError
+from fleet.terminal.status_line import showing, showing_steps
 from fleet.terminal.table import say
 
 if TYPE_CHECKING:
     from fleet.analysis.link_fit import LinkFit
+    from fleet.study.store import Store
 
 KINDS = ("track", "error", "inputs", "links", "messages", "ages", "checks", "timing")
 PARTS = ("track-3d", "formation")  # single pictures of track and error
@@ -27,20 +30,17 @@ _OF_LOGS = {name: f"--{name}" for name in ("what", "compare", "vehicles", "windo
 _OF_STUDIES = {"measures": "--measure"}
 
 
-_vehicles = click.option("--vehicles", metavar="LIST", type=VEHICLES, help="Only these, e.g. 1,3-5.")
-_log_scale = click.option(
-    "--log-scale/--linear",
-    default=None,
-    help="Errors, other signals and ages on a logarithmic axis, or all on a linear one. By default errors are "
-    "logarithmic, and a study's measures that span much.",
-)
-_window = click.option(
-    "--window",
-    metavar="A..B",
-    type=WINDOW,
-    help="Only this time, e.g. 20s..40s. By default `messages` shows some rounds, and the other pictures the "
-    "whole run.",
-)
+_vehicles = click.option("--vehicles", type=VEHICLES, help="Only these, e.g. 1,3-5.")
+_log_scale = click.option("--log-scale/--linear", default=None,
+                          help="Errors, other signals and ages on a logarithmic axis, or all on a linear one. By "
+                               "default errors are logarithmic, and a study's measures that span much.")  # fmt: skip
+_window = click.option("--window", type=WINDOW,
+                       help="Only this time, e.g. 20s..40s. By default `messages` shows some rounds, and the other "
+                            "pictures the whole run.")  # fmt: skip
+
+_measure = click.option("--measure", "measures", metavar="NAME", multiple=True,
+                              help="For a study: another measure to show; repeatable. An unknown name lists "
+                                   "them.")  # fmt: skip
 
 
 def _folder(_: click.Context, __: click.Parameter, value: Path | None) -> Path | None:
@@ -56,25 +56,18 @@ def _folder(_: click.Context, __: click.Parameter, value: Path | None) -> Path |
 
 @click.command()
 @log_argument
+@click.option("-o", "--out", type=FOLDER, callback=_folder,
+              help="The folder for pictures; by default `plots` next to the log.")  # fmt: skip
 @click.option(
-    "-o", "--out", metavar="DIR", type=FOLDER, callback=_folder,
-    help="The folder for pictures; by default `plots` next to the log.",
-)  # fmt: skip
-@click.option(
-    "--what", metavar="LIST", type=PictureWords(KINDS, "all", PARTS), default="all", show_default=True,
+    "--what", type=PictureWords(KINDS, "all", PARTS), default="all", show_default=True,
     shell_complete=completion.pictures,
     help=f"Some of {', '.join(KINDS)}; or all; track-3d, formation: that part of track, of error. Also any signal of "
     "the log: control.leads, command.tau_0, '|error.e|'.",
 )  # fmt: skip
-@click.option(
-    "--format", "formats", metavar="LIST", type=Words(FORMATS), default="png", show_default=True,
-    help="Some of png, svg, pdf.",
-)  # fmt: skip
-@click.option(
-    "--compare", metavar="LOG2", type=PATH, multiple=True,
-    help="Another run on the same axes; repeatable.",
-)  # fmt: skip
-@measure_option
+@click.option("--format", "formats", type=Words(FORMATS), default="png", show_default=True,
+              help="Some of png, svg, pdf.")  # fmt: skip
+@click.option("--compare", metavar="LOG2", type=PATH, multiple=True, help="Another run on the same axes; repeatable.")
+@_measure
 @_vehicles
 @_log_scale
 @_window
@@ -116,7 +109,6 @@ def plot(
     from fleet.logs.reader import log_path
     from fleet.pictures.gallery import check_signals, write
     from fleet.pictures.runs import View, check_view, load
-    from fleet.terminal.status_line import showing
 
     said: list[str] = []
     with showing("reading") as tell:
@@ -126,7 +118,8 @@ def plot(
     check_signals(what, runs)
     with showing("drawing") as tell:
         paths = write(what, runs, view, out or log_path(log).parent / "plots", formats, said.append, tell)
-    for note in dict.fromkeys([*(f"{r.label}: {r.log.missing}" for r in runs if r.log.missing), *_notes(runs), *said]):
+    cut = [f"{run.label}: {run.log.missing}" for run in runs if run.log.missing]
+    for note in dict.fromkeys([*cut, *(note for run in runs for note in run.notes), *said]):
         say(f"fleet: {note}", err=True)
     _print(paths)
 
@@ -138,30 +131,15 @@ def _print(paths: Sequence[Path]) -> None:
         sys.exit(1)
 
 
-def _notes(runs: Sequence[Any]) -> Iterator[str]:
-    for run in runs:
-        yield from run.notes
-
-
 @click.command()
 @log_argument
-@click.option("--csv", "csv", metavar="DIR", type=FOLDER, help="Write CSV here.")
-@click.option(
-    "--parquet", metavar="DIR", type=FOLDER,
-    help="Write Parquet here; needs uuv-fleet[parquet].",
-)  # fmt: skip
-@click.option(
-    "--netcdf", metavar="DIR", type=FOLDER,
-    help="Write NetCDF here, by the CF conventions; needs uuv-fleet[tables].",
-)  # fmt: skip
-@click.option(
-    "--traces", metavar="DIR", type=FOLDER,
-    help="Write the fate of each packet here: a CSV file per directed link, which network.links can read.",
-)  # fmt: skip
-@click.option(
-    "--ros2", metavar="DIR", type=FOLDER,
-    help="Write a bag of ROS 2 here; needs uuv-fleet[ros2].",
-)  # fmt: skip
+@click.option("--csv", "csv", type=FOLDER, help="Write CSV here.")
+@click.option("--parquet", type=FOLDER, help="Write Parquet here; needs uuv-fleet[parquet].")
+@click.option("--netcdf", type=FOLDER, help="Write NetCDF here, by the CF conventions; needs uuv-fleet[tables].")
+@click.option("--traces", type=FOLDER,
+              help="Write the fate of each packet here: a CSV file per directed link, which network.links can "
+                   "read.")  # fmt: skip
+@click.option("--ros2", type=FOLDER, help="Write a bag of ROS 2 here; needs uuv-fleet[ros2].")
 @click.option("--scenario", is_flag=True,
               help="Print the scenario that runs LOG again, with all that was injected while it was made.")  # fmt: skip
 @click.option("--topics", metavar="PATTERN", multiple=True, help="Only topics such as 'uuv/*/state'; repeatable.")
@@ -198,7 +176,6 @@ def export(
     from fleet.logs.dataset import fits
     from fleet.logs.export import export as write
     from fleet.logs.open_log import Opening
-    from fleet.terminal.status_line import showing
 
     tables = [(form, folder) for form, folder in (("csv", csv), ("parquet", parquet), ("netcdf", netcdf)) if folder]
     folders = [folder.absolute() for folder in (*(folder for _, folder in tables), traces, ros2) if folder is not None]
@@ -242,7 +219,6 @@ def export(
 
 def _print_scenario(log: Path) -> None:
     from fleet.repeat.recorded_run import script
-    from fleet.terminal.status_line import showing
 
     with showing(f"reading {log}") as tell:
         made = script(log, tell)
@@ -252,7 +228,6 @@ def _print_scenario(log: Path) -> None:
 def _export_bag(log: Path, folder: Path) -> None:
     from fleet.logs.reader import log_path
     from fleet.ros2.bag import write_bag
-    from fleet.terminal.status_line import showing
 
     with showing(f"writing {folder}") as tell:
         paths, missing = write_bag(log_path(log), folder, tell)
@@ -265,7 +240,6 @@ def _export_bag(log: Path, folder: Path) -> None:
 def _export_traces(log: Path, folder: Path, *, force: bool) -> None:
     from fleet.logs.export import write_traces
     from fleet.logs.open_log import open_log
-    from fleet.terminal.status_line import showing
 
     with showing(f"reading {log}") as tell:
         found = open_log(log, ["link/*"], share=tell)
@@ -276,16 +250,11 @@ def _export_traces(log: Path, folder: Path, *, force: bool) -> None:
 
 
 @click.command()
-@click.argument(
-    "logs", metavar="[LOG]...", type=PATH, nargs=-1,
-    help="MCAP files or run directories; by default the newest run below runs.",
-)  # fmt: skip
-@click.option(
-    "-o", "--out", metavar="FILE", type=FILE, default=Path("report.html"),
-    show_default=True, help="The page.",
-)  # fmt: skip
+@click.argument("logs", metavar="[LOG]...", type=PATH, nargs=-1,
+                help="MCAP files or run directories; by default the newest run below runs.")  # fmt: skip
+@click.option("-o", "--out", type=FILE, default=Path("report.html"), show_default=True, help="The page.")
 @FORCE
-@measure_option
+@_measure
 @_vehicles
 @_log_scale
 @_window
@@ -316,7 +285,6 @@ def report(
     from fleet.pictures.page import check_place
     from fleet.pictures.report import write
     from fleet.pictures.runs import View, check_view, load
-    from fleet.terminal.status_line import showing
 
     check_place(out, force=force)
     chosen = logs or (newest_log(),)
@@ -344,7 +312,7 @@ def report(
 @log_argument
 @json_option
 @NO_PROGRESS
-def info(log: Path, as_json: bool) -> None:
+def info(log: Path) -> None:
     """Summarise LOG (an MCAP file, or a run directory), also if it was cut short.
 
     \b
@@ -353,36 +321,26 @@ def info(log: Path, as_json: bool) -> None:
       fleet info runs/latest/run.mcap --json
     """
     from fleet.logs.info import info_text, read_info
-    from fleet.terminal.status_line import showing
 
     with showing(f"reading {log}") as tell:
         found = read_info(log, tell)
-    if as_json:
-        print_document(found)
-    else:
-        say(info_text(found))
+    give(found, info_text(found))
 
 
 @click.command()
 @log_argument
-@click.option(
-    "-o", "--out", metavar="FILE", type=FILE, default=Path("movie.gif"),
-    show_default=True, help="The movie: a .gif, or an .mp4 if ffmpeg is installed.",
-)  # fmt: skip
+@click.option("-o", "--out", type=FILE, default=Path("movie.gif"), show_default=True,
+              help="The movie: a .gif, or an .mp4 if ffmpeg is installed.")  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace what is there.")
 @click.option("--view", type=click.Choice(["above", "3d"]), default="above", show_default=True, help="From where.")
-@click.option("--from", "begin", metavar="TIME", type=TIME, default="0s", help="Begin at this time, e.g. 20s.")
-@click.option("--to", "end", metavar="TIME", type=TIME, help="End at this time; by default at the end of the log.")
-@click.option(
-    "--speed", metavar="X", type=click.FloatRange(0.001, 1000.0),
-    help="Times real time; by default so that the movie lasts 12 s, but never slower than real time.",
-)  # fmt: skip
-@click.option("--fps", metavar="N", type=Whole(1, 50), default=10, show_default=True,
-              help="Pictures per second.")  # fmt: skip
-@click.option(
-    "--width", metavar="PX", type=Whole(320, 1920), default=800, show_default=True,
-    help="In pixels, rounded down to a multiple of 8; the height is three quarters of it.",
-)  # fmt: skip
+@click.option("--from", "begin", type=TIME, default="0s", help="Begin at this time, e.g. 20s.")
+@click.option("--to", "end", type=TIME, help="End at this time; by default at the end of the log.")
+@click.option("--speed", metavar="X", type=click.FloatRange(0.001, 1000.0),
+              help="Times real time; by default so that the movie lasts 12 s, but never slower than real "
+                   "time.")  # fmt: skip
+@click.option("--fps", metavar="N", type=Whole(1, 50), default=10, show_default=True, help="Pictures per second.")
+@click.option("--width", metavar="PX", type=Whole(320, 1920), default=800, show_default=True,
+              help="In pixels, rounded down to a multiple of 8; the height is three quarters of it.")  # fmt: skip
 @NO_PROGRESS
 def movie(
     log: Path, out: Path, force: bool, view: str, begin: int, end: int | None, speed: float | None, fps: int, width: int
@@ -400,8 +358,6 @@ def movie(
     """
     from fleet.logs.reader import log_path
     from fleet.pictures.page import check_place
-    from fleet.terminal.status_line import showing
-    from fleet.terminal.table import say
     from fleet.view.movie import write
 
     check_place(out, force=force)
@@ -418,13 +374,9 @@ def movie(
 @click.command()
 @click.argument("trace", type=FILE)
 @click.option("--states", type=click.Choice(("2", "3")), default="2", show_default=True, help="How many states.")
-@click.option(
-    "--interval", metavar="TIME", type=TIME, help="Between two packets; by default the median in the trace.",
-)  # fmt: skip
-@click.option(
-    "--picture", metavar="FILE", type=FILE,
-    help="Draw the lengths of bursts, of TRACE and of the fit, into this file (png, svg, pdf).",
-)  # fmt: skip
+@click.option("--interval", type=TIME, help="Between two packets; by default the median in the trace.")
+@click.option("--picture", type=FILE,
+              help="Draw the lengths of bursts, of TRACE and of the fit, into this file (png, svg, pdf).")  # fmt: skip
 @NO_PROGRESS
 def fit(trace: Path, states: str, interval: int | None, picture: Path | None) -> None:
     """Fit link states to what TRACE (CSV) says was delivered, and print them for a scenario.
@@ -439,10 +391,8 @@ def fit(trace: Path, states: str, interval: int | None, picture: Path | None) ->
       fleet fit links/1-2.csv > links.yaml
     """
     from fleet.analysis.link_fit import fit as fitted
-    from fleet.errors import FleetError
     from fleet.scenario.sections.link_conditions import read_trace
     from fleet.scenario.text.yaml_reader import yaml_text
-    from fleet.terminal.status_line import showing_steps
 
     if trace.suffix != ".csv":
         raise click.BadParameter(f"expected a file that ends in .csv, got {trace}", param_hint="TRACE")
@@ -489,9 +439,8 @@ def fit_lines(found: LinkFit, trace: Path) -> list[str]:
         )
     if found.lag > 0.01:
         lines.append(
-            f"no states in continuous time fit these changes from packet to packet exactly: probabilities differ "
-            f"by up to"
-            f"{100 * found.lag:.2g} %; try --states 2"
+            "no states in continuous time fit these changes from packet to packet exactly: probabilities differ by up "
+            f"to {100 * found.lag:.2g} %; try --states 2"
         )
     return lines
 
@@ -508,6 +457,89 @@ def _draw(found: LinkFit, trace: Path, picture: Path) -> None:
         for name, model in named.items()
     }
     draw_bursts(picture, trace.name, measured, models)
+
+
+# --- pictures, reports and tables of a study
+
+
+def is_study(path: Path) -> bool:
+    """Whether it is the directory of a study."""
+    return (path / "study.json").is_file()
+
+
+def check_options(subject: Path, options: Mapping[str, str], only_for: str) -> None:
+    """Refuse options that were given, by their parameters, if they are for what the subject is not: UsageError."""
+    source = click.get_current_context().get_parameter_source
+    given = [option for name, option in options.items() if source(name) not in (None, ParameterSource.DEFAULT)]
+    if given:
+        raise click.UsageError(f"{', '.join(given)}: only for {only_for}; {subject} is none")
+
+
+def plot_study(
+    directory: Path, out: Path | None, measures: Sequence[str], formats: Sequence[str], log_scale: bool | None
+) -> list[Path]:
+    """Draw a study; returns the files, and tells what could not be drawn.
+
+    Raises StudyError: it is damaged, there is no such measure, or the extra `study` is not installed; FleetError: the
+    place cannot be written.
+    """
+    store = _open(directory)
+    from fleet.study.pictures.gallery import write
+
+    said: list[str] = []
+    with showing("drawing") as tell:
+        paths = write(store, measures, out or directory / "plots", formats, log_scale, said.append, tell)
+    for note in said:
+        say(f"fleet: {note}", err=True)
+    return paths
+
+
+def report_study(directory: Path, out: Path, measures: Sequence[str], log_scale: bool | None) -> None:
+    """Write the page about a study.
+
+    Raises StudyError: it is damaged, there is no such measure, or the extra `study` is not installed; FleetError: the
+    place cannot be written.
+    """
+    store = _open(directory)
+    from fleet.study.pictures.report import write
+
+    with showing("drawing and adding up") as tell:
+        write(out, store, measures, log_scale, tell)
+
+
+def export_study(directory: Path, folder: Path, form: str, *, force: bool) -> Path:
+    """Write the rows of a study as `csv` or `parquet`; returns the file.
+
+    Raises StudyError: it is damaged, or an extra is not installed; FleetError: something is in the way, or the place
+    cannot be written.
+    """
+    from fleet.study.engine import need
+
+    if form == "parquet":
+        need(["pyarrow"], "Parquet needs", "parquet")
+    frame, path = _open(directory).frame(), folder / f"{directory.resolve().name}.{form}"
+    if path.exists() and not force:
+        raise FleetError(f"{path} is there already: choose another place, or replace it with --force")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if form == "parquet":
+            frame.to_parquet(path, index=False)
+        else:
+            units = frame.attrs["units"]
+            header = [f"{name} [{units[name]}]" if name in units else name for name in frame.columns]
+            frame.to_csv(path, index=False, header=header)
+    except OSError as error:
+        raise FleetError(f"cannot write {path}: {error.strerror}; choose another place") from error
+    return path
+
+
+def _open(directory: Path) -> Store:
+    from fleet.study.engine import need_extra
+
+    need_extra()
+    from fleet.study.store import Store
+
+    return Store.open(directory)
 
 
 COMMANDS = (plot, export, report, info, movie, fit)

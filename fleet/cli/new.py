@@ -22,9 +22,7 @@ _IMPORTED = {
     "Any", "AgentConfig", "Command", "Delivery", "Facts", "FormationAgent", "Failure", "Nav", "KIND", "PAYLOAD",
     "PayloadError", "PlantConfig", "Sample", "Sequence", "Signal", "Telemetry", "Tick", "Vec3", "Vec6", "Water",
 }  # by the templates  # fmt: skip
-_folder = click.option(
-    "--dir", "folder", metavar="DIR", type=FOLDER, default=Path(), help="Where to write; by default here."
-)
+_folder = click.option("--dir", "folder", type=FOLDER, default=Path(), help="Where to write; by default here.")
 
 
 @click.group(cls=ListingGroup)
@@ -34,10 +32,8 @@ def new() -> None:
 
 @new.command()
 @click.argument("name")
-@click.option(
-    "--kind", type=click.Choice(KINDS), default="controller", show_default=True,
-    help="What it replaces: guidance and tracking, one of them, or the whole agent.",
-)  # fmt: skip
+@click.option("--kind", type=click.Choice(KINDS), default="controller", show_default=True,
+              help="What it replaces: guidance and tracking, one of them, or the whole agent.")  # fmt: skip
 @_folder
 def controller(name: str, kind: str, folder: Path) -> None:
     """Write NAME.py, a control law that runs as it is, and NAME.yaml, a scenario that uses it.

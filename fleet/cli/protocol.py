@@ -15,12 +15,12 @@ import click
 from fleet.cli.completion import scenarios
 from fleet.cli.group import ListingGroup, report
 from fleet.cli.types import FILE, FOLDER, TIME, TRUST, Whole, time_within
-from fleet.errors import FleetError
+from fleet.errors import FleetError, printable
 from fleet.processes.interrupts import ending_status
+from fleet.terminal.status_line import StatusLine
 
 if TYPE_CHECKING:
     from agents.join import MakeCore
-    from fleet.terminal.status_line import StatusLine
 
 
 _CHECK = "Exit status: 0 every check passed, 1 one did not, 2 usage, or nobody came, 129 terminal closed, 130 Ctrl-C."
@@ -47,14 +47,12 @@ def protocol(context: click.Context) -> None:
 @click.option("--scenario", default="paper", show_default=True, shell_complete=scenarios,
               help="The scenario of the agent's slice.")  # fmt: skip
 @TRUST
-@click.option("--join-file", metavar="FILE", type=FILE,
-              help="Where to write the join file; by default join-<i>.json here.")  # fmt: skip
+@click.option("--join-file", type=FILE, help="Where to write the join file; by default join-<i>.json here.")
 @click.option("--timeout", type=TIME, default="300 s", show_default=True, help="How long to wait for the agent.")
 @click.option("--port", type=Whole(1, 65535), help="Loopback port of the router; by default a free one.")
 @click.option("--listen-certified", metavar="ENDPOINT",
               help="Also listen here for an agent with a certificate and no password (zenoh-pico).")  # fmt: skip
-@click.option("--certs", metavar="DIR", type=FOLDER,
-              help="With --listen-certified: certificates, made by fleet hosts certs.")  # fmt: skip
+@click.option("--certs", type=FOLDER, help="With --listen-certified: certificates, made by fleet hosts certs.")
 def check(
     vehicle: int,
     scenario: str,
@@ -75,7 +73,6 @@ def check(
       fleet protocol check --id 2 --scenario rough-sea --join-file /tmp/join-2.json
       fleet protocol check --id 3 --listen-certified tls/127.0.0.1:7448 --certs certs
     """
-    from fleet.errors import FleetError, printable
     from fleet.hosts.rendezvous import CERTIFIED, Rendezvous, check_free, listening_for_certificates
     from fleet.protocol.conformance import Examination
     from fleet.scenario.loading import load_scenario
@@ -111,30 +108,15 @@ _AGENT = (
 
 
 @click.command(epilog=_AGENT)
-@click.option(
-    "--join",
-    "path",
-    metavar="FILE",
-    required=True,
-    type=FILE,
-    help="The join-<i>.json that fleet run wrote for an external vehicle.",
-)
-@click.option(
-    "--wait",
-    metavar="[TIME]",
-    type=time_within(1, 86_400),
-    is_flag=False,
-    flag_value="300 s",
-    help="Wait for the file, and for a run that takes this agent, up to this time; 300 s without a time.",
-)
-@click.option(
-    "--ros2",
-    metavar="[DISTRO]",
-    type=click.Choice(("humble", "jazzy", "kilted")),
-    is_flag=False,
-    flag_value="jazzy",
-    help="A node of ROS 2 is the agent: it gets the vehicle's measurements and messages, and answers with a wrench.",
-)
+@click.option("--join", "path", metavar="FILE", required=True, type=FILE,
+              help="The join-<i>.json that fleet run wrote for an external vehicle.")  # fmt: skip
+@click.option("--wait", metavar="[TIME]", type=time_within(1, 86_400), is_flag=False, flag_value="300 s",
+              help="Wait for the file, and for a run that takes this agent, up to this time; 300 s without a "
+                   "time.")  # fmt: skip
+@click.option("--ros2", metavar="[DISTRO]", type=click.Choice(("humble", "jazzy", "kilted")), is_flag=False,
+              flag_value="jazzy",
+              help="A node of ROS 2 is the agent: it gets the vehicle's measurements and messages, and answers with a "
+                   "wrench.")  # fmt: skip
 @TRUST
 @click.option("-q", "--quiet", is_flag=True, help="Print only errors.")
 def agent(path: Path, wait: int | None, ros2: str | None, quiet: bool) -> None:
@@ -150,15 +132,13 @@ def agent(path: Path, wait: int | None, ros2: str | None, quiet: bool) -> None:
       fleet agent --join runs/latest/join-3.json --ros2       a node of ROS 2 commands vehicle 3
     """
     import setproctitle
-    from rich.console import Console as Terminal
 
     from agents.join import serve
     from agents.join_file import JoinError, JoinFile
-    from fleet.terminal.status_line import StatusLine
     from netem.wire.messages import RUN_OVER, End
     from netem.wire.session import quiet_zenoh
 
-    line = StatusLine(Terminal(stderr=True), quiet=quiet)
+    line = StatusLine(quiet=quiet)
     tell = line.print
     joined = False
 

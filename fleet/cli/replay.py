@@ -8,7 +8,7 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -18,9 +18,7 @@ from fleet.cli.log_argument import log_argument
 from fleet.cli.sessions import ending
 from fleet.cli.types import ENDPOINT, FILE, TIME
 from fleet.errors import FleetError
-
-if TYPE_CHECKING:
-    from fleet.terminal.status_line import StatusLine
+from fleet.terminal.status_line import StatusLine, showing
 
 EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or a full disk, 129 terminal closed, 130 Ctrl-C."
 
@@ -33,34 +31,25 @@ def _speed(ctx: click.Context, param: click.Parameter, value: float) -> float:
     return value
 
 
-_connect = click.option(
-    "--connect",
-    metavar="ENDPOINT",
-    type=ENDPOINT,
-    help="Join the router or peer at this address, e.g. tcp/10.0.0.5:7447.",
-)
-_listen = click.option(
-    "--listen",
-    metavar="ENDPOINT",
-    type=ENDPOINT,
-    help="Be a router at this address; by default a free loopback port, which is printed.",
-)
+_connect = click.option("--connect", type=ENDPOINT,
+                        help="Join the router or peer at this address, e.g. tcp/10.0.0.5:7447.")  # fmt: skip
+_listen = click.option("--listen", type=ENDPOINT,
+                       help="Be a router at this address; by default a free loopback port, which is "
+                            "printed.")  # fmt: skip
 
 
 @click.command(epilog=EPILOG)
 @log_argument
 @click.option("--speed", metavar="X", type=float, default=1.0, show_default=True, callback=_speed,
               help="Times the log's own pace; 0: as fast as possible.")  # fmt: skip
-@click.option("--start", "start_ns", metavar="TIME", type=TIME, default=0,
-              help="Begin at this time of the log, e.g. '20 s'.")  # fmt: skip
-@click.option("--end", "end_ns", metavar="TIME", type=TIME, help="End at this time of the log.")
+@click.option("--start", "start_ns", type=TIME, default=0, help="Begin at this time of the log, e.g. '20 s'.")
+@click.option("--end", "end_ns", type=TIME, help="End at this time of the log.")
 @click.option("--topics", metavar="TOPIC", multiple=True,
               help="Only this topic, or those that fit: uuv/*/state, link/**; repeatable.")  # fmt: skip
 @click.option("--loop", is_flag=True, help="Begin again at the end, until Ctrl-C.")
 @click.option("--step", is_flag=True, help="Begin with a pause; right arrow plays a tick, space goes on.")
-@click.option(
-    "--wait-for-subscribers", "wait", is_flag=True, help="Begin when every key that is played has a subscriber."
-)
+@click.option("--wait-for-subscribers", "wait", is_flag=True,
+              help="Begin when every key that is played has a subscriber.")  # fmt: skip
 @_connect
 @_listen
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no summary.")
@@ -76,22 +65,18 @@ def replay(log: Path, connect: str | None, listen: str | None, quiet: bool, **ho
       fleet replay --speed 0 --wait-for-subscribers --topics 'uuv/*/pose'
       fleet replay robot.mcap --loop --start '20 s' --end '30 s' --connect tcp/127.0.0.1:7447
     """
-    from rich.console import Console as Terminal
-
     from fleet.logs.reader import log_path
     from fleet.logs.tape import Tape
     from fleet.replay.playback import PlaybackOptions, Replay
     from fleet.terminal.keyboard import Keyboard
-    from fleet.terminal.status_line import StatusLine, showing
 
     options = PlaybackOptions(**how)
     if options.step and not Keyboard.possible():
         raise click.UsageError("--step needs a terminal, because a key press continues it")
-    terminal = Terminal(stderr=True)
     with showing(f"reading {log}", quiet=quiet) as tell:
         tape = Tape(log_path(log), tell)
     played = Replay(tape, options)
-    with exit_status(3), ending() as sessions, StatusLine(terminal, quiet=quiet) as line:
+    with exit_status(3), ending() as sessions, StatusLine(quiet=quiet) as line:
         if tape.missing:
             line.print(f"warning: {log}: {tape.missing}")
         bus = _session(connect, listen, None)
@@ -110,19 +95,16 @@ def replay(log: Path, connect: str | None, listen: str | None, quiet: bool, **ho
 @click.command(epilog=EPILOG)
 @click.option("-k", "--key", "keys", metavar="KEY", multiple=True,
               help="Key expression to record, e.g. 'robot/**'; repeatable.")  # fmt: skip
-@click.option("-o", "--out", "output", metavar="FILE", type=FILE,
-              help="The file to write; by default record-<UTC time>.mcap.")  # fmt: skip
-@click.option("--duration", metavar="TIME", type=TIME, help="Stop after this time, e.g. '1 min'.")
+@click.option("-o", "--out", "output", type=FILE, help="The file to write; by default record-<UTC time>.mcap.")
+@click.option("--duration", type=TIME, help="Stop after this time, e.g. '1 min'.")
 @_connect
 @_listen
 @click.option("--run", metavar="NAME", shell_complete=completion.published_runs,
               help="Record the journal of this live run, started with --publish, until it ends: its name or the "
               "beginning of it, its scenario, or its directory.")  # fmt: skip
-@click.option(
-    "--ros2", is_flag=True,
-    help="Write the messages of ROS 2 nodes as a bag, over rmw_zenoh with ROS_DOMAIN_ID; --out is its "
-         "directory, and --key a topic such as '/uuv_1/*'.",
-)  # fmt: skip
+@click.option("--ros2", is_flag=True,
+              help="Write the messages of ROS 2 nodes as a bag, over rmw_zenoh with ROS_DOMAIN_ID; --out is its "
+                   "directory, and --key a topic such as '/uuv_1/*'.")  # fmt: skip
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no summary.")
 def record(
     keys: tuple[str, ...],
@@ -146,15 +128,12 @@ def record(
       fleet record --run paper -o journal.mcap
       fleet record --ros2 -o bag                  everything on the domain of ROS, as ros2 bag record
     """
-    from rich.console import Console as Terminal
-
     from fleet.processes.interrupts import holding_interrupts
     from fleet.replay.capture import PublisherGone, Recorder, TrafficWriter
-    from fleet.terminal.status_line import StatusLine
 
     connect, credentials, keys = _recorded(keys, connect, listen, run, ros2=ros2)
     path = output or Path(f"record-{datetime.now(UTC):%Y%m%d-%H%M%S}{'' if ros2 else '.mcap'}")  # noqa: TID251 (a name)
-    with ending() as sessions, StatusLine(Terminal(stderr=True), quiet=quiet) as line:
+    with ending() as sessions, StatusLine(quiet=quiet) as line:
         if ros2:
             bus, source, keys, open_writer = _ros2(connect, listen, keys, path, line)
         else:

@@ -9,22 +9,16 @@ import click
 from fleet.cli.group import exit_status
 from fleet.cli.types import FOLDER, Whole
 from fleet.processes.limits import processors
+from fleet.terminal.status_line import showing_jobs
 from fleet.terminal.table import stdout
 
 
 @click.command()
-@click.option(
-    "--out",
-    metavar="DIR",
-    type=FOLDER,
-    default=Path("reproduction"),
-    show_default=True,
-    help="The folder for report.md, metrics.json and the pictures.",
-)
+@click.option("--out", type=FOLDER, default=Path("reproduction"), show_default=True,
+              help="The folder for report.md, metrics.json and the pictures.")  # fmt: skip
 @click.option("--jobs", metavar="N", type=Whole(1, 256), help="Runs at a time; by default one per core.")
-@click.option(
-    "--case", "cases", metavar="NAME", multiple=True, help="Only runs whose name begins with NAME; repeatable."
-)
+@click.option("--case", "cases", metavar="NAME", multiple=True,
+              help="Only runs whose name begins with NAME; repeatable.")  # fmt: skip
 @click.option("--format", "formats", type=click.Choice(["png", "svg", "pdf"]), multiple=True, default=("png",),
               show_default=True, help="Format of the pictures; repeatable.")  # fmt: skip
 def reproduce(out: Path, jobs: int | None, cases: tuple[str, ...], formats: tuple[str, ...]) -> None:
@@ -40,11 +34,9 @@ def reproduce(out: Path, jobs: int | None, cases: tuple[str, ...], formats: tupl
       fleet reproduce --out /tmp/paper --jobs 4 --format png --format pdf
       fleet reproduce --case nboc --case nbc-disturbed
     """
-    from rich.console import Console as Terminal
     from rich.table import Table
 
     from fleet.reproduce.cases import CASES
-    from fleet.terminal.status_line import showing_jobs
 
     names = [name for name in CASES if not cases or any(name.lower().startswith(c.lower()) for c in cases)]
     for case in cases:
@@ -52,8 +44,7 @@ def reproduce(out: Path, jobs: int | None, cases: tuple[str, ...], formats: tupl
             raise click.BadParameter(f"no run begins with {case!r}; there are {', '.join(CASES)}", param_hint="--case")
     from fleet.reproduce.run import reproduce as run_all
 
-    terminal = Terminal(stderr=True)
-    with exit_status(3), showing_jobs(terminal) as tell:
+    with exit_status(3), showing_jobs() as tell:
         path, claims, _ = run_all(out, jobs or processors(), names, formats, tell)
     table = Table(box=None, pad_edge=False)
     for heading in ("verdict", "claim", "under which reading"):

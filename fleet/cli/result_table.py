@@ -168,7 +168,8 @@ def _show_links(result: Result, terminal: Terminal, say: Say) -> None:
             times("max\n[s]", lambda age: age.max_s, 1),
         ]
 
-    wanted = columns([column for cause in causes for column in counts(_heading(cause), _losses(cause))])
+    headings = {cause: "\n".join(["lost:", *cause.split()]) for cause in causes}
+    wanted = columns([column for cause in causes for column in counts(headings[cause], _losses(cause))])
     merged = len(causes) > 1 and width([column for column in wanted if column.rank != _P95]) > terminal.width
     if merged:
         wanted = columns(counts("lost", _losses(*causes)))
@@ -215,7 +216,3 @@ def _lost_share(row: Account) -> float:
 
 def _losses(*causes: str) -> Callable[[Account], int]:
     return lambda row: sum(row.lost.get(cause, 0) for cause in causes)
-
-
-def _heading(cause: str) -> str:
-    return "\n".join(["lost:", *cause.split()])

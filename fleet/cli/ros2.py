@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,14 +15,12 @@ from fleet.cli.log_argument import SHOWN, find_shown
 from fleet.cli.sessions import ending
 from fleet.cli.types import ENDPOINT, PATH, Whole
 from fleet.errors import FleetError
+from fleet.terminal.status_line import StatusLine, showing
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from fleet.ros2.bridge import RosBridge
     from fleet.ros2.process import BridgeProcess
     from fleet.ros2.translation import Translation
-    from fleet.terminal.status_line import StatusLine
     from fleet.view.source import LiveSource, LogSource
 
 EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or domain, 129 terminal closed, 130 Ctrl-C."
@@ -34,19 +32,16 @@ NODE = "uuv_fleet"
 @click.option("--domain", metavar="N", type=Whole(0, 232), help="Domain of ROS; by default ROS_DOMAIN_ID, or 0.")
 @click.option("--distro", type=click.Choice(("humble", "jazzy", "kilted")), default="jazzy", show_default=True,
               help="Distribution of ROS that the nodes run.")  # fmt: skip
-@click.option("--connect", metavar="ENDPOINT", type=ENDPOINT, help="Join the router there, such as rmw_zenohd.")
-@click.option(
-    "--listen", metavar="ENDPOINT", type=ENDPOINT,
-    help="Be the router at this address; by default join the one at tcp/127.0.0.1:7447, or be it.",
-)  # fmt: skip
+@click.option("--connect", type=ENDPOINT, help="Join the router there, such as rmw_zenohd.")
+@click.option("--listen", type=ENDPOINT,
+              help="Be the router at this address; by default join the one at tcp/127.0.0.1:7447, or be "
+                   "it.")  # fmt: skip
 @click.option("--control", is_flag=True, help="Offer services that inject and heal faults of a live run.")
 @click.option("-r", "--rate", metavar="X", type=click.FloatRange(0.001, 1000.0),
               help="For a log: speed in multiples of its own pace.")  # fmt: skip
 @click.option("-l", "--loop", is_flag=True, help="For a log: begin again at the end.")
-@click.option(
-    "--interfaces", metavar="DIR", type=PATH,
-    help="Write the package uuv_fleet_msgs below DIR, for colcon, and stop.",
-)  # fmt: skip
+@click.option("--interfaces", metavar="DIR", type=PATH,
+              help="Write the package uuv_fleet_msgs below DIR, for colcon, and stop.")  # fmt: skip
 @click.option("-q", "--quiet", is_flag=True, help="Print only errors.")
 def ros2(
     what: str | None,
@@ -71,9 +66,6 @@ def ros2(
       fleet ros2 paper --connect tcp/192.0.2.7:7447 --domain 7
       fleet ros2 paper --control                  services /fleet/inject and /fleet/heal
     """
-    from rich.console import Console as Terminal
-
-    from fleet.terminal.status_line import StatusLine
     from fleet.view.source import LiveSource
 
     if interfaces is not None:
@@ -82,7 +74,7 @@ def ros2(
     if connect and listen:
         raise click.UsageError("give either --connect or --listen, not both")
     source = find_shown(what, rate, control=control, loop=loop)
-    with StatusLine(Terminal(stderr=True), quiet=quiet) as line:
+    with StatusLine(quiet=quiet) as line:
 
         def open_bridge(translation: Translation, sessions: list[object]) -> RosBridge:
             return _open_bridge(translation, sessions, line, source if control else None, domain, connect, listen)
@@ -159,7 +151,6 @@ def _serve_log(
     from fleet.ros2.translation import Translation
     from fleet.ros2.types import types_of
     from fleet.terminal.keyboard import Keyboard
-    from fleet.terminal.status_line import showing
     from fleet.view.feed import checks_judged
 
     types = types_of(distro)
@@ -185,8 +176,6 @@ def bridge_process(*, asked: bool) -> Iterator[BridgeProcess | None]:
     if not asked:
         yield None
         return
-    from contextlib import closing
-
     from fleet.ros2.process import BridgeProcess
     from fleet.ros2.types import types_of
 

@@ -14,11 +14,12 @@ from fleet.cli import junit as cli_junit
 from fleet.cli import ros2 as cli_ros2
 from fleet.cli import view as cli_view
 from fleet.cli.completion import scenarios
-from fleet.cli.documents.output import json_option, print_document
+from fleet.cli.documents.output import json_is_asked, json_option, print_document
 from fleet.cli.group import EPILOG
 from fleet.cli.junit import JUNIT
 from fleet.cli.types import OVERRIDES, PATH, SHARE, SPEED, TIME, TRUST, Whole, disturbances, is_given, key_options
 from fleet.terminal.output import OutputError, give_up_output
+from fleet.terminal.status_line import showing, stderr
 from fleet.terminal.table import say, stdout
 from netem.vehicle_clock import Clock
 
@@ -55,61 +56,33 @@ class RunOptions(cli_hosts.HostsOptions):
 @click.command(epilog=EPILOG)
 @click.argument("scenario", required=False, shell_complete=scenarios)
 @click.option("--from", "begin", metavar="LOG[@TIME]", help="Continue from a snapshot in a log, in one process.")
-@click.option(
-    "-o",
-    "--out",
-    metavar="DIR",
-    type=PATH,
-    default=Path("runs"),
-    show_default=True,
-    help="The folder for run directories.",
-)
+@click.option("-o", "--out", metavar="DIR", type=PATH, default=Path("runs"), show_default=True,
+              help="The folder for run directories.")  # fmt: skip
 @click.option("--seed", type=Whole(0, 2**63 - 1), help="Override the scenario's seed.")
 @click.option("--duration", metavar="TIME", help="Override the scenario's duration, e.g. '20 s'.")
-@click.option(
-    "--speed",
-    type=SPEED,
-    default="max",
-    show_default=True,
-    help="Speed in multiples of real time, or as fast as possible; with --clock real, 1.",
-)
-@click.option(
-    "--clock",
-    type=click.Choice([each.value for each in Clock]),
-    default=Clock.LOCKSTEP.value,
-    show_default=True,
-    help="real: ticks begin by the wall clock and wait for no agent; the result lists late agents.",
-)
-@click.option(
-    "--max-missed",
-    metavar="SHARE",
-    type=SHARE,
-    default="1%",
-    show_default=True,
-    help="With --clock real: the run fails if an agent misses a larger share of its ticks.",
-)
+@click.option("--speed", type=SPEED, default="max", show_default=True,
+              help="Speed in multiples of real time, or as fast as possible; with --clock real, 1.")  # fmt: skip
+@click.option("--clock", type=click.Choice([each.value for each in Clock]), default=Clock.LOCKSTEP.value,
+              show_default=True,
+              help="real: ticks begin by the wall clock and wait for no agent; the result lists late "
+                   "agents.")  # fmt: skip
+@click.option("--max-missed", type=SHARE, default="1%", show_default=True,
+              help="With --clock real: the run fails if an agent misses a larger share of its ticks.")  # fmt: skip
 @click.option("--in-process", is_flag=True, help="One process, no zenoh; the same log, byte for byte.")
 @OVERRIDES
 @disturbances
 @TRUST
 @click.option("--show-config", is_flag=True, help="Print the merged scenario and stop.")
-@click.option(
-    "--port",
-    type=Whole(1, 65535),
-    help="Listen on this port of 127.0.0.1, too, for agents that cannot use the run's Unix socket.",
-)
-@click.option(
-    "--publish", is_flag=True, help="Publish the journal on zenoh during the run; slow listeners do not slow the run."
-)
-@click.option(
-    "--view", is_flag=True, help="Open a page in the browser that shows the run; there you can also disturb it."
-)
+@click.option("--port", type=Whole(1, 65535),
+              help="Listen on this port of 127.0.0.1, too, for agents that cannot use the run's Unix "
+                   "socket.")  # fmt: skip
+@click.option("--publish", is_flag=True,
+              help="Publish the journal on zenoh during the run; slow listeners do not slow the run.")  # fmt: skip
+@click.option("--view", is_flag=True,
+              help="Open a page in the browser that shows the run; there you can also disturb it.")  # fmt: skip
 @click.option("--ros2", is_flag=True, help="Publish the run, and show it to ROS 2 as fleet ros2 does.")
-@click.option(
-    "--wait-for-subscribers",
-    is_flag=True,
-    help="With --publish, --view or --ros2: begin when there is a listener, such as the page.",
-)
+@click.option("--wait-for-subscribers", is_flag=True,
+              help="With --publish, --view or --ros2: begin when there is a listener, such as the page.")  # fmt: skip
 @cli_hosts.hosts_options
 @click.option("--join-timeout", type=TIME, default="300 s", show_default=True,
               help="How long to wait for each external agent.")  # fmt: skip
@@ -126,7 +99,6 @@ def run(
     fault: tuple[Override, ...],
     net: tuple[Override, ...],
     show_config: bool,
-    as_json: bool,
     junit: Path | None,
     quiet: bool,
     **options: Any,
@@ -146,7 +118,7 @@ def run(
       fleet run --from runs/latest@20s --set controller=bsmc
     """
     how = RunOptions(**options)
-    _check_output(how, as_json=as_json, show_config=show_config)
+    _check_output(how, show_config=show_config)
     changes: list[str | Override] = [*overrides, *net, *fault]
     changes += key_options(seed=seed, duration=duration)
     if scenario is not None and begin is None and not how.in_process and not show_config:
@@ -157,38 +129,34 @@ def run(
     if show_config:
         click.echo(loaded.to_yaml(), nl=False)
         return
-    from rich.console import Console as Terminal
-
-    terminal = Terminal(stderr=True)
+    terminal = stderr()
     if not quiet:
         for warning in _warnings(loaded, seed_given=seed is not None):
             say(f"warning: {warning}", err=True)
     asked = replace(_options(loaded, start, how, terminal), quiet=quiet)
     if not quiet:
         _tell_plan(loaded, start, in_process=asked.in_process)
-    result = _execute(loaded, asked, terminal, view=how.view, ros2=how.ros2, as_json=as_json)
+    result = _execute(loaded, asked, terminal, view=how.view, ros2=how.ros2)
     if junit is not None:
         cli_junit.write(junit, result.scenario, cli_junit.of_run(result))
     sys.exit(result.status.exit)
 
 
-def _check_output(how: RunOptions, *, as_json: bool, show_config: bool) -> None:
+def _check_output(how: RunOptions, *, show_config: bool) -> None:
     if how.wait_for_subscribers and not (how.publish or how.view or how.ros2):
         raise click.UsageError(
             "--wait-for-subscribers needs --publish, --view or --ros2: without them there is nothing to subscribe to"
         )
-    if as_json and show_config:
+    if json_is_asked() and show_config:
         raise click.UsageError("--show-config prints YAML, so it cannot be used together with --json")
 
 
-def _execute(
-    scenario: Scenario, options: Options, terminal: Terminal, *, view: bool, ros2: bool, as_json: bool
-) -> Result:
+def _execute(scenario: Scenario, options: Options, terminal: Terminal, *, view: bool, ros2: bool) -> Result:
     """Run a scenario and print its result, beside the page (`view`) and the bridge (`ros2`) if they are wanted."""
     from fleet.execution.execute import execute
 
     with (
-        cli_view.page_process(asked=view, stays=not (options.quiet or as_json)) as page,
+        cli_view.page_process(asked=view, stays=not (options.quiet or json_is_asked())) as page,
         cli_ros2.bridge_process(asked=ros2) as bridge,
     ):
 
@@ -201,7 +169,7 @@ def _execute(
         result = execute(scenario, replace(options, on_published=on_published), terminal)
         if page is not None and result.directory is not None:
             page.over(result.directory)
-        _print_result(result, as_json=as_json, quiet=options.quiet)
+        _print_result(result, quiet=options.quiet)
     return result
 
 
@@ -249,13 +217,13 @@ def _tell_plan(scenario: Scenario, start: Start | None, *, in_process: bool) -> 
         say("network: ideal has no latency and so runs in one process", err=True)
 
 
-def _print_result(result: Result, *, as_json: bool, quiet: bool) -> None:
+def _print_result(result: Result, *, quiet: bool) -> None:
     from fleet.result.result import Status
 
     try:
-        if as_json or quiet:
+        if json_is_asked() or quiet:
             _print_failure(result)
-        if as_json:
+        if json_is_asked():
             print_document(result)
         elif quiet:
             click.echo(result.directory)
@@ -278,7 +246,6 @@ def _load(
 
     if begin is not None:
         from fleet.repeat.resume import continuation, parse_from
-        from fleet.terminal.status_line import showing
 
         with showing(f"reading {begin}", quiet=quiet) as tell:
             return continuation(*parse_from(begin), changes, scenario, tell)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fleet.cli.documents.output import json_option, print_document
+from fleet.cli.documents.output import json_is_asked, json_option, print_document
 from fleet.cli.types import AGE, PATH, Whole, Words
 from fleet.terminal.table import stdout
 
@@ -26,10 +26,8 @@ VERDICTS = ("pass", "fail", "broke", "stopped")
               help="The folder with run directories.")  # fmt: skip
 @click.option("--prune", is_flag=True, help="Remove runs that are over: those that fit every option below.")
 @click.option("--keep", metavar="N", type=Whole(min=0), help="Keep the newest N of the runs that are over.")
-@click.option(
-    "--older-than", metavar="AGE", type=AGE, help="Only runs that began at least this long ago, e.g. '7 days'."
-)
-@click.option("--verdict", "verdicts", metavar="LIST", type=Words(VERDICTS),
+@click.option("--older-than", type=AGE, help="Only runs that began at least this long ago, e.g. '7 days'.")
+@click.option("--verdict", "verdicts", type=Words(VERDICTS),
               help=f"Only runs with these verdicts: {', '.join(VERDICTS)}.")  # fmt: skip
 @click.option("--yes", is_flag=True, help="Remove them. Without it they are only listed.")
 @json_option
@@ -40,7 +38,6 @@ def ls(
     older_than: float | None,
     verdicts: tuple[str, ...] | None,
     yes: bool,
-    as_json: bool,
 ) -> None:
     """List the live runs of this user, then the runs below a directory, the newest first.
 
@@ -57,7 +54,7 @@ def ls(
     """
     chosen = keep is not None or older_than is not None or verdicts is not None
     if prune:
-        if as_json:
+        if json_is_asked():
             raise click.UsageError("--prune has no --json")
         if not chosen:
             wanted = "give --keep N, --older-than AGE or --verdict LIST; --keep 0 means all of them"
@@ -71,7 +68,7 @@ def ls(
 
     live, found = _live(), past_runs(out)
     size = sum(run.size for run in found)
-    if as_json:
+    if json_is_asked():
         print_document(Runs(live, found, size))
         return
     for row in live:
@@ -155,7 +152,7 @@ def _age(seconds: float) -> str:
 
 @click.command(name="list")
 @json_option
-def list_(as_json: bool) -> None:
+def list_() -> None:
     """List the scenarios that ship with the package, by group, and the studies.
 
     fleet ls lists the runs made of them. The cost of a study is the approximate time of all
@@ -165,7 +162,7 @@ def list_(as_json: bool) -> None:
     from fleet.study.catalogue import list_studies
 
     scenarios, studies = list_scenarios(), list_studies()
-    if as_json:
+    if json_is_asked():
         from fleet.cli.documents.logs import Scenarios
 
         print_document(Scenarios(scenarios, studies))

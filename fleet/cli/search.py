@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from math import inf
 from pathlib import Path
@@ -13,11 +13,12 @@ import click
 
 from fleet.cli import junit as cli_junit
 from fleet.cli.completion import scenarios
-from fleet.cli.documents.output import print_document
+from fleet.cli.documents.output import give, json_is_asked, print_document
 from fleet.cli.junit import JUNIT
 from fleet.cli.study_options import Making, changing_options, least_options, making_options
 from fleet.cli.types import BUDGET, FILE, FOLDER, TIME, Whole
-from fleet.terminal.table import say
+from fleet.terminal.status_line import StatusLine
+from fleet.terminal.table import Piece, say
 
 if TYPE_CHECKING:
     from fleet.scenario.scenario import Scenario
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
     from fleet.study.rare import RareFound
     from fleet.study.search import Searched
     from fleet.study.shrink import Shrunk
-    from fleet.terminal.status_line import StatusLine
-    from fleet.terminal.table import Piece
 
 MOST_RUNS = 2000
 
@@ -76,7 +75,7 @@ def shrink(
             say(f"stopped, so {path} is not written; --budget N ends with the least scenario after N runs", err=True)
             raise
     write_least(found.scenario, path)
-    if how.as_json:
+    if json_is_asked():
         from fleet.cli.documents.studies import less
 
         print_document(less(found, scenario, path))
@@ -118,8 +117,6 @@ def write_least(scenario: Scenario, path: Path) -> None:
 
 def pieces(line: StatusLine, doing: str, runs: int) -> list[Piece]:
     """The current trial, and the number of runs made."""
-    from fleet.terminal.table import Piece
-
     return [Piece(0, [f"{runs} runs"]), Piece(1, [doing])]
 
 
@@ -153,7 +150,7 @@ NemesisMode = Literal["swarm", "liveness"] | None
 
 @click.command()
 @click.argument("scenario", shell_complete=scenarios)
-@click.option("--budget", metavar="RUNS|TIME", type=BUDGET, default="200", show_default=True,
+@click.option("--budget", type=BUDGET, default="200", show_default=True,
               help="The number of seeds to try, or the time in which new ones begin, e.g. '10 min'.")  # fmt: skip
 @click.option("--nemesis", is_flag=True, help="Add a nemesis to a scenario without one: a swarm of faults.")
 @click.option("--liveness", is_flag=True,
@@ -162,7 +159,7 @@ NemesisMode = Literal["swarm", "liveness"] | None
 @click.option("--check", metavar="NAME", help="The check that must fail; by default any.")
 @changing_options
 @least_options
-@click.option("--keep", metavar="DIR", type=FOLDER,
+@click.option("--keep", type=FOLDER,
               help="Continue after a failure; keep the smallest scenario of each kind of failure in DIR.")  # fmt: skip
 @JUNIT
 @making_options()
@@ -211,7 +208,7 @@ def search(
     found = hunt.found
     again = f"fleet run {scenario} --seed {found.seed}"
     cli_junit.write(junit, found.name, cli_junit.of_search(found, hunt.kept, again))
-    _print_search(found, hunt.least, check, hunt.path, hunt.kept, as_json=how.as_json)
+    _print_search(found, hunt.least, check, hunt.path, hunt.kept)
     if found.scenario is not None:
         sys.exit(1)
     if not found.runs:
@@ -284,13 +281,14 @@ def _tried(name: str, changes: list[str | Override], mode: NemesisMode) -> tuple
 
 
 def _print_search(
-    found: Searched, least: Shrunk | None, check: str | None, path: Path, kept: list[FoundFailure], *, as_json: bool
+    found: Searched, least: Shrunk | None, check: str | None, path: Path, kept: list[FoundFailure]
 ) -> None:
-    if as_json:
+    if json_is_asked():
         from fleet.cli.documents.studies import first_failing
 
         print_document(first_failing(found, least, path, kept))
-    elif found.scenario is not None and least is not None:
+        return
+    if found.scenario is not None and least is not None:
         show_least(found.scenario, least, path)
     elif found.scenario is not None:
         say(f"{found.runs} runs, kinds of failure: {len(found.kinds)}")
@@ -306,14 +304,13 @@ def _print_search(
         which = f"the check {check}" if check else "a check"
         say(f"none of {found.runs} runs fails {which}: at most {100 * found.most_failures:.2g} % of such runs do, "
             "with 95 % confidence")  # fmt: skip
-    if not as_json:
-        for one in found.reached:
-            if one.hits:
-                say(one.words)
+    for one in found.reached:
+        if one.hits:
+            say(one.words)
 
 
 @click.command()
-@click.argument("folder", metavar="DIR", type=FOLDER)
+@click.argument("folder", type=FOLDER)
 @click.option("--accept", is_flag=True, help="Expect the present verdicts from now on.")
 @cli_junit.JUNIT
 @making_options()
@@ -330,7 +327,6 @@ def regress(folder: Path, accept: bool, junit: Path | None, how: Making) -> None
       fleet regress failures --junit junit.xml
     """
     from fleet.study.failures import FailureFolder, Regression
-    from fleet.terminal.table import Piece
 
     regression = Regression(FailureFolder(folder))
     of = len(regression.failures)
@@ -338,7 +334,7 @@ def regress(folder: Path, accept: bool, junit: Path | None, how: Making) -> None
         found = regression.run(engine, lambda made: tell(made, of), engine.carry(regression.modules))
     changed = regression.accept(found) if accept else 0
     cli_junit.write(junit, folder.name, cli_junit.of_regress(found))
-    if how.as_json:
+    if json_is_asked():
         from fleet.cli.documents.studies import regressed
 
         print_document(regressed(folder, found))
@@ -372,9 +368,9 @@ def _show_regressed(found: Sequence[Regressed]) -> None:
               help="Independent estimates; their spread gives the interval.")  # fmt: skip
 @click.option("--effort", metavar="N", type=Whole(4, 100_000), default=100, show_default=True,
               help="The number of partial runs in each stage.")  # fmt: skip
-@click.option("--budget", metavar="TIME", type=TIME, help="Begin no repeat after this wall time, e.g. '10 min'.")
+@click.option("--budget", type=TIME, help="Begin no repeat after this wall time, e.g. '10 min'.")
 @changing_options
-@click.option("-o", "--out", metavar="FILE", type=FILE,
+@click.option("-o", "--out", type=FILE,
               help="The file for estimates; a later call continues it. By default NAME-rare.json.")  # fmt: skip
 @making_options()
 def rare(
@@ -411,22 +407,21 @@ def rare(
     with how.showing(pieces) as tell, how.engine() as engine:
         event = RareEvent(loaded, check, Splitting(effort), engine.carry(modules))
         found = event.run(engine, tell, repeats, path, inf if budget is None else budget / 1e9)
-    if how.as_json:
-        print_document(found)
-    else:
-        _print_rare(found)
+    give(found, *_rare_lines(found))
 
 
-def _print_rare(found: RareFound) -> None:
+def _rare_lines(found: RareFound) -> Iterator[str]:
     interval = f"{found.low:.2g} to " + ("?" if found.high is None else f"{found.high:.2g}")
-    say(f"{found.scenario} fails {found.check} with probability {found.probability:.3g} ({interval}, 95 %)")
+    yield f"{found.scenario} fails {found.check} with probability {found.probability:.3g} ({interval}, 95 %)"
     counting = "" if found.counting is None else f"; counting needs {found.counting:.2g} runs for such an interval"
-    say(f"{found.repeats} repeats cost as much as {found.runs:.3g} runs{counting}")
+    yield f"{found.repeats} repeats cost as much as {found.runs:.3g} runs{counting}"
     if found.decided:
-        say(f"in {found.decided} of them draws during the run made no difference. Draws before it, such as the "
-            f"initial state, decide there, and splitting does not help")  # fmt: skip
+        yield (
+            f"in {found.decided} of them draws during the run made no difference. Draws before it, such as the "
+            "initial state, decide there, and splitting does not help"
+        )
     if not found.probability:
-        say("no repeat got as far as a failure: raise --effort or --repeats")
+        yield "no repeat got as far as a failure: raise --effort or --repeats"
 
 
 COMMANDS = (shrink, search, regress, rare)

@@ -14,6 +14,7 @@ import click
 from fleet.cli.documents.output import json_option
 from fleet.cli.types import FILE, FOLDER, FORCE, OVERRIDES, TRUST, Whole, disturbances, is_given
 from fleet.study.spec import BoundarySpec, Kind, Spec, SpecField, StudySpec, fields
+from fleet.terminal.status_line import BAR, StatusLine, bar
 from fleet.terminal.table import Piece, TerminalColumn, say
 
 if TYPE_CHECKING:
@@ -22,19 +23,14 @@ if TYPE_CHECKING:
     from fleet.study.record import AxisRecord
     from fleet.study.store import Store
     from fleet.study.sweep import Progress
-    from fleet.terminal.status_line import StatusLine
-    from fleet.terminal.table import Piece
 
 F = TypeVar("F", bound=Callable[..., Any])
 S = TypeVar("S", StudySpec, BoundarySpec)
-OUT = click.option(
-    "-o", "--out", metavar="DIR", type=FOLDER, default=Path("studies"),
-    show_default=True, help="The folder for studies; each gets a directory of its own.",
-)  # fmt: skip
+OUT = click.option("-o", "--out", type=FOLDER, default=Path("studies"), show_default=True,
+                   help="The folder for studies; each gets a directory of its own.")  # fmt: skip
 WORKERS = click.option("--workers", metavar="N", type=Whole(1, 1024), help="Runs at a time; by default one per core.")
 SCHEDULER = click.option("--scheduler", metavar="ADDRESS", help="Use an existing Dask cluster, e.g. tls://host:8786.")
-_LEAST = click.option("-o", "--out", metavar="FILE", type=FILE,
-                      help="The file for the smallest scenario; by default NAME-least.yaml.")  # fmt: skip
+_LEAST = click.option("-o", "--out", type=FILE, help="The file for the smallest scenario; by default NAME-least.yaml.")
 
 
 def least_options(command: F) -> F:
@@ -49,13 +45,11 @@ class Making:
     Attributes:
         workers: of this machine; None: one per core.
         scheduler: address of a Dask cluster, to be used instead.
-        as_json: print one document.
         quiet: show no progress.
     """
 
     workers: int | None
     scheduler: str | None
-    as_json: bool
     quiet: bool
 
     def engine(self) -> AbstractContextManager[Engine]:
@@ -70,11 +64,7 @@ class Making:
 
         `pieces`: makes the status line of the line itself and of what the function is called with.
         """
-        from rich.console import Console as Terminal
-
-        from fleet.terminal.status_line import StatusLine
-
-        with StatusLine(Terminal(stderr=True), quiet=self.quiet) as line:
+        with StatusLine(quiet=self.quiet) as line:
 
             def tell(*what: object, **more: object) -> None:
                 if line.due():
@@ -94,10 +84,9 @@ def making_options(quiet: str = "No progress.") -> Callable[[F], F]:
     def add(command: F) -> F:
         @wraps(command)
         def with_how(
-            *arguments: Any, workers: int | None, scheduler: str | None, as_json: bool, quiet: bool,
-            **options: Any,
+            *arguments: Any, workers: int | None, scheduler: str | None, quiet: bool, **options: Any
         ) -> Any:  # fmt: skip
-            return command(*arguments, how=Making(workers, scheduler, as_json, quiet), **options)
+            return command(*arguments, how=Making(workers, scheduler, quiet), **options)
 
         made = click.option("-q", "--quiet", is_flag=True, help=quiet)(with_how)
         return WORKERS(SCHEDULER(TRUST(json_option(made))))  # type: ignore[return-value]
@@ -255,8 +244,6 @@ def cell(value: float | str) -> str:
 
 def progress_pieces(line: StatusLine, share: float, progress: Progress) -> list[Piece]:
     """How far it is, how fast it goes, and how many runs have no result."""
-    from fleet.terminal.status_line import BAR, bar
-
     rate = f"{progress.rate:.2g} {progress.doing}/s" if progress.new else ""
     failed = f"{progress.failed} without result" if progress.failed else ""
     return [

@@ -11,11 +11,22 @@ import click
 
 from fleet.cli import junit as cli_junit
 from fleet.cli.completion import studies
-from fleet.cli.documents.output import print_document
+from fleet.cli.documents.output import json_is_asked, print_document
 from fleet.cli.junit import JUNIT
-from fleet.cli.study_options import OUT, Asked, Making, making_options, spec_options, study_directory
+from fleet.cli.study_options import (
+    OUT,
+    Asked,
+    Making,
+    axis_columns,
+    making_options,
+    progress_pieces,
+    show_reached,
+    spec_options,
+    study_directory,
+)
 from fleet.study.spec import KeepLogs, StudySpec
-from fleet.terminal.table import say, stdout
+from fleet.terminal.status_line import StatusLine
+from fleet.terminal.table import Piece, TerminalColumn, say, show, stdout
 
 if TYPE_CHECKING:
     from fleet.study.measures import MeasureColumn
@@ -25,8 +36,6 @@ if TYPE_CHECKING:
     from fleet.study.store import Store
     from fleet.study.study_file import NamedStudy
     from fleet.study.sweep import Progress
-    from fleet.terminal.status_line import StatusLine
-    from fleet.terminal.table import Piece
 
 _MOST_TOLD = 10  # logs that are not kept
 
@@ -62,7 +71,7 @@ def sweep(
       fleet sweep paper --vary 'network.period=100 ms,1 s' --show-config > my-study.yaml
       fleet sweep studies/rough-sea-20261122-101500
     """
-    if how.as_json and show_config:
+    if json_is_asked() and show_config:
         raise click.UsageError("--show-config prints YAML, so it cannot be used together with --json")
     from fleet.study.engine import need_extra
 
@@ -79,7 +88,7 @@ def sweep(
     _run(store, spec, modules, how)
     if junit is not None:
         cli_junit.write(junit, store.record.scenario, cli_junit.of_study(store))
-    if how.as_json:
+    if json_is_asked():
         from fleet.cli.documents.studies import swept
 
         print_document(swept(store, shown))
@@ -203,8 +212,6 @@ def _tell_what_is_missing(store: Store, logs: KeepLogs, not_kept: list[str]) -> 
 
 
 def _pieces(line: StatusLine, progress: Progress) -> list[Piece]:
-    from fleet.cli.study_options import progress_pieces
-    from fleet.terminal.table import Piece
 
     left = f"{timedelta(seconds=round(progress.left_s))} left" if isfinite(progress.left_s) else ""
     drawn, rate, failed = progress_pieces(line, progress.made / max(1, progress.runs), progress)
@@ -214,10 +221,8 @@ def _pieces(line: StatusLine, progress: Progress) -> list[Piece]:
 
 
 def _show(store: Store, measures: list[MeasureColumn]) -> None:
-    from fleet.cli.study_options import axis_columns, show_reached
     from fleet.study.statistics import LEAST, levels
     from fleet.study.summary import summarise
-    from fleet.terminal.table import TerminalColumn, show
 
     rows = summarise(store, measures)
     columns = axis_columns(store.record.axes, [row.values for row in rows])

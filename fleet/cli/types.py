@@ -12,15 +12,19 @@ import click
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
 PATH = click.Path(path_type=Path)
-FILE = click.Path(path_type=Path, dir_okay=False)
-FOLDER = click.Path(path_type=Path, file_okay=False)
-OVERRIDES = click.option(
-    "--set",
-    "overrides",
-    metavar="KEY=VALUE",
-    multiple=True,
-    help="Override one scenario key, e.g. network.period='200 ms'.",
-)
+FILE = click.Path(path_type=Path, dir_okay=False)  # the metavar of an option is the name of its type
+
+
+class Folder(click.Path):
+    """A directory, which need not be there yet."""
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        return "DIR"
+
+
+FOLDER = Folder(path_type=Path, file_okay=False)
+OVERRIDES = click.option("--set", "overrides", metavar="KEY=VALUE", multiple=True,
+                         help="Override one scenario key, e.g. network.period='200 ms'.")  # fmt: skip
 
 
 def _trust(context: click.Context, option: click.Parameter, value: bool) -> None:
@@ -32,10 +36,8 @@ def _trust(context: click.Context, option: click.Parameter, value: bool) -> None
         context.with_resource(trusting(say))
 
 
-TRUST = click.option(
-    "--trust", is_flag=True, expose_value=False, callback=_trust,
-    help="Also run laws, plants and checks that are neither installed nor your own.",
-)  # fmt: skip
+TRUST = click.option("--trust", is_flag=True, expose_value=False, callback=_trust,
+                     help="Also run laws, plants and checks that are neither installed nor your own.")  # fmt: skip
 FORCE = click.option("--force", is_flag=True, help="Replace what is there.")
 
 
@@ -46,9 +48,7 @@ def _hush(context: click.Context, option: click.Parameter, value: bool) -> None:
         context.with_resource(hushed())
 
 
-NO_PROGRESS = click.option(
-    "-q", "--quiet", is_flag=True, expose_value=False, callback=_hush, help="No progress."
-)  # fmt: skip
+NO_PROGRESS = click.option("-q", "--quiet", is_flag=True, expose_value=False, callback=_hush, help="No progress.")
 
 
 def is_given(name: str) -> bool:
@@ -72,22 +72,17 @@ def key_options(**given: Any) -> list[Any]:
     return [Override(SET, f"{key}={value}", f"--{key} {value}") for key, value in given.items() if value is not None]
 
 
+_NET = click.option("--net", metavar="'LINKS CONDITION'", multiple=True, callback=_override,
+                    help="Impair links from the start, e.g. '1->2 loss 30%'; repeatable; the last one for a link "
+                         "wins.")  # fmt: skip
+_FAULT = click.option("--fault", metavar="'at TIME ...'", multiple=True, callback=_override,
+                      help="Add a fault in the words of fleet inject, e.g. 'at 20s for 10s partition halves'; "
+                           "repeatable.")  # fmt: skip
+
+
 def disturbances(command: F) -> F:
     """Add --fault and --net, which change a scenario in the words of `fleet inject`."""
-    command = click.option(
-        "--net",
-        metavar="'LINKS CONDITION'",
-        multiple=True,
-        callback=_override,
-        help="Impair links from the start, e.g. '1->2 loss 30%'; repeatable; the last one for a link wins.",
-    )(command)
-    return click.option(
-        "--fault",
-        metavar="'at TIME ...'",
-        multiple=True,
-        callback=_override,
-        help="Add a fault in the words of fleet inject, e.g. 'at 20s for 10s partition halves'; repeatable.",
-    )(command)
+    return _FAULT(_NET(command))
 
 
 class Whole(click.IntRange):
@@ -261,7 +256,7 @@ def _vehicles(text: str) -> tuple[int, ...]:
     return tuple(vehicle_numbers(text))
 
 
-VEHICLES = Parsed("i,j-k", _vehicles)  # numbers, as in 1,3-5
+VEHICLES = Parsed("list", _vehicles)  # numbers, as in 1,3-5
 
 
 def _age(text: str) -> float:

@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fleet.cli.documents.output import json_option, print_document
+from fleet.cli.documents.output import give, json_is_asked, json_option, print_document
 from fleet.cli.log_argument import log_argument, newest_log
 from fleet.cli.study_options import Making, making_options
 from fleet.cli.types import FILE, NO_PROGRESS, OVERRIDES, PATH, TRUST, Whole, key_options
-from fleet.terminal.table import say
+from fleet.terminal.status_line import StatusLine, showing, showing_time
+from fleet.terminal.table import Piece, say
 
 if TYPE_CHECKING:
     from fleet.repeat.what_if import WhatIf
-    from fleet.terminal.status_line import StatusLine
-    from fleet.terminal.table import Piece
 
 _VERIFY = "Exit status: 0 reproduced, 1 not, 2 no log of ours or it cannot be run here, 3 no message is left in it."
 _DIFF = "Exit status: 0 the same (or within the tolerance), 1 different, 2 one of them is no log."
@@ -30,7 +29,7 @@ _log = PATH
 @TRUST
 @json_option
 @NO_PROGRESS
-def verify(log: Path, as_json: bool) -> None:
+def verify(log: Path) -> None:
     """Run LOG again and compare: every message, bit for bit.
 
     It repeats the log's scenario and seed with all injected faults and deaths, in this process, up to the end of the
@@ -42,14 +41,10 @@ def verify(log: Path, as_json: bool) -> None:
     """
     from fleet.repeat.verify import verification_lines
     from fleet.repeat.verify import verify as check
-    from fleet.terminal.status_line import showing, showing_time
 
     with showing(f"reading {log}") as reading, showing_time("verified") as tell:
         found = check(log, tell, reading)
-    if as_json:
-        print_document(found)
-    else:
-        say("\n".join(verification_lines(found)))
+    give(found, *verification_lines(found))
     sys.exit(0 if found.reproduced else 1)
 
 
@@ -61,7 +56,7 @@ def verify(log: Path, as_json: bool) -> None:
 @click.option("--all", "everything", is_flag=True, help="Every signal that differs, not only the first twenty.")
 @json_option
 @NO_PROGRESS
-def diff(a: Path, b: Path | None, tolerance: float, everything: bool, as_json: bool) -> None:
+def diff(a: Path, b: Path | None, tolerance: float, everything: bool) -> None:
     """Compare the messages of logs A and B: whether they are the same, where they part, and how far signals differ.
 
     If one run continues another (fleet run --from), the comparison begins where the later one begins.
@@ -74,7 +69,6 @@ def diff(a: Path, b: Path | None, tolerance: float, everything: bool, as_json: b
     from fleet.logs.deviation import begin_ns, besides_messages, compare, deviation_lines
     from fleet.logs.reader import LogReader, log_path
     from fleet.logs.schemas import FROM
-    from fleet.terminal.status_line import showing
 
     second = newest_log() if b is None else b
     if b is None and log_path(a).exists() and log_path(a).samefile(log_path(second)):
@@ -83,7 +77,7 @@ def diff(a: Path, b: Path | None, tolerance: float, everything: bool, as_json: b
         left, right = LogReader(log_path(a), tell), LogReader(log_path(second))
         found = compare(left, right)
     status = 0 if found.first is None or (tolerance and found.within(tolerance)) else 1
-    if as_json:
+    if json_is_asked():
         from fleet.cli.documents.logs import compared
 
         missing, besides = (left.missing, right.missing), besides_messages(left, right)
@@ -111,9 +105,8 @@ def diff(a: Path, b: Path | None, tolerance: float, everything: bool, as_json: b
 @click.command(epilog=_RECOVER)
 @log_argument
 @NO_PROGRESS
-@click.option(
-    "-o", "--out", metavar="OUT", type=_log, help="The file to write; by default LOG.recovered.mcap next to it."
-)
+@click.option("-o", "--out", metavar="OUT", type=_log,
+              help="The file to write; by default LOG.recovered.mcap next to it.")  # fmt: skip
 def recover(log: Path, out: Path | None) -> None:
     """Write the undamaged part of a cut or damaged LOG as a clean file with an index.
 
@@ -129,7 +122,6 @@ def recover(log: Path, out: Path | None) -> None:
     from fleet.logs.recover import recover as write
     from fleet.logs.recover import recovery_text
     from fleet.ros2.bag import bag_file, repair
-    from fleet.terminal.status_line import showing
 
     with showing(f"recovering {log}") as tell:
         found = write(log, out, tell) if bag_file(log) is None else repair(log, out, tell)
@@ -146,9 +138,7 @@ def recover(log: Path, out: Path | None) -> None:
 @click.option("--plot", type=PATH, help="Draw both commands into this file (png, svg, pdf).")
 @json_option
 @NO_PROGRESS
-def command(
-    log: Path, agent: int, controller: str | None, overrides: tuple[str, ...], plot: Path | None, as_json: bool
-) -> None:
+def command(log: Path, agent: int, controller: str | None, overrides: tuple[str, ...], plot: Path | None) -> None:
     """Give another agent the navigation and messages of one in LOG, and compare their commands.
 
     This is open loop: the vehicle still moves by the recorded commands. Without a change the commands are identical.
@@ -161,7 +151,6 @@ def command(
       fleet whatif --agent 2 --controller my_module:MyController
     """
     from fleet.repeat.what_if import what_if
-    from fleet.terminal.status_line import showing
 
     changes = [*overrides, *key_options(controller=controller)]
     with showing(f"agent {agent}") as tell:
@@ -171,12 +160,9 @@ def command(
         from fleet.repeat.what_if_picture import draw
 
         draw(found, plot, digest(log_path(log)))
-    if as_json:
-        print_document(found.compared)
-        return
-    for note in found.notes:
+    for note in () if json_is_asked() else found.notes:
         say(f"note  {note}", err=True)
-    say("\n".join([*what_if_lines(found), *([str(plot)] if plot is not None else [])]))
+    give(found.compared, *what_if_lines(found), *([str(plot)] if plot is not None else []))
 
 
 def what_if_lines(found: WhatIf) -> list[str]:
@@ -201,8 +187,7 @@ def what_if_lines(found: WhatIf) -> list[str]:
 @click.command()
 @log_argument
 @click.option("--check", metavar="NAME", help="The check that failed; by default the first one that did.")
-@click.option("--picture", metavar="FILE", type=FILE,
-              help="Draw it into this file (png, svg, pdf).")  # fmt: skip
+@click.option("--picture", type=FILE, help="Draw it into this file (png, svg, pdf).")
 @click.option("--budget", metavar="RUNS", type=Whole(0, 10_000), default=24, show_default=True,
               help="Healed runs that are tried; 0: only what the log says.")  # fmt: skip
 @making_options()
@@ -219,7 +204,7 @@ def why(log: Path, check: str | None, picture: Path | None, budget: int, how: Ma
       fleet why runs/latest --budget 0
       fleet why runs/latest --json
     """
-    from fleet.explanation.why import Explanation, Question
+    from fleet.explanation.why import Explanation, Question, lines
 
     if picture is not None:
         from fleet.explanation.picture import draw
@@ -235,17 +220,11 @@ def why(log: Path, check: str | None, picture: Path | None, budget: int, how: Ma
             found = explanation.without_runs()
     if picture is not None:
         draw(found, explanation.path, explanation.scenario, picture)
-    if how.as_json:
-        print_document(found)
-        return
-    from fleet.explanation.why import lines
-
-    say("\n".join([*lines(found), *([str(picture)] if picture is not None else [])]))
+    give(found, *lines(found), *([str(picture)] if picture is not None else []))
 
 
 def _pieces(line: StatusLine, doing: str, runs: int) -> list[Piece]:
     from fleet.explanation.no_return import RUNS
-    from fleet.terminal.table import Piece
 
     return [Piece(0, [doing]), Piece(1, [f"{runs} runs" if doing == RUNS else ""])]
 

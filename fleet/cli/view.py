@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from typing import TYPE_CHECKING
 
 import click
@@ -23,17 +23,12 @@ EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or no port
 @SHOWN
 @click.option("--foxglove", is_flag=True, help="Serve Foxglove and Lichtblick; needs uuv-fleet[foxglove].")
 @click.option("--host", metavar="ADDRESS", default="127.0.0.1", show_default=True, help="Listen there.")
-@click.option(
-    "--port",
-    metavar="PORT",
-    type=Whole(0, 65535),
-    help="By default a free one. With --foxglove it is 8765, if that is free: viewers propose it.",
-)
-@click.option(
-    "--control/--read-only", default=None,
-    help="Whether viewers may inject, heal and pause. Foxglove's protocol knows no passwords, so it is "
-         "--read-only by default with --foxglove.",
-)  # fmt: skip
+@click.option("--port", metavar="PORT", type=Whole(0, 65535),
+              help="By default a free one. With --foxglove it is 8765, if that is free: viewers propose "
+                   "it.")  # fmt: skip
+@click.option("--control/--read-only", default=None,
+              help="Whether viewers may inject, heal and pause. Foxglove's protocol knows no passwords, so it is "
+                   "--read-only by default with --foxglove.")  # fmt: skip
 @click.option("--no-open", is_flag=True, help="Do not open a browser.")
 @click.option("-r", "--rate", metavar="X", type=click.FloatRange(0.001, 1000.0),
               help="For a log: speed at first, in multiples of its own pace.")  # fmt: skip
@@ -94,8 +89,6 @@ def show_page(
         may_act: the page may disturb the run.
         rate: speed of a log, as a multiple of real time.
     """
-    from contextlib import closing
-
     from fleet.terminal.table import say
     from fleet.view.live_feed import LiveFeed
     from fleet.view.log_feed import LogFeed
@@ -134,8 +127,6 @@ def page_process(*, asked: bool, stays: bool) -> Iterator[PageProcess | None]:
     if not asked:
         yield None
         return
-    from contextlib import closing, suppress
-
     from fleet.view.page_process import PageProcess
     from fleet.view.server import Browser, open_listener
 

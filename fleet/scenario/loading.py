@@ -44,6 +44,17 @@ EXAMPLES = {
     "network": "{period: 100 ms, links: {'*': delay 100ms loss 20%}}",
 }
 
+# By the kind of pydantic's error: what is expected, and a hint.
+_WANTED = {
+    **dict.fromkeys(("int_type", "int_parsing", "int_from_float", "int_parsing_size"), ("expected a whole number", "")),
+    "greater_than_equal": ("must be {ge} or more", ""),
+    "less_than_equal": ("must be {le} or less", ""),
+    "less_than": ("must be less than {lt}", ""),
+    "list_type": ("expected a list", ""),
+    "string_type": ("expected a text", "quotes make it a text"),
+    "string_pattern_mismatch": ("expected lower-case letters, digits, - and _", "it names the run's directory"),
+}
+
 Loc = tuple[str | int, ...]
 
 
@@ -129,26 +140,12 @@ def _explain(root: Mapping, error: ErrorDetails) -> Problem:
             words = re.findall(r"'([^']*)'", context["expected"])
             hint = nearest(value, words) if isinstance(value, str) else ""
             message = f"expected {' or '.join(words)}, got {describe_value(value)}"
-        case "int_type" | "int_parsing" | "int_from_float" | "int_parsing_size":
-            message, hint = f"expected a whole number, got {describe_value(value)}", ""
-        case "greater_than_equal":
-            message, hint = f"must be {context['ge']} or more, got {describe_value(value)}", ""
-        case "less_than_equal":
-            message, hint = f"must be {context['le']} or less, got {describe_value(value)}", ""
-        case "less_than":
-            message, hint = f"must be less than {context['lt']}, got {describe_value(value)}", ""
         case "model_type" | "dict_type" | "model_attributes_type":
             message = f"expected keys with values, got {describe_value(value)}"
             hint = nearest(str(loc[-1]), [key for key in _siblings(loc) if key != loc[-1]]) or "write {key: value}"
-        case "list_type":
-            message, hint = f"expected a list, got {describe_value(value)}", ""
-        case "string_type":
-            message, hint = f"expected a text, got {describe_value(value)}", "quotes make it a text"
-        case "string_pattern_mismatch":
-            message = f"expected lower-case letters, digits, - and _, got {describe_value(value)}"
-            hint = "it names the run's directory"
-        case _:
-            message, hint = f"{error['msg']}, got {describe_value(value)}", ""
+        case kind:
+            wanted, hint = _WANTED.get(kind, ("{msg}", ""))
+            message = f"{wanted.format_map({**context, 'msg': error['msg']})}, got {describe_value(value)}"
     return locate(root, path).problem(f"{_short(name)}: {message}", hint, name)
 
 
@@ -277,7 +274,7 @@ def parse_scenario(
     problems += [*more, *mistakes]
     if parts is None or problems:
         raise ScenarioError(sorted(problems, key=lambda p: _order(p, source, overrides)))
-    return Scenario.compile(parts, Reading(text, tuple(overrides), folder, policy), source_name)
+    return Scenario(parts, Reading(text, tuple(overrides), folder, policy), source_name)
 
 
 def changed(scenario: Scenario, overrides: Sequence[str | Override]) -> Scenario:

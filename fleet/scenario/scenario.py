@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 from functools import cached_property
 from math import gcd
 from pathlib import Path
@@ -12,36 +11,27 @@ from typing import NamedTuple
 from agents.config import AgentConfig, Law, Neighbour, Offset, OffsetChange
 from agents.controllers import BUILT_IN, laws, layout
 from agents.signals import SignalLayout
-from agents.trajectory import Reference
 from fleet.quantities import vehicle_numbers
 from fleet.scenario.parts import Parts
-from fleet.scenario.schema.faults import CurrentSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.schema.vehicle import PlantSection, VehicleSection
 from fleet.scenario.sections.acoustic import inlined_modem
 from fleet.scenario.sections.formation import initial_rolls
-from fleet.scenario.sections.graph import Graph
-from fleet.scenario.sections.ground import Ground
 from fleet.scenario.sections.log_rates import log_every, memory_ticks
 from fleet.scenario.sections.modem_files import shipped_modems
 from fleet.scenario.sections.navigation import inlined_navigation
 from fleet.scenario.sections.per_vehicle import Control, inlined_vehicle, model_name, shipped_vehicles
 from fleet.scenario.sections.signals import BeliefKind
-from fleet.scenario.sections.timeline import FaultPlan
 from fleet.scenario.text import yaml_writer
 from fleet.scenario.text.overrides import Override
 from fleet.scenario.trust import Policy
 from netem.condition import Condition, Link
 from netem.config import NetemConfig
-from netem.link_states import LinkStates
-from netem.link_trace import LinkTrace
-from netem.modem import AcousticConfig
-from netem.vehicle_clock import VehicleClock
 from world import disturbance
-from world.config import Harmonic, NavNoise, PlantSetup, VehicleSetup, WorldConfig
+from world.config import NavNoise, PlantSetup, VehicleSetup, WorldConfig
 from world.plants.classes import file_of
 from world.signal import Signal
-from world.vectors import Vec3, Vec5, minus
+from world.vectors import minus
 
 
 class Reading(NamedTuple):
@@ -53,84 +43,48 @@ class Reading(NamedTuple):
     policy: Policy
 
 
-@dataclass(frozen=True)
 class Scenario:
     """A valid scenario, equal to another with the same run and verdict. It makes each core's configuration once."""
 
-    spec: ScenarioSpec  # the values of the file, in SI units
-    reference: Reference
-    plans: tuple[Offset, ...]  # p_i(t) [m, NED]
-    graph: Graph
-    initial: tuple[tuple[Vec5, Vec5], ...]  # (eta0, nu0) of each vehicle
-    conditions: dict[Link, Condition]  # of every link that is not perfect at the start
-    changing: dict[Link, LinkStates | LinkTrace]  # what the others do whose condition changes by itself
-    selectors: dict[Link, str]  # the last entry of network.links that names each link
-    controls: tuple[Control, ...]  # what each vehicle is and runs
-    faults: FaultPlan
-    other_laws: tuple[tuple[str, Law], ...]  # kind and law of those that are not built in, each name once
-    acoustic: AcousticConfig | None  # None: the network is not acoustic
-    clocks: dict[int, VehicleClock]  # of the vehicles for which one is set
-    ground: Ground = field(compare=False, repr=False)  # what its nemesis acts on
-    undrawn: ScenarioSpec = field(compare=False, repr=False)  # with the nemesis in place of the faults that it drew
-    reading: Reading = field(compare=False, repr=False)
-    source: str = field(default="", compare=False)  # the shipped name or the path it was loaded from
-    _layouts: dict[int, SignalLayout] = field(default_factory=dict, init=False, repr=False, compare=False)
+    def __init__(self, parts: Parts, reading: Reading, source: str = "") -> None:
+        """The scenario of a valid specification, from its parts. `source`: its shipped name, or its path."""
+        self.spec = spec = _without_files(parts.explicit, parts)  # the values of the file, in SI units
+        self.undrawn = _without_files(parts.spec, parts)  # with the nemesis in place of the faults that it drew
+        self.reading, self.source = reading, source
+        self.ground = parts.ground  # what its nemesis acts on
+        self.name, self.title, self.vehicles, self.seed = spec.name, spec.title, spec.vehicles, spec.seed
+        self.tick_ns, self.duration_ns, self.stall_timeout_s = spec.tick, spec.duration, spec.stall_timeout / 1e9
+        self.ticks = spec.duration // spec.tick
+        self.ideal = spec.network.ideal
+        # m, ticks per network round; an ideal network exchanges at every tick.
+        self.round_ticks = 1 if self.ideal else spec.network.period // spec.tick
+        self.reference = parts.reference
+        self.plans = parts.plans  # p_i(t) [m, NED]
+        self.graph, self.b = parts.graph, parts.graph.b
+        self.initial = parts.initial  # (eta0, nu0) of each vehicle
+        self.conditions = parts.conditions  # of every link that is not perfect at the start
+        self.changing = parts.changing  # what the others do whose condition changes by itself
+        self.selectors = parts.written  # the last entry of network.links that names each link
+        self.controls = parts.controls  # what each vehicle is and runs
+        self.external = tuple(i for i, its in enumerate(self.controls, 1) if its.external)  # agents that others start
+        self.faults = parts.faults
+        self.other_laws = _others(parts.controls)  # kind and law of those that are not built in, each name once
+        self.acoustic = parts.acoustic  # None: the network is not acoustic
+        self.clocks = parts.clocks  # of the vehicles for which one is set
+        # The periodic forces on every vehicle; empty: none.
+        self.disturbance = disturbance.PAPER if spec.sea.disturbance == "paper" else ()
+        self._layouts: dict[int, SignalLayout] = {}
 
-    @classmethod
-    def compile(cls, parts: Parts, reading: Reading, source: str = "") -> Scenario:
-        """The scenario of a valid specification, from its parts."""
-        return cls(
-            spec=_without_files(parts.explicit, parts),
-            reference=parts.reference,
-            plans=parts.plans,
-            graph=parts.graph,
-            initial=parts.initial,
-            conditions=parts.conditions,
-            changing=parts.changing,
-            selectors=parts.written,
-            controls=parts.controls,
-            faults=parts.faults,
-            acoustic=parts.acoustic,
-            clocks=parts.clocks,
-            other_laws=_others(parts.controls),
-            ground=parts.ground,
-            undrawn=_without_files(parts.spec, parts),
-            reading=reading,
-            source=source,
-        )
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Scenario) and self._decisive == other._decisive
 
     @property
-    def name(self) -> str:
-        return self.spec.name
-
-    @property
-    def title(self) -> str:
-        return self.spec.title
-
-    @property
-    def vehicles(self) -> int:
-        return self.spec.vehicles
-
-    @property
-    def seed(self) -> int:
-        return self.spec.seed
-
-    @property
-    def tick_ns(self) -> int:
-        return self.spec.tick
-
-    @property
-    def duration_ns(self) -> int:
-        return self.spec.duration
-
-    @property
-    def ticks(self) -> int:
-        return self.spec.duration // self.spec.tick
-
-    @property
-    def round_ticks(self) -> int:
-        """m, ticks per network round; an ideal network exchanges at every tick."""
-        return 1 if self.ideal else self.spec.network.period // self.spec.tick
+    def _decisive(self) -> tuple[object, ...]:
+        """All that decides a run and its verdict; files that the specification names may have changed."""
+        return (
+            self.spec, self.reference, self.plans, self.graph, self.initial, self.conditions, self.changing,
+            self.selectors, self.controls, self.faults, self.acoustic, self.clocks,
+        )  # fmt: skip
 
     def next_round(self, tick: int) -> int | None:
         """The first round tick after a tick; None if the run is over by then."""
@@ -138,33 +92,11 @@ class Scenario:
         after = (tick // m + 1) * m
         return after if after < self.ticks else None
 
-    @property
-    def ideal(self) -> bool:
-        return self.spec.network.ideal
-
     @cached_property
     def possible(self) -> dict[Link, tuple[Condition, ...]]:
         """Every condition that a link may have by itself; perfect links are left out."""
         changing = {link: tuple(dict.fromkeys(its.conditions)) for link, its in self.changing.items()}
         return {link: (condition,) for link, condition in self.conditions.items()} | changing
-
-    @property
-    def external(self) -> tuple[int, ...]:
-        """The vehicles whose agents are not started by the run, ascending."""
-        return tuple(i for i, control in enumerate(self.controls, start=1) if control.external)
-
-    @property
-    def stall_timeout_s(self) -> float:
-        return self.spec.stall_timeout / 1e9
-
-    @property
-    def b(self) -> tuple[float, ...]:
-        return self.graph.b
-
-    @property
-    def disturbance(self) -> tuple[Harmonic, ...]:
-        """The periodic forces on every vehicle; empty: none."""
-        return disturbance.PAPER if self.spec.sea.disturbance == "paper" else ()
 
     @property
     def plants(self) -> dict[str, PlantSection]:
@@ -184,7 +116,7 @@ class Scenario:
     @cached_property
     def world_config(self) -> WorldConfig:
         """The configuration of the world. Raises PluginError: a law cannot be used."""
-        spec = self.spec
+        spec, current = self.spec, self.spec.sea.current
         return WorldConfig(
             seed=spec.seed,
             tick_ns=spec.tick,
@@ -193,8 +125,8 @@ class Scenario:
             substeps=spec.physics.substeps,
             vehicles=tuple(map(self._vehicle_setup, range(1, self.vehicles + 1))),
             disturbance=self.disturbance,
-            current=spec.sea.current.mean,
-            drift=_drift(spec.sea.current),
+            current=current.mean,
+            drift=(current.sigma, current.time_constant / 1e9) if any(current.sigma) else None,  # None: it is constant
             faults=self.faults.world,
             absences=self.faults.absences,
             memory_ticks=self.memory_ticks,
@@ -356,11 +288,6 @@ def _without_files(spec: ScenarioSpec, parts: Parts) -> ScenarioSpec:
         network = network.model_copy(update={"links": network.links | inside})
     changes = {"vehicle": in_numbers(spec.vehicle), "navigation": inlined_navigation(spec.navigation, folder)}
     return spec.model_copy(update=changes | {"per_vehicle": per_vehicle, "network": network})
-
-
-def _drift(current: CurrentSection) -> tuple[Vec3, float] | None:
-    """Standard deviation [m/s] and time constant [s] of the sea's own current; None when it is constant."""
-    return (current.sigma, current.time_constant / 1e9) if any(current.sigma) else None
 
 
 def _difference(a: Offset, b: Offset) -> Offset:

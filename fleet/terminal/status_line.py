@@ -10,10 +10,12 @@ from contextvars import ContextVar
 from datetime import timedelta
 from itertools import count
 from types import TracebackType
-
-from rich.console import Console as Terminal
+from typing import TYPE_CHECKING
 
 from fleet.terminal.table import Piece, fit, shortened
+
+if TYPE_CHECKING:
+    from rich.console import Console as Terminal
 
 REFRESH_S = 0.1
 PLAIN_S = 5.0
@@ -31,6 +33,13 @@ def hushed() -> Iterator[None]:
         _hushed.reset(token)
 
 
+def stderr() -> Terminal:
+    """Where progress is shown, and what is said beside a result."""
+    from rich.console import Console as Terminal  # here, for commands start without it
+
+    return Terminal(stderr=True)
+
+
 def rewritable(terminal: Terminal) -> bool:
     """Whether a line can be written again in place. FORCE_COLOR (CI, Jupyter) asks for colours, in a file as well."""
     return terminal.is_terminal and (terminal.file.isatty() or not os.environ.get("FORCE_COLOR"))
@@ -39,14 +48,14 @@ def rewritable(terminal: Terminal) -> bool:
 class StatusLine:
     """Ask `due` as often as you like, and `show` something when it is."""
 
-    def __init__(self, terminal: Terminal, *, quiet: bool, first_s: float | None = None) -> None:
+    def __init__(self, terminal: Terminal | None = None, *, quiet: bool, first_s: float | None = None) -> None:
         """Prepare it; nothing is shown yet.
 
-        `quiet`: show nothing at all. `first_s`: how long nothing is shown at first; by default 0 on a terminal, a while
-        elsewhere.
+        `terminal`: None: stderr. `quiet`: show nothing at all. `first_s`: how long nothing is shown at first; by
+        default 0 on a terminal, a while elsewhere.
         """
-        self._terminal, self._quiet = terminal, quiet or _hushed.get()
-        self.live = rewritable(terminal)
+        self._terminal, self._quiet = terminal or stderr(), quiet or _hushed.get()
+        self.live = rewritable(self._terminal)
         self._next = time.monotonic() + ((0.0 if self.live else PLAIN_S) if first_s is None else first_s)
         self._shown = False
 
@@ -112,14 +121,14 @@ FIRST_S = 2.0  # work that is done by then shows nothing
 @contextmanager
 def showing(doing: str, *, quiet: bool = False) -> Iterator[Callable[[float], None]]:
     """A function to call with the share done (0..1), as often as you like."""
-    with StatusLine(Terminal(stderr=True), quiet=quiet, first_s=FIRST_S) as line:
+    with StatusLine(quiet=quiet, first_s=FIRST_S) as line:
         yield lambda share: line.update(lambda: [_named(doing), Piece(0, [f"{100 * share:.0f} %"])])
 
 
 @contextmanager
 def showing_steps(doing: str) -> Iterator[Callable[[], None]]:
     """A function to call at each step of work of unknown length; only a terminal shows it."""
-    terminal, steps = Terminal(stderr=True), count(1)
+    terminal, steps = stderr(), count(1)
     with StatusLine(terminal, quiet=not rewritable(terminal), first_s=FIRST_S) as line:
 
         def report() -> None:
@@ -132,7 +141,7 @@ def showing_steps(doing: str) -> Iterator[Callable[[], None]]:
 @contextmanager
 def showing_time(doing: str) -> Iterator[Callable[[float, float], None]]:
     """A function to call with the simulated time reached and the time at which the work ends [s]."""
-    terminal = Terminal(stderr=True)
+    terminal = stderr()
     with StatusLine(terminal, quiet=False, first_s=REFRESH_S if rewritable(terminal) else PLAIN_S) as line:
         yield lambda at_s, end_s: line.update(lambda: f"{doing} t = {at_s:.1f} / {end_s:g} s")
 
@@ -142,7 +151,7 @@ def _named(doing: str) -> Piece:
 
 
 @contextmanager
-def showing_jobs(terminal: Terminal) -> Iterator[Callable[[str, float], None]]:
+def showing_jobs(terminal: Terminal | None = None) -> Iterator[Callable[[str, float], None]]:
     """A function to call with what is being done and the share of everything that is done (0..1)."""
     began = time.monotonic()
     with StatusLine(terminal, quiet=False) as line:

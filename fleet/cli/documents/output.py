@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from fleet.terminal.table import say
+
 if TYPE_CHECKING:
     import msgspec
 
@@ -18,13 +20,13 @@ def _remember(context: click.Context, option: click.Parameter, value: bool) -> b
 
 
 # Read before the other options: a mistake in one of them is printed as JSON, too.
-json_option = click.option("--json", "as_json", is_flag=True, is_eager=True, callback=_remember,
+json_option = click.option("--json", "as_json", is_flag=True, is_eager=True, expose_value=False, callback=_remember,
                            help="Print one JSON document on stdout.")  # fmt: skip
 
 
-def json_is_asked(context: click.Context) -> bool:
+def json_is_asked() -> bool:
     """Whether the command that was called has `--json`, and was given it."""
-    return bool(context.meta.get(_ASKED))
+    return bool(click.get_current_context().meta.get(_ASKED))
 
 
 def print_document(document: msgspec.Struct) -> None:
@@ -38,3 +40,11 @@ def print_document(document: msgspec.Struct) -> None:
         import json
 
         click.echo(json.dumps(json.loads(text), indent=2))
+
+
+def give(document: msgspec.Struct, *words: str) -> None:
+    """Print a result: as JSON if that was asked for, else in words, a line or several each."""
+    if json_is_asked():
+        print_document(document)
+    else:
+        say("\n".join(words))

@@ -16,8 +16,7 @@ from fleet.scenario.schema.spec import sections
 from fleet.scenario.sections.log_rates import snapshot_grid
 from fleet.scenario.sections.per_vehicle import qp_period_ns, used
 
-# --- timing
-# Rules on periods and times: what must be whole ticks.
+# --- periods and times: what must be whole ticks
 
 
 def duration(parts: Parts, report: Report) -> None:

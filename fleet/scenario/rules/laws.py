@@ -15,7 +15,7 @@ from agents.trajectory import PathError
 from fleet.quantities import RATE, SPEED, QuantityError, show, show_vector, vehicle_numbers
 from fleet.scenario.parts import Parts, UnknownValueError
 from fleet.scenario.rules.report import Report, packed, vehicles_exist
-from fleet.scenario.schema.spec import ScenarioSpec, sections
+from fleet.scenario.schema.spec import sections
 from fleet.scenario.sections.data_files import DataFileError
 from fleet.scenario.sections.per_vehicle import Entries, given, law_names, mass_problems, used, wrong_model
 from netem.parsing import nearest
@@ -23,8 +23,7 @@ from world.errors import PluginError, UntrustedError
 from world.plants.classes import SHIPPED, plant_class
 from world.vectors import Vec3
 
-# --- plugins
-# The rule that every plug-in in a scenario exists, may run, and can be used.
+# --- plug-ins: each exists, may run, and can be used
 
 
 def plugin(
@@ -61,10 +60,6 @@ def plugin(
     else:
         return True
     return False
-
-
-# --- plants
-# Rules on the plants of vehicles.
 
 
 def plants(parts: Parts, report: Report) -> None:
@@ -191,10 +186,11 @@ def velocity_bounds(parts: Parts, report: Report) -> None:
                 if sign * limit < sign * speed:
                     continue
                 written = report.origin(entries, "guidance", bound_name)
+                of_reference = "speed" if parts.spec.reference.velocity is None else "velocity"
                 side, extreme = ("below", "least ") if sign > 0 else ("above", "greatest ")
                 extreme = "" if low == high else extreme
                 report.add(
-                    written or reference_place(parts.spec),
+                    written or ("reference", of_reference),
                     f"{bound_name} {show_vector(bound, SPEED)} must be {side} the {extreme}reference velocity "
                     f"{rounded(speeds)} on every axis; it is not on {axis}",
                     "" if written else f"the bound is that of profile {name}; set {key_of(entries, bound_name)}",
@@ -227,10 +223,6 @@ def key_of(entries: Entries, key: str) -> str:
 
 def rounded(speeds: Vec3) -> str:
     return show_vector(tuple(float(f"{speed:.4g}") for speed in speeds), SPEED)
-
-
-def reference_place(spec: ScenarioSpec) -> tuple[str, ...]:
-    return ("reference", "velocity") if spec.reference.velocity is not None else ("reference", "speed")
 
 
 def gain_bounds(parts: Parts, report: Report) -> None:

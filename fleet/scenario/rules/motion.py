@@ -22,9 +22,7 @@ from netem.fault_kinds import WorldFaultKind
 from world.navigation.config import KINDS as KINDS_OF_FAULT
 from world.navigation.config import DeadReckoning, Navigation, NavigationTrace
 
-# --- navigation
-# Rules on the navigation of the vehicles, and on its faults.
-
+# --- navigation of the vehicles, and its faults
 
 MOST_UNDER_WAY = 20  # fixes: the filter keeps a past position for each
 _NOT_OF = {"gps": ("at", "noise_per_distance", "reach"), "usbl": ("depth",), "lbl": ("depth",)}

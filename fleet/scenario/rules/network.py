@@ -1,4 +1,4 @@
-"""Rules on links and on the acoustic"""
+"""Rules on links and on the acoustic channel."""
 
 from __future__ import annotations
 
@@ -26,9 +26,7 @@ from netem.grammar import parse_selector
 from netem.modem import Modem
 from netem.parsing import nearest
 
-# --- link conditions
-# Rules on links whose condition changes by itself: states and traces
-
+# --- links whose condition changes by itself: states and traces
 
 MOST_STATES = 16
 MOST_CHARACTERS = 900_000  # of all traces together as the merged scenario holds them, which has 1,000,000 at most

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import (
@@ -54,9 +55,7 @@ def _standing(value: Any) -> Any:
 
 
 def _show_standing(check: Standing | None) -> Any:
-    if check is None or check.waived:
-        return None if check is None else WAIVED
-    return check.model_dump(exclude={"waived"}, exclude_none=True)
+    return check and (WAIVED if check.waived else check.model_dump(exclude={"waived"}, exclude_none=True))
 
 
 class MaxAge(Section):
@@ -113,10 +112,6 @@ def _range(value: Any) -> Any:
     return _quantity(value)
 
 
-def _everyone(value: Any) -> Any:
-    return None if value == "all" else value
-
-
 def _true(value: Any) -> Any:
     if value is not True:
         raise mistake(f"expected true, got {describe_value(value)}", hint="or leave it out")
@@ -125,6 +120,7 @@ def _true(value: Any) -> Any:
 
 OnlyTrue = Annotated[Literal[True] | None, BeforeValidator(_true)]
 Quantity = Annotated[Any, BeforeValidator(_quantity)]  # as written: what unit it needs, the signal says
+_EVERYONE = BeforeValidator(lambda value: None if value == "all" else value)
 CHECK_NAME = r"[A-Za-z][A-Za-z0-9_.-]{0,63}"
 
 
@@ -133,7 +129,7 @@ class SignalCheck(Section):
 
     name: str | None = None  # of the verdict; the signal's
     topic: str  # topic group, dot, field: `state.z`, `|error.e|`
-    vehicles: Annotated[v.VehicleNumbers | None, BeforeValidator(_everyone)] = None
+    vehicles: Annotated[v.VehicleNumbers | None, _EVERYONE] = None
     below: Quantity | None = None
     above: Quantity | None = None
     equals: Quantity | None = None
@@ -177,14 +173,14 @@ def _listed(value: Any) -> Any:
     return None if value == [] else value
 
 
-def _show_list(checks: list[Any] | None) -> Any:
-    shown = [entry.model_dump(exclude_none=True) for entry in checks or ()]
+def _show_list(checks: Sequence[Section] | None, *, defaults: bool = True) -> Any:
+    shown = [entry.model_dump(exclude_none=True, exclude_defaults=not defaults) for entry in checks or ()]
     return shown[0] if len(shown) == 1 else shown or None
 
 
-def _show_signals(checks: list[SignalCheck] | None) -> Any:
-    shown = [entry.model_dump(exclude_none=True, exclude_defaults=True) for entry in checks or ()]
-    return shown[0] if len(shown) == 1 else shown or None
+_show_signals = partial(_show_list, defaults=False)
+
+_show_signals = partial(_show_list, defaults=False)
 
 
 class OwnCheck(NamedTuple):

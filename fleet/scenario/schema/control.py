@@ -7,14 +7,12 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, PlainSerializer
 
 from agents.config import Angles, Cost, Extrapolation, Method
-from fleet.quantities import CLOCK_DRIFT, show, show_time
 from fleet.scenario.schema import value_types as v
 from fleet.scenario.schema.navigation import NavigationChoice
 from fleet.scenario.schema.value_types import Section, word_for
 from fleet.scenario.schema.vehicle import ModelErrorSection, VehicleSection
 
-# --- clock
-# The clock of a vehicle: its drift and offset, given or drawn.
+# --- clock of a vehicle: its drift and offset, given or drawn
 
 
 class DriftSection(Section):
@@ -36,27 +34,18 @@ def _mean(value: Any) -> Any:
     return {"mean": value} if isinstance(value, str | int | float) and not isinstance(value, bool) else value
 
 
-def _show_drift(drift: DriftSection | None) -> Any:
-    if drift is None or drift.sigma:
-        return None if drift is None else drift.model_dump(exclude_defaults=True)
-    return show(drift.mean, CLOCK_DRIFT)
-
-
-def _show_offset(offset: OffsetSection | None) -> Any:
-    if offset is None or offset.sigma:
-        return None if offset is None else offset.model_dump(exclude_defaults=True)
-    return show_time(offset.mean)
+def _show(section: DriftSection | OffsetSection | None) -> Any:
+    return section and (section.model_dump(exclude_defaults=True) if section.sigma else section.model_dump()["mean"])
 
 
 class ClockSection(Section):
     """The clock that an agent and its modem go by; what is left out is 0, or as it is for all vehicles."""
 
-    drift: Annotated[DriftSection | None, BeforeValidator(_mean), PlainSerializer(_show_drift)] = None
-    offset: Annotated[OffsetSection | None, BeforeValidator(_mean), PlainSerializer(_show_offset)] = None
+    drift: Annotated[DriftSection | None, BeforeValidator(_mean), PlainSerializer(_show)] = None
+    offset: Annotated[OffsetSection | None, BeforeValidator(_mean), PlainSerializer(_show)] = None
 
 
-# --- keep apart
-# The section for keeping vehicles apart and out of cylinders: agents.laws.keep_apart.
+# --- keeping vehicles apart and out of cylinders: agents.laws.keep_apart
 
 
 class ObstacleSection(Section):
@@ -88,9 +77,7 @@ class LawSection(Section):
 
 
 def _show_law(section: LawSection | None) -> Any:
-    if section is None or section.parameters:
-        return None if section is None else {"law": section.law, "parameters": section.parameters}
-    return section.law
+    return section and (section.model_dump() if section.parameters else section.law)
 
 
 LawChoice = Annotated[LawSection, word_for("law"), PlainSerializer(_show_law)]
@@ -156,10 +143,8 @@ class AgentSection(Section):
 
 
 def _show_agent(section: AgentSection | None) -> Any:
-    if section is None:
-        return None
-    values = section.model_dump(exclude_none=True)
-    return values["law"] if list(values) == ["law"] else values
+    values = section and section.model_dump(exclude_none=True)
+    return values["law"] if values and list(values) == ["law"] else values
 
 
 AgentChoice = Annotated[AgentSection, word_for("law"), PlainSerializer(_show_agent)]

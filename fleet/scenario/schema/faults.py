@@ -11,8 +11,7 @@ from fleet.scenario.schema import value_types as v
 from fleet.scenario.schema.value_types import Section, mistake, word_for
 from netem.parsing import nearest
 
-# --- sea
-# The sea: current and sensor noise.
+# --- the sea: current and sensor noise
 
 
 class CurrentSection(Section):
@@ -24,10 +23,7 @@ class CurrentSection(Section):
 
 
 def _show_current(current: CurrentSection | None) -> Any:
-    if current is None:
-        return None
-    values = current.model_dump()
-    return values if any(current.sigma) else values["mean"]
+    return current and (current.model_dump() if any(current.sigma) else current.model_dump()["mean"])
 
 
 Current = Annotated[CurrentSection, word_for("mean"), PlainSerializer(_show_current)]
@@ -55,8 +51,13 @@ class SensorNoise(SensorsSection):
     vehicles: v.VehicleNumbers | None = None
 
 
-class SensorBias(Section):
+class OfVehicles(Section):
+    """The values of a fault of some vehicles, or of all."""
+
     vehicles: v.VehicleNumbers | None = None
+
+
+class SensorBias(OfVehicles):
     position: v.Position = (0.0, 0.0, 0.0)  # NED
     velocity: v.Velocity = (0.0, 0.0, 0.0)  # body
     pitch: v.SignedAngle = 0.0
@@ -67,81 +68,72 @@ class SensorBias(Section):
     roll_rate: v.SignedAngularRate = 0.0
 
 
-class Efficiency(Section):
+class Efficiency(OfVehicles):
     """The share of each command that the actuators still produce."""
 
-    vehicles: v.VehicleNumbers | None = None
     surge: v.Ratio = 1.0
     pitch: v.Ratio = 1.0
     yaw: v.Ratio = 1.0
 
 
-class Saturation(Section):
+class Saturation(OfVehicles):
     """Smaller limits of the actuators."""
 
-    vehicles: v.VehicleNumbers | None = None
     surge_force: v.Force | None = None
     pitch_moment: v.Moment | None = None
     yaw_moment: v.Moment | None = None
 
 
-class Wrench(Section):
+class Wrench(OfVehicles):
     """A constant force and moment in body axes."""
 
-    vehicles: v.VehicleNumbers | None = None
     force: v.ForceVector = (0.0, 0.0, 0.0)
     pitch_moment: v.AnyMoment = 0.0
     yaw_moment: v.AnyMoment = 0.0
 
 
-class Dropout(Section):
+class Dropout(OfVehicles):
     """The navigation sensor repeats its last measurement, with this probability at each tick."""
 
-    vehicles: v.VehicleNumbers | None = None
     probability: Annotated[v.Probability, v.loss_once("probability")]
 
 
-class DvlFault(Section):
+class DvlFault(OfVehicles):
     """The DVL of vehicles that navigate: samples that are lost, biased, or jump."""
 
-    vehicles: v.VehicleNumbers | None = None
     lost: Annotated[v.Probability, v.loss_once("lost")] = 0.0  # of each sample
     bias: v.Velocity = (0.0, 0.0, 0.0)  # body
     jump: v.Speed = 0.0  # standard deviation on each axis
     chance: v.Probability = 0.1  # that a sample jumps
 
 
-class CompassFault(Section):
+class CompassFault(OfVehicles):
     """The same of the heading sensor."""
 
-    vehicles: v.VehicleNumbers | None = None
     lost: Annotated[v.Probability, v.loss_once("lost")] = 0.0
     bias: v.SignedAngle = 0.0
     jump: v.Angle = 0.0
     chance: v.Probability = 0.1
 
 
-class FixFault(Section):
+class FixFault(OfVehicles):
     """The same of the fixes of the position."""
 
-    vehicles: v.VehicleNumbers | None = None
     lost: Annotated[v.Probability, v.loss_once("lost")] = 0.0
     bias: v.PlanPosition = (0.0, 0.0)  # north, east
     jump: v.Length = 0.0
     chance: v.Probability = 0.1
 
 
-class Slow(Section):
+class Slow(OfVehicles):
     """The commands and the messages of an agent are late."""
 
-    vehicles: v.VehicleNumbers | None = None
     by: v.Ticks
 
 
-class ClockFault(Section):
+class ClockFault(OfVehicles):
     """A clock is set to another time, and goes faster or slower. At the end the step is undone."""
 
-    vehicles: v.VehicleNumbers | None = None
     step: v.ClockTime = 0
     drift: v.ClockDrift = 0.0
 
@@ -224,8 +216,7 @@ def read_fault(value: Any) -> Any:
 FaultEntry = Annotated[FaultSection, BeforeValidator(read_fault)]
 
 
-# --- nemesis
-# A nemesis: faults that the seed draws, on a grid of times or as a swarm.
+# --- nemesis: faults that the seed draws, on a grid of times or as a swarm
 
 
 # The kinds that need nothing but a target, which a nemesis draws.

@@ -12,8 +12,7 @@ from fleet.quantities import QuantityError, describe_value, vehicle_numbers
 from fleet.scenario.schema import value_types as v
 from fleet.scenario.schema.value_types import Section, mistake
 
-# --- shapes
-# Named shapes: which keys each takes, and what it is when they are not given.
+# --- named shapes: which keys each takes, and what it is when they are not given
 
 
 class ShapeKeys(NamedTuple):

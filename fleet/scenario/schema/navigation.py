@@ -80,10 +80,8 @@ def _read_navigation(value: Any) -> Any:
 
 def _show_navigation(section: NavigationSection | None) -> Any:
     """The file's form of the section."""
-    if section is None or section.ideal:
-        return None if section is None else "ideal"
-    values = section.model_dump(exclude_none=True, exclude_unset=True)
-    return values["grade"] if set(values) == {"grade"} else values
+    values = section and section.model_dump(exclude_none=True, exclude_unset=True)
+    return "ideal" if section and section.ideal else values["grade"] if values and set(values) == {"grade"} else values
 
 
 NavigationChoice = Annotated[NavigationSection, BeforeValidator(_read_navigation), PlainSerializer(_show_navigation)]

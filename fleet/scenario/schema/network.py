@@ -92,8 +92,7 @@ class AcousticSection(ModemSection):
     ranging: Annotated[RangingSection | None, word_for("method")] = None  # modems measure none
 
 
-def _all_defaults(value: Any) -> Any:
-    return {} if value is None else value
+_ALL_DEFAULTS = BeforeValidator(lambda value: {} if value is None else value)
 
 
 class LinkStateSection(Section):
@@ -139,9 +138,9 @@ class NetworkSection(Section):
     ideal: bool = False
     period: v.Period = 100_000_000  # one round: every agent sends once per period
     links: dict[v.LinkSelector, Annotated[LinkSection, BeforeValidator(_link)]] = {}  # the last for a link wins
-    acoustic: Annotated[AcousticSection | None, BeforeValidator(_all_defaults), word_for("modem")] = (
-        None  # in the water
-    )
+    acoustic: Annotated[
+        AcousticSection | None, BeforeValidator(lambda value: {} if value is None else value), word_for("modem")
+    ] = None  # in the water
     payload: Codec = "full"  # the encoding of the messages between built-in agents
 
 

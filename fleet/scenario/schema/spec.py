@@ -13,6 +13,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer
 
 from agents.config import OnError
 from fleet.quantities import describe_value
+from fleet.scenario.schema import value_types as v
 from fleet.scenario.schema.checks import ChecksSection
 from fleet.scenario.schema.control import (
     AgentChoice,
@@ -39,22 +40,10 @@ from fleet.scenario.schema.motion import (
 )
 from fleet.scenario.schema.navigation import NavigationChoice
 from fleet.scenario.schema.network import NetworkSection, read_network, show_network
-from fleet.scenario.schema.value_types import (
-    Period,
-    Section,
-    Ticks,
-    TicksOrNever,
-    Time,
-    VehicleNumbers,
-    mistake,
-    word_for,
-)
+from fleet.scenario.schema.value_types import Section, mistake, word_for
 from fleet.scenario.schema.vehicle import ModelErrorSection, VehicleSection
 from netem.parsing import nearest
 from world.config import DEFAULT_SUBSTEPS
-
-# --- agents
-# How agents are spread over processes.
 
 
 class AgentsSection(Section):
@@ -67,21 +56,21 @@ class LogSection(Section):
     """How often each group of topics is logged; every packet of every link always is. `log: none` is `none` here."""
 
     none: bool = False
-    every: Ticks = 1
-    pose: Ticks | None = None
-    state: Ticks | None = None
-    nav: Ticks | None = None
-    command: Ticks | None = None
-    guidance: Ticks | None = None
-    control: Ticks | None = None
-    error: Ticks | None = None
-    plant: Ticks | None = None  # what plants report
-    clock: Ticks | None = None  # errors of clocks
-    belief: Ticks | None = None  # of vehicles that do not know where they are
-    located: Ticks | None = None  # of vehicles that use ranges
-    transforms: TicksOrNever | None = None  # of all vehicles, about 10 Hz; 0 ticks: never
-    scene: TicksOrNever | None = None  # hulls, links, places for 3D viewers, about 2 Hz; 0 ticks: never
-    snapshot: Time | None = None  # of all that determines the rest of the run; about 10 s; 0 s: none
+    every: v.Ticks = 1
+    pose: v.Ticks | None = None
+    state: v.Ticks | None = None
+    nav: v.Ticks | None = None
+    command: v.Ticks | None = None
+    guidance: v.Ticks | None = None
+    control: v.Ticks | None = None
+    error: v.Ticks | None = None
+    plant: v.Ticks | None = None  # what plants report
+    clock: v.Ticks | None = None  # errors of clocks
+    belief: v.Ticks | None = None  # of vehicles that do not know where they are
+    located: v.Ticks | None = None  # of vehicles that use ranges
+    transforms: v.TicksOrNever | None = None  # of all vehicles, about 10 Hz; 0 ticks: never
+    scene: v.TicksOrNever | None = None  # hulls, links, places for 3D viewers, about 2 Hz; 0 ticks: never
+    snapshot: v.Time | None = None  # of all that determines the rest of the run; about 10 s; 0 s: none
 
 
 def _read_log(value: Any) -> Any:
@@ -123,11 +112,11 @@ class ScenarioSpec(Section):
     # Of fleet list, which reads it in the file. It decides nothing in a run, so it is checked and forgotten.
     group: Annotated[Group | None, AfterValidator(lambda _: None), Field(exclude=True)] = None
     vehicles: Annotated[int, Field(ge=1, le=3000)]
-    duration: Period
-    tick: Period = 10_000_000  # the control period Ts
+    duration: v.Period
+    tick: v.Period = 10_000_000  # the control period Ts
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     on_death: Literal["continue", "restart", "abort"] = "continue"  # when an agent ends that no fault kills
-    stall_timeout: Period = 30_000_000_000  # wall time without progress that ends the run
+    stall_timeout: v.Period = 30_000_000_000  # wall time without progress that ends the run
     reference: ReferenceSection
     formation: FormationSection
     graph: GraphSection
@@ -145,10 +134,10 @@ class ScenarioSpec(Section):
     guidance: GuidanceChoice = GuidanceSection()
     tracking: TrackingChoice = TrackingSection()
     on_controller_error: OnError = "abort"
-    controller_budget: Time = 0  # wall time that a law of the user may take for a sample; 0: any
+    controller_budget: v.Time = 0  # wall time that a law of the user may take for a sample; 0: any
     neighbours: NeighboursSection = NeighboursSection()
     keep_apart: KeepApartSection | None = None  # between guidance and tracking
-    per_vehicle: dict[VehicleNumbers, VehicleOverrides] = {}  # "3" or "2-4, 7"; later ones over earlier ones
+    per_vehicle: dict[v.VehicleNumbers, VehicleOverrides] = {}  # "3" or "2-4, 7"; later ones over earlier ones
     network: Annotated[NetworkSection, BeforeValidator(read_network), PlainSerializer(show_network)]
     navigation: NavigationChoice | None = None  # ideal: they know where they are
     physics: PhysicsSection = PhysicsSection()

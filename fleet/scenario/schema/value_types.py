@@ -33,9 +33,6 @@ from netem.modem import Curve
 from netem.propagation import decibels, power
 from world.vectors import Vec3
 
-# --- section
-# The common part of all sections.
-
 
 class Section(BaseModel):
     """A mapping with known keys; with nothing in it, it may also be left empty."""
@@ -193,10 +190,6 @@ def _name(value: Any) -> str:
     raise q.QuantityError(f"expected a name of letters, digits, - and _, got {q.describe_value(value)}")
 
 
-def _selector(value: Any) -> str:
-    return str(parse_selector(str(value)))
-
-
 PositiveNumber = Annotated[float, Text(lambda value: q.scalar(value, q.NUMBER), float, "positive")]
 Weights = Annotated[Vec3, _vector(q.NUMBER, "not negative")]
 Length = Annotated[float, _scalar(q.LENGTH, "not negative")]
@@ -257,5 +250,5 @@ TicksOrNever = Annotated[int, Text(q.ticks, _show_ticks, "not negative")]
 Count = Annotated[int, Field(ge=0)]
 StateName = Annotated[str, Text(_name, str)]
 LinkCondition = Annotated[InstanceOf[Condition], Text(_condition, print_condition)]
-LinkSelector = Annotated[str, Text(_selector, str)]
+LinkSelector = Annotated[str, Text(lambda value: str(parse_selector(str(value))), str)]
 VehicleNumbers = Annotated[str, Text(_numbers, str)]

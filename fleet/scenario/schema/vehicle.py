@@ -21,10 +21,8 @@ class PlantSection(Section):
 
 
 def _show_plant(section: PlantSection | None) -> Any:
-    if section is None:
-        return None
-    values = section.model_dump(exclude_defaults=True)
-    return section.name if set(values) == {"name"} else values
+    values = section and section.model_dump(exclude_defaults=True)
+    return values["name"] if values and set(values) == {"name"} else values
 
 
 PlantChoice = Annotated[PlantSection, word_for("name"), PlainSerializer(_show_plant)]

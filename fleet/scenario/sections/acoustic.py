@@ -29,7 +29,6 @@ from fleet.scenario.schema.network import AcousticSection, FadingSection, ModemS
 from fleet.scenario.sections.modem_files import (
     CURVES,
     NUMBERS,
-    Site,
     Values,
     changed,
     load_modem,
@@ -144,12 +143,6 @@ def inlined_modem(section: _Modem, folder: Path | None) -> _Modem:
     return section.model_copy(update={"modem": DEFAULT_MODEM, **written})
 
 
-def site_of(section: AcousticSection, folder: Path | None) -> Site | None:
-    """The site of a section; None: it names none. Raises DataFileError: its file is missing or wrong."""
-    water = section.water
-    return None if water is None or water.site is None else load_site(water.site, folder)
-
-
 def compile_acoustic(
     section: AcousticSection,
     modem: Modem,
@@ -164,7 +157,7 @@ def compile_acoustic(
     `modems`: of the vehicles that carry another one. Raises DataFileError: the site's file is missing or wrong.
     """
     backoff = backoff_ns(section, modem, codec, vehicles) if section.mac != "tdma" else 0
-    site = site_of(section, folder)
+    site = load_site(section.water.site, folder) if section.water and section.water.site is not None else None
     fading = section.fading
     if fading is None and site is not None:
         fading = FadingSection.model_construct(shadowing=site.shadowing, packets=site.rician)

@@ -25,8 +25,7 @@ from fleet.scenario.schema.motion import (
 from netem.draws import uniform
 from world.vectors import Vec2, Vec3, Vec5, plus
 
-# --- reference
-# The reference trajectory of a scenario, from its `reference:` section.
+# --- reference trajectory
 
 
 def build(section: ReferenceSection) -> Reference:
@@ -66,8 +65,7 @@ def _lawn(s: ReferenceSection) -> tuple[Vec3, ...]:
     return tuple(corners)
 
 
-# --- keep apart
-# The filter that keeps vehicles apart, as its section says.
+# --- filter that keeps vehicles apart
 
 
 def keep_apart_params(section: KeepApartSection | None) -> KeepApartParams | None:

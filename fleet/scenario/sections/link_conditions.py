@@ -15,9 +15,7 @@ from netem.link_states import LinkStates, stationary
 from netem.link_trace import LinkTrace
 from netem.private_file import read_file
 
-# --- trace files
-# Where a link's trace comes from: a file beside the scenario, or the scenario itself.
-
+# --- traces: a file beside the scenario, or the scenario itself, has one
 
 MOST_BYTES = 10_000_000
 INSIDE = "in the scenario"  # the name of a trace that has no file

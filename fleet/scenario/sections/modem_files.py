@@ -135,9 +135,7 @@ def modem_problems(values: Values) -> list[str]:
     return problems
 
 
-# --- sites
-# Water as it was at a sea trial, as numbers in TOML with their source and how well they fit.
-
+# --- sites: water as it was at a sea trial, as numbers in TOML with their source and how well they fit
 
 _OF_SITES = {
     "spreading": Number(q.NUMBER, 1.0, 3.0),

@@ -51,11 +51,6 @@ def load_trace(text: str, folder: Path | None) -> tuple[TracePoint, ...]:
     return parse_trace(*_content(text, folder))
 
 
-def trace_text(text: str, folder: Path | None) -> str:
-    """The content of a trace, which is given as for `load_trace`. Raises DataFileError."""
-    return _content(text, folder)[0]
-
-
 def _content(text: str, folder: Path | None) -> tuple[str, str]:
     """Its content, and what it is called."""
     if "\n" in text:
@@ -205,7 +200,7 @@ def inlined_navigation(section: NavigationSection | None, folder: Path | None) -
     if section is None:
         return None
     if section.trace is not None:
-        return section.model_copy(update={"trace": trace_text(section.trace, folder)})
+        return section.model_copy(update={"trace": _content(section.trace, folder)[0]})
     if section.grade is None or section.grade in shipped_grades():
         return section
     grade = grade_of(section, folder)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
-from functools import cache, reduce
+from functools import lru_cache, reduce
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,7 +16,6 @@ from fleet.scenario.schema.control import (
     AgentSection,
     GuidanceSection,
     LawSection,
-    LocalizationSection,
     TrackingSection,
     VehicleOverrides,
 )
@@ -78,16 +77,10 @@ def load_vehicle(name: str, folder: Path | None = None) -> VehicleModel:
 
     Raises DataFileError: with every mistake that was found.
     """
-    if name in shipped_vehicles():
-        return _shipped(name)
     return parse_vehicle(*data_files.find("vehicle", name, _PACKAGE, folder))
 
 
-@cache
-def _shipped(name: str) -> VehicleModel:
-    return parse_vehicle(*data_files.find("vehicle", name, _PACKAGE, None))
-
-
+@lru_cache
 def parse_vehicle(data: bytes, name: str) -> VehicleModel:
     """The vehicle in the bytes of a file. Raises DataFileError: with every mistake that was found."""
     values, problems = data_files.read("vehicle", data, name, ("name", "title", "parameters", "limits"))
@@ -223,15 +216,17 @@ def control(
     assert choice.controller is not None and choice.guidance is not None and choice.tracking is not None
     assert choice.neighbours is not None and choice.vehicle is not None and choice.model_error is not None
     names = law_names(choice)
-    guidance_name, tracking_name = names or ("optimal", "neurodynamic")
-    params, tau_max = vehicle
+    name, (guidance_name, tracking_name) = choice.profile or "paper", names or ("optimal", "neurodynamic")
+    # At least 1: where no QP runs, nothing asks that the tick divides its period, or is no longer.
+    qp_ticks = max(1, qp_period_ns(name, choice.guidance, tick_ns) // tick_ns)
+    (params, tau_max), ranges = vehicle, choice.localization
     return Control(
         agent=_law(choice.whole_agent),
         controller=_law(choice.controller) if names is None else None,
         guidance_law=Law(guidance_name, choice.guidance.parameters or {}),
         tracking_law=Law(tracking_name, choice.tracking.parameters or {}),
-        guidance=guidance_params(choice.profile or "paper", guidance_name, choice.guidance, tick_ns),
-        tracking=tracking_params(choice.profile or "paper", tracking_name, choice.tracking),
+        guidance=replace(profile(name, guidance=guidance_name)[0], **_tuned(choice.guidance) | {"qp_ticks": qp_ticks}),
+        tracking=replace(profile(name, tracking=tracking_name)[1], **_tuned(choice.tracking)),
         extrapolation=choice.neighbours.extrapolate,
         age_cap_s=choice.neighbours.age_cap / 1e9,
         drop_after_s=choice.neighbours.drop_after / 1e9,
@@ -244,12 +239,8 @@ def control(
         knows_reference=choice.knows_reference is not False,
         keep_apart=keep_apart,
         navigation=navigation,
-        localization=_localization(choice.localization),
+        localization=None if ranges is None else LocalizationParams(ranges.method, ranges.gate, ranges.mirror),
     )
-
-
-def _localization(section: LocalizationSection | None) -> LocalizationParams | None:
-    return None if section is None else LocalizationParams(section.method, section.gate, section.mirror)
 
 
 def _law(section: LawSection | AgentSection | None) -> Law | None:
@@ -283,18 +274,6 @@ def wrong_model(params: VehicleParams, errors: ModelErrorSection) -> VehiclePara
 def qp_period_ns(name: str, section: GuidanceSection, tick_ns: int) -> int:
     """The time between two optimisations of the gains; a profile's is at least a tick."""
     return section.qp_period or max(profile(name)[0].qp_ticks * _PROFILE_TICK_NS, tick_ns)
-
-
-def guidance_params(name: str, law: str, section: GuidanceSection, tick_ns: int) -> GuidanceParams:
-    """The guidance parameters of profile `name` for a law, changed as the section says."""
-    # At least 1: where no QP runs, nothing asks that the tick divides its period, or is no longer.
-    qp_ticks = max(1, qp_period_ns(name, section, tick_ns) // tick_ns)
-    return replace(profile(name, guidance=law)[0], **_tuned(section) | {"qp_ticks": qp_ticks})
-
-
-def tracking_params(name: str, law: str, section: TrackingSection) -> TrackingParams:
-    """The tracking parameters of profile `name` for a law, changed as the section says."""
-    return replace(profile(name, tracking=law)[1], **_tuned(section))
 
 
 def given(section: Section) -> dict[str, Any]:

@@ -33,9 +33,7 @@ from fleet.scenario.sections.signals import (
 from world.plugins.checks import check_class
 from world.plugins.loading import load_class
 
-# --- python checks
-# Checks in Python: their classes by name, and with what each is made.
-
+# --- checks in Python: their classes by name, and with what each is made
 
 NAME = "name"  # of the verdict; it and `sometimes` are the keys beside the parameters of the class
 

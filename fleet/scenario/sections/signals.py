@@ -232,9 +232,7 @@ def _hint(name: str, known: Mapping[str, int]) -> str:
     return nearest(field, beside).replace('"', f'"{group}.', 1) or f"{group} has {', '.join(beside)}"
 
 
-# --- checked signals
-# The signals that the checks of a scenario are about, so that pictures show them without being asked.
-
+# --- signals that the checks of a scenario are about: pictures show them without being asked
 
 _HAVE_A_PICTURE = ("error.e_norm", "error.formation_norm")  # of their own, everywhere
 

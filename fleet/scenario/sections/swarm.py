@@ -167,15 +167,7 @@ def link_fault(kind: str, selector: str, links: tuple[Link, ...], strength: floa
     return {"link": {selector: print_condition(condition(kind, Condition(), strength, ground))}}
 
 
-def vehicle_fault(kind: str, who: int, strength: float, turn: float, ground: Ground) -> dict[str, Any]:
-    """A fault of one vehicle.
-
-    `turn`: from 0 to 1, a draw in addition to the strength: a sign, a direction, or one of two forms.
-    """
-    make = _KINDS.get(kind)
-    return {kind: str(who) if make is None else {"vehicles": str(who), **make(strength, turn, ground)}}
-
-
+# Makes a fault of one vehicle of its strength, and of a draw from 0 to 1: a sign, a direction, or one of two forms.
 _Make = Callable[[float, float, Ground], dict[str, Any]]
 
 
@@ -395,8 +387,9 @@ def _body(one: DrawnFault, ground: Ground, past: _Past) -> tuple[dict[str, Any],
     if kind == "gust":
         return {}, set(), set()
     who = _vehicle(one, ground, past)
-    body = vehicle_fault(kind, who, one.strength, _turn(one, ground), ground)
-    return body, set(), {who} if kind in SILENT else set()
+    make = _KINDS.get(kind)
+    values = None if make is None else {"vehicles": str(who), **make(one.strength, _turn(one, ground), ground)}
+    return {kind: values or str(who)}, set(), {who} if kind in SILENT else set()
 
 
 def _turn(one: DrawnFault, ground: Ground) -> float:

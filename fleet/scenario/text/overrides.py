@@ -20,7 +20,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
+from itertools import zip_longest
+from typing import Any, NamedTuple
 
 from fleet.errors import Problem
 from fleet.quantities import QuantityError, describe_value, vehicle_numbers
@@ -29,7 +30,6 @@ from fleet.scenario.schema.network import LinkSection, LinkStateSection
 from fleet.scenario.sections.graph import parse_edge
 from fleet.scenario.text.fault_words import FaultWordsError, fault_entry, link_entries
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Scalar, Source, TextPlace, plain, read
-from netem.condition import Link
 from netem.errors import TextError
 from netem.grammar import WORDS, parse_selector, with_word
 
@@ -61,16 +61,46 @@ def scale(before: Mapping, root: Mapping) -> Mapping:
     old, new = vehicle_count(before), vehicle_count(root)
     if new is None or old == new:
         return root
-    other_links = _has_edges_without_chain(root)
-    for key in ("faults", "expect"):
-        root = root.without(key)
-    root = _scale_formation(root)
-    root = _scale_initial(root)
-    root = _scale_graph(root, new)
-    known = 0 if other_links else new
-    root = _pruned(root, lambda selector, _: all(n <= known for n in _numbers(selector)), "network", "links")
-    root = _pruned(root, lambda numbers, _: all(n <= new for n in _numbers(numbers)), "per_vehicle")
-    return _pruned(root, _about_all, "checks")
+    made = {key: value for key, value in _loose(root).items() if key not in ("faults", "expect")}
+    formation, initial, graph, network = (made.get(key) for key in ("formation", "initial", "graph", "network"))
+    if isinstance(formation, dict):
+        formation.pop("changes", None)
+        if "offsets" in formation:
+            made["formation"] = {"shape": "grid", "spacing": f"{DEFAULT_SPACING_M:g} m"}
+    if isinstance(initial, list):
+        first = initial[0] if initial and isinstance(initial[0], dict) else {}
+        made["initial"] = {"scatter": f"{_SCATTER_M} m"} | {k: v for k, v in first.items() if k == "surge"}
+    known = _scale_graph(graph, new) if isinstance(graph, dict) else new
+    links = network.get("links") if isinstance(network, dict) else None
+    for section, most in ((links, known), (made.get("per_vehicle"), new)):
+        if isinstance(section, dict):
+            for text in [text for text in section if any(n > most for n in _numbers(text))]:
+                del section[text]
+    if isinstance(checks := made.get("checks"), dict):
+        made["checks"] = {name: check for name, check in checks.items() if _about_all(name, check)}
+    scaled = _tight(made, root, root.keys["vehicles"])
+    assert isinstance(scaled, Mapping)
+    return scaled
+
+
+def _loose(node: Node) -> Any:
+    """A tree as dictionaries and lists, which can be changed; its scalars keep their places."""
+    if isinstance(node, Mapping):
+        return {key: _loose(value) for key, value in node.entries.items()}
+    return [_loose(item) for item in node.items] if isinstance(node, Items) else node
+
+
+def _tight(value: Any, before: Node | None, place: TextPlace) -> Node:
+    """The tree of such values; what is new has `place`, what was there `before` its own."""
+    if isinstance(value, dict):
+        old = before if isinstance(before, Mapping) else Mapping({}, {}, place)
+        entries = {key: _tight(inner, old.entries.get(key), place) for key, inner in value.items()}
+        return Mapping(entries, {key: old.keys.get(key, place) for key in value}, old.place)
+    if isinstance(value, list):
+        items = before.items if isinstance(before, Items) else ()
+        both = zip_longest(value, items[: len(value)])
+        return Items(tuple(_tight(inner, old, place) for inner, old in both), place if before is None else before.place)
+    return value if isinstance(value, Scalar) else Scalar(value, place)
 
 
 def vehicle_count(root: Mapping) -> int | None:
@@ -79,124 +109,61 @@ def vehicle_count(root: Mapping) -> int | None:
     return value if type(value) is int and value > 0 else None
 
 
-def _scale_formation(root: Mapping) -> Mapping:
-    formation = root.entries.get("formation")
-    if not isinstance(formation, Mapping):
-        return root
-    if "offsets" in formation.entries:
-        grid: dict[str, Node] = {"shape": _made(root, "grid"), "spacing": _made(root, f"{DEFAULT_SPACING_M:g} m")}
-        return _replaced(root, "formation", grid)
-    return _replaced(root, "formation", formation.without("changes").entries)
-
-
-def _scale_initial(root: Mapping) -> Mapping:
-    initial = root.entries.get("initial")
-    if not isinstance(initial, Items):
-        return root
-    scatter: dict[str, Node] = {"scatter": _made(root, f"{_SCATTER_M} m")}
-    first = initial.items[0] if initial.items else None
-    if isinstance(first, Mapping) and "surge" in first.entries:
-        scatter["surge"] = first.entries["surge"]
-    return _replaced(root, "initial", scatter)
-
-
-def _scale_graph(root: Mapping, vehicles: int) -> Mapping:
-    graph = root.entries.get("graph")
-    if not isinstance(graph, Mapping):
-        return root
-    entries = dict(graph.entries)
-    edges = entries.pop("edges", None)
-    if isinstance(edges, Mapping) and (forwards := _chain(edges)) is not None:
-        entries["edges"] = _longer_chain(edges, forwards, vehicles)
+def _scale_graph(graph: dict[str, Any], vehicles: int) -> int:
+    """Make a graph fit; returns the highest number of a vehicle whose links are as they were."""
+    edges = graph.pop("edges", None)
+    chain = _longer_chain(edges, vehicles) if isinstance(edges, dict) else None
+    if chain is not None:
+        graph["edges"] = chain
     elif edges is not None:
-        entries["shape"] = _made(root, "path")
+        graph["shape"] = "path"
     for key, most in (("hub", vehicles), ("count", vehicles - 1)):
-        if key in entries and _above(entries[key], most):
-            del entries[key]
-    standby = entries.get("standby")
-    who = standby.entries.get("vehicles") if isinstance(standby, Mapping) else None
+        if _above(graph.get(key), most):
+            del graph[key]
+    standby = graph.get("standby")
+    who = standby.get("vehicles") if isinstance(standby, dict) else None
     if isinstance(who, Scalar) and any(n > vehicles for n in _numbers(str(who.value))):
-        del entries["standby"]
-    followers = entries.get("reference")
+        del graph["standby"]
+    followers = graph.get("reference")
     if isinstance(followers, Scalar) and followers.value != "all":
         followers = _listed(followers)
-    if isinstance(followers, Items):
-        kept = tuple(n for n in followers.items if not _above(n, vehicles))
-        entries["reference"] = Items(kept, followers.place)
-    return _replaced(root, "graph", entries)
+    if isinstance(followers, list):
+        graph["reference"] = [n for n in followers if not _above(n, vehicles)]
+    return vehicles if edges is None or chain is not None else 0
 
 
-def _pruned(root: Mapping, keep: Callable[[str, Node], bool], *path: str) -> Mapping:
-    """Without the entries of the section at `path` for which `keep` is false."""
-    key, *below = path
-    section = root.entries.get(key)
-    if not isinstance(section, Mapping):
-        return root
-    if below:
-        return root.with_entry(key, root.keys[key], _pruned(section, keep, *below))
-    kept = {name: node for name, node in section.entries.items() if keep(name, node)}
-    return root.with_entry(key, root.keys[key], Mapping(kept, section.keys, section.place))
-
-
-def _about_all(name: str, check: Node) -> bool:
+def _about_all(name: str, check: Any) -> bool:
     """Whether a check is not one of some vehicles, of some links or of a fault."""
-    links = check.entries.get("links") if isinstance(check, Mapping) else None
+    keys = check if isinstance(check, dict) else {}
+    links = keys.get("links")
     some_links = isinstance(links, Scalar) and bool(_numbers(str(links.value)))
-    return not (name == "recovery_time" or some_links or (isinstance(check, Mapping) and "vehicles" in check.entries))
+    return not (name == "recovery_time" or some_links or "vehicles" in keys)
 
 
-def _has_edges_without_chain(root: Mapping) -> bool:
-    """Whether the graph's edges are replaced by a path, which need not have the same links."""
-    graph = root.entries.get("graph")
-    edges = graph.entries.get("edges") if isinstance(graph, Mapping) else None
-    return edges is not None and not (isinstance(edges, Mapping) and _chain(edges) is not None)
+def _longer_chain(edges: dict[str, Any], vehicles: int) -> dict[str, Any] | None:
+    """The chain 1->2, 2->3, ... or 2->1, 3->2, ... of all vehicles, if these edges are one; else None.
 
-
-def _chain(edges: Mapping) -> bool | None:
-    """Whether the edges form a chain 1->2, 2->3, ... (True) or 2->1, 3->2, ... (False); None: they form no chain."""
-    links = {parse_edge(text) for text in edges.entries}
-    for forwards in (True, False):
-        if links and links == {_chain_link(k, forwards) for k in range(1, len(links) + 1)}:
-            return forwards
+    A link that is new has the weight of the last one.
+    """
+    weights = {parse_edge(text): weight for text, weight in edges.items()}
+    for ahead, behind in ((0, 1), (1, 0)):
+        links = [(k + ahead, k + behind) for k in range(1, max(vehicles, len(weights) + 1))]
+        if weights and set(weights) == set(links[: len(weights)]):
+            last = weights[links[len(weights) - 1]]
+            return {f"{src}->{dst}": weights.get((src, dst), last) for src, dst in links[: vehicles - 1]}
     return None
 
 
-def _chain_link(k: int, forwards: bool) -> Link:
-    return (k, k + 1) if forwards else (k + 1, k)
-
-
-def _longer_chain(edges: Mapping, forwards: bool, vehicles: int) -> Mapping:
-    """The chain of all vehicles; a link that is new has the weight of the last one."""
-    weights = {parse_edge(text): node for text, node in edges.entries.items()}
-    last = weights[_chain_link(len(weights), forwards)]
-    links = [_chain_link(k, forwards) for k in range(1, vehicles)]
-    texts = {f"{src}->{dst}": weights.get((src, dst), last) for src, dst in links}
-    return Mapping(dict(texts), dict.fromkeys(texts, edges.place), edges.place)
-
-
-def _made(root: Mapping, value: str) -> Scalar:
-    """A value that scaling makes; mistakes in it are shown where the number of vehicles is set."""
-    return Scalar(value, root.keys["vehicles"])
-
-
-def _replaced(root: Mapping, key: str, entries: dict[str, Node]) -> Mapping:
-    """The tree with these entries in a section. New entries have the place of the number of vehicles."""
-    place, old = root.keys["vehicles"], root.entries.get(key)
-    keys = dict.fromkeys(entries, place) | (old.keys if isinstance(old, Mapping) else {})
-    return root.with_entry(key, root.keys[key], Mapping(entries, keys, place))
-
-
-def _listed(named: Scalar) -> Node:
+def _listed(named: Scalar) -> Scalar | list[Scalar]:
     """Vehicles such as `2-4, 7` one by one; a text that names none stays, and becomes an error when it is read."""
     try:
-        numbers = vehicle_numbers(str(named.value))
+        return [Scalar(n, named.place) for n in vehicle_numbers(str(named.value))]
     except QuantityError:
         return named
-    return Items(tuple(Scalar(n, named.place) for n in numbers), named.place)
 
 
-def _above(node: Node, vehicles: int) -> bool:
-    return isinstance(node, Scalar) and type(node.value) is int and node.value > vehicles
+def _above(node: Any, most: int) -> bool:
+    return isinstance(node, Scalar) and type(node.value) is int and node.value > most
 
 
 def _numbers(selector: str) -> list[int]:
@@ -321,14 +288,14 @@ def _set(node: Node | None, steps: list[Step], value: Node, *, keep: bool) -> No
 def _with_links(source: Source, root: Mapping) -> Mapping:
     """The tree with more conditions of links; a section that is wrong stays, and is reported when it is read."""
     entries, start = link_entries(source), TextPlace(source, 1, 1)
-    network, links = _network(root, start)
-    if network is None or links is None:
+    root, links = _links(root, start)
+    if links is None:
         return root
     for selector, condition in entries.entries.items():
         for same in [text for text in links.entries if _links_of(text) == _links_of(selector)]:
             links = links.without(same)
         links = links.with_entry(selector, entries.keys[selector], condition)
-    return _with_network(root, network, links, start)
+    return _placed(root, ("network", "links"), start, links)
 
 
 def _with_link_word(source: Source, root: Mapping) -> Mapping:
@@ -336,28 +303,25 @@ def _with_link_word(source: Source, root: Mapping) -> Mapping:
     start = TextPlace(source, 1, 1)
     match = _LINK_WORD.fullmatch(source.text.partition("=")[0])
     assert match is not None
-    selector = match["selector"]
-    network, links = _network(root, start)
-    if network is None or links is None:
+    selector, place = match["selector"], start.shifted(match.start("selector"))
+    root, links = _links(root, start)
+    if links is None:
         return root
     same = next((text for text in links.entries if _links_of(text) == _links_of(selector)), None)
     if same is None and links.entries:
         known = ", ".join(links.entries)
         hint = "--net '* loss 30%' takes the place of all conditions of a link"
         message = f'network.links has no condition for "{selector}"; it has conditions for {known}'
-        raise FaultWordsError(start.shifted(match.start("selector")).problem(message, hint))
-    before = None if same is None else links.entries[same]
+        raise FaultWordsError(place.problem(message, hint))
+    name = same or selector
+    path: tuple[str, ...] = ("network", "links", name)
+    before = links.entries.get(name)
     if match["state"] is not None or isinstance(before, Mapping):
-        return _with_state_word(source, root, match, same or selector, before)
+        before, path = _of_state(match, name, before, place), (*path, "states", match["state"], "condition")
     text = "" if before is None else plain(before)
     if not isinstance(text, str):  # reported when it is read
         return root
-    condition = _with_word(source, match, text)
-    if same is None:
-        links = links.with_entry(selector, start, condition)
-    else:
-        links = Mapping(links.entries | {same: condition}, links.keys, links.place)
-    return _with_network(root, network, links, start)
+    return _placed(root, path, start if len(path) == 3 else place, _with_word(source, match, text))
 
 
 def _with_word(source: Source, match: re.Match[str], text: str) -> Scalar:
@@ -370,9 +334,8 @@ def _with_word(source: Source, match: re.Match[str], text: str) -> Scalar:
         raise FaultWordsError(start.shifted(column).problem(error.message, error.hint)) from None
 
 
-def _with_state_word(source: Source, root: Mapping, match: re.Match[str], name: str, links: Node | None) -> Mapping:
-    """The tree with one word changed of the condition in one state of the links `name`."""
-    place = TextPlace(source, 1, 1).shifted(match.start("selector"))
+def _of_state(match: re.Match[str], name: str, links: Node | None, place: TextPlace) -> Node | None:
+    """The condition in the state of the links `name` that an override at `place` names."""
     states = links.entries.get("states") if isinstance(links, Mapping) else None
     if not isinstance(states, Mapping):
         what = "a trace" if isinstance(links, Mapping) and "trace" in links.entries else "no states"
@@ -384,29 +347,27 @@ def _with_state_word(source: Source, root: Mapping, match: re.Match[str], name: 
         known = ", ".join(states.entries)
         hint = f"as in network.links.{name}.states.{next(iter(states.entries), 'bad')}.{match['word']}"
         raise FaultWordsError(place.problem(f'the links "{name}" have the states {known}: say which', hint))
-    before = state.entries.get("condition")
-    text = "" if before is None else plain(before)
-    if not isinstance(text, str):  # reported when it is read
-        return root
-    path = ("network", "links", name, "states", match["state"], "condition")
-    return _with_value([(step, place) for step in path], _with_word(source, match, text), root)
+    return state.entries.get("condition")
 
 
-def _network(root: Mapping, start: TextPlace) -> tuple[Mapping | None, Mapping | None]:
-    """The sections of the network and of its links; None where a section is wrong."""
+def _links(root: Mapping, start: TextPlace) -> tuple[Mapping, Mapping | None]:
+    """The tree with a network that may get links, and its section of them; None: a section is wrong."""
     network = root.entries.get("network")
     if isinstance(network, Scalar) and network.value == "ideal":
         hint = "give it a period first, as in --set 'network={period: 100 ms}'"
         raise FaultWordsError(start.problem("the network of this scenario is ideal and has no links", hint))
     if isinstance(network, Scalar) and network.value == "acoustic":
         network = Mapping({"acoustic": Mapping({}, {}, network.place)}, {"acoustic": network.place}, network.place)
+        root = root.with_entry("network", root.keys["network"], network)
     section = _mapping(network, start)
-    return section, None if section is None else _mapping(section.entries.get("links"), start)
+    return root, None if section is None else _mapping(section.entries.get("links"), start)
 
 
-def _with_network(root: Mapping, network: Mapping, links: Mapping, start: TextPlace) -> Mapping:
-    network = network.with_entry("links", network.keys.get("links", start), links)
-    return root.with_entry("network", root.keys.get("network", start), network)
+def _placed(root: Mapping, path: Sequence[str], place: TextPlace, value: Node) -> Mapping:
+    """The tree with a value at a path, whose entries keep their places; new ones are at `place`."""
+    changed = _set(root, [(step, place) for step in path], value, keep=True)
+    assert isinstance(changed, Mapping)  # there is at least one step
+    return changed
 
 
 def _mapping(node: Node | None, place: TextPlace) -> Mapping | None:

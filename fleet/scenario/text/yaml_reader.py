@@ -300,9 +300,7 @@ class _Reader:
         raise _StopError
 
 
-# --- plain yaml
-# Plain values as YAML: mappings over lines, what is inside a list on one line.
-
+# --- plain values as YAML: mappings over lines, what is inside a list on one line
 
 # Plain scalars: nothing that could begin or end a YAML construct. Anything else is quoted.
 _PLAIN = re.compile(r"(?:[A-Za-z0-9]|-?[0-9.])(?:[A-Za-z0-9 ._/%^<>+-]*[A-Za-z0-9._/%^])?")

@@ -10,17 +10,7 @@ from typing import Any
 
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.schema.vehicle import VehicleSection
-from fleet.scenario.sections.per_vehicle import (
-    LIMITS,
-    control,
-    given,
-    guidance_section,
-    inlined_vehicle,
-    law_names,
-    merged,
-    tracking_section,
-    vehicle,
-)
+from fleet.scenario.sections import per_vehicle
 from fleet.scenario.text.yaml_reader import entry, scalar
 
 
@@ -54,17 +44,17 @@ def scenario_yaml(spec: ScenarioSpec) -> str:
 def _supplied(spec: ScenarioSpec) -> dict[str, tuple[str, dict[str, Any]]]:
     """The values that profile and model supply: section -> (origin, values), for vehicles without own entries."""
     supplied: dict[str, tuple[str, dict[str, Any]]] = {}
-    model = spec.vehicle.model or "paper"
-    if set(given(spec.vehicle)) <= {"model", "plant", "tumble_pitch", *LIMITS}:
-        supplied["vehicle"] = f"vehicle {model}", inlined_vehicle(VehicleSection(model=model), None).model_dump()
-    choice = merged(spec, ())
-    names = law_names(choice)
+    model = VehicleSection(model=spec.vehicle.model or "paper")
+    if set(per_vehicle.given(spec.vehicle)) <= {"model", "plant", "tumble_pitch", *per_vehicle.LIMITS}:
+        supplied["vehicle"] = f"vehicle {model.model}", per_vehicle.inlined_vehicle(model, None).model_dump()
+    choice = per_vehicle.merged(spec, ())
+    names = per_vehicle.law_names(choice)
     if names is not None:
         guidance, tracking = names
         profile = f"profile {spec.profile}"
-        params = control(choice, spec.tick, vehicle(spec.vehicle, None), None, None)
-        shown_guidance = guidance_section(params.guidance, guidance, spec.tick).model_dump()
-        shown_tracking = tracking_section(params.tracking, tracking).model_dump()
+        params = per_vehicle.control(choice, spec.tick, per_vehicle.vehicle(spec.vehicle, None), None, None)
+        shown_guidance = per_vehicle.guidance_section(params.guidance, guidance, spec.tick).model_dump()
+        shown_tracking = per_vehicle.tracking_section(params.tracking, tracking).model_dump()
         supplied["guidance"] = f"{profile}, law {guidance}", shown_guidance
         supplied["tracking"] = f"{profile}, law {tracking}", shown_tracking
     return supplied

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 from math import log
 from pathlib import Path
@@ -13,6 +14,7 @@ from small_scenario import small
 
 from fleet.analysis import link_fit
 from fleet.analysis.link_fit import _expect, fit_losses
+from fleet.cli.logs import fit_lines
 from fleet.cli.main import cli
 from fleet.errors import FleetError
 from fleet.scenario.sections.trace_table import TraceRow, TraceTable, read_csv
@@ -123,6 +125,11 @@ def test_bursts_of_independent_losses() -> None:
 def test_what_cannot_be_fitted_says_why(text: str, words: str) -> None:
     with pytest.raises(FleetError, match=words):
         link_fit.fit(read_csv(text, "t.csv"), 2)
+
+
+def test_a_fit_that_is_not_exact_says_by_how_much() -> None:
+    found = replace(link_fit.fit(trace_of(states_of(TWO), 200), 2), lag=0.03)
+    assert "differ by up to 3 %; try" in fit_lines(found, Path("t.csv"))[-1]
 
 
 def test_on_the_command_line(tmp_path: Path) -> None:

@@ -82,7 +82,8 @@ def test_a_run_that_goes_on_from_another_with_another_controller(tmp_path: Path)
     assert why.differs == ["controller: boc, there nboc", "checks.formation_error.below: 0.01 m, there 5 m"]
     assert why.origin_passed is True
     error = open_log(result.directory, ["uuv/*/error"])
-    over = [topic.t[(topic.t >= 21.0) & (topic.formation_norm >= 0.01)] for topic in map(error.__getitem__, error) if len(topic)]
+    topics = (error[name] for name in error if len(error[name]))
+    over = [topic.t[(topic.t >= 21.0) & (topic.formation_norm >= 0.01)] for topic in topics]
     assert why.failed_s == min(times[0] for times in over if len(times))
 
 

@@ -14,7 +14,7 @@ from agents.loop import AgentCore, AgentLoop
 from agents.make_agent import make_agent
 from agents.process import READY_TIMEOUT_S, RETRY_S, AgentProcess, OneAgent, Running, give_up, knock
 from agents.realtime_loop import RealtimeLoop
-from netem.errors import BusError, MalformedMessage
+from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.vehicle_clock import Clock
 from netem.wire.access import NETEM, WORLD, Credentials, agent_role, host_role
 from netem.wire.bundles import bundles
@@ -33,6 +33,7 @@ from netem.wire.messages import (
     Receipt,
     Transmission,
 )
+from netem.wire.queues import Stamped
 from netem.wire.session import quiet_zenoh
 from netem.wire.shell import Shell, end_with_link, read_map
 from world.errors import PluginError
@@ -135,6 +136,60 @@ class HostProcess:
         self._note(encode(Ended(i, status)))
 
 
+class RealtimeAgentProcess(AgentProcess):
+    """An agent on a wall clock: answers the newest nav that is there, and ends as `AgentProcess` does."""
+
+    def __init__(self, bus: Bus, keys: Keys, vehicle: int, loop: RealtimeLoop) -> None:
+        super().__init__(bus, keys, vehicle, loop)
+        self._realtime = loop
+        self._noted_flood = False
+
+    def _listen(self, bus: Bus, key: str) -> Stamped:
+        self._stamped = bus.stamped(key)
+        return self._stamped
+
+    def serve(self) -> End:
+        """Answer navs until the world ends this life. If the console started this process, it ends it instead."""
+        poll = self._navs.poll
+        while True:
+            item: tuple[str, bytes] | None = self._navs.get()
+            navs = []
+            while item is not None:
+                message = self._read(*item)
+                if isinstance(message, End) and self._agent.is_over(message):
+                    return message
+                if isinstance(message, Nav):
+                    navs.append(message)
+                item = poll()
+            while (came := self._stamped.poll()) is not None:
+                key, data, at_ns = came
+                message = self._read(key, data)
+                if isinstance(message, Inbox):
+                    self._take(key, message, at_ns)
+            if self._stamped.flooded and not self._noted_flood:
+                self._noted_flood = True
+                self._agent.shell.note(
+                    self._vehicle, self._loop.tick, "more comes in than it takes: messages are dropped"
+                )
+            for nav in self._realtime.to_answer(navs) if navs else ():
+                self._answer(self._keys.nav(self._vehicle), nav)
+
+    def _read(self, key: str, data: bytes) -> Nav | Inbox | End | Hello | None:
+        try:
+            message = expect(data, Nav, Inbox, End, Hello)
+        except MalformedMessage as error:
+            self._agent.shell.reject(key, self._loop.tick, error)
+            return None
+        assert isinstance(message, (Nav, Inbox, End, Hello))
+        return message
+
+    def _take(self, key: str, inbox: Inbox, at_ns: int) -> None:
+        try:
+            self._realtime.arrive(inbox, at_ns)
+        except OutOfPlace as error:
+            self._agent.shell.reject(key, self._loop.tick, error)
+
+
 def run(
     endpoint: str, run_id: str, vehicle: int, credentials: Credentials, incarnation: int = 0, begin: int = 0
 ) -> None:
@@ -196,8 +251,6 @@ def begin_life(
     m = config.round_ticks
     process: AgentProcess
     if clock is Clock.REAL:
-        from agents.realtime_process import RealtimeAgentProcess
-
         process = RealtimeAgentProcess(bus, keys, vehicle, RealtimeLoop(core, m, incarnation=incarnation, begin=begin))
     else:
         loop = AgentLoop(core, m, incarnation=incarnation, begin=begin, memory_ticks=memory_ticks)

@@ -5,16 +5,18 @@ from __future__ import annotations
 import gc
 import signal
 import sys
+from importlib.machinery import ModuleSpec
+from importlib.util import find_spec
 from types import FrameType
+from typing import Any
 
-from fleet.packages import damaged, foreign
 from fleet.processes.interrupts import ENDING, ending, ending_status
 from fleet.terminal.output import OutputError, give_up_output, open_streams
 
 # Net new objects between two collections. Most of what a command makes at first, modules and classes, stays: Python's
 # own 700 let the collector walk through it again and again, for a sixth of the time of a short run.
 COLLECT_EVERY = 200_000
-NOT_OURS = 3  # the exit status when packages of ours were replaced
+CANNOT_RUN = 3  # the exit status when packages of ours were replaced, or cannot be loaded
 READER_GONE = 128 + signal.SIGPIPE  # what a shell shows for `seq 99999 | head -1`
 
 
@@ -48,7 +50,7 @@ def main() -> None:
 def _command_line() -> int:
     """The exit status of what was asked for."""
     if text := foreign():
-        return _not_ours(text)
+        return _cannot_run(text)
     import click
 
     try:
@@ -57,8 +59,12 @@ def _command_line() -> int:
         status = cli(standalone_mode=False)
     except ImportError as error:
         if text := damaged(error):
-            return _not_ours(text)
-        raise
+            return _cannot_run(text)
+        if isinstance(error, ModuleNotFoundError):
+            raise
+        return _cannot_run(f"{error}; is there enough memory to load it?")
+    except MemoryError:
+        return _cannot_run("there is not enough memory")
     except click.Abort as abort:
         return ending_status(abort.__cause__)
     except click.ClickException as error:
@@ -71,9 +77,9 @@ def _command_line() -> int:
     return status if isinstance(status, int) else 0
 
 
-def _not_ours(text: str) -> int:
+def _cannot_run(text: str) -> int:
     sys.stderr.write(f"fleet: {text}\n")
-    return NOT_OURS
+    return CANNOT_RUN
 
 
 _interrupted = False
@@ -85,6 +91,61 @@ def _interrupt(number: int, _: FrameType | None) -> None:
         return
     _interrupted = True
     raise ending(number)
+
+
+# --- Whether the packages `agents`, `world` and `netem` are those of this distribution: others use these names, too.
+# A distribution that brings a package of the same name overwrites files of ours, or is found before ours. Only the
+# first line of each package is read, so that nothing of somebody else's runs.
+
+OURS = "uuv-fleet"
+# How the __init__.py of each begins: their docstrings.
+_BEGINS = {"agents": b'"""Agents: ', "world": b'"""The sea: ', "netem": b'"""The network: '}
+_DO = f"install {OURS} into an environment of its own: uv tool install, or pipx install"
+
+
+def foreign() -> str:
+    """Look for a package that another distribution has replaced.
+
+    Returns:
+        One line that names the package, its distribution and the remedy; "" if all packages are ours.
+    """
+    for name, begin in _BEGINS.items():
+        spec = find_spec(name)
+        if spec is None or not _begins(spec, begin):
+            return f"the package {name}{_place(spec)} is {_whose(name)}; {_DO}"
+    return ""
+
+
+def damaged(error: ImportError) -> str:
+    """The same of an import that failed within one of the packages, compiled or not; "" if it was another import."""
+    name = (error.name or "").partition(".")[0]
+    if name.endswith("__mypyc"):
+        return f"the compiled cores cannot be loaded: {error}; install {OURS} here, or with UUV_FLEET_COMPILE=no"
+    if name not in _BEGINS:
+        return ""
+    return f"the package {name}{_place(find_spec(name))} is {_whose(name)}: {error}; {_DO}"
+
+
+def _begins(spec: ModuleSpec, begin: bytes) -> bool:
+    loader: Any = spec.loader  # of a file or of a zip file
+    if spec.origin is None or not hasattr(loader, "get_data"):
+        return False  # a folder without __init__.py, for instance
+    if not spec.origin.endswith(".py"):
+        return True  # only compiled, so there is no text to read
+    return bool(loader.get_data(spec.origin).startswith(begin))
+
+
+def _place(spec: ModuleSpec | None) -> str:
+    places = list(spec.submodule_search_locations or []) if spec is not None else []
+    return f" in {places[0]}" if places else ""
+
+
+def _whose(name: str) -> str:
+    """The installer of the package, in words."""
+    from importlib.metadata import packages_distributions
+
+    others = sorted(set(packages_distributions().get(name, [])) - {OURS})
+    return f"that of {' and '.join(others)}, or mixed with it" if others else f"not that of {OURS}, or not whole"
 
 
 if __name__ == "__main__":

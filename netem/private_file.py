@@ -21,33 +21,38 @@ from netem.errors import NetemError
 
 
 def write_whole(path: Path, data: bytes, mode: int = 0o600) -> None:
-    """Make a file, or replace it: no reader sees a part of it, and it never has another mode. Raises OSError: it cannot
-    be written; nothing is left behind, and what was there before stays."""
-    temporary = path.with_name(f".{path.name}-{token_hex(4)}")
-    descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(data)
-        os.replace(temporary, path)
-    except OSError:
-        temporary.unlink(missing_ok=True)
-        raise
+    """Make a file, or replace it, as `whole_file` does. Raises OSError: it cannot be written; nothing is left behind,
+    and what was there before stays."""
+    with whole_file(path, mode) as part:
+        part.write_bytes(data)
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
+def whole_file(path: Path, mode: int = 0o666) -> Iterator[Path]:
     """Where to write what shall become `path` at the end; an error or Ctrl-C on the way leaves nothing.
 
-    A link stays one: what it leads to is replaced. A device or a pipe is written to at once.
+    The part has a name that nobody can guess, and is made here: others who may write into the folder cannot lead it
+    elsewhere. A link of the user's own stays one: what it leads to is replaced. A link of somebody else is replaced
+    itself. A device or a pipe is written to at once.
+
+    Args:
+        path: the file. If the part is gone at the end, nothing becomes of it.
+        mode: permissions of a new file, less those that the umask takes.
+
+    Raises:
+        OSError: there is no room or no right for it.
     """
     if path.exists() and not path.is_file():  # a device or a pipe, which cannot replace another file
         yield path
         return
-    path = Path(os.path.realpath(path))  # what a link points to is replaced, not the link
-    part = path.with_name(f"{path.stem}.part{path.suffix}")  # some writers go by the suffix
+    if path.is_symlink() and path.lstat().st_uid in (0, os.geteuid()):
+        path = Path(os.path.realpath(path))
+    part = path.with_name(f".{path.stem[:100]}-{token_hex(8)}{path.suffix}")  # some writers go by the suffix
+    os.close(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode))
     try:
         yield part
-        part.replace(path)
+        if part.exists():
+            part.replace(path)
     finally:
         with suppress(OSError):
             part.unlink(missing_ok=True)

@@ -7,7 +7,7 @@ from typing import Any
 
 from fleet.quantities import vehicle_names, vehicle_numbers
 from fleet.recorder.journal import Journal
-from fleet.result.verdict import Verdict
+from fleet.result.verdict import Moment, Verdict
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.checks import (
     EVERY,
@@ -34,7 +34,7 @@ def judge(scenario: Scenario, journal: Journal, middleware_lost: int) -> list[Ve
     for name in ("formation_error", "consensus_error"):
         below: Below | None = getattr(checks, name)
         if below is not None:
-            verdicts.append(_below(name, below, journal))
+            verdicts.append(_below(name, below, scenario, journal))
     for check in checks.recovery_time or ():
         verdicts += _recovery_times(check, scenario, journal)
     for name, judged in (("min_separation", _min_separation), ("max_age", _max_age), ("connected", _connected)):
@@ -82,7 +82,7 @@ def standing(scenario: Scenario, journal: Journal) -> list[dict[str, Any]]:
     return rows
 
 
-def _below(name: str, check: Below, journal: Journal) -> Verdict:
+def _below(name: str, check: Below, scenario: Scenario, journal: Journal) -> Verdict:
     after_s = check.after / 1e9
     who = None if check.vehicles is None else vehicle_numbers(check.vehicles)
     what = "formation" if name == "formation_error" else "e"
@@ -94,7 +94,20 @@ def _below(name: str, check: Below, journal: Journal) -> Verdict:
     found, passed = f"at most {value:.4g} m (vehicle {vehicle}, {at_s:g} s)", value < check.below
     if len(journal.metrics.series if who is None else who) > 1:
         found += f", the median vehicle {journal.metrics.median_worst(what, after_s, who):.4g} m"
-    return Verdict(name, passed, asked, found, value, check.below, "m").with_margin(check.below - value, "m", at_s)
+    moment = None
+    if not passed and (first := journal.metrics.first_over(what, check.below, after_s, who)) is not None:
+        moment = _moment(journal, scenario, *first)
+    verdict = Verdict(name, passed, asked, found, value, check.below, "m", moment)
+    return verdict.with_margin(check.below - value, "m", at_s)
+
+
+def _moment(journal: Journal, scenario: Scenario, at_s: float, vehicle: int) -> Moment:
+    """When a check failed first, with the faults that were active."""
+    tick, active = round(at_s * 1e9 / scenario.tick_ns), dict[str, None]()
+    for event in journal.happened:
+        if event.is_fault and event.tick <= tick:
+            active.update({event.fault: None}) if event.action == "begins" else active.pop(event.fault, None)
+    return Moment(tick, at_s, [vehicle], faults=list(active))
 
 
 def _recovery_times(check: Recovery, scenario: Scenario, journal: Journal) -> list[Verdict]:

@@ -5,6 +5,7 @@ An error ends a command with one line on stderr and with the status of the error
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
@@ -103,14 +104,31 @@ def command_of(name: str) -> click.Command:
     return next(command for command in offered if command.name == name)
 
 
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
+_SQLITE_FULL, _SQLITE_IOERR = 13, 10  # of SQLite; sqlite3 is not imported for their sake
+
+
 def report(error: Exception) -> int:
     """Print an error on stderr, and return the exit status that belongs to it."""
     say(f"fleet: {_words(error)}", err=True)
+    if _no_room(error):
+        return BROKEN
     match error:
         case OSError(filename=str() | bytes() | PathLike()) | UnicodeEncodeError():
-            return USAGE  # about what was asked for; a disk that is full or fails names no file
+            return USAGE  # about what was asked for
         case _:
             return int(getattr(error, "status", BROKEN))
+
+
+def _no_room(error: BaseException | None) -> bool:
+    """Whether a full disk, or one that fails, is behind an error: any other place would do as badly."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in _NO_ROOM:
+            return True
+        if getattr(error, "sqlite_errorcode", None) in (_SQLITE_FULL, _SQLITE_IOERR):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 def _words(error: Exception) -> str:

@@ -105,10 +105,11 @@ def place_of(scenario: Scenario, out: Path | None, *, force: bool) -> Path:
 def write_least(scenario: Scenario, path: Path) -> None:
     """Write the least scenario. Raises StudyError: it cannot be written; then it is printed on stderr."""
     from fleet.study.errors import StudyError
+    from netem.private_file import write_whole
 
     text = scenario.to_yaml()
     try:
-        path.write_text(text, "utf-8")
+        write_whole(path, text.encode(), 0o666)
     except OSError as error:
         click.echo(text, err=True)
         raise StudyError(f"{path} cannot be written: {error.strerror}; the least scenario stands above") from None

@@ -25,6 +25,7 @@ from fleet.errors import FleetError
 from fleet.logs.topic_names import RUN_NAME, STAMP, begun_at
 from fleet.result.file import RESULT, ResultError, read_result
 from fleet.result.result import Status
+from fleet.scenario.trust import remember
 from netem.private_file import open_file, write_whole
 
 LATEST = "latest"
@@ -89,6 +90,7 @@ class RunDirectory:
             with suppress(OSError):
                 fcntl.flock(self._scenario, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 self.locked = True
+            remember(text)
             unlocked.rename(path)  # only now: who finds it without a lock takes the run for a dead one
         except OSError as error:
             raise no_place(f"cannot write {path}", error) from error

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from math import hypot, isfinite
 from typing import Annotated, Any, NamedTuple
 
@@ -24,7 +24,8 @@ from netem.fault_kinds import Cause
 
 TOPICS = ("uuv/*/state", "uuv/*/belief", "uuv/*/located", "uuv/*/control", "uuv/*/guidance", "uuv/*/error",
           "uuv/*/command", "uuv/*/clock", "uuv/*/plant", "uuv/*/nav", "faults", "link/*")  # fmt: skip
-MOST_GAPS = 400  # that are kept, the longest
+MOST_GAPS = 400  # that are kept, those that explain most
+_FADES = 0.1  # seconds of silence that each second since its end makes up for: chosen
 _MOST_SIGNALS = 8  # of one vehicle
 ON_THE_WAY = "on the way"
 CORRUPTED = "corrupted"
@@ -103,9 +104,17 @@ class Evidence(NamedTuple):
     vehicles: list[VehicleThen]
 
 
-def evidence(log: Log, at_s: float, signals: Sequence[str], *, protocol: bool) -> Evidence:
-    """Collect the evidence of a log about a time. `signals`: the signals of the check. `protocol`: whether to add the
-    signals of the agents' own protocol.
+def evidence(
+    log: Log, at_s: float, signals: Sequence[str], failing: Collection[int] = (), *, protocol: bool
+) -> Evidence:
+    """Collect the evidence of a log about a time.
+
+    Args:
+        log: the log.
+        at_s: the time [s].
+        signals: the signals of the check.
+        failing: the vehicles that failed it; their silences come first.
+        protocol: whether to add the signals of the agents' own protocol.
     """
     faults = [FaultThen(f.id, f.what, f.begin, f.end, f.end > at_s) for f in log.faults if f.begin <= at_s]
     each = {link: _Packets.of(log[link_topic(link)], at_s) for link in log.links}
@@ -113,7 +122,9 @@ def evidence(log: Log, at_s: float, signals: Sequence[str], *, protocol: bool) -
     for packets in each.values():
         lost.update(cause for cause in packets.causes if cause)
     vehicles = [_vehicle(log, i, at_s, each, signals, protocol=protocol) for i in log.vehicles]
-    return Evidence(faults, _gaps(each), dict(lost.most_common()), sum(len(p.sent) for p in each.values()), vehicles)
+    return Evidence(
+        faults, _gaps(each, at_s, failing), dict(lost.most_common()), sum(len(p.sent) for p in each.values()), vehicles
+    )
 
 
 class _Packets(NamedTuple):
@@ -158,8 +169,12 @@ class _Packets(NamedTuple):
                 found = Counter()
 
 
-def _gaps(each: dict[Link, _Packets]) -> list[Gap]:
-    """The gaps of all links. Equal gaps are one. Gaps that go on come first, then the longest."""
+def _gaps(each: dict[Link, _Packets], at_s: float, failing: Collection[int]) -> list[Gap]:
+    """The gaps of all links, by how much they explain. Equal gaps are one.
+
+    First come those by which a vehicle that failed heard nothing, and messages that are lost before those on the way.
+    Among them the longest comes first, and one that has long been over counts for less.
+    """
     together: dict[tuple[float, float, str, bool], list[tuple[str, int]]] = {}
     for (src, dst), packets in each.items():
         for first, last, cause, messages, goes_on in packets.gaps():
@@ -168,8 +183,13 @@ def _gaps(each: dict[Link, _Packets]) -> list[Gap]:
         Gap([link for link, _ in links], cause, CAUSES.get(cause, cause), first, last, sum(n for _, n in links), on)
         for (first, last, cause, on), links in together.items()
     ]
-    gaps.sort(key=lambda gap: (not gap.goes_on, gap.from_s - gap.to_s, gap.from_s, gap.links))
-    return gaps[:MOST_GAPS]
+
+    def rank(gap: Gap) -> tuple[Any, ...]:
+        touched = any(int(link.partition("->")[2]) in failing for link in gap.links)
+        silence = gap.to_s - gap.from_s - (0.0 if gap.goes_on else _FADES * (at_s - gap.to_s))
+        return not touched, gap.cause == ON_THE_WAY, -silence, gap.from_s, gap.links
+
+    return sorted(gaps, key=rank)[:MOST_GAPS]
 
 
 def _vehicle(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
@@ -13,13 +13,17 @@ from fleet.errors import FleetError
 from fleet.explanation.evidence import CAUSES, TOPICS, FaultThen, Gap, Heard, VehicleThen, evidence
 from fleet.explanation.no_return import HealingSearch, NoReturn, Remade, remake, with_moments
 from fleet.logs.open_log import Log, open_log
-from fleet.logs.schemas import CLOCK, START
+from fleet.logs.reader import digest
+from fleet.logs.schemas import CLOCK, FROM, START
 from fleet.repeat.recorded_run import Recorded, recorded
 from fleet.result.file import ResultError, read_result
 from fleet.result.verdict import Verdict
+from fleet.scenario.text.yaml_reader import Source, inline, plain, read
 from fleet.scenario.trust import Policy
 from fleet.study.engine import Engine
 from fleet.study.modules import Modules, modules_of
+from fleet.study.sweep import check_names
+from netem.parsing import nearest
 from netem.vehicle_clock import Clock
 
 
@@ -32,6 +36,11 @@ class Why(Struct, frozen=True):
     asked: str
     found: str
     others: list[str]
+    differs: Annotated[
+        list[str],
+        Meta(description="Of a run that goes on from another: what its scenario has otherwise than that one."),
+    ]
+    origin_passed: Annotated[bool | None, Meta(description="Whether the check passed there; null: it is not known.")]
     held_until_s: Annotated[float, Meta(description="Up to when the check is known to have held.")]
     failed_s: float
     at_s: Annotated[float, Meta(description="The same, or the end of the log; everything below is of this time.")]
@@ -66,12 +75,18 @@ class Explanation:
         source = recorded(question.path, lambda share: tell(f"reading the log, {100 * share:.0f} %", 0))
         self.path = source.path
         self._why_not = _why_not(source, question)
-        self._whole = not source.reader.missing
         self.scenario = source.script(policy=Policy())
+        recorded_verdicts = self._recorded_verdicts(source)
+        known = [*check_names([self.scenario]), *(one.check for one in recorded_verdicts)]
+        if question.check is not None and question.check not in known:
+            hint = nearest(question.check, known) or f"it has {', '.join(dict.fromkeys(known))}"
+            raise FleetError(f"{source.path}: there is no check {question.check}; {hint}")
+        if recorded_verdicts:
+            _chosen(source.path, recorded_verdicts, question.check)  # before the run is made again
+        self._differs, self._before = self._of_origin(source)
         self._remade = None if self._why_not else self._remake()
         if self._remade is not None and self._remade.broken:
             self._why_not, self._remade = f"the run does not come to its end: {self._remade.broken}", None
-        recorded_verdicts = self._recorded_verdicts(source)
         verdicts = recorded_verdicts if self._remade is None else self._remade.verdicts
         if not verdicts:
             raise FleetError(f"{source.path}: what its checks came to is not known: {self._why_not}, and there is no "
@@ -109,6 +124,25 @@ class Explanation:
         log = open_log(source.path, [])
         return result.checks if result.digest == log.digest else []
 
+    def _of_origin(self, source: Recorded) -> tuple[list[str], list[Verdict]]:
+        """What differs in the scenario from the run that this one goes on from, and its verdicts."""
+        start = source.reader.metadata.get("run", {}).get(FROM, "")
+        path, _, known = start.partition(", digest ")
+        if not known:
+            return [], []
+        try:
+            origin = recorded(Path(path))
+            if digest(origin.path) != known:
+                raise FleetError("it is another log by now")
+        except FleetError as error:
+            self._notes.append(f"it goes on from {path}, which cannot be compared: {error}")
+            return [], []
+        before, now = (_values(_tree(text)) for text in (origin.text, source.text))
+        keys = [key for key in {**before, **now} if before.get(key) != now.get(key)]
+        differs = [f"{key}: {now.get(key, 'not set')}, there {before.get(key, 'not set')}" for key in keys]
+        self._notes.append(f"it goes on from {path}, " + ("with changes" if differs else "with the same scenario"))
+        return differs, self._recorded_verdicts(origin)
+
     def _no_return(self, engine: Engine, modules: Modules) -> NoReturn:
         assert self._remade is not None
         search = HealingSearch(self._remade, self.verdict.check, engine, self._tell, modules)
@@ -119,10 +153,12 @@ class Explanation:
         begin, failed_s = self._when(log)
         at_s = min(failed_s, log.end)
         own = any(control.agent is not None for control in self.scenario.controls)
-        then = evidence(log, at_s, self.verdict.signals, protocol=own)
         verdict = self.verdict
+        failing = [] if verdict.moment is None else verdict.moment.vehicles
+        then = evidence(log, at_s, verdict.signals, failing, protocol=own)
         return Why(
-            self.scenario.name, self.scenario.seed, verdict.check, verdict.asked, verdict.words, self._others, begin,
+            self.scenario.name, self.scenario.seed, verdict.check, verdict.asked, verdict.words, self._others,
+            self._differs, next((one.passed for one in self._before if one.check == verdict.check), None), begin,
             failed_s, at_s, then.faults, then.sent, then.lost, then.gaps, then.vehicles, found, self._notes,
         )  # fmt: skip
 
@@ -139,6 +175,21 @@ class Explanation:
         if at_s > log.end:
             self._notes.append(f"the log ends at {log.end:g} s, before the check fails; this explains its end")
         return begin, at_s
+
+
+def _tree(text: str) -> Any:
+    node, _ = read(Source("", text))
+    return None if node is None else plain(node)
+
+
+def _values(tree: Any, key: str = "") -> dict[str, str]:
+    """The values of a scenario by their keys, as `--set` writes them; a list counts as one."""
+    if not isinstance(tree, dict):
+        return {key: inline(tree)}
+    found: dict[str, str] = {}
+    for name, value in tree.items():
+        found |= _values(value, f"{key}.{name}" if key else str(name))
+    return found
 
 
 def _why_not(source: Recorded, question: Question) -> str:
@@ -170,7 +221,7 @@ def _chosen(path: Path, verdicts: Sequence[Verdict], check: str | None) -> tuple
 # --- words: an explanation in words: short lines, each with one fact of the log
 
 
-_MOST_FAULTS, _MOST_GAPS, _MOST_VEHICLES, _MOST_LINKS, _MOST_HEARD = 8, 8, 12, 6, 6
+_MOST_FAULTS, _MOST_GAPS, _MOST_VEHICLES, _MOST_LINKS, _MOST_HEARD, _MOST_DIFFER = 8, 8, 12, 6, 6, 8
 
 
 def lines(why: Why) -> list[str]:
@@ -186,6 +237,10 @@ def _verdict(why: Why) -> Iterator[str]:
         yield f"  it held until {why.held_until_s:g} s, and had failed by {why.failed_s:g} s"
     else:
         yield f"  it failed at {why.failed_s:g} s"
+    if why.differs:
+        there = {True: ", where this check passed", False: ", where this check failed, too", None: ""}
+        yield f"  it goes on from another run{there[why.origin_passed]}; what differs from that one"
+        yield from (f"    {line}" for line in why.differs[:_MOST_DIFFER])
     if why.others:
         yield f"  also failed: {', '.join(why.others)} (--check explains another one)"
 
@@ -211,7 +266,7 @@ def _messages(why: Why) -> Iterator[str]:
     yield f"messages that had not arrived by {why.at_s:g} s: {lost} of {why.sent}"
     for cause, count in why.lost.items():
         yield f"  {count}  {cause}: {CAUSES.get(cause, cause)}"
-    yield "  the longest silences"
+    yield "  the silences that explain most"
     for gap in why.gaps[:_MOST_GAPS]:
         yield f"    {_gap(gap)}"
 

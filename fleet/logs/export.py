@@ -11,10 +11,10 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import suppress
 from io import StringIO
 from math import inf
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import IO, Any
 
 import numpy as np
@@ -122,31 +122,26 @@ def export(log: Log, folder: Path, form: str, *, force: bool = False, share: Tel
     there = [path.name for path in [*paths.values(), folder / INDEX] if path.exists()]
     if there and not force:
         raise FleetError(f"{folder} already holds {there[0]}; choose another place, or replace it with --force")
-    sheets = {name: sheet_of(log[name], path, log.run) for name, path in paths.items()}
-    index_part = folder / f"{INDEX}.part"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for some in batched(sheets.values(), MOST_OPEN, log.most_held if form == "netcdf" else inf):
-            _stream(log.path, some, share)
-            if again := [sheet for sheet in some if sheet.begin_again()]:
-                _stream(log.path, again, share)
-        index = {
-            "log": str(log.path),
-            "run": log.run,
-            "missing": log.missing,
-            "left_out": {name: f"a {log[name].schema} holds lists of messages" for name in left_out},
-            "tables": {path.name: sheets[name].about() for name, path in paths.items()},
-        }
-        index_part.write_text(json.dumps(index, indent=2) + "\n", "utf-8")
-        for sheet in sheets.values():
-            sheet.part.replace(sheet.path)
-        index_part.replace(folder / INDEX)
+        with TemporaryDirectory(prefix=".export-", dir=folder, ignore_cleanup_errors=True) as parts:
+            sheets = {name: sheet_of(log[name], Path(parts, path.name), log.run) for name, path in paths.items()}
+            for some in batched(sheets.values(), MOST_OPEN, log.most_held if form == "netcdf" else inf):
+                _stream(log.path, some, share)
+                if again := [sheet for sheet in some if sheet.begin_again()]:
+                    _stream(log.path, again, share)
+            index = {
+                "log": str(log.path),
+                "run": log.run,
+                "missing": log.missing,
+                "left_out": {name: f"a {log[name].schema} holds lists of messages" for name in left_out},
+                "tables": {path.name: sheets[name].about() for name, path in paths.items()},
+            }
+            Path(parts, INDEX).write_text(json.dumps(index, indent=2) + "\n", "utf-8")
+            for part in [*(sheet.part for sheet in sheets.values()), Path(parts, INDEX)]:
+                part.replace(folder / part.name)
     except OSError as error:
         raise FleetError(f"cannot write to {folder}: {error.strerror}") from error
-    finally:
-        for part in [index_part, *(sheet.part for sheet in sheets.values())]:
-            with suppress(OSError):
-                part.unlink(missing_ok=True)
     return [*paths.values(), folder / INDEX]
 
 
@@ -171,8 +166,8 @@ def _stream(path: Path, sheets: Iterable[Sheet], share: Tell) -> None:
 class Sheet:
     """One table that is written in parts, into a file with another name."""
 
-    def __init__(self, topic: Topic, path: Path, run: Mapping[str, str]) -> None:
-        self.topic, self.path, self.part = topic, path, path.with_name(f"{path.name}.part")
+    def __init__(self, topic: Topic, part: Path, run: Mapping[str, str]) -> None:
+        self.topic, self.part = topic, part
         self._run = run
         self._mixed: set[str] = set()  # vectors that are not always as long, so that their parts are no columns
         self._restart()

@@ -6,7 +6,6 @@ Its `gaps` are the numbers of the messages, from 0, that follow a gap.
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,6 +18,7 @@ from fleet.logs.mcap_writer import McapWriter
 from fleet.logs.reader import GAPS, LOST, RECOVERY, Tell, log_path, lost, open_any
 from fleet.logs.records import MAGIC, Block, Message
 from fleet.logs.salvage import ChunkEnd, Item, Salvage
+from netem.private_file import whole_file
 
 _YEAR_1973_S = 1e8
 
@@ -49,22 +49,16 @@ def recover(path: Path, out: Path | None = None, tell: Tell = lambda _: None) ->
     out = out or path.with_name(f"{path.stem}.recovered.mcap")
     if out.exists():
         raise FleetError(f"{out} exists already: choose another place with -o OUT")
-    part = out.with_name(f"{out.name}.part")
     with open_any(path) as source:
         magic = source.read(len(MAGIC)) == MAGIC
         try:
-            with part.open("wb") as target:
-                found = _copy(path, out, Salvage(source, beyond=True, tell=tell), target, magic)
-            if found.nothing:
-                part.unlink()
-            else:
-                part.replace(out)
-        except (KeyboardInterrupt, OSError) as error:
-            with suppress(OSError):  # the error that led here is on its way to the user
-                part.unlink(missing_ok=True)
-            if isinstance(error, OSError):
-                raise FleetError(f"cannot write {out}: {error.strerror or error}") from error
-            raise
+            with whole_file(out) as part:
+                with part.open("wb") as target:
+                    found = _copy(path, out, Salvage(source, beyond=True, tell=tell), target, magic)
+                if found.nothing:
+                    part.unlink()
+        except OSError as error:
+            raise FleetError(f"cannot write {out}: {error.strerror or error}") from error
     return found
 
 

@@ -197,6 +197,18 @@ class Metrics:
             return float("inf"), 0, self.times[-1] if self.times else 0.0
         return found
 
+    def first_over(
+        self, what: str, limit: float, after_s: float, vehicles: list[int] | None = None
+    ) -> tuple[float, int] | None:
+        """When `e` or `formation` of a vehicle was not below a limit [m] for the first time from a time on, and whose:
+        (time [s], vehicle); None: never.
+        """
+        for k in range(bisect_left(self.times, after_s), len(self.times)):
+            for i, series in self.series.items():
+                if (vehicles is None or i in vehicles) and not getattr(series, what)[k] < limit:
+                    return self.times[k], i
+        return None
+
     def median_worst(self, what: str, after_s: float, vehicles: list[int] | None = None) -> float:
         """The median over vehicles, all or some, of the largest `e` or `formation` of each from a time on [m]."""
         begin = bisect_left(self.times, after_s)

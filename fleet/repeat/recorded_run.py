@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from fleet.scenario.schema.checks import EVERY, Recovery, SignalCheck
 from fleet.scenario.sections.vehicle_events import is_fault
 from fleet.scenario.text.fault_words import FaultWordsError, read_fault
 from fleet.scenario.text.overrides import Override
-from fleet.scenario.trust import READING, Policy
+from fleet.scenario.trust import READING, Policy, ran_from
 from netem.vehicle_clock import Clock
 
 MOST_TEXT = 64 << 20  # bytes of all of them
@@ -49,6 +49,7 @@ class Recorded:
         modules of laws may be imported for it; by itself none. Raises ScenarioError if it is none for this version, or
         an override is wrong; FleetError if a fault that happened is none for this version.
         """
+        policy = replace(policy, own=ran_from(self.text))
         if START in self.reader.attachments:
             # Gone on from another run, in one process: nothing was injected, and what was before is not in this log.
             return parse_scenario(self.text, str(self.path), overrides, policy=policy)

@@ -36,7 +36,7 @@ from fleet.repeat.recorded_run import Recorded, recorded
 from fleet.repeat.resume import start_of
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario, frame_every
-from fleet.scenario.trust import Policy
+from fleet.scenario.trust import Policy, ran_from
 from netem.condition import Link
 from netem.impairment import LinkModel
 from netem.medium import PERFECT
@@ -230,7 +230,7 @@ def verify(
     if last_ns < 0:
         raise FleetError(f"{path} holds no message{f': {reader.missing}' if reader.missing else ''}", status=3)
     start = start_of(reader)
-    policy = Policy(checks=False)
+    policy = Policy(checks=False, own=ran_from(source.text))
     scenario = source.script(policy=policy) if start is not None else _scenario(source, policy)
     verification = Verification(path, last_ns / 1e9, scenario.ticks * scenario.tick_ns / 1e9, missing=reader.missing)
     verification.external = scenario.external

@@ -34,7 +34,7 @@ from fleet.repeat.recorded_run import recorded as read
 from fleet.repeat.resume import start_of
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.overrides import Override
-from fleet.scenario.trust import A_LOG, Policy
+from fleet.scenario.trust import A_LOG, Policy, ran_from
 from netem.lives import Lives
 from netem.transit import stamped
 from netem.vehicle_clock import Clocks
@@ -114,7 +114,7 @@ def what_if(
     source = read(path, progress)
     source.insist_on_lockstep("what an agent had heard when is not in it")
     scenario, recorded = source.script(overrides, Policy(imports=False)), source.script()
-    _check(path, agent, scenario, recorded)
+    _check(path, agent, scenario, recorded, source.text)
     given = _read(path, agent, scenario.tick_ns, progress)
     if not given.navs:
         raise FleetError(f"{path} has no navigation of agent {agent}")
@@ -129,7 +129,7 @@ def what_if(
     return found
 
 
-def _check(path: Path, agent: int, scenario: Scenario, recorded: Scenario) -> None:
+def _check(path: Path, agent: int, scenario: Scenario, recorded: Scenario, text: str) -> None:
     """Raises FleetError: the log cannot say what this agent had known, or its laws may not run."""
     if scenario.vehicles != recorded.vehicles or scenario.tick_ns != recorded.tick_ns:
         raise FleetError("another number of vehicles, or another tick, is another run: use fleet run")
@@ -139,7 +139,7 @@ def _check(path: Path, agent: int, scenario: Scenario, recorded: Scenario) -> No
         if (every := recorded.log_every[group]) > 1:
             raise FleetError(f"{path} has every {every}th {group} only: an agent needs all (log.{group}: 1 tick)")
     try:
-        permission = Permission(elsewhere=(Path(),), because=A_LOG)
+        permission = Permission(ran_from(text), (Path(),), A_LOG)
         for kind, law in laws(scenario.controls[agent - 1]).items():
             if law.name not in BUILT_IN[kind]:
                 admit(kind, law.name, permission)

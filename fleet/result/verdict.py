@@ -73,9 +73,9 @@ class Verdict(Struct, frozen=True):
     value: Annotated[float | None, Meta(description="The number that is compared; null: nothing was found.")] = None
     limit: Annotated[float | None, Meta(description="null: it is only reported.")] = None
     unit: str = ""
-    moment: Annotated[
-        Moment | None, Meta(description="Of one of your own checks, when it failed; null: it did not.")
-    ] = None
+    moment: Annotated[Moment | None, Meta(description="When it failed first; null: it did not, or at no one time.")] = (
+        None
+    )
     signals: Annotated[
         tuple[str, ...], Meta(description="Of one of your own checks, the signals that it looked at.")
     ] = ()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from fleet.errors import FleetError
@@ -32,15 +33,15 @@ def repair(folder: Path, out: Path | None = None, tell: Tell = lambda _: None) -
     out = out or folder.with_name(f"{folder.resolve().name}.recovered")
     if out.exists():
         raise FleetError(f"{out} exists already: choose another place with -o OUT")
-    whole = out.with_name(f"{out.name}.part.mcap")
-    whole.unlink(missing_ok=True)
     try:
-        found = recover(file, whole, tell)
-        found.path, found.out = folder, out
-        if not found.nothing:
-            _write(LogReader(whole), out)
-    finally:
-        whole.unlink(missing_ok=True)
+        with TemporaryDirectory(prefix=f".{out.name[:100]}-", dir=out.parent) as private:
+            whole = Path(private, "whole.mcap")
+            found = recover(file, whole, tell)
+            found.path, found.out = folder, out
+            if not found.nothing:
+                _write(LogReader(whole), out)
+    except OSError as error:
+        raise FleetError(f"cannot write {out}: {error.strerror or error}") from error
     return found
 
 

@@ -24,7 +24,7 @@ from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.schema.value_types import Section, section_of
 from fleet.scenario.text.overrides import Override, apply
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Scalar, Source, locate, plain, read, text_place
-from fleet.scenario.trust import READING, TYPED, OverrideOrigin, Policy, stranger
+from fleet.scenario.trust import READING, TYPED, OverrideOrigin, Policy, ran_from, stranger
 from netem.parsing import nearest
 from netem.private_file import read_bounded, read_file
 
@@ -238,7 +238,7 @@ def load_scenario(
     """
     shown, text, folder = _text(str(name_or_path))
     why = origin.stranger or ("" if folder is None else stranger(Path(shown)))
-    policy = Policy(why, imports, refused, origin.typed)
+    policy = Policy(why, imports, refused, origin.typed, own=ran_from(text) if why else ())
     return parse_scenario(text, shown, overrides, folder, policy)
 
 

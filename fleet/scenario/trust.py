@@ -1,17 +1,22 @@
 """The origin of a scenario, and the modules that may be imported for it; see `world.plugins.trust`.
 
-A name on the command line is trusted as the user's own; so is a scenario file in the current directory or below it.
-A log, the scenario in a run directory and a file from elsewhere are foreign.
+A name on the command line is trusted as the user's own; so is a scenario file in the current directory or below it. A
+log, the scenario in a run directory and a file from elsewhere are foreign, unless this user has run that very scenario
+with modules of their own. Then these modules may run for its log as well.
 """
 
 from __future__ import annotations
 
+import hashlib
+import os
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from fleet.errors import Problem
+from netem.private_file import read_file, write_whole
 from world.plugins.loading import admit
-from world.plugins.trust import Permission
+from world.plugins.trust import Permission, own_folders
 
 A_LOG = "a log names it"
 
@@ -26,6 +31,7 @@ class Policy:
     refused: list[Problem] | None = None
     typed: bool = True  # what overrides the text was typed on the command line
     checks: bool = True  # False: nothing is judged, so checks in Python are not imported
+    own: tuple[Path, ...] = ()  # folders whose modules may run although the text is a stranger's: see `ran_from`
 
     @property
     def of_a_log(self) -> bool:
@@ -38,11 +44,10 @@ class Policy:
         Raises UntrustedError: it may not; PluginError: the name is none of a plug-in.
         """
         beside = () if folder is None else (folder,)
-        own = () if self.stranger else beside
+        own = self.own if self.stranger else (*beside, Path())
         if typed and self.typed:
             own = (Path(), *own)
-        because = self.stranger or "the scenario is not beside it"
-        admit(kind, name, Permission(own, (*beside, Path()), because))
+        admit(kind, name, Permission(own, (*beside, Path()), self.stranger or "the scenario is not beside it"))
 
 
 READING = Policy(imports=False)
@@ -74,3 +79,46 @@ def stranger(file: Path) -> str:
     if file.name == "scenario.yaml" and any((folder / name).exists() for name in RECORDS):
         return "the scenario that names it is the record of a run"
     return ""
+
+
+_MOST_KEPT = 10_000  # lines; what was run first is forgotten first
+_MOST_BYTES = 50_000_000  # of the file; a path has 4096 at most
+
+
+def _kept() -> Path:
+    """The file of this user, mode 0600, with a line for each scenario that was run with own modules."""
+    state = Path(os.environ.get("XDG_STATE_HOME", ""))
+    return (state if state.is_absolute() else Path("~/.local/state").expanduser()) / "uuv-fleet" / "own-runs"
+
+
+def remember(text: str) -> None:
+    """Keep where the own modules lie with which the scenario of a run runs now, so that its log may use them later.
+
+    Nothing is kept of a scenario without any, or if the file cannot be written: then its log needs --trust.
+    """
+    if not (folders := own_folders()):
+        return
+    digest, file = _digest(text), _kept()
+    with suppress(OSError):  # no room, no home
+        file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        known = _lines(file)
+        new = [line for folder in folders if "\n" not in folder and (line := f"{digest} {folder}") not in known]
+        if new:
+            write_whole(file, "".join(f"{line}\n" for line in [*known, *new][-_MOST_KEPT:]).encode())
+
+
+def ran_from(text: str) -> tuple[Path, ...]:
+    """The folders of own modules with which this user has run a scenario; none if it was somebody else."""
+    digest = _digest(text)
+    with suppress(OSError):
+        parts = (line.partition(" ") for line in _lines(_kept()))
+        return tuple(Path(folder) for known, _, folder in parts if known == digest)
+    return ()
+
+
+def _lines(file: Path) -> list[str]:
+    return read_file(file, _MOST_BYTES).decode("utf-8", "replace").splitlines() if file.exists() else []
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -23,13 +23,12 @@ import msgspec
 from msgspec import Meta, Struct
 
 from fleet.execution.external_agents import refuse
-from fleet.scenario.loading import parse_scenario
+from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.trust import READING, Policy
 from fleet.study.engine import Engine
 from fleet.study.errors import StudyError
 from fleet.study.modules import Modules, modules_of
-from fleet.study.one_run import A_STUDY, Task
+from fleet.study.one_run import Task
 from fleet.study.plan import run_key
 from fleet.study.row import Row
 from fleet.study.shrink import Shrinker
@@ -101,17 +100,10 @@ class FailureFolder:
         self.update([*(one for one in self.failures() if one.file != failure.file), failure])
         return failure
 
-    def load(self, failure: FoundFailure, policy: Policy) -> Scenario:
-        """One of its scenarios. Raises ScenarioError: with every mistake that was found; StudyError: it cannot be
-        read."""
-        path = self.path / failure.file
-        try:
-            text = read_file(path, _MOST_BYTES).decode("utf-8")
-        except OSError as error:
-            raise StudyError(f"{path} cannot be read: {error.strerror}") from None
-        except UnicodeDecodeError:
-            raise StudyError(f"{path} is not UTF-8 text") from None
-        return parse_scenario(text, str(path), [f"seed={failure.seed}"], self.path, policy)
+    def load(self, failure: FoundFailure, *, imports: bool = True) -> Scenario:
+        """One of its scenarios; `imports` the laws that it names. Raises ScenarioError: with every mistake that was
+        found, or it cannot be read."""
+        return load_scenario(self.path / failure.file, [f"seed={failure.seed}"], imports=imports)
 
     def update(self, failures: list[FoundFailure]) -> None:
         """Write what is expected. Raises StudyError."""
@@ -180,8 +172,7 @@ class Regression:
         self._folder, self.failures = folder, folder.failures()
         if not self.failures:
             raise StudyError(f"{folder.path} holds no failures: fleet search SCENARIO --keep {folder.path} fills it")
-        policy = Policy(A_STUDY)
-        self._scenarios = [folder.load(failure, policy) for failure in self.failures]
+        self._scenarios = [folder.load(failure) for failure in self.failures]
         for scenario in self._scenarios:
             refuse(scenario, "a run of a study")
         self.modules = modules_of(self._scenarios, folder.path)
@@ -241,7 +232,7 @@ def make_least(
     for failure in folder.of(scenario):
         if failure.least or failure.expected != "fail":
             continue
-        first = folder.load(failure, READING)  # workers import its laws, as they did when it was found
+        first = folder.load(failure, imports=False)  # workers import its laws, as they did when it was found
         found = Shrinker(first, engine, tell, modules).shrink(failure.check, most_runs)
         least = FoundFailure(file=failure.file, check=failure.check, seed=found.scenario.seed, digest=found.digest,
                         found=found.found[1], from_seed=failure.from_seed, least=True,

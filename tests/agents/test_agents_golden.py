@@ -20,7 +20,6 @@ from fleet.logs.open_log import open_log
 from fleet.scenario.loading import load_scenario
 
 GOLDEN = ROOT / "tests" / "expected" / "agents.json"
-TURNS = "formation={offsets: [0 0 0 m, 0 -8 0 m, 8 -8 0 m, 8 0 0 m], changes: [{at: 1 s, over: 2 s, turn: 40 deg}]}"
 CASES = {
     "locate-consistent": ["duration=6 s", *DYING],
     "locate-compass": ["duration=5 s", "faults.1.at=2 s", *UNSURE],

@@ -27,6 +27,7 @@ from fleet.errors import ScenarioError
 from fleet.pictures.gallery import WHAT
 from fleet.pictures.runs import load
 from fleet.scenario.loading import load_scenario
+from fleet.study.failures import FailureFolder, FoundFailure
 from world.errors import PluginError
 from world.plugins import loading, trust
 from world.plugins.trust import Permission, Trust
@@ -80,6 +81,7 @@ def fresh(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(sys, "path", sys.path.copy())
     monkeypatch.setattr(trust, "_added", [])
     monkeypatch.setattr(trust, "_allowed", set())
+    monkeypatch.setattr(trust, "_own", {})
     before = set(sys.modules)
     yield
     for name in set(sys.modules) - before:
@@ -93,7 +95,8 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     folder = tmp_path_factory.mktemp("stranger")
     name = write_laws(folder)
     (folder / "s.yaml").write_text(SCENARIO.format(name))
-    ran = python("-P", "-m", "fleet", "run", "s.yaml", "--in-process", "-q", cwd=folder)
+    theirs = os.environ | {"XDG_STATE_HOME": str(folder / "state")}
+    ran = python("-P", "-m", "fleet", "run", "s.yaml", "--in-process", "-q", cwd=folder, env=theirs)
     assert ran.returncode == 0, ran.stderr
     return (folder / "runs" / "latest").resolve() / "run.mcap", name
 
@@ -336,15 +339,50 @@ def test_a_scenario_from_elsewhere(where: str, tmp_path: Path, monkeypatch: pyte
     assert list(tmp_path.rglob("*.mark"))
 
 
-def test_below_the_current_directory_it_reaches_for_nothing_above(
+def test_a_scenario_below_may_name_what_lies_here_but_not_between(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What was unpacked here brings its own laws, and gets none of mine."""
+    """As the files of a folder of failures do."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    for folder, runs in ((".", True), ("a", False)):
+        name = write_laws(tmp_path / folder)
+        (tmp_path / "a" / "b" / "s.yaml").write_text(small(name))
+        assert (invoke("run", "a/b/s.yaml", "--in-process", "-q").exit_code == 0) == runs
+        assert (tmp_path / folder / f"{name}.mark").exists() == runs
+
+
+def test_a_folder_of_failures_names_laws_that_lie_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     name = write_laws(tmp_path)
-    (tmp_path / "unpacked").mkdir()
-    (tmp_path / "unpacked" / "s.yaml").write_text(small(name))
-    assert_refused("the scenario is not beside it", "run", "unpacked/s.yaml", "-q")
+    (tmp_path / "mine.yaml").write_text(small(name))
+    scenario = load_scenario("mine.yaml")
+    found = FoundFailure(file="mine.yaml", check="tumbled", seed=1, digest="", found="", from_seed=1, least=True,
+                         version="", expected="pass")  # fmt: skip
+    FailureFolder(tmp_path / "failures").add(found, scenario)
+    kept = invoke("regress", "failures", "--workers", "1")
+    assert kept.exit_code == 0, kept.output
+    assert invoke("run", "failures/mine.yaml", "--in-process", "-q").exit_code == 0
+
+
+def test_the_log_of_a_run_of_mine_is_mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Until it is with somebody else, or says something else."""
+    monkeypatch.chdir(tmp_path)
+    name = write_laws(tmp_path)
+    (tmp_path / "mine.yaml").write_text(SCENARIO.format(name))
+    assert invoke("run", "mine.yaml", "--in-process", "-q").exit_code == 0
+    log = str((tmp_path / "runs" / "latest").resolve())
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    for arguments in RUNNING:
+        found = invoke(*(log if argument == "LOG" else argument for argument in arguments))
+        assert found.exit_code == 0, found.output
+    assert "every check passed" in " ".join(invoke("why", log).stderr.split())
+    (tmp_path / f"{name}.mark").unlink()
+    monkeypatch.setattr(trust, "_allowed", set())
+    monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "of somebody else"))
+    assert "a log names it" in invoke("verify", log).stderr
     assert not (tmp_path / f"{name}.mark").exists()
 
 

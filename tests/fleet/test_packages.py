@@ -12,8 +12,8 @@ import pytest
 from repository import ROOT
 from spawned import python
 
-from fleet import packages
-from fleet.packages import damaged, foreign
+from fleet import __main__ as packages
+from fleet.__main__ import damaged, foreign
 
 NAMES = ("agents", "world", "netem")
 OURS = ("-c", "from fleet.__main__ import main; main()")

@@ -74,8 +74,8 @@ from netem.wire.messages import Pace as Begins
 from netem.wire.session import MAX_BYTES
 from netem.wire.shell import Item
 from world.lockstep import Lockstep
+from world.main import RealtimeWorldProcess
 from world.process import WorldProcess
-from world.realtime_process import RealtimeWorldProcess
 
 fuzz = settings(
     max_examples=int(os.environ.get("FUZZ_EXAMPLES", settings.default.max_examples)),

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 from refusals import check_refusals
 
-from netem.private_file import DamagedFile, ExposedFile, parse_json, read_private
+from netem.private_file import DamagedFile, ExposedFile, parse_json, read_private, whole_file, write_whole
 
 
 class Known(msgspec.Struct):
@@ -43,3 +43,30 @@ def test_who_may_read_it(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe", 0o600)
     with pytest.raises(OSError, match="it is a pipe"):
         read_private(tmp_path / "pipe", 10)
+
+
+def test_another_user_s_link_leads_nothing_of_mine_elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither in the place of the part, whose name is drawn, nor in the place of the file."""
+    mine = tmp_path / "private"
+    mine.write_bytes(b"mine")
+    out = tmp_path / "report.html"
+    for name in ("report.part.html", ".report.part.html", "report.html.part"):
+        (tmp_path / name).symlink_to(mine)
+    with whole_file(out) as part:
+        assert part.parent == tmp_path and part.suffix == ".html"
+        part.write_bytes(b"page")
+    out.unlink()
+    out.symlink_to(mine)
+    if os.getuid() == 0:
+        os.chown(out, 4711, -1, follow_symlinks=False)
+    else:
+        monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
+    write_whole(out, b"page")
+    assert (mine.read_bytes(), out.read_bytes(), out.is_symlink()) == (b"mine", b"page", False)
+
+
+def test_a_link_of_mine_stays_one(tmp_path: Path) -> None:
+    there, out = tmp_path / "there", tmp_path / "out"
+    out.symlink_to(there)
+    write_whole(out, b"page", 0o644)
+    assert out.is_symlink() and there.read_bytes() == b"page"

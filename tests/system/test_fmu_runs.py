@@ -125,8 +125,10 @@ def test_a_strangers_unit_does_not_run_unasked(command: str, folder: Path, monke
         assert call(command, "../units.yaml", *out, "--trust")[0] == 0
 
 
-def test_a_log_runs_no_unit_unasked(folder: Path) -> None:
+def test_a_stranger_s_log_runs_no_unit_unasked(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     directory = run().directory
+    assert call("verify", str(directory))[0] == 0
+    monkeypatch.setenv("XDG_STATE_HOME", str(folder / "of somebody else"))
     status, said = call("verify", str(directory))
     assert status != 0
     assert "two.fmu, which is not installed, and a log names it" in said

@@ -22,6 +22,7 @@ from world.errors import PluginError, UntrustedError
 
 _added: list[str] = []  # folders that are on `sys.path` for the sake of modules that were allowed
 _allowed: set[str] = set()  # modules outside of what is installed that may run
+_own: dict[str, None] = {}  # folders of the user from which a plug-in was let run, in order
 _files: dict[str, Path] = {}  # plug-ins that are files and may run: by name, where they lie
 
 
@@ -105,6 +106,7 @@ def permit(kind: str, name: str, module: str, permission: Permission) -> None:
         return
     if os.path.realpath(place.folder) in map(os.path.realpath, own):
         if not _open_to_all(place.folder):
+            _own[place.folder] = None
             _allow(module, place)
             return
         because = f"everybody may write into {place.folder}"
@@ -134,7 +136,9 @@ def permit_file(kind: str, name: str, file: str, permission: Permission) -> None
     own = any(path.is_relative_to(folder.resolve()) for folder in permission.own)
     if own and (folder := next((f for f in (str(path), str(path.parent)) if _open_to_all(f)), "")):
         own, because = False, f"everybody may write into {folder}"
-    if not own:
+    if own:
+        _own.update((str(folder.resolve()), None) for folder in permission.own if path.is_relative_to(folder.resolve()))
+    else:
         _need_trust(kind, name, (str(path),), str(path.parent), because)
     _files[name] = path
 
@@ -149,6 +153,11 @@ def permitted_file(kind: str, name: str) -> Path:
 def allow_file(name: str, path: Path) -> None:
     """Let a plug-in run that another process has let run, which started this one."""
     _files[name] = path
+
+
+def own_folders() -> list[str]:
+    """The folders of the user from which plug-ins were let run in this process, absolute."""
+    return [os.path.abspath(folder) for folder in _own]
 
 
 def _need_trust(kind: str, name: str, files: tuple[str, ...], folder: str, because: str) -> None:

@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import re
+import sqlite3
 import subprocess
 import sys
 from collections import Counter
@@ -24,6 +25,8 @@ from screens import assert_screen
 from tool import commands, invoke
 
 import fleet
+from fleet.__main__ import _command_line
+from fleet.cli.group import report
 from fleet.errors import FleetError
 from fleet.logs.reader import digest
 from fleet.recorder.log_file import LogError
@@ -423,6 +426,30 @@ def test_what_the_machine_refuses_is_no_usage_error(
     monkeypatch.setattr(where, refuse)
     result = invoke("run", "paper", "--in-process", "--publish", "--out", tmp_path)
     assert result.exit_code == 3 and words in result.stderr
+
+
+def test_a_full_disk_is_no_usage_error() -> None:
+    """Whatever of this package words it: any other place would be as full."""
+    full, gone = OSError(errno.ENOSPC, "No space left on device", "a"), OSError(errno.ENOENT, "No such file", "a")
+    database = sqlite3.OperationalError("database or disk is full")
+    database.sqlite_errorcode = sqlite3.SQLITE_FULL
+    for cause, status in ((full, 3), (gone, 2), (database, 3)):
+        worded = FleetError("cannot write")
+        worded.__context__ = cause  # as `raise ... from None` keeps it
+        assert report(worded) == status
+    assert (report(full), report(gone)) == (3, 2)
+
+
+@pytest.mark.parametrize("error", [MemoryError(), ImportError("libarrow.so: failed to map segment")])
+def test_a_library_that_finds_no_memory_is_no_traceback(
+    error: Exception, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr("fleet.cli.main.cli", fail)
+    assert _command_line() == 3
+    assert "enough memory" in capsys.readouterr().err
 
 
 def test_a_run_is_no_scenario(tmp_path: Path) -> None:

@@ -15,8 +15,13 @@ from small_scenario import SMALL
 from study_engine import Here
 from tool import invoke
 
+from fleet.errors import FleetError
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.explanation.no_return import HealingSearch, healed, remake, with_moments
 from fleet.explanation.why import Explanation, Question, Why, lines
+from fleet.logs.open_log import open_log
+from fleet.repeat.resume import continuation
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.study.modules import NO_MODULES
 
@@ -65,6 +70,40 @@ def test_a_partition(tmp_path: Path) -> None:
     assert why.no_return.fails_s is None
 
 
+def test_a_run_that_goes_on_from_another_with_another_controller(tmp_path: Path) -> None:
+    first = recorded(tmp_path, "rough-sea", "duration=22 s", "checks={formation_error: {below: 5 m, after: 21 s}}")
+    scenario, start = continuation(first, 20_000_000_000, ["controller=boc", "checks.formation_error.below=1 cm"])
+    result = execute(scenario, Options(tmp_path, in_process=True, quiet=True, start=start))
+    assert result.directory is not None
+    why = explained(result.directory)
+    assert why.differs == ["controller: boc, there nboc", "checks.formation_error.below: 0.01 m, there 5 m"]
+    assert why.origin_passed is True
+    error = open_log(result.directory, ["uuv/*/error"])
+    topics = (error[name] for name in error if len(error[name]))
+    over = [topic.t[(topic.t >= 21.0) & (topic.formation_norm >= 0.01)] for topic in topics]
+    assert why.failed_s == min(times[0] for times in over if len(times))
+
+
+def test_the_silence_of_which_it_failed_comes_first(tmp_path: Path) -> None:
+    """Not the shorter ones that still go on, nor an earlier one."""
+    down = """
+faults:
+  - {at: 100 ms, for: 500 ms, link: {3->2: down}}
+  - {at: 700 ms, for: 800 ms, link: {2->1: down}}
+"""
+    text = LONGER.replace("{period: 50 ms", "{period: 50 ms, links: {'*': loss 30%, 2->1: loss 0%}")
+    (tmp_path / "silent.yaml").write_text(text + down + "checks: {max_age: {below: 750 ms, links: 2->1}}\n", "utf-8")
+    why = explained(recorded(tmp_path, str(tmp_path / "silent.yaml")), most_runs=0)
+    assert (why.gaps[0].links, why.gaps[0].messages) == (["2->1"], 16)
+
+
+def test_a_check_that_is_not_there_is_said_before_anything_is_run(small_log: Path) -> None:
+    asked: list[str] = []
+    with pytest.raises(FleetError, match="there is no check nosuch; it has formation_error"):
+        Explanation(Question(small_log, "nosuch"), lambda doing, runs: asked.append(doing))
+    assert not any("once more" in doing for doing in asked)
+
+
 def test_a_protocol_that_is_too_slow(tmp_path: Path) -> None:
     """Each link takes 1.5 s and nothing is lost: two leaders, whatever is healed."""
     why = explained(recorded(tmp_path, "election-slow", "duration=7 s"), "AtMostOneLeader")
@@ -101,7 +140,7 @@ def test_a_drift(tmp_path: Path) -> None:
 
 def test_a_push(why: Why) -> None:
     assert (why.check, why.faults[0].id, why.faults[0].on) == ("formation_error", "push", True)
-    assert why.held_until_s < why.at_s
+    assert why.held_until_s == why.at_s == pytest.approx(1.39)
     found = why.no_return
     assert found.how == "bisected"
     assert found.passes_s is not None
@@ -220,7 +259,7 @@ def test_of_a_log_that_ends_before_the_check_fails(small_log: Path, tmp_path: Pa
     why = explained(cut)
     assert why.at_s < why.failed_s == explained(small_log, most_runs=0).failed_s
     assert f"the log ends at {why.at_s:g} s, before the check fails" in why.notes[0]
-    assert f"had failed by {why.failed_s:g} s" in "\n".join(lines(why))
+    assert f"it failed at {why.failed_s:g} s" in "\n".join(lines(why))
 
 
 def test_an_agent_that_comes_back_by_healing() -> None:

@@ -348,12 +348,12 @@ def test_ctrl_c_leaves_nothing(long: Path, tmp_path: Path, command: list[str]) -
     started = subprocess.Popen(
         [sys.executable, "-m", "fleet", command[0], long, command[1], out], stderr=subprocess.PIPE, text=True
     )
-    wait_for(lambda: list(place.glob("*.part")), LIMIT_S, "the first part of a file")
+    wait_for(lambda: list(place.glob(".*")), LIMIT_S, "the first part of a file")
     started.send_signal(signal.SIGINT)
     _, said = started.communicate(timeout=LIMIT_S)
     assert started.returncode == 130
     assert "Traceback" not in said
-    assert list(place.glob("*.part")) == [] and (command[0] != "export" or list(out.iterdir()) == [])
+    assert list(place.glob(".*")) == [] and (command[0] != "export" or list(out.iterdir()) == [])
 
 
 def test_a_topic_of_huge_messages(tmp_path: Path) -> None:

@@ -189,7 +189,8 @@ def test_a_check_of_a_stranger_needs_trust(folder: Path, monkeypatch: pytest.Mon
     (elsewhere / "own_one_here.py").write_text(MODULE.replace("Packets", "Own"))
     typed = check_log(log, ['checks={"own_one_here:Own": {}}'])
     assert [verdict.check for verdict in typed.verdicts] == ["Own"]
-    monkeypatch.chdir(folder)  # it lies here still, but is installed no more
+    monkeypatch.chdir(folder)  # it lies here still, but is installed no more, and somebody else has run it
+    monkeypatch.setenv("XDG_STATE_HOME", str(folder / "of somebody else"))
     monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry != str(folder)])
     monkeypatch.delitem(sys.modules, "packets_seen_here")
     monkeypatch.setattr("world.plugins.trust._allowed", set())  # as in a new process
@@ -208,6 +209,7 @@ def test_a_signal_of_a_law_that_may_not_run_is_not_just_unknown(folder: Path, mo
     monkeypatch.chdir(elsewhere)
     monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry != str(folder)])
     monkeypatch.delitem(sys.modules, "strange_agent_here")
+    monkeypatch.setenv("XDG_STATE_HOME", str(folder / "of somebody else"))
     monkeypatch.setattr("world.plugins.trust._allowed", set())  # as in a new process
 
     def unknown(why: str) -> None:

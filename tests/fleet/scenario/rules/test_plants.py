@@ -67,7 +67,7 @@ from own_plants import Rolling
 SUPPORT = Path(__file__).parents[3] / "support"  # the test's plants are on no path but that of Python
 
 
-def test_a_stranger_s_plant_does_not_run(tmp_path: Path) -> None:
+def test_a_stranger_s_plant_does_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     there, here = tmp_path / "there", tmp_path / "here"
     there.mkdir()
     here.mkdir()
@@ -79,6 +79,7 @@ def test_a_stranger_s_plant_does_not_run(tmp_path: Path) -> None:
     assert ran.status == 0, ran.stderr
     assert mark.exists()
     mark.unlink()
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "of somebody else"))
     log = str(next((there / "runs").glob("s-1-*")) / "run.mcap")
     (here / f"{name}.py").write_text(PLANT)
     reading = ["info", log], ["export", log, "--scenario"], ["export", log, "--csv", "tables"]

@@ -95,8 +95,8 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     folder = tmp_path_factory.mktemp("stranger")
     name = write_laws(folder)
     (folder / "s.yaml").write_text(SCENARIO.format(name))
-    theirs = os.environ | {"XDG_STATE_HOME": str(folder / "state")}
-    ran = python("-P", "-m", "fleet", "run", "s.yaml", "--in-process", "-q", cwd=folder, env=theirs)
+    theirs = {"XDG_STATE_HOME": str(folder / "state")}
+    ran = python("-P", "-m", "fleet", "run", "s.yaml", "--in-process", "-q", cwd=folder, environment=theirs)
     assert ran.returncode == 0, ran.stderr
     return (folder / "runs" / "latest").resolve() / "run.mcap", name
 

@@ -15,7 +15,6 @@ import numpy as np
 
 CONFIDENCE = 0.95
 LEAST = 6  # values, for the interval of a median or a test of pairs: five of one side have a chance of 2 / 2^5 = 6 %
-_HUGE = 1e300  # stands for infinity in a test of pairs
 
 
 class Estimate(NamedTuple):
@@ -42,7 +41,7 @@ class PairedComparison(NamedTuple):
 
     difference: Estimate  # the median of second - first
     better: float  # share of pairs in which the second is smaller, ties by half; 0.5: no difference
-    p: float  # of the two-sided Wilcoxon signed-rank test; NaN: too few pairs that differ
+    p: float  # of the two-sided sign test, exact; NaN: too few pairs that differ
     note: str = ""  # why no difference can be found; "": one can
 
 
@@ -103,8 +102,10 @@ def levels(estimates: Iterable[Estimate]) -> str:
 def compare(first: Sequence[float], second: Sequence[float], confidence: float = CONFIDENCE) -> PairedComparison:
     """Compare two series of the same length, each pair with the same seed; pairs with NaN are left out.
 
-    If both are infinite, the pair is a tie. If one is, its difference is the largest. With fewer than six pairs that
-    differ no test can find a difference with 95 % certainty: there is no p then, and a note.
+    The sign test asks whether the median difference is 0, as the interval does. (Wilcoxon's test asks whether the
+    differences are symmetric about 0: of skewed ones with median 0 it finds one in 22 % of 50 pairs.) If both values
+    are infinite, the pair is a tie. With fewer than six pairs that differ no test can find a difference with 95 %
+    certainty: there is no p then, and a note.
     """
     pairs = [(a, b) for a, b in zip(first, second, strict=True) if not (isnan(a) or isnan(b))]
     differences = np.array([0.0 if a == b else b - a for a, b in pairs])
@@ -116,7 +117,7 @@ def compare(first: Sequence[float], second: Sequence[float], confidence: float =
     better = float(np.mean((differences < 0) + 0.5 * (differences == 0)))
     p, note = nan, f"{differ} of {len(pairs)} pairs differ: fewer than {LEAST} cannot show a difference (p < 0.05)"
     if differ >= LEAST:
-        from scipy.stats import wilcoxon
+        from scipy.stats import binomtest
 
-        p, note = float(wilcoxon(np.clip(differences, -_HUGE, _HUGE)).pvalue), ""
+        p, note = float(binomtest(int(np.count_nonzero(differences < 0)), differ).pvalue), ""
     return PairedComparison(median(differences.tolist(), confidence), better, p, note)

@@ -218,7 +218,7 @@ def _comparisons(points: Points) -> list[tuple[str, Table]]:
     return found
 
 
-_COMPARED = ("values", "of what", "pairs", "median difference, interval (level)", "difference below 0", "p (Wilcoxon)")
+_COMPARED = ("values", "of what", "pairs", "median difference, interval (level)", "difference below 0", "p (sign test)")
 
 
 def _reasons(rows: Sequence[Row]) -> Table:

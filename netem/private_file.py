@@ -109,6 +109,12 @@ def read_private(path: Path, most: int) -> bytes:
     return data
 
 
+def read_json(path: Path, kind: type[T], most: int) -> T:
+    """A file of JSON, up to a number of bytes, as a value of a type that msgspec can check. Raises OSError: it is no
+    regular file, it is larger, or it cannot be read; DamagedFile: as `parse_json`."""
+    return parse_json(read_file(path, most), kind)
+
+
 def parse_json(data: bytes, kind: type[T]) -> T:
     """JSON as a value of a type that msgspec can check; fields that it does not have are ignored. Raises DamagedFile:
     it is not JSON, or a field is missing, has another type or is out of its range."""

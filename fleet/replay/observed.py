@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
-from netem.private_file import parse_json, read_file, write_whole
+from netem.private_file import read_json, write_whole
 from netem.private_folder import PrivateFolder
 from netem.wire.access import OBSERVER, Credentials
 from netem.wire.keys import Keys
@@ -30,7 +30,7 @@ class Observed(msgspec.Struct):
 
 def read_observed(path: Path) -> Observed:
     """Read observe.json. Raises OSError: it cannot be read; DamagedFile: it holds something else."""
-    return parse_json(read_file(path, _MOST_BYTES), Observed)
+    return read_json(path, Observed, _MOST_BYTES)
 
 
 def new_observed(endpoint: str, run: str) -> Observed:

@@ -32,7 +32,7 @@ from fleet.study.one_run import Task
 from fleet.study.plan import run_key
 from fleet.study.row import Row
 from fleet.study.shrink import Shrinker
-from netem.private_file import read_file, write_whole
+from netem.private_file import DamagedFile, read_json, write_whole
 
 INDEX = "failures.json"
 FORMAT = 1  # of both JSON files
@@ -102,8 +102,11 @@ class FailureFolder:
 
     def load(self, failure: FoundFailure, *, imports: bool = True) -> Scenario:
         """One of its scenarios; `imports` the laws that it names. Raises ScenarioError: with every mistake that was
-        found, or it cannot be read."""
-        return load_scenario(self.path / failure.file, [f"seed={failure.seed}"], imports=imports)
+        found, or it cannot be read; StudyError: it is not there."""
+        path = self.path / failure.file
+        if not path.is_file():
+            raise StudyError(f"{path} is no file, and {INDEX} names it")
+        return load_scenario(path, [f"seed={failure.seed}"], imports=imports)
 
     def update(self, failures: list[FoundFailure]) -> None:
         """Write what is expected. Raises StudyError."""
@@ -130,12 +133,12 @@ class FailureFolder:
 
     def _read(self, path: Path, kind: type[_S]) -> _S | None:
         try:
-            found = msgspec.json.decode(read_file(path, _MOST_BYTES), type=kind)
+            found = read_json(path, kind, _MOST_BYTES)
         except FileNotFoundError:
             return None
         except OSError as error:
             raise StudyError(f"{path} cannot be read: {error.strerror}") from None
-        except msgspec.DecodeError as error:
+        except DamagedFile as error:
             raise StudyError(f"{path} is damaged: {error!s:.200}") from None
         if (version := getattr(found, "format", FORMAT)) != FORMAT:
             raise StudyError(f"{path} has format {version}, expected {FORMAT}: a later fleet wrote it")

@@ -22,7 +22,7 @@ from fleet.study.one_run import Task
 from fleet.study.plan import run_key
 from fleet.study.row import PartRow, Row
 from netem.draws import bits
-from netem.private_file import read_file, write_whole
+from netem.private_file import DamagedFile, read_json, write_whole
 
 _MOST_BYTES = 10_000_000
 _MARGINS = 2  # changes when other margins count at a snapshot: such repeats do not mix
@@ -132,8 +132,8 @@ class RareEvent:
         if not file.exists():
             return RareFile(key, self._scenario.name, self._check)
         try:
-            known = msgspec.json.decode(read_file(file, _MOST_BYTES), type=RareFile)
-        except (OSError, ValueError, msgspec.MsgspecError) as error:
+            known = read_json(file, RareFile, _MOST_BYTES)
+        except (OSError, DamagedFile) as error:
             raise StudyError(f"{file} cannot be read: {error!s:.200}") from None
         if known.key != key:
             raise StudyError(f"{file} belongs to another scenario, check or option: choose another file with --out")

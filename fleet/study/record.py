@@ -12,7 +12,7 @@ from fleet.study.errors import StudyError
 from fleet.study.measures import MeasureColumn
 from fleet.study.spec import MOST_ALLOWED, BoundarySpec, StudySpec, texts
 from fleet.study.values import Axis
-from netem.private_file import read_file, write_whole
+from netem.private_file import DamagedFile, read_json, write_whole
 
 VERSION = 4
 NAME = "study.json"
@@ -69,19 +69,18 @@ def read_record(directory: Path) -> StudyRecord:
     than a study writes."""
     file = directory / NAME
     try:
-        data = read_file(file, _MOST_BYTES)
-        if (found := msgspec.json.decode(data, type=_Version).version) != VERSION:
+        if (found := read_json(file, _Version, _MOST_BYTES).version) != VERSION:
             old = ", whose rows are Parquet files" if found < VERSION else ""
             raise StudyError(
                 f"{directory} is a study of version {found}{old}; this fleet reads version {VERSION} alone"
             )
-        record = msgspec.json.decode(data, type=StudyRecord)
+        record = read_json(file, StudyRecord, _MOST_BYTES)
         _ = record.rules.timeout_s, record.rules.budget_s, record.border and record.border.timeout_s
     except FileNotFoundError:
         raise StudyError(f"{directory} is no study: it has no {NAME}") from None
     except OSError as error:
         raise StudyError(f"cannot read {file}: {error.strerror}") from None
-    except (msgspec.MsgspecError, OverflowError, UnicodeDecodeError, QuantityError) as error:
+    except (DamagedFile, OverflowError, QuantityError) as error:
         raise StudyError(f"{file} is damaged: {error!s:.200}") from None
     for what, names in (("axes", record.axes), ("checks", record.checks), ("columns", record.columns)):
         if len(names) > _MOST_NAMES:

@@ -15,6 +15,8 @@ from fleet.study.errors import StudyError
 from fleet.study.failures import INDEX, FailureFolder, FoundFailure, Regression, make_least
 from fleet.study.modules import NO_MODULES
 from fleet.study.one_run import Task
+from fleet.study.rare import RareEvent, Splitting
+from fleet.study.record import NAME, read_record
 from fleet.study.search import Searched, search
 
 NEMESIS = "nemesis={every: 400 ms, for: 300 ms, pick: [mute, deaf, {wrench: {vehicles: 1, force: 400 0 0 N}}]}"
@@ -101,3 +103,20 @@ def test_a_search_of_another_scenario_is_not_gone_on_with(tmp_path: Path) -> Non
         msgspec.json.decode(msgspec.json.encode(FoundFailure(file="a.yaml", check="c", seed=1, digest="d")))["expected"]
         == "fail"
     )
+
+
+@pytest.mark.parametrize("data", [b'{"text": "\xff"}', b"[" * 200_000, b'{"a":' * 200_000], ids=["text", "list", "map"])
+def test_a_damaged_file_of_a_study_or_a_search_is_said_in_words(data: bytes, tmp_path: Path) -> None:
+    """Of each of the four: not UTF-8, and deeper than anything that we write."""
+    scenario = small(NEMESIS, CHECKS)
+    for name in (NAME, INDEX, f"{scenario.name}.search.json", "rare.json"):
+        (tmp_path / name).write_bytes(data)
+    rare = RareEvent(scenario, "formation_error", Splitting())
+    for read in (
+        lambda: read_record(tmp_path),
+        lambda: FailureFolder(tmp_path).failures(),
+        lambda: FailureFolder(tmp_path).tried(scenario, "key"),
+        lambda: rare.run(Here(), lambda doing, runs: None, 1, tmp_path / "rare.json"),
+    ):
+        with pytest.raises(StudyError, match=r"is damaged|cannot be read"):
+            read()

@@ -55,7 +55,10 @@ def continuation(
             "the log, so nothing can go on from there"
         )
     if at_ns is not None and at_ns > recorded.duration_ns:
-        raise FleetError(f"{source.path} ends at {show_time(recorded.duration_ns)}, got {show_time(at_ns)}")
+        raise FleetError(
+            f"{source.path} ends at {show_time(recorded.duration_ns)}, got {show_time(at_ns)}; without @TIME the run "
+            "goes on from the last snapshot"
+        )
     snapshot = find(path, at_ns, tell)
     at = show_time(snapshot.tick * recorded.tick_ns)
     for what, ours, theirs in (
@@ -66,7 +69,7 @@ def continuation(
         ("the kind of network", scenario.acoustic is None, recorded.acoustic is None),
     ):
         if ours != theirs:
-            raise FleetError(f"{what} cannot change in a run that goes on from t = {at}")
+            raise FleetError(f"{what} cannot change in a run that goes on from t = {at}: leave it, or run anew with it")
     for override in map(Override.of, overrides):
         if override.option == FAULT and time_ns(read_fault(override.text)["at"]) < snapshot.tick * recorded.tick_ns:
             raise FleetError(f"{override.name}: it begins before t = {at}, from which the run goes on")

@@ -195,7 +195,7 @@ class _Reader:
                     self._fail(event.start_mark, "a second document begins here", "one file holds one scenario")
                 root, _ = self._node(next(events), events, 0)
         if root is None:
-            self._fail(None, "the text is empty")
+            self._fail(None, "the text is empty", "fleet new scenario NAME writes a scenario to begin with")
         return root
 
     def _events(self, text: str) -> Iterator[Any]:

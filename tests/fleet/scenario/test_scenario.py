@@ -490,3 +490,10 @@ def test_who_follows_the_reference(text: str, b: tuple[int, ...]) -> None:
     written = SMALL.replace("shape: path", f"shape: path, reference: {text}, ahead: 1")
     if b[:2] != (0, 0):
         assert tuple(parse_scenario(written, "t.yaml", ["vehicles=2"]).b) == b[:2]
+
+
+def test_an_unknown_controller_is_one_mistake() -> None:
+    """Whether the keys of guidance have an effect on it is not known."""
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario("rough-sea", ["controller=nosuch"])
+    assert [problem.key for problem in caught.value.problems] == ["controller.law"]

@@ -21,10 +21,20 @@ from netem.errors import NetemError
 
 
 def write_whole(path: Path, data: bytes, mode: int = 0o600) -> None:
-    """Make a file, or replace it, as `whole_file` does. Raises OSError: it cannot be written; nothing is left behind,
-    and what was there before stays."""
-    with whole_file(path, mode) as part:
-        part.write_bytes(data)
+    """Make a file, or replace it, as `whole_file` does. It is on the disk when this returns: after a loss of power
+    there is the old file or the new one. Raises OSError: it cannot be written; nothing is left behind, and what was
+    there before stays."""
+    with whole_file(path, mode) as part, part.open("wb") as file:
+        file.write(data)
+        file.flush()
+        if part != path:  # not a device or a pipe
+            os.fsync(file.fileno())
+    if path.is_file():
+        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(folder)  # its new name, too
+        finally:
+            os.close(folder)
 
 
 @contextmanager

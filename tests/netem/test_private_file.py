@@ -70,3 +70,12 @@ def test_a_link_of_mine_stays_one(tmp_path: Path) -> None:
     out.symlink_to(there)
     write_whole(out, b"page", 0o644)
     assert out.is_symlink() and there.read_bytes() == b"page"
+
+
+def test_a_small_file_is_on_the_disk_before_it_has_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out, seen = tmp_path / "out", list[tuple[str, bool]]()
+    monkeypatch.setattr(os, "fsync", lambda file: seen.append((os.readlink(f"/proc/self/fd/{file}"), out.exists())))
+    write_whole(out, b"x")
+    (part, early), (folder, late) = seen
+    assert Path(part).parent == tmp_path and not early
+    assert (Path(folder), late) == (tmp_path, True)

@@ -41,8 +41,7 @@ def write_whole(path: Path, data: bytes, mode: int = 0o600) -> None:
 def whole_file(path: Path, mode: int = 0o666) -> Iterator[Path]:
     """Where to write what shall become `path` at the end; an error or Ctrl-C on the way leaves nothing.
 
-    The part has a name that nobody can guess, and is made here: others who may write into the folder cannot lead it
-    elsewhere. A link of the user's own stays one: what it leads to is replaced. A link of somebody else is replaced
+    A link of the user's own stays one: what it leads to is replaced. A link of somebody else is replaced
     itself. A device or a pipe is written to at once.
 
     Args:
@@ -57,15 +56,21 @@ def whole_file(path: Path, mode: int = 0o666) -> Iterator[Path]:
         return
     if path.is_symlink() and path.lstat().st_uid in (0, os.geteuid()):
         path = Path(os.path.realpath(path))
-    part = path.with_name(f".{path.stem[:100]}-{token_hex(8)}{path.suffix}")  # some writers go by the suffix
-    os.close(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode))
+    part = part_of(path)
     try:
+        os.close(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode))
         yield part
         if part.exists():
             part.replace(path)
     finally:
         with suppress(OSError):
             part.unlink(missing_ok=True)
+
+
+def part_of(path: Path) -> Path:
+    """A place beside `path` for what shall take its place. Nobody can guess its name, so others who may write into the
+    folder cannot lead it elsewhere."""
+    return path.with_name(f".{path.stem[:100]}-{token_hex(8)}{path.suffix}")  # some writers go by the suffix
 
 
 def open_file(path: Path) -> IO[bytes]:

@@ -11,10 +11,10 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from io import StringIO
 from math import inf
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import IO, Any
 
 import numpy as np
@@ -30,7 +30,7 @@ from fleet.logs.topic_names import link_topic
 from fleet.scenario.sections.trace_table import MOST_ROWS, TraceRow, TraceTable
 from fleet.scenario.text.yaml_reader import yaml_text
 from netem.fault_kinds import Cause
-from netem.private_file import write_whole
+from netem.private_file import part_of, write_whole
 
 # --- traces: `fleet export --traces`: what became of each packet of a link, as a trace that a scenario can use again
 
@@ -122,26 +122,30 @@ def export(log: Log, folder: Path, form: str, *, force: bool = False, share: Tel
     there = [path.name for path in [*paths.values(), folder / INDEX] if path.exists()]
     if there and not force:
         raise FleetError(f"{folder} already holds {there[0]}; choose another place, or replace it with --force")
+    parts = {path: part_of(path) for path in [*paths.values(), folder / INDEX]}
+    sheets = {name: sheet_of(log[name], parts[path], log.run) for name, path in paths.items()}
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with TemporaryDirectory(prefix=".export-", dir=folder, ignore_cleanup_errors=True) as parts:
-            sheets = {name: sheet_of(log[name], Path(parts, path.name), log.run) for name, path in paths.items()}
-            for some in batched(sheets.values(), MOST_OPEN, log.most_held if form == "netcdf" else inf):
-                _stream(log.path, some, share)
-                if again := [sheet for sheet in some if sheet.begin_again()]:
-                    _stream(log.path, again, share)
-            index = {
-                "log": str(log.path),
-                "run": log.run,
-                "missing": log.missing,
-                "left_out": {name: f"a {log[name].schema} holds lists of messages" for name in left_out},
-                "tables": {path.name: sheets[name].about() for name, path in paths.items()},
-            }
-            Path(parts, INDEX).write_text(json.dumps(index, indent=2) + "\n", "utf-8")
-            for part in [*(sheet.part for sheet in sheets.values()), Path(parts, INDEX)]:
-                part.replace(folder / part.name)
+        for some in batched(sheets.values(), MOST_OPEN, log.most_held if form == "netcdf" else inf):
+            _stream(log.path, some, share)
+            if again := [sheet for sheet in some if sheet.begin_again()]:
+                _stream(log.path, again, share)
+        index = {
+            "log": str(log.path),
+            "run": log.run,
+            "missing": log.missing,
+            "left_out": {name: f"a {log[name].schema} holds lists of messages" for name in left_out},
+            "tables": {path.name: sheets[name].about() for name, path in paths.items()},
+        }
+        parts[folder / INDEX].write_text(json.dumps(index, indent=2) + "\n", "utf-8")
+        for path, part in parts.items():
+            part.replace(path)
     except OSError as error:
         raise FleetError(f"cannot write to {folder}: {error.strerror}") from error
+    finally:
+        for part in parts.values():
+            with suppress(OSError):
+                part.unlink(missing_ok=True)
     return [*paths.values(), folder / INDEX]
 
 

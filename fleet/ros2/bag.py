@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 from contextlib import suppress
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from fleet.errors import FleetError
@@ -16,6 +15,7 @@ from fleet.ros2.rmw import DEFAULT, Qos
 from fleet.ros2.translation import RosMessage, Translation
 from fleet.ros2.types import RosTypes, types_of
 from fleet.view.feed import checks_judged
+from netem.private_folder import PrivateFolder
 
 
 def bag_file(folder: Path) -> Path | None:
@@ -34,8 +34,8 @@ def repair(folder: Path, out: Path | None = None, tell: Tell = lambda _: None) -
     if out.exists():
         raise FleetError(f"{out} exists already: choose another place with -o OUT")
     try:
-        with TemporaryDirectory(prefix=f".{out.name[:100]}-", dir=out.parent) as private:
-            whole = Path(private, "whole.mcap")
+        with PrivateFolder("bag", out.parent) as private:
+            whole = private / "whole.mcap"
             found = recover(file, whole, tell)
             found.path, found.out = folder, out
             if not found.nothing:

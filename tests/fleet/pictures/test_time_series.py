@@ -63,7 +63,7 @@ def test_no_line_of_an_input_reaches_beyond_its_limit(run: Run) -> None:
     figure.set_dpi(300)
     canvas = FigureCanvasAgg(figure)
     for ax in figure.axes:
-        for line in lines(ax, "bound"):
+        for line in [*lines(ax, "bound"), *lines(ax, "failed-check")]:
             line.set_visible(False)
         means = {str(some.get_gid()).removesuffix("-envelope") for some in ax.collections}  # of what is too fast
         held = [line for line in lines(ax, "paper-vehicle") if line.get_gid() not in means]

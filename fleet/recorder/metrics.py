@@ -19,48 +19,12 @@ from typing import NamedTuple
 
 from agents.config import Offset
 from agents.signals import SignalLayout
+from fleet.recorder.protocol import AgentProtocol
 from fleet.recorder.settling import below_from, least_s, settling_time, stayed
-from fleet.result.result import Formation, SignalValue, VehicleResult
+from fleet.result.result import Formation, VehicleResult
 from fleet.scenario.scenario import Scenario, frame_every
-from fleet.scenario.sections.signals import checked_signals
 from netem.wire.messages import Command, Frame
 from world.vectors import Vec3, plus
-
-# --- whole agents, which run a protocol of somebody's: what each of them reported at the end
-
-
-class _Reported(NamedTuple):
-    name: str
-    unit: str
-    place: int  # in the telemetry
-
-
-class AgentProtocol(NamedTuple):
-    """The whole agent of one vehicle, and what it reports; without a name it has the laws of a controller instead."""
-
-    law: str
-    signals: tuple[_Reported, ...]  # those that a check of the scenario names come first
-
-    @classmethod
-    def of(cls, scenario: Scenario, vehicle: int) -> AgentProtocol:
-        agent = scenario.agent_config(vehicle).agent
-        if agent is None:
-            return cls("", ())
-        judged = {signal.name for signal in checked_signals(scenario.spec.checks)}
-        known = [
-            (f"{group}.{signal.name}", _Reported(signal.name, signal.unit, place.start))
-            for group, signal, place in scenario.layout(vehicle).signals()
-            if signal.width == 1
-        ]
-        return cls(agent.name, tuple(signal for _, signal in sorted(known, key=lambda one: one[0] not in judged)))
-
-    def values(self, telemetry: tuple[float, ...]) -> dict[str, SignalValue]:
-        """The last report of the vehicle, by name; empty: it reports no more."""
-        return {
-            name: SignalValue(telemetry[place] if isfinite(telemetry[place]) else None, unit)
-            for name, unit, place in (self.signals if telemetry else ())
-        }
-
 
 RMS_WINDOW_S = 10.0
 SETTLE_M = 0.05

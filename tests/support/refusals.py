@@ -102,7 +102,8 @@ def _refusal(
         problems = [problem for problem in told if hasattr(problem, "message")]
         whose = [f"of {p.file}" for p in problems if len(parts) > 1]
         places = [f"{p.key or p.file}:{p.line}:{p.column}" for p in problems]
-        fields = {name: v for name, v in vars(error).items() if name not in _FIELDS_IN_WORDS and v != ""}
+        held = getattr(error, "__dict__", {})  # an exception of a compiled module has none
+        fields = {name: v for name, v in held.items() if name not in _FIELDS_IN_WORDS and v != ""}
         head = " ".join(
             [type(error).__name__, *places, *whose, *(f"{name}={v!s:.60}" for name, v in sorted(fields.items()))]
         )

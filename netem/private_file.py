@@ -30,7 +30,7 @@ def write_whole(path: Path, data: bytes, mode: int = 0o600) -> None:
         if part != path:  # not a device or a pipe
             os.fsync(file.fileno())
     if path.is_file():
-        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+        folder = os.open(os.path.dirname(os.path.realpath(path)), os.O_RDONLY | os.O_DIRECTORY)
         try:
             os.fsync(folder)  # its new name, too
         finally:

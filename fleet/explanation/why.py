@@ -76,7 +76,7 @@ class Explanation:
         self.path = source.path
         self._why_not = _why_not(source, question)
         self.scenario = source.script(policy=Policy())
-        recorded_verdicts = self._recorded_verdicts(source)
+        recorded_verdicts = _recorded_verdicts(source.path)
         known = [*check_names([self.scenario]), *(one.check for one in recorded_verdicts)]
         if question.check is not None and question.check not in known:
             hint = nearest(question.check, known) or f"it has {', '.join(dict.fromkeys(known))}"
@@ -115,17 +115,12 @@ class Explanation:
         scenario = with_moments(self.scenario)
         return remake(scenario, lambda share: self._tell(f"the run once more, {100 * share:.0f} %", 0))
 
-    def _recorded_verdicts(self, source: Recorded) -> list[Verdict]:
-        """The verdicts in the result beside the log. Empty: there is none, or it is of another log."""
-        try:
-            result = read_result(source.path.parent)
-        except (FileNotFoundError, ResultError):
-            return []
-        log = open_log(source.path, [])
-        return result.checks if result.digest == log.digest else []
-
     def _of_origin(self, source: Recorded) -> tuple[list[str], list[Verdict]]:
-        """What differs in the scenario from the run that this one goes on from, and its verdicts."""
+        """Compare the scenario with that of the run that this one goes on from.
+
+        Returns:
+            The keys that differ, in words, and the verdicts of that run; nothing of any other run.
+        """
         start = source.reader.metadata.get("run", {}).get(FROM, "")
         path, _, known = start.partition(", digest ")
         if not known:
@@ -141,7 +136,7 @@ class Explanation:
         keys = [key for key in {**before, **now} if before.get(key) != now.get(key)]
         differs = [f"{key}: {now.get(key, 'not set')}, there {before.get(key, 'not set')}" for key in keys]
         self._notes.append(f"it goes on from {path}, " + ("with changes" if differs else "with the same scenario"))
-        return differs, self._recorded_verdicts(origin)
+        return differs, _recorded_verdicts(origin.path, known)
 
     def _no_return(self, engine: Engine, modules: Modules) -> NoReturn:
         assert self._remade is not None
@@ -175,6 +170,15 @@ class Explanation:
         if at_s > log.end:
             self._notes.append(f"the log ends at {log.end:g} s, before the check fails; this explains its end")
         return begin, at_s
+
+
+def _recorded_verdicts(log: Path, known: str | None = None) -> list[Verdict]:
+    """The verdicts in the result beside a log. Empty: there is none, or it is of another log. `known`: the digest."""
+    try:
+        result = read_result(log.parent)
+    except (FileNotFoundError, ResultError):
+        return []
+    return result.checks if result.digest == (known or open_log(log, []).digest) else []
 
 
 def _tree(text: str) -> Any:

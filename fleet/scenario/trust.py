@@ -98,8 +98,9 @@ def remember(text: str) -> None:
     """
     if not (folders := own_folders()):
         return
-    digest, file = _digest(text), _kept()
-    with suppress(OSError):  # no room, no home
+    digest = _digest(text)
+    with suppress(OSError, RuntimeError):  # no room, or a user without a home
+        file = _kept()
         file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         known = _lines(file)
         new = [line for folder in folders if "\n" not in folder and (line := f"{digest} {folder}") not in known]
@@ -110,7 +111,7 @@ def remember(text: str) -> None:
 def ran_from(text: str) -> tuple[Path, ...]:
     """The folders of own modules with which this user has run a scenario; none if it was somebody else."""
     digest = _digest(text)
-    with suppress(OSError):
+    with suppress(OSError, RuntimeError):
         parts = (line.partition(" ") for line in _lines(_kept()))
         return tuple(Path(folder) for known, _, folder in parts if known == digest)
     return ()

@@ -91,7 +91,7 @@ def shown(configs: list[AgentConfig], draw: Random, off: bool) -> dict[str, list
 
 
 def late(sent: Delivery, away: float, draw: Random) -> list[Delivery]:
-    """What of a message comes, with the range that its receiver's modem measured."""
+    """The copies of a message that arrive, with the range that the receiver's modem measured."""
     if draw.random() < 0.2:
         return []
     came = replace(sent, due_tick=sent.sent_tick + draw.randint(1, 60))

@@ -365,6 +365,23 @@ def test_a_folder_of_failures_names_laws_that_lie_here(tmp_path: Path, monkeypat
     assert invoke("run", "failures/mine.yaml", "--in-process", "-q").exit_code == 0
 
 
+def test_a_user_without_a_home_runs_own_laws_all_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a container with a number for a user: nothing is remembered, so the log is nobody's."""
+
+    def nobody(_: Path) -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("XDG_STATE_HOME")
+    monkeypatch.setattr(Path, "expanduser", nobody)
+    name = write_laws(tmp_path)
+    (tmp_path / "mine.yaml").write_text(small(name))
+    assert invoke("run", "mine.yaml", "--in-process", "-q").exit_code == 0
+    monkeypatch.setattr(trust, "_allowed", set())
+    monkeypatch.delitem(sys.modules, name)
+    assert "a log names it" in invoke("verify", "runs/latest").stderr
+
+
 def test_the_log_of_a_run_of_mine_is_mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Until it is with somebody else, or says something else."""
     monkeypatch.chdir(tmp_path)

@@ -133,12 +133,11 @@ def permit_file(kind: str, name: str, file: str, permission: Permission) -> None
     if path is None:
         raise PluginError(kind, name, f"there is no file {file}", "it must lie beside the scenario or where you are")
     because = permission.because
-    own = any(path.is_relative_to(folder.resolve()) for folder in permission.own)
+    own = [str(folder) for folder in map(Path.resolve, permission.own) if path.is_relative_to(folder)]
     if own and (folder := next((f for f in (str(path), str(path.parent)) if _open_to_all(f)), "")):
-        own, because = False, f"everybody may write into {folder}"
-    if own:
-        _own.update((str(folder.resolve()), None) for folder in permission.own if path.is_relative_to(folder.resolve()))
-    else:
+        own, because = [], f"everybody may write into {folder}"
+    _own.update(dict.fromkeys(own))
+    if not own:
         _need_trust(kind, name, (str(path),), str(path.parent), because)
     _files[name] = path
 

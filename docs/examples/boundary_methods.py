@@ -75,12 +75,12 @@ ENDS = {  # in words the best and the worst pass rate
 }
 
 
-def ending(shape: str, seed: int) -> Truth:
-    """A border in the middle 80 % of the range, of a curve of some slope between some ends."""
+def ending(shape: str, seed: int, slopes: tuple[float, ...] = SLOPES) -> Truth:
+    """A border in the middle 80 % of the range, of a curve of one of the slopes between some ends."""
     rng = np.random.default_rng(seed)
     name, best, worst = ENDS[shape]
     while True:
-        slope, middle = rng.choice(SLOPES), rng.uniform(0.0, 1.0)
+        slope, middle = rng.choice(slopes), rng.uniform(0.0, 1.0)
         rate = partial(_rate, FALLS[name], slope, middle, best, worst)
         border = float(bisect(lambda x, rate=rate: rate(x) - 0.5, -2.0, 3.0))
         if 0.1 <= border <= 0.9:
@@ -94,26 +94,32 @@ def _rate(falls: Callable[[float], float], slope: float, middle: float, best: fl
 def print_coverage(borders: int) -> None:
     """How often the interval of `fleet boundary` holds the border, with its defaults: 16 places, 60 runs at most."""
     walk = Walk(PsychometricCurve(np.linspace(0.0, 1.0, 16).tolist()), 0.1)
-    print(f"{borders} borders of each shape; all but runs in %\n")
-    print("| curve | held | 95 % interval | runs | bias | rms error | width |\n|---|---|---|---|---|---|---|")
-    for shape in ENDS:
-        held, used, off, widths = 0, 0, [], []
+    print(f"{borders} borders of each row; early: of those with fewer than 60 runs; all but runs in %\n")
+    print("| curve | held | early | runs | bias | rms error | width |\n|---|---|---|---|---|---|---|")
+    rows = [(f"logistic, slope {100 * slope:g} %", "logistic", (slope,)) for slope in SLOPES]
+    for title, shape, slopes in [*rows, *((shape, shape, SLOPES) for shape in ENDS)]:
+        held, early, used, off, widths = [], [], 0, [], []
         for seed in range(borders):
-            truth, made = ending(shape, seed), []
+            truth, made = ending(shape, seed, slopes), []
             while len(made) < 60 and (asked := walk.next_runs(made)):
                 made += [(k, truth.ask(walk.curve.positions[k])) for k in asked]
             found = walk.curve.belief(walk.curve.posterior(made))
             outside = max(found.below, found.above) > 0.95
             low, high = (-1.0 if found.low < 0.0 else found.low), (2.0 if found.high > 1.0 else found.high)
-            held += not outside and low <= truth.border <= high
+            held.append(not outside and low <= truth.border <= high)
+            if len(made) < 60:
+                early.append(held[-1])
             used += len(made)
             off.append(found.border - truth.border)
             widths.append(found.high - found.low)
-        rate = pass_rate(held, borders)
         error, width = np.sqrt(np.mean(np.square(off))), np.mean(widths)
-        print(f"| {shape} | {100 * rate.value:.1f} | {100 * rate.low:.0f} to {100 * rate.high:.0f} "
-              f"| {used / borders:.1f} | {100 * np.mean(off):+.1f} | {100 * error:.1f} | {100 * width:.0f} |",
-              flush=True)  # fmt: skip
+        print(f"| {title} | {_share(held)} | {_share(early)} | {used / borders:.1f} "
+              f"| {100 * np.mean(off):+.1f} | {100 * error:.1f} | {100 * width:.0f} |", flush=True)  # fmt: skip
+
+
+def _share(held: list[bool]) -> str:
+    rate = pass_rate(sum(held), len(held))
+    return f"{100 * rate.value:.1f} ({100 * rate.low:.0f} to {100 * rate.high:.0f}) of {len(held)}"
 
 
 def posterior_median(runs: list[tuple[int, bool]]) -> float:

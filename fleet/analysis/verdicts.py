@@ -27,7 +27,7 @@ from netem.grammar import parse_selector, select
 def judge(scenario: Scenario, journal: Journal, middleware_lost: int) -> list[Verdict]:
     """Judge every declared check, in the order of the schema. A run that is still going is judged as if it ended now.
 
-    If such a run has no data for a check yet, `value` is None and `passed` is False; see `standing`.
+    A check without data, or without the time that it needs, is not judged.
     """
     checks = scenario.spec.checks
     verdicts = []
@@ -71,8 +71,7 @@ def standing(scenario: Scenario, journal: Journal) -> list[dict[str, Any]]:
     """The checks of a run that is still going: rows with check, asked, found and passed. None: no verdict yet."""
     rows = []
     for verdict in judge(scenario, journal, middleware_lost=0):
-        nothing_yet = verdict.value is None and not verdict.passed and verdict.moment is None
-        is_open = nothing_yet or verdict.check in OF_THE_END
+        is_open = not verdict.judged or verdict.check in OF_THE_END
         rows.append({
             "check": verdict.check,
             "asked": verdict.asked,
@@ -90,7 +89,7 @@ def _below(name: str, check: Below, scenario: Scenario, journal: Journal) -> Ver
     asked = f"below {check.below:g} m after {after_s:g} s{_of(check.vehicles)}"
     if vehicle == 0:
         found = f"the run ended at {at_s:g} s, before the check begins"
-        return Verdict(name, False, asked, found, None, check.below, "m")
+        return Verdict(name, False, asked, found, None, check.below, "m", judged=False)
     found, passed = f"at most {value:.4g} m (vehicle {vehicle}, {at_s:g} s)", value < check.below
     if len(journal.metrics.series if who is None else who) > 1:
         found += f", the median vehicle {journal.metrics.median_worst(what, after_s, who):.4g} m"
@@ -134,8 +133,9 @@ def _asked_recovery(check: Recovery) -> str:
     )
 
 
-def _no_recovery(check: Recovery, found: str, took_s: float | None = None) -> Verdict:
-    return Verdict("recovery_time", False, _asked_recovery(check), found, took_s, check.below / 1e9, "s")
+def _no_recovery(check: Recovery, found: str) -> Verdict:
+    asked = _asked_recovery(check)
+    return Verdict("recovery_time", False, asked, found, None, check.below / 1e9, "s", judged=False)
 
 
 def _nearest_recovery(check: Recovery, what: str, span_s: tuple[float, float], journal: Journal) -> float:
@@ -172,15 +172,15 @@ def _recovery_time(check: Recovery, scenario: Scenario, journal: Journal) -> Ver
         return _no_recovery(check, "there is still time")
     if vehicle == 0:
         return _no_recovery(check, f"{until}, before any frame of the log")
+    asked, limit_s = _asked_recovery(check), check.below / 1e9
     if at_s is None:
         found = f"{off_m:.4g} m (vehicle {vehicle}) when {until}"
         if off_m < check.within:
             found += f", and not within {check.within:g} m for the last {least_s:.3g} s"
-        return _no_recovery(check, found, inf).with_margin(margin_m, "m")
+        return Verdict("recovery_time", False, asked, found, inf, limit_s, "s").with_margin(margin_m, "m")
     took = round(at_s / tick_s) - end
     passed = took * tick_ns < check.below
     found = f"{took * tick_s:g} s (vehicle {vehicle} the last)"
-    asked, limit_s = _asked_recovery(check), check.below / 1e9
     return Verdict("recovery_time", passed, asked, found, took * tick_s, limit_s, "s").with_margin(margin_m, "m")
 
 
@@ -190,7 +190,8 @@ def _min_separation(check: MinSeparation, scenario: Scenario, journal: Journal) 
         return Verdict("min_separation", True, asked, "one vehicle", None, check.above, "m")
     least = None if journal.separation is None else journal.separation.least
     if least is None:
-        return Verdict("min_separation", False, asked, _ended(scenario, "the check begins"), None, check.above, "m")
+        found = _ended(scenario, "the check begins")
+        return Verdict("min_separation", False, asked, found, None, check.above, "m", judged=False)
     i, j = least.pair
     found = f"at least {least.distance_m:.4g} m (vehicles {i} and {j}, {least.tick * scenario.tick_ns / 1e9:g} s)"
     passed = least.distance_m > check.above
@@ -206,7 +207,8 @@ def _max_age(check: MaxAge, scenario: Scenario, journal: Journal) -> Verdict:
         return Verdict("max_age", True, asked, "no link", None, check.below / 1e9, "s")
     oldest = _oldest(journal, -(-check.after // scenario.tick_ns), links)
     if oldest is None:
-        return Verdict("max_age", False, asked, _ended(scenario, "the check begins"), None, check.below / 1e9, "s")
+        found = _ended(scenario, "the check begins")
+        return Verdict("max_age", False, asked, found, None, check.below / 1e9, "s", judged=False)
     age, (src, dst), tick = oldest
     tick_s = scenario.tick_ns / 1e9
     found = f"at most {age * tick_s:g} s (link {src}->{dst}, {tick * tick_s:g} s)"
@@ -234,7 +236,8 @@ def _connected(check: Connected, scenario: Scenario, journal: Journal) -> Verdic
     if found is not None and not journal.complete:
         found = found.so_far(journal.written + 1)
     if found is None or not found.windows:
-        return Verdict("connected", False, asked, _ended(scenario, "the first window did"), None, 0, "windows")
+        words = _ended(scenario, "the first window did")
+        return Verdict("connected", False, asked, words, None, 0, "windows", judged=False)
     if found.trivial:
         found_none = "each follows the reference itself"
         return Verdict("connected", True, asked, found_none, 0, 0, "windows").with_margin(0, "windows")
@@ -288,7 +291,7 @@ def judge_expected(scenario: Scenario, verdicts: list[Verdict]) -> Verdict | Non
     """Whether a run that is meant to fail did; checks of our own processes must pass all the same."""
     if scenario.spec.expect == "pass":
         return None
-    failed = [verdict.check for verdict in verdicts if not verdict.passed]
+    failed = [verdict.check for verdict in verdicts if verdict.failed]
     ours = [check for check in failed if check in OF_THE_TOOL]
     found = ", ".join(dict.fromkeys(failed)) or "every check passed"
     asked = f"a check fails, and none of {', '.join(sorted(OF_THE_TOOL))}"

@@ -6,7 +6,8 @@ parameters that the scenario gives it. It has
 * `step(tick)`: called at every tick with samples in the log. It returns None, or a `Failure` if the property is
   broken at that tick. The first failure decides; after it the check is not called any more.
 * `verdict()`, which is optional: called at the end. During a run it is called as if the run ended now, so it must
-  change nothing. It returns None, a text about its findings, or a `Failure` if only the end can show it.
+  change nothing. It returns None, a text about its findings, a `Failure` if only the end can show it, or `NotJudged`
+  if the run ended too early to tell.
 * `margin()`, which is optional: the least distance so far from breaking the property, as a `Margin` with value, unit
   and time [s]. It is negative once the property is broken, and None if the check does not know it.
 
@@ -22,7 +23,19 @@ from fleet.quantities import time_ns
 from fleet.quantities import vehicle_numbers as vehicle_numbers
 from fleet.result.verdict import Margin as Margin
 
-__all__ = ["Check", "Facts", "Failure", "Fault", "Margin", "Packet", "Tick", "Vehicle", "seconds", "vehicle_numbers"]
+__all__ = [
+    "Check",
+    "Facts",
+    "Failure",
+    "Fault",
+    "Margin",
+    "NotJudged",
+    "Packet",
+    "Tick",
+    "Vehicle",
+    "seconds",
+    "vehicle_numbers",
+]
 
 
 class Fault(NamedTuple):
@@ -95,6 +108,12 @@ class Failure(NamedTuple):
     message: str  # what is wrong, in one line
     vehicles: tuple[int, ...] = ()  # whose fault it is
     values: Mapping[str, float] = {}  # what shows it, by name
+
+
+class NotJudged(NamedTuple):
+    """What `verdict` of a check returns if the run ended too early to tell: the check neither passes nor fails."""
+
+    message: str  # why, in one line
 
 
 class Check(Protocol):

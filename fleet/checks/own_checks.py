@@ -13,7 +13,7 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from fleet.checks.api import Facts, Failure, Fault, Margin, Packet, Tick, Vehicle
+from fleet.checks.api import Facts, Failure, Fault, Margin, NotJudged, Packet, Tick, Vehicle
 from fleet.checks.signal_check import RunningSignalCheck
 from fleet.checks.values import Error, FrameValues, TickValues
 from fleet.errors import FleetError
@@ -201,14 +201,14 @@ class RunningPythonCheck:
         """The verdict so far, at tick `now`; `moment` is that of the failure. `over`: the run has come to its end."""
         verdict = self._judged(moment, now, over=over)
         if self._sometimes and not self._broken:
-            return verdict.of_sometimes(not verdict.passed and (over or self._failure is not None))
+            return verdict.of_sometimes(verdict.failed and (over or self._failure is not None))
         if self._broken or not callable(method := getattr(self._check, "margin", None)):
             return verdict
         try:
             margin = self._margin(now, method, self._fence.call(now, method))
         except CheckError as error:
             if not over:
-                return self._verdict(False, _words(_broken(error)), None)
+                return self._verdict(None, _words(_broken(error)), None)
             self._break(error)
             return self._judged(moment, now, over=over)
         return verdict if margin is None else verdict.with_margin(margin.value, margin.unit, margin.at_s)
@@ -219,23 +219,34 @@ class RunningPythonCheck:
         if self._failure is None and callable(method):
             try:
                 answer = self._fence.call(now, method)
+                if isinstance(answer, NotJudged) and isinstance(answer.message, str):
+                    return self._verdict(None, " ".join(answer.message.split())[:_MOST_TEXT], None)
                 if isinstance(answer, str):
                     found = " ".join(answer.split())[:_MOST_TEXT] or found
                 elif (at_end := self._checked(now, method, answer)) is not None:
                     # What only the end can show is not failed while the run goes on.
-                    return self._verdict(False, _words(at_end), value if over else None)
+                    return self._verdict(False if over else None, _words(at_end), value if over else None)
             except CheckError as error:
                 if not over:  # it may have too little to go by; whether anybody asks now must change nothing
-                    return self._verdict(False, _broken(error).message, None)
+                    return self._verdict(None, _broken(error).message, None)
                 self._break(error)
         if self._failure is None:
             return self._verdict(True, found, 0.0)
         found = f"{_words(self._failure)} at {self._at_s:g} s"
         return self._verdict(False, found, None if self._broken else value, moment)
 
-    def _verdict(self, passed: bool, found: str, value: float | None, moment: Moment | None = None) -> Verdict:
+    def _verdict(self, passed: bool | None, found: str, value: float | None, moment: Moment | None = None) -> Verdict:
         return Verdict(
-            self.name, passed, self.words, found, value, 0.0, "times", moment, tuple(self.looked_at)[:_MOST_VALUES]
+            self.name,
+            bool(passed),
+            self.words,
+            found,
+            value,
+            0.0,
+            "times",
+            moment,
+            tuple(self.looked_at)[:_MOST_VALUES],
+            judged=passed is not None,
         )
 
     def _break(self, error: CheckError) -> None:

@@ -225,7 +225,16 @@ class RunningSignalCheck:
                 bool(judge.failure)
             )
         verdict = Verdict(
-            self.name, passed and moment is None, self.words, found, value, limit, unit, moment, self.signals
+            self.name,
+            bool(passed) and moment is None,
+            self.words,
+            found,
+            value,
+            limit,
+            unit,
+            moment,
+            self.signals,
+            judged=passed is not None or moment is not None,
         )
         margin = judge.margin()
         return verdict if margin is None else verdict.with_margin(margin.value, margin.unit, margin.at_s)
@@ -244,7 +253,7 @@ def _joined(asked: AskedOfSignal, there: Sequence[tuple[int, float]]) -> tuple[U
     return tuple(sorted((low[0], high[0]))), high[1] - low[1]
 
 
-_Found = tuple[bool, str, float | None, float | None, str]  # passed, found, value, limit, unit
+_Found = tuple[bool | None, str, float | None, float | None, str]  # passed, found, value, limit, unit
 
 
 class _Safety:
@@ -298,7 +307,7 @@ class _Safety:
         if asked.least_ns > 1:
             limit, unit = round(asked.least_ns / 1e9, 6), "s"  # without the 1 ns of "longer than"
         if worst is None:
-            return False, "no sample" + ("" if over else " yet"), None, limit, unit
+            return None, "no sample" + ("" if over else " yet"), None, limit, unit
         if asked.least_ns > 1:
             value, words = 0.0, "at no time"
             if self._longest is not None:
@@ -444,10 +453,10 @@ class _Liveness:
         if self._begin is not None:
             waited = f"{(now - self._begin) * self._tick_ns / 1e9:g} s after {self._since_when(self._begin)}"
             words = f"the run ended {waited}, too soon to say" if over else "there is still time"
-            return False, words + dropped, None, limit, "s"
+            return None, words + dropped, None, limit, "s"
         if self._slowest is None:
             words = "no fault has ended" if not over else "no fault ended while the run lasted"
-            return False, (dropped[2:] or words), None, limit, "s"
+            return None, (dropped[2:] or words), None, limit, "s"
         ticks, unit, fault = self._slowest
         took = ticks * self._tick_ns / 1e9
         each = f", the slowest of {self._judged}, after fault {fault}" if fault and self._judged > 1 else ""

@@ -83,12 +83,13 @@ def is_log(name: str) -> bool:
 
 def _check_log(log: Path, overrides: tuple[str, ...]) -> NoReturn:
     from fleet.repeat.check_log import check_log
+    from fleet.result.verdict import failed_first
 
     with showing(f"reading {log}") as reading:
         found = check_log(log, overrides, reading)
     lines = [
-        f"{'pass' if verdict.passed else 'FAIL'}  {verdict.check}: {verdict.asked}; found {verdict.words}"
-        for verdict in sorted(found.verdicts, key=lambda verdict: verdict.passed)  # failed ones on top
+        f"{verdict.mark}  {verdict.check}: {verdict.asked}; found {verdict.words}"
+        for verdict in failed_first(found.verdicts)
     ]
     missing = f", as far as the file goes: {found.missing}" if found.missing else ""
     give(found, *lines, f"judged up to t = {found.until_s:g} s of {found.end_s:g} s{missing}")

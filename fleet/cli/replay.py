@@ -19,6 +19,7 @@ from fleet.cli.sessions import ending
 from fleet.cli.types import ENDPOINT, FILE, TIME
 from fleet.errors import FleetError
 from fleet.terminal.status_line import StatusLine, showing
+from fleet.terminal.table import say
 
 EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or a full disk, 129 terminal closed, 130 Ctrl-C."
 
@@ -197,6 +198,8 @@ def _ros2(
 def _finish(recorder: Any, writer: Any, line: Any, path: Path) -> None:
     recorder.finish(writer)
     line.print(f"recorded {writer.samples} messages, {writer.size / 1e6:.2f} MB, to {path}")
+    if recorder.left_out:
+        say(f"warning: {recorder.left_out}", err=True)
 
 
 def _session(connect: str | None, listen: str | None, credentials: Any) -> Any:

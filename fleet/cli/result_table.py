@@ -13,6 +13,7 @@ from fleet.analysis.punctuality import summary
 from fleet.cores import hidden_cores
 from fleet.execution.notes import folded, without_agent
 from fleet.result.result import FaultEvent, LinkAge, Result, Status, VehicleResult
+from fleet.result.verdict import failed_first
 from fleet.scenario.sections.vehicle_events import vehicle_events
 from fleet.terminal import table
 from fleet.terminal.table import INDENT, TerminalColumn, fold, width
@@ -41,9 +42,9 @@ def show(result: Result, terminal: Terminal) -> None:
         say(result.reason, "red", "run broke:" if result.status is Status.BROKEN else "stopped:")
         for line in result.lines:
             say(line)
-    for verdict in sorted(result.checks, key=lambda verdict: verdict.passed):
-        style, mark = ("green", "pass") if verdict.passed else ("red", "FAIL")
-        say(f"{verdict.check}: {verdict.asked}; found {verdict.words}", style, mark)
+    for verdict in failed_first(result.checks):
+        style = "green" if verdict.passed else "red" if verdict.failed else "yellow"
+        say(f"{verdict.check}: {verdict.asked}; found {verdict.words}", style, verdict.mark)
     _show_events(result.events, say)
     explained = {without_agent(line) for line in result.lines}
     notes = folded(note for note in result.notes if without_agent(note) not in explained)
@@ -74,8 +75,9 @@ def show(result: Result, terminal: Terminal) -> None:
     if words := hidden_cores():
         say(words, mark="note")
     if result.status is Status.CHECK_FAILED:
-        failed = [verdict.check for verdict in result.checks if not verdict.passed]
-        say(f"{len(failed)} of {len(result.checks)} checks: {', '.join(dict.fromkeys(failed))}", "red", "FAIL")
+        failed = [verdict.check for verdict in result.checks if verdict.failed]
+        names = f": {', '.join(dict.fromkeys(failed))}" if failed else ""
+        say(f"{len(failed)} of {len(result.checks)} checks{names}{result.not_judged}", "red", "FAIL")
     say(str(result.directory))
 
 

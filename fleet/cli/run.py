@@ -281,7 +281,7 @@ def _check_clock(speed: float | None, clock: str, one_process: str) -> None:
 
 def _print_failure(result: Result) -> None:
     """Print a failure on stderr, if stdout has no tables. A failure that the scenario expects is not printed."""
-    failed = [f"FAIL  {v.check}: {v.asked}; found {v.found}" for v in result.checks if not v.passed]
+    failed = [f"{v.mark}  {v.check}: {v.asked}; found {v.found}" for v in result.checks if not v.passed]
     if result.reason or (failed and not result.passed):
         lines = [f"fleet: {result.reason}", *result.lines] if result.reason else failed
         say("\n".join(lines), err=True)

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from fleet.study.shrink import Shrunk
 
 MOST_RUNS = 2000
+MOST_FAULTS = 4  # that a line names
 
 
 @click.command()
@@ -122,14 +123,26 @@ def pieces(line: StatusLine, doing: str, runs: int) -> list[Piece]:
 
 def show_least(scenario: Scenario, found: Shrunk, path: Path) -> None:
     """Say what was made less, and where the least scenario is."""
-    first, last = found.found
-    say(f"{scenario.name} fails {found.check} with {first}, the least scenario with {last}; {found.runs} runs")
-    for step in found.steps:
+    say(f"{_enough(found.scenario)}. Then {found.check} fails. See why: fleet run {path}; fleet why")
+    for step in found.steps or ["nothing can be left out"]:
         say(f"  {step}")
-    if not found.steps:
-        say("  nothing can be left out")
-    say(f"fleet run {path} fails it, too", err=True)
+    first, last = found.found
+    say(f"  {found.check} fails with {last}, and in {scenario.name} with {first}; {found.runs} runs")
     click.echo(path)
+
+
+def _enough(scenario: Scenario) -> str:
+    """The faults that are enough for a failure, in words."""
+    from fleet.scenario.scenario import timeline
+
+    end_s, faults = scenario.duration_ns / 1e9, timeline(scenario)
+    each = [
+        f"{what} " + (f"from {begin:g} s" if end >= end_s else f"for {end - begin:g} s from {begin:g} s")
+        for _, begin, end, what in faults[:MOST_FAULTS]
+    ]
+    more = [f"{len(faults) - len(each)} more"] if len(faults) > len(each) else []
+    count = f"{'One fault is' if len(faults) == 1 else f'{len(faults)} faults are'} enough"
+    return f"{count}: {', '.join(each + more)}" if faults else "No fault is needed"
 
 
 def _failing_scenario(name: str, changes: list[str | Override]) -> tuple[Scenario, Path | None]:
@@ -156,7 +169,7 @@ NemesisMode = Literal["swarm", "liveness"] | None
 @click.option("--liveness", is_flag=True,
               help="Like --nemesis, but in the middle of the run a core of vehicles is healed; the others stay "
                    "broken.")  # fmt: skip
-@click.option("--check", metavar="NAME", help="The check that must fail; by default any.")
+@click.option("--check", metavar="NAME", help="The check that must fail; by default any that the scenario states.")
 @changing_options
 @least_options
 @click.option("--keep", type=FOLDER,
@@ -304,6 +317,8 @@ def _print_search(
         which = f"the check {check}" if check else "a check"
         say(f"none of {found.runs} runs fails {which}: at most {100 * found.most_failures:.2g} % of such runs do, "
             "with 95 % confidence")  # fmt: skip
+    for name, seed in found.unstated.items():
+        say(f"seed {seed} fails {name}, which {found.name} does not state; --check {name} looks for it", err=True)
     for one in found.reached:
         if one.hits:
             say(one.words)

@@ -245,7 +245,7 @@ class HealingSearch:
         check = row.checks.get(self._check)
         if check is None:  # it was about a fault that never began
             return True
-        if not check.passed and check.value is None:  # there was nothing to judge, or no time for it
+        if check.passed is None:  # there was nothing to judge, or no time for it
             return None if json.loads(task.text).get("faults") else True
         return check.passed
 

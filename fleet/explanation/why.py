@@ -210,10 +210,10 @@ def _why_not(source: Recorded, question: Question) -> str:
 
 def _chosen(path: Path, verdicts: Sequence[Verdict], check: str | None) -> tuple[Verdict, list[str]]:
     """The verdict to explain, and the other checks that failed. Raises FleetError."""
-    failed = [one for one in verdicts if not one.passed and one.check != "expect"]
+    failed = [one for one in verdicts if one.failed and one.check != "expect"]
     names = list(dict.fromkeys(one.check for one in failed))
     if not failed:
-        raise FleetError(f"{path}: every check passed, so there is nothing to explain")
+        raise FleetError(f"{path}: no check failed, so there is nothing to explain")
     if check is not None and check not in names:
         known = {one.check for one in verdicts}
         says = "passed" if check in known else "is none of this run"

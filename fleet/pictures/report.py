@@ -36,7 +36,7 @@ from fleet.pictures.runs import Run, View, first_words
 from fleet.quantities import vehicle_numbers
 from fleet.result.file import ResultError, read_result
 from fleet.result.result import LinkAge, Result
-from fleet.result.verdict import Verdict
+from fleet.result.verdict import Verdict, failed_first
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.network import show_network
 from fleet.scenario.sections.per_vehicle import Control
@@ -165,10 +165,7 @@ def kinds_table(kinds: Sequence[KindCount]) -> Table:
 
 def checks_table(verdicts: Sequence[Verdict]) -> Table:
     """The verdicts, failed checks on top."""
-    rows = [
-        (one.check, Mark(one.passed, "pass" if one.passed else "FAIL"), one.asked, one.found)
-        for one in sorted(verdicts, key=lambda one: one.passed)
-    ]
+    rows = [(one.check, Mark(not one.failed, one.mark), one.asked, one.found) for one in failed_first(verdicts)]
     return Table(("check", "verdict", "asked", "found"), rows, "words")
 
 

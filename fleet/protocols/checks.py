@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import dist, inf
 from typing import Any, Literal
 
-from fleet.checks.api import Facts, Failure, Margin, Tick, Vehicle, seconds
+from fleet.checks.api import Facts, Failure, Margin, NotJudged, Tick, Vehicle, seconds
 from fleet.checks.sides import Sides
 from fleet.protocols.bidder import rounds_needed
 from fleet.protocols.bundle_auction import places_of
@@ -150,9 +150,9 @@ class TrueMean:
         self._found = f"off by {worst:.2g} degC at most at {tick.t:g} s"
         return None
 
-    def verdict(self) -> str | Failure:
+    def verdict(self) -> str | NotJudged:
         """How far off the averages were last."""
-        return self._found or Failure("no sample: the sides changed again, or the run ended, before it was judged")
+        return self._found or NotJudged("no sample: the sides changed again, or the run ended, before it was judged")
 
     def margin(self) -> Margin | None:
         """How much farther off an average could have been."""
@@ -266,10 +266,10 @@ class AgreeAfterHeal:
             self._longest = max(self._longest, elapsed)
         return None
 
-    def verdict(self) -> str | Failure:
+    def verdict(self) -> str | NotJudged:
         """How long it took to agree."""
         if self._agreed_since is None:
-            return Failure("there was no agreement when the run ended, too early to judge it")
+            return NotJudged("there was no agreement when the run ended, too early to judge it")
         return f"agreed {self._longest:.4g} s after a change at the latest"
 
     def margin(self) -> Margin:

@@ -17,7 +17,8 @@ from queue import Empty, SimpleQueue
 from typing import IO, Any, Protocol
 
 from fleet.errors import FleetError
-from fleet.logs.mcap_writer import McapWriter
+from fleet.logs.mcap_writer import CHUNK_BYTES, McapWriter
+from fleet.logs.records import MOST_BYTES
 from fleet.terminal.status_line import StatusLine
 from netem.wire.open_bus import ZenohSample, sample_of
 
@@ -53,6 +54,7 @@ GONE_S = 1.0  # a connection that was lost is back sooner, if it comes back
 MOST_QUEUED = 100_000  # samples; beyond that zenoh's thread waits, and with it the sender
 MOST_CHANNELS = 65_535  # MCAP numbers them with 16 bits
 MOST_BATCH = 1000
+MOST_MESSAGE = MOST_BYTES - 2 * CHUNK_BYTES  # bytes; readers of logs take no chunk that is longer
 
 
 @contextmanager
@@ -162,6 +164,8 @@ class Recorder:
         """Begin to listen. Raises BusError: a key expression is none."""
         self._queue: SimpleQueue[tuple[int, Any]] = SimpleQueue()
         self._finished = False
+        self.too_long = 0  # messages that are left out
+        self._longest = 0, ""  # of these: bytes, and its key
         # Wall time that a correction of the system's clock cannot turn back.
         self._zero_ns = time.time_ns() - time.monotonic_ns()  # noqa: TID251 (the log of others is in wall time)
         for key in keys:
@@ -219,4 +223,17 @@ class Recorder:
             self._add(writer, *self._queue.get_nowait())
 
     def _add(self, writer: SampleWriter, at_ns: int, received: Any) -> None:
-        writer.add(sample_of(received), at_ns)
+        sample = sample_of(received)
+        length = max(len(sample.payload), len(sample.attachment or b""))
+        if length > MOST_MESSAGE:
+            self.too_long += 1
+            self._longest = max(self._longest, (length, sample.key))
+        else:
+            writer.add(sample, at_ns)
+
+    @property
+    def left_out(self) -> str:
+        """What was too long, in words; empty: nothing was."""
+        length, key = self._longest
+        what = f"the longest has {length / 1e6:.0f} MB, on {key:.100}; a log holds up to {MOST_MESSAGE / 1e6:.0f} MB"
+        return f"messages left out: {self.too_long}, {what}" if self.too_long else ""

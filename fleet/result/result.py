@@ -14,7 +14,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from fleet.notebook import html_table
-from fleet.result.verdict import Verdict
+from fleet.result.verdict import Verdict, failed_first
 from netem.ledger import Account, Count
 from netem.vehicle_clock import Clock
 
@@ -267,10 +267,18 @@ class Result(Struct, kw_only=True):
     @property
     def words(self) -> str:
         """How it ended in a few words, the same on every page and picture."""
-        failed = sum(not verdict.passed for verdict in self.checks)
+        failed = sum(verdict.failed for verdict in self.checks)
         if self.passed:
             return "failed as expected" if failed else "passed"
-        return f"{failed} of {len(self.checks)} checks failed" if failed else self.status.replace("_", " ")
+        if self.status is Status.CHECK_FAILED:
+            return f"{failed} of {len(self.checks)} checks failed{self.not_judged}"
+        return self.status.replace("_", " ")
+
+    @property
+    def not_judged(self) -> str:
+        """The number of checks that were not judged, to go on a sentence; empty if there is none."""
+        count = sum(not verdict.judged for verdict in self.checks)
+        return f", {count} not judged" if count else ""
 
     def __repr__(self) -> str:
         failed = [verdict.check for verdict in self.checks if not verdict.passed]
@@ -279,9 +287,9 @@ class Result(Struct, kw_only=True):
         return f"<Result of {self._run}: {self.status}; {said}>"
 
     def _repr_html_(self) -> str:
-        rows = [(one.check, "pass" if one.passed else "FAIL", one.asked, one.found) for one in self.checks]
+        rows = [(one.check, one.mark, one.asked, one.found) for one in failed_first(self.checks)]
         title = f"{self._run}: {self.status}" + (f", {self.reason}" if self.reason else "")
-        return html_table(title, ("check", "", "asked", "found"), sorted(rows, key=lambda row: row[1] == "pass"))
+        return html_table(title, ("check", "", "asked", "found"), rows)
 
     @property
     def _run(self) -> str:

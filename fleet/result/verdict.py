@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from math import isfinite
 from typing import Annotated
 
@@ -84,6 +85,23 @@ class Verdict(Struct, frozen=True):
     reached: Annotated[
         bool | None, Meta(description="Of a check with `sometimes`: whether it was reached; null: of any other.")
     ] = None
+    judged: Annotated[
+        bool, Meta(description="False: the run ended too early to tell. Then it has not passed, and not failed.")
+    ] = True
+
+    @property
+    def outcome(self) -> bool | None:
+        """Whether it passed; None: it was not judged."""
+        return bool(self.passed) if self.judged else None
+
+    @property
+    def failed(self) -> bool:
+        return self.outcome is False
+
+    @property
+    def mark(self) -> str:
+        """How it ended, as tables have it."""
+        return "FAIL" if self.failed else "pass" if self.passed else "not judged"
 
     @property
     def words(self) -> str:
@@ -92,7 +110,7 @@ class Verdict(Struct, frozen=True):
 
     def with_margin(self, value: float | None, unit: str, at_s: float | None = None) -> Verdict:
         """The same with a margin, whose sign is never that of the other verdict."""
-        if value is None or not isfinite(value):
+        if value is None or not isfinite(value) or not self.judged:
             return self
         value = max(value, 0.0) if self.passed else min(value, 0.0)
         return replace(self, margin=Margin(value, unit, at_s))
@@ -101,6 +119,11 @@ class Verdict(Struct, frozen=True):
         """The verdict of what some run of many must reach: no run fails for it."""
         found = f"reached: {self.found}" if reached else "not reached in this run"
         return Verdict(self.check, True, self.asked, found, signals=self.signals, reached=reached)
+
+
+def failed_first(verdicts: Iterable[Verdict]) -> list[Verdict]:
+    """Those that failed, those that were not judged, and those that passed."""
+    return sorted(verdicts, key=lambda one: (not one.failed, one.judged))
 
 
 def who(vehicles: list[int]) -> str:

@@ -93,7 +93,7 @@ def run_branch(scenario: Scenario, branch: Branch, progress: Callable[[float], N
 
     def margin() -> float:
         verdict = next((one for one in judge(scenario, journal, 0) if one.check == branch.check), None)
-        if verdict is None or verdict.margin is None:
+        if verdict is None or verdict.margin is None:  # one that is not judged has none, either
             return inf
         return verdict.margin.value if verdict.passed else min(verdict.margin.value, _FAILED)
 

@@ -155,7 +155,7 @@ def _measured(result: Result, samples: Samples) -> Row:
             numbers[PREFIX + name] = float(verdict.reached)
             continue
         found = CheckRow(
-            bool(verdict.passed),
+            verdict.outcome,
             None if verdict.value is None else float(verdict.value),
             None if margin is None else float(margin.value),
         )

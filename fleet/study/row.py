@@ -25,14 +25,14 @@ PREFIX = "sometimes."  # of the number that is 1 in runs that reached a check, a
 class CheckRow(Struct, frozen=True):
     """The verdict of one check; of several of one name the worst."""
 
-    passed: bool
+    passed: bool | None  # None: not judged
     value: float | None = None
     margin: float | None = None
 
     def and_then(self, other: CheckRow) -> CheckRow:
         values = [value for value in (self.value, other.value) if value is not None]
         margins = [margin for margin in (self.margin, other.margin) if margin is not None]
-        passed = self.passed and other.passed
+        passed = min(self.passed, other.passed, key=(False, None, True).index)
         return CheckRow(passed, max(values, default=None), min(margins, default=None))
 
 
@@ -69,7 +69,7 @@ class Row(Struct, kw_only=True):
 
     @property
     def failed_checks(self) -> list[str]:
-        return [name for name, check in self.checks.items() if not check.passed]
+        return [name for name, check in self.checks.items() if check.passed is False]
 
     def number(self, name: str) -> float:
         """A measure; NaN: the run does not have it."""

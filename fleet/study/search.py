@@ -44,6 +44,7 @@ class Searched:
     reason: str = ""  # why the first of these has none
     kinds: dict[str, int] = field(default_factory=dict)  # the first seed by check; without a folder only one
     reached: list[Reached] = field(default_factory=list)  # the checks that some run must reach
+    unstated: dict[str, int] = field(default_factory=dict)  # a seed by check that failed and is not looked for
 
     @property
     def most_failures(self) -> float | None:
@@ -75,9 +76,10 @@ def search(
     keep: FailureFolder | None = None,
 ) -> Searched:
     """Run a scenario with its own seed, the next one and so on, until a check fails. `tell`: called with the number of
-    runs so far. `check`: only this one ends it. `budget_s`: after this wall time no run begins. `keep`: keeps the first
-    scenario of each kind of failure; then the search goes on after a failure, and runs of before count. Raises
-    StudyError: the scenario has no nemesis, or not this check; or the folder cannot be used."""
+    runs so far. `check`: only this one ends it; None: any that the scenario states. `budget_s`: after this wall time no
+    run begins. `keep`: keeps the first scenario of each kind of failure; then the search goes on after a failure, and
+    runs of before count. Raises StudyError: the scenario has no nemesis, or not this check; or the folder cannot be
+    used."""
     refuse(scenario, "a run of a study")
     if scenario.undrawn.nemesis is None:
         raise StudyError(f"{scenario.name} has no random faults, so all seeds have the same: --nemesis adds some")
@@ -114,6 +116,7 @@ class _Search:
         self, scenario: Scenario, text: str, check: str | None, modules: Modules, keep: FailureFolder | None
     ) -> None:
         self._scenario, self._text, self._check, self._modules, self._keep = scenario, text, check, modules, keep
+        self._unstated = scenario.spec.checks.unstated
         self.found = Searched(scenario.name, scenario.seed)
         self.found.reached = [Reached(name) for name in sometimes_names([scenario])]
         self.next_seed = scenario.seed
@@ -163,7 +166,9 @@ class _Search:
 
     def _fails(self, row: Row) -> list[str]:
         failed = row.failed_checks if row.judged else []
-        return failed if self._check is None else [check for check in failed if check == self._check]
+        if self._check is not None:
+            return [check for check in failed if check == self._check]
+        return [check for check in failed if check not in self._unstated]
 
     def save(self) -> None:
         if self._keep is None:
@@ -213,6 +218,8 @@ class _Search:
             if self._check is not None and self._check not in row.checks:
                 raise StudyError(f"{self.found.name} has no check {self._check}")
             failed = self._fails(row)
+            for check in self._unstated.intersection(row.failed_checks if self._check is None else ()):
+                self.found.unstated.setdefault(check, seed)
         else:
             self.found.without += 1
             self.found.reason = self.found.reason or row.reason

@@ -86,7 +86,7 @@ def checks_judged(log: Path) -> Row | None:
         {
             "check": one.check,
             "asked": one.asked,
-            "passed": one.passed,
+            "passed": one.outcome,
             "found": one.found,
             "at_s": None if one.passed or one.moment is None else one.moment.at_s,
             "signals": list(one.signals),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 import secrets
 import socket
@@ -19,6 +20,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from fleet.errors import FleetError
 from fleet.processes.limits import allow_most_open_files
+from fleet.terminal.table import say
 from fleet.view.live_feed import LiveFeed
 from fleet.view.log_feed import LogFeed
 from netem.private_folder import PrivateFolder, runtime_place
@@ -215,6 +217,7 @@ def serve(feed: LiveFeed | LogFeed, listener: PageListener, *, may_act: bool) ->
         http=_impatient(),
         h11_max_incomplete_event_size=MOST_HEADER_BYTES,
         proxy_headers=False,
+        log_config=None,  # what it logs goes the way of all errors
         log_level="error",
         access_log=False,
         timeout_graceful_shutdown=1,
@@ -227,7 +230,33 @@ def serve(feed: LiveFeed | LogFeed, listener: PageListener, *, may_act: bool) ->
             super().handle_exit(sig, frame)
             self.force_exit = False
 
-    Server(config).run(sockets=[listener.listening])
+    with _Errors():
+        Server(config).run(sockets=[listener.listening])
+
+
+class _Errors(logging.Handler):
+    """What the server logs: the first error is said in a line, and all are counted. A browser can cause any number."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.ERROR)
+        self._count = 0
+
+    def __enter__(self) -> None:
+        for name in ("engineio.server", "socketio.server"):  # which print it themselves, too
+            logging.getLogger(name).handlers.clear()
+        logging.getLogger().addHandler(self)
+
+    def __exit__(self, *_: object) -> None:
+        logging.getLogger().removeHandler(self)
+        if self._count > 1:
+            say(f"the page had {self._count} errors in all", err=True)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._count += 1
+        if self._count == 1:
+            error = record.exc_info[1] if record.exc_info else None
+            what = record.getMessage().splitlines()[0] if error is None else f"{type(error).__name__}: {error}"
+            say(f"an error of the page, perhaps of a malformed message: {what:.200}; others are only counted", err=True)
 
 
 def _impatient() -> type[asyncio.Protocol]:

@@ -62,7 +62,8 @@ BASE: dict[str, Any] = {
 UNIVERSAL: dict[str, Any] = {"transport/unicast/lowlatency": False}
 
 # Traffic of others that is played or recorded: a message may be an image or a point cloud.
-OTHERS = {"transport/link/rx/max_message_size": 64 << 20}
+# Zenoh drops longer messages without a word; a recorder counts those that are too long for a log.
+OTHERS = {"transport/link/rx/max_message_size": 256 << 20}
 
 # A connection that has not logged in holds one of so many places, for so long. All listeners share them.
 PENDING = 1000

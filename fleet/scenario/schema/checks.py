@@ -180,8 +180,6 @@ def _show_list(checks: Sequence[Section] | None, *, defaults: bool = True) -> An
 
 _show_signals = partial(_show_list, defaults=False)
 
-_show_signals = partial(_show_list, defaults=False)
-
 
 class OwnCheck(NamedTuple):
     """One of the user's own checks: where it is, and what its verdict is called."""
@@ -224,6 +222,12 @@ class ChecksSection(Section):
         shown: dict[str, Any] = write(self)
         classes = shown.pop(PYTHON, None) or shown.pop("python", None) or {}
         return shown | {name: each[0] if len(each) == 1 else each for name, each in classes.items()}
+
+    @property
+    def unstated(self) -> frozenset[str]:
+        """The checks that are on by default and are not what this scenario asks about: it states others."""
+        stated = self.model_fields_set - {"tumbled", "deaths"} and self.tumbled is None
+        return frozenset({"tumbled"}) if stated else frozenset()
 
     def own(self) -> Iterator[OwnCheck]:
         """The user's own checks; each name comes once, unless two were given the same."""

@@ -163,12 +163,12 @@ def _row(scenario: Scenario, i: int, tick: int, off: float) -> VehicleFrame:
          "at most 0.35 s (link 2->3, 1.3 s)"),
         ("{below: 200 ms, after: 1.305 s}", lambda link, k: link != (2, 3) or not 100 <= k < 130, True,
          "at most 0.05 s (link 1->2, 3.95 s)"),
-        ("{below: 1 s, after: 4 s}", lambda link, k: True, False, "the run ended at 4 s, before the check begins"),
+        ("{below: 1 s, after: 4 s}", lambda link, k: True, None, "the run ended at 4 s, before the check begins"),
     ],
 )  # fmt: skip
-def test_max_age(check: str, heard: Callable[[Link, int], bool], passed: bool, found: str) -> None:
+def test_max_age(check: str, heard: Callable[[Link, int], bool], passed: bool | None, found: str) -> None:
     result = verdict(f"max_age: {check}", heard=heard)
-    assert (result.check, result.passed, result.found) == ("max_age", passed, found)
+    assert (result.check, result.outcome, result.found) == ("max_age", passed, found)
 
 
 def test_max_age_says_what_was_asked() -> None:
@@ -214,7 +214,7 @@ def back_at(tick: int, vehicle: int = 3) -> Callable[[int, int], float]:
 )  # fmt: skip
 def test_recovery_time(check: str, error: Callable[[int, int], float], passed: bool, found: str) -> None:
     result = verdict(f"recovery_time: {check}", SPLIT, error=error)
-    assert (result.check, result.passed, result.found) == ("recovery_time", passed, found)
+    assert (result.check, result.outcome, result.found) == ("recovery_time", passed, found)
 
 
 def test_recovery_under_a_periodic_disturbance_takes_two_periods_to_show() -> None:
@@ -232,14 +232,14 @@ def test_recovery_says_what_was_asked() -> None:
 def test_recovery_from_a_fault_that_goes_over_into_the_next() -> None:
     faults = "faults=[{at: 1 s, for: 1 s, mute: 2}, {at: 2 s, for: 1 s, mute: 3}]"
     result = verdict("recovery_time: {fault: f1, below: 2 s, within: 10 cm}", faults)
-    assert (result.passed, result.found) == (False, "fault f2 begins at 2 s, before any frame of the log")
+    assert (result.outcome, result.found) == (None, "fault f2 begins at 2 s, before any frame of the log")
 
 
 def test_recovery_in_a_run_that_was_cut_short() -> None:
     """That is no mistake of the scenario, but nothing shows that the fleet recovers."""
     for faults in ("faults=[{at: 3 s, for: 2 s, mute: 2}]", "faults=[{at: 5 s, for: 1 s, mute: 2}]"):
         result = verdict("recovery_time: {fault: f1, below: 2 s, within: 10 cm}", faults)
-        assert (result.passed, result.found) == (False, "the run ended at 4 s, before the fault did")
+        assert (result.outcome, result.found) == (None, "the run ended at 4 s, before the fault did")
 
 
 def test_recovery_counts_from_a_heal() -> None:
@@ -314,7 +314,7 @@ def test_recovery_from_every_fault(tmp_path: Path) -> None:
     assert [check.fault for check in again.spec.checks.recovery_time or ()] == ["every"]
     none = execute(small("duration=1 s", "faults=[{at: 800 ms, mute: 1}]", every), Options(tmp_path, in_process=True))
     (found,) = (v for v in none.checks if v.check == "recovery_time")
-    assert (found.passed, found.found) == (False, "no fault ended while the run lasted")
+    assert (found.outcome, found.found) == (None, "no fault ended while the run lasted")
 
 
 @pytest.mark.parametrize(
@@ -355,14 +355,14 @@ def test_what_was_never_found_is_no_number() -> None:
         ("{above: 1 m}", False, "at least 1 m (vehicles 1 and 2, 1 s)"),
         ("{above: 1 m, after: 1.005 s}", True, "at least 5 m (vehicles 1 and 2, 1.01 s)"),
         ("{above: 1 m, vehicles: '2-3'}", True, "at least 5 m (vehicles 2 and 3, "),
-        ("{above: 1 m, after: 5 s}", False, "the run ended at 4 s, before the check begins"),
+        ("{above: 1 m, after: 5 s}", None, "the run ended at 4 s, before the check begins"),
     ],
 )
-def test_min_separation(check: str, passed: bool, found: str) -> None:
+def test_min_separation(check: str, passed: bool | None, found: str) -> None:
     """Vehicle 2, 5 m north or east of vehicle 1, comes to it at 1 s."""
     line = "formation={shape: line, spacing: 5 m, heading: 180 deg}"
     result = verdict(f"min_separation: {check}", line, error=lambda i, tick: -4.0 if (i, tick) == (2, 100) else 0.0)
-    assert (result.check, result.passed) == ("min_separation", passed)
+    assert (result.check, result.outcome) == ("min_separation", passed)
     assert result.found.startswith(found)
 
 
@@ -387,15 +387,15 @@ def test_min_separation(check: str, passed: bool, found: str) -> None:
          "each follows the reference itself"),
         ("{window: 200 ms}", [], lambda link, k: False, True, "each follows the reference itself"),
         ("{window: 1 s, after: 3 s}", ["graph.reference=[2]"], lambda link, k: True, True, "in all 1 windows"),
-        ("{window: 2 s, after: 3 s}", [], lambda link, k: True, False,
+        ("{window: 2 s, after: 3 s}", [], lambda link, k: True, None,
          "the run ended at 4 s, before the first window did"),
     ],
 )  # fmt: skip
 def test_connected(
-    check: str, overrides: list[str], heard: Callable[[Link, int], bool], passed: bool, found: str
+    check: str, overrides: list[str], heard: Callable[[Link, int], bool], passed: bool | None, found: str
 ) -> None:
     result = verdict(f"connected: {check}", *overrides, heard=heard)
-    assert (result.check, result.passed, result.found) == ("connected", passed, found)
+    assert (result.check, result.outcome, result.found) == ("connected", passed, found)
 
 
 def test_who_knows_the_reference_needs_nobody() -> None:
@@ -499,7 +499,7 @@ def test_the_script_of_a_run_asks_nothing_that_cannot_be(tmp_path: Path) -> None
         "{at: 9 s, for: 1 s, id: c, deaf: 1}]"
     )
     result = run(tmp_path, "duration=500 ms", faults, f"checks={{recovery_time: [{asked}]}}", "log.every=10 ticks")
-    assert [v.passed for v in result.checks if v.check == "recovery_time"] == [True, False, False]
+    assert [v.outcome for v in result.checks if v.check == "recovery_time"] == [True, None, None]
     again = script(result.directory)
     assert [check.fault for check in again.spec.checks.recovery_time or ()] == ["a"]
 

@@ -116,7 +116,14 @@ def test_the_end_may_show_a_failure(module: Path) -> None:
         1.0,
     )
     going_on = verdict(module, never, until_s=1.0)
-    assert (going_on.passed, going_on.value) == (False, None)  # which is shown as not judged yet
+    assert (going_on.outcome, going_on.value) == (None, None)
+
+
+def test_the_end_may_be_too_early_to_tell(module: Path) -> None:
+    code = "from fleet.checks.api import NotJudged\nclass Check:\n    def __init__(self, facts): pass\n"
+    code += "    def step(self, tick): pass\n    def verdict(self): return NotJudged('too early')\n"
+    found = verdict(module, code)
+    assert (found.outcome, found.failed, found.mark, found.found) == (None, False, "not judged", "too early")
 
 
 STEP = "class Check:\n    def __init__(self, facts): self.n = 0\n    def step(self, tick):\n        "

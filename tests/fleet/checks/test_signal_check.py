@@ -100,7 +100,7 @@ def test_what_is_not_reported_is_no_sample_and_breaks_a_stretch() -> None:
     assert one("below: 9.5 m", silent).passed
     assert one("spread_below: 1 m", lambda i, t: 5.0 if i == 1 else None).found == "no sample"
     nothing = one("below: 9.5 m", lambda i, t: None)
-    assert (nothing.passed, nothing.value, nothing.found) == (False, None, "no sample")
+    assert (nothing.outcome, nothing.value, nothing.found) == (None, None, "no sample")
 
 
 def test_infinite_values_break_a_limit_and_stay_out_of_json() -> None:
@@ -135,18 +135,18 @@ def test_a_wait_that_another_fault_cuts_short_is_not_judged() -> None:
     verdict = one(long, after(0.6, 0.2), faults=FAULTS)  # 0.5 s are between the faults
     assert verdict.passed and verdict.found == "after 0.2 s (vehicle 2); a wait was cut short by another fault"
     only = one(long.replace("every", "cut"), after(0.6, 0.2), faults=FAULTS)
-    assert (only.passed, only.value, only.moment) == (False, None, None)
+    assert (only.outcome, only.value, only.moment) == (None, None, None)
 
 
 def test_a_run_that_goes_on_is_told_apart_from_one_that_ended() -> None:
     check = "above: 8 m, eventually_within: 2 s, vehicles: 3"
     now = one(check, peak, until_s=1.0)
-    assert (now.passed, now.value, now.moment, now.found) == (False, None, None, "there is still time")
+    assert (now.outcome, now.value, now.moment, now.found) == (None, None, None, "there is still time")
     over = one(check.replace("2 s", "9 s"), peak)
     assert not over.passed and over.value is None
     assert over.found == "the run ended 4 s after 0 s, too soon to say"
     early = one("below: 8 m, after: 3 s", peak, until_s=2.0)
-    assert (early.passed, early.value, early.found) == (False, None, "no sample yet")
+    assert (early.outcome, early.value, early.found) == (None, None, "no sample yet")
 
 
 def test_a_check_keeps_nothing_that_grows() -> None:

@@ -259,6 +259,7 @@ def test_result_file(tmp_path: Path) -> None:
         "signals": [],
         "margin": {"value": 0, "at_s": None, "unit": "links"},
         "reached": None,
+        "judged": True,
     }
     assert list(values["vehicles"]) == ["1", "2", "3", "4"]
     assert set(values["ledger"]) == {"1->2", "2->3", "3->4"}
@@ -382,7 +383,8 @@ def test_run_says_what_came_of_it(tmp_path: Path) -> None:
     assert done.returncode == 1
     lines = [line.rstrip() for line in done.stdout.splitlines()]
     assert "packets per directed link, age of what was heard last" in lines
-    assert any(line.startswith("FAIL  formation_error: below 0.4 m after 60 s; found ") for line in lines)
+    assert any(line.startswith("not judged  formation_error: below 0.4 m after 60 s; found ") for line in lines)
+    assert any(line.startswith("FAIL  ") and line.endswith(" not judged") for line in lines)
     assert "pass  ledger: balanced; found balanced" in lines
     assert lines[-1] == str((tmp_path / "latest").resolve())
     assert "\x1b" not in done.stdout

@@ -32,7 +32,7 @@ def test_the_first_seed_that_fails_is_made_less() -> None:
     assert result.exit_code == 1, result.output
     assert "seed 2 fails formation_error, the first one from 1 on" in result.stderr
     lines = result.stdout.splitlines()
-    assert lines[0].startswith("small fails formation_error with ")
+    assert lines[0].startswith("No fault is needed. Then formation_error fails. See why: fleet run small-least.yaml;")
     assert lines[-1] == "small-least.yaml"
     assert not run("small-least.yaml").passed
 

@@ -32,7 +32,8 @@ def test_the_least_scenario_is_written_and_fails(tmp_path: Path) -> None:
     result = invoke("shrink", "small.yaml")
     assert result.exit_code == 0, result.output
     lines = result.stdout.splitlines()
-    assert lines[0].startswith("small fails formation_error with ")
+    assert lines[0].startswith("One fault is enough: wrench ")
+    assert ". Then formation_error fails. See why: fleet run small-least.yaml; fleet why" in lines[0]
     assert lines[1] == "  1 of 2 faults are needed"
     assert lines[-1] == "small-least.yaml"
     assert not run("small-least.yaml").passed

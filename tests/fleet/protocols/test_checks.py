@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from fleet.checks.api import Facts, Failure, Fault, Tick
+from fleet.checks.api import Facts, Failure, Fault, NotJudged, Tick
 from fleet.protocols.checks import AgreeAfterHeal, AtMostOneLeader, TrueMean
 
 LINKS = tuple((a, b) for a in range(1, 4) for b in range(1, 4) if a != b)
@@ -61,7 +61,7 @@ def test_true_mean_that_was_never_judged_is_no_pass() -> None:
     check = TrueMean(FACTS, below=0.1, within="2 s")
     history = [(0.0, (), MEASURED, MEASURED), (1.5, CUT, MEASURED, MEASURED), (3.4, CUT, MEASURED, MEASURED)]
     assert first_failure(check, history, ("measured", "average")) is None
-    assert isinstance(check.verdict(), Failure)
+    assert isinstance(check.verdict(), NotJudged)
     assert first_failure(check, [(3.6, CUT, MEASURED, (10.0, 40.0, 40.0))], ("measured", "average")) is None
     assert check.verdict() == "off by 0 degC at most at 3.6 s"
 
@@ -155,6 +155,6 @@ def test_agree_after_heal(quorum: Any, history: list[Any], at: float | None) -> 
 def test_a_run_that_ends_before_there_is_agreement_does_not_pass() -> None:
     check = AgreeAfterHeal(FACTS, within="2 s")
     assert first_failure(check, [(0.0, (), *NONE), (1.0, (), *NONE)], ("leads", "leader")) is None
-    assert isinstance(check.verdict(), Failure)
+    assert isinstance(check.verdict(), NotJudged)
     assert first_failure(check, [(1.5, (), *FIRST)], ("leads", "leader")) is None
     assert check.verdict() == "agreed 1.5 s after a change at the latest"

@@ -6,8 +6,10 @@ import os
 import re
 import signal
 import time
+from collections.abc import Callable
 from itertools import count
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -21,6 +23,7 @@ from waiting import wait_for
 from fleet.logs.info import info_text, read_info
 from fleet.logs.reader import LogReader
 from fleet.logs.tape import Tape
+from fleet.replay import capture
 from fleet.replay.capture import ATTACHMENT, KIND, PublisherGone, TrafficWriter, message_encoding, zenoh_encoding
 from fleet.replay.topics import Stamp, pack, unpack
 from netem.wire.open_bus import OpenBus, ZenohSample
@@ -195,6 +198,21 @@ def test_recording_of_a_run_ends_with_it(tmp_path: Path) -> None:
         tape = Tape(tmp_path / "a.mcap")
         found, expected = [tape[n].data for n in range(1, len(tape), 2)], [record.data for record in written]
         assert len(found) > 100 and found == expected[: len(found)]
+
+
+def test_what_readers_would_not_take_is_left_out_and_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The longest message that is recorded can be read again. Before, a longer one was lost without a word."""
+    monkeypatch.setattr(capture, "sample_of", lambda sample: sample)
+    heard = list[Callable[[Any], None]]()
+    recorder = capture.Recorder(SimpleNamespace(subscribe=lambda _key, handler: heard.append(handler)), ["a"])
+    writer = TrafficWriter(tmp_path / "x.mcap", ["a"])
+    for length, attached in ((capture.MOST_MESSAGE, 0), (capture.MOST_MESSAGE + 1, 0), (1, capture.MOST_MESSAGE + 2)):
+        heard[0](ZenohSample("a", bytes(length), False, "zenoh/bytes", bytes(attached) or None, None))
+    recorder.finish(writer)
+    assert (recorder.too_long, writer.samples) == (2, 1)
+    assert "2, the longest has 65 MB, on a;" in recorder.left_out
+    records = LogReader(tmp_path / "x.mcap")
+    assert [len(record.data) for record in records] == [capture.MOST_MESSAGE] and records.missing == ""
 
 
 def test_whether_the_other_side_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ from study_engine import Here, Rows
 
 from fleet.execution.stepped_run import judged
 from fleet.study.one_run import Task
-from fleet.study.row import CheckRow
+from fleet.study.row import CheckRow, Row
 from fleet.study.search import Searched, nemesis_of, search
 from fleet.study.statistics import most_failures
 
@@ -91,6 +91,23 @@ def test_a_run_without_result_is_no_evidence(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr("fleet.study.one_run.judged", broken)
     found = searched(NEMESIS)
     assert (found.runs, found.without, found.reason, found.most_failures) == (0, 12, "RuntimeError: enough", None)
+
+
+class Tumbles(OneByOne):
+    """Whose runs are not judged by one check, and fail another with seed 3."""
+
+    def rows(self, task: Task) -> Rows:
+        checks = {"formation_error": CheckRow(None), "tumbled": CheckRow(task.seed != 3, 1.0)}
+        return [Row(seed=task.seed, status="check_failed", passed=False, checks=checks)]
+
+
+def test_only_checks_that_the_scenario_states_are_looked_for() -> None:
+    """A check that could not be judged is no failure, either."""
+    stated = [NEMESIS, "checks={formation_error: {below: 4.6 m}}"]
+    found = searched(*stated, engine=Tumbles(), most_runs=6)
+    assert (found.seed, found.runs, found.unstated) == (None, 6, {"tumbled": 3})
+    for overrides, check in (([*stated, "checks.tumbled.at_most=0"], None), (stated, "tumbled"), ([NEMESIS], None)):
+        assert searched(*overrides, engine=Tumbles(), most_runs=6, check=check).seed == 3
 
 
 def test_a_nemesis_is_added_where_there_is_none() -> None:

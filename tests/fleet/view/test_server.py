@@ -16,7 +16,7 @@ from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from signal import SIGINT
 from urllib.parse import urlsplit
-from urllib.request import urlopen
+from urllib.request import Request, urlopen
 
 import psutil
 import pytest
@@ -137,6 +137,33 @@ def test_requests_without_a_token_do_not_fill_the_memory(served: tuple[str, psut
                 pytest.fail("nobody cut it off")
         assert process.memory_info().rss < before + 50e6
         urlopen(address, timeout=60).close()
+
+
+def test_malformed_messages_are_one_line_and_a_count(log: Path) -> None:
+    """Before, each printed a traceback, so a browser could fill the terminal, or the disk behind it."""
+    pytest.importorskip("nicegui", reason="the extra [view] is not installed")
+    connect = pytest.importorskip("websockets.sync.client").connect
+    with Command("view", log, "--no-open") as viewer:
+        viewer.until("/?token=")
+        address = urlsplit(viewer.printed.split()[-1])
+        with urlopen(address.geturl(), timeout=60) as answer:
+            cookie = answer.headers["set-cookie"].partition(";")[0]
+        page = f"http://{address.netloc}"
+        with urlopen(Request(page, headers={"cookie": cookie}), timeout=60) as answer:
+            client = re.search(rb"[0-9a-f]{8}-[0-9a-f-]{27}", answer.read())
+        assert client is not None
+        asked = f"client_id={client[0].decode()}&next_message_id=0&tab_id=t&implicit_handshake=false&document_id=d"
+        ws = f"ws://{address.netloc}/_nicegui_ws/socket.io/?EIO=4&transport=websocket&old_tab_id=&{asked}"
+        with connect(ws, additional_headers={"cookie": cookie}, origin=page) as browser:
+            browser.send("40")
+            for malformed in ['42["handshake"]', "42[", "42{}", '42["event", 1]'] * 5:
+                browser.send(malformed)
+            browser.send('42["no_such_event", 1]')
+        viewer.send(SIGINT)
+        assert viewer.status() == 130
+        assert "Traceback" not in viewer.printed
+        assert viewer.printed.count("an error of the page") == 1
+        assert re.search(r"the page had \d+ errors in all", viewer.printed)
 
 
 def test_a_second_ctrl_c_prints_no_traceback(log: Path) -> None:

@@ -201,7 +201,7 @@ def test_run_that_fails_a_check(tmp_path: Path) -> None:
     found = printed(Result, result)
     assert (result.exit_code, found.exit, found.status) == (1, 1, "check_failed")
     assert [one.check for one in found.checks if not one.passed] == ["formation_error"]
-    assert "FAIL  formation_error" in result.stderr
+    assert "not judged  formation_error" in result.stderr
 
 
 def test_run_that_breaks(tmp_path: Path) -> None:

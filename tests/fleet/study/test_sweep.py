@@ -339,9 +339,10 @@ def test_a_study_that_is_ended_while_it_is_made_leaves_nothing(
 ) -> None:
     """A folder without study.json had been left, where the study could not be made again."""
     ended = Mock(side_effect=KeyboardInterrupt)
-    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+    with monkeypatch.context() as patched:
         patched.setattr("fleet.study.store.write_record", ended)
-        made(small_file, tmp_path / "study")
+        with pytest.raises(KeyboardInterrupt):
+            made(small_file, tmp_path / "study")
     assert not (tmp_path / "study").exists()
     assert made(small_file, tmp_path / "study").record.seeds
 

@@ -4,11 +4,13 @@ Another run can go on from there.
 
 A snapshot belongs to a round tick S, before the vehicles measure. It has the vehicles at S, and the network before the
 round of S. It also has every agent's memory after its sample S - 1, with deliveries that are not due yet. Faults are
-not in it: they are in the scenario, or in the log. It is plain values as MessagePack, never pickled objects.
+not in it: they are in the scenario, or in the log. It is plain values as MessagePack, never pickled objects, with their
+CRC-32: what no run can hold would fail somewhere in the world, the network or an agent.
 """
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,7 +25,7 @@ if TYPE_CHECKING:
     from fleet.logs.reader import LogReader, Tell
 
 TOPIC = "snapshot"
-_FORMAT = 1
+_FORMAT = 2  # 1: without the CRC
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,19 +39,25 @@ class Snapshot:
     drawn: list[list[Any]] = field(default_factory=list)  # what became of the last packets; see `fleet.recorder.scene`
 
     def to_bytes(self) -> bytes:
-        packed: bytes = msgpack.packb([_FORMAT, self.tick, self.world, self.network, self.heard, self.drawn])
+        fields: bytes = msgpack.packb([self.tick, self.world, self.network, self.heard, self.drawn])
+        packed: bytes = msgpack.packb([_FORMAT, zlib.crc32(fields), fields])
         return packed
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Snapshot:
-        """The inverse of `to_bytes`. Raises FleetError if it is of another format."""
+        """The inverse of `to_bytes`. Raises FleetError if it is damaged or of another format."""
         try:
             form, *fields = msgpack.unpackb(data)
             if form == _FORMAT:
+                crc, packed = fields
+                if zlib.crc32(packed) != crc:
+                    raise FleetError("the snapshot is damaged: its CRC is of other bytes")
+                fields = msgpack.unpackb(packed)
+            if form in (1, _FORMAT):
                 return cls(*fields)
         except (ValueError, TypeError, msgpack.UnpackException) as error:
             raise FleetError(f"the snapshot cannot be read ({error or type(error).__name__})") from None
-        raise FleetError(f"the snapshot is of format {form}, this version reads {_FORMAT}")
+        raise FleetError(f"the snapshot is of format {form}, this version reads up to {_FORMAT}")
 
     @property
     def memories(self) -> dict[int, bytes]:

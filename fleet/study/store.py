@@ -24,6 +24,7 @@ from contextlib import ExitStack, closing, contextmanager
 from functools import cached_property
 from pathlib import Path
 from stat import S_ISREG
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from fleet.study.errors import StudyError
@@ -84,15 +85,20 @@ class Store:
             (number, *(cell(axis, values[axis.key]) for axis in record.axes), text)
             for number, (values, text) in enumerate(points)
         ]
+        if directory.exists():
+            raise StudyError(f"{directory} is there already: choose another place")
         try:
-            directory.mkdir(parents=True)
-            with closing(sqlite3.connect(store._file)) as file, file:
-                for table in store._tables:
-                    file.execute(table)
-                file.executemany(f"INSERT INTO points VALUES ({_places(2 + len(record.axes))})", rows)
-            write_record(directory, record)
-        except FileExistsError:
-            raise StudyError(f"{directory} is there already: choose another place") from None
+            directory.parent.mkdir(parents=True, exist_ok=True)
+            # Whoever is killed here leaves no half study: it gets its name when it is whole.
+            with TemporaryDirectory(prefix=".study-", dir=directory.parent, ignore_cleanup_errors=True) as folder:
+                whole = Path(folder) / directory.name
+                whole.mkdir()
+                with closing(sqlite3.connect(whole / FILE)) as file, file:
+                    for table in store._tables:
+                        file.execute(table)
+                    file.executemany(f"INSERT INTO points VALUES ({_places(2 + len(record.axes))})", rows)
+                write_record(whole, record)
+                whole.rename(directory)
         except OSError as error:
             raise StudyError(f"cannot make the study {directory}: {error.strerror}") from None
         except sqlite3.Error as error:

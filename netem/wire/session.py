@@ -139,7 +139,17 @@ def open_session(mode: Literal["client", "router"], settings: dict[str, Any]) ->
     config = zenoh.Config()
     for key, value in ({"mode": mode} | BASE | settings).items():
         config.insert_json5(key, json.dumps(value))
-    return zenoh.open(config)
+    return opened(config)
+
+
+def opened(config: zenoh.Config) -> zenoh.Session:
+    """A session of a configuration. Raises zenoh.ZError if it cannot be opened."""
+    try:
+        return zenoh.open(config)
+    except BaseException as error:
+        if type(error).__name__ != "PanicException":  # of pyo3, which exports no class; its base is BaseException
+            raise
+        raise zenoh.ZError(f"zenoh cannot begin ({error}): is there a descriptor and a thread left?") from None
 
 
 def users_file(private: Path, credentials: Iterable[Credentials]) -> Path:

@@ -174,10 +174,23 @@ def test_a_snapshot_is_plain_values(tmp_path: Path) -> None:
     snapshot = find(first.directory)
     assert Snapshot.from_bytes(snapshot.to_bytes()) == snapshot
     assert set(snapshot.memories) == {1, 2, 3, 4}
-    with pytest.raises(FleetError, match="is of format 7, this version reads 1"):
+    with pytest.raises(FleetError, match="is of format 7, this version reads up to 2"):
         Snapshot.from_bytes(msgpack.packb([7]))
     with pytest.raises(FleetError, match="cannot be read"):
         Snapshot.from_bytes(b"\xc1")
+
+
+def test_a_damaged_snapshot_is_refused() -> None:
+    data = Snapshot(3, {"vehicles": [{"surge": 1.0}]}, {}, [[1, 2, 0]]).to_bytes()
+    for bit in range(len(data) * 8):
+        damaged = bytearray(data)
+        damaged[bit // 8] ^= 1 << bit % 8
+        with pytest.raises(FleetError):
+            Snapshot.from_bytes(damaged)
+
+
+def test_a_snapshot_of_an_earlier_version_is_read() -> None:
+    assert Snapshot.from_bytes(msgpack.packb([1, 3, {}, {}, [], []])) == Snapshot(3, {}, {}, [], [])
 
 
 def test_when_there_is_one() -> None:

@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from math import inf, isnan
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from failing_laws import failing
@@ -331,6 +332,19 @@ def test_a_folder_that_has_a_study_and_one_that_has_none(small_file: str, tmp_pa
         prepare(plan(small_file), store.directory)
     with pytest.raises(StudyError, match="it has no study"):
         open_study(tmp_path)
+
+
+def test_a_study_that_is_ended_while_it_is_made_leaves_nothing(
+    small_file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A folder without study.json had been left, where the study could not be made again."""
+    ended = Mock(side_effect=KeyboardInterrupt)
+    with monkeypatch.context() as patched:
+        patched.setattr("fleet.study.store.write_record", ended)
+        with pytest.raises(KeyboardInterrupt):
+            made(small_file, tmp_path / "study")
+    assert not (tmp_path / "study").exists()
+    assert made(small_file, tmp_path / "study").record.seeds
 
 
 def test_a_mistake_in_the_file_is_reported_once_whatever_values_are_like_its_words(tmp_path: Path) -> None:

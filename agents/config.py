@@ -147,6 +147,7 @@ class LocalizationParams:
     method: Method
     gate: float  # chi-square with 1 degree of freedom: a range that fits worse is refused
     mirror: bool = False  # whether it keeps the mirror image of its place (agents/localization/localizer.py)
+    nis: bool = False  # whether it reports the mean NIS of the ranges that it used
 
 
 @dataclass(frozen=True, slots=True)

@@ -103,7 +103,7 @@ def layout(config: LawChoice) -> SignalLayout:
     signals = {kind: law_class(kind, law).signals for kind, law in laws(config).items()}
     if "agent" in signals:
         return SignalLayout((), signals["agent"])
-    known = HEARD if config.localization is None else (*HEARD, *Localizer.signals)
+    known = HEARD if config.localization is None else (*HEARD, *Localizer.signals_of(config.localization))
     if "controller" in signals:
         return SignalLayout(known, signals["controller"])
     keep_apart = () if config.keep_apart is None else KeepApart.signals

@@ -23,7 +23,7 @@ from collections.abc import Callable, Sequence
 from math import atan2, cos, exp, hypot, sin, sqrt
 from typing import Any, NamedTuple
 
-from agents.config import AgentConfig
+from agents.config import AgentConfig, LocalizationParams
 from agents.errors import PayloadError
 from agents.laws.kinematics import earth_velocity
 from agents.localization.payload import LocatedMessage, decode, is_located
@@ -338,6 +338,12 @@ class Localizer(Navigated):
         Signal("ranges_refused", "1", "ranges that were refused since the start, because they fit too badly"),
         Signal("mirror", "1", "probability that it is the mirror image of this place; 0: there is none"),
     )
+    _nis = Signal("nis", "1", "mean NIS of the ranges used since the start: about 1 if consistent; 0: none was used")
+
+    @classmethod
+    def signals_of(cls, params: LocalizationParams) -> tuple[Signal, ...]:
+        """What a localiser with these parameters reports."""
+        return (*cls.signals, cls._nis) if params.nis else cls.signals
 
     def __init__(self, config: AgentConfig) -> None:
         """Begin; without `config.localization` it has the position of the navigator, and uses no ranges."""
@@ -362,6 +368,7 @@ class Localizer(Navigated):
         self._navigator: tuple[float, float] = (0.0, 0.0)  # what the navigator believes alone
         self.used = 0
         self.refused = 0
+        self._nis_sum = 0.0  # of the ranges used
 
     def located(self, nav: Nav) -> Nav:
         """The same nav with the position and covariance from all information so far; idempotent within a tick."""
@@ -477,6 +484,7 @@ class Localizer(Navigated):
             self.refused += 1
             return
         self.used += 1
+        self._nis_sum += found.nis
         self._alone = False
         self._place, self._covariance = (found.north + back[0], found.east + back[1]), found.covariance
         if self.mirror is not None:
@@ -514,7 +522,8 @@ class Localizer(Navigated):
         if self._params is None:
             return ()
         mirror = 0.0 if self.mirror is None else self.mirror.probability
-        return (*self._place, self._depth, *self.covariance, float(self.used), float(self.refused), mirror)
+        nis = (self._nis_sum / max(1, self.used),) if self._params.nis else ()
+        return (*self._place, self._depth, *self.covariance, float(self.used), float(self.refused), mirror, *nis)
 
     def state(self) -> dict[str, Any]:
         """Everything that the next sample depends on, as plain values."""
@@ -522,7 +531,8 @@ class Localizer(Navigated):
         history = [list(kept) for kept in self._history]
         mirror = None if self.mirror is None else [*self._navigator, self.mirror.state()]
         counted = self._fixed, self._alone, self.used, self.refused
-        return {"localizer": [self._tick, numbers, history, *counted, mirror, self._span]}
+        nis = [self._nis_sum] if self._params is not None and self._params.nis else []
+        return {"localizer": [self._tick, numbers, history, *counted, mirror, self._span, *nis]}
 
     def restore(self, values: dict[str, Any]) -> None:
         """Continue from `state()`; from the beginning with the memory of a run without localization."""
@@ -531,6 +541,7 @@ class Localizer(Navigated):
         kept: list[Any] = values["localizer"]
         self._tick, numbers, history, self._fixed, self._alone, self.used, self.refused, mirror, *span = kept
         self._span = (span[0][0], span[0][1]) if span and span[0] else None  # older logs have none
+        self._nis_sum = span[1] if len(span) > 1 else 0.0
         if self.mirror is not None and mirror is not None:
             north, east, known = mirror
             self._navigator = north, east

@@ -131,6 +131,7 @@ FIELDS: dict[type, dict[str, Meaning]] = {
         "method": ("str", "", "aid, naive or consistent"),
         "gate": ("real", "1", "chi-square with 1 degree of freedom: a range that fits worse is refused"),
         "mirror": ("bool", "", "whether the mirror image of the place is kept, until ranges tell which it is"),
+        "nis": ("bool", "", "whether the mean NIS of the ranges is reported"),
     },
     VehicleParams: {
         "m": ("real", "kg", "mass"),

@@ -29,7 +29,7 @@ variances = st.floats(0.01, 400.0)
 
 
 def config(method: Method | None = "consistent") -> AgentConfig:
-    params = None if method is None else LocalizationParams(method, 10.83)
+    params = None if method is None else LocalizationParams(method, 10.83, nis=True)
     return replace(small().agent_config(2), codec="located", localization=params)
 
 
@@ -124,8 +124,22 @@ def test_a_restored_localizer_goes_on_the_same_way() -> None:
         if tick:
             fresh.restore(other.state())
         other = fresh
-        assert other.absorb(asked, heard) == first
-    assert one.used > 1
+        assert other.absorb(asked, heard) == first and other.telemetry() == one.telemetry()
+    assert one.used > 1 and one.telemetry()[-1] > 0.0
+
+
+@pytest.mark.parametrize("share", [1.0, 0.5])
+def test_nis_shows_a_range_whose_noise_is_larger_than_its_modem_knows(share: float) -> None:
+    """The mean is 1, with a standard deviation of sqrt(2 / 400), and 2.5 with twice the noise: the gate cuts off more."""
+    draw, localizer = Random(5), Localizer(config("aid"))
+    assert localizer.telemetry()[-1] == 0.0
+    for tick in range(0, 4000, ROUND):
+        north = tick * TICK_S
+        far = hypot(30.0 + north, 20.0) + draw.gauss(0.0, 0.5 / share)
+        localizer.absorb(nav(tick, north, 0.0), [said(1, tick, -30.0, -20.0, 1e-6, far, at=tick)])
+    signals = Localizer.signals_of(LocalizationParams("aid", 10.83, nis=True))
+    assert sum(signal.width for signal in signals) == len(localizer.telemetry())
+    assert localizer.telemetry()[-1] == pytest.approx(0.99 if share == 1.0 else 2.49, rel=0.25)
 
 
 class Hardship(NamedTuple):

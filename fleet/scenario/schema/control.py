@@ -131,6 +131,7 @@ class LocalizationSection(Section):
     method: Method
     gate: v.PositiveNumber = 10.83  # chi-square with 1 degree of freedom, 99.9 %
     mirror: bool = False  # keep the mirror image of the place as well, until ranges tell which it is
+    nis: bool = False  # report the signal `guidance.nis`
 
 
 class AgentSection(Section):

@@ -239,7 +239,7 @@ def control(
         knows_reference=choice.knows_reference is not False,
         keep_apart=keep_apart,
         navigation=navigation,
-        localization=None if ranges is None else LocalizationParams(ranges.method, ranges.gate, ranges.mirror),
+        localization=None if ranges is None else LocalizationParams(**ranges.model_dump()),
     )
 
 

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from fleet.execution.stepped_run import run as run
     from fleet.logs.open_log import Log as Log
     from fleet.logs.open_log import open_log as open_log
+    from fleet.pictures.gallery import plot as plot
     from fleet.result.result import Result as Result
     from fleet.rl.offered import parallel_env as parallel_env
     from fleet.study.study import Boundary as Boundary
@@ -33,6 +34,7 @@ _OFFERED = {
     "Study": "fleet.study.study",
     "open_study": "fleet.study.study",
     "parallel_env": "fleet.rl.offered",
+    "plot": "fleet.pictures.gallery",
     "sweep": "fleet.study.study",
 }
 __all__ = [
@@ -45,6 +47,7 @@ __all__ = [
     "open_log",
     "open_study",
     "parallel_env",
+    "plot",
     "run",
     "sweep",
 ]

@@ -404,12 +404,17 @@ def run(
     fault: Iterable[str] = (),
     seed: int | None = None,
     trust: bool = False,
+    log: str | Path | None = None,
     progress: Callable[[float], None] | None = None,
     **unknown: Never,
 ) -> Result:
-    """Run a scenario in this process and judge it; no file is written.
+    """Run a scenario in this process and judge it.
 
-    The result is that of `fleet run --in-process --set ...`, to the digest of the log that is not written.
+    The result is that of `fleet run --in-process --set ...`, to the digest of the log, written or not.
+
+    Example:
+        >>> result = fleet.run("paper", set={"duration": "30 s"}, log="paper.mcap")
+        >>> fleet.plot("paper.mcap", "error")
 
     Args:
         scenario: a shipped name, a file, or a loaded scenario.
@@ -419,6 +424,7 @@ def run(
         fault: further faults, as `--fault`: `["at 10 s for 5 s down 1<->2"]`.
         seed: replaces the scenario's seed.
         trust: run modules, too, that are neither installed nor the user's own.
+        log: a new file that records the run, for `fleet.open_log` and `fleet.plot`; None: no file is written.
         progress: called with the simulated time [s] during the run.
 
     Returns:
@@ -426,10 +432,12 @@ def run(
 
     Raises:
         ScenarioError: with every mistake that was found.
+        LogError: the log cannot be written.
         FleetError: somebody else is to start an agent.
         TypeError: an argument is unknown; keys of the scenario go into `set`.
     """
-    return judged(loaded("run", scenario, set, net, fault, seed, trust, unknown), progress)
+    loaded_one = loaded("run", scenario, set, net, fault, seed, trust, unknown)
+    return judged(loaded_one, progress, log=None if log is None else LogFile(Path(log)))
 
 
 def judged(

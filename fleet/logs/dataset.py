@@ -141,14 +141,23 @@ def tree(path: Path, topics: Iterable[Topic], run: Mapping[str, str], most: int)
         raise FleetError(f"{path}: these topics do not fit in one tree; choose some by name: {error!s:.200}") from None
 
 
+def table(topic: Topic, run: Mapping[str, str]) -> xr.Dataset:
+    """The table of a topic as a Dataset; as `Log.to_xarray`."""
+    return dataset(topic, _table(topic), run)
+
+
+def _table(topic: Topic) -> list[TableColumn]:
+    if not fits(topic):
+        raise FleetError(f"{topic.name} is no table: it has no message, or each holds lists of messages")
+    return columns(topic)
+
+
 def frame(topic: Topic) -> pd.DataFrame:
     """The table of a topic as a DataFrame; as `Log.to_pandas`."""
     need("a DataFrame", ("pandas",), EXTRA)
     import pandas as pd
 
-    if not fits(topic):
-        raise FleetError(f"{topic.name} is no table: it has no message, or each holds lists of messages")
-    table = columns(topic)
+    table = _table(topic)
     found = pd.DataFrame({column.name: column.values for column in table})
     found.attrs.update(frame_attributes(table))
     return found

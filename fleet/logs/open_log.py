@@ -16,7 +16,7 @@ from fnmatch import fnmatchcase
 from functools import cached_property
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, overload
 
 import numpy as np
 
@@ -145,22 +145,29 @@ class Log:
         """The directed links (source, destination) that the log has topics of, ascending."""
         return sorted(link for topic in self if (link := link_of(topic)) is not None)
 
-    def to_xarray(self) -> xr.DataTree:
-        """The topics that are tables as Datasets, in a tree by their names, with `units` and `long_name`.
+    @overload
+    def to_xarray(self, topic: None = None) -> xr.DataTree: ...
+    @overload
+    def to_xarray(self, topic: str) -> xr.Dataset: ...
 
-        Columns are those of `fleet export`. Where the times of a topic do not rise, `t` is no index.
+    def to_xarray(self, topic: str | None = None) -> xr.DataTree | xr.Dataset:
+        """A topic as a Dataset; None: the topics that are tables, in a tree by their names.
+
+        Columns are those of `fleet export`, with `units` and `long_name`. Where the times of a topic do not rise, `t`
+        is no index.
 
         Example:
-            >>> tree = fleet.open_log("runs/latest", ["uuv/*/state"]).to_xarray()
-            >>> tree["uuv/1/state"].z.attrs["units"]
+            >>> fleet.open_log("runs/latest").to_xarray("uuv/1/state").z.attrs["units"]
             'm'
 
         Raises:
-            FleetError: xarray is not installed (extra `tables`).
-            LogReadError: the topics need more memory than allowed; `open_log` can choose some.
+            FleetError: xarray is not installed (extra `tables`), or the topic is no table.
+            LogReadError: there is no such topic, or more memory is needed than allowed; `open_log` can choose topics.
         """
-        from fleet.logs.dataset import tree
+        from fleet.logs.dataset import table, tree
 
+        if topic is not None:
+            return table(self[topic], self.run)
         return tree(self.path, self._topics.values(), self.run, self.most_held)
 
     def to_pandas(self, topic: str) -> pd.DataFrame:

@@ -16,6 +16,7 @@ from fleet.logs.records import Array, Block
 from netem.parsing import nearest
 
 STEP = 8 << 20  # bytes that are decoded at once
+_FOR_USERS = ("name", "schema", "fields", "units", "meanings", "t", "log_ns", "publish_ns", "sequence")
 
 
 class LogKeyError(LogReadError, KeyError):
@@ -192,7 +193,7 @@ class Topic:
         if field.startswith("_"):  # pickle, copy and notebooks ask for names of their own
             raise AttributeError(field)
         if field in ("to_pandas", "to_xarray"):
-            call = f"log.to_pandas({self.name!r})" if field == "to_pandas" else f"log.to_xarray()[{self.name!r}]"
+            call = f"log.{field}({self.name!r})"
             raise AttributeError(f"a topic has no {field}: the log makes the table, with {call}")
         try:
             return self[field]
@@ -203,7 +204,8 @@ class Topic:
         return field in self._decoded
 
     def __dir__(self) -> Iterable[str]:
-        return [*super().__dir__(), *self.fields]
+        # The others are for whoever reads a log.
+        return [*_FOR_USERS, *self.fields]
 
     @property
     def fields(self) -> tuple[str, ...]:

@@ -18,12 +18,15 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
+from fleet.errors import FleetError
+from fleet.logs.open_log import Log
 from fleet.logs.payload_kinds import DAMAGED, count_kinds
-from fleet.logs.reader import Tell
+from fleet.logs.reader import Tell, log_path
 from fleet.logs.records import Array
 from fleet.logs.schemas import CLOCK
 from fleet.logs.topic import TooLargeError
 from fleet.logs.topic_names import link_topic
+from fleet.notebook import Pictures
 from fleet.palette import COLOURS
 from fleet.pictures import any_signal, exchange, track
 from fleet.pictures.axes import (
@@ -40,7 +43,7 @@ from fleet.pictures.axes import (
 from fleet.pictures.axes import bounds as draw_bounds
 from fleet.pictures.beliefs import beliefs
 from fleet.pictures.exchange import FATES, fates_of, links_between, name_rows, rank
-from fleet.pictures.runs import NothingToDraw, Run, View, origin, with_gaps
+from fleet.pictures.runs import NothingToDraw, Run, View, load, origin, with_gaps
 from fleet.pictures.style import COLUMN_IN, HEAVY, LABEL_PT, STYLES, THIN, panels, plain_decades, save_all
 from fleet.pictures.thresholds import draw_thresholds, thresholds
 from fleet.result.file import ResultError, read_result
@@ -531,3 +534,36 @@ def write(
     drawn = _each(what, runs, view, share)
     each = ((name, figure, partial(origin, of, title)) for name, title, of, figure in drawn)
     return save_all(each, folder, formats, tell)
+
+
+def plot(
+    log: str | Path | Log, *what: str, folder: str | Path | None = None, formats: Sequence[str] = ("png",)
+) -> Pictures:
+    """Draw pictures of a log, as `fleet plot` does.
+
+    Args:
+        log: an MCAP file, a run directory, or a log that is open.
+        what: `track`, `error`, `inputs` or another word of `fleet plot --what`, or signals such as `state.z`; none:
+            all that the log has data for.
+        folder: of the pictures; None: `plots` beside the log.
+        formats: some of `png`, `svg` and `pdf`.
+
+    Returns:
+        The files. A notebook shows them.
+
+    Raises:
+        LogReadError: the log cannot be read.
+        FleetError: there is no such picture or signal, it has no data, or the folder cannot be written.
+    """
+    path = log.path if isinstance(log, Log) else log_path(Path(log))
+    single = [name for pictures in WHAT.values() for name, *_ in pictures]
+    if strange := [word for word in what if word not in (*WHAT, *single) and parse_name(word) is None]:
+        raise FleetError(f"there is no picture {strange[0]!r}; expected some of {', '.join(WHAT)}, or a signal")
+    runs = load([path])
+    check_signals(what, runs)
+    said: list[str] = []
+    place = path.parent / "plots" if folder is None else Path(folder)
+    drawn = write(what or list(WHAT), runs, View(), place, formats, said.append)
+    if what and said:
+        raise FleetError("; ".join(said))
+    return Pictures(drawn)

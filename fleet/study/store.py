@@ -278,12 +278,15 @@ class Store:
         except (sqlite3.Error, UnicodeDecodeError, OverflowError) as error:
             raise StudyError(f"{self._file} cannot be read: {error!s:.200}") from None
 
-    def _read(self, wanted: str, source: str, order: str) -> list[tuple[Any, ...]]:
+    def _each(self, wanted: str, source: str, order: str) -> Iterator[tuple[Any, ...]]:
         with closing(self._connect("ro")) as file, self._errors():
             ((count,),) = file.execute(f"SELECT count(*) FROM {source}")
             if count * (1 + wanted.count(",")) > _MOST_CELLS:
                 raise StudyError(f"{self.directory} has {count} rows, too many to be read at once")
-            return file.execute(f"SELECT {wanted} FROM {source} ORDER BY {order}").fetchall()
+            yield from file.execute(f"SELECT {wanted} FROM {source} ORDER BY {order}")
+
+    def _read(self, wanted: str, source: str, order: str) -> list[tuple[Any, ...]]:
+        return list(self._each(wanted, source, order))
 
     def log_of(self, point: int, seed: int) -> Path:
         """The run directory of one of its runs; it is there only if its log was kept."""
@@ -344,7 +347,7 @@ class Store:
 
     def done(self) -> set[tuple[int, int]]:
         """(point, seed) of every run that has a row. Raises StudyError."""
-        return {(point, seed) for point, seed in self._read("point, seed", "runs", "point, seed")}
+        return set(self._each("point, seed", "runs", "point, seed"))
 
     def add(self, rows: Iterable[Row]) -> None:
         """Write rows of runs, all or none. Raises StudyError."""
@@ -364,17 +367,16 @@ class Store:
                 broken.status = 3  # nothing else should have been asked for
                 raise broken from None
 
-    def rows(self, numbers: Sequence[str] = (), *, checks: bool = False, details: bool = False) -> list[Row]:
-        """All rows, ordered by point and seed, so that their order does not tell who ran them. `checks`: whether they
-        have the verdicts of the checks. `details`: whether they have the key, the reason, the digest, and who made
-        them. Raises StudyError: the study is damaged, or holds more than a study writes."""
+    def rows(self, numbers: Sequence[str] = (), *, checks: bool = False, details: bool = False) -> Iterator[Row]:
+        """All rows one by one, ordered by point and seed, so that their order does not tell who ran them. `checks`:
+        whether they have the verdicts of the checks. `details`: whether they have the key, the reason, the digest, and
+        who made them. Raises StudyError: the study is damaged, or holds more than a study writes."""
         names = self.record.checks if checks else []
         wanted = ["point", "seed", "status", "passed", *(_DETAILS if details else ())]
         wanted += [f"{part}.{name}" for name in names for part in ("check", "value", "margin")]
         first, second = len(wanted) - 3 * len(names), len(wanted)
         wanted += numbers
-        found = []
-        for values in self._read(self._selected(wanted), "runs", "point, seed"):
+        for values in self._each(self._selected(wanted), "runs", "point, seed"):
             point, seed, status, passed = values[:4]
             row = Row(point=point, seed=seed, status=status, passed=None if passed is None else bool(passed))
             if details:
@@ -388,8 +390,7 @@ class Store:
             if numbers:
                 pairs = zip(numbers, values[second:], strict=True)
                 row.numbers = {name: value for name, value in pairs if value is not None}
-            found.append(row)
-        return found
+            yield row
 
     def _selected(self, names: Iterable[str]) -> str:
         return ", ".join(f'"{self._sql[name]}"' for name in names)

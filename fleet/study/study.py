@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.notebook import html_table
+from fleet.notebook import Pictures, html_table
 from fleet.result.result import Result
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.trust import Policy
@@ -149,7 +149,7 @@ class Study:
             )
         return compare(table[first].tolist(), table[second].tolist())
 
-    def plot(self, *measures: str, folder: str | Path | None = None, formats: Sequence[str] = ("png",)) -> list[Path]:
+    def plot(self, *measures: str, folder: str | Path | None = None, formats: Sequence[str] = ("png",)) -> Pictures:
         """Draw pictures of the pass rate and of some measures, as `fleet plot` does.
 
         Args:
@@ -158,7 +158,7 @@ class Study:
             formats: some of `png`, `svg` and `pdf`.
 
         Returns:
-            The files.
+            The files. A notebook shows them.
 
         Raises:
             StudyError: there is no such measure, or the study is damaged.
@@ -166,7 +166,8 @@ class Study:
         """
         from fleet.study.pictures.gallery import write  # here, since matplotlib takes a while to load
 
-        return write(self._store, measures, self.directory / "plots" if folder is None else Path(folder), formats)
+        place = self.directory / "plots" if folder is None else Path(folder)
+        return Pictures(write(self._store, measures, place, formats))
 
     def rerun(self, point: int | Mapping[str, Any], seed: int, out: Path = Path("runs"), trust: bool = False) -> Result:
         """Make one of its runs again with its log; the digest is that of the row.

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
 from fleet.study.measures import MeasureColumn, find_columns
-from fleet.study.row import PREFIX, Reached, Row
+from fleet.study.row import PREFIX, Reached
 from fleet.study.statistics import Estimate, median, pass_rate
 from fleet.study.store import Store
 
@@ -26,11 +27,9 @@ def summarise(store: Store, measures: Sequence[MeasureColumn] = ()) -> list[Poin
     """The summary of each point that has a run, in the order of the points. `measures`: the measures to summarise.
     Empty: the measures of the study, or else `DEFAULT`. Raises StudyError: the study is damaged."""
     chosen = list(measures) or find_columns(store.record.measures or DEFAULT, store.record.columns)
-    by_point: dict[int, list[Row]] = {}
-    for row in store.rows([column.name for column in chosen]):
-        by_point.setdefault(row.point, []).append(row)
     found = []
-    for number, rows in by_point.items():
+    for number, each in groupby(store.rows([column.name for column in chosen]), lambda row: row.point):
+        rows = list(each)
         judged = [row for row in rows if row.has_result]
         passed = pass_rate(sum(row.passed is True for row in judged), len(judged))
         medians = {c.name: median([c.number(row.number(c.name)) for row in judged]) for c in chosen}

@@ -8,6 +8,7 @@ import pytest
 from made_up_study import CONTROLLER, DELAY, LOSS, Row, made_up, usual
 
 import fleet
+from fleet.errors import FleetError
 from fleet.notebook import MOST_ROWS, html_table
 from fleet.result.result import Result, Status
 from fleet.result.verdict import Verdict
@@ -24,6 +25,19 @@ def test_a_key_of_the_scenario_that_is_given_as_an_argument() -> None:
         fleet.run("paper", duration="5 s")  # type: ignore[arg-type]
     with pytest.raises(TypeError, match=r"has no argument 'in_process'$"):
         fleet.run("paper", in_process=True)  # type: ignore[arg-type]
+
+
+def test_a_run_in_a_notebook_can_be_drawn(tmp_path: Path) -> None:
+    changes = {"duration": "2 s", "checks": {}}
+    result = fleet.run("paper", set=changes, log=tmp_path / "paper.mcap")
+    log = fleet.open_log(tmp_path / "paper.mcap")
+    assert log.digest == result.digest == fleet.run("paper", set=changes).digest
+    drawn = fleet.plot(log, "formation", "state.z")
+    assert drawn == [tmp_path / "plots" / "formation.png", tmp_path / "plots" / "state.z.png"]
+    assert drawn._repr_html_().count('<img alt="formation.png" src="data:image/png;base64,iVBOR') == 1
+    for what in ("formatoin!", "timing", "state.zz"):
+        with pytest.raises(FleetError):
+            fleet.plot(log, what)
 
 
 def verdict(name: str, *, passed: bool) -> Verdict:

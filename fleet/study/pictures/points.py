@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -156,30 +157,34 @@ def load(store: Store, measures: Sequence[str] = ()) -> Points:
         raise StudyError(f"{store.directory} is damaged: one of its points is there twice")
     if not all(isfinite(value) for key in keys for value in key if not isinstance(value, str)):
         raise StudyError(f"{store.directory} is damaged: a value of a point is no number")
-    rows = store.rows([*columns])
     place = {seed: k for k, seed in enumerate(seeds)}
-    at = np.array([place[row.seed] for row in rows], int)
-    point = np.array([row.point for row in rows], int)
+    at, point, made = array("q"), array("q"), array("b")
+    read = {name: array("d") for name in (PASSED, *columns)}
+    for row in store.rows([*columns]):
+        at.append(place[row.seed])
+        point.append(row.point)
+        made.append(MADE if row.has_result else NO_RESULT)
+        read[PASSED].append(nan if row.passed is None else row.passed)
+        for name in columns:
+            read[name].append(row.number(name))
     wanted = store.needed()
     needed = np.array([wanted[k] for k in range(len(keys))], int)
-    most = max(int(needed.max(initial=0)), int(at.max(initial=0)) + 1)
+    most = max(int(needed.max(initial=0)), max(at, default=0) + 1)
     if not keys or len(keys) * most > MOST_RUNS:
         raise StudyError(f"{store.directory} is damaged: it has {len(keys)} points and {most} seeds")
     state = np.where(np.arange(most) < needed[:, None], NOT_MADE, NOT_NEEDED)
-    state[point, at] = [MADE if row.has_result else NO_RESULT for row in rows]
+    state[point, at] = made
     numbers = {}
-    for name in (PASSED, *columns):
+    for name, values in read.items():
         numbers[name] = np.full(state.shape, np.nan)
-        numbers[name][point, at] = [
-            (nan if row.passed is None else float(row.passed)) if name == PASSED else row.number(name) for row in rows
-        ]
+        numbers[name][point, at] = values
         numbers[name][~np.isfinite(numbers[name])] = np.nan
         if name in columns and columns[name].missing_is_largest:
             numbers[name][np.isnan(numbers[name]) & (state == MADE)] = np.inf
-    values: list[dict[Any, None]] = [dict.fromkeys(key[k] for key in keys) for k in range(len(axes))]
+    varied: list[dict[Any, None]] = [dict.fromkeys(key[k] for key in keys) for k in range(len(axes))]
     dimensions = tuple(
         VariedKey(axis.key, axis.unit, tuple(some if axis.unit is None else sorted(some)))
-        for axis, some in zip(axes, values, strict=True)
+        for axis, some in zip(axes, varied, strict=True)
     )
     units = {name: column.unit for name, column in columns.items()}
     return Points(dimensions, keys, state, numbers, units)

@@ -6,7 +6,7 @@ import json
 import re
 import shlex
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from math import isfinite
 from pathlib import Path
@@ -43,11 +43,11 @@ def write(
 
 def page(store: Store, points: Points, log_scale: bool | None = None, share: Tell = lambda _: None) -> str:
     """The whole page as HTML. Raises StudyError: the study is damaged."""
-    rows = store.rows(["wall_s"], checks=True, details=True)
+    rows = _Rows(store)
     directory = store.directory.resolve()
     first, pictures = images(draw(points, log_scale, share))
     place = shlex.quote(str(directory))
-    blocks: list[Block] = [Text(_verdict(rows), "verdict"), *([first] if first else [])]
+    blocks: list[Block] = [Text(_verdict(rows.points), "verdict"), *([first] if first else [])]
     if (failed := _failed(rows)).rows:
         blocks += [Heading("Why runs failed", 2), failed]
     blocks += [Heading("What was run", 2), Table((), _facts(store, points, rows), "words")]
@@ -92,51 +92,74 @@ _IN_PAIRS = (
 _AGAIN = "With its log, below `runs/`; the digest is that of the row. Then `fleet plot` shows it."
 
 
-def _facts(store: Store, points: Points, rows: Sequence[Row]) -> list[tuple[str, Any]]:
+class _Rows:
+    """What the page says of the rows of a study, which may be too many to be held."""
+
+    def __init__(self, store: Store) -> None:
+        self.count, self.without = 0, 0  # without a result
+        self.made_by = Counter[str]()
+        self.walls, self.wall_s = 0, 0.0
+        self.points: dict[int, list[int]] = {}  # of each: runs that were judged, and those that passed
+        self.failed = Counter[str]()  # by check
+        self.unjudged: dict[tuple[str, str], list[int]] = {}  # by status and reason: runs, point and seed of the first
+        self.first: tuple[int, int] | None = None  # point and seed
+        self.no_pass: tuple[int, int] | None = None  # the first that did not pass
+        for row in store.rows(["wall_s"], checks=True, details=True):
+            self._add(row)
+
+    def _add(self, row: Row) -> None:
+        self.count += 1
+        self.without += not row.has_result
+        self.made_by[f"uuv-fleet {row.version}, {row.cores} cores"] += 1
+        if isfinite(wall_s := row.number("wall_s")):
+            self.walls, self.wall_s = self.walls + 1, self.wall_s + wall_s
+        if row.judged:
+            counts = self.points.setdefault(row.point, [0, 0])
+            counts[0] += 1
+            counts[1] += row.passed is True
+            self.failed.update(row.failed_checks)
+        else:
+            self.unjudged.setdefault((row.status, row.reason), [0, row.point, row.seed])[0] += 1
+        self.first = self.first or (row.point, row.seed)
+        if row.passed is not True:
+            self.no_pass = self.no_pass or (row.point, row.seed)
+
+
+def _facts(store: Store, points: Points, rows: _Rows) -> list[tuple[str, Any]]:
     record, planned = store.record, int((points.state != NOT_NEEDED).sum())
     seeds = store.seeds[: points.state.shape[1]]
     whole = seeds == list(range(seeds[0], seeds[0] + len(seeds))) if seeds else False
     listed = f"{seeds[0]} to {seeds[-1]}" if whole and len(seeds) > 1 else _some(list(map(str, seeds)))
-    made = Counter(f"uuv-fleet {row.version}, {row.cores} cores" for row in rows)
-    walls = [wall_s for row in rows if isfinite(wall_s := row.number("wall_s"))]
     cost = "-"
-    if walls:
-        cost = f"{_time(sum(walls))} of one core, {sum(walls) / len(walls):.3g} s per run"
+    if rows.walls:
+        cost = f"{_time(rows.wall_s)} of one core, {rows.wall_s / rows.walls:.3g} s per run"
     return [
         ("scenario", record.scenario),
         ("changed for every run", record.command or "nothing"),
         ("checks", ", ".join(record.checks)),
         ("points", len(points.keys)),
         ("seeds of each", listed),
-        ("runs", f"{planned}, of which {len(rows)} are made and {sum(not row.has_result for row in rows)} "
-                 "have no result"),
+        ("runs", f"{planned}, of which {rows.count} are made and {rows.without} have no result"),
         ("begun", _begun(store.directory)),
         ("wall time of the runs", cost),
-        ("made by", "; ".join(f"{which}: {count} runs" for which, count in made.items()) or record.made_by),
+        ("made by", "; ".join(f"{which}: {count} runs" for which, count in rows.made_by.items()) or record.made_by),
         ("directory", str(store.directory.resolve())),
     ]  # fmt: skip
 
 
-def _verdict(rows: Sequence[Row]) -> str:
+def _verdict(points: Mapping[int, Sequence[int]]) -> str:
     """How many runs passed, and between which shares the points are; an interval of all points would mean nothing."""
-    points: dict[int, list[bool]] = {}
-    for row in rows:
-        if row.judged:
-            points.setdefault(row.point, []).append(row.passed is True)
     if not points:
         return "no run has a result"
-    passed, judged = sum(map(sum, points.values())), sum(map(len, points.values()))
-    shares = [sum(some) / len(some) for some in points.values()]
+    judged, passed = (sum(counts) for counts in zip(*points.values(), strict=True))
+    shares = [good / of for of, good in points.values()]
     spread = f"; of a point {min(shares):.0%} to {max(shares):.0%}" if len(points) > 1 else ""
     return f"{passed} of {judged} runs passed ({passed / judged:.0%}{spread})"
 
 
-def _failed(rows: Sequence[Row]) -> Table:
-    judged = [row for row in rows if row.judged]
-    counts = Counter(name for row in judged for name in row.failed_checks)
-    found = [
-        (name, Mark(False, str(count)), f"{count / len(judged):.0%}") for name, count in counts.most_common() if count
-    ]
+def _failed(rows: _Rows) -> Table:
+    judged = sum(of for of, _ in rows.points.values())
+    found = [(name, Mark(False, str(count)), f"{count / judged:.0%}") for name, count in rows.failed.most_common()]
     return Table(("check", "runs that failed it", "share"), found)
 
 
@@ -221,24 +244,19 @@ def _comparisons(points: Points) -> list[tuple[str, Table]]:
 _COMPARED = ("values", "of what", "pairs", "median difference, interval (level)", "difference below 0", "p (sign test)")
 
 
-def _reasons(rows: Sequence[Row]) -> Table:
-    found: dict[tuple[str, str], list[Row]] = {}
-    for row in rows:
-        if not row.judged:
-            found.setdefault((row.status, row.reason), []).append(row)
-    most = sorted(found.items(), key=lambda item: -len(item[1]))
+def _reasons(rows: _Rows) -> Table:
+    most = sorted(rows.unjudged.items(), key=lambda item: -item[1][0])
     table: list[Sequence[Any]] = [
-        (Mark(False, status), len(some), f"point {some[0].point}, seed {some[0].seed}",
-         printable(reason[:_LONGEST]))
-        for (status, reason), some in most[:MOST_REASONS]
-    ]  # fmt: skip
+        (Mark(False, status), count, f"point {point}, seed {seed}", printable(reason[:_LONGEST]))
+        for (status, reason), (count, point, seed) in most[:MOST_REASONS]
+    ]
     table += rest(len(most) - len(table), "reasons of fewer runs")
     return Table(("status", "runs", "the first", "reason"), table, "last")
 
 
-def _again(directory: Path, rows: Sequence[Row]) -> str:
-    if not rows:
+def _again(directory: Path, rows: _Rows) -> str:
+    if rows.first is None:
         return ""
-    row = next((row for row in rows if row.passed is not True), rows[0])
-    code = f"import fleet; fleet.open_study({json.dumps(str(directory))}).rerun({row.point}, seed={row.seed})"
+    point, seed = rows.no_pass or rows.first
+    code = f"import fleet; fleet.open_study({json.dumps(str(directory))}).rerun({point}, seed={seed})"
     return f"python -c {shlex.quote(code)}"

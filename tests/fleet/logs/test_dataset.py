@@ -53,7 +53,8 @@ def test_a_tree_of_datasets_holds_the_log(log: Log) -> None:
 def test_times_that_do_not_rise_are_no_index(log: Log) -> None:
     """Several packets arrive at once."""
     assert (np.diff(log["link/1-2"].t) == 0).any()
-    link = log.to_xarray()["link/1-2"]
+    link = log.to_xarray("link/1-2")
+    assert link.identical(log.to_xarray()["link/1-2"].to_dataset())
     assert link.fate.dims == ("sample",) and link.t.dims == ("sample",) and not link.indexes
     assert set(link.fate.values.tolist()) == set(log["link/1-2"].fate)
     assert "payload" not in link

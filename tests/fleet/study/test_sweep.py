@@ -189,7 +189,7 @@ def test_a_run_that_fails_is_a_row(small_file: str, tmp_path: Path) -> None:
     store, _ = prepare(plan(small_file, "network.links.*.loss=0 %, 80 %", seeds=(1,)), tmp_path / "study")
     progress = run_study(store, Here(), lambda progress: None, timeout_s=0.0)
     assert (progress.failed, progress.passed) == (2, 0)
-    rows = store.rows(details=True)
+    rows = list(store.rows(details=True))
     assert {(row.status, row.reason) for row in rows} == {("failed", "took longer than 0 s")}
     (summary, _) = summarise(store)
     assert (summary.runs, summary.failed, summary.passed.runs) == (1, 1, 0)
@@ -261,7 +261,7 @@ def test_the_logs_of_runs_that_failed_are_kept(small_file: str, tmp_path: Path) 
     store, _ = prepare(asked, tmp_path / "study", spec=StudySpec(small_file, keep_logs="failed"))
     run_study(store, Here(), lambda progress: None)
     assert {path.name for path in (store.directory / "logs").iterdir()} == {"point-0-seed-1", "point-0-seed-2"}
-    for row in store.rows(details=True)[:2]:
+    for row in list(store.rows(details=True))[:2]:
         directory = store.log_of(0, row.seed)
         log = open_log(directory)
         assert (log.run["seed"], log.missing) == (str(row.seed), "")

@@ -92,7 +92,7 @@ def test_a_strangers_study_cannot_bring_markup_or_fetch_anything(tmp_path: Path)
     record |= {"scenario": evil, "command": evil, "made_by": evil, "checks": [evil]}
     record["axes"][0] |= {"key": evil, "unit": evil}
     file.write_text(json.dumps(record), "utf-8")
-    rows, points = store.rows(["wall_s"], details=True), store.points
+    rows, points = list(store.rows(["wall_s"], details=True)), store.points
     with closing(sqlite3.connect(store.directory / FILE)) as database, database:  # the tables that study.json calls for
         for statement in (
             "DROP TABLE points",

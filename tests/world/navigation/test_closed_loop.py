@@ -1,4 +1,4 @@
-"""A vehicle that steers by what its filter believes: the filter is consistent but for the bias that the guide states."""
+"""A vehicle that steers by what its filter believes: consistent but for the bias that docs/guide/navigation.md states."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from in_process_runs import Alone, log_of
 from fleet.logs.open_log import open_log
 
 SEEDS, VEHICLES, SPEED_MPS, SECONDS = 6, 4, 0.7, 20
-BIAS = 0.006  # of the way, ahead: docs/guide/navigation.md
+BIAS = 0.006  # of the way, ahead
 FEW = (f"duration={SECONDS} s", "tick=50 ms", "per_vehicle={}", "navigation.start=0 m", "checks={}")
 
 

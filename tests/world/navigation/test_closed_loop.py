@@ -1,4 +1,4 @@
-"""A vehicle that steers by what its filter believes: consistent but for the bias that docs/guide/navigation.md states."""
+"""A vehicle that steers by its belief: the filter is consistent but for the bias that docs/guide/navigation.md states."""
 
 from __future__ import annotations
 

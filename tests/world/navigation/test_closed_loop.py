@@ -1,4 +1,4 @@
-"""A vehicle that steers by its belief: the filter is consistent but for the bias that docs/guide/navigation.md states."""
+"""A vehicle that steers by its belief: the filter is consistent but for the bias in docs/guide/navigation.md."""
 
 from __future__ import annotations
 

@@ -130,7 +130,7 @@ def test_a_restored_localizer_goes_on_the_same_way() -> None:
 
 @pytest.mark.parametrize("share", [1.0, 0.5])
 def test_nis_shows_a_range_whose_noise_is_larger_than_its_modem_knows(share: float) -> None:
-    """Mean 1, standard deviation sqrt(2 / 400), and 2.5 with twice the noise: the gate cuts more."""
+    """The mean is 1 (standard deviation sqrt(2 / 400)). With twice the noise it is 2.5, as the gate cuts off more."""
     draw, localizer = Random(5), Localizer(config("aid"))
     assert localizer.telemetry()[-1] == 0.0
     for tick in range(0, 4000, ROUND):

@@ -12,7 +12,6 @@ from matplotlib.patches import Patch
 from fleet.explanation.evidence import ON_THE_WAY, TOPICS
 from fleet.explanation.why import Why
 from fleet.logs.open_log import Log, open_log
-from fleet.palette import COLOURS
 from fleet.pictures.runs import with_gaps
 from fleet.pictures.shades import shade
 from fleet.pictures.style import LABEL_PT, PAGE_IN, THIN, Provenance, format_of, legend, line, panels, save_as
@@ -20,6 +19,7 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signals import parse_name
 
 _MOST_LINKS, _MOST_VEHICLES = 20, 12
+_CAUSES = ("#3B3B3B", "#8C6D31", "#6A51A3", "#637939", "#843C39", "#17858B")  # none is that of a vehicle
 _FAILED, _PASSES = "#c0392b", "#1e8449"
 
 
@@ -34,7 +34,7 @@ def draw(why: Why, log_path: Path, scenario: Scenario, path: Path) -> None:
     figure, (above, below) = panels(2, 1, PAGE_IN, height + 3.0, [height, 1.9])
     _draw_gaps(above, why, links)
     below.set_ylabel(_draw_signal(below, why, log))
-    below.set_xlim(0.0, scenario.duration_ns / 1e9)
+    below.set_xlim(log.begin, scenario.duration_ns / 1e9)
     for ax in (above, below):
         ax.axvline(why.failed_s, color=_FAILED, linewidth=1.2, label="the check had failed")
         if why.no_return.passes_s is not None:
@@ -70,11 +70,11 @@ def _draw_gaps(ax: Axes, why: Why, links: list[str]) -> None:
                         solid_capstyle="projecting", zorder=2)  # fmt: skip
     ax.set_yticks(list(rows.values()), list(rows), fontsize=LABEL_PT)
     ax.set_ylim(-0.8, len(links) + 0.9)
-    ax.set_ylabel("messages that had not arrived" if links else "all messages arrived")
+    ax.set_ylabel("silent links" if links else "no link was silent")
 
 
 def _colour(cause: str, causes: dict[str, None]) -> str:
-    return "0.7" if cause == ON_THE_WAY else COLOURS[list(causes).index(cause) % len(COLOURS)]
+    return "0.7" if cause == ON_THE_WAY else _CAUSES[list(causes).index(cause) % len(_CAUSES)]
 
 
 def _draw_signal(ax: Axes, why: Why, log: Log) -> str:
@@ -85,12 +85,12 @@ def _draw_signal(ax: Axes, why: Why, log: Log) -> str:
         return "no signal of the check in the log"
     group, _, field = name.name.partition(".")
     unit = ""
-    for number, then in enumerate(why.vehicles[:_MOST_VEHICLES]):
+    for then in why.vehicles[:_MOST_VEHICLES]:
         topic = f"uuv/{then.vehicle}/{group}"
         if topic not in log or field not in log[topic] or not len(log[topic]):
             continue
         t, values = with_gaps(log[topic].t, log[topic][field].reshape(len(log[topic]), -1))
         shown = np.linalg.norm(values, axis=1) if name.absolute else values[:, 0]
         unit = log[topic].units[field]
-        line(ax, number, t, shown, f"vehicle {then.vehicle}", linewidth=THIN)
+        line(ax, then.vehicle - 1, t, shown, f"vehicle {then.vehicle}", linewidth=THIN)
     return text + (f" [{unit}]" if unit not in ("", "1") else "")

@@ -23,6 +23,7 @@ import numpy as np
 from fleet.logs.fault_intervals import FaultInterval, fault_intervals
 from fleet.logs.reader import LogReader, LogReadError, Tell, digest, log_path
 from fleet.logs.records import Block, Digest
+from fleet.logs.schemas import FROM_TICK
 from fleet.logs.topic import STEP, LogKeyError, Topic
 from fleet.logs.topic_names import link_of
 from fleet.notebook import html_table
@@ -133,6 +134,15 @@ class Log:
     def end(self) -> float:
         """The simulated time of the last message [s]; 0 for a log without messages."""
         return max((topic.last_ns for topic in self._topics.values() if len(topic)), default=0) / 1e9
+
+    @cached_property
+    def begin(self) -> float:
+        """When its run began [s]: later than 0 if it went on from another one."""
+        try:
+            begin = int(self.run.get(FROM_TICK, "0")) * int(self.run["tick_ns"]) / 1e9
+        except (KeyError, ValueError, OverflowError):  # of another program, which says what it likes
+            return 0.0
+        return begin if 0.0 <= begin < self.end else 0.0
 
     @cached_property
     def vehicles(self) -> list[int]:

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -71,6 +72,7 @@ def draw_failures(axes: Sequence[Axes], runs: Sequence[Run]) -> list[str]:
 NAMED = 3  # outliers
 SMALLEST = 1e-6  # of an error: below it is arithmetic, not control
 _BINS = 600
+BAND = "0.35"  # no vehicle has this colour
 _ALL, _MOST = 0.16, 0.32  # opacity of the band of all vehicles, and of that of most
 
 Series = tuple[Array, Array]  # times [s], values
@@ -134,23 +136,33 @@ def outliers(panels: Sequence[Band], log: bool) -> list[int]:
     return sorted(score, key=lambda i: (-score[i], i))[:NAMED]
 
 
-def draw_band(ax: Axes, found: Band, colour: str = COLOURS[0], style: Any = "-") -> None:
+def draw_band(ax: Axes, found: Band, colour: str = BAND, style: Any = "-") -> None:
     """The band of all vehicles, that of most, and the median."""
     ax.fill_between(found.t, found.low, found.high, color=colour, alpha=_ALL, linewidth=0, gid="band-all")
     ax.fill_between(found.t, found.most_low, found.most_high, color=colour, alpha=_MOST, linewidth=0, gid="band-most")
     ax.plot(found.t, found.median, color=colour, linestyle=style, linewidth=NORMAL, gid="median")
 
 
-def outlier_style(k: int) -> dict[str, Any]:
-    return {"color": COLOURS[k + 1], "linestyle": STYLES[k + 1], "linewidth": THIN}
+def vehicle_colours(named: Iterable[int]) -> dict[int, str]:
+    """The colour of each of a few vehicles: its own, the same in all pictures, or the next one if that is taken."""
+    found: dict[int, str] = {}
+    for i in sorted(named):
+        own = (i - 1) % len(COLOURS)
+        found[i] = next(colour for colour in (*COLOURS[own:], *COLOURS) if colour not in found.values())
+    return found
+
+
+def _outlier_styles(named: Sequence[int]) -> dict[int, dict[str, Any]]:
+    colours = vehicle_colours(named)
+    return {i: {"color": colours[i], "linestyle": STYLES[k + 1], "linewidth": THIN} for k, i in enumerate(named)}
 
 
 def band_legend(vehicles: int, named: Sequence[int]) -> list[Artist]:
     return [
-        Line2D([], [], color=COLOURS[0], linewidth=NORMAL, label=f"median of {vehicles}"),
-        Patch(color=COLOURS[0], alpha=_ALL + _MOST, linewidth=0, label="10 to 90 %"),
-        Patch(color=COLOURS[0], alpha=_ALL, linewidth=0, label="all"),
-        *(Line2D([], [], label=f"UUV {i}", **outlier_style(k)) for k, i in enumerate(named)),
+        Line2D([], [], color=BAND, linewidth=NORMAL, label=f"median of {vehicles}"),
+        Patch(color=BAND, alpha=_ALL + _MOST, linewidth=0, label="10 to 90 %"),
+        Patch(color=BAND, alpha=_ALL, linewidth=0, label="all"),
+        *(Line2D([], [], label=f"UUV {i}", **style) for i, style in _outlier_styles(named).items()),
     ]
 
 
@@ -237,7 +249,7 @@ def over_time(
     """Axes above each other that share the time axis, at column width."""
     figure, axes = panels(rows, 1, COLUMN_IN, height or 1.3 * rows + 0.8, ratios)
     end = max(run.log.end for run in runs)
-    axes[0].set_xlim(*(view.window or (0.0, end or 1.0)))
+    axes[0].set_xlim(*(view.window or (min(run.log.begin for run in runs), end or 1.0)))
     return figure, axes
 
 
@@ -288,7 +300,8 @@ def draw_lines(
         elif by_run:
             styles = {i: of_run | {"linewidth": THIN} for i in reported}
         else:
-            styles = {i: {"color": COLOURS[k], "linestyle": STYLES[k]} for k, i in enumerate(vehicles) if i in reported}
+            own = vehicle_colours(vehicles)
+            styles = {i: {"color": own[i], "linestyle": STYLES[k]} for k, i in enumerate(vehicles) if i in reported}
             entries = [Line2D([], [], label=f"UUV {i}", **one) for i, one in styles.items()]
         for (ax, _), signals in zip(panel, found, strict=True):
             whole = 0.0 if exact else reach(signals.values(), log)
@@ -314,10 +327,10 @@ def _draw_bands(
     spreads = [spread(signals) if signals else None for signals in found]
     for ax, one in zip(axes, spreads, strict=True):
         if one is not None:
-            draw_band(ax, one, style["color"], style["linestyle"])
+            draw_band(ax, one, BAND if name else style["color"], style["linestyle"])
     named = outliers([one for one in spreads if one is not None], log) if name else []
     reported = {i for signals in found for i in signals}
-    return {i: outlier_style(k) for k, i in enumerate(named)}, band_legend(len(reported), named)
+    return _outlier_styles(named), band_legend(len(reported), named)
 
 
 def _legend_of_runs(figure: Figure, runs: Sequence[Run]) -> None:
@@ -332,7 +345,13 @@ def _draw_line(ax: Axes, gid: str, series: Series, whole: float, log: bool, styl
     (t, values), around = enveloped(*series, (first, last), whole, log)
     if around is not None:
         ax.fill_between(
-            around.t, around.low, around.high, color=style["color"], alpha=0.22, linewidth=0, gid=f"{gid}-envelope"
+            around.t,
+            around.low,
+            around.high,
+            facecolor=to_rgba(style["color"], 0.08),
+            edgecolor=style["color"],
+            linewidth=0.3,
+            gid=f"{gid}-envelope",
         )
         style = style | {"drawstyle": "default"}  # means are not held
     ax.plot(t, values, gid=gid, marker="." if len(t) < FEW else "", markersize=3, **style)

@@ -190,7 +190,8 @@ def _life(ax: Axes, run: Run, i: int, row: int) -> None:
 def peak_ages(run: Run, link: Link, edges: Array) -> Array:
     """The largest age [s] of information on a link in each interval between two edges [s]: see `netem.ages`.
 
-    Only ticks that were started count; NaN where there is none. The age grows until something newer arrives, so that
+    Only ticks that were started count; NaN where there is none, and in a run that went on from another until something
+    arrived, since the log does not have what was heard before. The age grows until something newer arrives, so that
     the largest of an interval is at its last tick, or at the tick before an arrival.
     """
     ticks = int(run.log.run.get("ticks", 0))
@@ -202,9 +203,11 @@ def peak_ages(run: Run, link: Link, edges: Array) -> Array:
     arrived = arrived[order]
     heard = np.maximum.accumulate(np.rint(sent[good] / run.tick_s).astype(np.int64)[order])
 
+    unheard = np.nan if run.log.begin else 0
+
     def age(at: Array) -> Array:
         known = np.searchsorted(arrived, at, "right")
-        return at - np.where(known > 0, np.append(heard, 0)[known - 1], 0)
+        return at - np.where(known > 0, np.append(heard, 0)[known - 1], unheard)
 
     near = np.ceil(edges / run.tick_s)  # the first tick from an edge on, but for a rounding
     near = near - ((near - 1) * run.tick_s >= edges) + (near * run.tick_s < edges)
@@ -237,8 +240,8 @@ def ages(runs: Sequence[Run], view: View) -> Figure:
     middle = (edges[1:] + edges[:-1]) / 2
     for r, table in enumerate(peaks):
         known = np.isfinite(table).any(axis=0)
-        middling = np.median(table[:, known], axis=0)
-        for kind, values, style in (("oldest", table[:, known].max(axis=0), "-"), ("median", middling, ":")):
+        middling = np.nanmedian(table[:, known], axis=0)
+        for kind, values, style in (("oldest", np.nanmax(table[:, known], axis=0), "-"), ("median", middling, ":")):
             axes[0].plot(
                 middle[known], values, color=COLOURS[r % len(COLOURS)], linestyle=style, linewidth=THIN, gid=kind
             )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,12 +15,14 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 from matplotlib.ticker import MaxNLocator
+from matplotlib.transforms import Bbox
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 from fleet.logs.fault_intervals import kind_and_vehicles
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
-from fleet.pictures.axes import MOST_NAMED, marks_legend, outliers, spread
+from fleet.pictures.axes import MOST_NAMED, marks_legend, outliers, spread, vehicle_colours
 from fleet.pictures.beliefs import beliefs
 from fleet.pictures.runs import NothingToDraw, Run, View, first_words
 from fleet.pictures.style import COLUMN_IN, LABEL_PT, LEGEND_PT, NORMAL, STYLE_NAMES, STYLES, THIN
@@ -324,7 +327,23 @@ def _keep_inside(figure: Figure, ax: Any, sides: Sequence[float]) -> None:
         figure.draw_without_rendering()
         found = [axis.label.get_window_extent() for axis in (ax.xaxis, ax.yaxis, ax.zaxis)]
         if min(box.x0 for box in found) > 0.0 and max(box.x1 for box in found) < figure.bbox.width:
-            return
+            break
+    _cut_blank(figure, ax)
+
+
+def _cut_blank(figure: Figure, ax: Any) -> None:
+    """Make the figure lower by what is blank above and below the box, whose axes are a square."""
+    figure.draw_without_rendering()
+    corners = np.array(list(product(ax.get_xlim(), ax.get_ylim(), ax.get_zlim())))
+    x, y, _ = proj_transform(*corners.T, ax.get_proj())
+    points = ax.transData.transform(np.column_stack([x, y]))
+    labels = [axis.get_tightbbox() for axis in (ax.xaxis, ax.yaxis, ax.zaxis)]
+    drawn = Bbox.union([Bbox([points.min(axis=0), points.max(axis=0)]), *labels])
+    (left, bottom, wide, high), (width, height) = ax.bbox.bounds, figure.bbox.size
+    lower = height - max(0.0, high - drawn.height)
+    figure.set_layout_engine("none")
+    figure.set_figheight(lower / figure.dpi)
+    ax.set_position((left / width, (2.0 * bottom - drawn.y0) / lower, wide / width, high / lower))
 
 
 def _turn(ax: Any, low: Array, high: Array) -> tuple[int, list[float]]:
@@ -410,8 +429,7 @@ def _tracks(runs: Sequence[Run], view: View) -> tuple[list[VehicleTrack], list[A
         ]
         return [t._replace(colour=look[t.run.label][0], style=look[t.run.label][1]) for t in found], list(entries)
     named = shown if len(shown) <= MOST_NAMED else _worst(runs[0], shown)
-    palette = COLOURS if len(shown) <= MOST_NAMED else COLOURS[1:]
-    of = {i: palette[k] for k, i in enumerate(named)}
+    of = vehicle_colours(named)
     entries = [Line2D([], [], color=colour, label=f"UUV {i}") for i, colour in of.items()]
     if len(named) < len(shown):
         entries.append(Line2D([], [], color=GREY, linewidth=THIN, label=f"{len(shown) - len(named)} others"))

@@ -225,7 +225,7 @@ class SceneModel:
         ]
         if self.scenario.vehicles <= CROWD:
             rows.append(LegendRow("packet", f"{PACKET} {ARRIVED}", "packet", "a packet on its way"))
-            rows.append(LegendRow("packet", f"{PACKET} {GONE}", "late or lost", "a packet that is late, or gets lost on its way"))
+            rows.append(LegendRow("packet", f"{PACKET} {GONE}", "late or lost", "a packet that is late or gets lost"))
         rows.append(LegendRow("circle", "vehicle 1", "desired place", "where the vehicle should be"))
         rows.append(LegendRow("line", COURSE, "course", "the way of the reference"))
         if self.navigating:

@@ -51,8 +51,10 @@ def samples(path: Path, end_s: float, vehicles: int, neighbours: Mapping[int, Co
     if not any(np.isfinite(some).any() for some in errors):
         return []
     links = {(src, dst): _link(log, link_topic((src, dst))) for dst, sources in neighbours.items() for src in sources}
-    ages = [_age(at, [links[src, i] for src in sources]) for i, sources in neighbours.items()]
+    ages = [_age(at, [links[src, i] for src in sources], log.begin) for i, sources in neighbours.items()]
     share = _lost(at, [link for link in links.values() if link is not None])
+    for column in (*ages, share):
+        column[at < log.begin] = np.nan
     return [
         [round(float(t), 3), _plain(each), _plain(old), _number(lost), []]
         for t, each, old, lost in zip(at, np.transpose(errors), np.transpose(ages), share, strict=True)
@@ -137,16 +139,17 @@ def _link(log: Log, name: str) -> Topic | None:
         return None
 
 
-def _age(at: Array, links: Collection[Topic | None]) -> Array:
+def _age(at: Array, links: Collection[Topic | None], begin_s: float) -> Array:
+    first = np.nan if begin_s else 0.0  # what was heard before a run that went on from another is not in its log
     oldest = np.full(len(at), np.nan)
     for link in links:
-        newest = np.zeros(len(at))
+        newest = np.full(len(at), first)
         if link is not None:
             whole = (link["fate"] == Cause.DELIVERED) & ~np.asarray(link["corrupted"], bool)
             due, sent = link["due"][whole], link["sent"][whole]
             order = np.argsort(due, kind="stable")
             heard = np.searchsorted(due[order], at, "right")
-            newest = np.concatenate([[0.0], np.maximum.accumulate(sent[order])])[heard]
+            newest = np.concatenate([[first], np.maximum.accumulate(sent[order])])[heard]
         oldest = np.fmax(oldest, np.maximum(0.0, at - newest))
     return oldest
 

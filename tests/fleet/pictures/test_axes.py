@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.pictures.axes import COLUMNS, enveloped, outliers, reach, spread, within
+from fleet.palette import COLOURS
+from fleet.pictures.axes import BAND, COLUMNS, enveloped, outliers, reach, spread, vehicle_colours, within
 
 
 @pytest.mark.parametrize(
@@ -114,3 +115,9 @@ def test_a_gap_stays_a_gap() -> None:
     assert around is not None
     (gap,) = np.flatnonzero(np.isnan(drawn_t))
     assert np.isnan(drawn[gap]) and drawn_t[gap - 1] < 31.0 and drawn_t[gap + 1] > 29.0
+
+
+def test_a_vehicle_has_one_colour_in_all_pictures() -> None:
+    assert [vehicle_colours([i])[i] for i in range(1, 8)] == list(COLOURS)
+    found = vehicle_colours([1, 8, 15, 33])
+    assert found[1] == COLOURS[0] and len(set(found.values())) == 4 and BAND not in COLOURS

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import msgpack
+import numpy as np
 import pytest
 from failing_laws import failing
 from failing_laws import module as module
@@ -21,6 +22,9 @@ from fleet.execution.execute import _policy, execute
 from fleet.execution.options import Options
 from fleet.logs.open_log import open_log
 from fleet.logs.reader import LogReader, Record
+from fleet.pictures.axes import over_time
+from fleet.pictures.exchange import peak_ages
+from fleet.pictures.runs import View, load
 from fleet.recorder.snapshot import Snapshot, Start, find
 from fleet.repeat.recorded_run import script
 from fleet.repeat.resume import continuation, parse_from
@@ -29,6 +33,7 @@ from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.overrides import FAULT, NET, Override
+from fleet.view.log_feed import LogFeed
 
 CHANGING = (
     "network.links={'*': {states: {good: {mean: 300 ms}, bad: {condition: loss 50% rate 2kbit, mean: 200 ms}}}, "
@@ -140,6 +145,24 @@ def test_a_change_acts_from_there_on(tmp_path: Path) -> None:
     assert before == [r for r in since(first.directory, at) if r.log_ns < mute]
     assert again.values["ledger"]["1->2"]["lost"] == {"mute": 15}
     assert again.values["sim_s"] == 3.0
+
+
+def test_pictures_of_it_begin_where_it_begins(tmp_path: Path) -> None:
+    """Ages had grown from 0, where the log has nothing; a link that is silent at first has none until it delivers."""
+    cut = "faults=[{at: 500 ms, for: 1 s, down: 1->2}]"
+    first = recorded(tmp_path, "paper", "duration=2 s", "log.snapshot=1 s", cut)
+    scenario, start = continuation(first.directory, 1_000_000_000)
+    again = run(scenario, tmp_path / "again", start)
+    (drawn,) = load([again.directory])
+    assert (open_log(first.directory).begin, drawn.log.begin) == (0.0, 1.0)
+    assert over_time(1, [drawn], View())[1][0].get_xlim()[0] == 1.0
+    edges = np.array([0.0, 0.8, 1.4, 1.9])
+    cut_off, open_link = (peak_ages(drawn, link, edges) for link in ((1, 2), (2, 1)))
+    assert np.isnan(open_link).tolist() == [True, False, False] and open_link[1:].max() < 0.3
+    assert np.isnan(cut_off).tolist() == [True, True, False]
+    samples = LogFeed(again.directory / "run.mcap").whole()["samples"]
+    assert all(row[2] == [None] * 4 for row in samples if row[0] < 1.0)
+    assert max(age for row in samples if row[0] > 1.2 for age in row[2] if age is not None) < 0.5
 
 
 def test_a_fault_and_links_in_words_act_from_there_on(tmp_path: Path) -> None:

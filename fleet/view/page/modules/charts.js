@@ -238,6 +238,8 @@ export class Charts {
 
   setWhole(whole) {
     this.whole = whole;
+    // A run that goes on from another begins later than 0.
+    this.begin = whole.samples.find(([, errors]) => errors.some((error) => error != null))?.[0] ?? 0;
     document.querySelectorAll(".fleet-reading").forEach((note) => note.remove());
     this.drawn = 0;
     this.draw();
@@ -273,8 +275,8 @@ export class Charts {
     const { now, spans, moments } = this;
     if (this.onSeek && !this.whole) return; // the curves of a log are not read yet
     const all = this.shown !== this.samples;
-    const from = all ? 0 : Math.max(0, now - SPAN_S);
-    const span = all ? Math.max(1e-3, this.setup.log_end_s) : SPAN_S;
+    const from = all ? this.begin : Math.max(0, now - SPAN_S);
+    const span = all ? Math.max(1e-3, this.setup.log_end_s - from) : SPAN_S;
     for (const chart of this.charts) chart.draw({ from, span, now, cursor: all ? now : null, spans, moments });
     for (const { name, chart } of this.picked) write(chart.unit, this.valueOf(name));
   }

@@ -36,7 +36,7 @@ COMMANDS = {  # and what each writes
 KINDS = ("open", "write", "rename", "fsync", "mmap", "malloc")
 LONGEST_S = 60.0
 # What Rust, C++ and Python themselves print where they have no memory: no code of ours can catch that.
-THEIRS = ("memory allocation of", "std::bad_alloc", "error return without exception set")
+THEIRS = ("memory allocation of", "std::bad_alloc", "error return without exception set", "can't allocate lock")
 
 
 class Tried(NamedTuple):

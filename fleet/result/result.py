@@ -281,9 +281,9 @@ class Result(Struct, kw_only=True):
         return f", {count} not judged" if count else ""
 
     def __repr__(self) -> str:
-        failed = [verdict.check for verdict in self.checks if not verdict.passed]
-        said = f"{len(self.checks) - len(failed)} of {len(self.checks)} checks passed"
-        said = self.reason or said + (f", failed: {', '.join(failed)}" if failed else "")
+        failed = [verdict.check for verdict in self.checks if verdict.failed]
+        said = f"{sum(verdict.passed for verdict in self.checks)} of {len(self.checks)} checks passed"
+        said = self.reason or said + (f", failed: {', '.join(failed)}" if failed else "") + self.not_judged
         return f"<Result of {self._run}: {self.status}; {said}>"
 
     def _repr_html_(self) -> str:

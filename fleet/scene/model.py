@@ -29,7 +29,18 @@ from fleet.scene.primitives import (
     Primitive,
     vehicle_frame,
 )
-from fleet.scene.styles import COURSE, CUT, GONE, LINK_MEANINGS, OBSTACLE, REFERENCE_POINT, VEHICLE, LinkState
+from fleet.scene.styles import (
+    ARRIVED,
+    COURSE,
+    CUT,
+    GONE,
+    LINK_MEANINGS,
+    OBSTACLE,
+    PACKET,
+    REFERENCE_POINT,
+    VEHICLE,
+    LinkState,
+)
 from world.vectors import Vec3
 
 # --- belief
@@ -213,7 +224,8 @@ class SceneModel:
             if state is not LinkState.SILENT
         ]
         if self.scenario.vehicles <= CROWD:
-            rows.append(LegendRow("packet", "packet arrived", "packet", "a packet on its way"))
+            rows.append(LegendRow("packet", f"{PACKET} {ARRIVED}", "packet", "a packet on its way"))
+            rows.append(LegendRow("packet", f"{PACKET} {GONE}", "late or lost", "a packet that is late, or gets lost on its way"))
         rows.append(LegendRow("circle", "vehicle 1", "desired place", "where the vehicle should be"))
         rows.append(LegendRow("line", COURSE, "course", "the way of the reference"))
         if self.navigating:

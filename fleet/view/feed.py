@@ -14,6 +14,7 @@ from fleet.logs.decoder import decoded
 from fleet.logs.schemas import BELIEF, FAULT, LOCATED, PACKET, flat_schema
 from fleet.logs.topic_names import believer_of, link_of
 from fleet.result.file import ResultError, read_result
+from fleet.result.result import Status
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signals import OF_LOCALIZATION, OF_NAVIGATION
 from fleet.view.chart_signals import Signals
@@ -93,7 +94,9 @@ def checks_judged(log: Path) -> Row | None:
         }
         for one in result.checks
     ]
-    return {"rows": rows, "final": True, "verdict": {"passed": result.passed, "text": result.words}}
+    unjudged = result.status == Status.CHECK_FAILED and not any(one.failed for one in result.checks)
+    passed = None if unjudged else result.passed
+    return {"rows": rows, "final": True, "verdict": {"passed": passed, "text": result.words}}
 
 
 def _words(value: Any) -> str:

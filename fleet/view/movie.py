@@ -104,9 +104,8 @@ def write(
     of_all = {name: feed.signals.of_all(name) for name in feed.charted}
     charted = {name: (feed.signals.by_name[next(iter(of.values()))].unit, of) for name, of in of_all.items()}
     feed.follow([each for _, names in charted.values() for each in names.values()])
-    scene = MovieScene(
-        feed.picture, begin_s, end_s, speed, above=view == "above", verdict=feed.checks.get("verdict"), charted=charted
-    )
+    verdict = feed.checks.get("verdict") if end_s >= feed.end_s else None
+    scene = MovieScene(feed.picture, begin_s, end_s, speed, above=view == "above", verdict=verdict, charted=charted)
     try:
         with whole_file(out) as part:
             part.open("a").close()  # before the pictures, which take a while

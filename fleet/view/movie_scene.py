@@ -254,6 +254,7 @@ class MovieChart:
 
 
 WIDTH_IN, HEIGHT_IN = 6.0, 4.5
+LAST_S = 0.2  # of a run, in which its verdict is shown
 APART_S = 0.3  # of the movie, between two packets of a link that are shown
 PASSED = "#00704A"
 DRAWN_COLOURS = (*(colour for colour in COLOURS if colour != "#000000"), PRINT.colour(FAULT))  # beside greys
@@ -283,9 +284,11 @@ class MovieScene:
         charted: Mapping[str, tuple[str, Mapping[int, str]]] | None = None,
     ) -> None:
         """Draw what stays. `begin_s`, `end_s`: in simulated time. `rate`: simulated seconds per second of the movie.
-        `verdict`: on the run: its `text`, and whether it has `passed`. `charted`: as `MovieChart` takes it."""
+        `verdict`: on the run, shown at the end: its `text`, and whether it has `passed`. `charted`: as `MovieChart`
+        takes it."""
         self._setup, self._begin_s, self._rate = picture.setup(), begin_s, rate
         self._picture, self._model = picture, picture.scene
+        self._end_s = end_s
         self._happened = picture.happenings  # of the whole log
         self._camera = Camera(above=above)
         self._trails: dict[int, deque[list[float]]] = {}
@@ -313,9 +316,10 @@ class MovieScene:
     def _make_texts(self, verdict: Row | None) -> None:
         name, fault = _short(self._setup["scenario"], 50), PRINT.colour(FAULT)
         self.figure.text(0.02, 0.95, name, size=TEXT_PT + 2, weight="bold", parse_math=False)
+        self._verdict = self.figure.text(0.7, 0.95, "", weight="bold", ha="right", parse_math=False)
         if verdict is not None:
-            colour = PASSED if verdict["passed"] else fault
-            self.figure.text(0.7, 0.95, verdict["text"], color=colour, weight="bold", ha="right", parse_math=False)
+            self._verdict.set_color({True: PASSED, False: fault, None: "0.4"}[verdict["passed"]])
+        self._said = "" if verdict is None else verdict["text"]
         self._clock = self.figure.text(0.98, 0.95, "", size=TEXT_PT + 2, weight="bold", ha="right")
         self._faults = self.figure.text(0.02, 0.905, "", color=fault, weight="bold", parse_math=False)
         self._events = self.figure.text(0.02, 0.87, "", color="0.25", parse_math=False)
@@ -359,6 +363,8 @@ class MovieScene:
 
     def _write(self, frame: Row) -> None:
         self._clock.set_text(f"t = {frame['t']:.1f} s")
+        if frame["t"] >= self._end_s - LAST_S:  # earlier it is not known
+            self._verdict.set_text(self._said)
         lasting = [f"{row['what']}, {row['to_s'] - frame['t']:.1f} s left" for row in frame["faults"] if row["active"]]
         more = f"; and {len(lasting) - 2} more" if len(lasting) > 2 else ""
         self._faults.set_text(_short("; ".join(lasting[:2]), 70) + more)
@@ -487,7 +493,8 @@ class MovieScene:
         box = {"boxstyle": "round,pad=0.2", "facecolor": face, "edgecolor": "none", "alpha": 0.85}
         self._canvas.text(x, y, name, size=TEXT_PT, weight="bold", color=colour, bbox=box, zorder=7)
         if depth:
-            self._canvas.text(x, y - 9, depth, size=LABEL_PT, color="0.35", zorder=7)
+            ground = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.85}
+            self._canvas.text(x, y - 9, depth, size=LABEL_PT, color="0.35", bbox=ground, zorder=6.9)
 
 
 def _short(text: str, most: int) -> str:

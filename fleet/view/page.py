@@ -164,7 +164,9 @@ class FaultForm:
             self._problem.text = str(error)
             return
         self._dialog.close()
-        ui.notify(f"{answer['id']}: {answer['what']}, from t = {answer['from_s']:.2f} s", type="positive")
+        ui.notify(
+            f"{answer['id']}: {answer['what']}, from t = {answer['from_s']:.2f} s", type="positive", position="top"
+        )
 
 
 def _away(at: Any) -> str:
@@ -357,10 +359,10 @@ class Viewer:
             await self._do(said)
         except FleetError as error:
             with self.element:
-                ui.notify(str(error), type="negative", multi_line=True, timeout=8000)
+                ui.notify(str(error), type="negative", multi_line=True, timeout=8000, position="top")
         except (KeyError, TypeError, ValueError) as error:
             with self.element:
-                ui.notify(f"not understood: {error}", type="negative")
+                ui.notify(f"not understood: {error}", type="negative", position="top")
 
     async def _do(self, said: Row) -> None:
         page, feed = self._page, self._page.feed
@@ -446,4 +448,4 @@ class Viewer:
 
     def _tell(self, text: str) -> None:
         with self.element:
-            ui.notify(text)
+            ui.notify(text, position="top")

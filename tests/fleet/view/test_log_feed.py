@@ -205,7 +205,7 @@ def test_a_signal_of_all_vehicles_is_drawn_whole(feed: LogFeed, log: Path) -> No
         feed.signals.meant("contrl.e")
 
 
-def test_a_log_opens_at_its_first_failed_moment(alone: Alone, feed: LogFeed) -> None:
+def test_a_log_opens_at_its_first_failed_moment(alone: Alone, made: Alone, feed: LogFeed) -> None:
     assert feed.first_failure_s() == 0.0  # nothing failed
     checks = "checks={formation_error: {below: 5 cm, after: 3 s}, signal: {topic: state.z, below: 2 m, after: 4 s}}"
     failed = LogFeed(log_of(alone("paper", "duration=6 s", checks, "expect=fail")))
@@ -215,6 +215,8 @@ def test_a_log_opens_at_its_first_failed_moment(alone: Alone, feed: LogFeed) -> 
         "formation_error": pytest.approx(3.0, abs=0.01), "state.z": pytest.approx(4.0, abs=0.01),
     }  # fmt: skip
     assert failed.checks["verdict"] == {"passed": True, "text": "failed as expected"}
+    short = LogFeed(log_of(made("paper", "duration=2 s")))  # ends before the formation is judged
+    assert short.checks["verdict"] == {"passed": None, "text": "0 of 6 checks failed, 1 not judged"}
 
 
 @pytest.mark.parametrize("vehicles", [", vehicles: 4", *slow("")])

@@ -161,6 +161,10 @@ def test_a_log_of_a_hundred_vehicles_is_played_and_searched(opened: Any, alone: 
         chosen.fill("uuv/100/state.z")
         chosen.press("Enter")
         page.page.locator(".fleet-chart-unit").get_by_text(re.compile(r"now -?[\d.]+ m$")).wait_for()
+        assert page.page.locator(".fleet-reading").count() == 0
+        page.page.get_by_role("button", name="Go on from here").click()
+        command = page.page.get_by_label("Text to copy").input_value()
+        assert re.fullmatch(r"fleet run --from \S+@[\d.]+s", command)
         assert page.wrong == []
 
 

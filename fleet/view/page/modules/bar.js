@@ -1,5 +1,5 @@
 // The bar with the clock: of a live run pause, step and speed; of a log the time line.
-import { copyText } from "./copy.js";
+import { showCommand } from "./copy.js";
 import { make, write } from "./dom.js";
 import { verdict } from "./verdict.js";
 
@@ -71,8 +71,8 @@ export class Bar {
       { ariaLabel: "Rate", class: "fleet-select", onchange: (event) => say({ do: "rate", rate: Number(event.target.value) }) },
       ...RATES.map((value) => make("option", { value, selected: value === 1 }, `${value} x`)),
     );
-    const from = this.button("Go on from here", () => copyText(this.goOn(), from), "copies the command");
-    const what = this.button("What if", () => copyText(this.whatIf(), what), "copies the command");
+    const from = this.button("Go on from here", () => showCommand(this.goOn(), "The run goes on from the last snapshot before this time."), "shows the command");
+    const what = this.button("What if", () => showCommand(this.whatIf(), "Agents hear what they heard, with another controller."), "shows the command");
     return [
       this.pause, rate, make("div", { class: "fleet-line" }, this.marks, this.slider),
       this.button("Next fault", () => say({ do: "next fault" })),

@@ -167,6 +167,7 @@ export class Charts {
     ];
     el.append(...this.charts.map((chart) => chart.el), this.list);
     this.drawn = 0;
+    if (this.onSeek) for (const { head } of this.charts.slice(0, -1)) head.append(make("span", { class: "fleet-chart-unit fleet-reading" }, "reading the log ..."));
   }
 
   // The samples that the charts show.
@@ -188,6 +189,8 @@ export class Charts {
     });
     input.setAttribute("list", this.list.id);
     chart.head.replaceChildren(input, chart.unit);
+    chart.note = make("p", { class: "fleet-chart-note" });
+    chart.el.append(chart.note);
     return Object.assign(picked, { chart, input });
   }
 
@@ -208,6 +211,12 @@ export class Charts {
   }
 
   follow() {
+    const first = this.fleet.keys().next().value;
+    for (const { name, chart } of this.picked) {
+      chart.canvas.hidden = !name;
+      chart.note.hidden = Boolean(name);
+      write(chart.note, first ? `One more signal over time, such as ${first}.` : "One more signal over time.");
+    }
     const names = this.picked.map(({ name }) => name).filter(Boolean);
     if (names.length || this.asked) this.onNames(names);
     this.asked = names.length > 0;
@@ -229,6 +238,7 @@ export class Charts {
 
   setWhole(whole) {
     this.whole = whole;
+    document.querySelectorAll(".fleet-reading").forEach((note) => note.remove());
     this.drawn = 0;
     this.draw();
   }
@@ -261,6 +271,7 @@ export class Charts {
 
   draw() {
     const { now, spans, moments } = this;
+    if (this.onSeek && !this.whole) return; // the curves of a log are not read yet
     const all = this.shown !== this.samples;
     const from = all ? 0 : Math.max(0, now - SPAN_S);
     const span = all ? Math.max(1e-3, this.setup.log_end_s) : SPAN_S;

@@ -282,6 +282,8 @@ export class Scene {
     g.fillText(name, x + 19, y - 17);
     if (depth) {
       g.font = "11px system-ui, sans-serif";
+      g.fillStyle = "rgba(4, 14, 26, 0.6)"; // a link may lie below
+      g.fillRect(x + 15 + wide, y - 26, g.measureText(depth).width + 6, 17);
       g.fillStyle = "rgba(205, 225, 245, 0.85)";
       g.fillText(depth, x + 18 + wide, y - 17);
     }

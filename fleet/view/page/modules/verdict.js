@@ -36,7 +36,10 @@ export class Checks {
 
 // In a few words how the run stands.
 export function verdict({ rows, final, verdict: known }) {
-  if (final && known) return [known.passed ? "pass" : "fail", `${known.passed ? "✓" : "✗"} ${known.text}`];
+  if (final && known) {
+    const [mark, kind] = MARKS[known.passed];
+    return [kind, `${mark} ${known.text}`];
+  }
   const failing = rows.filter(({ passed }) => passed === false).length;
   if (failing) return ["fail", `✗ ${failing} of ${rows.length} checks ${failing > 1 ? "fail" : "fails"}`];
   return rows.some(({ passed }) => passed) ? ["pass", "✓ passes so far"] : ["", ""];

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -139,6 +140,6 @@ def test_in_these_the_network_matters(name: str, changes: dict[str, str], passes
     assert failed <= {"formation_error", "tumbled", "qp_infeasible", *OF_PROTOCOLS}  # nothing of ours
 
 
-def test_the_page_says_what_each_teaches() -> None:
-    text = PAGE.read_text("utf-8")
-    assert [row.name for row in list_scenarios() if f"| `{row.name}` |" not in text] == []
+def test_the_page_says_what_each_teaches_and_with_how_many_seeds() -> None:
+    found = re.findall(r"^\| `(.+)` \| .+ \| \d+ of \d+ \|$", PAGE.read_text("utf-8"), re.MULTILINE)
+    assert sorted(found) == [row.name for row in list_scenarios()]

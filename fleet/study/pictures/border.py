@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from math import isfinite
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -120,13 +121,8 @@ def _below_each_other(borders: Borders, every: Sequence[_One], varied: Sequence[
         ax.plot([_clip(one.border, bottom, top)], [row], mark, color="black", markerfacecolor=face, clip_on=False)
         if one.theory.reckoning is not None and one.theory.reckoning < len(borders.places):
             ax.plot([borders.places[one.theory.reckoning]] * 2, [row - 0.4, row + 0.4], ":", color="0.3")
-        for passed, side, colour in ((True, -1, PASSED), (False, 1, FAILED)):
-            seen: dict[int, int] = {}
-            for place, how in one.runs:
-                if how is passed:
-                    seen[place] = seen.get(place, 0) + 1
-                    ax.plot([borders.places[place]], [row + side * (0.1 + 0.07 * min(seen[place], 5))], ".",
-                            color=colour, markersize=3)  # fmt: skip
+        for place, away, colour in _stacked(one.runs, 0.17, 0.07, 0.45):
+            ax.plot([borders.places[place]], [row + away], ".", color=colour, markersize=3)
     ax.set_yticks(range(len(every)), [_words(borders, kind) for kind in _kinds(every, varied)])
     ax.set_ylim(len(every) - 0.4, -0.6)
     ax.set_xlim(*_limits(borders))
@@ -136,12 +132,16 @@ def _below_each_other(borders: Borders, every: Sequence[_One], varied: Sequence[
 
 
 def _runs(ax: Axes, borders: Borders, runs: Sequence[Run], at: int) -> None:
-    seen: dict[Run, int] = {}
-    for place, passed in runs:
-        seen[place, passed] = number = seen.get((place, passed), 0) + 1
-        side = -1 if passed else 1
-        ax.plot([at + side * (0.08 + 0.05 * min(number, 6))], [borders.places[place]], ".", markersize=3,
-                color=PASSED if passed else FAILED)  # fmt: skip
+    for place, away, colour in _stacked(runs, 0.13, 0.05, 0.45):
+        ax.plot([at + away], [borders.places[place]], ".", color=colour, markersize=3)
+
+
+def _stacked(runs: Sequence[Run], first: float, step: float, last: float) -> Iterator[tuple[int, float, str]]:
+    """Place, distance and colour of the dot of each run: those that passed on one side, and closer where many are."""
+    for (place, passed), count in Counter(runs).items():
+        near = min(step, (last - first) / max(1, count - 1))
+        for k in range(count):
+            yield place, (-1 if passed else 1) * (first + k * near), PASSED if passed else FAILED
 
 
 def _legend(
@@ -157,9 +157,13 @@ def _legend(
             Line2D([], [], color=colour, linestyle="", marker=".", label=label)
             for colour, label in ((PASSED, "run that passed"), (FAILED, "run that failed"))
         ]
-    hollow = Line2D([], [], color="0.3", linestyle="", marker="o", markerfacecolor="white", markersize=4,
-                    label="hollow: the linear loop is unstable without loss")  # fmt: skip
-    handles += [hollow, Line2D([], [], color="0.3", linestyle="", marker="^", markersize=4, label="beyond the range")]
+    handles.append(Line2D([], [], color="black" if single else "0.3", linewidth=2.0, label="interval, 95 %"))
+    grey: dict[str, Any] = {"color": "0.3", "linestyle": "", "markersize": 4}
+    if any(one.theory.stable is False for one in every):
+        label = "hollow: the linear loop is unstable without loss"
+        handles.append(Line2D([], [], marker="o", markerfacecolor="white", label=label, **grey))
+    if any(one.border.where in ("above", "below") for one in every):
+        handles.append(Line2D([], [], marker="^", label="beyond the range", **grey))
     if any(one.theory.reckoning is not None for one in every):
         handles.append(Line2D([], [], color="0.3", linestyle=":", label="K τ ρ(A) = 1, τ with mean age under loss"))
     figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=LABEL_PT + 0.5)

@@ -12,7 +12,7 @@ from study_engine import Drawn
 from fleet.scenario.text.overrides import NET, SET, Override
 from fleet.study.borders import Borders, Theory, find_borders, parse_along, prepare_borders
 from fleet.study.errors import StudyError
-from fleet.study.pictures.border import draw_borders
+from fleet.study.pictures.border import PASSED, _stacked, draw_borders
 from fleet.study.plan import Plan
 from fleet.study.spec import BoundarySpec
 from fleet.study.values import parse_axis
@@ -71,6 +71,23 @@ def test_words_alone_stand_below_each_other() -> None:
     (ax,) = figure.axes
     assert [label.get_text() for label in ax.get_yticklabels()] == ["extrapolate hold", "extrapolate neighbour"]
     assert ax.get_xlabel() == "loss [%]"
+    dots = [
+        (line.get_xdata()[0], line.get_ydata()[0], line.get_color()) for line in ax.lines if line.get_marker() == "."
+    ]
+    assert len(set(dots)) == sum(border.runs for border in borders.found())  # none covers another one
+
+
+def test_a_stack_of_many_runs_has_a_dot_for_each() -> None:
+    stack = list(_stacked([(3, True)] * 40 + [(3, False)], 0.17, 0.07, 0.45))
+    away = [y for _, y, colour in stack if colour == PASSED]
+    assert len(set(away)) == 40 and min(away) == pytest.approx(-0.45) and max(away) == pytest.approx(-0.17)
+    assert [y for _, y, colour in stack if colour != PASSED] == [0.17]
+
+
+def test_the_legend_has_what_is_drawn_and_nothing_else() -> None:
+    borders = borders_of([HOW])
+    (legend,) = draw_borders(borders, [Theory(None, None, None)] * borders.count).legends
+    assert [text.get_text() for text in legend.get_texts()] == ["run that passed", "run that failed", "interval, 95 %"]
 
 
 def test_keys_and_names_are_text_and_never_formulas() -> None:

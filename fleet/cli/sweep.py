@@ -222,21 +222,24 @@ def _pieces(line: StatusLine, progress: Progress) -> list[Piece]:
 
 def _show(store: Store, measures: list[MeasureColumn]) -> None:
     from fleet.study.statistics import LEAST, levels
-    from fleet.study.summary import summarise
+    from fleet.study.summary import judged_columns, summarise
 
+    measures = [*judged_columns(store.record.checks), *measures]
     rows = summarise(store, measures)
     columns = axis_columns(store.record.axes, [row.values for row in rows])
     columns.append(TerminalColumn("runs", [str(row.runs) for row in rows], 3))
     if any(row.failed for row in rows):
         columns.append(TerminalColumn("without\nresult", [str(row.failed) for row in rows], 0))
     columns.append(TerminalColumn("passed\n95 % interval", [_share(row.passed) for row in rows], 0))
+    level = levels(found for row in rows for found in row.medians.values())
     for rank, (name, unit) in enumerate(((measure.name, measure.unit) for measure in measures), start=4):
-        level = levels(row.medians[name] for row in rows)
-        heading = f"{name}\nmedian" + (f" [{unit}]" if unit else "") + (level and f", {level}")
+        part, _, check = name.partition(".")
+        shown = {"value": f"{check}, judged", "margin": "its margin"}.get(part, name) if check else name
+        heading = f"{shown}\nmedian" + (f" [{unit}]" if unit else "")
         columns.append(TerminalColumn(heading, [_number(row.medians[name], row.passed.runs) for row in rows], rank))
     counts = sorted({row.runs for row in rows}) or [0]
     seeds = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[0]}"
-    title = f"{store.record.scenario}, {seeds} seeds per point"
+    title = f"{store.record.scenario}, {seeds} seeds per point" + (level and f"; medians with intervals of {level}")
     show(columns, title, stdout(), "fleet.open_study has all")
     if any(0 < found.runs < LEAST for row in rows for found in row.medians.values()):
         say(f"A median of fewer than {LEAST} runs has no interval: none would hold the true median with 95 %.")

@@ -11,6 +11,11 @@ from fleet.study.row import PREFIX, Reached
 from fleet.study.statistics import Estimate, median, pass_rate
 from fleet.study.store import Store
 
+# The checks that judge a number which changes with what is varied, and the units of the number and its margin.
+_JUDGED = {
+    "formation_error": ("m", "m"), "consensus_error": ("m", "m"), "recovery_time": ("s", "m"),
+    "min_separation": ("m", "m"), "max_age": ("s", "s"),
+}  # fmt: skip
 DEFAULT = ("formation_final_m", "age_p95_s", "loss_share")
 
 
@@ -21,6 +26,18 @@ class PointSummary:
     failed: int  # of those, without a result
     passed: Estimate
     medians: dict[str, Estimate]  # by measure
+
+
+def judged_columns(checks: Sequence[str]) -> list[MeasureColumn]:
+    """What the first of these checks judged, and by how much it passed; nothing if none of them judges a number."""
+    name = next((name for name in checks if name in _JUDGED), None)
+    if name is None:
+        return []
+    of_value, of_margin = _JUDGED[name]
+    return [
+        MeasureColumn(f"value.{name}", of_value, missing_is_largest=name != "min_separation"),
+        MeasureColumn(f"margin.{name}", of_margin),
+    ]
 
 
 def summarise(store: Store, measures: Sequence[MeasureColumn] = ()) -> list[PointSummary]:

@@ -164,7 +164,8 @@ def _legend(
         handles.append(Line2D([], [], marker="o", markerfacecolor="white", label=label, **grey))
     if any(one.border.where in ("above", "below") for one in every):
         handles.append(Line2D([], [], marker="^", label="beyond the range", **grey))
-    if any(one.theory.reckoning is not None for one in every):
+    drawn = (end for one in every if (end := one.theory.reckoning) is not None)
+    if any(end < len(borders.places) or not single for end in drawn):
         handles.append(Line2D([], [], color="0.3", linestyle=":", label="K τ ρ(A) = 1, τ with mean age under loss"))
     figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=LABEL_PT + 0.5)
 

@@ -180,7 +180,7 @@ def _one(ax: Axes, quantity: Quantity, cell: Cell, at: float, width: float, colo
 # Curves with bands: a number and its interval over what is varied, one line for each word.
 
 _MARKERS = "osD^vP*"
-_MOST_BANDS, _MOST_BARS = 3, 12  # more lines have a bar at each place, if there are no more places
+_MOST_BARS = 12  # places with a point and a bar each; more are joined by a line with a band
 _STRIP = 0.07  # height of the hatched strip of a line, of the axis
 
 
@@ -218,7 +218,7 @@ class _Curves:
         self._places = np.array(self.along.values, float)
         self._logs = logarithmic(self._places.tolist())
         self._edges = _edges(self._places, self._logs)
-        self._bars = len(self.names) > _MOST_BANDS and len(self._places) <= _MOST_BARS
+        self._bars = len(self._places) <= _MOST_BARS
 
     def line(self, ax: Axes, panel: Panel, number: int, strip: int) -> bool:
         """Draw one line with its intervals; returns whether some of its runs lack the number, hatched in a strip."""
@@ -233,10 +233,12 @@ class _Curves:
             ax.vlines(where, found[:, 1], found[:, 2], color=colour, linewidth=1.2, gid="band")
         else:
             ax.fill_between(where, found[:, 1], found[:, 2], color=colour, alpha=BAND, linewidth=0, gid="band")
-        ax.plot(where, found[:, 0], color=colour, linestyle=STYLES[number], marker=_MARKERS[number],
-                linewidth=0.6 if self._bars else None, markersize=3.0 if len(self._places) < 40 else 1.5,
-                gid="curve")  # fmt: skip
+        ax.plot(where, found[:, 0], color=colour, linestyle=self._style(number), marker=_MARKERS[number],
+                markersize=3.0 if len(self._places) < 40 else 1.5, gid="curve")  # fmt: skip
         return self._hatched(ax, cells, strip, colour)
+
+    def _style(self, number: int) -> Any:
+        return "none" if self._bars else STYLES[number]
 
     def _estimates(self, cells: Sequence[Cell | None]) -> Array:
         """Value and interval at each place; NaN where there is none, and no end of an interval is infinite."""
@@ -276,12 +278,13 @@ class _Curves:
             room(ax, "y", strips * _STRIP + 0.02)
 
     def handles(self) -> list[Artist]:
-        looks = zip(self.names, COLOURS, STYLES, _MARKERS, strict=False)
+        looks = zip(self.names, COLOURS, _MARKERS, strict=False)
         lines = [
-            Line2D([], [], color=colour, linestyle=style, marker=marker, markersize=3.0, label=text(value_words(name)))
-            for name, colour, style, marker in looks
+            Line2D([], [], color=colour, linestyle=self._style(number), marker=marker, markersize=3.0,
+                   label=text(value_words(name)))
+            for number, (name, colour, marker) in enumerate(looks)
             if name is not None
-        ]
+        ]  # fmt: skip
         look: dict[str, Any] = {"alpha": 2 * BAND, "linewidth": 6.0}
         if self._bars:
             look = {"linestyle": "none", "marker": "|", "markersize": 7.0}

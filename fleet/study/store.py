@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import shutil
 import sqlite3
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -24,7 +25,6 @@ from contextlib import ExitStack, closing, contextmanager
 from functools import cached_property
 from pathlib import Path
 from stat import S_ISREG
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from fleet.study.errors import StudyError
@@ -87,22 +87,23 @@ class Store:
         ]
         if directory.exists():
             raise StudyError(f"{directory} is there already: choose another place")
+        # Whoever is killed here leaves no half study: it gets its name when it is whole.
+        part = directory.with_name(f".{directory.name}.part")
         try:
-            directory.parent.mkdir(parents=True, exist_ok=True)
-            # Whoever is killed here leaves no half study: it gets its name when it is whole.
-            with TemporaryDirectory(prefix=".study-", dir=directory.parent, ignore_cleanup_errors=True) as folder:
-                whole = Path(folder) / directory.name
-                whole.mkdir()
-                with closing(sqlite3.connect(whole / FILE)) as file, file:
-                    for table in store._tables:
-                        file.execute(table)
-                    file.executemany(f"INSERT INTO points VALUES ({_places(2 + len(record.axes))})", rows)
-                write_record(whole, record)
-                whole.rename(directory)
+            shutil.rmtree(part, ignore_errors=True)
+            part.mkdir(parents=True)
+            with closing(sqlite3.connect(part / FILE)) as file, file:
+                for table in store._tables:
+                    file.execute(table)
+                file.executemany(f"INSERT INTO points VALUES ({_places(2 + len(record.axes))})", rows)
+            write_record(part, record)
+            part.rename(directory)
         except OSError as error:
             raise StudyError(f"cannot make the study {directory}: {error.strerror}") from None
         except sqlite3.Error as error:
             raise StudyError(f"cannot make the study {directory}: {error}") from None
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
         store._checked = True
         return store
 

@@ -41,7 +41,7 @@ def test_each_works_on_the_newest_run(folder: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.chdir(folder)
     for command in ("info", "export", "plot", "whatif"):
         for line in examples(command):
-            done = invoke(line)
+            done = invoke(line.partition(" > ")[0])  # what a shell does with it is not ours
             assert done.exit_code == 0, (line, done.output)
 
 

@@ -447,6 +447,17 @@ def test_a_controller_that_leaves_the_finite_numbers_says_where(speed: float) ->
     assert caught.value.agent == 1
 
 
+def test_a_telemetry_that_is_not_finite_is_named() -> None:
+    brain = Agent(agent_config(1))
+    telemetry = list(brain.decide(still(0), [])[1])
+    group, signal, place = list(brain.layout.signals())[-1]
+    telemetry[place.start] = math.nan
+    with pytest.raises(ControllerError, match=f"{group}.{signal.name} is"):
+        brain._check(4, (0.0, 0.0, 0.0), tuple(telemetry))
+    with pytest.raises(ControllerError, match="tau is"):
+        brain._check(4, (0.0, math.inf, 0.0), tuple(0.0 for _ in telemetry))
+
+
 def test_time_does_not_go_back() -> None:
     agent = Agent(agent_config(1))
     agent.decide(still(3), [])

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from math import cos, hypot, sin, sqrt
+from math import cos, exp, hypot, sin, sqrt
 from random import Random
 from typing import NamedTuple, get_args
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -18,7 +19,7 @@ from agents.api import FormationAgent
 from agents.config import AgentConfig, LocalizationParams, Method
 from agents.errors import PayloadError
 from agents.localization import payload
-from agents.localization.localizer import Localizer, fused, grown
+from agents.localization.localizer import Localizer, MirrorImage, PlaceEstimate, fused, grown
 from agents.payload import StateMessage
 from netem.wire.messages import Delivery, Nav
 
@@ -126,6 +127,27 @@ def test_a_restored_localizer_goes_on_the_same_way() -> None:
         other = fresh
         assert other.absorb(asked, heard) == first and other.telemetry() == one.telemetry()
     assert one.used > 1 and one.telemetry()[-1] > 0.0
+
+
+def test_one_range_counts_once() -> None:
+    localizer = Localizer(config("aid"))
+    localizer.absorb(nav(0, 0.0, 0.0), [said(1, 0, 100.0, 0.0, 0.01, 103.0, at=0)])
+    assert (localizer.used, localizer.refused) == (1, 0)
+
+
+@given(st.floats(-6.0, 6.0), st.tuples(*[st.floats(-50.0, 50.0)] * 4), st.tuples(*[st.floats(0.1, 9.0)] * 4))
+def test_the_spread_is_that_of_both_places(odds: float, at: tuple[float, ...], variances: tuple[float, ...]) -> None:
+    """The oracle: the mean square distance to the estimate of a mixture of both."""
+    own = PlaceEstimate((at[0], at[1]), (variances[0], 0.05, variances[1]))
+    mirror = MirrorImage()
+    assert mirror.spread(own) == own.covariance
+    mirror.other, mirror.odds = PlaceEstimate((at[2], at[3]), (variances[2], -0.05, variances[3])), odds
+    w = mirror.probability
+    assert w == pytest.approx(1.0 / (1.0 + exp(odds)))
+    off = np.array([at[2] - at[0], at[3] - at[1]])
+    one, other = ([[c[0], c[1]], [c[1], c[2]]] for c in (own.covariance, mirror.other.covariance))
+    whole = (1.0 - w) * np.array(one) + w * (np.array(other) + np.outer(off, off))
+    assert mirror.spread(own) == pytest.approx((whole[0, 0], whole[0, 1], whole[1, 1]))
 
 
 @pytest.mark.parametrize("share", [1.0, 0.5])

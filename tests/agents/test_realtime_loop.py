@@ -43,5 +43,6 @@ def test_an_agent_uses_what_is_due_and_says_when_it_came() -> None:
     assert loop.nav(nav(3))[1:] == [Receipt(0, 3, (Arrival(2, 7, 0, 5),))]
     assert loop.nav(nav(5))[1:] == [Receipt(0, 5, (Arrival(2, 8, 0, 6),))]
     assert core.given == [(0, []), (1, []), (3, [7]), (5, [8])]
-    with pytest.raises(OutOfPlace):
+    with pytest.raises(OutOfPlace) as caught:
         loop.nav(nav(5))
+    assert (caught.value.expected, caught.value.got) == (6, 5)

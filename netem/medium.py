@@ -130,9 +130,10 @@ class IndependentLinks:
         for src in sorted(round_.transmissions):
             for payload in round_.transmissions[src]:
                 for dst in self._links.receivers[src]:
-                    self._enter(round_.tick, (src, dst), payload, round_.faults)
+                    self.enter(round_.tick, (src, dst), payload, round_.faults)
 
-    def _enter(self, tick: int, link: Link, payload: bytes, faults: ActiveFaults) -> None:
+    def enter(self, tick: int, link: Link, payload: bytes, faults: ActiveFaults) -> None:
+        """Send one packet into a link at a tick."""
         config, links, (src, dst) = self._config, self._links, link
         seq = links.number(link)
         cut = Cause.MUTE if src in faults.mute else faults.cut.get(link)

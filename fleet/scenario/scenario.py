@@ -51,6 +51,7 @@ class Scenario:
         self.spec = spec = _without_files(parts.explicit, parts)  # the values of the file, in SI units
         self.undrawn = _without_files(parts.spec, parts)  # with the nemesis in place of the faults that it drew
         self.reading, self.source = reading, source
+        self.nodes = tuple(spec.nodes or ())  # names of robots that are not ours; empty: vehicles
         self.ground = parts.ground  # what its nemesis acts on
         self.name, self.title, self.vehicles, self.seed = spec.name, spec.title, spec.vehicles, spec.seed
         self.tick_ns, self.duration_ns, self.stall_timeout_s = spec.tick, spec.duration, spec.stall_timeout / 1e9
@@ -85,6 +86,14 @@ class Scenario:
             self.spec, self.reference, self.plans, self.graph, self.initial, self.conditions, self.changing,
             self.selectors, self.controls, self.faults, self.acoustic, self.clocks,
         )  # fmt: skip
+
+    def vehicle_name(self, i: int) -> str:
+        """The number of a vehicle, or the name of a node."""
+        return self.nodes[i - 1] if self.nodes else str(i)
+
+    def link_name(self, link: Link) -> str:
+        """`1->2`, or with the names of nodes."""
+        return f"{self.vehicle_name(link[0])}->{self.vehicle_name(link[1])}"
 
     def next_round(self, tick: int) -> int | None:
         """The first round tick after a tick; None if the run is over by then."""

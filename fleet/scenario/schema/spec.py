@@ -40,6 +40,7 @@ from fleet.scenario.schema.motion import (
 )
 from fleet.scenario.schema.navigation import NavigationChoice
 from fleet.scenario.schema.network import NetworkSection, read_network, show_network
+from fleet.scenario.schema.nodes import Flag, Node, NodeName
 from fleet.scenario.schema.value_types import Section, mistake, word_for
 from fleet.scenario.schema.vehicle import ModelErrorSection, VehicleSection
 from netem.parsing import nearest
@@ -56,6 +57,7 @@ class LogSection(Section):
     """How often each group of topics is logged; every packet of every link always is. `log: none` is `none` here."""
 
     none: bool = False
+    payloads: Flag | None = None  # nodes: also the bytes of each message
     every: v.Ticks = 1
     pose: v.Ticks | None = None
     state: v.Ticks | None = None
@@ -111,6 +113,13 @@ class ScenarioSpec(Section):
     title: Annotated[str, BeforeValidator(_title)]  # what one learns from it, in one line
     # Of fleet list, which reads it in the file. It decides nothing in a run, so it is checked and forgotten.
     group: Annotated[Group | None, AfterValidator(lambda _: None), Field(exclude=True)] = None
+    # Robots that are not ours, in place of vehicles; `fleet netem` serves them.
+    nodes: Annotated[dict[NodeName, Node], Field(min_length=2)] | None = None
+    carry: list[str] | None = None  # zenoh's key expressions of what the network carries; everything
+    discovery: Literal["ideal", "linked"] | None = None  # linked: tokens need a link, too
+    lost_after: v.Period | None = None  # linked: time without a link after which they are withdrawn; 10 s
+    header: v.NoBytes | None = None  # of a packet, beside its payload; 0 bytes
+    fragments: Flag | None = None  # in water: a message longer than a packet is sent as several
     vehicles: Annotated[int, Field(ge=1, le=3000)]
     duration: v.Period
     tick: v.Period = 10_000_000  # the control period Ts

@@ -26,6 +26,9 @@ def snapshot_grid(spec: ScenarioSpec) -> int:
 
 def log_every(spec: ScenarioSpec) -> dict[str, int]:
     """Ticks between two records of each topic group; 0 for never."""
+    if spec.nodes is not None:
+        every = spec.network.period // spec.tick
+        return {"pose": every} | {group: getattr(spec.log, group) or every for group in DRAWN_GROUPS}
     agents = [agent for _, agent in sections(spec, "agent") if agent is not None]
     some = {
         OF_THE_PLANT: any(vehicle.plant is not None for _, vehicle in sections(spec, "vehicle")),
@@ -47,6 +50,8 @@ def memory_ticks(spec: ScenarioSpec, others: Iterable[tuple[str, Law]]) -> int:
 
     `others`: kind and law of the laws that are not built in.
     """
+    if spec.nodes is not None:
+        return 0
     wanted = SNAPSHOT_NS if spec.log.snapshot is None else spec.log.snapshot
     if wanted == 0 or without_snapshots(others):
         return 0

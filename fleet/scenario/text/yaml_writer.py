@@ -11,6 +11,7 @@ from typing import Any
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.schema.vehicle import VehicleSection
 from fleet.scenario.sections import per_vehicle
+from fleet.scenario.text.nodes import compact
 from fleet.scenario.text.yaml_reader import entry, scalar
 
 
@@ -29,8 +30,10 @@ def scenario_yaml(spec: ScenarioSpec) -> str:
             del values[key]
     if values["expect"] == "pass":
         del values["expect"]
+    if spec.nodes is not None:
+        values = compact(values)
     lines: list[str] = []
-    supplied = _supplied(spec)
+    supplied = {} if spec.nodes is not None else _supplied(spec)
     for key, value in values.items():
         lines += entry(key, value, 0) if value != {} else [f"{key}:"]
         origin, given = supplied.get(key, ("", {}))

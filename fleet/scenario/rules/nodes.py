@@ -1,0 +1,113 @@
+"""Rules on nodes: robots that are not ours, and what a scenario of them may hold."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+from fleet.scenario.parts import Parts
+from fleet.scenario.rules.report import Report
+from fleet.scenario.schema.nodes import TopicPlace, udp_target
+from fleet.scenario.sections.timeline import action
+from netem.fault_kinds import FaultKind
+from netem.parsing import nearest
+
+_OF_NODES = ("carry", "discovery", "lost_after", "header", "fragments")
+_CHECKS = frozenset({"max_age", "connected", "ledger", "middleware_loss", "punctual", "python"})
+_FAULTS = frozenset(get_args(FaultKind)) - {"slow", "clock"}
+_DRAWN = _FAULTS | {"loss", "delay", "rate"}
+
+
+def nodes(parts: Parts, report: Report) -> None:
+    """Addresses, ports, keys and places of nodes."""
+    spec = parts.spec
+    if spec.nodes is None:
+        for key in (*_OF_NODES, *(["log.payloads"] if spec.log.payloads is not None else [])):
+            if report.has(tuple(key.split("."))):
+                report.add(tuple(key.split(".")), "has no effect without nodes", key=True)
+        if spec.checks.punctual is not None:
+            report.add(("checks", "punctual"), "has no effect without nodes", "on_time judges a run in real time")
+        return
+    _addresses(parts, report)
+    _ports(parts, report)
+    _keys(parts, report)
+    water = spec.network.acoustic is not None
+    for name, node in spec.nodes.items():
+        if water and node.place is None:
+            report.add(("nodes", name), "has no place, and sound needs one", "place: 0 0 10 m, or a topic that says it")
+        if isinstance(node.place, TopicPlace) and not (node.listen or node.connect):
+            report.add(("nodes", name, "place"), "a topic needs listen or connect")
+    if spec.fragments and not water:
+        report.add(("fragments",), "has no effect without an acoustic channel: links take packets of any size", key=True)
+    if spec.lost_after is not None and spec.discovery != "linked":
+        report.add(("lost_after",), "has no effect without discovery: linked", key=True)
+    if spec.network.ideal:
+        report.add(("network",), "links between nodes are ideal if nothing else is said", "leave network out")
+
+
+def contents(parts: Parts, report: Report) -> None:
+    """The faults and checks that mean something for robots that are not ours."""
+    spec = parts.spec
+    if spec.nodes is None:
+        return
+    for number, fault in enumerate(spec.faults):
+        if (kind := action(fault)) not in _FAULTS:
+            report.add(("faults", number), f"{kind} concerns vehicles of ours", f"known: {', '.join(sorted(_FAULTS))}")
+    if spec.nemesis is not None:
+        for number, pick in enumerate(spec.nemesis.pick or ()):
+            if (pick.drawn or action(pick)) not in _DRAWN:
+                known = f"known: {', '.join(sorted(_DRAWN))}"
+                report.add(("nemesis", "pick", number), "concerns vehicles of ours", known)
+        if spec.nemesis.pick is None:
+            report.add_missing(("nemesis",), "pick", f": which of {', '.join(sorted(_DRAWN))} may come")
+    for key in report.keys("checks"):
+        if ":" not in key and key not in _CHECKS:
+            known = f"known: {', '.join(sorted(_CHECKS - {'python'}))}"
+            report.add(("checks", key), "judges vehicles of ours", known, key=True)
+
+
+def _addresses(parts: Parts, report: Report) -> None:
+    spec, taken = parts.spec, dict[str, str]()
+    assert spec.nodes is not None
+    receives = {text.partition(":")[0] for node in spec.nodes.values() for text in node.udp.values()}
+    for name, node in spec.nodes.items():
+        path = ("nodes", name)
+        if node.listen and node.connect:
+            report.add(path, "listens and connects: give one of them")
+        if not (node.listen or node.connect or node.udp or name in receives):
+            report.add(path, "has no address: give listen, connect or udp", "listen: tcp/127.0.0.1:7501")
+        address = node.listen or node.connect
+        if address and (first := taken.setdefault(address, name)) != name:
+            report.add(path, f"{first} has the address {address}, too; what one sends would come back through the other")
+        if node.zenoh and not (node.listen or node.connect):
+            report.add((*path, "zenoh"), "has no effect without listen or connect", key=True)
+
+
+def _ports(parts: Parts, report: Report) -> None:
+    spec, taken, links = parts.spec, dict[str, str](), set[tuple[str, str]]()
+    assert spec.nodes is not None
+    names = list(spec.nodes)
+    for name, node in spec.nodes.items():
+        for port, text in node.udp.items():
+            path, found = ("nodes", name, "udp", port), udp_target(text)
+            assert found is not None  # the schema has read it
+            dst, host, to = found
+            if dst not in names or dst == name:
+                report.add(path, f"there is no other node {dst}", nearest(dst, [n for n in names if n != name]))
+                continue
+            if (names.index(name) + 1, names.index(dst) + 1) not in parts.links:
+                report.add(path, f"the graph has no link {name}->{dst}", f"graph: {{edges: [{name}->{dst}]}}")
+            if (name, dst) in links:
+                report.add(path, f"the link {name}->{dst} has a port already", "a directed link has one port")
+            if (first := taken.setdefault(port, name)) != name:
+                report.add(path, f"{first} has port {port}, too")
+            if host == "127.0.0.1" and any(str(to) in other.udp for other in spec.nodes.values()):
+                report.add(path, f"port {to} is ours", "datagrams leave to the port of a program")
+            links.add((name, dst))
+
+
+def _keys(parts: Parts, report: Report) -> None:
+    from netem.wire.robots import check_key  # and with it zenoh
+
+    for number, key in enumerate(parts.spec.carry or ()):
+        if wrong := check_key(key):
+            report.add(("carry", number), f"zenoh takes no such key expression: {wrong}", "as in */fleet/**")

@@ -1,0 +1,77 @@
+"""The nodes of a scenario whose robots are not ours: where their programs meet us, and what the network carries."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator
+
+from fleet.quantities import describe_value
+from fleet.scenario.schema import value_types as v
+from fleet.scenario.schema.value_types import Section, mistake
+
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}", re.ASCII)
+RESERVED = ("all", "bridge", "every", "halves", "isolate", "majority", "one", "ring")  # words where names stand
+_ENDPOINT = re.compile(r"(tcp|tls|udp|quic|ws|unixsock-stream)/\S+", re.ASCII)
+_TARGET = re.compile(r"([A-Za-z]\w{0,31}):(?:(\S+):)?(\d{1,5})", re.ASCII)
+
+
+def _name(value: Any) -> Any:
+    text = str(value)
+    if not NAME.fullmatch(text) or text in RESERVED:
+        hint = "a - stands between the two nodes of an edge" if "-" in text else ""
+        raise mistake(f"expected a name of letters, digits and _, got {describe_value(value)}", hint=hint)
+    return text
+
+
+def _endpoint(value: Any) -> Any:
+    if not isinstance(value, str) or not _ENDPOINT.fullmatch(value):
+        raise mistake(f"expected an address of zenoh such as tcp/127.0.0.1:7501, got {describe_value(value)}")
+    return value
+
+
+def _flag(value: Any) -> Any:
+    """YAML 1.2 reads yes and no as texts."""
+    return {"yes": True, "no": False}.get(value, value) if isinstance(value, str) else value
+
+
+def _port(value: Any) -> Any:
+    if not str(value).isdecimal() or not 0 < int(value) < 65_536:
+        raise mistake(f"expected a port from 1 to 65535, got {describe_value(value)}")
+    return str(value)
+
+
+def _target(value: Any) -> Any:
+    if not isinstance(value, str) or udp_target(value) is None:
+        raise mistake(f"expected a node and the port of its program such as auv2:9100, got {describe_value(value)}")
+    return value
+
+
+def udp_target(text: str) -> tuple[str, str, int] | None:
+    """`auv2:9100` or `auv2:192.168.0.7:9100` as node, host and port; None: it is neither."""
+    found = _TARGET.fullmatch(text)
+    if found is None or not 0 < int(found[3]) < 65_536:
+        return None
+    return found[1], found[2] or "127.0.0.1", int(found[3])
+
+
+class TopicPlace(Section):
+    """A place that a topic of ROS 2 says, in CDR: `nav_msgs/Odometry` or `geometry_msgs/PoseStamped`."""
+
+    topic: str
+
+
+class Node(Section):
+    """A robot that is not ours: its programs connect to an address of ours, or we join a router of theirs."""
+
+    listen: Annotated[str, BeforeValidator(_endpoint)] | None = None
+    connect: Annotated[str, BeforeValidator(_endpoint)] | None = None
+    zenoh: str | None = None  # a file of zenoh's configuration, for TLS and credentials
+    # Datagrams to our port leave for a program of another node: "9000": auv2:9100, or auv2:HOST:9100.
+    udp: dict[Annotated[str, BeforeValidator(_port)], Annotated[str, BeforeValidator(_target)]] = {}
+    place: TopicPlace | v.Position | None = None  # NED; in ROS topics ENU
+
+
+NodeName = Annotated[str, BeforeValidator(_name)]
+Flag = Annotated[bool, BeforeValidator(_flag)]

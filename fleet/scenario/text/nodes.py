@@ -1,0 +1,213 @@
+"""Scenarios with nodes: names in place of numbers, and what a scenario of vehicles has and one of nodes has not.
+
+Inside, nodes are vehicles 1, 2, ... in the order of the file, so that the graph, the network, faults and checks are
+those of every scenario. `expanded` puts numbers in place of names, and `compact` is its inverse.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from math import cos, pi, sin
+from typing import Any
+
+from fleet.errors import Problem
+from fleet.scenario.schema.nodes import NAME, RESERVED
+from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Scalar, TextPlace
+
+KEYS = (
+    "name", "title", "nodes", "carry", "discovery", "lost_after", "header", "fragments", "duration", "tick", "seed",
+    "graph", "network", "faults", "nemesis", "checks", "log", "expect", "group", "stall_timeout",
+)  # fmt: skip
+UNTIL_STOPPED = "86400 s"
+TICK, TICK_IN_WATER = "1 ms", "10 ms"
+_ROUND = "100 ms"
+_RADIUS_M = 50.0  # of the circle on which nodes without a place are drawn
+_SECTIONS = ("graph", "network", "faults", "nemesis", "checks")
+_FREE = ("id", "name", "modem", "site", "trace", "topic", "mode", "aims", "pick")  # keys whose values are no selectors
+_WORD = re.compile(r"[A-Za-z]\w*", re.ASCII)
+_SELECTOR = re.compile(r"[\w\s,/<>*:-]+", re.ASCII)
+_EDGE = re.compile(r"\s*(\w+)\s*(<->|->|-)\s*(\w+)\s*", re.ASCII)
+
+
+def numbered(text: str, names: Sequence[str]) -> str:
+    """A selector with numbers in place of names; any other text as it is. Raises KeyError: it is a selector with a
+    name that there is not.
+    """
+    words = _WORD.findall(text)
+    if not any(word in names for word in words) or not _SELECTOR.fullmatch(text):
+        return text
+    for word in words:
+        if word not in names and word not in RESERVED:
+            raise KeyError(word)
+    return _WORD.sub(lambda found: _number(found[0], names), text)
+
+
+def _number(word: str, names: Sequence[str]) -> str:
+    return word if word in RESERVED else str(names.index(word) + 1)
+
+
+def named(text: str, names: Sequence[str]) -> str:
+    """The inverse of `numbered`, for a selector with numbers that the schema has read; ranges stay numbers."""
+    if not names or re.search(r"\d-\d", text):
+        return text
+    return re.sub(r"\d+", lambda found: names[int(found[0]) - 1] if 0 < int(found[0]) <= len(names) else found[0], text)
+
+
+def numbered_values(value: Any, names: Sequence[str]) -> Any:
+    """An entry of a section as plain values, with numbers in place of names. Raises KeyError as `numbered`."""
+    if isinstance(value, str):
+        return numbered(value, names)
+    if isinstance(value, list):
+        return [numbered_values(one, names) for one in value]
+    if isinstance(value, dict):
+        return {
+            numbered(key, names): one if key in _FREE else numbered_values(one, names) for key, one in value.items()
+        }
+    return value
+
+
+def expanded(root: Mapping, problems: list[Problem]) -> Mapping:
+    """The tree of a scenario with nodes as that of one with vehicles; mistakes in names are added to `problems`."""
+    nodes = root.entries["nodes"]
+    if not isinstance(nodes, Mapping):
+        return root
+    for key in root.entries:
+        if key not in (*KEYS, *_ADDED):
+            hint = f"known beside nodes: {', '.join(KEYS[2:-2])}"
+            problems.append(root.keys[key].problem(f'"{key}" has no meaning for nodes', hint, key))
+            root = root.without(key)
+    names = [name for name in nodes.entries if NAME.fullmatch(name) and name not in RESERVED]
+    expand = _Expanded(names, problems)
+    for key in _SECTIONS:
+        if key in root.entries:
+            root = root.with_entry(key, root.keys[key], expand.node(root.entries[key]))
+    if isinstance(graph := root.entries.get("graph"), Mapping) and "edges" in graph.entries:
+        edges = expand.edges(graph.entries["edges"])
+        root = root.with_entry("graph", root.keys["graph"], graph.with_entry("edges", graph.keys["edges"], edges))
+    if isinstance(graph := root.entries.get("graph"), Mapping) and "reference" not in graph.entries:
+        graph = graph.with_entry("reference", graph.place, _tree([1], graph.place))  # whom `connected` asks to reach
+        root = root.with_entry("graph", root.keys["graph"], graph)
+    network = root.entries.get("network")
+    water = isinstance(network, Mapping) and "acoustic" in network.entries or _is(network, "acoustic")
+    for key, value in _added(nodes, water).items():
+        if key not in root.entries:
+            root = root.with_entry(key, nodes.place, _tree(value, nodes.place))
+    return root
+
+
+class _Expanded:
+    """Puts numbers in place of names."""
+
+    def __init__(self, names: Sequence[str], problems: list[Problem]) -> None:
+        self._names, self._problems = names, problems
+
+    def node(self, node: Node) -> Node:
+        if isinstance(node, Items):
+            return Items(tuple(map(self.node, node.items)), node.place)
+        if isinstance(node, Scalar):
+            text = node.value
+            return Scalar(self._text(text, node.place), node.place, node.text) if isinstance(text, str) else node
+        found = Mapping({}, {}, node.place)
+        for key, value in node.entries.items():
+            place = node.keys[key]
+            found = found.with_entry(self._text(key, place), place, value if key in _FREE else self.node(value))
+        return found
+
+    def edges(self, node: Node) -> Node:
+        """`[a-b, a->c]` as the links of each."""
+        if not isinstance(node, Items):
+            return node
+        found = Mapping({}, {}, node.place)
+        for item in node.items:
+            text = item.value if isinstance(item, Scalar) else None
+            edge = _EDGE.fullmatch(text) if isinstance(text, str) else None
+            if edge is None:
+                hint = "write auv1-auv2 for both ways, or auv1->auv2"
+                self._problems.append(item.place.problem("expected an edge between two nodes", hint, "graph.edges"))
+                continue
+            a, arrow, b = edge.groups()
+            one = Scalar(1.0, item.place)
+            found = found.with_entry(f"{a}->{b}", item.place, one)
+            if arrow != "->":
+                found = found.with_entry(f"{b}->{a}", item.place, one)
+        return found
+
+    def _text(self, text: str, place: TextPlace) -> str:
+        try:
+            return numbered(text, self._names)
+        except KeyError as error:
+            known = f"the nodes are {', '.join(self._names)}"
+            self._problems.append(place.problem(f"there is no node {error.args[0]}", known))
+            return text
+
+
+def compact(values: dict[str, Any]) -> dict[str, Any]:
+    """The values of a specification with nodes as its file has them."""
+    names = list(values["nodes"])
+    kept = {key: values[key] for key in KEYS if key in values}
+    if kept.get("duration") == UNTIL_STOPPED:
+        del kept["duration"]
+    text: Callable[[str], str] = lambda each: named(each, names)  # noqa: E731
+    kept["nodes"] = {
+        name: {key: value for key, value in node.items() if value != {}} for name, node in values["nodes"].items()
+    }
+    kept["log"] = {key: value for key, value in kept["log"].items() if key != "every"}
+    graph = kept["graph"]
+    if (edges := graph.get("edges")) is not None:
+        graph = graph | {"edges": [text(edge) for edge in edges]}
+    kept["graph"] = {key: value for key, value in graph.items() if key != "reference" or value != [1]}
+    network = kept["network"]
+    if isinstance(network, dict) and "links" in network:
+        kept["network"] = network | {"links": {text(key): value for key, value in network["links"].items()}}
+    faults = []
+    for fault in kept.get("faults", []):
+        shown = dict(fault)
+        for kind in ("down", "up", "partition", "mute", "deaf"):
+            if kind in shown:
+                shown[kind] = text(str(shown[kind]))
+        if "link" in shown:
+            shown["link"] = {text(key): value for key, value in shown["link"].items()}
+        faults.append(shown)
+    for check in kept["checks"].values():
+        for key in ("links", "vehicles"):
+            if isinstance(check, dict) and key in check:
+                check[key] = text(check[key])
+    return kept | ({"faults": faults} if faults else {})
+
+
+def _added(nodes: Mapping, water: bool) -> dict[str, Any]:
+    """What a scenario of vehicles needs and one of nodes leaves out."""
+    count = len(nodes.entries)
+    places = []
+    for number, node in enumerate(nodes.entries.values()):
+        place = node.entries.get("place") if isinstance(node, Mapping) else None
+        bearing = 2 * pi * number / max(1, count)
+        drawn = f"{_RADIUS_M * cos(bearing):.3f} {_RADIUS_M * sin(bearing):.3f} 0 m"
+        places.append(place.value if isinstance(place, Scalar) else drawn)
+    still = [{"position": place} for place in places]
+    return {
+        "vehicles": count,
+        "duration": UNTIL_STOPPED,
+        "tick": TICK_IN_WATER if water else TICK,
+        "graph": {"shape": "complete", "reference": [1]},
+        "network": {"period": _ROUND},
+        "reference": {"start": "0 0 0 m", "velocity": "0 0 0 m/s"},
+        "formation": {"offsets": places},
+        "initial": still,
+    }
+
+
+_ADDED = ("vehicles", "reference", "formation", "initial")
+
+
+def _is(node: Node | None, word: str) -> bool:
+    return isinstance(node, Scalar) and node.value == word
+
+
+def _tree(value: Any, place: TextPlace) -> Node:
+    if isinstance(value, dict):
+        return Mapping({k: _tree(v, place) for k, v in value.items()}, dict.fromkeys(value, place), place)
+    if isinstance(value, list):
+        return Items(tuple(_tree(one, place) for one in value), place)
+    return Scalar(value, place)

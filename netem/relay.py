@@ -1,0 +1,266 @@
+"""The network between robots that are not ours: messages in when they come, out when they are due.
+
+`Relay` is pure: who calls it says what time it is [ns, CLOCK_MONOTONIC]. Its media are those of a run in lockstep, so
+the fate of the n-th packet of a link is a function of (seed, link, n). Links delay each packet to the nanosecond; a
+tick is the grain of faults, rates and records. In water a message waits for the next tick, as a modem has ticks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from heapq import heappop, heappush
+from typing import Any, NamedTuple
+
+from msgspec import Struct, structs
+
+from netem.acoustic import AcousticChannel
+from netem.condition import Link, lost_share
+from netem.config import NetemConfig
+from netem.fault_kinds import Cause
+from netem.faults import ActiveFaults, active_faults
+from netem.histogram import Histogram
+from netem.medium import IndependentLinks, MediumRound, Place, make_links
+from netem.network import fate_order
+from netem.transit import PendingPacket, Transit
+from netem.wire.messages import Fate, MeasuredRange
+
+PUT, DELETE, QUERY, REPLY, DATAGRAM = KINDS = ("put", "delete", "query", "reply", "datagram")
+_MOST_NAMED = 10_000  # messages in water that are remembered by number; a modem holds up to 1,000
+
+
+class Carried(Fate, frozen=True):
+    """The fate of a packet, and the message that it belongs to."""
+
+    key: str = ""  # zenoh's, or `udp/<port>`
+    kind: str = PUT
+    size: int = 0  # bytes, with the header
+
+
+class Message(Struct):
+    """What a program of a robot sent."""
+
+    src: int
+    kind: str
+    key: str
+    payload: bytes
+    at_ns: int  # when it came [CLOCK_MONOTONIC]
+    what: Any = None  # zenoh's own sample, query or reply, or what the process needs to hand it over
+    to: int | None = None  # its only receiver; None: all neighbours
+    number: int = 0  # in the order in which the relay took them
+
+
+class Part(NamedTuple):
+    """A packet's share of a message: number `part` of `parts`, of `length` bytes without the header."""
+
+    message: Message
+    part: int
+    parts: int
+    length: int
+
+
+class Handed(NamedTuple):
+    """A message that is due at a receiver."""
+
+    due_ns: int
+    dst: int
+    message: Message
+    payload: bytes
+
+
+class _Outbox(Transit):
+    """Where media put packets and losses."""
+
+    def __init__(self, config: NetemConfig) -> None:
+        super().__init__(config)
+        self.now: Part | None = None  # what enters a link now; None: in water, where `named` says it
+        self.named: dict[tuple[int, int], Part] = {}  # by (src, seq)
+        self.heap: list[tuple[int, int, PendingPacket, Part]] = []
+        self.final: list[Carried] = []
+        self.begin_ns = self.reported = 0  # nothing becomes final before this tick any more
+        self._tick_ns = config.tick_ns
+        self._count = 0
+
+    def add(self, packet: PendingPacket, measured: MeasuredRange | None = None) -> None:
+        part = self.now
+        if part is not None:
+            due_ns = part.message.at_ns + packet.delay_ns
+        else:
+            part = self.named[packet.src, packet.seq]
+            due_ns = self.begin_ns + packet.due_tick * self._tick_ns
+        self._count += 1
+        heappush(self.heap, (due_ns, self._count, packet, part))
+
+    def lose(self, fate: Fate) -> None:
+        part = self.now or self.named[fate.src, fate.seq]
+        self.final.append(carried(fate, part, max(fate.final_tick, self.reported)))
+
+
+def carried(fate: Fate, part: Part, final_tick: int) -> Carried:
+    """A fate with its message; `fate.payload` is the packet as it was sent, and is not kept."""
+    return Carried(
+        final_tick, fate.src, fate.dst, fate.seq, fate.copy, fate.sent_tick, fate.due_tick, fate.delay_ns,
+        fate.cause, fate.corrupted, b"", None, part.message.key, part.message.kind, len(fate.payload),
+    )  # fmt: skip
+
+
+class Relay:
+    """The packets between robots. `now_ns` never goes back from call to call."""
+
+    def __init__(self, config: NetemConfig, begin_ns: int, *, header: int = 0, fragments: bool = False) -> None:
+        """Begin tick 0 at `begin_ns`. `header`: bytes that each packet has beside its payload. `fragments`: in water, a
+        message that is longer than a packet is sent as several, which must all arrive.
+        """
+        water = config.acoustic is not None
+        self.config = config = replace(config, ideal=not water, round_ticks=1, memory_ticks=0)
+        self.faults = config.faults
+        self.late = Histogram()  # how much later than due messages were handed over
+        self.places: dict[int, Place] = {}
+        self._begin_ns, self._header, self._fragments = begin_ns, header, fragments
+        self._links, self._out = make_links(config), _Outbox(config)
+        self._out.begin_ns = begin_ns
+        self._dry = None if water else IndependentLinks(config, self._links, self._out)
+        self._water = AcousticChannel(config, self._links, self._out) if water else None
+        self._taken = 0
+        self._came: dict[int, list[bytes]] = {}  # for the next tick, in water
+        self._numbers = dict.fromkeys(config.vehicles, 0)  # of the next packet, in water
+        self._next = 0  # tick of the next round, in water
+        self._arrived: dict[tuple[int, int], dict[int, bytes]] = {}  # parts by (receiver, message)
+        self._latency_ns: dict[Link, int] = {}
+        self._active: tuple[int, tuple[Any, ...], ActiveFaults] = (-1, (), active_faults((), 0))
+
+    def __len__(self) -> int:
+        """Packets under way on links; those in water are its own."""
+        return len(self._out.heap)
+
+    @property
+    def entered(self) -> dict[Link, tuple[int, int]]:
+        """The number of packets sent into each link, and the number of duplicates that the link added."""
+        return {link: (account.sent, account.duplicated) for link, account in self._links.ledger.accounts.items()}
+
+    def tick(self, now_ns: int) -> int:
+        return max(0, (now_ns - self._begin_ns) // self.config.tick_ns)
+
+    def due_ns(self) -> int | None:
+        """When there is something to do next; None: not before a message comes."""
+        due = self._out.heap[0][0] if self._out.heap else None
+        if self._water is None:
+            return due
+        carries = self._begin_ns + self._next * self.config.tick_ns
+        return carries if due is None else min(due, carries)
+
+    def take(self, message: Message) -> None:
+        """Send a message into the links of its sender, or the only one to its receiver."""
+        src = message.src
+        self._taken = message.number = self._taken + 1
+        parts = self._parts(message)
+        if self._water is not None:
+            self._remember(src, parts)
+            return
+        tick, out = self.tick(message.at_ns), self._out
+        faults = self._faults(tick)
+        receivers = self._links.receivers[src] if message.to is None else [message.to]
+        assert self._dry is not None
+        for dst in receivers:
+            if (src, dst) in self._links.models:
+                for part, data in parts:
+                    out.now = part
+                    self._dry.enter(tick, (src, dst), data, faults)
+        out.now = None
+
+    def handed(self, now_ns: int) -> Iterator[Handed]:
+        """Every message that is due, in the order in which they are; `late` counts each when the next is asked for."""
+        out = self._out
+        while self._water is not None and self._begin_ns + self._next * self.config.tick_ns <= now_ns:
+            self._carry(self._water)
+        while out.heap and out.heap[0][0] <= now_ns:
+            due_ns, _, packet, part = heappop(out.heap)
+            tick = max(packet.sent_tick, self.tick(now_ns), out.reported)
+            deaf = packet.dst in self._faults(tick).deaf
+            fate = packet._replace(due_tick=tick).fate(tick, Cause.DEAF if deaf else Cause.DELIVERED)
+            out.final.append(carried(fate, part, tick))
+            if deaf:
+                continue
+            self._latency_ns[packet.src, packet.dst] = packet.delay_ns
+            payload = self._whole(packet, part)
+            if payload is not None and part.message.to in (None, packet.dst):
+                yield Handed(due_ns, packet.dst, part.message, payload)
+
+    def report(self, until: int) -> list[Carried]:
+        """The fates that became final up to a tick, in the order of the log."""
+        final = [fate for fate in self._out.final if fate.final_tick <= until]
+        self._out.final = [fate for fate in self._out.final if fate.final_tick > until]
+        self._out.reported = until + 1
+        final.sort(key=fate_order)
+        return final
+
+    def close(self, end_tick: int) -> list[Carried]:
+        """The fates of everything that is left when the run ends before a tick is started."""
+        final = self.report(end_tick - 1)
+        if self._water is not None:
+            self._water.close(end_tick)
+        left = [packet.fate(end_tick, Cause.IN_FLIGHT) for _, _, packet, _ in self._out.heap]
+        rest = [carried(fate, part, end_tick) for fate, (_, _, _, part) in zip(left, self._out.heap, strict=True)]
+        lost = [structs.replace(fate, final_tick=end_tick, cause=Cause.IN_FLIGHT) for fate in self._out.final]
+        self._out.heap, self._out.final = [], []
+        return final + sorted([*rest, *lost], key=fate_order)
+
+    def passes(self, link: Link, now_ns: int) -> bool:
+        """Whether a packet could pass a link now, wherever its ends are."""
+        faults, model = self._faults(self.tick(now_ns)), self._links.models[link]
+        if link in faults.cut or link[0] in faults.mute or link[1] in faults.deaf:
+            return False
+        condition = faults.conditions.get(link, model.condition)
+        return lost_share(condition) < 1.0 or link in faults.up
+
+    def latency_ns(self, link: Link) -> int:
+        """The delay of the last packet that arrived over a link, or what its condition says before there is one."""
+        return self._latency_ns.get(link, self._links.models[link].condition.delay_ns)
+
+    def _faults(self, tick: int) -> ActiveFaults:
+        if self._active[0] != tick or self._active[1] is not self.faults:
+            self._active = tick, self.faults, active_faults(self.faults, tick)
+        return self._active[2]
+
+    def _parts(self, message: Message) -> list[tuple[Part, bytes]]:
+        payload, header = message.payload, bytes(self._header)
+        room = max(len(payload), 1)
+        if self._fragments and self.config.acoustic is not None:
+            longest = self.config.acoustic.longest(self.config.tick_ns, message.src)
+            room = max(1, min(room, longest - self._header))
+        pieces = [payload[begin : begin + room] for begin in range(0, len(payload), room)] or [b""]
+        return [
+            (Part(message, number, len(pieces), len(piece)), piece + header) for number, piece in enumerate(pieces)
+        ]
+
+    def _remember(self, src: int, parts: list[tuple[Part, bytes]]) -> None:
+        named = self._out.named
+        for part, data in parts:
+            self._came.setdefault(src, []).append(data)
+            named[src, self._numbers[src]] = part
+            self._numbers[src] += 1
+        while len(named) > _MOST_NAMED:
+            del named[next(iter(named))]
+
+    def _carry(self, water: AcousticChannel) -> None:
+        tick = self._next
+        came = {src: tuple(payloads) for src, payloads in self._came.items()}
+        self._came = {}
+        water.carry(MediumRound(tick, tick + 1, came, self.places, self._faults(tick)))
+        self._next = tick + 1
+
+    def _whole(self, packet: PendingPacket, part: Part) -> bytes | None:
+        """The payload that has arrived with a packet; None: parts of it are missing, or it was there already."""
+        data = packet.payload[: part.length]
+        if part.parts == 1:
+            return data
+        name = packet.dst, part.message.number
+        have = self._arrived.setdefault(name, {})
+        have[part.part] = data
+        if len(have) < part.parts:
+            if len(self._arrived) > _MOST_NAMED:
+                del self._arrived[next(iter(self._arrived))]
+            return None
+        del self._arrived[name]
+        return b"".join(have[number] for number in range(part.parts))
+

@@ -1,0 +1,408 @@
+"""The process between robots that are not ours: their sessions and sockets, a relay, and a pipe to the console.
+
+Everything that comes goes into one queue with its time; the main thread takes it, hands over what is due, and every
+round tells the console what became of each packet. The console has a process of its own, so a slow disk delays nothing.
+"""
+
+from __future__ import annotations
+
+import gc
+import socket
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from queue import Empty, SimpleQueue
+from threading import Thread
+from time import monotonic_ns
+from typing import Any
+
+import msgspec
+from msgspec import Struct
+
+from netem.condition import Link
+from netem.config import NetemConfig
+from netem.errors import BusError
+from netem.faults import read_faults
+from netem.histogram import Histogram
+from netem.relay import DATAGRAM, QUERY, REPLY, Carried, Message, Relay
+from netem.wire import robots
+from netem.wire.robots import Access, Robot, Ticket, Token
+from netem.wire.session import quiet_zenoh
+
+MOST_DATAGRAM = 65_535
+MOST_KEPT_BYTES = 1_000_000  # of a message whose bytes are logged
+_BEHIND = 64  # reports that the console may be behind before the relay waits for it
+_BATCH = 500  # what comes is taken so often before the relay looks for what is due
+
+
+class Port(Struct, frozen=True):
+    """Datagrams that a program of `src` sends to our port, and where they leave to."""
+
+    src: int
+    port: int
+    dst: int
+    host: str
+    to: int
+    listen: str = "127.0.0.1"
+
+
+class Setup(Struct):
+    """What the process needs to know; it is pickled."""
+
+    config: NetemConfig
+    robots: tuple[Access, ...]
+    carry: tuple[str, ...]
+    ports: tuple[Port, ...] = ()
+    places: dict[int, tuple[float, ...]] = {}
+    place_topics: dict[int, str] = {}
+    header: int = 0
+    fragments: bool = False
+    payloads: bool = False
+    linked: bool = False  # discovery
+    lost_after_ns: int = 0
+
+
+class Said(Struct):
+    """A message as its robot sent it, for the log."""
+
+    tick: int
+    src: int
+    key: str
+    kind: str
+    encoding: str
+    payload: bytes
+
+
+class Report(Struct):
+    """What happened up to a tick."""
+
+    until: int
+    fates: list[Carried]
+    said: list[Said] = []
+    placed: list[tuple[int, str, bytes]] = []  # robot, key, and message of a topic that says where it is
+    notes: list[str] = []
+    waiting: int = 0  # packets under way
+    closing: dict[str, Any] | None = None  # with the last report: counts and lateness
+
+
+class _Datagram(Struct):
+    port: Port
+    at_ns: int
+    payload: bytes
+
+
+def run(pipe: Connection, setup: Setup) -> None:
+    """Serve until the console says so, or is gone. It first gets one text: empty, or why this cannot begin."""
+    quiet_zenoh()
+    queue: SimpleQueue[Any] = SimpleQueue()
+    try:
+        process = RelayProcess(pipe, setup, queue)
+    except BusError as error:
+        pipe.send_bytes(str(error).encode())
+        return
+    pipe.send_bytes(b"")
+    with suppress(EOFError):
+        pipe.recv_bytes()  # begin
+        gc.freeze()
+        try:
+            process.serve()
+        except BusError as error:
+            process.fail(error)
+
+
+class RelayProcess:
+    """The sessions, sockets and relay of one run."""
+
+    def __init__(self, pipe: Connection, setup: Setup, queue: SimpleQueue[Any]) -> None:
+        """Open everything. Raises BusError: an address is in use, or nobody answers there."""
+        self._pipe, self._setup, self._queue = pipe, setup, queue
+        self._robots: dict[int, Robot] = {}
+        self._sockets: dict[tuple[int, int], socket.socket] = {}
+        self._outgoing: SimpleQueue[bytes | None] = SimpleQueue()
+        self._notes: list[str] = []
+        self._said: list[Said] = []
+        self._placed: dict[int, tuple[str, bytes]] = {}
+        self._waiting: list[Ticket] = []
+        self._tokens: dict[str, int] = {}  # those of robots, by key
+        self._shown: dict[tuple[Link, str], int] = {}  # when a token is to appear at the end of a link [ns]
+        self._passed_ns: dict[Link, int] = {}  # when something could pass a link last
+        self._who: dict[str, int] = {}  # by zenoh id of a router: the robot that reaches it
+        self._full: set[int] = set()
+        self._came = Histogram()  # how long what comes waits for this process
+        try:
+            for access in setup.robots:
+                if access.listen or access.connect:
+                    self._robots[access.number] = Robot(access, setup.carry, queue.put)
+            for port in setup.ports:
+                self._sockets[port.src, port.dst] = _bound(port)
+        except BusError:
+            self._close()
+            raise
+        self._twice()
+
+    def serve(self) -> None:
+        """Hand over what is due, until the console says that the run ends."""
+        config = self._setup.config
+        begin_ns = monotonic_ns()
+        self._relay = relay = Relay(
+            config, begin_ns, header=self._setup.header, fragments=self._setup.fragments
+        )
+        relay.places.update(self._setup.places)
+        self._sender = Thread(target=self._send, daemon=True)
+        self._sender.start()
+        Thread(target=self._listen, daemon=True).start()
+        for port in self._setup.ports:
+            Thread(target=self._receive, args=(port, self._sockets[port.src, port.dst]), daemon=True).start()
+        for robot in self._robots.values():
+            robot.begin()
+        round_ns = config.round_ticks * config.tick_ns
+        reported = 0  # rounds
+        self._end: int | None = None
+        while self._end is None:
+            now = monotonic_ns()
+            due, next_round = relay.due_ns(), begin_ns + (reported + 1) * round_ns + config.tick_ns
+            until = next_round if due is None else min(due, next_round)
+            if until > now:
+                with suppress(Empty):
+                    self._take(self._queue.get(timeout=(until - now) / 1e9))
+            for _ in range(min(_BATCH, self._queue.qsize())):
+                self._take(self._queue.get_nowait())
+            self._hand_over()
+            now = monotonic_ns()
+            if now >= next_round:
+                reported = (now - begin_ns - config.tick_ns) // round_ns
+                self._discover(now)
+                self._report(reported * config.round_ticks)
+        self._last(self._end)
+
+    # --- what comes
+
+    def _take(self, item: Any) -> None:
+        match item:
+            case Token():
+                self._announced(item)
+            case robots.Link():
+                self._linked(item)
+            case _Datagram(port, at_ns, payload):
+                key = f"udp/{port.port}"
+                self._send_message(Message(port.src, DATAGRAM, key, payload, at_ns, port, port.dst))
+            case dict():
+                self._asked(item)
+            case None:
+                raise EOFError
+            case _:
+                self._message(item)
+
+    def _message(self, item: Any) -> None:
+        message = robots.read(item)
+        if message is None:
+            item.ticket.ended.add(item.robot)
+            self._finish(item.ticket)
+            return
+        if message.kind == QUERY:
+            self._keep(message.what)
+        elif message.kind == REPLY:
+            ticket = message.what[0]
+            ticket.sent[message.src] = ticket.sent.get(message.src, 0) + 1
+        topic = self._setup.place_topics.get(message.src)
+        if topic is not None and message.kind == robots.PUT and _names(message.key, topic):
+            self._placed[message.src] = message.key, message.payload
+        self._send_message(message)
+
+    def _send_message(self, message: Message) -> None:
+        if self._setup.payloads and len(message.payload) <= MOST_KEPT_BYTES:
+            encoding = str(message.what.encoding) if message.kind == robots.PUT else ""
+            tick = self._relay.tick(message.at_ns)
+            self._said.append(Said(tick, message.src, message.key, message.kind, encoding, message.payload))
+        self._relay.take(message)
+
+    def _keep(self, ticket: Ticket) -> None:
+        self._waiting.append(ticket)
+        if len(self._waiting) > robots.MOST_OPEN:
+            del self._waiting[0]  # whoever asked has given up long ago
+
+    def _finish(self, ticket: Ticket) -> None:
+        """End a query whose answers are all there; one of which something was lost waits for the asker's time-out."""
+        neighbours = {dst for src, dst in self._setup.config.links if src == ticket.asker and dst in self._robots}
+        if ticket.ended >= neighbours and all(ticket.arrived.get(i, 0) >= n for i, n in ticket.sent.items()):
+            with suppress(ValueError):
+                self._waiting.remove(ticket)
+            ticket.query.drop()
+
+    def _asked(self, request: dict[str, Any]) -> None:
+        match request["op"]:
+            case "faults":
+                self._relay.faults = read_faults(request["faults"])
+            case "places":
+                self._relay.places.update({int(i): tuple(place) for i, place in request["places"].items()})
+            case "close":
+                self._end = self._relay.tick(monotonic_ns()) + 1
+
+    # --- what is due
+
+    def _hand_over(self) -> None:
+        late = self._relay.late
+        for due_ns, dst, message, payload in self._relay.handed(monotonic_ns()):
+            try:
+                self._hand(dst, message, payload)
+            except BusError as error:
+                self._note(str(error))
+            late.add(monotonic_ns() - due_ns)
+
+    def _hand(self, dst: int, message: Message, payload: bytes) -> None:
+        if message.kind == DATAGRAM:
+            port: Port = message.what
+            back = self._sockets.get((dst, port.src)) or self._sockets[port.src, dst]
+            with suppress(OSError):  # as on any network: nobody may listen there
+                back.sendto(payload, (port.host, port.to))
+        elif message.kind == REPLY:
+            ticket = message.what[0]
+            robots.answer(message, payload)
+            ticket.arrived[message.src] = ticket.arrived.get(message.src, 0) + 1
+            self._finish(ticket)
+        elif dst not in self._robots:
+            return
+        elif message.kind == QUERY:
+            self._robots[dst].ask(message.what, payload)
+        else:
+            self._robots[dst].hand(message, payload)
+
+    # --- discovery
+
+    def _announced(self, token: Token) -> None:
+        if not self._robots[token.robot].carries(token.key):
+            return
+        if not token.alive:
+            if self._tokens.get(token.key) == token.robot:
+                del self._tokens[token.key]
+                self._shown = {name: at for name, at in self._shown.items() if name[1] != token.key}
+                for robot in self._robots.values():
+                    robot.withdraw(token.key)
+            return
+        if token.key in self._tokens or len(self._tokens) >= robots.MOST_TOKENS:
+            if token.key not in self._tokens and token.robot not in self._full:
+                self._full.add(token.robot)
+                name = self._robots[token.robot].name
+                self._note(f"{name}: more than {robots.MOST_TOKENS} liveliness tokens; others do not see the rest")
+            return
+        self._tokens[token.key] = token.robot
+        now = monotonic_ns()
+        for link in self._setup.config.links:
+            if link[0] == token.robot and link[1] in self._robots:
+                delay = self._relay.latency_ns(link) if self._setup.linked else 0
+                self._shown[link, token.key] = now + delay
+        self._discover(now)
+
+    def _discover(self, now_ns: int) -> None:
+        """Show the tokens that are due; with `linked`, withdraw those behind a link that nothing has passed for long."""
+        if not self._setup.linked:
+            for (link, key), _ in self._shown.items():
+                self._robots[link[1]].mirror(key)
+            self._shown.clear()
+            return
+        lost = set()
+        for link in self._setup.config.links:
+            if self._relay.passes(link, now_ns):
+                self._passed_ns[link] = now_ns
+            elif now_ns - self._passed_ns.setdefault(link, now_ns) > self._setup.lost_after_ns:
+                lost.add(link)
+        for (link, key), at_ns in self._shown.items():
+            robot = self._robots[link[1]]
+            if link in lost:
+                robot.withdraw(key)
+            elif at_ns <= now_ns and self._passed_ns.get(link) == now_ns:
+                robot.mirror(key)
+
+    def _linked(self, link: robots.Link) -> None:
+        robot = self._robots[link.robot]
+        if not link.begins and link.who in self._who:
+            self._note(f"{robot.name}: the router is gone; it is looked for until it is back")
+        self._twice()
+
+    def _twice(self) -> None:
+        """Note two robots that reach one router: what one puts would come back through the other for ever."""
+        for number, robot in self._robots.items():
+            for who in robot.routers:
+                other = self._who.setdefault(who, number)
+                if other != number:
+                    first = self._robots[other].name
+                    raise BusError(f"{first} and {robot.name} reach the same zenoh network ({who}): give each its own")
+
+    # --- the console
+
+    def _note(self, text: str) -> None:
+        if len(self._notes) < 100:
+            self._notes.append(text)
+
+    def _report(self, until: int) -> None:
+        placed = [(i, *found) for i, found in self._placed.items()]
+        report = Report(until, self._relay.report(until), self._said, placed, self._notes, len(self._relay))
+        self._said, self._placed, self._notes = [], {}, []
+        self._outgoing.put(msgspec.msgpack.encode(report))
+        while self._outgoing.qsize() > _BEHIND:
+            self._sender.join(0.01)
+
+    def _last(self, end: int) -> None:
+        fates = self._relay.close(end)
+        closing = {
+            "entered": [[*link, *counts] for link, counts in self._relay.entered.items()],
+            "late": self._relay.late.to_values(),
+            "came": self._came.to_values(),
+        }
+        report = Report(end, fates, self._said, [], self._notes, 0, closing)
+        self._outgoing.put(msgspec.msgpack.encode(report))
+        self._outgoing.put(None)
+        self._sender.join()
+        self._close()
+
+    def fail(self, error: BusError) -> None:
+        """Tell the console why this cannot go on."""
+        tick = self._relay.tick(monotonic_ns())
+        self._outgoing.put(msgspec.msgpack.encode(Report(tick, [], closing={"error": str(error)})))
+        self._outgoing.put(None)
+        self._sender.join()
+        self._close()
+
+    def _send(self) -> None:
+        with suppress(OSError):  # the console is gone
+            while (data := self._outgoing.get()) is not None:
+                self._pipe.send_bytes(data)
+
+    def _listen(self) -> None:
+        try:
+            while True:
+                request = msgspec.msgpack.decode(self._pipe.recv_bytes())
+                if request["op"] == "ping":  # as late as what comes from robots, which another thread takes, too
+                    self._came.add(monotonic_ns() - request["at_ns"])
+                else:
+                    self._queue.put(request)
+        except (EOFError, OSError):
+            self._queue.put(None)
+
+    def _receive(self, port: Port, listening: socket.socket) -> None:
+        with suppress(OSError):  # closed at the end
+            while True:
+                payload = listening.recv(MOST_DATAGRAM)
+                self._queue.put(_Datagram(port, monotonic_ns(), payload))
+
+    def _close(self) -> None:
+        for each in self._sockets.values():
+            each.close()
+        for robot in self._robots.values():
+            robot.close()
+
+
+def _bound(port: Port) -> socket.socket:
+    family = socket.AF_INET6 if ":" in port.listen else socket.AF_INET
+    made = socket.socket(family, socket.SOCK_DGRAM)
+    try:
+        made.bind((port.listen, port.port))
+    except OSError as error:
+        made.close()
+        raise BusError(f"cannot listen on port {port.port} for datagrams: {error.strerror}") from None
+    return made
+
+
+def _names(key: str, topic: str) -> bool:
+    """Whether a key is that of a topic: as it is, or as rmw_zenoh writes it."""
+    return key == topic or f"/{topic}/" in f"/{key}/"
+

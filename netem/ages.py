@@ -65,11 +65,18 @@ class InformationAge:
 class Ages:
     """The ages on all links, from final fates in the order of the journal."""
 
-    def __init__(self, links: Iterable[Link]) -> None:
+    def __init__(self, links: Iterable[Link], *, from_first_packet: bool = False) -> None:
+        """`from_first_packet`: the age of a link counts from the first packet that was sent into it, not from tick 0:
+        nobody promises that programs of others send over each link, or from the beginning.
+        """
         self.links: dict[Link, InformationAge] = {link: InformationAge() for link in sorted(links)}
+        self._silent = set(self.links) if from_first_packet else None
 
     def settle(self, fate: Fate) -> None:
         """Take a final fate. Raises KeyError: it names a link that does not exist."""
+        if self._silent is not None and (link := (fate.src, fate.dst)) in self._silent:
+            self._silent.discard(link)
+            self.links[link] = InformationAge(fate.sent_tick, fate.sent_tick, fate.sent_tick)
         if fate.cause == Cause.DELIVERED and not fate.corrupted:
             self.links[fate.src, fate.dst].hear(fate.sent_tick, fate.due_tick)
 
@@ -84,8 +91,14 @@ class Ages:
 
     def count(self, until: int) -> None:
         """Count the ticks below `until`; every fate that was final before it has been taken."""
-        for age in self.links.values():
-            age.count(until)
+        for link, age in self.links.items():
+            if self._silent is None or link not in self._silent:
+                age.count(until)
+
+    @property
+    def begun(self) -> list[Link]:
+        """The links whose age counts."""
+        return [link for link in self.links if self._silent is None or link not in self._silent]
 
     def oldest(self, after: int, links: Iterable[Link]) -> tuple[int, Link, int] | None:
         """The largest age on some links from a tick on: (age, link, tick); None if no tick was counted there."""

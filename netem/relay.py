@@ -229,9 +229,7 @@ class Relay:
             longest = self.config.acoustic.longest(self.config.tick_ns, message.src)
             room = max(1, min(room, longest - self._header))
         pieces = [payload[begin : begin + room] for begin in range(0, len(payload), room)] or [b""]
-        return [
-            (Part(message, number, len(pieces), len(piece)), piece + header) for number, piece in enumerate(pieces)
-        ]
+        return [(Part(message, number, len(pieces), len(piece)), piece + header) for number, piece in enumerate(pieces)]
 
     def _remember(self, src: int, parts: list[tuple[Part, bytes]]) -> None:
         named = self._out.named
@@ -263,4 +261,3 @@ class Relay:
             return None
         del self._arrived[name]
         return b"".join(have[number] for number in range(part.parts))
-

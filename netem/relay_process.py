@@ -23,7 +23,7 @@ from netem.config import NetemConfig
 from netem.errors import BusError
 from netem.faults import read_faults
 from netem.histogram import Histogram
-from netem.relay import DATAGRAM, QUERY, REPLY, Carried, Message, Relay
+from netem.relay import DATAGRAM, PUT, QUERY, REPLY, Carried, Message, Relay
 from netem.wire import robots
 from netem.wire.robots import Access, Robot, Ticket, Token
 from netem.wire.session import quiet_zenoh
@@ -59,6 +59,7 @@ class Setup(Struct):
     payloads: bool = False
     linked: bool = False  # discovery
     lost_after_ns: int = 0
+    ticks: int = 2**62  # of the run, if nobody ends it
 
 
 class Said(Struct):
@@ -101,10 +102,10 @@ def run(pipe: Connection, setup: Setup) -> None:
         return
     pipe.send_bytes(b"")
     with suppress(EOFError):
-        pipe.recv_bytes()  # begin
+        begin_ns = msgspec.msgpack.decode(pipe.recv_bytes())["at_ns"]
         gc.freeze()
         try:
-            process.serve()
+            process.serve(begin_ns)
         except BusError as error:
             process.fail(error)
 
@@ -139,13 +140,10 @@ class RelayProcess:
             raise
         self._twice()
 
-    def serve(self) -> None:
-        """Hand over what is due, until the console says that the run ends."""
+    def serve(self, begin_ns: int) -> None:
+        """Hand over what is due, until the run is over or the console ends it; tick 0 begins at `begin_ns`."""
         config = self._setup.config
-        begin_ns = monotonic_ns()
-        self._relay = relay = Relay(
-            config, begin_ns, header=self._setup.header, fragments=self._setup.fragments
-        )
+        self._relay = relay = Relay(config, begin_ns, header=self._setup.header, fragments=self._setup.fragments)
         relay.places.update(self._setup.places)
         self._sender = Thread(target=self._send, daemon=True)
         self._sender.start()
@@ -170,9 +168,12 @@ class RelayProcess:
             now = monotonic_ns()
             if now >= next_round:
                 reported = (now - begin_ns - config.tick_ns) // round_ns
+                if reported * config.round_ticks >= self._setup.ticks:
+                    self._end = self._setup.ticks
+                    break
                 self._discover(now)
                 self._report(reported * config.round_ticks)
-        self._last(self._end)
+        self._last(min(self._end, self._setup.ticks))
 
     # --- what comes
 
@@ -204,13 +205,13 @@ class RelayProcess:
             ticket = message.what[0]
             ticket.sent[message.src] = ticket.sent.get(message.src, 0) + 1
         topic = self._setup.place_topics.get(message.src)
-        if topic is not None and message.kind == robots.PUT and _names(message.key, topic):
+        if topic is not None and message.kind == PUT and _names(message.key, topic):
             self._placed[message.src] = message.key, message.payload
         self._send_message(message)
 
     def _send_message(self, message: Message) -> None:
         if self._setup.payloads and len(message.payload) <= MOST_KEPT_BYTES:
-            encoding = str(message.what.encoding) if message.kind == robots.PUT else ""
+            encoding = str(message.what.encoding) if message.kind == PUT else ""
             tick = self._relay.tick(message.at_ns)
             self._said.append(Said(tick, message.src, message.key, message.kind, encoding, message.payload))
         self._relay.take(message)
@@ -293,9 +294,9 @@ class RelayProcess:
         self._discover(now)
 
     def _discover(self, now_ns: int) -> None:
-        """Show the tokens that are due; with `linked`, withdraw those behind a link that nothing has passed for long."""
+        """Show the tokens that are due; with `linked`, withdraw those behind a link that nothing passes for long."""
         if not self._setup.linked:
-            for (link, key), _ in self._shown.items():
+            for link, key in self._shown:
                 self._robots[link[1]].mirror(key)
             self._shown.clear()
             return
@@ -405,4 +406,3 @@ def _bound(port: Port) -> socket.socket:
 def _names(key: str, topic: str) -> bool:
     """Whether a key is that of a topic: as it is, or as rmw_zenoh writes it."""
     return key == topic or f"/{topic}/" in f"/{key}/"
-

@@ -7,8 +7,9 @@ from typing import Any
 
 from msgspec import convert
 
-from fleet.result.result import Timing
+from fleet.result.result import Punctual, Spread, Timing
 from fleet.result.verdict import Verdict
+from fleet.scenario.schema.checks import Punctual as Asked
 
 ON_TIME, DEGRADED = "on time", "degraded"
 MOST_MISSED = 0.01  # share of its ticks that an agent may miss by default
@@ -76,3 +77,26 @@ def summary(timing: Timing) -> str:
         early = f"{hop.count - margin.negative} of {hop.count} deliveries in time"
         said.append(f"network to agent {hop.p50_ms:.2g} ms (median), {hop.p99_ms:.2g} ms (p99), {early}")
     return "; ".join(said)
+
+
+def punctual(found: Punctual, asked: Asked | None) -> Verdict:
+    """Whether a network of nodes handed messages over when they were due, and took them when they came: what is late
+    here, the host has delayed, and not the network that was asked for.
+    """
+    asked = asked or Asked()
+    limit_ms = asked.late / 1e6
+    share = max(later(found.late, limit_ms), later(found.came, limit_ms))
+    words = f"at most {asked.at_most * 100:g} % later than {limit_ms:g} ms"
+    late, came = found.late, found.came
+    said = (
+        f"{share:.2%}; handed over {late.p50_ms:.2g} ms (p50), {late.p99_ms:.2g} ms (p99), {late.max_ms:.3g} ms (worst)"
+    )
+    said += f" after the due time; taken within {came.p99_ms:.2g} ms (p99)"
+    verdict = Verdict("punctual", share <= asked.at_most, words, said, share, asked.at_most, "1")
+    return verdict.with_margin(asked.at_most - share, "1")
+
+
+def later(spread: Spread, limit_ms: float) -> float:
+    """The share of a spread that lies above a limit, to the accuracy of its histogram."""
+    above = sum(count for edge, count in spread.histogram_ms if edge > limit_ms * 1.12)  # the width of a bucket
+    return above / max(1, spread.count)

@@ -41,14 +41,14 @@ def judge(scenario: Scenario, journal: Journal, middleware_lost: int) -> list[Ve
         if (declared := getattr(checks, name)) is not None:
             verdicts.append(judged(declared, scenario, journal))
     tumbled, deaths = checks.tumbled or Tumbled(), checks.deaths or Standing()
-    if not tumbled.waived:
+    if not tumbled.waived and not scenario.nodes:
         verdicts.append(_tumbled(tumbled, scenario, journal))
-    if not deaths.waived:
+    if not deaths.waived and not scenario.nodes:
         verdicts.append(_deaths(deaths, scenario, journal))
     failures = journal.metrics.qp_failures()
     if checks.qp_infeasible is not None:
         verdicts.append(_at_most("qp_infeasible", checks.qp_infeasible, sum(failures.values())))
-    elif failures:
+    elif failures and not scenario.nodes:
         most = max(failures, key=lambda i: failures[i])
         who = f" (most of them vehicle {most}: {failures[most]})" if failures[most] else ""
         found = f"{sum(failures.values())}{who}"
@@ -202,7 +202,9 @@ def _min_separation(check: MinSeparation, scenario: Scenario, journal: Journal) 
 def _max_age(check: MaxAge, scenario: Scenario, journal: Journal) -> Verdict:
     some = f", links {check.links}" if check.links != "*" else ""
     asked = f"below {check.below / 1e9:g} s after {check.after / 1e9:g} s{some}"
-    links = sorted(select(parse_selector(check.links), scenario.graph.links))
+    links = sorted({*select(parse_selector(check.links), scenario.graph.links)}.intersection(journal.ages.begun))
+    if not links and scenario.nodes:
+        return Verdict("max_age", False, asked, "nothing was sent", None, check.below / 1e9, "s", judged=False)
     if not links:
         return Verdict("max_age", True, asked, "no link", None, check.below / 1e9, "s")
     oldest = _oldest(journal, -(-check.after // scenario.tick_ns), links)
@@ -211,7 +213,7 @@ def _max_age(check: MaxAge, scenario: Scenario, journal: Journal) -> Verdict:
         return Verdict("max_age", False, asked, found, None, check.below / 1e9, "s", judged=False)
     age, (src, dst), tick = oldest
     tick_s = scenario.tick_ns / 1e9
-    found = f"at most {age * tick_s:g} s (link {src}->{dst}, {tick * tick_s:g} s)"
+    found = f"at most {age * tick_s:g} s (link {scenario.link_name((src, dst))}, {tick * tick_s:g} s)"
     passed = age * scenario.tick_ns < check.below
     verdict = Verdict("max_age", passed, asked, found, age * tick_s, check.below / 1e9, "s")
     return verdict.with_margin(check.below / 1e9 - age * tick_s, "s", tick * tick_s)
@@ -258,7 +260,11 @@ def _of(vehicles: str | None) -> str:
 
 
 def _ended(scenario: Scenario, before: str) -> str:
-    return f"the run ended at {scenario.duration_ns / 1e9:g} s, before {before}"
+    return (
+        f"the run ended at {scenario.duration_ns / 1e9:g} s, before {before}"
+        if scenario.ends
+        else f"it ended before {before}"
+    )
 
 
 def _tumbled(check: Tumbled, scenario: Scenario, journal: Journal) -> Verdict:

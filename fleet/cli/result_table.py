@@ -65,9 +65,11 @@ def show(result: Result, terminal: Terminal) -> None:
     hosted = f" over {wall.processes} processes of up to {wall.per_process} agents" if wall.per_process > 1 else ""
     how = "in-process" if wall.in_process else f"distributed{hosted}, ready in {wall.startup_s:.2f} s"
     where = f", t = {result.from_s:g} to {result.sim_s:g} s," if result.from_s else ""
+    passed = f"{result.sim_s - result.from_s:g} s"
+    if result.punctual is None:
+        passed += f" simulated{where} in {wall.run_s:.2f} s ({wall.x_real_time:.1f} x real time, {how})"
     say(
-        f"{result.sim_s - result.from_s:g} s simulated{where} in {wall.run_s:.2f} s "
-        f"({wall.x_real_time:.1f} x real time, {how}); "
+        f"{passed}; "
         f"{result.messages} messages, {f'{size / 1e6:.1f} MB' if size else 'no log'}, digest {result.digest[:16]}"
     )
     if hint := large_log_hint(size / 1e6):

@@ -298,4 +298,67 @@ def _shuffle(seed: int | None) -> Any:
     return shuffled
 
 
-COMMANDS = (run,)
+@click.command(epilog=EPILOG)
+@click.argument("stack", metavar="STACK", type=PATH)
+@click.option("-o", "--out", metavar="DIR", type=PATH, default=Path("runs"), show_default=True,
+              help="The folder for run directories.")  # fmt: skip
+@click.option("--seed", type=Whole(0, 2**63 - 1), help="Override the file's seed.")
+@click.option("--duration", metavar="TIME", help="End after this time, e.g. '5 min'; else with Ctrl-C or fleet stop.")
+@OVERRIDES
+@disturbances
+@click.option("--show-config", is_flag=True, help="Print the merged file and stop.")
+@click.option("--view", is_flag=True, help="Open a page in the browser that shows the run.")
+@json_option
+@JUNIT
+@click.option("-q", "--quiet", is_flag=True, help="Print only the run's directory; failures go to stderr.")
+def netem(
+    stack: Path,
+    out: Path,
+    seed: int | None,
+    duration: str | None,
+    overrides: tuple[str, ...],
+    fault: tuple[Override, ...],
+    net: tuple[Override, ...],
+    show_config: bool,
+    view: bool,
+    junit: Path | None,
+    quiet: bool,
+) -> None:
+    """Put the network of the file STACK between robots whose programs are yours, and judge what it carried.
+
+    Each node is a robot: its programs connect to an address of ours, or we join a router of theirs. Time is the wall
+    clock. Ctrl-C ends the run, prints the verdict and the table of links, and leaves a log.
+
+    \b
+    Examples:
+      fleet netem stack.yaml
+      fleet netem stack.yaml --net '* delay 300ms 50ms loss 20%' --duration '2 min'
+      fleet inject partition 'auv1 / auv2,shore' --for 30s
+      fleet netem stack.yaml --view
+    """
+    from fleet.execution.options import Options
+    from fleet.processes.children import start_forkserver
+    from fleet.scenario.loading import load_scenario
+    from fleet.stack.lines import lines, warnings
+    from fleet.stack.run import RelayRun
+
+    if not show_config:
+        start_forkserver()
+    changes: list[str | Override] = [*overrides, *net, *fault, *key_options(seed=seed, duration=duration)]
+    scenario = load_scenario(stack, changes)
+    if not scenario.nodes:
+        raise click.UsageError(f"{stack} has no nodes: fleet run {stack} runs it with agents of its own")
+    if show_config:
+        click.echo(scenario.to_yaml(), nl=False)
+        return
+    if not quiet:
+        for line in [*(f"warning: {text}" for text in warnings(scenario)), *lines(scenario)]:
+            say(line, err=True)
+    asked = Options(out, clock=Clock.REAL, quiet=quiet, publish=view, relay=RelayRun)
+    result = _execute(scenario, asked, stderr(), view=view, ros2=False)
+    if junit is not None:
+        cli_junit.write(junit, result.scenario, cli_junit.of_run(result))
+    sys.exit(result.status.exit)
+
+
+COMMANDS = (run, netem)

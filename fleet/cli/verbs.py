@@ -21,6 +21,7 @@ GROUPS: dict[str, dict[str, Verb]] = {
         "new": Verb("new", "Write a scenario, law, protocol, check or vehicle."),
         "check": Verb("check", "Check a scenario without running it, or judge a log."),
         "run": Verb("run", "Run a scenario and judge it."),
+        "netem": Verb("run", "Put the network between programs of your own."),
         "reproduce": Verb("reproduce", "Run the paper's simulations again and judge its claims."),
     },
     "Live runs": {

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 
+from msgspec import convert
 from rich.console import Console as Terminal
 
 from agents.errors import AgentError
@@ -31,7 +32,7 @@ from fleet.recorder.log_file import LogFile, NoLog
 from fleet.recorder.writer import LogWriter
 from fleet.replay.publisher import LivePublisher
 from fleet.result.file import write_result
-from fleet.result.result import Published, Result, Status, Wall
+from fleet.result.result import Published, Punctual, Result, Status, Wall
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
 from fleet.terminal.status_line import BAR, StatusLine, bar
@@ -55,6 +56,7 @@ class ProgressLine:
         self._tick_s = scenario.tick_ns / 1e9
         self._ticks = scenario.ticks
         self._end_s = scenario.ticks * self._tick_s
+        self._nodes, self._endless = bool(scenario.nodes), not scenario.ends
         self._began_s: float | None = None
         self._shown, self._still_until_s = (-1, ""), 0.0  # what the last plain line was about
 
@@ -82,6 +84,10 @@ class ProgressLine:
         worst_m, median_m = off.worst_m or 0.0, off.median_m or 0.0
         errors = [f"error {worst_m:.3f} m{of}" for of in whose]
         waits = waiting.replace("waiting for", "waits for")
+        if self._nodes:
+            progress = [f"t = {at_s:.1f} s"] if self._endless else [f"t = {at_s:.1f} / {self._end_s:g} s"]
+            own = [Piece(0, progress), Piece(6, [*self._packets(), ""]), Piece(1, self._faults())]
+            return [*own, Piece(3, [waiting, *shortened(waiting, 40, 30)])]
         return [
             Piece(0, [f"t = {at_s:.1f} / {self._end_s:g} s", f"{at_s:.1f}/{self._end_s:g} s"]),
             Piece(7, [bar(share), bar(share, BAR // 2), ""] if self._line.live else [""]),
@@ -166,6 +172,8 @@ def _prepare(
     scenario: Scenario, options: Options, terminal: Terminal, interrupts: DeferInterrupts, while_it_lives: ExitStack
 ) -> _Run:
     """Make the run directory, the log and the journal; start the publisher, if there is one, and nothing else."""
+    if scenario.nodes and options.relay is None:
+        raise FleetError(f"{scenario.name} has nodes, whose programs are not ours: fleet netem runs it")
     in_process = options.in_process or scenario.ideal or options.start is not None
     if in_process:
         refuse(scenario, "a run in one process")
@@ -196,7 +204,9 @@ def _prepare(
             options.on_published(directory.path)
     journal = Journal(scenario, writer, interrupts, checks)
     runner: Runner
-    if in_process:
+    if options.relay is not None:
+        runner = options.relay(scenario, directory, journal, log, number, line.print)
+    elif in_process:
         runner = InProcess(scenario, journal, options.start)
     else:
         from fleet.execution.console import Console  # and with it zenoh and multiprocessing
@@ -246,8 +256,13 @@ def _serve(run: _Run) -> None:
 
 def _judge(run: _Run) -> None:
     more, result = [], run.result
-    if run.options.clock is Clock.REAL:
-        result.timing = punctuality.measured(run.runner.closing.timing, run.options.speed or 1.0)
+    timing = run.runner.closing.timing
+    if run.scenario.nodes:
+        if "late" in timing:
+            result.punctual = convert(timing, Punctual)
+            more.append(punctuality.punctual(result.punctual, run.scenario.spec.checks.punctual))
+    elif run.options.clock is Clock.REAL:
+        result.timing = punctuality.measured(timing, run.options.speed or 1.0)
     if result.timing is not None:
         more.append(punctuality.verdict(result.timing, run.options.most_missed))
     judge_run(run.scenario, run.journal, result, lost=run.runner.middleware_lost, more=more)

@@ -24,8 +24,10 @@ from fleet.recorder.journal import Journal
 from fleet.recorder.metrics import SETTLE_M, Series
 from fleet.recorder.settling import below_from, least_s, stayed
 from fleet.scenario.rules.faults import fault_problems
+from fleet.scenario.rules.nodes import OF_ROBOTS
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultEntry, FaultSection
+from fleet.scenario.sections.node_names import numbered_values
 from fleet.scenario.sections.timeline import Kill, Part, action, begin_and_end, parts, with_end, words
 from fleet.scenario.sections.vehicle_events import vehicle_events
 from netem.faults import NetFault
@@ -56,6 +58,11 @@ def checked_fault(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
     if not isinstance(entry, dict) or "at" in entry:
         raise RefusedError("expected a fault without `at`, because it begins now")
     try:
+        entry = numbered_values(entry, scenario.nodes)
+    except KeyError as error:
+        nodes = ", ".join(scenario.nodes)
+        raise RefusedError(f"there is no node {error.args[0]}; the nodes are {nodes}") from None
+    try:
         section = _ENTRY.validate_python(entry | {"at": f"{tick * scenario.tick_ns} ns"})
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
@@ -63,6 +70,8 @@ def checked_fault(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
         hint = first.get("ctx", {}).get("hint", "")
         where = ".".join(str(step) for step in first["loc"] if step != "[key]")
         raise RefusedError(f"{where}: {said[:1].lower()}{said[1:]}{f'; {hint}' if hint else ''}") from None
+    if scenario.nodes and action(section) not in OF_ROBOTS:
+        raise RefusedError(f"{action(section)} concerns vehicles of ours; known: {', '.join(sorted(OF_ROBOTS))}")
     problem = next(fault_problems(section, scenario.spec, scenario.graph.links), None)
     if problem is not None:
         raise RefusedError(str(problem))
@@ -132,7 +141,7 @@ def vehicle_rows(
 
 def link_rows(scenario: Scenario, journal: Journal, *, every: bool = False) -> list[dict[str, Any]]:
     """A row for each link, the worst ones first: what was heard last is oldest, then the greatest share is lost."""
-    rows = []
+    rows: list[dict[str, Any]] = []
     now = max(0, journal.written)
     for (src, dst), account in journal.ledger.accounts.items():
         lost = sum(account.lost.values()) - account.replaced
@@ -140,7 +149,8 @@ def link_rows(scenario: Scenario, journal: Journal, *, every: bool = False) -> l
         age_s = (now - journal.ages.links[src, dst].heard) * scenario.tick_ns / 1e9
         share = lost / settled if settled else 0.0
         counts = {"delivered": account.delivered, "lost": lost, "lost_share": share}
-        rows.append({"src": src, "dst": dst, **counts, "age_s": age_s})
+        name = scenario.link_name((src, dst))
+        rows.append({"link": name, "src": src, "dst": dst, **counts, "age_s": age_s})
     rows.sort(key=lambda row: (-row["age_s"], -row["lost_share"], row["src"], row["dst"]))
     return rows[: MOST_ROWS if every else WORST_LINKS]
 
@@ -278,7 +288,7 @@ class Operator:
             raise RefusedError(f"there is a fault {name} already")
         end = self._add(section, name)
         times = {"from_s": self._seconds(tick), "to_s": self._seconds(end), "until_healed": section.for_ is None}
-        return {"id": name, "what": words(section), **times}
+        return {"id": name, "what": words(section, self.scenario.nodes), **times}
 
     def _add(self, section: FaultSection, name: str) -> int:
         """Add a fault. Returns the tick of its end. The operator may heal it earlier."""
@@ -291,8 +301,8 @@ class Operator:
             if isinstance(part, Kill):
                 self.journal.tell_deaths(part.absences)
                 self.fleet.end_agents(part)
-        self._words[name] = words(section)
-        begin, end = begin_and_end(found, section, scenario.ticks)
+        self._words[name] = words(section, scenario.nodes)
+        begin, end = begin_and_end(found, section, scenario.ticks, scenario.nodes)
         self.journal.add_event(begin)
         self.journal.add_event(end)
         return end.tick
@@ -355,6 +365,8 @@ class Operator:
         self.faults = ordered
 
     def _clock(self, request: dict[str, Any]) -> dict[str, Any]:
+        if self.scenario.nodes:
+            raise RefusedError("the time of robots that are not ours is the wall clock, which nobody holds")
         match request.get("do"), request.get("value"):
             case "pause", _:
                 self.clock.pause(self.fleet.granted)

@@ -11,6 +11,7 @@ from fleet.analysis.punctuality import MOST_MISSED
 from netem.vehicle_clock import Clock
 
 if TYPE_CHECKING:
+    from fleet.execution.runner import MakeRelay
     from fleet.hosts.rendezvous import Rendezvous
     from fleet.recorder.snapshot import Start
 
@@ -39,3 +40,4 @@ class Options:
     start_order: Callable[[list[str]], list[str]] | None = None  # of roles; None: the usual order
     join_timeout_s: float = JOIN_TIMEOUT_S  # how long to wait for an agent that somebody else starts
     rendezvous: Rendezvous | None = None  # how processes on several hosts meet; None: all are on this one
+    relay: MakeRelay | None = None  # makes the run of a scenario with nodes

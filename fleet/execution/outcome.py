@@ -68,8 +68,9 @@ def account_for(
         TumbleSpell(spell.vehicle, seconds(spell.begin), None if spell.end is None else seconds(spell.end))
         for spell in journal.tumbles
     ]
-    result.ledger = {f"{src}->{dst}": one.ordered for (src, dst), one in journal.ledger.accounts.items()}
-    result.ages = convert(journal.ages.summary(scenario.tick_ns), dict[str, LinkAge])
+    result.ledger = {scenario.link_name(link): one.ordered for link, one in journal.ledger.accounts.items()}
+    ages = {scenario.named_link(name): age for name, age in journal.ages.summary(scenario.tick_ns).items()}
+    result.ages = convert(ages, dict[str, LinkAge])
     result.middleware_lost = runner.middleware_lost
     result.faults, result.events = rows(faults=True), rows(faults=False)
     result.messages, result.log_bytes, result.digest = file.messages, file.size, file.digest

@@ -7,6 +7,10 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from fleet.execution.clock import GrantPolicy
+from fleet.execution.directory import RunDirectory
+from fleet.recorder.journal import Journal
+from fleet.recorder.log_file import LogFile, NoLog
+from fleet.scenario.scenario import Scenario
 from netem.condition import Link
 
 
@@ -36,3 +40,17 @@ class Runner(Protocol):
         """Run to the end; `progress` is called all the time. Raises RunBroken if the run could not be completed;
         StoppedError if the operator stopped it.
         """
+
+
+class MakeRelay(Protocol):
+    """Makes the run of a scenario with nodes. `print_line`: shows the operator a line that stays."""
+
+    def __call__(
+        self,
+        scenario: Scenario,
+        directory: RunDirectory,
+        journal: Journal,
+        log: LogFile | NoLog,
+        run: str,
+        print_line: Callable[[str], None],
+    ) -> Runner: ...

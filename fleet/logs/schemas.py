@@ -95,10 +95,16 @@ RANGED = (
     MessageField("distance", "m", "their true distance then"),
     MessageField("range_error", "m", "the range minus that distance"),
 )
+CARRIED = (
+    *PACKET,
+    MessageField("key", "", "of the message it belongs to: zenoh's, or udp/<port>", type=STRING),
+    MessageField("kind", "", "put, delete, query, reply or datagram", type=STRING),
+    MessageField("size", "bytes", "of the packet with its header", type=UINT32),
+)
 # By name, the schemas that every log of a run may have.
 _OURS = {"State": STATE, "StateWithRoll": STATE + ROLL, "Command": COMMAND, "Error": ERROR, "Clock": CLOCK_ERROR}
 _OURS |= {"Belief": BELIEF, "Fix": FIX, "Located": LOCATED, "Fault": FAULT, "Snapshot": SNAPSHOT}
-_OURS |= {"Packet": PACKET, "RangedPacket": RANGED}
+_OURS |= {"Packet": PACKET, "RangedPacket": RANGED, "CarriedPacket": CARRIED}
 OURS = {f"{PACKAGE}.{name}": columns for name, columns in _OURS.items()}
 
 

@@ -68,7 +68,7 @@ class Journal:
         self._whole = nullcontext() if whole is None else whole
         self.metrics = Metrics(scenario)
         self.ledger = Ledger(scenario.graph.links)
-        self.ages = Ages(scenario.graph.links)
+        self.ages = Ages(scenario.graph.links, from_first_packet=bool(scenario.nodes))
         self.separation = Separation.asked(scenario)
         self.connectivity = Connectivity.asked(scenario)
         self.happened: list[Event] = []  # those of the events that are written
@@ -78,6 +78,9 @@ class Journal:
         self.reported = -1
         self.closed = False
         self._last = scenario.ticks
+        # Of robots that are not ours nothing is measured.
+        still = VehicleError((0.0, 0.0, 0.0), 0.0, (0.0, 0.0, 0.0), 0.0)
+        self._unmeasured = dict.fromkeys(range(1, scenario.vehicles + 1), still) if scenario.nodes else None
         self._events = deque(scenario.faults.events)
         self._planned_deaths = {(absence.vehicle, absence.begin) for absence in scenario.faults.absences}
         self.active: list[str] = []  # faults that last, in the order in which they began
@@ -116,6 +119,10 @@ class Journal:
     def complete(self) -> bool:
         """Whether everything up to the end tick is written."""
         return self.closed and self.written >= self._last
+
+    def end_at(self, tick: int) -> None:
+        """End the run at a tick earlier than planned: robots that are not ours run until somebody ends them."""
+        self._last = tick
 
     def finish(self) -> None:
         """Bring what counts ticks up to what is written; nothing comes after that."""
@@ -163,7 +170,7 @@ class Journal:
             self._write_fates(frame.tick - 1)
             commands = {row.id: _command(row.command) for row in frame.vehicles if row.command}
             self._write_events(frame)
-            errors = self.metrics.frame(frame, commands)
+            errors = self._unmeasured or self.metrics.frame(frame, commands)
             self.log.frame(frame, commands, errors)
             if self.checks is not None:
                 self.checks.frame(frame, commands, errors)

@@ -42,6 +42,12 @@ class NoLog:
         self._topics.append(topic.encode())
         return len(self._topics) - 1
 
+    def other_channel(
+        self, topic: str, encoding: str, schema: tuple[str, str, bytes] | None, metadata: Mapping[str, str]
+    ) -> int:
+        self._topics.append(topic.encode())
+        return len(self._topics) - 1
+
     def message(self, channel: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
         """Count and digest a message; both times in ns of simulated time."""
         self._digest.add(self._topics[channel], log_ns, publish_ns, sequence, data)
@@ -119,6 +125,18 @@ class LogFile:
             if schema.name not in self._schemas:
                 self._schemas[schema.name] = self._writer.schema(schema.name, "protobuf", schema.descriptor_set)
             number = self._writer.channel(topic, "protobuf", self._schemas[schema.name], {"units": schema.units})
+        self._topics[number] = topic.encode()
+        return number
+
+    def other_channel(
+        self, topic: str, encoding: str, schema: tuple[str, str, bytes] | None, metadata: Mapping[str, str]
+    ) -> int:
+        """Declare a topic with messages of others. `schema`: its name, encoding and data; None: it has none."""
+        with self._refused():
+            if schema is not None and schema[0] not in self._schemas:
+                self._schemas[schema[0]] = self._writer.schema(*schema)
+            known = 0 if schema is None else self._schemas[schema[0]]
+            number = self._writer.channel(topic, encoding, known, dict(metadata))
         self._topics[number] = topic.encode()
         return number
 

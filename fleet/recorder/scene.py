@@ -148,7 +148,7 @@ class Scene:
         return self._beliefs[key](*values)
 
     def silent(self) -> frozenset[int]:
-        if self._seen is None:
+        if self._seen is None or self._scenario.nodes:
             return frozenset()
         since = self._seen.tick - UNHEARD_NS // self._scenario.tick_ns
         rows = self._seen.vehicles

@@ -26,6 +26,7 @@ from fleet.logs.mcap_writer import Batch
 from fleet.logs.schemas import (
     ANEW,
     BELIEF,
+    CARRIED,
     CLOCK,
     CLOCK_ERROR,
     COMMAND,
@@ -61,6 +62,7 @@ from fleet.scenario.sections.log_rates import without_snapshots
 from fleet.scenario.sections.signals import OF_LOCALIZATION, OF_NAVIGATION, OF_THE_CLOCK, OF_THE_PLANT, locates
 from fleet.scenario.sections.timeline import Event
 from netem.fault_kinds import Cause
+from netem.relay import Carried
 from netem.vehicle_clock import Clock
 from netem.wire.messages import Command, Fate, Frame
 from world.plants.classes import plant_class
@@ -102,6 +104,14 @@ def ranged_data(fate: Fate, tick_ns: int) -> bytes:
         range_m, sd_m, tick, distance_m = astuple(measured)
         values = (range_m, sd_m, tick * tick_ns / SECOND_NS, distance_m, range_m - distance_m)
     return packet_data(fate, tick_ns) + b"".join(map(_double, _RANGE_TAGS, values))
+
+
+def carried_data(fate: Fate, tick_ns: int) -> bytes:
+    """The same as the message `CarriedPacket`, of a packet between nodes."""
+    assert isinstance(fate, Carried)
+    key, kind = fate.key.encode(), fate.kind.encode()
+    own = b"\x4a" + varint(len(key)) + key + b"\x52" + varint(len(kind)) + kind
+    return packet_data(fate, tick_ns) + own + (b"\x58" + varint(fate.size) if fate.size else b"")
 
 
 class MessageSink(Protocol):
@@ -174,6 +184,8 @@ class LogWriter:
         ranging = scenario.acoustic is not None and scenario.acoustic.ranging is not None
         packet = flat_schema("RangedPacket", RANGED) if ranging else flat_schema("Packet", PACKET)
         self._packet_data = ranged_data if ranging else packet_data
+        if scenario.nodes:
+            packet, self._packet_data = flat_schema("CarriedPacket", CARRIED), carried_data
         self._by_link = {link: self._channel(link_topic(link), packet) for link in scenario.graph.links}
 
     def _write_head(self, start: Start | None, clock: Clock) -> None:
@@ -199,6 +211,8 @@ class LogWriter:
         each vehicle reports that has one.
         """
         ids = range(1, self._scenario.vehicles + 1)
+        if self._scenario.nodes:
+            return {"pose": dict.fromkeys(ids, pose_schema())}
         state = dict.fromkeys(ids, flat_schema("State", STATE))
         if plants:
             state |= dict.fromkeys(plants, flat_schema("StateWithRoll", STATE + ROLL))
@@ -321,6 +335,7 @@ def run_metadata(scenario: Scenario, start: Start | None = None) -> dict[str, st
         "python": ".".join(platform.python_version_tuple()[:2]),
         "resumable": _resumable(scenario),
         **{what: f"sha256 {fingerprint(c)}" for what, c in sources.items()},
+        **({"nodes": " ".join(scenario.nodes)} if scenario.nodes else {}),
     }
     if start is not None:
         found |= {FROM_TICK: str(start.snapshot.tick), FROM: start.source, ANEW: " ".join(map(str, start.anew))}

@@ -97,6 +97,13 @@ class Timing(Struct, kw_only=True):
     netem: NetworkTiming
 
 
+class Punctual(Struct):
+    """How a network of nodes kept to the wall clock."""
+
+    late: Annotated[Spread, Meta(description="How much later than due messages were handed over.")]
+    came: Annotated[Spread, Meta(description="How long what came waited for the relay, by probes.")]
+
+
 # --- JSON as files and `--json` have it
 
 
@@ -251,6 +258,7 @@ class Result(Struct, kw_only=True):
     notes: list[str] = []
     published: Annotated[Published | None, Meta(description="With `--publish`; else null.")] = None
     timing: Annotated[Timing | None, Meta(description="With `--clock real`; else null.")] = None
+    punctual: Annotated[Punctual | None, Meta(description="Of `fleet netem`; else null.")] = None
 
     @property
     def passed(self) -> bool:

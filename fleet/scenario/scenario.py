@@ -17,12 +17,14 @@ from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.schema.vehicle import PlantSection, VehicleSection
 from fleet.scenario.sections.acoustic import inlined_modem
 from fleet.scenario.sections.formation import initial_rolls
+from fleet.scenario.sections.graph import parse_edge
 from fleet.scenario.sections.log_rates import log_every, memory_ticks
 from fleet.scenario.sections.modem_files import shipped_modems
 from fleet.scenario.sections.navigation import inlined_navigation
 from fleet.scenario.sections.per_vehicle import Control, inlined_vehicle, model_name, shipped_vehicles
 from fleet.scenario.sections.signals import BeliefKind
 from fleet.scenario.text import yaml_writer
+from fleet.scenario.text.nodes import UNTIL_STOPPED_NS
 from fleet.scenario.text.overrides import Override
 from fleet.scenario.trust import Policy
 from netem.condition import Condition, Link
@@ -87,6 +89,11 @@ class Scenario:
             self.selectors, self.controls, self.faults, self.acoustic, self.clocks,
         )  # fmt: skip
 
+    @property
+    def ends(self) -> bool:
+        """Whether it has a planned end; one with nodes may run until somebody ends it."""
+        return not (self.nodes and self.duration_ns == UNTIL_STOPPED_NS)
+
     def vehicle_name(self, i: int) -> str:
         """The number of a vehicle, or the name of a node."""
         return self.nodes[i - 1] if self.nodes else str(i)
@@ -94,6 +101,11 @@ class Scenario:
     def link_name(self, link: Link) -> str:
         """`1->2`, or with the names of nodes."""
         return f"{self.vehicle_name(link[0])}->{self.vehicle_name(link[1])}"
+
+    def named_link(self, text: str) -> str:
+        """The same of the text `1->2`; of any other text itself."""
+        link = parse_edge(text)
+        return text if link is None else self.link_name(link)
 
     def next_round(self, tick: int) -> int | None:
         """The first round tick after a tick; None if the run is over by then."""

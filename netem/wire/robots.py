@@ -292,9 +292,7 @@ def read(item: _Heard | _Replied) -> Message | None:
         ok = item.reply.ok
         data = (item.reply.err if ok is None else ok).payload.to_bytes()
         key = str(item.ticket.query.key_expr if ok is None else ok.key_expr)
-        return Message(
-            item.robot, REPLY, key, data, item.at_ns, (item.ticket, item.reply), item.ticket.asker
-        )
+        return Message(item.robot, REPLY, key, data, item.at_ns, (item.ticket, item.reply), item.ticket.asker)
     what = item.what
     key = str(what.key_expr)
     if isinstance(what, zenoh.Query):

@@ -13,8 +13,8 @@ from netem.parsing import nearest
 
 _OF_NODES = ("carry", "discovery", "lost_after", "header", "fragments")
 _CHECKS = frozenset({"max_age", "connected", "ledger", "middleware_loss", "punctual", "python"})
-_FAULTS = frozenset(get_args(FaultKind)) - {"slow", "clock"}
-_DRAWN = _FAULTS | {"loss", "delay", "rate"}
+OF_ROBOTS = frozenset(get_args(FaultKind)) - {"slow", "clock"}  # faults of the network alone
+_DRAWN = OF_ROBOTS | {"loss", "delay", "rate"}
 
 
 def nodes(parts: Parts, report: Report) -> None:
@@ -37,7 +37,9 @@ def nodes(parts: Parts, report: Report) -> None:
         if isinstance(node.place, TopicPlace) and not (node.listen or node.connect):
             report.add(("nodes", name, "place"), "a topic needs listen or connect")
     if spec.fragments and not water:
-        report.add(("fragments",), "has no effect without an acoustic channel: links take packets of any size", key=True)
+        report.add(
+            ("fragments",), "has no effect without an acoustic channel: links take packets of any size", key=True
+        )
     if spec.lost_after is not None and spec.discovery != "linked":
         report.add(("lost_after",), "has no effect without discovery: linked", key=True)
     if spec.network.ideal:
@@ -50,8 +52,9 @@ def contents(parts: Parts, report: Report) -> None:
     if spec.nodes is None:
         return
     for number, fault in enumerate(spec.faults):
-        if (kind := action(fault)) not in _FAULTS:
-            report.add(("faults", number), f"{kind} concerns vehicles of ours", f"known: {', '.join(sorted(_FAULTS))}")
+        if (kind := action(fault)) not in OF_ROBOTS:
+            known = f"known: {', '.join(sorted(OF_ROBOTS))}"
+            report.add(("faults", number), f"{kind} concerns vehicles of ours", known)
     if spec.nemesis is not None:
         for number, pick in enumerate(spec.nemesis.pick or ()):
             if (pick.drawn or action(pick)) not in _DRAWN:
@@ -77,7 +80,9 @@ def _addresses(parts: Parts, report: Report) -> None:
             report.add(path, "has no address: give listen, connect or udp", "listen: tcp/127.0.0.1:7501")
         address = node.listen or node.connect
         if address and (first := taken.setdefault(address, name)) != name:
-            report.add(path, f"{first} has the address {address}, too; what one sends would come back through the other")
+            report.add(
+                path, f"{first} has the address {address}, too; what one sends would come back through the other"
+            )
         if node.zenoh and not (node.listen or node.connect):
             report.add((*path, "zenoh"), "has no effect without listen or connect", key=True)
 

@@ -27,8 +27,8 @@ def snapshot_grid(spec: ScenarioSpec) -> int:
 def log_every(spec: ScenarioSpec) -> dict[str, int]:
     """Ticks between two records of each topic group; 0 for never."""
     if spec.nodes is not None:
-        every = spec.network.period // spec.tick
-        return {"pose": every} | {group: getattr(spec.log, group) or every for group in DRAWN_GROUPS}
+        a_round = spec.network.period // spec.tick
+        return {"pose": a_round} | {group: getattr(spec.log, group) or a_round for group in DRAWN_GROUPS}
     agents = [agent for _, agent in sections(spec, "agent") if agent is not None]
     some = {
         OF_THE_PLANT: any(vehicle.plant is not None for _, vehicle in sections(spec, "vehicle")),

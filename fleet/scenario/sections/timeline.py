@@ -25,6 +25,7 @@ from fleet.quantities import vehicle_numbers
 from fleet.scenario.schema.faults import ACTIONS, FaultAction, FaultSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.schema.value_types import Section
+from fleet.scenario.sections.node_names import named
 from fleet.scenario.sections.partitions import partition
 from fleet.scenario.sections.vehicle_events import is_fault
 from netem.condition import Link
@@ -102,7 +103,7 @@ def plan(spec: ScenarioSpec, links: Sequence[Link]) -> FaultPlan:
         name = section.id or f"f{number}"
         if section.at // spec.tick < last:  # beyond it: a run cut short with --duration; `fleet check` warns
             all_parts += (of_this := parts(section, name, spec, links))
-            events += begin_and_end(of_this, section, last)
+            events += begin_and_end(of_this, section, last, tuple(spec.nodes or ()))
     all_parts.sort(key=lambda part: part.begin)
     events.sort(key=event_order)
     return FaultPlan(tuple(all_parts), tuple(events))
@@ -114,9 +115,11 @@ def event_order(event: Event) -> tuple[int, bool, str]:
     return event.tick, begins, "" if begins else event.fault
 
 
-def begin_and_end(of_this: Sequence[Part], section: FaultSection, last: int) -> tuple[Event, Event]:
-    """The events of a fault in a run of `last` ticks."""
-    part, what = of_this[0], words(section)
+def begin_and_end(
+    of_this: Sequence[Part], section: FaultSection, last: int, names: Sequence[str] = ()
+) -> tuple[Event, Event]:
+    """The events of a fault in a run of `last` ticks. `names`: of the nodes, if it has some."""
+    part, what = of_this[0], words(section, names)
     end = last if part.end is None else min(part.end, last)
     return Event(part.begin, part.id, "begins", what), Event(end, part.id, "ends", what)
 
@@ -226,13 +229,14 @@ def action(section: FaultAction) -> str:
     return next(name for name in ACTIONS if getattr(section, name) is not None)
 
 
-def words(section: FaultAction) -> str:
-    """A fault as a scenario writes it, without its times."""
+def words(section: FaultAction, names: Sequence[str] = ()) -> str:
+    """A fault as a scenario writes it, without its times. `names`: of the nodes, if it has some."""
     name = action(section)
     if name == "link":
         assert section.link is not None
-        return "link " + ", ".join(f"{selector}: {print_condition(c)}" for selector, c in section.link.items())
+        some = [f"{named(selector, names)}: {print_condition(c)}" for selector, c in section.link.items()]
+        return "link " + ", ".join(some)
     value = section.model_dump(exclude_none=True, exclude_defaults=True)[name]
     if isinstance(value, dict):
         return f"{name} {{{', '.join(f'{key}: {inner}' for key, inner in value.items())}}}"
-    return f"{name} {value}"
+    return f"{name} {named(value, names)}"

@@ -13,58 +13,20 @@ from typing import Any
 
 from fleet.errors import Problem
 from fleet.scenario.schema.nodes import NAME, RESERVED
+from fleet.scenario.sections.node_names import FREE, named, numbered
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Scalar, TextPlace
 
 KEYS = (
     "name", "title", "nodes", "carry", "discovery", "lost_after", "header", "fragments", "duration", "tick", "seed",
     "graph", "network", "faults", "nemesis", "checks", "log", "expect", "group", "stall_timeout",
 )  # fmt: skip
+UNTIL_STOPPED_NS = 86_400 * 10**9
 UNTIL_STOPPED = "86400 s"
 TICK, TICK_IN_WATER = "1 ms", "10 ms"
 _ROUND = "100 ms"
 _RADIUS_M = 50.0  # of the circle on which nodes without a place are drawn
 _SECTIONS = ("graph", "network", "faults", "nemesis", "checks")
-_FREE = ("id", "name", "modem", "site", "trace", "topic", "mode", "aims", "pick")  # keys whose values are no selectors
-_WORD = re.compile(r"[A-Za-z]\w*", re.ASCII)
-_SELECTOR = re.compile(r"[\w\s,/<>*:-]+", re.ASCII)
 _EDGE = re.compile(r"\s*(\w+)\s*(<->|->|-)\s*(\w+)\s*", re.ASCII)
-
-
-def numbered(text: str, names: Sequence[str]) -> str:
-    """A selector with numbers in place of names; any other text as it is. Raises KeyError: it is a selector with a
-    name that there is not.
-    """
-    words = _WORD.findall(text)
-    if not any(word in names for word in words) or not _SELECTOR.fullmatch(text):
-        return text
-    for word in words:
-        if word not in names and word not in RESERVED:
-            raise KeyError(word)
-    return _WORD.sub(lambda found: _number(found[0], names), text)
-
-
-def _number(word: str, names: Sequence[str]) -> str:
-    return word if word in RESERVED else str(names.index(word) + 1)
-
-
-def named(text: str, names: Sequence[str]) -> str:
-    """The inverse of `numbered`, for a selector with numbers that the schema has read; ranges stay numbers."""
-    if not names or re.search(r"\d-\d", text):
-        return text
-    return re.sub(r"\d+", lambda found: names[int(found[0]) - 1] if 0 < int(found[0]) <= len(names) else found[0], text)
-
-
-def numbered_values(value: Any, names: Sequence[str]) -> Any:
-    """An entry of a section as plain values, with numbers in place of names. Raises KeyError as `numbered`."""
-    if isinstance(value, str):
-        return numbered(value, names)
-    if isinstance(value, list):
-        return [numbered_values(one, names) for one in value]
-    if isinstance(value, dict):
-        return {
-            numbered(key, names): one if key in _FREE else numbered_values(one, names) for key, one in value.items()
-        }
-    return value
 
 
 def expanded(root: Mapping, problems: list[Problem]) -> Mapping:
@@ -89,7 +51,7 @@ def expanded(root: Mapping, problems: list[Problem]) -> Mapping:
         graph = graph.with_entry("reference", graph.place, _tree([1], graph.place))  # whom `connected` asks to reach
         root = root.with_entry("graph", root.keys["graph"], graph)
     network = root.entries.get("network")
-    water = isinstance(network, Mapping) and "acoustic" in network.entries or _is(network, "acoustic")
+    water = (isinstance(network, Mapping) and "acoustic" in network.entries) or _is(network, "acoustic")
     for key, value in _added(nodes, water).items():
         if key not in root.entries:
             root = root.with_entry(key, nodes.place, _tree(value, nodes.place))
@@ -111,7 +73,7 @@ class _Expanded:
         found = Mapping({}, {}, node.place)
         for key, value in node.entries.items():
             place = node.keys[key]
-            found = found.with_entry(self._text(key, place), place, value if key in _FREE else self.node(value))
+            found = found.with_entry(self._text(key, place), place, value if key in FREE else self.node(value))
         return found
 
     def edges(self, node: Node) -> Node:

@@ -1,0 +1,44 @@
+"""Names of nodes in selectors, where a scenario of vehicles has numbers."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Any
+
+from fleet.scenario.schema.nodes import RESERVED
+
+FREE = ("id", "name", "modem", "site", "trace", "topic", "mode", "aims", "pick")  # keys whose values are no selectors
+_WORD = re.compile(r"[A-Za-z]\w*", re.ASCII)
+_SELECTOR = re.compile(r"[\w\s,/<>*:-]+", re.ASCII)
+
+
+def numbered(text: str, names: Sequence[str]) -> str:
+    """A selector with numbers in place of names; any other text as it is. Raises KeyError: it is a selector with a
+    name that there is not.
+    """
+    words = _WORD.findall(text)
+    if not any(word in names for word in words) or not _SELECTOR.fullmatch(text):
+        return text
+    for word in words:
+        if word not in names and word not in RESERVED:
+            raise KeyError(word)
+    return _WORD.sub(lambda found: found[0] if found[0] in RESERVED else str(names.index(found[0]) + 1), text)
+
+
+def numbered_values(value: Any, names: Sequence[str]) -> Any:
+    """An entry of a section as plain values, with numbers in place of names. Raises KeyError as `numbered`."""
+    if isinstance(value, str):
+        return numbered(value, names)
+    if isinstance(value, list):
+        return [numbered_values(one, names) for one in value]
+    if isinstance(value, dict):
+        return {numbered(key, names): one if key in FREE else numbered_values(one, names) for key, one in value.items()}
+    return value
+
+
+def named(text: str, names: Sequence[str]) -> str:
+    """The inverse of `numbered`, for a selector with numbers that the schema has read; ranges stay numbers."""
+    if not names or re.search(r"\d-\d", text):
+        return text
+    return re.sub(r"\d+", lambda found: names[int(found[0]) - 1] if 0 < int(found[0]) <= len(names) else found[0], text)

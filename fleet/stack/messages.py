@@ -1,0 +1,65 @@
+"""What robots said, for the log: with the schema of ROS 2 where its type is known; and the places that topics say."""
+
+from __future__ import annotations
+
+from math import atan2
+
+from fleet.errors import FleetError
+from fleet.recorder.log_file import LogFile, NoLog
+from fleet.replay.capture import message_encoding
+from fleet.ros2.rmw import read_key
+from fleet.ros2.types import types_of
+from netem.relay_process import Said
+
+_PLACES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped")
+_MOST_CHANNELS = 10_000  # MCAP has 65,535 of them
+
+
+class MessageLog:
+    """Writes messages into a log: a channel for each robot and key."""
+
+    def __init__(self, log: LogFile | NoLog, tick_ns: int, names: tuple[str, ...]) -> None:
+        self._log, self._tick_ns, self._names = log, tick_ns, names
+        self._channels: dict[tuple[int, str, str, str], int] = {}
+        self._count = 0
+
+    def write(self, said: Said) -> None:
+        """Append a message at the time at which it came. Raises LogError."""
+        name = said.src, said.key, said.kind, said.encoding
+        if name not in self._channels:
+            if len(self._channels) >= _MOST_CHANNELS:
+                return
+            self._channels[name] = self._channel(said)
+        at_ns = said.tick * self._tick_ns
+        self._count += 1
+        self._log.message(self._channels[name], at_ns, at_ns, self._count & 0xFFFFFFFF, said.payload)
+
+    def _channel(self, said: Said) -> int:
+        robot, entity = self._names[said.src - 1], read_key(said.key)
+        metadata = {"zenoh.key": said.key, "zenoh.kind": said.kind, "zenoh.encoding": said.encoding}
+        if entity is not None and said.kind == "put":
+            topic = f"{robot}{entity.name}"
+            types = types_of()
+            if entity.type in types.store.fielddefs:
+                schema = entity.type, "ros2msg", types.definition(entity.type).encode()
+                return self._log.other_channel(topic, "cdr", schema, metadata)
+            return self._log.other_channel(topic, "application/cdr", None, metadata)
+        return self._log.other_channel(f"{robot}/{said.key}", message_encoding(said.encoding), None, metadata)
+
+
+def place_of(key: str, payload: bytes) -> tuple[float, float, float, float]:
+    """Where a robot is: north, east, down [m] and yaw [rad], from a message of a topic of ROS, which has east, north,
+    up. Raises FleetError: the topic has another type, or the message is none.
+    """
+    entity = read_key(key)
+    if entity is None or entity.type not in _PLACES:
+        kind = "no topic of ROS 2" if entity is None else entity.type
+        raise FleetError(f"{key:.80} says no place: expected {' or '.join(_PLACES)}, got {kind}")
+    try:
+        message = types_of().decode(entity.type, payload)
+    except ValueError as error:
+        raise FleetError(f"{key:.80}: {error}") from None
+    pose = message.pose.pose if entity.type == _PLACES[0] else message.pose
+    p, q = pose.position, pose.orientation
+    yaw = atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))  # from east, anticlockwise
+    return p.y, p.x, -p.z, 1.5707963267948966 - yaw

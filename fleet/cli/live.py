@@ -356,7 +356,7 @@ def screen(status: RunStatus, every: bool, height: int | None = None) -> Group:
 
     lines = [
         f"{status.run}: t = {status.at_s:.2f} of {status.end_s:g} s, {status.clock}",
-        f"formation error {status.formation}",
+        f"nodes {', '.join(status.nodes)}" if status.nodes else f"formation error {status.formation}",
         f"packets {status.delivered} delivered, {status.lost} lost",
     ]
     if status.waiting not in ("", status.clock):
@@ -384,7 +384,8 @@ def screen(status: RunStatus, every: bool, height: int | None = None) -> Group:
         if shown < total
     ]
     tail = [Text(f"and {' and '.join(left_out)}{'' if every else ': --all'}")] if left_out else []
-    return Group(*parts, _vehicles(vehicles), _links(links), *tail)
+    tables = [_links(links)] if status.nodes else [_vehicles(vehicles), _links(links)]
+    return Group(*parts, *tables, *tail)
 
 
 def _more(count: int, what: str) -> str:
@@ -420,7 +421,7 @@ def _links(rows: list[LinkRow]) -> Table:
     table = _table("link", "delivered", "lost", "share", "age")
     for row in rows:
         counts = str(row.delivered), str(row.lost), f"{100 * row.lost_share:.1f} %"
-        table.add_row(f"{row.src}->{row.dst}", *counts, f"{row.age_s:.2f} s")
+        table.add_row(row.link or f"{row.src}->{row.dst}", *counts, f"{row.age_s:.2f} s")
     return table
 
 

@@ -75,6 +75,7 @@ class LinkRow(Struct):
     lost: int
     lost_share: Annotated[float, Meta(description="0 to 1.")]
     age_s: float
+    link: Annotated[str, Meta(description="`1->2`, or with the names of nodes.")] = ""
 
 
 class RunStatus(Struct):
@@ -96,6 +97,7 @@ class RunStatus(Struct):
     vehicles: Annotated[list[VehicleRow], Meta(description="The worst ten; with --all up to 500.")]
     links_total: int
     links: Annotated[list[LinkRow], Meta(description="The worst five; with --all up to 500.")]
+    nodes: Annotated[list[str], Meta(description="Of `fleet netem`; else none.")] = []
 
 
 class Injected(Struct):

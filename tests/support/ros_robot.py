@@ -18,7 +18,11 @@ TOPIC, SERVICE = ("/fleet/chatter", "std_msgs/msg/String"), ("/fleet/set", "std_
 def talk(port: int) -> None:
     where = {"router_port": port, "domain_id": 0}
     server: Any = sdk.ROS2ServiceServer(
-        *SERVICE, lambda asked: server.response_msg_class(success=asked.data, message="done"), REQUEST, RESPONSE, **where
+        *SERVICE,
+        lambda asked: server.response_msg_class(success=asked.data, message="done"),
+        REQUEST,
+        RESPONSE,
+        **where,
     )
     talker = sdk.ROS2Publisher(*TOPIC, msg_definition="string data\n", **where)
     for count in range(100_000):
@@ -30,7 +34,10 @@ def listen(port: int, seconds: float) -> None:
     where = {"router_port": port, "domain_id": 0}
     delays: list[float] = []
     sdk.ROS2Subscriber(
-        *TOPIC, lambda message: delays.append(time.monotonic() - float(message.data.split()[1])), "string data\n", **where
+        *TOPIC,
+        lambda message: delays.append(time.monotonic() - float(message.data.split()[1])),
+        "string data\n",
+        **where,
     )
     time.sleep(seconds)
     topics = dict(sdk.get_topic_names_and_types(domain_id=0, router_port=port, timeout=1.0))

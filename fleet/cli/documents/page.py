@@ -33,6 +33,7 @@ DOCUMENTS: dict[str, type[msgspec.Struct]] = {
     "ls": logs.Runs,
     "rare": RareFound,
     "regress": studies.RegressedFolder,
+    "netem": Result,
     "run": Result,
     "search": studies.FirstFailing,
     "shrink": studies.Less,

@@ -68,8 +68,12 @@ def page() -> str:
     """The whole page as Markdown: the keys of each document, then those of the records in them."""
     structs = {f"fleet {command}": struct for command, struct in sorted(DOCUMENTS.items())}
     refs, records = _schemas([*structs.values(), FailedCommand], "{name}")
-    parts, known = [_HEAD], set[str]()
+    parts, known, shown = [_HEAD], set[str](), dict[str, str]()
     for title, ref in zip([*structs, "FailedCommand"], refs, strict=True):
+        if ref["$ref"] in shown:
+            parts.append(f"## {title}\n\nAs [{shown[ref['$ref']]}](#{shown[ref['$ref']].replace(' ', '-')}).\n")
+            continue
+        shown[ref["$ref"]] = title
         parts.append(_section(f"## {title}", records.pop(ref["$ref"]), known))
     parts.append("## Records\n")
     parts += [_section(f"### {name}", record, known) for name, record in sorted(records.items())]

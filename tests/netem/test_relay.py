@@ -1,4 +1,4 @@
-"""Laws of the relay: each packet has the fate that it has in lockstep, once; messages leave when they are due, whole."""
+"""Laws of the relay: each packet has the fate that it has in lockstep, once; messages leave whole, when they are due."""
 
 from __future__ import annotations
 
@@ -20,13 +20,14 @@ from netem.relay import PUT, REPLY, Carried, Handed, Message, Relay
 
 TICK_NS = 1_000_000
 BEGIN_NS = 5_000_000_000
+PERFECT = Condition()
 LINKS: tuple[Link, ...] = ((1, 2), (2, 1), (2, 3), (3, 2))
 # A byte is 10 ms. Sound travels 15 m in a tick of 10 ms. Back-offs of at most 0 ticks.
 MODEM = Modem(800.0, 0.1, 25e3, 4e3, 190.0, 0.0, 3000.0, 6000.0, 60, 6.0, 10.0, 10.0)
 PLACES = {1: (0.0, 0.0, 10.0), 2: (150.0, 0.0, 10.0), 3: (300.0, 0.0, 10.0)}
 
 
-def config(condition: Condition = Condition(), seed: int = 1, *faults: NetFault, water: bool = False) -> NetemConfig:
+def config(condition: Condition = PERFECT, seed: int = 1, *faults: NetFault, water: bool = False) -> NetemConfig:
     return NetemConfig(
         seed=seed,
         tick_ns=10 * TICK_NS if water else TICK_NS,
@@ -202,7 +203,15 @@ def test_a_message_in_fragments_needs_all_of_them() -> None:
     handed(relay, 60_000.0)
     _, second, _ = relay.report(10_000)
     relay = water(fragments=True)
-    relay.faults = (NetFault("f", second.due_tick - 70, second.due_tick, "partition", links=((1, 2),)),)
+    relay.faults = (
+        NetFault(
+            "f",
+            second.due_tick - 90,
+            second.due_tick - 70,  # its start
+            "partition",
+            links=((1, 2),),
+        ),
+    )
     relay.take(message(1, bytes(150)))
     assert not handed(relay, 60_000.0)
     causes = Counter(fate.cause for fate in relay.report(10_000))

@@ -1,4 +1,4 @@
-"""Laws of the relay: each packet has the fate that it has in lockstep, once; messages leave whole, when they are due."""
+"""Laws of the relay: a packet has the fate that it has in lockstep, once; messages leave whole, when they are due."""
 
 from __future__ import annotations
 
@@ -203,15 +203,8 @@ def test_a_message_in_fragments_needs_all_of_them() -> None:
     handed(relay, 60_000.0)
     _, second, _ = relay.report(10_000)
     relay = water(fragments=True)
-    relay.faults = (
-        NetFault(
-            "f",
-            second.due_tick - 90,
-            second.due_tick - 70,  # its start
-            "partition",
-            links=((1, 2),),
-        ),
-    )
+    start = second.delay_ns // (10 * TICK_NS) - 80
+    relay.faults = (NetFault("f", start, start + 2, "partition", links=((1, 2),)),)
     relay.take(message(1, bytes(150)))
     assert not handed(relay, 60_000.0)
     causes = Counter(fate.cause for fate in relay.report(10_000))

@@ -45,6 +45,7 @@ RELAY = "relay"
 OPEN_S = 20.0  # for sessions that wait for a router of others
 CLOSE_S = 10.0
 POLL_S = 0.05
+GONE_S = 2.0  # until the end of a process is known whose pipe has closed
 PING_S = 0.1
 LEAD_NS = 20_000_000  # a fault that is injected begins so much later, so that the relay knows it by then
 LOST_AFTER_NS = 10_000_000_000
@@ -119,7 +120,7 @@ class RelayRun:
         """Run to the end, or until the operator or Ctrl-C ends it, which is how most runs end. Raises RunBroken: the
         relay ended, or could not begin.
         """
-        began, folder = time.monotonic(), RunFolder()
+        began, folder, bus = time.monotonic(), RunFolder(), None
         try:
             self._start(progress)
             bus = self._admit(folder)
@@ -132,9 +133,10 @@ class RelayRun:
             except KeyboardInterrupt:
                 self._tell(op="close")
             self._take_rest(progress)
-            bus.close()
         finally:
             self._children.stop()
+            if bus is not None:  # an open session would keep this process from ending
+                bus.close()
             self._directory.connection.unlink(missing_ok=True)
             folder.close()
 
@@ -201,9 +203,8 @@ class RelayRun:
         try:
             return self._pipe.recv_bytes()
         except (EOFError, OSError):
-            time.sleep(POLL_S)
-            self._explain_exit()
-            raise RunBroken("the relay is gone") from None
+            self._explain_exit(GONE_S)
+            raise RunBroken("the relay closed its pipe") from None
 
     def _take(self) -> bool:
         """Record a report. Returns whether it was the last one."""
@@ -312,12 +313,15 @@ class RelayRun:
     def _exited(self, exit_: Exit) -> None:
         self._exits.put(exit_)
 
-    def _explain_exit(self) -> None:
+    def _explain_exit(self, patience_s: float = 0.0) -> None:
+        """Raise RunBroken if the relay has ended. What it said before is taken first: `patience_s` is given when its
+        pipe has no more.
+        """
         try:
-            ended = self._exits.get_nowait()
+            ended = self._exits.get(timeout=patience_s) if patience_s else self._exits.get_nowait()
         except Empty:
             return
-        if self._pipe.poll():  # what it said before
+        if not patience_s and self._pipe.poll():
             self._exits.put(ended)
             return
         child = self._children.by_role[RELAY]

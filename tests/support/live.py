@@ -84,11 +84,16 @@ class LiveRun(Command):
     """`python -m fleet run ...` in a group of its own; none of its processes is left when the `with` block ends."""
 
     def __init__(
-        self, out: Path, *arguments: str, environment: dict[str, str] | None = None, host: Sequence[str] = ()
+        self,
+        out: Path,
+        *arguments: str,
+        verb: str = "run",
+        environment: dict[str, str] | None = None,
+        host: Sequence[str] = (),
     ) -> None:
         """`host`: the words before the command that make it run on another host."""
         self.out = out
-        super().__init__("run", *arguments, "--out", out, environment=environment, before=host, own_group=True)
+        super().__init__(verb, *arguments, "--out", out, environment=environment, before=host, own_group=True)
         self._met: dict[int, psutil.Process] = {}
 
     def __exit__(self, *_: object) -> None:

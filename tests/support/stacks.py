@@ -1,0 +1,63 @@
+"""A run of `fleet netem`, and the sessions that programs of robots open."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any
+
+import zenoh
+from free_ports import free_port
+from live import Command, LiveRun
+
+from fleet.result.file import read_result
+from fleet.result.result import Result
+
+
+class Stack(LiveRun):
+    """`fleet netem` on free ports; each node that says nothing else has a router of its own."""
+
+    def __init__(self, folder: Path, *options: str, nodes: Mapping[str, Any], **sections: Any) -> None:
+        self.ports: dict[str, int] = {}
+        for name, node in nodes.items():
+            if node is None:
+                self.ports[name] = free_port()
+        own = {name: {"listen": f"tcp/127.0.0.1:{port}"} for name, port in self.ports.items()}
+        file = folder / "stack.yaml"
+        file.write_text(json.dumps({"title": "A stack", "nodes": {**nodes, **own}, **sections}), "utf-8")
+        super().__init__(folder / "runs", str(file), *options, verb="netem")
+        self.file = file
+
+    def begun(self) -> Stack:
+        """Wait until its nodes can be reached."""
+        self.until_running(0.1)
+        return self
+
+    def fleet(self, *words: str) -> None:
+        """A command for this run, as of its user."""
+        with Command(*words, "--run", self.directory) as command:
+            assert command.status() == 0, command.printed
+
+    def end(self, status: int = 0) -> Result:
+        """Stop it, and return its result."""
+        if not self.over:
+            self.fleet("stop")
+        self.ends(status)
+        return read_result(self.directory)
+
+    @contextmanager
+    def program(self, node: str) -> Iterator[Any]:
+        """A session of a program of a robot: zenoh with nothing of ours."""
+        with closing(program(self.ports[node])) as session:
+            yield session
+
+
+def program(port: int) -> Any:
+    config = zenoh.Config()
+    for key, value in {
+        "mode": "client", "connect/endpoints": [f"tcp/127.0.0.1:{port}"], "scouting/multicast/enabled": False,
+    }.items():  # fmt: skip
+        config.insert_json5(key, json.dumps(value))
+    return zenoh.open(config)

@@ -5,6 +5,7 @@ python ros_robot.py listen PORT SECONDS   what it hears, what it finds, and what
 """
 
 import json
+import os
 import sys
 import time
 from typing import Any
@@ -47,6 +48,7 @@ def listen(port: int, seconds: float) -> None:
     took = time.monotonic() - began
     found = {"delays": delays, "topics": topics, "answer": answer is not None and answer.message, "took": took}
     print(json.dumps(found), flush=True)
+    os._exit(0)  # its threads would keep it
 
 
 if __name__ == "__main__":

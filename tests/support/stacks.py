@@ -35,10 +35,11 @@ class Stack(LiveRun):
         self.until_running(0.1)
         return self
 
-    def fleet(self, *words: str) -> None:
-        """A command for this run, as of its user."""
+    def fleet(self, *words: str) -> str:
+        """What a command for this run prints."""
         with Command(*words, "--run", self.directory) as command:
             assert command.status() == 0, command.printed
+            return command.printed
 
     def end(self, status: int = 0) -> Result:
         """Stop it, and return its result."""

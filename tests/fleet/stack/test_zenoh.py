@@ -225,7 +225,7 @@ def test_a_storm_of_tokens_and_a_huge_payload_leave_the_others_alone(tmp_path: P
             one.put("a/b", "still there")
             wait_for(lambda: samples, LIMIT_S, "the next")
             del tokens
-        stack.end(1 if "FAIL" in stack.printed else 0)
+        stack.end(1)  # handing 50 MB over takes longer than `punctual` allows, and it says so
 
 
 def test_a_relay_that_is_killed_leaves_a_whole_log(tmp_path: Path) -> None:

@@ -1,0 +1,92 @@
+"""Two robots whose programs speak ROS 2 over zenoh, by libraries of other authors: topic, service, discovery."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+import pytest
+from repository import ROOT
+from ros_session import foreign_session
+from showing import going_on
+from stacks import Stack
+from waiting import wait_for
+
+from fleet.logs.reader import LogReader
+
+pytest.importorskip("zenoh_ros2_sdk")
+ROBOT = ROOT / "tests" / "support" / "ros_robot.py"
+LIMIT_S = 40.0
+CARRY = ["*/fleet/**"]
+
+
+@contextmanager
+def talker(port: int) -> Iterator[None]:
+    process = subprocess.Popen([sys.executable, ROBOT, "talk", str(port)], stdout=subprocess.DEVNULL)
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait()
+
+
+def listened(port: int, seconds: float) -> dict[str, Any]:
+    words = [sys.executable, ROBOT, "listen", str(port), str(seconds)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=LIMIT_S, check=True)
+    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+def test_topic_service_and_discovery_pass_and_a_partition_stops_them(tmp_path: Path) -> None:
+    sections: dict[str, Any] = {
+        "carry": CARRY, "network": {"links": {"*": "delay 100ms"}}, "discovery": "linked", "lost_after": "500 ms",
+        "log": {"payloads": "yes"},
+    }  # fmt: skip
+    with Stack(tmp_path, nodes={"auv1": None, "auv2": None}, **sections).begun() as stack:
+        with talker(stack.ports["auv1"]):
+            found = wait_for(lambda: (said := listened(stack.ports["auv2"], 3.0))["delays"] and said, LIMIT_S, "topic")
+            assert min(found["delays"]) >= 0.1
+            assert found["topics"] == {"/fleet/chatter": ["std_msgs/msg/String"]}
+            assert found["answer"] == "done"
+            assert found["took"] >= 0.2
+            stack.fleet("inject", "partition auv1 / auv2")
+            cut = listened(stack.ports["auv2"], 3.0)
+            assert (cut["delays"], cut["topics"], cut["answer"]) == ([], {}, False)
+            stack.fleet("heal")
+            healed = listened(stack.ports["auv2"], 3.0)
+            assert healed["delays"]
+            assert (healed["topics"], healed["answer"]) == (found["topics"], "done")
+        stack.end()
+    reader = LogReader(stack.log)
+    list(reader)
+    (topic,) = (channel for channel in reader.channels.values() if channel.topic == "auv1/fleet/chatter")
+    assert reader.schemas[topic.schema_id].name == "std_msgs/msg/String"
+
+
+def test_a_second_library_hears_the_first(tmp_path: Path) -> None:
+    pyzeros = pytest.importorskip("pyzeros")
+    messages = pytest.importorskip("ros2_pyterfaces.cyclone.all_msgs")
+    with Stack(tmp_path, nodes={"auv1": None, "auv2": None}, carry=CARRY).begun() as stack:
+        found: list[Any] = []
+        endpoint = f"tcp/127.0.0.1:{stack.ports['auv2']}"
+        with talker(stack.ports["auv1"]), foreign_session(endpoint) as session:
+            heard = Event()
+
+            async def read() -> None:
+                with pyzeros.auto_context(node="listener", zenoh_session=session, namespace="/"):
+                    async for message in pyzeros.Sub(messages.String, "/fleet/chatter").listen_reliable():
+                        found.append(message)
+                        heard.set()
+                        return
+
+            with going_on(lambda *_: asyncio.run(asyncio.wait_for(read(), LIMIT_S))):
+                assert heard.wait(LIMIT_S)
+        stack.end()
+    assert " " in found[0].data

@@ -41,12 +41,12 @@ def listen(port: int, seconds: float) -> None:
         **where,
     )
     time.sleep(seconds)
-    topics = dict(sdk.get_topic_names_and_types(domain_id=0, router_port=port, timeout=1.0))
+    services = dict(sdk.get_service_names_and_types(domain_id=0, router_port=port, timeout=1.0))
     client = sdk.ROS2ServiceClient(*SERVICE, REQUEST, RESPONSE, timeout=3.0, **where)
     began = time.monotonic()
     answer = client.call(data=True)
     took = time.monotonic() - began
-    found = {"delays": delays, "topics": topics, "answer": answer is not None and answer.message, "took": took}
+    found = {"delays": delays, "services": services, "answer": answer is not None and answer.message, "took": took}
     print(json.dumps(found), flush=True)
     os._exit(0)  # its threads would keep it
 

@@ -53,16 +53,16 @@ def test_topic_service_and_discovery_pass_and_a_partition_stops_them(tmp_path: P
         with talker(stack.ports["auv1"]):
             found = wait_for(lambda: (said := listened(stack.ports["auv2"], 3.0))["delays"] and said, LIMIT_S, "topic")
             assert min(found["delays"]) >= 0.1
-            assert found["topics"] == {"/fleet/chatter": ["std_msgs/msg/String"]}
+            assert found["services"] == {"/fleet/set": ["std_srvs/srv/SetBool"]}
             assert found["answer"] == "done"
             assert found["took"] >= 0.2
             stack.fleet("inject", "partition auv1 / auv2")
             cut = listened(stack.ports["auv2"], 3.0)
-            assert (cut["delays"], cut["topics"], cut["answer"]) == ([], {}, False)
+            assert (cut["delays"], cut["services"], cut["answer"]) == ([], {}, False)
             stack.fleet("heal")
             healed = listened(stack.ports["auv2"], 3.0)
             assert healed["delays"]
-            assert (healed["topics"], healed["answer"]) == (found["topics"], "done")
+            assert (healed["services"], healed["answer"]) == (found["services"], "done")
         stack.end()
     reader = LogReader(stack.log)
     list(reader)

@@ -150,8 +150,10 @@ class RelayProcess:
         Thread(target=self._listen, daemon=True).start()
         for port in self._setup.ports:
             Thread(target=self._receive, args=(port, self._sockets[port.src, port.dst]), daemon=True).start()
-        for robot in self._robots.values():
+        for i, robot in self._robots.items():
             robot.begin()
+            if i in self._setup.place_topics:
+                robot.watch(self._setup.place_topics[i])
         round_ns = config.round_ticks * config.tick_ns
         reported = 0  # rounds
         self._end: int | None = None
@@ -183,6 +185,8 @@ class RelayProcess:
                 self._announced(item)
             case robots.Link():
                 self._linked(item)
+            case robots.Placed(robot, key, payload):
+                self._placed[robot] = key, payload
             case _Datagram(port, at_ns, payload):
                 key = f"udp/{port.port}"
                 self._send_message(Message(port.src, DATAGRAM, key, payload, at_ns, port, port.dst))
@@ -204,9 +208,6 @@ class RelayProcess:
         elif message.kind == REPLY:
             ticket = message.what[0]
             ticket.sent[message.src] = ticket.sent.get(message.src, 0) + 1
-        topic = self._setup.place_topics.get(message.src)
-        if topic is not None and message.kind == PUT and _names(message.key, topic):
-            self._placed[message.src] = message.key, message.payload
         self._send_message(message)
 
     def _send_message(self, message: Message) -> None:
@@ -401,8 +402,3 @@ def _bound(port: Port) -> socket.socket:
         made.close()
         raise BusError(f"cannot listen on port {port.port} for datagrams: {error.strerror}") from None
     return made
-
-
-def _names(key: str, topic: str) -> bool:
-    """Whether a key is that of a topic: as it is, or as rmw_zenoh writes it."""
-    return key == topic or f"/{topic}/" in f"/{key}/"

@@ -58,6 +58,11 @@ def check(scenario: str, overrides: tuple[str, ...], fault: tuple[Override, ...]
 
     refused: list[Problem] = []
     loaded = load_scenario(scenario, [*overrides, *net, *fault], refused=refused)
+    if loaded.nodes:
+        from fleet.stack.lines import say_what_it_is
+
+        say_what_it_is(loaded)
+        return
     try_laws(loaded)
     try_plants(loaded)
     with showing_steps("limits of the linear loop") as step:

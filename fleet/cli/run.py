@@ -126,6 +126,8 @@ def run(
 
         start_forkserver()  # now: it imports for as long as reading a scenario takes
     loaded, start = _load(scenario, begin, changes, quiet=quiet, only_shown=show_config)
+    if loaded.nodes and not show_config:
+        raise click.UsageError(f"{loaded.source} has nodes, whose programs are yours: fleet netem {loaded.source}")
     if show_config:
         click.echo(loaded.to_yaml(), nl=False)
         return

@@ -128,10 +128,10 @@ def spacetime(runs: Sequence[Run], view: View) -> Figure:
         )
         handles.append(Line2D([], [], marker=mark, color=colour, linewidth=THIN, markersize=4, label=name))
     ax.set_ylim(len(vehicles) - 0.5, -0.5)
-    ax.set_yticks(range(len(vehicles)), [f"UUV {i}" for i in vehicles])
+    ax.set_yticks(range(len(vehicles)), [run.vehicle_label(i) for i in vehicles])
     ax.tick_params(axis="y", length=0)
     ax.grid(axis="y", visible=False)
-    ax.set_ylabel("vehicle")
+    ax.set_ylabel("node" if run.of_nodes else "vehicle")
     marks_legend(figure, handles)
     some = [] if len(vehicles) == every else [f"{len(vehicles)} of {every} vehicles; others with --vehicles"]
     finish(figure, [ax], runs, some)
@@ -268,7 +268,7 @@ def ages(runs: Sequence[Run], view: View) -> Figure:
         mesh = ax.pcolormesh(edges, np.arange(len(links) + 1) - 0.5, np.ma.masked_invalid(table), norm=norm,
                              cmap="cividis", rasterized=True)  # fmt: skip
         ax.set_ylim(len(links) - 0.5, -0.5)
-        name_rows(ax, [f"{a}→{b}" for a, b in links], LABEL_PT)
+        name_rows(ax, [run.link_label(link) for link in links], LABEL_PT)
         ax.set_ylabel(f"link\n{which}" if which else "link")
         ax.grid(False)
     bar = figure.colorbar(mesh, ax=axes[1:], location="right", aspect=18, pad=0.02)

@@ -320,7 +320,7 @@ def timeline(runs: Sequence[Run], view: View) -> Figure:
         raise NothingToDraw("no packet was sent in that time")
     faults = [edge for fault in run.log.faults for edge in (fault.begin, fault.end)]
     edges = time_bins(first, last, faults, _period(sent))
-    rows = fold([Row(f"{a}→{b}", _count(*found[a, b], edges)) for a, b in links])
+    rows = fold([Row(run.link_label(link), _count(*found[link], edges)) for link in links])
     height = float(np.clip(_ROW_IN * len(rows), min(0.3 * len(rows), 1.6), 7.0))
     figure, (ax,) = over_time(1, runs, view, height + 1.2)
     counts: Counter[str] = Counter()
@@ -459,7 +459,10 @@ WHAT: dict[str, tuple[_Picture, ...]] = {
     "timing": (("timing", "On a wall clock: how late agents answered, what delays became", punctuality),),
 }
 # Those that are left out where everything is asked for, if they hold for none of the runs.
-_ONLY_IF: dict[str, Callable[[Run], bool]] = {"timing": on_wall_clock}
+_ONLY_IF: dict[str, Callable[[Run], bool]] = {
+    "timing": lambda run: on_wall_clock(run) and not run.of_nodes,
+    **dict.fromkeys(("track", "error", "inputs"), lambda run: not run.of_nodes),
+}
 PER_RUN = frozenset({"links", "messages", "timing"})  # those that show one run only: of several, each has its own
 
 

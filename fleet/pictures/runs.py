@@ -23,6 +23,7 @@ from fleet.result.file import ResultError, read_result
 from fleet.result.verdict import Verdict
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signals import GROUPS
+from netem.condition import Link
 
 GAP = 1.5  # times the usual distance of two samples: more, and the line is broken
 
@@ -74,6 +75,19 @@ class Run:
         except FleetError as error:
             self.notes.append(f"{self.label}: no limits and bounds, {str(error).splitlines()[0]}")
             return None
+
+    def vehicle_label(self, i: int) -> str:
+        """`UUV 1`, or the name of a node."""
+        return self.scenario.vehicle_name(i) if self.scenario is not None and self.of_nodes else f"UUV {i}"
+
+    def link_label(self, link: Link) -> str:
+        """`1→2`, or with the names of nodes."""
+        return "{}→{}".format(*(self.vehicle_label(i).removeprefix("UUV ") for i in link))
+
+    @property
+    def of_nodes(self) -> bool:
+        """Whether it is of robots that are not ours, of which nothing is known but their packets."""
+        return self.scenario is not None and bool(self.scenario.nodes)
 
     @cached_property
     def verdicts(self) -> list[Verdict]:

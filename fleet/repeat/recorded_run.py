@@ -38,7 +38,10 @@ class Recorded:
 
     def insist_on_lockstep(self, what: str) -> None:
         """Refuse a log of a run on a wall clock. Raises FleetError."""
-        if self.reader.metadata.get("run", {}).get(CLOCK) == Clock.REAL:
+        about = self.reader.metadata.get("run", {})
+        if "nodes" in about:
+            raise FleetError(f"{self.path} holds what programs of others sent on a wall clock, so {what}")
+        if about.get(CLOCK) == Clock.REAL:
             raise FleetError(
                 f"{self.path} was recorded with --clock real: when each agent answered was the machine's affair, so "
                 f"{what}; in lockstep it can be repeated: fleet export {self.path} --scenario > again.yaml"

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from fleet.scenario.scenario import Scenario
+from fleet.analysis.link_shares import link_lines
+from fleet.scenario.scenario import Scenario, timeline_lines
 from fleet.scenario.schema.nodes import Node
+from fleet.terminal.table import say
 
 _LOOPBACK = ("127.", "localhost", "[::1]", "unixsock")
 
@@ -35,3 +37,14 @@ def warnings(scenario: Scenario) -> Iterator[str]:
                 f"{name} listens on {node.listen} for other machines, and the port has no password; "
                 "give it a file of zenoh's configuration (zenoh: FILE.json5) with TLS and users"
             )
+
+
+def say_what_it_is(scenario: Scenario) -> None:
+    """Print what `fleet check` says of a valid file."""
+    links = [scenario.link_name(link) for link in scenario.graph.links]
+    ends = f"ends after {scenario.duration_ns / 1e9:g} s" if scenario.ends else "runs until it is stopped"
+    say(f"{scenario.name}: valid. {len(scenario.nodes)} nodes, {len(links)} directed links; it {ends}")
+    for line in [f"links: {', '.join(links)}", *link_lines(scenario), *timeline_lines(scenario), *lines(scenario)]:
+        say(line)
+    for warning in warnings(scenario):
+        say(f"warning: {warning}", err=True)

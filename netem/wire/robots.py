@@ -75,6 +75,15 @@ class Token:
 
 
 @dataclass(frozen=True, slots=True)
+class Placed:
+    """A message of a topic that says where a robot is."""
+
+    robot: int
+    key: str
+    payload: bytes
+
+
+@dataclass(frozen=True, slots=True)
 class Link:
     """A program of a robot, or its router, connected or went."""
 
@@ -136,6 +145,12 @@ class Robot:
         for key in ("**", f"{ROS_TOKENS}/**", *(k for k in self._expressions() if "@" in k)):
             tokens = session.liveliness().declare_subscriber(key, direct(self._announced), history=True)
             self._held.append(tokens)
+
+    def watch(self, topic: str) -> None:
+        """Listen to the topic that says where the robot is, whether the network carries it or not."""
+        for key in (topic, f"*/{topic}/**"):
+            placed = _direct(lambda s: self._put(Placed(self.number, str(s.key_expr), s.payload.to_bytes())))
+            self._held.append(self._session.declare_subscriber(key, placed, allowed_origin=_REMOTE))
 
     @property
     def routers(self) -> list[str]:

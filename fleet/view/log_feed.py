@@ -40,7 +40,7 @@ Points = list[list[float | None]]
 
 def samples(path: Path, end_s: float, vehicles: int, neighbours: Mapping[int, Collection[int]]) -> list[list[Any]]:
     """Samples over a whole log, in the form of `ViewState.history` but without places. `neighbours`: whom each vehicle
-    hears. Returns nothing, if the log does not have the errors of the vehicles. Raises LogReadError: the log cannot be
+    hears. Returns nothing, if the log has neither errors of vehicles nor packets. Raises LogReadError: the log cannot be
     read."""
     names = [f"uuv/{i}/error" for i in range(1, vehicles + 1)]
     log = Opening(path, [*names, "link/*"], drawn={"uuv/*": frozenset({"formation_norm"}), "link/*": _LINK}).read()
@@ -48,9 +48,9 @@ def samples(path: Path, end_s: float, vehicles: int, neighbours: Mapping[int, Co
     columns = [_column(log, name, "formation_norm") for name in names]
     unknown = np.full(len(at), np.nan)
     errors = [np.interp(at, t, v, left=np.nan, right=np.nan) if len(t) else unknown for t, v in columns]
-    if not any(np.isfinite(some).any() for some in errors):
-        return []
     links = {(src, dst): _link(log, link_topic((src, dst))) for dst, sources in neighbours.items() for src in sources}
+    if not any(np.isfinite(some).any() for some in errors) and not any(link is not None for link in links.values()):
+        return []
     ages = [_age(at, [links[src, i] for src in sources], log.begin) for i, sources in neighbours.items()]
     share = _lost(at, [link for link in links.values() if link is not None])
     for column in (*ages, share):

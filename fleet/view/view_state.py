@@ -202,6 +202,7 @@ class ViewState:
             "title": scenario.title,
             "end_s": self.end_s,
             "vehicles": scenario.vehicles,
+            "names": [scenario.vehicle_name(i) for i in range(1, scenario.vehicles + 1)],
             "links": [list(link) for link in self._numbers],
             "both_ways": [link in scene.both_ways for link in self._numbers],
             "hulls_m": [_rounded((SLENDER * width, width)) for width in scene.diameters],

@@ -95,7 +95,7 @@ export class LinkList {
     const name = links[k];
     const lost = losses[k] ? `, ${losses[k]} of the last ten lost` : "";
     const button = this.rows.get(k).firstChild;
-    write(button, `${src} → ${dst}: ${name}${lost}, ${ages[k].toFixed(1)} s old`);
+    write(button, `${this.setup.names[src - 1]} → ${this.setup.names[dst - 1]}: ${name}${lost}, ${ages[k].toFixed(1)} s old`);
     button.style.color = LINKS[name].colour;
   }
 

@@ -420,7 +420,8 @@ export class Scene {
   linkTip(k) {
     const [src, dst] = this.setup.links[k];
     const { links, ages } = this.now.frame;
-    return `link ${src} -> ${dst}: ${LINKS[links[k]].says}; what ${dst} knows of ${src} is ${ages[k].toFixed(1)} s old`;
+    const [from, to] = [this.setup.names[src - 1], this.setup.names[dst - 1]];
+    return `link ${from} -> ${to}: ${LINKS[links[k]].says}; what ${to} knows of ${from} is ${ages[k].toFixed(1)} s old`;
   }
 
   divide() {

@@ -89,7 +89,7 @@ export class VehicleTable {
       "button",
       { class: "fleet-name", type: "button", onclick: () => this.handlers.onVehicle(i), title: leads ? "knows the reference" : "" },
       make("span", { class: "fleet-dot", style: `background:${hull(i)}` }),
-      `${i}${leads ? " ★" : ""}`,
+      `${this.setup.names[i - 1]}${leads ? " ★" : ""}`,
     );
     return { i, el: make("tr", {}, make("td", {}, name), ...cells), cells, more: [], values: [i] };
   }

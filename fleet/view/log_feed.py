@@ -40,7 +40,7 @@ Points = list[list[float | None]]
 
 def samples(path: Path, end_s: float, vehicles: int, neighbours: Mapping[int, Collection[int]]) -> list[list[Any]]:
     """Samples over a whole log, in the form of `ViewState.history` but without places. `neighbours`: whom each vehicle
-    hears. Returns nothing, if the log has neither errors of vehicles nor packets. Raises LogReadError: the log cannot be
+    hears. Returns nothing, if the log has neither errors of vehicles nor packets. Raises LogReadError: it cannot be
     read."""
     names = [f"uuv/{i}/error" for i in range(1, vehicles + 1)]
     log = Opening(path, [*names, "link/*"], drawn={"uuv/*": frozenset({"formation_norm"}), "link/*": _LINK}).read()

@@ -41,7 +41,7 @@ class Port(Struct, frozen=True):
     port: int
     dst: int
     host: str
-    to: int
+    to: int  # 0: to where the last datagram of the way back came from
     listen: str = "127.0.0.1"
 
 
@@ -89,6 +89,7 @@ class _Datagram(Struct):
     port: Port
     at_ns: int
     payload: bytes
+    sender: Any  # its address
 
 
 def run(pipe: Connection, setup: Setup) -> None:
@@ -118,6 +119,7 @@ class RelayProcess:
         self._pipe, self._setup, self._queue = pipe, setup, queue
         self._robots: dict[int, Robot] = {}
         self._sockets: dict[tuple[int, int], socket.socket] = {}
+        self._senders: dict[int, Any] = {}  # by robot: where its last datagram came from
         self._outgoing: SimpleQueue[bytes | None] = SimpleQueue()
         self._notes: list[str] = []
         self._said: list[Said] = []
@@ -187,7 +189,8 @@ class RelayProcess:
                 self._linked(item)
             case robots.Placed(robot, key, payload):
                 self._placed[robot] = key, payload
-            case _Datagram(port, at_ns, payload):
+            case _Datagram(port, at_ns, payload, sender):
+                self._senders[port.src] = sender
                 key = f"udp/{port.port}"
                 self._send_message(Message(port.src, DATAGRAM, key, payload, at_ns, port, port.dst))
             case dict():
@@ -254,8 +257,10 @@ class RelayProcess:
         if message.kind == DATAGRAM:
             port: Port = message.what
             back = self._sockets.get((dst, port.src)) or self._sockets[port.src, dst]
-            with suppress(OSError):  # as on any network: nobody may listen there
-                back.sendto(payload, (port.host, port.to))
+            address = (port.host, port.to) if port.to else self._senders.get(dst)
+            if address is not None:
+                with suppress(OSError):  # as on any network: nobody may listen there
+                    back.sendto(payload, address)
         elif message.kind == REPLY:
             ticket = message.what[0]
             robots.answer(message, payload)
@@ -383,8 +388,8 @@ class RelayProcess:
     def _receive(self, port: Port, listening: socket.socket) -> None:
         with suppress(OSError):  # closed at the end
             while True:
-                payload = listening.recv(MOST_DATAGRAM)
-                self._queue.put(_Datagram(port, monotonic_ns(), payload))
+                payload, sender = listening.recvfrom(MOST_DATAGRAM)
+                self._queue.put(_Datagram(port, monotonic_ns(), payload, sender))
 
     def _close(self) -> None:
         for each in self._sockets.values():

@@ -105,6 +105,9 @@ def _ports(parts: Parts, report: Report) -> None:
                 report.add(path, f"the link {name}->{dst} has a port already", "a directed link has one port")
             if (first := taken.setdefault(port, name)) != name:
                 report.add(path, f"{first} has port {port}, too")
+            if not to and not any(t.partition(":")[0] == name for t in spec.nodes[dst].udp.values()):
+                hint = f"name the port of its program, as in {dst}:9100"
+                report.add(path, f"{dst} sends nothing to {name}, so nobody knows where its program is", hint)
             if host == "127.0.0.1" and any(str(to) in other.udp for other in spec.nodes.values()):
                 report.add(path, f"port {to} is ours", "datagrams leave to the port of a program")
             links.add((name, dst))

@@ -14,7 +14,7 @@ from fleet.scenario.schema.value_types import Section, mistake
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}", re.ASCII)
 RESERVED = ("all", "bridge", "every", "halves", "isolate", "majority", "one", "ring")  # words where names stand
 _ENDPOINT = re.compile(r"(tcp|tls|udp|quic|ws|unixsock-stream)/\S+", re.ASCII)
-_TARGET = re.compile(r"([A-Za-z]\w{0,31}):(?:(\S+):)?(\d{1,5})", re.ASCII)
+_TARGET = re.compile(r"([A-Za-z]\w{0,31})(?::(?:(\S+):)?(\d{1,5}))?", re.ASCII)
 
 
 def _name(value: Any) -> Any:
@@ -49,11 +49,14 @@ def _target(value: Any) -> Any:
 
 
 def udp_target(text: str) -> tuple[str, str, int] | None:
-    """`auv2:9100` or `auv2:192.168.0.7:9100` as node, host and port; None: it is neither."""
+    """`auv2:9100` or `auv2:192.168.0.7:9100` as node, host and port; None: it is neither.
+
+    `auv2` alone has port 0: datagrams go to where the last one of the way back came from.
+    """
     found = _TARGET.fullmatch(text)
-    if found is None or not 0 < int(found[3]) < 65_536:
+    if found is None or (found[3] is not None and not 0 < int(found[3]) < 65_536):
         return None
-    return found[1], found[2] or "127.0.0.1", int(found[3])
+    return found[1], found[2] or "127.0.0.1", int(found[3] or 0)
 
 
 class TopicPlace(Section):
@@ -68,7 +71,7 @@ class Node(Section):
     listen: Annotated[str, BeforeValidator(_endpoint)] | None = None
     connect: Annotated[str, BeforeValidator(_endpoint)] | None = None
     zenoh: str | None = None  # a file of zenoh's configuration, for TLS and credentials
-    # Datagrams to our port leave for a program of another node: "9000": auv2:9100, or auv2:HOST:9100.
+    # Datagrams to our port leave for a program of another node: "9000": auv2:9100, or auv2:HOST:9100, or auv2.
     udp: dict[Annotated[str, BeforeValidator(_port)], Annotated[str, BeforeValidator(_target)]] = {}
     place: TopicPlace | v.Position | None = None  # NED; in ROS topics ENU
 

@@ -55,3 +55,20 @@ def test_datagrams_go_both_ways_and_an_answer_to_where_they_came_from(tmp_path: 
 def read_json(stack: Stack) -> dict[str, int]:
     found: dict[str, int] = json.loads(stack.fleet("status", "--json"))
     return found
+
+
+def test_a_program_whose_port_nobody_knows_gets_answers_where_it_sends_from(tmp_path: Path) -> None:
+    """As MAVProxy, which sends from any free port."""
+    with program() as shore, program() as asv:
+        ours = {"shore": free_port(), "asv": free_port()}
+        nodes = {
+            "shore": {"udp": {str(ours["shore"]): "asv"}},
+            "asv": {"udp": {str(ours["asv"]): f"shore:{shore.getsockname()[1]}"}},
+        }
+        with Stack(tmp_path, nodes=nodes).begun() as stack:
+            asv.sendto(b"here", ("127.0.0.1", ours["asv"]))
+            data, port = wait_for(lambda: received(shore), LIMIT_S, "what it says")
+            assert (data, port) == (b"here", ours["shore"])
+            shore.sendto(b"order", ("127.0.0.1", port))
+            assert wait_for(lambda: received(asv), LIMIT_S, "the order") == (b"order", ours["asv"])
+            stack.end()

@@ -77,7 +77,7 @@ class Reader:
                 stdout=out, stderr=subprocess.STDOUT,
             )  # fmt: skip
         self._left_open.append(process)
-        ready = self._a_run_answers if "fleet run" in text else lambda: True
+        ready = self._a_run_answers if re.search("fleet (run|netem)", text) else lambda: True
 
         def begun() -> bool:
             missing = first_missing(shown, (output.read_text("utf-8"),))

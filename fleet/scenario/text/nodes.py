@@ -68,8 +68,11 @@ class _Expanded:
         if isinstance(node, Items):
             return Items(tuple(map(self.node, node.items)), node.place)
         if isinstance(node, Scalar):
-            text = node.value
-            return Scalar(self._text(text, node.place), node.place, node.text) if isinstance(text, str) else node
+            if not isinstance(node.value, str):
+                return node
+            if node.value in self._names:  # a number where vehicles have one
+                return Scalar(self._names.index(node.value) + 1, node.place, node.text)
+            return Scalar(self._text(node.value, node.place), node.place, node.text)
         found = Mapping({}, {}, node.place)
         for key, value in node.entries.items():
             place = node.keys[key]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import socket
+import sys
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from queue import Empty, SimpleQueue
@@ -31,6 +32,7 @@ from netem.wire.session import quiet_zenoh
 MOST_DATAGRAM = 65_535
 MOST_KEPT_BYTES = 1_000_000  # of a message whose bytes are logged
 _BEHIND = 64  # reports that the console may be behind before the relay waits for it
+_SWITCH_S = 0.0005  # what comes waits so long for the interpreter's lock at most, and not 5 ms as by default
 _BATCH = 500  # what comes is taken so often before the relay looks for what is due
 
 
@@ -95,6 +97,7 @@ class _Datagram(Struct):
 def run(pipe: Connection, setup: Setup) -> None:
     """Serve until the console says so, or is gone. It first gets one text: empty, or why this cannot begin."""
     quiet_zenoh()
+    sys.setswitchinterval(_SWITCH_S)
     queue: SimpleQueue[Any] = SimpleQueue()
     try:
         process = RelayProcess(pipe, setup, queue)

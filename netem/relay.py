@@ -37,7 +37,7 @@ class Carried(Fate, frozen=True):
     size: int = 0  # bytes, with the header
 
 
-class Message(Struct):
+class RobotMessage(Struct):
     """What a program of a robot sent."""
 
     src: int
@@ -50,21 +50,21 @@ class Message(Struct):
     number: int = 0  # in the order in which the relay took them
 
 
-class Part(NamedTuple):
+class PacketPart(NamedTuple):
     """A packet's share of a message: number `part` of `parts`, of `length` bytes without the header."""
 
-    message: Message
+    message: RobotMessage
     part: int
     parts: int
     length: int
 
 
-class Handed(NamedTuple):
+class DueMessage(NamedTuple):
     """A message that is due at a receiver."""
 
     due_ns: int
     dst: int
-    message: Message
+    message: RobotMessage
     payload: bytes
 
 
@@ -73,9 +73,9 @@ class _Outbox(Transit):
 
     def __init__(self, config: NetemConfig) -> None:
         super().__init__(config)
-        self.now: Part | None = None  # what enters a link now; None: in water, where `named` says it
-        self.named: dict[tuple[int, int], Part] = {}  # by (src, seq)
-        self.heap: list[tuple[int, int, PendingPacket, Part]] = []
+        self.now: PacketPart | None = None  # what enters a link now; None: in water, where `named` says it
+        self.named: dict[tuple[int, int], PacketPart] = {}  # by (src, seq)
+        self.heap: list[tuple[int, int, PendingPacket, PacketPart]] = []
         self.final: list[Carried] = []
         self.begin_ns = self.reported = 0  # nothing becomes final before this tick any more
         self._tick_ns = config.tick_ns
@@ -96,7 +96,7 @@ class _Outbox(Transit):
         self.final.append(carried(fate, part, max(fate.final_tick, self.reported)))
 
 
-def carried(fate: Fate, part: Part, final_tick: int) -> Carried:
+def carried(fate: Fate, part: PacketPart, final_tick: int) -> Carried:
     """A fate with its message; `fate.payload` is the packet as it was sent, and is not kept."""
     return Carried(
         final_tick, fate.src, fate.dst, fate.seq, fate.copy, fate.sent_tick, fate.due_tick, fate.delay_ns,
@@ -149,7 +149,7 @@ class Relay:
         carries = self._begin_ns + self._next * self.config.tick_ns
         return carries if due is None else min(due, carries)
 
-    def take(self, message: Message) -> None:
+    def take(self, message: RobotMessage) -> None:
         """Send a message into the links of its sender, or the only one to its receiver."""
         src = message.src
         self._taken = message.number = self._taken + 1
@@ -168,7 +168,7 @@ class Relay:
                     self._dry.enter(tick, (src, dst), data, faults)
         out.now = None
 
-    def handed(self, now_ns: int) -> Iterator[Handed]:
+    def handed(self, now_ns: int) -> Iterator[DueMessage]:
         """Every message that is due, in the order in which they are; `late` counts each when the next is asked for."""
         out = self._out
         while self._water is not None and self._begin_ns + self._next * self.config.tick_ns <= now_ns:
@@ -184,7 +184,7 @@ class Relay:
             self._latency_ns[packet.src, packet.dst] = packet.delay_ns
             payload = self._whole(packet, part)
             if payload is not None and part.message.to in (None, packet.dst):
-                yield Handed(due_ns, packet.dst, part.message, payload)
+                yield DueMessage(due_ns, packet.dst, part.message, payload)
 
     def report(self, until: int) -> list[Carried]:
         """The fates that became final up to a tick, in the order of the log."""
@@ -222,16 +222,19 @@ class Relay:
             self._active = tick, self.faults, active_faults(self.faults, tick)
         return self._active[2]
 
-    def _parts(self, message: Message) -> list[tuple[Part, bytes]]:
+    def _parts(self, message: RobotMessage) -> list[tuple[PacketPart, bytes]]:
         payload, header = message.payload, bytes(self._header)
         room = max(len(payload), 1)
         if self._fragments and self.config.acoustic is not None:
             longest = self.config.acoustic.longest(self.config.tick_ns, message.src)
             room = max(1, min(room, longest - self._header))
         pieces = [payload[begin : begin + room] for begin in range(0, len(payload), room)] or [b""]
-        return [(Part(message, number, len(pieces), len(piece)), piece + header) for number, piece in enumerate(pieces)]
+        return [
+            (PacketPart(message, number, len(pieces), len(piece)), piece + header)
+            for number, piece in enumerate(pieces)
+        ]
 
-    def _remember(self, src: int, parts: list[tuple[Part, bytes]]) -> None:
+    def _remember(self, src: int, parts: list[tuple[PacketPart, bytes]]) -> None:
         named = self._out.named
         for part, data in parts:
             self._came.setdefault(src, []).append(data)
@@ -247,7 +250,7 @@ class Relay:
         water.carry(MediumRound(tick, tick + 1, came, self.places, self._faults(tick)))
         self._next = tick + 1
 
-    def _whole(self, packet: PendingPacket, part: Part) -> bytes | None:
+    def _whole(self, packet: PendingPacket, part: PacketPart) -> bytes | None:
         """The payload that has arrived with a packet; None: parts of it are missing, or it was there already."""
         data = packet.payload[: part.length]
         if part.parts == 1:

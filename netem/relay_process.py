@@ -24,9 +24,9 @@ from netem.config import NetemConfig
 from netem.errors import BusError
 from netem.faults import read_faults
 from netem.histogram import Histogram
-from netem.relay import DATAGRAM, PUT, QUERY, REPLY, Carried, Message, Relay
+from netem.relay import DATAGRAM, PUT, QUERY, REPLY, Carried, Relay, RobotMessage
 from netem.wire import robots
-from netem.wire.robots import Access, Robot, Ticket, Token
+from netem.wire.robots import Meeting, Robot, Ticket, Token
 from netem.wire.session import quiet_zenoh
 
 MOST_DATAGRAM = 65_535
@@ -51,7 +51,7 @@ class Setup(Struct):
     """What the process needs to know; it is pickled."""
 
     config: NetemConfig
-    robots: tuple[Access, ...]
+    robots: tuple[Meeting, ...]
     carry: tuple[str, ...]
     ports: tuple[Port, ...] = ()
     places: dict[int, tuple[float, ...]] = {}
@@ -75,7 +75,7 @@ class Said(Struct):
     payload: bytes
 
 
-class Report(Struct):
+class RelayReport(Struct):
     """What happened up to a tick."""
 
     until: int
@@ -188,14 +188,14 @@ class RelayProcess:
         match item:
             case Token():
                 self._announced(item)
-            case robots.Link():
+            case robots.Linked():
                 self._linked(item)
             case robots.Placed(robot, key, payload):
                 self._placed[robot] = key, payload
             case _Datagram(port, at_ns, payload, sender):
                 self._senders[port.src] = sender
                 key = f"udp/{port.port}"
-                self._send_message(Message(port.src, DATAGRAM, key, payload, at_ns, port, port.dst))
+                self._send_message(RobotMessage(port.src, DATAGRAM, key, payload, at_ns, port, port.dst))
             case dict():
                 self._asked(item)
             case None:
@@ -216,7 +216,7 @@ class RelayProcess:
             ticket.sent[message.src] = ticket.sent.get(message.src, 0) + 1
         self._send_message(message)
 
-    def _send_message(self, message: Message) -> None:
+    def _send_message(self, message: RobotMessage) -> None:
         if self._setup.payloads and len(message.payload) <= MOST_KEPT_BYTES:
             encoding = str(message.what.encoding) if message.kind == PUT else ""
             tick = self._relay.tick(message.at_ns)
@@ -256,7 +256,7 @@ class RelayProcess:
                 self._note(str(error))
             late.add(monotonic_ns() - due_ns)
 
-    def _hand(self, dst: int, message: Message, payload: bytes) -> None:
+    def _hand(self, dst: int, message: RobotMessage, payload: bytes) -> None:
         if message.kind == DATAGRAM:
             port: Port = message.what
             back = self._sockets.get((dst, port.src)) or self._sockets[port.src, dst]
@@ -322,7 +322,7 @@ class RelayProcess:
             elif at_ns <= now_ns and self._passed_ns.get(link) == now_ns:
                 robot.mirror(key)
 
-    def _linked(self, link: robots.Link) -> None:
+    def _linked(self, link: robots.Linked) -> None:
         robot = self._robots[link.robot]
         if not link.begins and link.who in self._who:
             self._note(f"{robot.name}: the router is gone; it is looked for until it is back")
@@ -345,7 +345,7 @@ class RelayProcess:
 
     def _report(self, until: int) -> None:
         placed = [(i, *found) for i, found in self._placed.items()]
-        report = Report(until, self._relay.report(until), self._said, placed, self._notes, len(self._relay))
+        report = RelayReport(until, self._relay.report(until), self._said, placed, self._notes, len(self._relay))
         self._said, self._placed, self._notes = [], {}, []
         self._outgoing.put(msgspec.msgpack.encode(report))
         while self._outgoing.qsize() > _BEHIND:
@@ -358,7 +358,7 @@ class RelayProcess:
             "late": self._relay.late.to_values(),
             "came": self._came.to_values(),
         }
-        report = Report(end, fates, self._said, [], self._notes, 0, closing)
+        report = RelayReport(end, fates, self._said, [], self._notes, 0, closing)
         self._outgoing.put(msgspec.msgpack.encode(report))
         self._outgoing.put(None)
         self._sender.join()
@@ -367,7 +367,7 @@ class RelayProcess:
     def fail(self, error: BusError) -> None:
         """Tell the console why this cannot go on."""
         tick = self._relay.tick(monotonic_ns())
-        self._outgoing.put(msgspec.msgpack.encode(Report(tick, [], closing={"error": str(error)})))
+        self._outgoing.put(msgspec.msgpack.encode(RelayReport(tick, [], closing={"error": str(error)})))
         self._outgoing.put(None)
         self._sender.join()
         self._close()

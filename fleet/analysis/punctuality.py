@@ -9,7 +9,7 @@ from msgspec import convert
 
 from fleet.result.result import Punctual, Spread, Timing
 from fleet.result.verdict import Verdict
-from fleet.scenario.schema.checks import Punctual as Asked
+from fleet.scenario.schema.checks import PunctualCheck
 
 ON_TIME, DEGRADED = "on time", "degraded"
 MOST_MISSED = 0.01  # share of its ticks that an agent may miss by default
@@ -79,11 +79,11 @@ def summary(timing: Timing) -> str:
     return "; ".join(said)
 
 
-def punctual(found: Punctual, asked: Asked | None) -> Verdict:
+def punctual(found: Punctual, asked: PunctualCheck | None) -> Verdict:
     """Whether a network of nodes handed messages over when they were due, and took them when they came: what is late
     here, the host has delayed, and not the network that was asked for.
     """
-    asked = asked or Asked()
+    asked = asked or PunctualCheck()
     limit_ms = asked.late / 1e6
     share = max(later(found.late, limit_ms), later(found.came, limit_ms))
     words = f"at most {asked.at_most * 100:g} % later than {limit_ms:g} ms"

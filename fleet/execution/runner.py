@@ -42,15 +42,5 @@ class Runner(Protocol):
         """
 
 
-class MakeRelay(Protocol):
-    """Makes the run of a scenario with nodes. `print_line`: shows the operator a line that stays."""
-
-    def __call__(
-        self,
-        scenario: Scenario,
-        directory: RunDirectory,
-        journal: Journal,
-        log: LogFile | NoLog,
-        run: str,
-        print_line: Callable[[str], None],
-    ) -> Runner: ...
+# Makes the run of a scenario with nodes, with the run's id, and what shows the operator a line that stays.
+MakeRelay = Callable[[Scenario, RunDirectory, Journal, LogFile | NoLog, str, Callable[[str], None]], Runner]

@@ -32,12 +32,12 @@ from fleet.stack.messages import MessageLog, place_of
 from netem import relay_process
 from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values
-from netem.relay_process import Port, Report, Setup
+from netem.relay_process import Port, RelayReport, Setup
 from netem.wire.access import CONSOLE, OPERATOR, generate
 from netem.wire.bus import Bus
 from netem.wire.keys import Keys
 from netem.wire.messages import Frame, LinkReport, VehicleFrame, WorldFault
-from netem.wire.robots import Access
+from netem.wire.robots import Meeting
 from netem.wire.session import quiet_zenoh
 from netem.wire.shell import read_map
 
@@ -65,7 +65,7 @@ def setup_of(scenario: Scenario, folder: Path | None) -> Setup:
     return Setup(
         config=scenario.netem_config,
         robots=tuple(
-            Access(i, names[i - 1], node.listen or "", node.connect or "", _file(node.zenoh, folder))
+            Meeting(i, names[i - 1], node.listen or "", node.connect or "", _file(node.zenoh, folder))
             for i, node in nodes
         ),
         carry=tuple(spec.carry or ("**",)),
@@ -208,7 +208,7 @@ class RelayRun:
 
     def _take(self) -> bool:
         """Record a report. Returns whether it was the last one."""
-        report = msgspec.msgpack.decode(self._received(), type=Report)
+        report = msgspec.msgpack.decode(self._received(), type=RelayReport)
         for note in report.notes:
             self.notes.append(note)
             self._print(note)
@@ -245,7 +245,7 @@ class RelayRun:
         )
         self._journal.frame(Frame(tick, False, (), (), rows, b""))
 
-    def _place(self, report: Report) -> None:
+    def _place(self, report: RelayReport) -> None:
         moved = {}
         for i, key, payload in report.placed:
             try:

@@ -13,12 +13,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import monotonic_ns
-from typing import Any
+from typing import Any, NamedTuple
 
 import zenoh
 
 from netem.errors import BusError
-from netem.relay import DELETE, PUT, QUERY, REPLY, Message
+from netem.relay import DELETE, PUT, QUERY, REPLY, RobotMessage
 from netem.wire.session import BASE, OTHERS, UNIVERSAL, client_settings, listening, opened, reason
 
 ROS_TOKENS = "@ros2_lv"
@@ -43,7 +43,7 @@ _SETTINGS: dict[str, Any] = (
 
 
 @dataclass(frozen=True, slots=True)
-class Access:
+class Meeting:
     """Where a robot's programs meet us: `listen` for a router of ours, `connect` for one that is there."""
 
     number: int
@@ -65,8 +65,7 @@ class Ticket:
     ended: set[int] = field(default_factory=set)  # robots of which no reply will come any more
 
 
-@dataclass(frozen=True, slots=True)
-class Token:
+class Token(NamedTuple):
     """A liveliness token of a robot's program appeared or disappeared."""
 
     robot: int
@@ -74,8 +73,7 @@ class Token:
     alive: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Placed:
+class Placed(NamedTuple):
     """A message of a topic that says where a robot is."""
 
     robot: int
@@ -83,8 +81,7 @@ class Placed:
     payload: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class Link:
+class Linked(NamedTuple):
     """A program of a robot, or its router, connected or went."""
 
     robot: int
@@ -92,15 +89,13 @@ class Link:
     begins: bool
 
 
-@dataclass(frozen=True, slots=True)
-class _Heard:
+class _Heard(NamedTuple):
     robot: int
     at_ns: int
     what: Any
 
 
-@dataclass(frozen=True, slots=True)
-class _Replied:
+class _Replied(NamedTuple):
     robot: int
     at_ns: int
     ticket: Ticket
@@ -119,7 +114,7 @@ def check_key(text: str) -> str:
 class Robot:
     """The network of one robot. What comes goes into a queue by `put`, on a thread of zenoh."""
 
-    def __init__(self, access: Access, carry: Sequence[str], put: Put) -> None:
+    def __init__(self, access: Meeting, carry: Sequence[str], put: Put) -> None:
         """Open its session. Raises BusError: the address is in use, nobody answers there, or a file is no configuration
         of zenoh.
         """
@@ -184,7 +179,7 @@ class Robot:
 
     def _linked(self, event: Any) -> None:
         begins = event.kind == zenoh.SampleKind.PUT
-        self._put(Link(self.number, str(event.transport.zid), begins))
+        self._put(Linked(self.number, str(event.transport.zid), begins))
 
     def _announced(self, sample: Any) -> None:
         key = str(sample.key_expr)
@@ -258,7 +253,7 @@ class Robot:
             allowed_destination=_REMOTE,
         )
 
-    def hand(self, message: Message, payload: bytes) -> None:
+    def hand(self, message: RobotMessage, payload: bytes) -> None:
         """Hand over what another robot's program put, or what it replied to a query from here. Raises BusError: the
         session cannot send it.
         """
@@ -280,7 +275,7 @@ class Robot:
             raise BusError(f"cannot hand {message.key} to {self.name}: {reason(error)}") from None
 
 
-def answer(message: Message, payload: bytes) -> None:
+def answer(message: RobotMessage, payload: bytes) -> None:
     """Give a reply that has arrived to the program that asked."""
     ticket, reply = message.what
     query = ticket.query
@@ -299,7 +294,7 @@ def answer(message: Message, payload: bytes) -> None:
         return  # who asked is gone
 
 
-def read(item: _Heard | _Replied) -> Message | None:
+def read(item: _Heard | _Replied) -> RobotMessage | None:
     """What came, as a message of its robot; None: the end of the replies to a query."""
     if isinstance(item, _Replied):
         if item.reply is None:
@@ -307,14 +302,14 @@ def read(item: _Heard | _Replied) -> Message | None:
         ok = item.reply.ok
         data = (item.reply.err if ok is None else ok).payload.to_bytes()
         key = str(item.ticket.query.key_expr if ok is None else ok.key_expr)
-        return Message(item.robot, REPLY, key, data, item.at_ns, (item.ticket, item.reply), item.ticket.asker)
+        return RobotMessage(item.robot, REPLY, key, data, item.at_ns, (item.ticket, item.reply), item.ticket.asker)
     what = item.what
     key = str(what.key_expr)
     if isinstance(what, zenoh.Query):
         data = b"" if what.payload is None else what.payload.to_bytes()
-        return Message(item.robot, QUERY, key, data, item.at_ns, Ticket(what, item.robot))
+        return RobotMessage(item.robot, QUERY, key, data, item.at_ns, Ticket(what, item.robot))
     kind = DELETE if what.kind == zenoh.SampleKind.DELETE else PUT
-    return Message(item.robot, kind, key, what.payload.to_bytes(), item.at_ns, what)
+    return RobotMessage(item.robot, kind, key, what.payload.to_bytes(), item.at_ns, what)
 
 
 def ros_key(token: str) -> tuple[str, str] | None:
@@ -332,7 +327,7 @@ def _direct(handler: Callable[[Any], None]) -> Any:
     return zenoh.handlers.Callback(handler, indirect=False)
 
 
-def _opened(access: Access) -> zenoh.Session:
+def _opened(access: Meeting) -> zenoh.Session:
     config = zenoh.Config()
     if access.config:
         if not Path(access.config).is_file():

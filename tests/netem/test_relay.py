@@ -16,7 +16,7 @@ from netem.fault_kinds import Cause
 from netem.faults import NetFault
 from netem.modem import AcousticConfig, Modem
 from netem.network import Netem
-from netem.relay import PUT, REPLY, Carried, Handed, Message, Relay
+from netem.relay import PUT, REPLY, Carried, DueMessage, Relay, RobotMessage
 
 TICK_NS = 1_000_000
 BEGIN_NS = 5_000_000_000
@@ -40,11 +40,11 @@ def config(condition: Condition = PERFECT, seed: int = 1, *faults: NetFault, wat
     )
 
 
-def message(src: int, payload: bytes, at_ms: float = 0.0, to: int | None = None) -> Message:
-    return Message(src, PUT if to is None else REPLY, "a/b", payload, BEGIN_NS + round(at_ms * 1e6), None, to)
+def message(src: int, payload: bytes, at_ms: float = 0.0, to: int | None = None) -> RobotMessage:
+    return RobotMessage(src, PUT if to is None else REPLY, "a/b", payload, BEGIN_NS + round(at_ms * 1e6), None, to)
 
 
-def handed(relay: Relay, at_ms: float) -> list[Handed]:
+def handed(relay: Relay, at_ms: float) -> list[DueMessage]:
     return list(relay.handed(BEGIN_NS + round(at_ms * 1e6)))
 
 

@@ -25,6 +25,7 @@ class Stack(LiveRun):
             if node is None:
                 self.ports[name] = free_port()
         own = {name: {"listen": f"tcp/127.0.0.1:{port}"} for name, port in self.ports.items()}
+        sections = {"checks": {"punctual": {"late": "1 min"}}} | sections  # whatever else the machine does
         file = folder / "stack.yaml"
         file.write_text(json.dumps({"title": "A stack", "nodes": {**nodes, **own}, **sections}), "utf-8")
         super().__init__(folder / "runs", str(file), *options, verb="netem")

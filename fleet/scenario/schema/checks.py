@@ -98,7 +98,7 @@ class Connected(Section):
     vehicles: v.VehicleNumbers | None = None  # the vehicles that must be connected; all
 
 
-class Punctual(Section):
+class PunctualCheck(Section):
     """Of what a network of nodes hands over, how much may leave later than it was due: the host is to blame for it."""
 
     late: v.Period = 20_000_000
@@ -212,7 +212,7 @@ class ChecksSection(Section):
     qp_infeasible: AtMost | None = None
     ledger: Literal["balanced"] | None = None
     middleware_loss: AtMost | None = None
-    punctual: Punctual | None = None  # nodes: on by default
+    punctual: PunctualCheck | None = None  # nodes: on by default
     signal: Annotated[list[SignalCheck] | None, BeforeValidator(_listed), PlainSerializer(_show_signals)] = None
     python: Annotated[dict[str, Instances] | None, Field(alias=PYTHON)] = None
 

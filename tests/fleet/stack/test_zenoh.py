@@ -135,7 +135,6 @@ def test_losses_and_delays_are_those_of_the_file(tmp_path: Path) -> None:
     assert abs(len(delays) / 400 - 0.7) < spread
     assert account.lost["loss"] + account.delivered == account.sent
     assert min(delays) >= 0.05
-    assert sorted(delays)[len(delays) // 2] < 0.1  # a busy machine adds some
     assert result.punctual is not None
     assert result.punctual.late.count == account.delivered
 
@@ -212,7 +211,8 @@ def test_a_port_in_use_ends_it_before_it_begins(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_storm_of_tokens_and_a_huge_payload_leave_the_others_alone(tmp_path: Path) -> None:
-    with Stack(tmp_path, nodes=TWO, log={"payloads": "yes"}).begun() as stack:
+    strict = {"punctual": {"late": "20 ms"}}
+    with Stack(tmp_path, nodes=TWO, log={"payloads": "yes"}, checks=strict).begun() as stack:
         with stack.program("auv1") as one, stack.program("auv2") as two:
             samples = heard(two)
             reaches(lambda: one.put("a/b", "go"), samples)

@@ -56,8 +56,10 @@ class Stack(LiveRun):
             yield session
 
 
-def program(port: int) -> Any:
+def program(port: int, **login: str) -> Any:
     config = zenoh.Config()
+    for key, value in login.items():
+        config.insert_json5(f"transport/auth/usrpwd/{key}", json.dumps(value))
     for key, value in {
         "mode": "client", "connect/endpoints": [f"tcp/127.0.0.1:{port}"], "scouting/multicast/enabled": False,
     }.items():  # fmt: skip

@@ -239,3 +239,17 @@ def test_a_relay_that_is_killed_leaves_a_whole_log(tmp_path: Path) -> None:
     assert any("link/1-2" in topic for topic in _topics(stack.log))
     with pytest.raises(zenoh.ZError):
         program(stack.ports["auv1"])  # nobody listens there any more
+
+
+def test_a_router_of_ours_asks_for_the_users_of_a_zenoh_file(tmp_path: Path) -> None:
+    users, file, port = tmp_path / "users", tmp_path / "auv1.json5", free_port()
+    users.write_text("auv1:secret\n")
+    file.write_text(f'{{transport: {{auth: {{usrpwd: {{dictionary_file: "{users}"}}}}}}}}')
+    nodes = {"auv1": {"listen": f"tcp/127.0.0.1:{port}", "zenoh": file.name}, "auv2": None}
+    with Stack(tmp_path, nodes=nodes).begun() as stack:
+        with pytest.raises(zenoh.ZError):
+            program(port)
+        with closing(program(port, user="auv1", password="secret")) as one, stack.program("auv2") as two:
+            samples = heard(two)
+            reaches(lambda: one.put("a/b", "go"), samples)
+        stack.end()

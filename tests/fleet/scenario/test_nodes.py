@@ -1,0 +1,107 @@
+"""Scenarios with nodes: names in place of numbers, what they may hold, and what they say of a mistake."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import yaml
+
+from fleet.errors import ScenarioError
+from fleet.scenario.loading import parse_scenario
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.node_names import named, numbered
+
+NODES: dict[str, Any] = {name: {"listen": f"tcp/127.0.0.1:{port}"} for name, port in (("a", 1), ("b", 2), ("shore", 3))}
+
+
+def scenario(**sections: Any) -> Scenario:
+    return parse_scenario(yaml.safe_dump({"title": "A stack", "nodes": NODES, **sections}), "stack.yaml")
+
+
+def mistakes(**sections: Any) -> str:
+    with pytest.raises(ScenarioError) as caught:
+        scenario(**sections)
+    return "\n".join(f"{problem.key}: {problem.message}; {problem.hint}" for problem in caught.value.problems)
+
+
+def test_names_stand_where_numbers_do() -> None:
+    found = scenario(
+        graph={"edges": ["a-b", "b->shore"], "reference": ["shore"]},
+        network={"links": {"a<->b": "loss 10%", "b->*": "delay 1s"}},
+        faults=[
+            {"at": "1 s", "for": "1 s", "partition": "a / b,shore"},
+            {"at": "5 s", "mute": "shore"},
+            {"at": "6 s", "link": {"a->b": "loss 50%"}},
+            {"at": "7 s", "id": "a", "partition": "isolate:a"},
+        ],
+        checks={"max_age": {"below": "5 s", "links": "a->b"}},
+    )
+    assert set(found.graph.links) == {(1, 2), (2, 1), (2, 3)}
+    assert found.graph.b == (0.0, 0.0, 1.0)
+    assert found.conditions[1, 2].loss == 0.1
+    assert found.conditions[2, 3].delay_ns == 10**9
+    cut, mute, link, alone = found.faults.network
+    assert set(cut.links) == {(1, 2), (2, 1)}
+    assert (mute.vehicles, link.links, alone.id) == ((3,), ((1, 2),), "a")
+    assert [event.what for event in found.faults.events if event.action == "begins"] == [
+        "partition a / b,shore", "mute shore", "link a->b: loss 50%", "partition isolate:a",
+    ]  # fmt: skip
+    assert found.link_name((2, 3)) == "b->shore"
+
+
+def test_the_record_of_a_run_loads_to_an_equal_scenario() -> None:
+    found = scenario(
+        carry=["*/x/**"], header="20 bytes", discovery="linked", lost_after="3 s", log={"payloads": "yes"},
+        graph={"edges": ["a-b"]}, network={"links": {"a->b": "loss 10%"}},
+        faults=[{"at": "1 s", "down": "a->b"}], checks={"max_age": {"below": "5 s", "links": "a->b"}},
+    )  # fmt: skip
+    text = found.to_yaml()
+    assert "a->b: loss 10%" in text
+    assert "reference:" not in text
+    again = parse_scenario(text, "again.yaml")
+    assert again == found
+    assert again.to_yaml() == text
+
+
+def test_without_an_end_it_runs_until_it_is_stopped() -> None:
+    assert not scenario().ends
+    assert scenario(duration="5 s").ends
+
+
+@pytest.mark.parametrize(
+    ("sections", "expected"),
+    [
+        ({"graph": {"edges": ["a-c"]}}, "there is no node c"),
+        ({"graph": {"edges": ["a b"]}}, "expected an edge between two nodes"),
+        ({"faults": [{"at": "1 s", "partition": "a / c"}]}, "there is no node c; the nodes are a, b, shore"),
+        ({"faults": [{"at": "1 s", "kill": "a"}]}, "kill concerns vehicles of ours"),
+        ({"checks": {"formation_error": {"below": "1 m"}}}, "judges vehicles of ours"),
+        ({"carry": ["a//b"]}, "zenoh takes no such key expression"),
+        ({"vehicle": {"model": "remus"}}, '"vehicle" has no meaning for nodes'),
+        ({"fragments": "yes"}, "has no effect without an acoustic channel"),
+        ({"lost_after": "1 s"}, "has no effect without discovery: linked"),
+        ({"network": {"acoustic": {"modem": "s2c"}}}, "has no place, and sound needs one"),
+        ({"nemesis": {"mode": "swarm", "pick": ["partition", "kill"]}}, "concerns vehicles of ours"),
+        ({"nodes": {**NODES, "b": {"listen": "tcp/127.0.0.1:1"}}}, "a has the address tcp/127.0.0.1:1, too"),
+        ({"nodes": {**NODES, "b": {}}}, "has no address: give listen, connect or udp"),
+        ({"nodes": {**NODES, "b": {"listen": "127.0.0.1:1"}}}, "expected an address of zenoh"),
+        ({"nodes": {**NODES, "b-1": {"listen": "tcp/127.0.0.1:4"}}}, "expected a name of letters, digits and _"),
+        ({"nodes": {**NODES, "d": {"udp": {"9000": "e:9100"}}}}, "there is no other node e"),
+        ({"nodes": {**NODES, "d": {"udp": {"90000": "a:9100"}}}}, "expected a port from 1 to 65535"),
+        ({"nodes": {**NODES, "d": {"udp": {"9000": "a"}}}}, "a sends nothing to d"),
+        ({"nodes": {**NODES, "d": {"udp": {"9000": "a:1", "9001": "a:2"}}}}, "the link d->a has a port already"),
+    ],
+)
+def test_a_mistake_is_told(sections: dict[str, Any], expected: str) -> None:
+    assert expected in mistakes(**sections)
+
+
+def test_what_belongs_to_nodes_means_nothing_without_them() -> None:
+    with pytest.raises(ScenarioError, match="has no effect without nodes"):
+        parse_scenario("title: x\ncarry: ['**']\nvehicles: 1\n", "x.yaml")
+
+
+@pytest.mark.parametrize("text", ["a / b,shore", "a->b", "*->shore", "halves", "isolate:b", "delay 300ms", "a.csv"])
+def test_a_selector_and_back(text: str) -> None:
+    assert named(numbered(text, list(NODES)), list(NODES)) == text

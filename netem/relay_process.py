@@ -44,7 +44,6 @@ class Port(Struct, frozen=True):
     dst: int
     host: str
     to: int  # 0: to where the last datagram of the way back came from
-    listen: str = "127.0.0.1"
 
 
 class Setup(Struct):
@@ -402,10 +401,9 @@ class RelayProcess:
 
 
 def _bound(port: Port) -> socket.socket:
-    family = socket.AF_INET6 if ":" in port.listen else socket.AF_INET
-    made = socket.socket(family, socket.SOCK_DGRAM)
+    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
-        made.bind((port.listen, port.port))
+        made.bind(("127.0.0.1", port.port))
     except OSError as error:
         made.close()
         raise BusError(f"cannot listen on port {port.port} for datagrams: {error.strerror}") from None

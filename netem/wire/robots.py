@@ -59,7 +59,6 @@ class Ticket:
 
     query: Any  # zenoh's own
     asker: int
-    open: set[int] = field(default_factory=set)  # robots that have not finished
     sent: dict[int, int] = field(default_factory=dict)  # replies by robot that went into a link
     arrived: dict[int, int] = field(default_factory=dict)
     ended: set[int] = field(default_factory=set)  # robots of which no reply will come any more
@@ -231,9 +230,8 @@ class Robot:
             self._served.pop(found[1]).undeclare()
 
     def ask(self, ticket: Ticket, payload: bytes) -> None:
-        """Put a query of another robot to the programs of this one."""
+        """Put a query of another robot to the programs of this one. Raises BusError: the session cannot send it."""
         query, number, put = ticket.query, self.number, self._put
-        ticket.open.add(number)
 
         def replied(reply: Any) -> None:
             put(_Replied(number, monotonic_ns(), ticket, reply))
@@ -241,17 +239,20 @@ class Robot:
         def ended() -> None:
             put(_Replied(number, monotonic_ns(), ticket, None))
 
-        self._session.get(
-            query.selector,
-            zenoh.handlers.Callback(replied, ended, indirect=False),
-            target=zenoh.QueryTarget.ALL,
-            consolidation=zenoh.ConsolidationMode.NONE,
-            timeout=_ASK_S,
-            payload=None if query.payload is None else payload,
-            encoding=query.encoding,
-            attachment=query.attachment,
-            allowed_destination=_REMOTE,
-        )
+        try:
+            self._session.get(
+                query.selector,
+                zenoh.handlers.Callback(replied, ended, indirect=False),
+                target=zenoh.QueryTarget.ALL,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                timeout=_ASK_S,
+                payload=None if query.payload is None else payload,
+                encoding=query.encoding,
+                attachment=query.attachment,
+                allowed_destination=_REMOTE,
+            )
+        except zenoh.ZError as error:
+            raise BusError(f"cannot ask {self.name}: {reason(error)}") from None
 
     def hand(self, message: RobotMessage, payload: bytes) -> None:
         """Hand over what another robot's program put, or what it replied to a query from here. Raises BusError: the

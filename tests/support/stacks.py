@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import zenoh
@@ -56,12 +57,9 @@ class Stack(LiveRun):
             yield session
 
 
-def program(port: int, **login: str) -> Any:
+def program(port: int, settings: Mapping[str, Any] = MappingProxyType({})) -> Any:
     config = zenoh.Config()
-    for key, value in login.items():
-        config.insert_json5(f"transport/auth/usrpwd/{key}", json.dumps(value))
-    for key, value in {
-        "mode": "client", "connect/endpoints": [f"tcp/127.0.0.1:{port}"], "scouting/multicast/enabled": False,
-    }.items():  # fmt: skip
+    own = {"mode": "client", "connect/endpoints": [f"tcp/127.0.0.1:{port}"], "scouting/multicast/enabled": False}
+    for key, value in (own | settings).items():
         config.insert_json5(key, json.dumps(value))
     return zenoh.open(config)

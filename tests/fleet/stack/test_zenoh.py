@@ -23,6 +23,7 @@ LIMIT_S = 20.0
 TWO = {"auv1": None, "auv2": None}
 THREE = {"auv1": None, "auv2": None, "shore": None}
 CARRY = ["*/fleet/**"]
+LOGIN = {"transport/auth/usrpwd/user": "auv1", "transport/auth/usrpwd/password": "secret"}
 
 
 def foreign_router(*ports: int) -> Any:
@@ -249,7 +250,29 @@ def test_a_router_of_ours_asks_for_the_users_of_a_zenoh_file(tmp_path: Path) -> 
     with Stack(tmp_path, nodes=nodes).begun() as stack:
         with pytest.raises(zenoh.ZError):
             program(port)
-        with closing(program(port, user="auv1", password="secret")) as one, stack.program("auv2") as two:
+        with closing(program(port, LOGIN)) as one, stack.program("auv2") as two:
             samples = heard(two)
             reaches(lambda: one.put("a/b", "go"), samples)
+        stack.end()
+
+
+def test_who_comes_late_gets_what_a_publisher_of_another_robot_keeps(tmp_path: Path) -> None:
+    """As a transient local topic of ROS 2 does."""
+    import zenoh.ext
+
+    with Stack(tmp_path, nodes=TWO, carry=CARRY).begun() as stack:
+        stamped = {"timestamping/enabled": True}
+        with (
+            closing(program(stack.ports["auv1"], stamped)) as one,
+            closing(program(stack.ports["auv2"], stamped)) as two,
+        ):
+            cache = zenoh.ext.CacheConfig(1)
+            publisher = zenoh.ext.declare_advanced_publisher(one, "0/fleet/map", cache=cache, publisher_detection=True)
+            publisher.put(b"kept")
+            late: list[Any] = []
+            history = zenoh.ext.HistoryConfig(detect_late_publishers=True)
+            subscriber = zenoh.ext.declare_advanced_subscriber(two, "0/fleet/map", late.append, history=history)
+            wait_for(lambda: late, LIMIT_S, "what was kept")
+            assert late[0].payload.to_bytes() == b"kept"
+            del subscriber
         stack.end()

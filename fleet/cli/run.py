@@ -300,7 +300,7 @@ def _shuffle(seed: int | None) -> Any:
     return shuffled
 
 
-@click.command(epilog=EPILOG)
+@click.command(epilog="Exit status: 0 pass, 1 a check failed, 2 usage or bad file, 3 the run broke.")
 @click.argument("stack", metavar="STACK", type=PATH)
 @click.option("-o", "--out", metavar="DIR", type=PATH, default=Path("runs"), show_default=True,
               help="The folder for run directories.")  # fmt: skip

@@ -173,7 +173,7 @@ def _prepare(
 ) -> _Run:
     """Make the run directory, the log and the journal; start the publisher, if there is one, and nothing else."""
     if scenario.nodes and options.relay is None:
-        raise FleetError(f"{scenario.name} has nodes, whose programs are not ours: fleet netem runs it")
+        refuse(scenario, "a run of vehicles")
     in_process = options.in_process or scenario.ideal or options.start is not None
     if in_process:
         refuse(scenario, "a run in one process")

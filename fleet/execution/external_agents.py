@@ -24,7 +24,11 @@ from netem.wire.messages import PROTOCOL_VERSION
 
 
 def refuse(scenario: Scenario, what: str) -> None:
-    """Raise FleetError for a scenario with external agents, which only join distributed runs; `what` is refused."""
+    """Raise FleetError for a scenario with nodes, which only `fleet netem` runs, or with external agents, which join
+    distributed runs alone; `what` is refused.
+    """
+    if scenario.nodes:
+        raise FleetError(f"{scenario.name} has nodes, whose programs are not ours: fleet netem runs it, but not {what}")
     if scenario.external:
         raise FleetError(
             f"{named(scenario.external)}: {what} cannot have agents that are started elsewhere; "

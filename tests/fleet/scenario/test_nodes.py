@@ -7,7 +7,9 @@ from typing import Any
 import pytest
 import yaml
 
-from fleet.errors import ScenarioError
+import fleet
+from fleet.errors import FleetError, ScenarioError
+from fleet.execution.external_agents import refuse
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.node_names import named, numbered
@@ -95,6 +97,13 @@ def test_without_an_end_it_runs_until_it_is_stopped() -> None:
 )
 def test_a_mistake_is_told(sections: dict[str, Any], expected: str) -> None:
     assert expected in mistakes(**sections)
+
+
+def test_studies_and_runs_of_vehicles_refuse_it() -> None:
+    with pytest.raises(FleetError, match="fleet netem runs it"):
+        fleet.run(scenario(duration="1 s"))
+    with pytest.raises(FleetError, match="fleet netem runs it"):
+        refuse(scenario(), "a run of a study")
 
 
 def test_what_belongs_to_nodes_means_nothing_without_them() -> None:

@@ -7,6 +7,7 @@ round tells the console what became of each packet. The console has a process of
 from __future__ import annotations
 
 import gc
+import os
 import socket
 import sys
 from contextlib import suppress
@@ -96,6 +97,7 @@ class _Datagram(Struct):
 def run(pipe: Connection, setup: Setup) -> None:
     """Serve until the console says so, or is gone. It first gets one text: empty, or why this cannot begin."""
     quiet_zenoh()
+    os.environ.pop("ZENOH_RUNTIME", None)
     sys.setswitchinterval(_SWITCH_S)
     queue: SimpleQueue[Any] = SimpleQueue()
     try:

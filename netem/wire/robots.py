@@ -53,7 +53,7 @@ class Meeting:
     config: str = ""  # a file of zenoh's configuration, for TLS and credentials
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Ticket:
     """A query of a robot's program that waits for its answers."""
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -36,17 +35,21 @@ def foreign_router(*ports: int) -> Any:
     return zenoh.open(config)
 
 
-def heard(session: Any, key: str = "**") -> list[Any]:
-    samples: list[Any] = []
-    session.declare_subscriber(key, samples.append)
-    return samples
+class Heard(list[Any]):
+    """What a subscriber hears, but for what was put to find out whether it hears anything."""
+
+    def __init__(self, session: Any) -> None:
+        self.warm: list[Any] = []
+        session.declare_subscriber("**", lambda s: (self.warm if str(s.key_expr).endswith("warm") else self).append(s))
 
 
-def reaches(put: Callable[[], object], samples: list[Any]) -> None:
-    """Put until a subscriber that was just declared hears it; then forget what it heard."""
-    wait_for(lambda: put() or time.sleep(0.02) or samples, LIMIT_S, "the first message")
-    time.sleep(0.3)
-    samples.clear()
+def heard(session: Any) -> Heard:
+    return Heard(session)
+
+
+def reaches(session: Any, samples: Heard, key: str = "a/warm") -> None:
+    """Put until a subscriber that was just declared hears it."""
+    wait_for(lambda: session.put(key, "go") or samples.warm, LIMIT_S, "the first message")
 
 
 def test_a_message_arrives_with_all_that_it_had(tmp_path: Path) -> None:
@@ -55,8 +58,7 @@ def test_a_message_arrives_with_all_that_it_had(tmp_path: Path) -> None:
     with Stack(tmp_path, nodes=THREE, carry=CARRY, graph=edges, log={"payloads": "yes"}).begun() as stack:
         with stack.program("auv1") as one, stack.program("auv2") as two, stack.program("shore") as three:
             here, there, far = heard(one), heard(two), heard(three)
-            reaches(lambda: one.put("auv1/fleet/a", "go"), there)
-            here.clear()
+            reaches(one, there, "auv1/fleet/warm")
             own = {"encoding": "text/plain", "attachment": b"beside", "priority": zenoh.Priority.REAL_TIME}
             one.put("auv1/private/a", "secret")
             one.put("auv1/fleet/a", "hello", express=True, **own)
@@ -105,15 +107,21 @@ def test_a_query_is_two_packets_and_waits_when_one_is_lost(tmp_path: Path) -> No
             wait_for(lambda: ask(2.0)[0], LIMIT_S, "an answer")
             replies, took = ask(LIMIT_S)
             assert (replies, asked[-1]) == ([b"yes"], b"go")
-            assert 0.2 <= took < 2.0
+            assert took >= 0.2
             stack.fleet("inject", "down auv2->auv1")
-            time.sleep(0.2)
+            wait_for(lambda: not ask(0.5)[0], LIMIT_S, "the fault")
             count = len(asked)
             replies, took = ask(1.0)
             assert (replies, len(asked)) == ([], count + 1)  # the request came, the reply did not
             assert took >= 1.0
             del queryable
         stack.end()
+
+
+def settled(stack: Stack) -> int:
+    """Packets of the run whose fate is known."""
+    found = json.loads(stack.fleet("status", "--json"))
+    return int(found["delivered"]) + int(found["lost"])
 
 
 def test_losses_and_delays_are_those_of_the_file(tmp_path: Path) -> None:
@@ -123,16 +131,15 @@ def test_losses_and_delays_are_those_of_the_file(tmp_path: Path) -> None:
         with stack.program("auv1") as one, stack.program("auv2") as two:
             delays: list[float] = []
             two.declare_subscriber("n/**", lambda s: delays.append(time.monotonic() - float(s.payload.to_string())))
-            warm = heard(two, "w/**")
-            reaches(lambda: one.put("w/x", "go"), warm)
+            reaches(one, heard(two))
             for _ in range(400):
-                one.put("n/x", str(time.monotonic()))
-                time.sleep(0.002)
-            time.sleep(0.5)
+                one.put("n/x", str(time.monotonic()), congestion_control=zenoh.CongestionControl.BLOCK)
+            wait_for(lambda: settled(stack) > 400, LIMIT_S, "their fates")
         result = stack.end()
     account = result.ledger["auv1->auv2"]
     assert len(delays) <= account.delivered
     spread = 3.9 * math.sqrt(0.3 * 0.7 / 400)
+    assert abs(account.delivered / account.sent - 0.7) < spread
     assert abs(len(delays) / 400 - 0.7) < spread
     assert account.lost["loss"] + account.delivered == account.sent
     assert min(delays) >= 0.05
@@ -181,12 +188,12 @@ def test_a_router_that_is_there_may_go_and_come_back(tmp_path: Path) -> None:
     with Stack(tmp_path, nodes=nodes).begun() as stack:
         with stack.program("auv1") as one:
             samples = heard(router)
-            reaches(lambda: one.put("a/b", "go"), samples)
+            reaches(one, samples)
             router.close()
             stack.until("shore: the router is gone")
             router = foreign_router(port)
             samples = heard(router)
-            reaches(lambda: one.put("a/b", "again"), samples)
+            reaches(one, samples)
         stack.end()
     router.close()
 
@@ -216,7 +223,7 @@ def test_a_storm_of_tokens_and_a_huge_payload_leave_the_others_alone(tmp_path: P
     with Stack(tmp_path, nodes=TWO, log={"payloads": "yes"}, checks=strict).begun() as stack:
         with stack.program("auv1") as one, stack.program("auv2") as two:
             samples = heard(two)
-            reaches(lambda: one.put("a/b", "go"), samples)
+            reaches(one, samples)
             tokens = [one.liveliness().declare_token(f"t/{n}") for n in range(MOST_TOKENS + 10)]
             stack.until(f"more than {MOST_TOKENS} liveliness tokens")
             one.put("a/b", bytes(50_000_000), congestion_control=zenoh.CongestionControl.BLOCK)
@@ -232,7 +239,7 @@ def test_a_storm_of_tokens_and_a_huge_payload_leave_the_others_alone(tmp_path: P
 def test_a_relay_that_is_killed_leaves_a_whole_log(tmp_path: Path) -> None:
     with Stack(tmp_path, nodes=TWO).begun() as stack, stack.program("auv1") as one, stack.program("auv2") as two:
         samples = heard(two)
-        reaches(lambda: one.put("a/b", "go"), samples)
+        reaches(one, samples)
         stack.until_running(1.5)
         stack.role("relay").kill()
         stack.ends(3)
@@ -252,7 +259,7 @@ def test_a_router_of_ours_asks_for_the_users_of_a_zenoh_file(tmp_path: Path) -> 
             program(port)
         with closing(program(port, LOGIN)) as one, stack.program("auv2") as two:
             samples = heard(two)
-            reaches(lambda: one.put("a/b", "go"), samples)
+            reaches(one, samples)
         stack.end()
 
 

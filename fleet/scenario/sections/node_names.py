@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from fleet.scenario.schema.nodes import RESERVED
 
 FREE = ("id", "name", "modem", "site", "trace", "topic", "mode", "aims", "pick")  # keys whose values are no selectors
 _WORD = re.compile(r"[A-Za-z]\w*", re.ASCII)
+_NUMBERS = re.compile(r"(isolate:\s*)?[\d\s,/<>*-]+", re.ASCII)
 _SELECTOR = re.compile(r"[\w\s,/<>*:-]+", re.ASCII)
 
 
@@ -28,12 +29,21 @@ def numbered(text: str, names: Sequence[str]) -> str:
 
 def numbered_values(value: Any, names: Sequence[str]) -> Any:
     """An entry of a section as plain values, with numbers in place of names. Raises KeyError as `numbered`."""
+    return _each(value, lambda text: numbered(text, names))
+
+
+def named_values(value: Any, names: Sequence[str]) -> Any:
+    """The inverse."""
+    return _each(value, lambda text: named(text, names) if _NUMBERS.fullmatch(text) else text)
+
+
+def _each(value: Any, change: Callable[[str], str]) -> Any:
     if isinstance(value, str):
-        return numbered(value, names)
+        return change(value)
     if isinstance(value, list):
-        return [numbered_values(one, names) for one in value]
+        return [_each(one, change) for one in value]
     if isinstance(value, dict):
-        return {numbered(key, names): one if key in FREE else numbered_values(one, names) for key, one in value.items()}
+        return {change(key): one if key in FREE else _each(one, change) for key, one in value.items()}
     return value
 
 

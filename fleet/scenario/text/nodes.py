@@ -7,13 +7,13 @@ those of every scenario. `expanded` puts numbers in place of names, and `compact
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from math import cos, pi, sin
 from typing import Any
 
 from fleet.errors import Problem
 from fleet.scenario.schema.nodes import NAME, RESERVED
-from fleet.scenario.sections.node_names import FREE, named, numbered
+from fleet.scenario.sections.node_names import FREE, named_values, numbered
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Scalar, TextPlace
 
 KEYS = (
@@ -113,32 +113,17 @@ def compact(values: dict[str, Any]) -> dict[str, Any]:
     kept = {key: values[key] for key in KEYS if key in values}
     if kept.get("duration") == UNTIL_STOPPED:
         del kept["duration"]
-    text: Callable[[str], str] = lambda each: named(each, names)  # noqa: E731
     kept["nodes"] = {
         name: {key: value for key, value in node.items() if value != {}} for name, node in values["nodes"].items()
     }
     kept["log"] = {key: value for key, value in kept["log"].items() if key != "every"}
+    kept |= {key: named_values(kept[key], names) for key in _SECTIONS if key in kept}
     graph = kept["graph"]
-    if (edges := graph.get("edges")) is not None:
-        graph = graph | {"edges": [text(edge) for edge in edges]}
-    kept["graph"] = {key: value for key, value in graph.items() if key != "reference" or value != [1]}
-    network = kept["network"]
-    if isinstance(network, dict) and "links" in network:
-        kept["network"] = network | {"links": {text(key): value for key, value in network["links"].items()}}
-    faults = []
-    for fault in kept.get("faults", []):
-        shown = dict(fault)
-        for kind in ("down", "up", "partition", "mute", "deaf"):
-            if kind in shown:
-                shown[kind] = text(str(shown[kind]))
-        if "link" in shown:
-            shown["link"] = {text(key): value for key, value in shown["link"].items()}
-        faults.append(shown)
-    for check in kept["checks"].values():
-        for key in ("links", "vehicles"):
-            if isinstance(check, dict) and key in check:
-                check[key] = text(check[key])
-    return kept | ({"faults": faults} if faults else {})
+    if "edges" in graph:
+        graph["edges"] = list(graph["edges"])
+    if graph["reference"] == [1]:
+        del graph["reference"]
+    return kept
 
 
 def _added(nodes: Mapping, water: bool) -> dict[str, Any]:

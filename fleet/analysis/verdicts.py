@@ -55,7 +55,7 @@ def judge(scenario: Scenario, journal: Journal, middleware_lost: int) -> list[Ve
         verdicts.append(Verdict("qp_infeasible", True, "reported", found, sum(failures.values()), None, "times"))
     if checks.ledger is not None:
         unbalanced = journal.ledger.unbalanced()
-        found = "balanced" if not unbalanced else ", ".join(f"{s}->{d} off by {n}" for (s, d), n in unbalanced.items())
+        found = ", ".join(f"{scenario.link_name(link)} off by {n}" for link, n in unbalanced.items()) or "balanced"
         verdicts.append(_counted("ledger", len(unbalanced), 0, "links", "balanced", found))
     if checks.middleware_loss is not None:
         verdicts.append(_at_most("middleware_loss", checks.middleware_loss, middleware_lost))

@@ -223,9 +223,10 @@ class RelayRun:
         if closing:
             self._journal.end_at(min(until, scenario.ticks))
         fate = next(fates, None)
-        for tick in range(self._journal.reported + m if self._journal.reported >= 0 else 0, until + 1, m):
+        begin = self._journal.reported + m if self._journal.reported >= 0 else 0
+        for tick in range(begin, until if closing else until + 1, m):  # the closing report is that of the last tick
             some = []
-            while fate is not None and fate.final_tick <= tick and not (closing and fate.final_tick >= until):
+            while fate is not None and fate.final_tick <= tick:
                 some.append(fate)
                 fate = next(fates, None)
             self._journal.links(LinkReport(tick, False, False, tuple(some), b""))

@@ -16,6 +16,7 @@ from stacks import Stack, program
 from waiting import wait_for
 
 from fleet.logs.reader import LogReader
+from fleet.result.file import read_result
 from netem.wire.robots import MOST_TOKENS
 
 LIMIT_S = 20.0
@@ -145,6 +146,19 @@ def test_losses_and_delays_are_those_of_the_file(tmp_path: Path) -> None:
     assert min(delays) >= 0.05
     assert result.punctual is not None
     assert result.punctual.late.count == account.delivered
+
+
+def test_what_is_under_way_at_the_planned_end_is_in_flight(tmp_path: Path) -> None:
+    sections: dict[str, Any] = {"network": {"links": {"*": "delay 60s duplicate 50%"}}}
+    sections["checks"] = {"ledger": "balanced", "punctual": {"late": "1 min"}}
+    with Stack(tmp_path, "--duration", "4 s", nodes=TWO, **sections).begun() as stack:
+        with stack.program("auv1") as one:
+            for _ in range(20):
+                one.put("a/b", "go", congestion_control=zenoh.CongestionControl.BLOCK)
+            stack.ends(0)
+        account = read_result(stack.directory).ledger["auv1->auv2"]
+    assert account.sent == 20
+    assert account.in_flight == 20 + account.duplicated
 
 
 def test_tokens_appear_at_neighbours_and_go(tmp_path: Path) -> None:

@@ -198,12 +198,16 @@ _SHIPPED = {(pair.guidance, pair.tracking): name for name, pair in CONTROLLERS.i
 
 def scenario_facts(scenario: Scenario) -> list[tuple[str, Any]]:
     """(name, value) of what one wants to know first."""
-    return [
-        ("scenario", scenario.name),
+    of_vehicles = [
         ("vehicles", scenario.vehicles),
         ("graph", _graph(scenario)),
         ("controller", _by_vehicle([_laws(control) for control in scenario.controls])),
         ("profile", _by_vehicle(_profiles(scenario))),
+    ]
+    of_nodes = [("nodes", ", ".join(scenario.nodes)), ("carries", ", ".join(scenario.spec.carry or ["**"]))]
+    return [
+        ("scenario", scenario.name),
+        *(of_nodes if scenario.nodes else of_vehicles),
         ("duration", f"{scenario.duration_ns / 1e9:g} s in ticks of {scenario.tick_ns / 1e6:g} ms"),
         ("seed", scenario.seed),
     ]
@@ -373,11 +377,12 @@ def _section(number: int, run: Run, found: RunResult, kinds: Sequence[str], view
     for heading, table in _tables(run, result):
         blocks += [Heading(heading), table]
     place = shlex.quote(str(path.parent if path.name == "run.mcap" else path))
+    verb, said = ("netem", _SENT_BY_OTHERS) if run.of_nodes else ("run", _REPEATED)
     blocks += [
         pictures,
         Heading("How to repeat it"),
-        Text(_REPEATED),
-        Listing(f"fleet export {place} --scenario > again.yaml\nfleet run again.yaml"),
+        Text(said),
+        Listing(f"fleet export {place} --scenario > again.yaml\nfleet {verb} again.yaml"),
         Table((), sorted(log.run.items()), "words"),
     ]
     return blocks + ([Listing(log.scenario_text, "scenario.yaml")] if log.scenario_text else [])
@@ -386,6 +391,11 @@ def _section(number: int, run: Run, found: RunResult, kinds: Sequence[str], view
 _REPEATED = (
     "The log holds the merged scenario; with the faults that were injected while it ran it is what "
     "`fleet export --scenario` prints. The same scenario and the same versions give the same digest."
+)
+
+_SENT_BY_OTHERS = (
+    "The log holds the scenario; with the faults that were injected it is what `fleet export --scenario` prints. The "
+    "fate of the n-th packet of a link comes again. Which message is the n-th is up to the programs."
 )
 
 

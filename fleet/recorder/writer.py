@@ -343,6 +343,8 @@ def run_metadata(scenario: Scenario, start: Start | None = None) -> dict[str, st
 
 
 def _resumable(scenario: Scenario) -> str:
+    if scenario.nodes:
+        return "no: its programs are not ours"
     if scenario.external:
         return f"no: {', '.join(map(str, scenario.external))} external, whose agents keep what they remember"
     without = without_snapshots(scenario.other_laws)

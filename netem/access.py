@@ -18,11 +18,6 @@ BACK_OFF = "back-off"  # purpose of draws
 _LEAST_RATE = 0.1  # s/s: a clock that goes slower is taken to go so fast, or a slot might never come
 
 
-def draws(acoustic: AcousticConfig) -> list[str]:
-    """The purposes of the draws that decide when modems talk."""
-    return [BACK_OFF] if acoustic.mac != "tdma" and acoustic.backoff_ticks else []
-
-
 class Access:
     """The medium access of all modems of a run."""
 

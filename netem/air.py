@@ -2,37 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from math import sqrt
 
 from netem import fading
-from netem.draws import undecided, uniform
+from netem.draws import uniform
 from netem.fault_kinds import Cause
 from netem.medium import Place
-from netem.modem import AcousticConfig, Modem
+from netem.modem import AcousticConfig
 from netem.propagation import decibels, power
 from netem.station import ANSWER, REPLY, REQUEST, Burst, Reception
 
 SNR, CAPTURE = "snr", "capture"  # purposes of draws
 _SHORT = {ANSWER: "acknowledgement", REQUEST: "range request", REPLY: "range reply"}  # in the place of SNR
-
-
-def draws(acoustic: AcousticConfig, ranges: Iterable[float] | None = None) -> list[str]:
-    """The purposes of the draws that decide on packets, beside those of fading; none if all seeds give the same.
-    `ranges`: from sender to receiver [m]; None: all up to that of the modem."""
-    modems = [acoustic.modem, *acoustic.modems.values()]
-    found = [CAPTURE] if any(modem.captured is not None for modem in modems) else []
-    return [*found, SNR] if any(_noisy(acoustic, modem, ranges) for modem in modems) else found
-
-
-def _noisy(acoustic: AcousticConfig, modem: Modem, ranges: Iterable[float] | None) -> bool:
-    if modem.delivery is not None:
-        return any(undecided(share) for _, share in modem.delivery.points)
-    if acoustic.shadowing or acoustic.rician is not None:
-        return modem.lost_below < modem.clear_above
-    if ranges is None:  # the farther, the more packets are lost
-        return acoustic.packet_error_rate(modem.max_range, 1, modem, modem) > 0.0
-    return any(undecided(acoustic.packet_error_rate(r, 1, modem, modem)) for r in ranges if r <= modem.max_range)
 
 
 class Air:

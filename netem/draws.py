@@ -2,9 +2,6 @@
 
 There is no generator and so no state: adding a vehicle, changing one link or asking in another order never
 shifts another draw. BLAKE2b is the hash, so that a draw is the same on every machine and in every process.
-
-A module that draws has a function `draws`, which names the purposes whose outcome depends on the seed, and
-`fleet.analysis.seed` asks it.
 """
 
 from __future__ import annotations
@@ -49,11 +46,6 @@ def _packer(numbers: int) -> Callable[..., bytes]:
 def salted(seed: int, salt: int) -> int:
     """The seed of other draws than those of a run, for a branch of it; salt 0: the run's own."""
     return bits(seed, "branch", salt) - 2**63 if salt else seed
-
-
-def undecided(chance: float) -> bool:
-    """Whether a draw decides on something of this chance: of 0 and 1 it does not."""
-    return 0.0 < chance < 1.0
 
 
 def uniform(seed: int, purpose: str, *key: int) -> float:

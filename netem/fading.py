@@ -26,11 +26,6 @@ _REACH = 5  # g is 4e-6 beyond it
 _LEAST = 1e-30  # a power that is lost for sure
 
 
-def draws(sigma: float, k: float | None) -> list[str]:
-    """The purposes of the draws of this fading."""
-    return [SHADOWING] * bool(sigma) + [SCATTER] * (k is not None)
-
-
 def gain_db(seed: int, src: int, dst: int, at_ns: int, sigma: float, tau_ns: int, k: float | None) -> float:
     """The gain [dB] that fading adds to the level of a transmission that begins at `at_ns`.
 

@@ -24,7 +24,7 @@ from struct import Struct
 from typing import Any, NamedTuple
 
 from netem.condition import Condition, FourState, GilbertElliott, Link
-from netem.draws import bits, packed, undecided, unit
+from netem.draws import bits, packed, unit
 from netem.fault_kinds import Cause
 
 GOOD, BAD = 0, 1  # of Gilbert and Elliott
@@ -44,33 +44,6 @@ class LossState(IntEnum):
     BURST = 2
     LOST_IN_BURST = 3
     LOST_ALONE = 4
-
-
-def draws(c: Condition) -> list[str]:
-    """The purposes of the draws that decide what a condition does to packets; none if all seeds give the same."""
-    if not c.up:
-        return []
-    found = ["corrupted bit"] if c.corrupt else []
-    jitter = 0.5 if c.jitter_ns else 0.0
-    for purpose, chance, correlation in (
-        ("duplicate", c.duplicate, c.duplicate_correlation),
-        ("loss", c.loss if c.loss_model is None else 0.0, c.loss_correlation),
-        ("corrupt", c.corrupt, c.corrupt_correlation),
-        ("reorder", c.reorder, c.reorder_correlation),
-        ("delay", jitter, c.delay_correlation),
-    ):
-        if undecided(chance):
-            found += [purpose, f"{purpose}, first"] if correlation else [purpose]
-    model = c.loss_model
-    if isinstance(model, GilbertElliott):
-        moves = model.p and any(map(undecided, (model.p, model.r, model.bad)))
-        if moves or undecided(model.good):
-            found += ["loss state", "loss"]
-    elif isinstance(model, FourState):
-        from_burst = model.p13 and any(map(undecided, (model.p31, model.p32, model.p23)))
-        if from_burst or any(map(undecided, (model.p13, model.p14))):
-            found.append("loss state")
-    return found
 
 
 class LinkOutcome(NamedTuple):

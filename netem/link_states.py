@@ -40,11 +40,6 @@ class LinkStates:
     shared: tuple[int, ...] | None = None  # key of the draws of links that share their state; None: the link's own
 
 
-def draws(states: LinkStates) -> list[str]:
-    """The purposes of the draws that decide on states."""
-    return [STATE, STAY] if len(states.names) > 1 else []
-
-
 def stationary(mean: Sequence[float], following: Sequence[Sequence[float]]) -> tuple[float, ...]:
     """The share pi of the time that a chain is in each state; every state must lead to every other in the end.
 

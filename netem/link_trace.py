@@ -39,11 +39,6 @@ class LinkTrace:
         return [(end - begin) / self.period_ns for begin, end in zip(self.times_ns, ends, strict=True)]
 
 
-def draws(trace: LinkTrace) -> list[str]:
-    """The purposes of the draws that decide where a trace begins."""
-    return [OFFSET] if trace.offset else []
-
-
 class TraceProcess:
     """The rows of one link in use; nothing is remembered from packet to packet."""
 

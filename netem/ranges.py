@@ -46,7 +46,7 @@ from msgspec import Struct
 
 from netem.air import Air
 from netem.config import NetemConfig
-from netem.draws import normal, undecided, uniform
+from netem.draws import normal, uniform
 from netem.medium import MediumRound
 from netem.modem import AcousticConfig, RangingConfig
 from netem.station import REPLY, REQUEST, Reception
@@ -56,16 +56,6 @@ from netem.wire.messages import MeasuredRange
 
 NOISE, OUTLIER, EXCESS = "range noise", "range outlier", "range excess"  # purposes of draws
 Ranged = list[tuple[PendingPacket, MeasuredRange | None]]  # packets for their receivers
-
-
-def draws(config: RangingConfig | None) -> list[str]:
-    """The purposes of the draws that determine measured ranges."""
-    if config is None:
-        return []
-    found = [NOISE] if config.noise else []
-    if config.outliers:
-        found += [OUTLIER, EXCESS] if undecided(config.outliers) else [EXCESS]
-    return found
 
 
 class Query(NamedTuple):

@@ -12,16 +12,10 @@ of 10 s and 0.1 m/s the water accelerates by some 0.01 m/s^2, and the effect is 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from math import cos, exp, pi, sqrt
 
 from netem.draws import normal
 from world.vectors import Vec3
-
-
-def draws(name: str, sigma: Iterable[float]) -> list[str]:
-    """The purpose of the draws of a drift: of the sea (""), or of a fault by its id; none of a drift of zero."""
-    return [purpose(name)] if any(sigma) else []
 
 
 def purpose(name: str) -> str:

@@ -11,14 +11,13 @@ from functools import lru_cache
 from math import isfinite
 from typing import Any, cast
 
-from netem.draws import undecided, uniform
+from netem.draws import uniform
 from netem.fault_kinds import WorldFaultKind
 from netem.vehicle_clock import Clocks
 from netem.wire.messages import WorldFault
 from world.api import PlantConfig
 from world.config import NavNoise, VehicleSetup, WorldConfig
 from world.current import GaussMarkov, gust, purpose
-from world.current import draws as draws_of_drift
 from world.disturbance import disturbance
 from world.dynamics import Coefficients, State, coefficients, rk4_step
 from world.errors import IntegrationError, WorldError
@@ -29,18 +28,6 @@ from world.sensors import Measured, measure, split
 from world.vectors import Vec2, Vec3, Vec5, Vec6, plus
 
 Stages = tuple[tuple[Vec5, Vec5, Vec5], ...]  # the disturbance at start, middle and end of each RK4 step
-
-
-def draws(fault: WorldFault) -> list[str]:
-    """The purposes of the draws that decide what a fault does; none if all seeds give the same."""
-    match fault.kind:
-        case WorldFaultKind.NOISE:
-            return [_purpose(fault)] if any(fault.values) else []
-        case WorldFaultKind.DROPOUT:
-            return [_purpose(fault)] if undecided(fault.values[0]) else []
-        case WorldFaultKind.CURRENT:
-            return draws_of_drift(fault.id, fault.values[3:6])
-    return []
 
 
 def _purpose(fault: WorldFault) -> str:

@@ -22,11 +22,6 @@ PURPOSE = "nav noise"
 Measured = tuple[Vec5, Vec5, tuple[float, ...]]  # eta, nu, roll
 
 
-def draws(noise: NavNoise, purpose: str = PURPOSE) -> list[str]:
-    """The purpose of the draws of a noise; none if it is off."""
-    return [] if noise.off else [purpose]
-
-
 def measure(true: Measured, noise: NavNoise, seed: int, vehicle: int, tick: int, purpose: str = PURPOSE) -> Measured:
     """The report of a vehicle's sensor at a tick, in the form of `true`, which it is if the noise is off: pose x, y, z
     [m, NED], theta, psi [rad]; velocity u, v, w [m/s, body, over ground], q, r [rad/s]; roll phi [rad], p [rad/s], or

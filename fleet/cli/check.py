@@ -103,7 +103,6 @@ def _check_log(log: Path, overrides: tuple[str, ...]) -> NoReturn:
 
 def _say_what_is_expected(loaded: Scenario, lines: list[str], refused: list[Problem]) -> None:
     from fleet.analysis.link_shares import link_lines
-    from fleet.analysis.seed import HINT, NOTHING, seeded
     from fleet.scenario.scenario import timeline_lines
 
     links = loaded.graph.links
@@ -117,8 +116,6 @@ def _say_what_is_expected(loaded: Scenario, lines: list[str], refused: list[Prob
         say(line)
     for line in [*link_lines(loaded), *timeline_lines(loaded)]:
         say(line)
-    drawn = seeded(loaded)
-    say(f"drawn from seed {loaded.seed}: {', '.join(drawn)}" if drawn else f"{NOTHING}; {HINT}")
     if loaded.spec.expect == "fail":
         say("this run should fail a check (expect: fail); if it does, fleet run exits with 0")
 

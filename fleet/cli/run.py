@@ -133,7 +133,7 @@ def run(
         return
     terminal = stderr()
     if not quiet:
-        for warning in _warnings(loaded, seed_given=seed is not None):
+        for warning in _warnings(loaded):
             say(f"warning: {warning}", err=True)
     asked = replace(_options(loaded, start, how, terminal), quiet=quiet)
     if not quiet:
@@ -257,13 +257,11 @@ def _load(
     return load_scenario(scenario, changes, refused=[] if only_shown else None), None
 
 
-def _warnings(scenario: Scenario, *, seed_given: bool) -> list[str]:
+def _warnings(scenario: Scenario) -> list[str]:
     from fleet.analysis.preflight import warnings
-    from fleet.analysis.seed import HINT, NOTHING, seeded
     from fleet.analysis.stability import analyse
 
-    idle = [f"--seed: {NOTHING}; {HINT}"] if seed_given and not seeded(scenario) else []
-    return [*analyse(scenario).warnings, *warnings(scenario), *idle]
+    return [*analyse(scenario).warnings, *warnings(scenario)]
 
 
 def _check_clock(speed: float | None, clock: str, one_process: str) -> None:

@@ -31,13 +31,13 @@ from fleet.terminal.table import Piece, TerminalColumn, say, show, stdout
 if TYPE_CHECKING:
     from fleet.study.measures import MeasureColumn
     from fleet.study.modules import Modules
-    from fleet.study.plan import Plan
     from fleet.study.statistics import Estimate
     from fleet.study.store import Store
     from fleet.study.study_file import NamedStudy
     from fleet.study.sweep import Progress
 
 _MOST_TOLD = 10  # logs that are not kept
+_HOW_TO_VARY = "--vary varies a key: --vary 'loss=0 %..60 %/20 %' --net '* loss {loss}' varies the loss of all links"
 
 
 @click.command()
@@ -95,6 +95,7 @@ def sweep(
     elif how.quiet:
         click.echo(store.directory)
     else:
+        _tell_if_all_are_the_same(store)
         _show(store, shown)
 
 
@@ -137,9 +138,9 @@ def _prepared(name: str, asked: Asked[StudySpec], out: Path, how: Making) -> tup
 
     study = _asked_for(name, asked)
     plan = plan_of(*study)
-    if not study.spec.vary:
-        _nothing_varied(plan, how)
     store, modules = prepare(plan, new_directory(name, out), study.spec, warn=how.warn)
+    if not study.spec.vary and not how.quiet:
+        say(f"fleet: nothing is varied, so the runs differ only in their seeds; {_HOW_TO_VARY}", err=True)
     return store, study.spec, modules
 
 
@@ -174,20 +175,11 @@ def _run(store: Store, spec: StudySpec, modules: Modules | None, how: Making) ->
     _tell_what_is_missing(store, spec.keep_logs, progress.not_kept)
 
 
-def _nothing_varied(plan: Plan, how: Making) -> None:
-    """Say that runs differ by their seeds alone. Raises click.UsageError: they do not even differ by these."""
-    from fleet.analysis.seed import seeded
-    from fleet.study.sweep import load_points
-
-    hint = "--vary varies a key: --vary 'loss=0 %..60 %/20 %' --net '* loss {loss}' varies the loss of all links"
-    (scenario,) = load_points(plan)
-    if len(plan.seeds) > 1 and not seeded(scenario):
-        raise click.UsageError(
-            f"nothing is varied, and nothing in {scenario.name} depends on the seed: all {len(plan.seeds)} runs would "
-            f"be the same. {hint}"
-        )
-    if not how.quiet:
-        say(f"fleet: nothing is varied, so the runs differ only in their seeds; {hint}", err=True)
+def _tell_if_all_are_the_same(store: Store) -> None:
+    """Of a study whose runs differ by their seeds alone."""
+    digests = [row.digest for row in store.rows(details=True)] if len(store.points) == 1 else []
+    if len(digests) > 1 and len(set(digests)) == 1 and digests[0] is not None:
+        say(f"fleet: all {len(digests)} runs have the same log: no draw of the seed matters; {_HOW_TO_VARY}", err=True)
 
 
 def _announced(store: Store, missing: int) -> str:

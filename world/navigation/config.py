@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from netem.draws import normal, undecided, uniform
+from netem.draws import normal, uniform
 from netem.fault_kinds import WorldFaultKind
 from netem.wire.messages import WorldFault
 from world.vectors import Vec3
@@ -28,18 +28,6 @@ def jumps(fault: WorldFault, seed: int, i: int, tick: int, axes: int, source: in
     if sigma == 0.0 or (chance < 1.0 and uniform(seed, _purpose(fault, "jumps"), i, tick, source) >= chance):
         return [0.0] * axes
     return [sigma * normal(seed, _purpose(fault, "jump"), i, tick, source, axis) for axis in range(axes)]
-
-
-def draws(fault: WorldFault) -> list[str]:
-    """The purposes of the draws that decide what such a fault does; none of other faults."""
-    if fault.kind not in KINDS:
-        return []
-    found = [_purpose(fault, "lost")] if undecided(fault.values[0]) else []
-    sigma, chance = fault.values[-2:]
-    if sigma > 0.0 and chance > 0.0:
-        found += [_purpose(fault, "jumps")] if undecided(chance) else []
-        found.append(_purpose(fault, "jump"))
-    return found
 
 
 def _purpose(fault: WorldFault, what: str) -> str:

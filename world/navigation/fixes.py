@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import hypot
 
-from netem.draws import normal, undecided, uniform
+from netem.draws import normal, uniform
 from netem.fault_kinds import WorldFaultKind
 from netem.wire.messages import Fix, WorldFault
 from world.navigation.config import FixSource, jumps, lost
@@ -20,12 +20,6 @@ from world.vectors import Vec3
 
 MOST_SOURCES = 8
 NOISE, LOSS = f"{PURPOSE} fix", f"{PURPOSE} fix loss"
-
-
-def draws(source: FixSource) -> list[str]:
-    """The purposes of the draws of a vehicle's fixes."""
-    found = [LOSS] if undecided(source.loss) else []
-    return [*found, NOISE] if source.loss < 1.0 and (source.noise or source.growth) else found
 
 
 class Fixes:

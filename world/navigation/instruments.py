@@ -28,24 +28,6 @@ PURPOSE = "navigation"
 NO_FAULTS: Sequence[WorldFault] = ()
 
 
-def draws(config: DeadReckoning) -> list[str]:
-    """The purposes of the draws of a vehicle's instruments; none of those without errors."""
-    grade = config.grade
-    drawn = {
-        "heading bias": grade.heading_bias,
-        "heading walk": grade.heading_walk,
-        "heading": grade.heading_noise,
-        "gyro bias": grade.gyro_bias,
-        "gyro": grade.gyro_walk,
-        "dvl scale": grade.dvl_scale,
-        "dvl": grade.dvl_noise,
-        "depth bias": grade.depth_bias,
-        "depth": grade.depth_noise,
-        "tilt": grade.tilt,
-    }
-    return [f"{PURPOSE} {what}" for what, sigma in drawn.items() if sigma]
-
-
 def due(tick: int, tick_ns: int, period_ns: int) -> bool:
     """Whether a sample is due at a tick: the first at or after each multiple of its period."""
     return tick * tick_ns // period_ns > (tick - 1) * tick_ns // period_ns

@@ -22,11 +22,6 @@ MOST_TOLD = 200  # fixes in a frame, which has to fit into a message; a log that
 Believed = tuple[Vec5, Vec5, tuple[float, ...]]  # eta, nu, roll
 
 
-def draws(config: DeadReckoning) -> list[str]:
-    """The purpose of the draws of where a vehicle believes it begins."""
-    return [START] if config.start else []
-
-
 class Navigator:
     """Dead reckoning of one vehicle: its instruments, its fixes and its filter."""
 

@@ -25,9 +25,3 @@ def vehicle_clock(section: ClockSection, seed: int, i: int) -> VehicleClock:
     if offset.sigma:
         theta += round(offset.sigma * normal(seed, OFFSET, i))
     return VehicleClock(theta, max(-_MOST_DRIFT, min(_MOST_DRIFT, rho)))
-
-
-def draws(section: ClockSection) -> list[str]:
-    """The purposes of the draws of a clock."""
-    given = ((DRIFT, section.drift), (OFFSET, section.offset))
-    return [purpose for purpose, part in given if part is not None and part.sigma]

@@ -189,11 +189,6 @@ def initial_states(
     return tuple(states)
 
 
-def draws(initial: InitialSection) -> list[str]:
-    """The purposes of the draws that decide where vehicles begin; none if all seeds give the same."""
-    return ["scatter"] if initial.scatter is not None and initial.scatter.scatter > 0.0 else []
-
-
 def initial_rolls(initial: InitialSection, vehicles: int) -> tuple[Vec2, ...]:
     """Roll [rad] and roll rate [rad/s] of every vehicle at the start; those without a plant have none."""
     if initial.vehicles is None:

@@ -130,12 +130,6 @@ def _nearest(places: tuple[Vec3, ...], i: int) -> list[int]:
     return sorted(others, key=lambda j: (round(dist(places[i - 1], places[j - 1]), 9), j))
 
 
-def draws(section: GraphSection, vehicles: int) -> list[str]:
-    """The purposes of the draws that decide on links; none if all seeds give the same."""
-    probability = DEFAULT_PROBABILITY if section.probability is None else section.probability
-    return ["graph tree", "graph"] if section.shape == "random" and vehicles > 2 and probability < 1.0 else []
-
-
 def _random_pairs(vehicles: int, probability: float, seed: int) -> list[tuple[int, int]]:
     """A random tree, so that all are connected, and every other pair with the given probability.
 

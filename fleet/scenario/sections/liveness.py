@@ -24,12 +24,6 @@ _IDEAL = ("off",)
 _CORE, _BREAKS, _WHEN = range(3)  # what is drawn
 
 
-def draws(ground: Ground) -> list[str]:
-    """The purpose of the draws of core and outsiders; none if the nemesis has another mode."""
-    nemesis = ground.spec.nemesis
-    return [PURPOSE] if nemesis is not None and nemesis.mode == "liveness" else []
-
-
 def healed_at(nemesis: NemesisSection, ground: Ground) -> int:
     """When the core is healed [ns]."""
     spec = ground.spec

@@ -98,24 +98,6 @@ def fault_count(nemesis: NemesisSection, ground: Ground) -> int:
     )
 
 
-def draws(ground: Ground) -> list[str]:
-    """The purpose of the draws of a nemesis without a mode; none if there is none, or all seeds give the same faults.
-
-    The partitions that it draws are faults of the scenario then, and draw on their own.
-    """
-    spec, links = ground.spec, ground.links
-    nemesis = spec.nemesis
-    if nemesis is None or nemesis.mode is not None or not fault_count(nemesis, ground):
-        return []
-    picks = _picks(nemesis, links)
-    pairs = {frozenset(link) for link in links}
-    targets = [
-        0 if pick.drawn is None else {"down": len(pairs), "partition": 2}.get(pick.drawn, spec.vehicles)
-        for pick in picks
-    ]
-    return [PURPOSE] if len(picks) > 1 or any(among > 1 for among in targets) else []
-
-
 def _picks(nemesis: NemesisSection, links: Sequence[Link]) -> list[NemesisPick]:
     """The kinds of fault that may be drawn. A fleet of one keeps its scenario: faults that need a link are left out."""
     return [pick for pick in nemesis.pick or () if links or pick.drawn not in ("partition", "down")]

@@ -30,13 +30,6 @@ def is_drawn(text: str) -> bool:
     return text.strip() in DRAWN_PARTITIONS
 
 
-def draws(text: str, vehicles: int, name: str) -> list[str]:
-    """The purpose of the draws that decide which links a partition cuts; none if all seeds give the same."""
-    which = text.strip()
-    least = 4 if which == "ring" else 3  # with fewer vehicles all choices cut the same links
-    return [_purpose(which, name)] if is_drawn(which) and vehicles >= least else []
-
-
 def _purpose(which: str, name: str) -> str:
     return f"partition {which} {name}"
 

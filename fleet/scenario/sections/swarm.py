@@ -244,12 +244,6 @@ class DrawnFault(NamedTuple):
     pieces: int = 1  # more: it flaps, and comes so often within its time
 
 
-def draws(ground: Ground) -> list[str]:
-    """The purpose of the draws of a swarm; none if the scenario has no such nemesis."""
-    nemesis = ground.spec.nemesis
-    return [PURPOSE] if nemesis is not None and nemesis.mode is not None else []
-
-
 def picks_of(nemesis: NemesisSection, ground: Ground) -> list[NemesisPick]:
     """The kinds that may be drawn: the given ones, or every kind that fits the scenario.
 

@@ -179,3 +179,11 @@ def test_a_sweep_of_nothing(engines: list[Here]) -> None:
     ):
         result = sweep("small.yaml", "--seeds", "1", *quiet)
         assert (result.exit_code, result.stderr) == (0, "")
+
+
+def test_a_sweep_says_at_its_end_that_all_runs_are_the_same(engines: list[Here]) -> None:
+    short = ["--seeds", "2", "--set", "duration=100 ms"]
+    drawn = sweep("small.yaml", *short, "--set", "initial={scatter: 1 m}")
+    same = sweep("small.yaml", *short, "--set", "initial={scatter: 0 m}", "--set", "network.links={}")
+    assert "have the same log" not in drawn.stderr
+    assert "all 2 runs have the same log" in same.stderr

@@ -11,7 +11,6 @@ import pytest
 from netem.wire.messages import Fix, WorldFault
 from world.navigation.config import DeadReckoning, FixSource, Grade
 from world.navigation.filter import GATE, E, N, NavigationFilter
-from world.navigation.fixes import LOSS, NOISE, draws
 from world.navigation.navigator import Navigator, State
 
 TICK_NS = 100_000_000
@@ -187,17 +186,3 @@ def test_a_navigator_goes_on_from_its_plain_values() -> None:
         other.step(course(k), course(k + 1), (0.0, 0.0, 0.0), (), 0.0)
     assert other.memory() == whole.memory()
     assert other.believed(course(200), ()) == whole.believed(course(200), ())
-
-
-def test_fixes_draw_what_is_undecided() -> None:
-    def source(loss: float, noise: float, growth: float) -> FixSource:
-        return FixSource("usbl", 10**9, 0, loss, noise, growth)
-
-    assert draws(source(0.2, 1.0, 0.0)) == [LOSS, NOISE]
-    assert draws(source(0.0, 0.0, 0.1)) == [NOISE]
-    assert draws(source(0.0, 0.0, 0.0)) == draws(source(1.0, 1.0, 1.0)) == []
-    assert (source(0.0, 1.0, 0.0).at, source(0.0, 1.0, 0.0).reach, source(0.0, 1.0, 0.0).depth) == (
-        (0.0, 0.0, 0.0),
-        0.0,
-        0.0,
-    )

@@ -11,7 +11,6 @@ share at which half of the runs fail, for both, with intervals.
 from __future__ import annotations
 
 import json
-import socket
 import subprocess
 import sys
 import tempfile
@@ -21,7 +20,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import click
+from stack import until_open  # the script beside this one
 
+from fleet.processes.limits import free_port
 from fleet.study.borders import PsychometricCurve
 from fleet.study.statistics import pass_rate
 
@@ -35,19 +36,9 @@ class Run(NamedTuple):
     punctual: bool
 
 
-def free_ports(count: int) -> list[int]:
-    probes = [socket.socket() for _ in range(count)]
-    for probe in probes:
-        probe.bind(("127.0.0.1", 0))
-    ports = [probe.getsockname()[1] for probe in probes]
-    for probe in probes:
-        probe.close()
-    return ports
-
-
 def of_programs(loss: int, seed: int, folder: Path) -> Run:
     """One run of the programs."""
-    ports = free_ports(MEMBERS)
+    ports = [free_port(None) for _ in range(MEMBERS)]
     sets = [f"nodes.m{i}.listen=tcp/127.0.0.1:{port}" for i, port in enumerate(ports, start=1)]
     words = [word for each in sets for word in ("--set", each)]
     words += ["--seed", str(seed), "--net", f"* delay 40ms 20ms loss {loss}%", "--out", str(folder), "--json", "-q"]
@@ -55,7 +46,7 @@ def of_programs(loss: int, seed: int, folder: Path) -> Run:
     netem = subprocess.Popen(
         [sys.executable, "-m", "fleet", "netem", EXAMPLE / "stack.yaml", *words], stdout=subprocess.PIPE, text=True
     )
-    wait_for(ports)
+    until_open(ports)
     begin = time.monotonic() + READY_S - 1.0
     members = [
         subprocess.Popen(
@@ -72,15 +63,6 @@ def of_programs(loss: int, seed: int, folder: Path) -> Run:
     found = json.loads(netem.communicate()[0])
     late = next(check for check in found["checks"] if check["check"] == "punctual")
     return Run(all(keeps_a_leader(text, begin) for text in said), late["passed"])
-
-
-def wait_for(ports: list[int]) -> None:
-    for port in ports:
-        while True:
-            with socket.socket() as probe:
-                if probe.connect_ex(("127.0.0.1", port)) == 0:
-                    break
-            time.sleep(0.05)
 
 
 def keeps_a_leader(said: str, begin: float) -> bool:

@@ -1,4 +1,4 @@
-"""What `fleet netem` adds, and how much it carries: `python benchmarks/stack.py`.
+"""The delay that `fleet netem` adds, and the rate that it carries: `python benchmarks/stack.py`.
 
 1. One program sends 1,000 messages/s of 1 kB to another, over an ideal link. The same two programs at one zenoh router
    are the baseline, before and after. The table has the latency from put to callback, and what the network adds.
@@ -24,6 +24,8 @@ from pathlib import Path
 from typing import Any
 
 import click
+
+from fleet.processes.limits import free_port
 
 # A program: `send PORT KEY RATE BYTES SECONDS BEGIN` or `hear PORT KEYS SECONDS BEGIN`; it prints JSON.
 PROGRAM = """
@@ -69,13 +71,6 @@ READY_S, MOST_LATE_MS = 2.0, 20.0
 RATES = (1_000, 2_000, 3_000, 4_000, 5_000, 6_000, 8_000)  # messages/s of all four
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
-
-
 def until_open(ports: Sequence[int]) -> None:
     for port in ports:
         while True:
@@ -96,7 +91,7 @@ def said(process: subprocess.Popen[str]) -> dict[str, Any]:
 
 @contextmanager
 def router() -> Iterator[int]:
-    port = free_port()
+    port = free_port(None)
     process = subprocess.Popen([sys.executable, "-c", ROUTER, str(port)])
     until_open([port])
     yield port
@@ -107,7 +102,7 @@ def router() -> Iterator[int]:
 @contextmanager
 def netem(nodes: int, result: dict[str, Any]) -> Iterator[list[int]]:
     """A run of the network; its result is in `result` afterwards."""
-    ports = [free_port() for _ in range(nodes)]
+    ports = [free_port(None) for _ in range(nodes)]
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "stack.yaml"
         own = {f"r{i}": {"listen": f"tcp/127.0.0.1:{port}"} for i, port in enumerate(ports, start=1)}

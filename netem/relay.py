@@ -1,8 +1,8 @@
-"""The network between robots that are not ours: messages in when they come, out when they are due.
+"""The network between robots that are not ours: it takes messages when they come, and gives them out when due.
 
-`Relay` is pure: who calls it says what time it is [ns, CLOCK_MONOTONIC]. Its media are those of a run in lockstep, so
-the fate of the n-th packet of a link is a function of (seed, link, n). Links delay each packet to the nanosecond; a
-tick is the grain of faults, rates and records. In water a message waits for the next tick, as a modem has ticks.
+`Relay` is pure: its caller gives the time [ns, CLOCK_MONOTONIC]. Its media are those of a run in lockstep. So the fate
+of the n-th packet of a link is a function of (seed, link, n). Links delay each packet to the nanosecond. Faults, rates
+and records have the grain of a tick. In water a message waits for the next tick, because a modem has ticks.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from netem.network import fate_order
 from netem.transit import PendingPacket, Transit
 from netem.wire.messages import Fate, MeasuredRange
 
-PUT, DELETE, QUERY, REPLY, DATAGRAM = KINDS = ("put", "delete", "query", "reply", "datagram")
+PUT, DELETE, QUERY, REPLY, DATAGRAM = ("put", "delete", "query", "reply", "datagram")
 _MOST_NAMED = 10_000  # messages in water that are remembered by number; a modem holds up to 1,000
 
 
@@ -44,7 +44,7 @@ class RobotMessage(Struct):
     kind: str
     key: str
     payload: bytes
-    at_ns: int  # when it came [CLOCK_MONOTONIC]
+    at_ns: int  # its arrival here [CLOCK_MONOTONIC]
     what: Any = None  # zenoh's own sample, query or reply, or what the process needs to hand it over
     to: int | None = None  # its only receiver; None: all neighbours
     number: int = 0  # in the order in which the relay took them
@@ -116,7 +116,11 @@ class Relay:
         self.faults = config.faults
         self.late = Histogram()  # how much later than due messages were handed over
         self.places: dict[int, Place] = {}
-        self._begin_ns, self._header, self._fragments = begin_ns, header, fragments
+        self._begin_ns, self._header = begin_ns, bytes(header)
+        self._room: dict[int, int] = {}  # by sender: bytes of a message that fit into a packet; empty: all of them
+        if fragments and config.acoustic is not None:
+            longest = config.acoustic.longest
+            self._room = {i: max(1, longest(config.tick_ns, i) - header) for i in config.vehicles}
         self._links, self._out = make_links(config), _Outbox(config)
         self._out.begin_ns = begin_ns
         self._dry = None if water else IndependentLinks(config, self._links, self._out)
@@ -128,10 +132,6 @@ class Relay:
         self._arrived: dict[tuple[int, int], dict[int, bytes]] = {}  # parts by (receiver, message)
         self._latency_ns: dict[Link, int] = {}
         self._active: tuple[int, tuple[Any, ...], ActiveFaults] = (-1, (), active_faults((), 0))
-
-    def __len__(self) -> int:
-        """Packets under way on links; those in water are its own."""
-        return len(self._out.heap)
 
     @property
     def entered(self) -> dict[Link, tuple[int, int]]:
@@ -169,7 +169,7 @@ class Relay:
         out.now = None
 
     def handed(self, now_ns: int) -> Iterator[DueMessage]:
-        """Every message that is due, in the order in which they are; `late` counts each when the next is asked for."""
+        """Every message that is due, in that order. The caller counts in `late` how late it handed each over."""
         out = self._out
         while self._water is not None and self._begin_ns + self._next * self.config.tick_ns <= now_ns:
             self._carry(self._water)
@@ -199,8 +199,8 @@ class Relay:
         final = self.report(end_tick - 1)
         if self._water is not None:
             self._water.close(end_tick)
-        left = [packet.fate(end_tick, Cause.IN_FLIGHT) for _, _, packet, _ in self._out.heap]
-        rest = [carried(fate, part, end_tick) for fate, (_, _, _, part) in zip(left, self._out.heap, strict=True)]
+        heap = self._out.heap
+        rest = [carried(packet.fate(end_tick, Cause.IN_FLIGHT), part, end_tick) for _, _, packet, part in heap]
         lost = [structs.replace(fate, final_tick=end_tick, cause=Cause.IN_FLIGHT) for fate in self._out.final]
         self._out.heap, self._out.final = [], []
         return final + sorted([*rest, *lost], key=fate_order)
@@ -223,14 +223,11 @@ class Relay:
         return self._active[2]
 
     def _parts(self, message: RobotMessage) -> list[tuple[PacketPart, bytes]]:
-        payload, header = message.payload, bytes(self._header)
-        room = max(len(payload), 1)
-        if self._fragments and self.config.acoustic is not None:
-            longest = self.config.acoustic.longest(self.config.tick_ns, message.src)
-            room = max(1, min(room, longest - self._header))
+        payload = message.payload
+        room = self._room.get(message.src, 0) or len(payload) or 1
         pieces = [payload[begin : begin + room] for begin in range(0, len(payload), room)] or [b""]
         return [
-            (PacketPart(message, number, len(pieces), len(piece)), piece + header)
+            (PacketPart(message, number, len(pieces), len(piece)), piece + self._header)
             for number, piece in enumerate(pieces)
         ]
 

@@ -1,7 +1,7 @@
 """The process between robots that are not ours: their sessions and sockets, a relay, and a pipe to the console.
 
-Everything that comes goes into one queue with its time; the main thread takes it, hands over what is due, and every
-round tells the console what became of each packet. The console has a process of its own, so a slow disk delays nothing.
+Other threads put what comes into one queue, with its time. The main thread takes it and hands over what is due. In each
+round it tells the console the fate of each packet. The console is another process, so a slow disk delays no packet.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Port(Struct, frozen=True):
     port: int
     dst: int
     host: str
-    to: int  # 0: to where the last datagram of the way back came from
+    to: int  # 0: to the sender of the last datagram of the way back
 
 
 class Setup(Struct):
@@ -83,7 +83,6 @@ class RelayReport(Struct):
     said: list[Said] = []
     placed: list[tuple[int, str, bytes]] = []  # robot, key, and message of a topic that says where it is
     notes: list[str] = []
-    waiting: int = 0  # packets under way
     closing: dict[str, Any] | None = None  # with the last report: counts and lateness
 
 
@@ -128,7 +127,8 @@ class RelayProcess:
         self._notes: list[str] = []
         self._said: list[Said] = []
         self._placed: dict[int, tuple[str, bytes]] = {}
-        self._waiting: list[Ticket] = []
+        self._waiting: dict[int, Ticket] = {}
+        self._hearers: dict[int, set[int]] = {}  # by robot: those that get its queries
         self._tokens: dict[str, int] = {}  # those of robots, by key
         self._shown: dict[tuple[Link, str], int] = {}  # when a token is to appear at the end of a link [ns]
         self._passed_ns: dict[Link, int] = {}  # when something could pass a link last
@@ -144,6 +144,9 @@ class RelayProcess:
         except BusError:
             self._close()
             raise
+        for src, dst in setup.config.links:
+            if dst in self._robots:
+                self._hearers.setdefault(src, set()).add(dst)
         self._twice()
 
     def serve(self, begin_ns: int) -> None:
@@ -225,16 +228,15 @@ class RelayProcess:
         self._relay.take(message)
 
     def _keep(self, ticket: Ticket) -> None:
-        self._waiting.append(ticket)
+        self._waiting[id(ticket)] = ticket
         if len(self._waiting) > robots.MOST_OPEN:
-            del self._waiting[0]  # whoever asked has given up long ago
+            del self._waiting[next(iter(self._waiting))]  # whoever asked has given up long ago
 
     def _finish(self, ticket: Ticket) -> None:
-        """End a query whose answers are all there; one of which something was lost waits for the asker's time-out."""
-        neighbours = {dst for src, dst in self._setup.config.links if src == ticket.asker and dst in self._robots}
-        if ticket.ended >= neighbours and all(ticket.arrived.get(i, 0) >= n for i, n in ticket.sent.items()):
-            with suppress(ValueError):
-                self._waiting.remove(ticket)
+        """End a query whose answers are all there. If one of them was lost, the asker waits for its own time-out."""
+        complete = all(ticket.arrived.get(i, 0) >= n for i, n in ticket.sent.items())
+        if complete and ticket.ended >= self._hearers.get(ticket.asker, set()):
+            self._waiting.pop(id(ticket), None)
             ticket.query.drop()
 
     def _asked(self, request: dict[str, Any]) -> None:
@@ -289,8 +291,10 @@ class RelayProcess:
                 for robot in self._robots.values():
                     robot.withdraw(token.key)
             return
-        if token.key in self._tokens or len(self._tokens) >= robots.MOST_TOKENS:
-            if token.key not in self._tokens and token.robot not in self._full:
+        if token.key in self._tokens:
+            return
+        if len(self._tokens) >= robots.MOST_TOKENS:
+            if token.robot not in self._full:
                 self._full.add(token.robot)
                 name = self._robots[token.robot].name
                 self._note(f"{name}: more than {robots.MOST_TOKENS} liveliness tokens; others do not see the rest")
@@ -346,7 +350,7 @@ class RelayProcess:
 
     def _report(self, until: int) -> None:
         placed = [(i, *found) for i, found in self._placed.items()]
-        report = RelayReport(until, self._relay.report(until), self._said, placed, self._notes, len(self._relay))
+        report = RelayReport(until, self._relay.report(until), self._said, placed, self._notes)
         self._said, self._placed, self._notes = [], {}, []
         self._outgoing.put(msgspec.msgpack.encode(report))
         while self._outgoing.qsize() > _BEHIND:
@@ -359,16 +363,15 @@ class RelayProcess:
             "late": self._relay.late.to_values(),
             "came": self._came.to_values(),
         }
-        report = RelayReport(end, fates, self._said, [], self._notes, 0, closing)
-        self._outgoing.put(msgspec.msgpack.encode(report))
-        self._outgoing.put(None)
-        self._sender.join()
-        self._close()
+        self._end_with(RelayReport(end, fates, self._said, [], self._notes, closing))
 
     def fail(self, error: BusError) -> None:
         """Tell the console why this cannot go on."""
         tick = self._relay.tick(monotonic_ns())
-        self._outgoing.put(msgspec.msgpack.encode(RelayReport(tick, [], closing={"error": str(error)})))
+        self._end_with(RelayReport(tick, [], closing={"error": str(error)}))
+
+    def _end_with(self, report: RelayReport) -> None:
+        self._outgoing.put(msgspec.msgpack.encode(report))
         self._outgoing.put(None)
         self._sender.join()
         self._close()

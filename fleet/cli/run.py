@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
@@ -138,10 +138,7 @@ def run(
     asked = replace(_options(loaded, start, how, terminal), quiet=quiet)
     if not quiet:
         _tell_plan(loaded, start, in_process=asked.in_process)
-    result = _execute(loaded, asked, terminal, view=how.view, ros2=how.ros2)
-    if junit is not None:
-        cli_junit.write(junit, result.scenario, cli_junit.of_run(result))
-    sys.exit(result.status.exit)
+    _execute(loaded, asked, terminal, view=how.view, ros2=how.ros2, junit=junit)
 
 
 def _check_output(how: RunOptions, *, show_config: bool) -> None:
@@ -153,8 +150,10 @@ def _check_output(how: RunOptions, *, show_config: bool) -> None:
         raise click.UsageError("--show-config prints YAML, so it cannot be used together with --json")
 
 
-def _execute(scenario: Scenario, options: Options, terminal: Terminal, *, view: bool, ros2: bool) -> Result:
-    """Run a scenario and print its result, beside the page (`view`) and the bridge (`ros2`) if they are wanted."""
+def _execute(
+    scenario: Scenario, options: Options, terminal: Terminal, *, view: bool, ros2: bool, junit: Path | None
+) -> NoReturn:
+    """Run a scenario, beside the page (`view`) and the bridge (`ros2`) if they are wanted; print the result, exit."""
     from fleet.execution.execute import execute
 
     with (
@@ -172,7 +171,9 @@ def _execute(scenario: Scenario, options: Options, terminal: Terminal, *, view: 
         if page is not None and result.directory is not None:
             page.over(result.directory)
         _print_result(result, quiet=options.quiet)
-    return result
+    if junit is not None:
+        cli_junit.write(junit, result.scenario, cli_junit.of_run(result))
+    sys.exit(result.status.exit)
 
 
 def _options(scenario: Scenario, start: Start | None, how: RunOptions, terminal: Terminal) -> Options:
@@ -355,10 +356,7 @@ def netem(
         for line in [*(f"warning: {text}" for text in warnings(scenario)), *lines(scenario)]:
             say(line, err=True)
     asked = Options(out, clock=Clock.REAL, quiet=quiet, publish=view, relay=RelayRun)
-    result = _execute(scenario, asked, stderr(), view=view, ros2=False)
-    if junit is not None:
-        cli_junit.write(junit, result.scenario, cli_junit.of_run(result))
-    sys.exit(result.status.exit)
+    _execute(scenario, asked, stderr(), view=view, ros2=False, junit=junit)
 
 
 COMMANDS = (run, netem)

@@ -121,12 +121,8 @@ class LogFile:
 
     def channel(self, topic: str, schema: Schema) -> int:
         """Declare a topic, and return the number of its channel, which `message` needs."""
-        with self._refused():
-            if schema.name not in self._schemas:
-                self._schemas[schema.name] = self._writer.schema(schema.name, "protobuf", schema.descriptor_set)
-            number = self._writer.channel(topic, "protobuf", self._schemas[schema.name], {"units": schema.units})
-        self._topics[number] = topic.encode()
-        return number
+        data = schema.name, "protobuf", schema.descriptor_set
+        return self.other_channel(topic, "protobuf", data, {"units": schema.units})
 
     def other_channel(
         self, topic: str, encoding: str, schema: tuple[str, str, bytes] | None, metadata: Mapping[str, str]

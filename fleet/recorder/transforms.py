@@ -13,7 +13,7 @@ Every message has all of them: a viewer that jumps to a time needs no older one.
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import cos, sin, sqrt
+from math import asin, atan2, cos, sin, sqrt
 from struct import Struct, pack
 from typing import Any
 
@@ -123,3 +123,10 @@ def quaternion(theta: float, psi: float, phi: float = 0.0) -> tuple[float, float
         return x, y, z, w
     c, s = cos(phi / 2), sin(phi / 2)
     return c * x + s * w, c * y + s * z, c * z - s * y, c * w - s * x
+
+
+def angles(x: float, y: float, z: float, w: float) -> Vec3:
+    """Roll, pitch and heading [rad] of a unit quaternion, body to NED."""
+    pitch = asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
+    roll = atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    return roll, pitch, atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

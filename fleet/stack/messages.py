@@ -1,11 +1,12 @@
-"""What robots said, for the log: with the schema of ROS 2 where its type is known; and the places that topics say."""
+"""Messages of robots in the log, with the schema of ROS 2 if their type is known, and the places that topics give."""
 
 from __future__ import annotations
 
-from math import atan2
+from math import pi
 
 from fleet.errors import FleetError
 from fleet.recorder.log_file import LogFile, NoLog
+from fleet.recorder.transforms import angles, enu
 from fleet.replay.capture import message_encoding
 from fleet.ros2.rmw import read_key
 from fleet.ros2.types import types_of
@@ -48,8 +49,8 @@ class MessageLog:
 
 
 def place_of(key: str, payload: bytes) -> tuple[float, float, float, float]:
-    """Where a robot is: north, east, down [m] and yaw [rad], from a message of a topic of ROS, which has east, north,
-    up. Raises FleetError: the topic has another type, or the message is none.
+    """The place of a robot: north, east, down [m] and yaw [rad], from a message of ROS (east, north, up). Raises
+    FleetError: the topic has another type, or the message cannot be decoded.
     """
     entity = read_key(key)
     if entity is None or entity.type not in _PLACES:
@@ -61,5 +62,5 @@ def place_of(key: str, payload: bytes) -> tuple[float, float, float, float]:
         raise FleetError(f"{key:.80}: {error}") from None
     pose = message.pose.pose if entity.type == _PLACES[0] else message.pose
     p, q = pose.position, pose.orientation
-    yaw = atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))  # from east, anticlockwise
-    return p.y, p.x, -p.z, 1.5707963267948966 - yaw
+    _, _, yaw = angles(q.x, q.y, q.z, q.w)  # from east, anticlockwise
+    return *enu((p.x, p.y, p.z)), pi / 2.0 - yaw  # enu is its own inverse

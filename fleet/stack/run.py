@@ -107,7 +107,6 @@ class RelayRun:
         self._pipe, self._theirs = Pipe()
         self._begin_ns = 0
         self._places = {i: (*plan.start, 0.0, 0.0) for i, plan in enumerate(scenario.plans, start=1)}
-        self._operator: Operator | None = None
         self.started_s, self.middleware_lost = 0.0, 0
         self.closing = Closing()
         self.notes: list[str] = []
@@ -127,9 +126,9 @@ class RelayRun:
             self.started_s = time.monotonic() - began
             self._begin_ns = monotonic_ns() + LEAD_NS
             self._tell(op="begin", at_ns=self._begin_ns)
-            self._operator = Operator(self._scenario, self._journal, LiveClock(policy, time.monotonic()), self)
+            operator = Operator(self._scenario, self._journal, LiveClock(policy, time.monotonic()), self)
             try:
-                self._record(progress)
+                self._record(operator, progress)
             except KeyboardInterrupt:
                 self._tell(op="close")
             self._take_rest(progress)
@@ -141,8 +140,7 @@ class RelayRun:
             folder.close()
 
     def _start(self, progress: Callable[[], None]) -> None:
-        reading = self._scenario.reading
-        setup = setup_of(self._scenario, reading.folder)
+        setup = setup_of(self._scenario, self._scenario.reading.folder)
         title = f"fleet {RELAY} [{self._scenario.name}]"
         log = self._directory.process_log(RELAY)
         self.waiting = "opening the sessions of the nodes"
@@ -171,12 +169,9 @@ class RelayRun:
         self._directory.write_connection({**reached, "pid": os.getpid(), **credentials[OPERATOR].to_values()})
         return bus
 
-    def _record(self, progress: Callable[[], None]) -> None:
-        operator, pinged = self._operator, 0.0
-        assert operator is not None
-        while not self._journal.complete:
-            if self._pipe.poll(POLL_S) and self._take():
-                return
+    def _record(self, operator: Operator, progress: Callable[[], None]) -> None:
+        pinged = 0.0
+        while self._taken(progress):
             self._answer(operator)
             if operator.stopping:
                 self._tell(op="close")
@@ -184,18 +179,20 @@ class RelayRun:
             if (now := time.monotonic()) - pinged > PING_S:
                 pinged = now
                 self._tell(op="ping", at_ns=monotonic_ns())
-            self._explain_exit()
-            progress()
 
     def _take_rest(self, progress: Callable[[], None]) -> None:
         deadline = time.monotonic() + CLOSE_S
-        while not self._journal.complete:
-            if self._pipe.poll(POLL_S) and self._take():
-                return
-            progress()
-            self._explain_exit()
+        while self._taken(progress):
             if time.monotonic() > deadline:
                 raise RunBroken("the relay did not report its last packets")
+
+    def _taken(self, progress: Callable[[], None]) -> bool:
+        """Record a report if there is one. Returns whether more will come."""
+        if self._journal.complete or (self._pipe.poll(POLL_S) and self._take()):
+            return False
+        self._explain_exit()
+        progress()
+        return True
 
     # --- what the relay says
 
@@ -210,8 +207,7 @@ class RelayRun:
         """Record a report. Returns whether it was the last one."""
         report = msgspec.msgpack.decode(self._received(), type=RelayReport)
         for note in report.notes:
-            self.notes.append(note)
-            self._print(note)
+            self._note(note)
         if report.closing is not None and "error" in report.closing:
             raise RunBroken(report.closing["error"])
         self._place(report)
@@ -252,17 +248,18 @@ class RelayRun:
             try:
                 place = place_of(key, payload)
             except FleetError as error:
-                self._note_once(f"{self._scenario.vehicle_name(i)}: {error}")
+                text = f"{self._scenario.vehicle_name(i)}: {error}"
+                if text not in self.notes:
+                    self._note(text)
                 continue
             self._places[i] = (*place[:3], 0.0, place[3])
             moved[i] = place[:3]
         if moved:
             self._tell(op="places", places=moved)
 
-    def _note_once(self, text: str) -> None:
-        if text not in self.notes:
-            self.notes.append(text)
-            self._print(text)
+    def _note(self, text: str) -> None:
+        self.notes.append(text)
+        self._print(text)
 
     def _closed(self, closing: dict[str, Any]) -> None:
         entered = {(src, dst): (sent, copies) for src, dst, sent, copies in closing["entered"]}

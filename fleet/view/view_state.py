@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from math import asin, atan2, dist
+from math import dist
 from typing import Any
 
 from fleet.logs.fault_intervals import kind_and_vehicles
 from fleet.logs.payload_kinds import DAMAGED, kind_of
+from fleet.recorder.transforms import angles
 from fleet.scenario.scenario import Scenario, timeline
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED, VehicleEvents, is_fault, vehicle_events
 from fleet.scene.model import (
@@ -108,7 +109,7 @@ class ViewState:
             if i in self._places and elapsed > 0.0:
                 self._speeds[i] = dist(place, self._places[i]) / elapsed
             self._places[i] = place
-            self._turns[i] = _angles(q.x, q.y, q.z, q.w)
+            self._turns[i] = angles(q.x, q.y, q.z, q.w)
         self._placed_s = at_s
         self.at_s = max(self.at_s, at_s)
         if not self._samples or at_s - self._samples[-1][0] >= SAMPLE_S - 1e-9:
@@ -339,13 +340,6 @@ class ViewState:
         sample = [round(t, 3), errors, ages, round(share, 4), places]
         self._samples.append(sample)
         self._fresh.append(sample)
-
-
-def _angles(x: float, y: float, z: float, w: float) -> Vec3:
-    """Roll, pitch and heading [rad] of a unit quaternion, body to NED."""
-    pitch = asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
-    roll = atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    return roll, pitch, atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
 def _rounded(values: Iterable[float]) -> list[float]:

@@ -125,7 +125,6 @@ class Robot:
         # Advanced publishers, as those of transient local topics, answer below their key; ** does not include @.
         self._carry = [zenoh.KeyExpr(text) for text in carry]
         self._held: list[Any] = []
-        self._tokens = 0
 
     def begin(self) -> None:
         """Listen to the robot's programs."""
@@ -201,12 +200,10 @@ class Robot:
             return False
         return any(carried.intersects(expression) for carried in self._carry)
 
-    def mirror(self, token: str) -> bool:
-        """Show a token of another robot, and the service that it stands for. Returns whether there is room for it."""
-        if token in self._mirrored:
-            return True
-        if len(self._mirrored) >= MOST_TOKENS:
-            return False
+    def mirror(self, token: str) -> None:
+        """Show a token of another robot, and the service that it stands for, if there is room for it."""
+        if token in self._mirrored or len(self._mirrored) >= MOST_TOKENS:
+            return
         self._mirrored[token] = None  # before it is declared: it comes back to our own subscriber
         self._mirrored[token] = self._session.liveliness().declare_token(token)
         found = ros_key(token)
@@ -217,7 +214,6 @@ class Robot:
             self._served[found[1]] = self._session.declare_queryable(
                 found[1], asked, complete=True, allowed_origin=_REMOTE
             )
-        return True
 
     def withdraw(self, token: str) -> None:
         shown = self._mirrored.get(token)
@@ -255,9 +251,7 @@ class Robot:
             raise BusError(f"cannot ask {self.name}: {reason(error)}") from None
 
     def hand(self, message: RobotMessage, payload: bytes) -> None:
-        """Hand over what another robot's program put, or what it replied to a query from here. Raises BusError: the
-        session cannot send it.
-        """
+        """Hand over what another robot's program put. Raises BusError: the session cannot send it."""
         sample = message.what
         quality = {
             "priority": sample.priority,

@@ -10,10 +10,9 @@ from typing import Any
 
 from agents.config import AgentConfig
 from agents.errors import AgentError
-from agents.loop import AgentCore, AgentLoop
+from agents.loop import AgentCore, AgentLoop, RealtimeLoop
 from agents.make_agent import make_agent
 from agents.process import READY_TIMEOUT_S, RETRY_S, AgentProcess, OneAgent, Running, give_up, knock
-from agents.realtime_loop import RealtimeLoop
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.vehicle_clock import Clock
 from netem.wire.access import NETEM, WORLD, Credentials, agent_role, host_role

@@ -16,7 +16,7 @@ It belongs to the link, not to an agent's memory: it also grows at a receiver, o
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 from netem.condition import Link
@@ -66,15 +66,15 @@ class Ages:
     """The ages on all links, from final fates in the order of the journal."""
 
     def __init__(self, links: Iterable[Link], *, from_first_packet: bool = False) -> None:
-        """`from_first_packet`: the age of a link counts from the first packet that was sent into it, not from tick 0:
-        nobody promises that programs of others send over each link, or from the beginning.
+        """`from_first_packet`: the age of a link counts from its first packet, and not from tick 0, because programs of
+        others need not send over each link, or from the beginning.
         """
         self.links: dict[Link, InformationAge] = {link: InformationAge() for link in sorted(links)}
-        self._silent = set(self.links) if from_first_packet else None
+        self._silent = set(self.links) if from_first_packet else set()  # links whose age does not count yet
 
     def settle(self, fate: Fate) -> None:
         """Take a final fate. Raises KeyError: it names a link that does not exist."""
-        if self._silent is not None and (link := (fate.src, fate.dst)) in self._silent:
+        if self._silent and (link := (fate.src, fate.dst)) in self._silent:
             self._silent.discard(link)
             self.links[link] = InformationAge(fate.sent_tick, fate.sent_tick, fate.sent_tick)
         if fate.cause == Cause.DELIVERED and not fate.corrupted:
@@ -92,13 +92,13 @@ class Ages:
     def count(self, until: int) -> None:
         """Count the ticks below `until`; every fate that was final before it has been taken."""
         for link, age in self.links.items():
-            if self._silent is None or link not in self._silent:
+            if link not in self._silent:
                 age.count(until)
 
     @property
     def begun(self) -> list[Link]:
         """The links whose age counts."""
-        return [link for link in self.links if self._silent is None or link not in self._silent]
+        return [link for link in self.links if link not in self._silent]
 
     def oldest(self, after: int, links: Iterable[Link]) -> tuple[int, Link, int] | None:
         """The largest age on some links from a tick on: (age, link, tick); None if no tick was counted there."""
@@ -109,9 +109,11 @@ class Ages:
                 found = peak[0], link, peak[1]
         return found
 
-    def summary(self, tick_ns: int) -> dict[str, dict[str, float]]:
-        """Mean, 95th percentile and maximum [s] over the counted ticks, per link, and of all links as `*`."""
-        counted = {f"{src}->{dst}": age for (src, dst), age in self.links.items() if age.counted > age.first}
+    def summary(
+        self, tick_ns: int, name: Callable[[Link], str] = "{0[0]}->{0[1]}".format
+    ) -> dict[str, dict[str, float]]:
+        """Mean, 95th percentile and maximum [s] over the counted ticks, per link by `name`, and of all links as `*`."""
+        counted = {name(link): age for link, age in self.links.items() if age.counted > age.first}
         if not counted:
             return {}
         rows = {name: _row(age.total, age.counted - age.first, age.edges, tick_ns) for name, age in counted.items()}

@@ -119,8 +119,7 @@ class Relay:
         self._begin_ns, self._header = begin_ns, bytes(header)
         self._room: dict[int, int] = {}  # by sender: bytes of a message that fit into a packet; empty: all of them
         if fragments and config.acoustic is not None:
-            longest = config.acoustic.longest
-            self._room = {i: max(1, longest(config.tick_ns, i) - header) for i in config.vehicles}
+            self._room = {i: max(1, config.acoustic.longest(config.tick_ns, i) - header) for i in config.vehicles}
         self._links, self._out = make_links(config), _Outbox(config)
         self._out.begin_ns = begin_ns
         self._dry = None if water else IndependentLinks(config, self._links, self._out)
@@ -159,9 +158,8 @@ class Relay:
             return
         tick, out = self.tick(message.at_ns), self._out
         faults = self._faults(tick)
-        receivers = self._links.receivers[src] if message.to is None else [message.to]
         assert self._dry is not None
-        for dst in receivers:
+        for dst in self._links.receivers[src] if message.to is None else [message.to]:
             if (src, dst) in self._links.models:
                 for part, data in parts:
                     out.now = part

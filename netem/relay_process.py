@@ -214,7 +214,9 @@ class RelayProcess:
             self._finish(item.ticket)
             return
         if message.kind == QUERY:
-            self._keep(message.what)
+            self._waiting[id(message.what)] = message.what
+            if len(self._waiting) > robots.MOST_OPEN:
+                del self._waiting[next(iter(self._waiting))]  # whoever asked has given up long ago
         elif message.kind == REPLY:
             ticket = message.what[0]
             ticket.sent[message.src] = ticket.sent.get(message.src, 0) + 1
@@ -226,11 +228,6 @@ class RelayProcess:
             tick = self._relay.tick(message.at_ns)
             self._said.append(Said(tick, message.src, message.key, message.kind, encoding, message.payload))
         self._relay.take(message)
-
-    def _keep(self, ticket: Ticket) -> None:
-        self._waiting[id(ticket)] = ticket
-        if len(self._waiting) > robots.MOST_OPEN:
-            del self._waiting[next(iter(self._waiting))]  # whoever asked has given up long ago
 
     def _finish(self, ticket: Ticket) -> None:
         """End a query whose answers are all there. If one of them was lost, the asker waits for its own time-out."""

@@ -7,11 +7,12 @@ configuration and the commands.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from math import isfinite
 from typing import Any, cast
 
-from netem.draws import uniform
+from netem.draws import normal, uniform
 from netem.fault_kinds import WorldFaultKind
 from netem.vehicle_clock import Clocks
 from netem.wire.messages import WorldFault
@@ -24,8 +25,10 @@ from world.errors import IntegrationError, WorldError
 from world.navigation.kinds import ReplayedError, navigation_of
 from world.navigation.navigator import Navigator
 from world.plants.fenced_plant import FencedPlant
-from world.sensors import Measured, measure, split
 from world.vectors import Vec2, Vec3, Vec5, Vec6, plus
+
+PURPOSE = "nav noise"
+Measured = tuple[Vec5, Vec5, tuple[float, ...]]  # eta, nu, roll
 
 Stages = tuple[tuple[Vec5, Vec5, Vec5], ...]  # the disturbance at start, middle and end of each RK4 step
 
@@ -348,3 +351,28 @@ def _initial(setup: VehicleSetup) -> State:
     x, y, z, theta, psi = map(float, setup.eta0)
     u, v, w, q, r = map(float, setup.nu0)
     return x, y, z, theta, psi, u, v, w, q, r
+
+
+def measure(true: Measured, noise: NavNoise, seed: int, vehicle: int, tick: int, purpose: str = PURPOSE) -> Measured:
+    """The report of a vehicle's sensor at a tick, in the form of `true`, which it is if the noise is off: pose x, y, z
+    [m, NED], theta, psi [rad]; velocity u, v, w [m/s, body, over ground], q, r [rad/s]; roll phi [rad], p [rad/s], or
+    nothing. `purpose` distinguishes this noise from all other draws.
+    """
+    if noise.off:
+        return true
+    eta, nu, roll = true
+    p, a, s, r = noise.position_m, noise.angle_rad, noise.velocity_mps, noise.rate_radps
+    sigmas = (p, p, p, a, a, s, s, s, r, r, a, r)[: 10 + len(roll)]
+    # A component without noise is not drawn: hashing costs more than the rest of the tick.
+    return split(
+        [
+            value + sigma * normal(seed, purpose, vehicle, tick, component) if sigma else value
+            for component, (value, sigma) in enumerate(zip(eta + nu + roll, sigmas, strict=True))
+        ]
+    )
+
+
+def split(values: Sequence[float]) -> Measured:
+    """Eta, nu and roll of the numbers of all three, one after the other."""
+    x, y, z, theta, psi, u, v, w, q, r = values[:10]
+    return (x, y, z, theta, psi), (u, v, w, q, r), tuple(values[10:])

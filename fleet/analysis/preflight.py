@@ -1,4 +1,4 @@
-"""Warnings before a run: checks that cannot pass, faults that do nothing, a log that grows large."""
+"""Known before a run: what may draw from the seed; checks that cannot pass, faults that do nothing, a large log."""
 
 from __future__ import annotations
 
@@ -16,10 +16,39 @@ from fleet.recorder.settling import least_s
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.checks import EVERY
 from fleet.scenario.schema.control import KeepApartSection
+from fleet.scenario.sections.clocks import clock_sections
 from fleet.scenario.sections.timeline import OF_THE_NETWORK
 from netem.condition import Link, effective
+from netem.link_states import LinkStates
+from netem.link_trace import LinkTrace
 from world.errors import PluginError
+from world.navigation.config import DeadReckoning
 from world.vectors import Vec3, plus
+
+
+def may_draw(scenario: Scenario) -> list[str]:
+    """The parts of a scenario that may draw from the seed. If there are none, every seed gives the same run."""
+    spec, changing = scenario.spec, scenario.changing.values()
+    conditions = [one for some in scenario.possible.values() for one in some]
+    parts = {
+        "initial scatter": spec.initial.scatter is not None and spec.initial.scatter.scatter > 0.0,
+        "random graph": spec.graph.shape == "random",
+        "sensor noise": not scenario.noise.off,
+        "navigation": any(isinstance(control.navigation, DeadReckoning) for control in scenario.controls),
+        "clocks": any(clock.drift or clock.offset for clock in clock_sections(spec)),
+        "current": any(spec.sea.current.sigma),
+        "link states": any(isinstance(its, LinkStates) for its in changing),
+        "traces": any(isinstance(its, LinkTrace) and its.offset for its in changing),
+        "link conditions": any(
+            c.jitter_ns or c.loss or c.loss_model or c.duplicate or c.corrupt or c.reorder for c in conditions
+        ),
+        "acoustic channel": scenario.acoustic is not None,
+        "faults": bool(spec.faults or spec.nemesis),
+        "laws of yours": bool(scenario.other_laws),
+        "plants": bool(scenario.plants),
+    }
+    return [part for part, draws in parts.items() if draws]
+
 
 # --- forgetting: protocols that forget a neighbour after a silence: how long that must be for the loss of their links
 

@@ -10,6 +10,7 @@ from msgspec import convert
 from fleet.result.result import Punctual, Spread, Timing
 from fleet.result.verdict import Verdict
 from fleet.scenario.schema.checks import PunctualCheck
+from netem.histogram import PER_DECADE
 
 ON_TIME, DEGRADED = "on time", "degraded"
 MOST_MISSED = 0.01  # share of its ticks that an agent may miss by default
@@ -88,15 +89,13 @@ def punctual(found: Punctual, asked: PunctualCheck | None) -> Verdict:
     share = max(later(found.late, limit_ms), later(found.came, limit_ms))
     words = f"at most {asked.at_most * 100:g} % later than {limit_ms:g} ms"
     late, came = found.late, found.came
-    said = (
-        f"{share:.2%}; handed over {late.p50_ms:.2g} ms (p50), {late.p99_ms:.2g} ms (p99), {late.max_ms:.3g} ms (worst)"
-    )
-    said += f" after the due time; taken within {came.p99_ms:.2g} ms (p99)"
+    said = f"{share:.2%}; handed over {late.p50_ms:.2g} ms (p50), {late.p99_ms:.2g} ms (p99), {late.max_ms:.3g} ms "
+    said += f"(worst) after the due time; taken within {came.p99_ms:.2g} ms (p99)"
     verdict = Verdict("punctual", share <= asked.at_most, words, said, share, asked.at_most, "1")
     return verdict.with_margin(asked.at_most - share, "1")
 
 
 def later(spread: Spread, limit_ms: float) -> float:
     """The share of a spread that lies above a limit, to the accuracy of its histogram."""
-    above = sum(count for edge, count in spread.histogram_ms if edge > limit_ms * 1.12)  # the width of a bucket
+    above = sum(count for edge, count in spread.histogram_ms if edge > limit_ms * 10.0 ** (1.0 / PER_DECADE))
     return above / max(1, spread.count)

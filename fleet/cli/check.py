@@ -58,21 +58,22 @@ def check(scenario: str, overrides: tuple[str, ...], fault: tuple[Override, ...]
 
     refused: list[Problem] = []
     loaded = load_scenario(scenario, [*overrides, *net, *fault], refused=refused)
-    if loaded.nodes:
-        from fleet.stack.lines import say_what_it_is
-
-        say_what_it_is(loaded)
-        return
     try_laws(loaded)
     try_plants(loaded)
     with showing_steps("limits of the linear loop") as step:
         found = analyse(loaded, tell=step)
         told = [*found.warnings, *warnings(loaded)]
-        lines = [] if json_is_asked() else report(loaded, found)
+        lines = [] if json_is_asked() or loaded.nodes else report(loaded, found)
+    if loaded.nodes:
+        from fleet.stack import lines as of_nodes
+
+        told, lines = list(of_nodes.warnings(loaded)), of_nodes.summary(loaded)
     if json_is_asked():
         from fleet.cli.documents.logs import checked
 
         print_document(checked(loaded, found, told, refused))
+    elif loaded.nodes:
+        say("\n".join(lines))
     else:
         _say_what_is_expected(loaded, lines, refused)
     for warning in [*(f"not checked: {problem}" for problem in refused), *told]:
@@ -103,6 +104,7 @@ def _check_log(log: Path, overrides: tuple[str, ...]) -> NoReturn:
 
 def _say_what_is_expected(loaded: Scenario, lines: list[str], refused: list[Problem]) -> None:
     from fleet.analysis.link_shares import link_lines
+    from fleet.analysis.preflight import may_draw
     from fleet.scenario.scenario import timeline_lines
 
     links = loaded.graph.links
@@ -112,9 +114,8 @@ def _say_what_is_expected(loaded: Scenario, lines: list[str], refused: list[Prob
         f"{loaded.duration_ns / 1e9:g} s in {loaded.ticks} ticks of {loaded.tick_ns / 1e6:g} ms, "
         + ("ideal network" if loaded.ideal else f"a round every {loaded.round_ticks} ticks")
     )
-    for line in lines:
-        say(line)
-    for line in [*link_lines(loaded), *timeline_lines(loaded)]:
+    drawn = ", ".join(may_draw(loaded)) or "nothing, so every seed gives the same run"
+    for line in [*lines, *link_lines(loaded), *timeline_lines(loaded), f"may draw from seed {loaded.seed}: {drawn}"]:
         say(line)
     if loaded.spec.expect == "fail":
         say("this run should fail a check (expect: fail); if it does, fleet run exits with 0")

@@ -1,17 +1,22 @@
-"""The option `--junit` of the commands that judge, and the test cases that each writes."""
+"""The option `--junit` of the commands that judge: a JUnit file, which CI services show, and what each writes into it.
+
+The form is that of Jenkins' schema (junit-10.xsd). All services read at least the parts that are written here.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from fleet.cli.types import FILE
+from fleet.errors import FleetError
 
 if TYPE_CHECKING:
-    from fleet.result.junit import JUnitCase
     from fleet.result.result import Result
     from fleet.study.failures import FoundFailure, Regressed
     from fleet.study.search import Searched
@@ -20,18 +25,24 @@ if TYPE_CHECKING:
 JUNIT = click.option("--junit", type=FILE, help="Also write the result as a JUnit file, for CI services.")
 
 
-def write(path: Path | None, suite: str, cases: Sequence[JUnitCase]) -> None:
-    """Write the file, if one was asked for. Raises FleetError: it cannot be written."""
-    from fleet.result.junit import write_junit
+_NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
-    if path is not None:
-        write_junit(path, suite, cases)
+
+@dataclass(frozen=True, slots=True)
+class JUnitCase:
+    """One test case: `failure` names the failed checks, `error` the reason for a missing verdict, each empty without
+    one; `said` is help to repeat the case, such as a command to paste; `wall_s` its wall time [s].
+    """
+
+    name: str
+    failure: str = ""
+    error: str = ""
+    said: str = ""
+    wall_s: float = 0.0
 
 
 def of_run(result: Result) -> list[JUnitCase]:
     """A case for each check, and one for a run that did not come to its end."""
-    from fleet.result.junit import JUnitCase
-
     meant = result.passed  # a run that is meant to fail
     again = f"fleet run {result.scenario} --seed {result.seed}  # sha256 {result.digest[:16]}"
     cases = [
@@ -45,7 +56,6 @@ def of_run(result: Result) -> list[JUnitCase]:
 
 def of_study(store: Store) -> list[JUnitCase]:
     """A case for each point; it has failed if one of the point's runs failed."""
-    from fleet.result.junit import JUnitCase
     from fleet.study.summary import reached, summarise
 
     cases = []
@@ -60,7 +70,6 @@ def of_study(store: Store) -> list[JUnitCase]:
 
 def of_search(found: Searched, kept: Sequence[FoundFailure], again: str) -> list[JUnitCase]:
     """A case for each kind of failure, and one for each check that some run must reach. No failure: one passed case."""
-    from fleet.result.junit import JUnitCase
 
     lines = {failure.check: failure.paste for failure in kept}
     cases = [
@@ -76,8 +85,6 @@ def of_search(found: Searched, kept: Sequence[FoundFailure], again: str) -> list
 
 def of_regress(found: Sequence[Regressed]) -> list[JUnitCase]:
     """A case for each scenario of a folder."""
-    from fleet.result.junit import JUnitCase
-
     return [
         JUnitCase(
             one.failure.file,
@@ -88,3 +95,40 @@ def of_regress(found: Sequence[Regressed]) -> list[JUnitCase]:
         )
         for one in found
     ]
+
+
+def junit_text(suite: str, cases: Sequence[JUnitCase]) -> bytes:
+    from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+    counts = {"tests": len(cases), "failures": sum(bool(case.failure) for case in cases),
+              "errors": sum(bool(case.error) for case in cases), "skipped": 0}  # fmt: skip
+    numbers = {key: str(count) for key, count in counts.items()}
+    wall = f"{sum(case.wall_s for case in cases):.3f}"
+    root = Element("testsuites", numbers | {"time": wall})
+    shown = SubElement(root, "testsuite", {"name": _clean(suite)} | numbers | {"time": wall})
+    for case in cases:
+        about = {"name": _clean(case.name), "classname": f"fleet.{_clean(suite)}", "time": f"{case.wall_s:.3f}"}
+        element = SubElement(shown, "testcase", about)
+        for tag, text in (("failure", case.failure), ("error", case.error)):
+            if text:
+                SubElement(element, tag, {"message": _clean(text)}).text = _clean(case.said or text)
+        if case.said:
+            SubElement(element, "system-out").text = _clean(case.said)
+    indent(root)
+    return b'<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root, encoding="unicode").encode() + b"\n"
+
+
+def write(path: Path | None, suite: str, cases: Sequence[JUnitCase]) -> None:
+    """Write the file, as a whole or not at all, if one was asked for. Raises FleetError: it cannot be written."""
+    if path is None:
+        return
+    from netem.private_file import write_whole
+
+    try:
+        write_whole(path, junit_text(suite, cases), 0o644)
+    except OSError as error:
+        raise FleetError(f"{path} cannot be written: {error.strerror}") from None
+
+
+def _clean(text: str) -> str:
+    return _NOT_XML.sub("?", text)

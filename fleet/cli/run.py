@@ -50,7 +50,6 @@ class RunOptions(cli_hosts.HostsOptions):
     ros2: bool
     wait_for_subscribers: bool
     join_timeout: int  # ns
-    start_order: int | None
 
 
 @click.command(epilog=EPILOG)
@@ -86,7 +85,6 @@ class RunOptions(cli_hosts.HostsOptions):
 @cli_hosts.hosts_options
 @click.option("--join-timeout", type=TIME, default="300 s", show_default=True,
               help="How long to wait for each external agent.")  # fmt: skip
-@click.option("--start-order", metavar="SEED", type=int, hidden=True)
 @json_option
 @JUNIT
 @click.option("-q", "--quiet", is_flag=True, help="Print only the run's directory; failures go to stderr.")
@@ -171,8 +169,7 @@ def _execute(
         if page is not None and result.directory is not None:
             page.over(result.directory)
         _print_result(result, quiet=options.quiet)
-    if junit is not None:
-        cli_junit.write(junit, result.scenario, cli_junit.of_run(result))
+    cli_junit.write(junit, result.scenario, cli_junit.of_run(result))
     sys.exit(result.status.exit)
 
 
@@ -205,7 +202,6 @@ def _options(scenario: Scenario, start: Start | None, how: RunOptions, terminal:
         port=how.port,
         start=start,
         most_missed=how.max_missed,
-        start_order=_shuffle(how.start_order),
         join_timeout_s=how.join_timeout / 1e9,
         rendezvous=place,
     )
@@ -286,17 +282,6 @@ def _print_failure(result: Result) -> None:
     if result.reason or (failed and not result.passed):
         lines = [f"fleet: {result.reason}", *result.lines] if result.reason else failed
         say("\n".join(lines), err=True)
-
-
-def _shuffle(seed: int | None) -> Any:
-    if seed is None:
-        return None
-    from random import Random
-
-    def shuffled(roles: list[str]) -> list[str]:
-        return Random(seed).sample(roles, len(roles))
-
-    return shuffled
 
 
 @click.command(epilog="Exit status: 0 pass, 1 a check failed, 2 usage or bad file, 3 the run broke.")

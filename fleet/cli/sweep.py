@@ -86,8 +86,7 @@ def sweep(
         store, spec, modules = *_opened(directory, asked), None
     shown = _columns(store, spec)
     _run(store, spec, modules, how)
-    if junit is not None:
-        cli_junit.write(junit, store.record.scenario, cli_junit.of_study(store))
+    cli_junit.write(junit, store.record.scenario, cli_junit.of_study(store))
     if json_is_asked():
         from fleet.cli.documents.studies import swept
 

@@ -157,7 +157,7 @@ def command(log: Path, agent: int, controller: str | None, overrides: tuple[str,
         found = what_if(log, agent, changes, tell)
     if plot is not None:
         from fleet.logs.reader import digest, log_path
-        from fleet.repeat.what_if_picture import draw
+        from fleet.repeat.what_if import draw
 
         draw(found, plot, digest(log_path(log)))
     for note in () if json_is_asked() else found.notes:

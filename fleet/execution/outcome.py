@@ -69,8 +69,7 @@ def account_for(
         for spell in journal.tumbles
     ]
     result.ledger = {scenario.link_name(link): one.ordered for link, one in journal.ledger.accounts.items()}
-    ages = {scenario.named_link(name): age for name, age in journal.ages.summary(scenario.tick_ns).items()}
-    result.ages = convert(ages, dict[str, LinkAge])
+    result.ages = convert(journal.ages.summary(scenario.tick_ns, scenario.link_name), dict[str, LinkAge])
     result.middleware_lost = runner.middleware_lost
     result.faults, result.events = rows(faults=True), rows(faults=False)
     result.messages, result.log_bytes, result.digest = file.messages, file.size, file.digest

@@ -17,7 +17,6 @@ from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.schema.vehicle import PlantSection, VehicleSection
 from fleet.scenario.sections.acoustic import inlined_modem
 from fleet.scenario.sections.formation import initial_rolls
-from fleet.scenario.sections.graph import parse_edge
 from fleet.scenario.sections.log_rates import log_every, memory_ticks
 from fleet.scenario.sections.modem_files import shipped_modems
 from fleet.scenario.sections.navigation import inlined_navigation
@@ -101,11 +100,6 @@ class Scenario:
     def link_name(self, link: Link) -> str:
         """`1->2`, or with the names of nodes."""
         return f"{self.vehicle_name(link[0])}->{self.vehicle_name(link[1])}"
-
-    def named_link(self, text: str) -> str:
-        """The same of the text `1->2`; of any other text itself."""
-        link = parse_edge(text)
-        return text if link is None else self.link_name(link)
 
     def next_round(self, tick: int) -> int | None:
         """The first round tick after a tick; None if the run is over by then."""

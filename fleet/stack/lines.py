@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from fleet.analysis.link_shares import link_lines
 from fleet.scenario.scenario import Scenario, timeline_lines
 from fleet.scenario.schema.nodes import Node
-from fleet.terminal.table import say
 
 _LOOPBACK = ("127.", "localhost", "[::1]", "unixsock")
 
@@ -39,12 +38,9 @@ def warnings(scenario: Scenario) -> Iterator[str]:
             )
 
 
-def say_what_it_is(scenario: Scenario) -> None:
-    """Print what `fleet check` says of a valid file."""
+def summary(scenario: Scenario) -> list[str]:
+    """What `fleet check` says of a valid file."""
     links = [scenario.link_name(link) for link in scenario.graph.links]
     ends = f"ends after {scenario.duration_ns / 1e9:g} s" if scenario.ends else "runs until it is stopped"
-    say(f"{scenario.name}: valid. {len(scenario.nodes)} nodes, {len(links)} directed links; it {ends}")
-    for line in [f"links: {', '.join(links)}", *link_lines(scenario), *timeline_lines(scenario), *lines(scenario)]:
-        say(line)
-    for warning in warnings(scenario):
-        say(f"warning: {warning}", err=True)
+    first = f"{scenario.name}: valid. {len(scenario.nodes)} nodes, {len(links)} directed links; it {ends}"
+    return [first, f"links: {', '.join(links)}", *link_lines(scenario), *timeline_lines(scenario), *lines(scenario)]

@@ -53,7 +53,7 @@ LOST_AFTER_NS = 10_000_000_000
 
 def setup_of(scenario: Scenario, folder: Path | None) -> Setup:
     """What the relay of a scenario with nodes needs. `folder`: where a node's file of zenoh is looked for."""
-    spec = scenario.spec
+    spec, here = scenario.spec, folder or Path()
     nodes = list(enumerate((spec.nodes or {}).values(), start=1))
     names, ports = scenario.nodes, []
     for i, node in nodes:
@@ -65,7 +65,9 @@ def setup_of(scenario: Scenario, folder: Path | None) -> Setup:
     return Setup(
         config=scenario.netem_config,
         robots=tuple(
-            Meeting(i, names[i - 1], node.listen or "", node.connect or "", _file(node.zenoh, folder))
+            Meeting(
+                i, names[i - 1], node.listen or "", node.connect or "", str(here / node.zenoh) if node.zenoh else ""
+            )
             for i, node in nodes
         ),
         carry=tuple(spec.carry or ("**",)),
@@ -79,10 +81,6 @@ def setup_of(scenario: Scenario, folder: Path | None) -> Setup:
         lost_after_ns=spec.lost_after or LOST_AFTER_NS,
         ticks=scenario.ticks,
     )
-
-
-def _file(name: str | None, folder: Path | None) -> str:
-    return "" if name is None else str((folder or Path()) / name)
 
 
 class RelayRun:
@@ -101,8 +99,8 @@ class RelayRun:
         self._scenario, self._directory, self._journal, self._print = scenario, directory, journal, print_line
         self._messages = MessageLog(log, scenario.tick_ns, scenario.nodes)
         self._keys = Keys(run)
-        self._children = Children(self._exited)
         self._exits: SimpleQueue[Exit] = SimpleQueue()
+        self._children = Children(self._exits.put)
         self._requests: SimpleQueue[tuple[bytes, Callable[[bytes], None]]] = SimpleQueue()
         self._pipe, self._theirs = Pipe()
         self._begin_ns = 0
@@ -213,26 +211,27 @@ class RelayRun:
         self._place(report)
         for said in report.said:
             self._messages.write(said)
-        scenario, fates = self._scenario, iter(report.fates)
-        m, until = scenario.round_ticks, report.until
-        closing = report.closing is not None
-        if closing:
-            self._journal.end_at(min(until, scenario.ticks))
+        end, until, m = report.closing, report.until, self._scenario.round_ticks
+        if end is not None:
+            self._journal.end_at(min(until, self._scenario.ticks))
+        fates = iter(report.fates)
         fate = next(fates, None)
         begin = self._journal.reported + m if self._journal.reported >= 0 else 0
-        for tick in range(begin, until if closing else until + 1, m):  # the closing report is that of the last tick
+        for tick in range(begin, until + 1 if end is None else until, m):  # the closing report is that of the last tick
             some = []
             while fate is not None and fate.final_tick <= tick:
                 some.append(fate)
                 fate = next(fates, None)
             self._journal.links(LinkReport(tick, False, False, tuple(some), b""))
             self._frame(tick)
-        if closing:
-            rest = tuple(fates) if fate is None else (fate, *fates)
-            self._journal.links(LinkReport(until, True, False, rest, b""))
-            self._frame(until)
-            self._closed(report.closing or {})
-        return closing
+        if end is None:
+            return False
+        rest = tuple(fates) if fate is None else (fate, *fates)
+        self._journal.links(LinkReport(until, True, False, rest, b""))
+        self._frame(until)
+        entered = {(src, dst): (sent, copies) for src, dst, sent, copies in end["entered"]}
+        self.closing = Closing(entered=entered, timing={"late": end["late"], "came": end["came"]})
+        return True
 
     def _frame(self, tick: int) -> None:
         if tick == self._journal.framed:
@@ -260,10 +259,6 @@ class RelayRun:
     def _note(self, text: str) -> None:
         self.notes.append(text)
         self._print(text)
-
-    def _closed(self, closing: dict[str, Any]) -> None:
-        entered = {(src, dst): (sent, copies) for src, dst, sent, copies in closing["entered"]}
-        self.closing = Closing(entered=entered, timing={"late": closing["late"], "came": closing["came"]})
 
     # --- commands
 
@@ -307,9 +302,6 @@ class RelayRun:
             self._pipe.send_bytes(msgspec.msgpack.encode(request))
         except OSError:
             self._explain_exit()
-
-    def _exited(self, exit_: Exit) -> None:
-        self._exits.put(exit_)
 
     def _explain_exit(self, patience_s: float = 0.0) -> None:
         """Raise RunBroken if the relay has ended. What it said before is taken first: `patience_s` is given when its

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from math import inf
 from typing import Any, NamedTuple
 
+from fleet.analysis.preflight import may_draw
 from fleet.analysis.verdicts import judge
 from fleet.execution.clock import GrantPolicy
 from fleet.execution.external_agents import refuse
@@ -22,15 +23,15 @@ from fleet.study.errors import StudyError
 from fleet.study.row import PartRow, Row
 from netem.condition import Link
 from netem.grammar import parse_selector, select
-from netem.link_trace import LinkTrace
 from netem.medium import PERFECT
 from netem.transit import PendingPacket
 from netem.wire.messages import Command, Fate, Frame
-from world.navigation.config import DeadReckoning
 
 _FAILED = -1e-300  # the margin of a check that failed at its limit: below 0
 # Whose margin is the least over the time, so that a part of a run can go on from what it was before.
 _OF_THE_TIME = ("formation_error", "consensus_error", "min_separation", "max_age")
+# Others are drawn before a run begins, or with a state that a snapshot has.
+_OF_THE_WHOLE_SEED = ("current", "navigation", "traces", "acoustic channel")
 
 
 class Branch(NamedTuple):
@@ -115,23 +116,11 @@ def refuse_branches(scenario: Scenario, check: str) -> None:
         has = ", ".join(known) or "none"
         text = f"the check {check} has no margin that is the least over the time, or does not exist"
         raise StudyError(f"{scenario.name}: {text}. You can use: {has}")
-    if others := ", ".join(_computed_from_the_whole_seed(scenario)):
-        text = f"{others} cannot be drawn again from a snapshot on"
+    if others := [part for part in may_draw(scenario) if part in _OF_THE_WHOLE_SEED]:
+        text = f"{', '.join(others)} cannot be drawn again from a snapshot on"
         raise StudyError(f"{scenario.name}: {text}; count with fleet sweep instead")
     if not scenario.memory_ticks:
         raise StudyError(f"{scenario.name} has no snapshots: log.snapshot is 0 s, or a law cannot save its state")
-
-
-def _computed_from_the_whole_seed(scenario: Scenario) -> Iterator[str]:
-    """The parts whose draws are neither made before a run begins nor with a state that a snapshot has."""
-    if any(scenario.spec.sea.current.sigma):
-        yield "current"
-    if any(isinstance(control.navigation, DeadReckoning) for control in scenario.controls):
-        yield "navigation"
-    if any(isinstance(trace, LinkTrace) and trace.offset for trace in scenario.changing.values()):
-        yield "traces"
-    if scenario.acoustic is not None:
-        yield "acoustic channel"
 
 
 def checks_over_time(scenario: Scenario) -> Iterator[str]:

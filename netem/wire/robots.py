@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from time import monotonic_ns
 from typing import Any, NamedTuple
 
@@ -163,17 +162,14 @@ class Robot:
 
     # --- on a thread of zenoh
 
-    def _heard(self, sample: Any) -> None:
-        self._put(_Heard(self.number, monotonic_ns(), sample))
+    def _heard(self, what: Any) -> None:
+        self._put(_Heard(self.number, monotonic_ns(), what))
 
     def _asked(self, query: Any) -> None:
         if str(query.key_expr) in self._served:  # it comes a second time, to the queryable of that key
             query.drop()
         else:
-            self._asked_for_service(query)
-
-    def _asked_for_service(self, query: Any) -> None:
-        self._put(_Heard(self.number, monotonic_ns(), query))
+            self._heard(query)
 
     def _linked(self, event: Any) -> None:
         begins = event.kind == zenoh.SampleKind.PUT
@@ -210,7 +206,7 @@ class Robot:
         if found is not None and found[0] == "SS" and found[1] not in self._served:
             # A client of ROS asks complete queryables only, and ours for all keys must not be one: zenoh would ask it
             # in place of the robot's own.
-            asked = _direct(self._asked_for_service)
+            asked = _direct(self._heard)
             self._served[found[1]] = self._session.declare_queryable(
                 found[1], asked, complete=True, allowed_origin=_REMOTE
             )
@@ -323,14 +319,10 @@ def _direct(handler: Callable[[Any], None]) -> Any:
 
 
 def _opened(access: Meeting) -> zenoh.Session:
-    config = zenoh.Config()
-    if access.config:
-        if not Path(access.config).is_file():
-            raise BusError(f"{access.name}: there is no file {access.config}")
-        try:
-            config = zenoh.Config.from_file(access.config)
-        except zenoh.ZError as error:
-            raise BusError(f"{access.name}: {access.config} is no configuration of zenoh ({reason(error)})") from None
+    try:
+        config = zenoh.Config.from_file(access.config) if access.config else zenoh.Config()
+    except zenoh.ZError as error:
+        raise BusError(f"{access.name}: {access.config} is no configuration of zenoh ({reason(error)})") from None
     settings = dict(_SETTINGS)
     if access.listen:
         settings |= {"mode": "router"} | listening([access.listen])

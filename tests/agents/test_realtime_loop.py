@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from realtime import nav
 
-from agents.realtime_loop import RealtimeLoop
+from agents.loop import RealtimeLoop
 from agents.sample import Decision
 from netem.errors import OutOfPlace
 from netem.wire.messages import Arrival, Command, Delivery, Inbox, Nav, Receipt, Transmission

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from realtime import PERIOD_NS, SHORT
 
+from agents.loop import RealtimeLoop
 from agents.make_agent import make_agent
-from agents.realtime_loop import RealtimeLoop
 from fleet.execution.clock import GrantPolicy
 from fleet.execution.in_process import InProcess
 from fleet.recorder.journal import Journal

@@ -10,6 +10,7 @@ from msgspec import Meta, Struct
 
 from fleet.analysis.border import LinearFleet
 from fleet.analysis.link_shares import effective_loss, written
+from fleet.analysis.preflight import may_draw
 from fleet.analysis.stability import Analysis, oldest_s, slack
 from fleet.cli.documents.failure import ProblemRow, problem_rows
 from fleet.errors import Problem
@@ -112,6 +113,7 @@ class Checked(Struct):
     ideal: bool
     expect: Annotated[str, Meta(description="pass, or fail: it is meant to fail a check.")]
     seed: int
+    draws: Annotated[list[str], Meta(description="Parts that may draw from the seed; empty: it decides nothing.")]
     theory: ExpectedByTheory
     changing_links: list[ChangingLinksRow]
     faults: list[FaultTime]
@@ -133,6 +135,7 @@ def checked(scenario: Scenario, found: Analysis, warnings: list[str], refused: S
         ideal=scenario.ideal,
         expect=scenario.spec.expect,
         seed=scenario.seed,
+        draws=may_draw(scenario),
         theory=_theory(scenario, found),
         changing_links=[_changing(its, links) for _, its, links in written(scenario)],
         faults=[FaultTime(*row) for row in timeline(scenario)],

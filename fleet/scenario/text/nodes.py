@@ -1,7 +1,7 @@
-"""Scenarios with nodes: names in place of numbers, and what a scenario of vehicles has and one of nodes has not.
+"""Scenarios with nodes: names in place of numbers, and the keys of vehicles that nodes do not have.
 
-Inside, nodes are vehicles 1, 2, ... in the order of the file, so that the graph, the network, faults and checks are
-those of every scenario. `expanded` puts numbers in place of names, and `compact` is its inverse.
+Inside, nodes are vehicles 1, 2, ... in the order of the file. So graph, network, faults and checks are those of every
+scenario. `expanded` puts numbers in place of names, and `compact` is its inverse.
 """
 
 from __future__ import annotations
@@ -44,15 +44,17 @@ def expanded(root: Mapping, problems: list[Problem]) -> Mapping:
     for key in _SECTIONS:
         if key in root.entries:
             root = root.with_entry(key, root.keys[key], expand.node(root.entries[key]))
-    if isinstance(graph := root.entries.get("graph"), Mapping) and "edges" in graph.entries:
-        edges = expand.edges(graph.entries["edges"])
-        root = root.with_entry("graph", root.keys["graph"], graph.with_entry("edges", graph.keys["edges"], edges))
-    if isinstance(graph := root.entries.get("graph"), Mapping) and "reference" not in graph.entries:
-        graph = graph.with_entry("reference", graph.place, _tree([1], graph.place))  # whom `connected` asks to reach
+    if isinstance(graph := root.entries.get("graph"), Mapping):
+        if "edges" in graph.entries:
+            graph = graph.with_entry("edges", graph.keys["edges"], expand.edges(graph.entries["edges"]))
+        if "reference" not in graph.entries:
+            graph = graph.with_entry(
+                "reference", graph.place, _tree([1], graph.place)
+            )  # whom `connected` asks to reach
         root = root.with_entry("graph", root.keys["graph"], graph)
     network = root.entries.get("network")
-    water = (isinstance(network, Mapping) and "acoustic" in network.entries) or _is(network, "acoustic")
-    for key, value in _added(nodes, water).items():
+    said = network.entries if isinstance(network, Mapping) else [network.value] if isinstance(network, Scalar) else ()
+    for key, value in _added(nodes, water="acoustic" in said).items():
         if key not in root.entries:
             root = root.with_entry(key, nodes.place, _tree(value, nodes.place))
     return root
@@ -126,8 +128,8 @@ def compact(values: dict[str, Any]) -> dict[str, Any]:
     return kept
 
 
-def _added(nodes: Mapping, water: bool) -> dict[str, Any]:
-    """What a scenario of vehicles needs and one of nodes leaves out."""
+def _added(nodes: Mapping, *, water: bool) -> dict[str, Any]:
+    """The keys that a scenario of vehicles needs and one of nodes leaves out."""
     count = len(nodes.entries)
     places = []
     for number, node in enumerate(nodes.entries.values()):
@@ -149,10 +151,6 @@ def _added(nodes: Mapping, water: bool) -> dict[str, Any]:
 
 
 _ADDED = ("vehicles", "reference", "formation", "initial")
-
-
-def _is(node: Node | None, word: str) -> bool:
-    return isinstance(node, Scalar) and node.value == word
 
 
 def _tree(value: Any, place: TextPlace) -> Node:

@@ -50,5 +50,5 @@ def test_one_typography() -> None:
     """Whoever draws sets no size of his own."""
     assert matplotlib.rcParams["font.size"] == TEXT_PT > LEGEND_PT > LABEL_PT >= 6.0
     root = ROOT / "fleet"
-    for path in [*root.glob("pictures/*.py"), *root.glob("reproduce/*.py"), root / "repeat" / "what_if_picture.py"]:
+    for path in [*root.glob("pictures/*.py"), *root.glob("reproduce/*.py"), root / "repeat" / "what_if.py"]:
         assert not re.search(r"font_?size=\s*[0-9]", path.read_text()), path

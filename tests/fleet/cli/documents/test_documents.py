@@ -127,6 +127,11 @@ def test_check() -> None:
     assert (found.warnings, found.not_checked) == ([], [])
 
 
+def test_check_of_nodes() -> None:
+    found = printed(Checked, invoke("check", ROOT / "docs" / "examples" / "election_stack" / "stack.yaml", "--json"))
+    assert (found.valid, found.vehicles, found.links, found.warnings) == (True, 5, 10, [])
+
+
 def test_check_says_the_limits_that_it_prints_in_words() -> None:
     found = printed(Checked, invoke("check", "paper", "--json"))
     words = invoke("check", "paper").stdout

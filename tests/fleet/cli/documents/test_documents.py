@@ -238,12 +238,13 @@ def test_run_on_a_wall_clock_and_published(tmp_path: Path) -> None:
 
 
 def test_run_in_which_an_agent_dies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    poll = Supervisor.poll
+    poll, killed = Supervisor.poll, list[int]()
 
     def killing(self: Supervisor) -> None:
-        child = self._children.by_role["agent-3"]
-        if self._journal.framed > 0 and child.process.is_alive():  # in the run, and long before its end
-            os.kill(child.pid, signal.SIGKILL)
+        if self._journal.framed > 0 and not killed:  # in the run, and long before its end
+            # Not `is_alive`: it would race with the thread that watches, and one of the two reads no exit status.
+            killed.append(self._children.by_role["agent-3"].pid)
+            os.kill(killed[0], signal.SIGKILL)
         poll(self)
 
     monkeypatch.setattr(Supervisor, "poll", killing)

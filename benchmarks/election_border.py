@@ -2,10 +2,10 @@
 
     python benchmarks/election_border.py --seeds 40 --at-once 3
 
-For each share of lost packets it counts the runs in which each member knows a leader, without a break, from 5 s to 20 s
-after the begin. The programs are docs/examples/election_stack/member.py and run on the wall clock; the agents are
-fleet.protocols.election. A run whose host was late (`punctual` fails) is left out, and counted. At the end stands the
-share at which half of the runs fail, for both, with intervals.
+A run passes if each member knows a leader from 5 s to 20 s without a break. The table counts them for each loss. The
+programs are docs/examples/election_stack/member.py and run on the wall clock; the agents are fleet.protocols.election.
+A run whose host was late (`punctual` fails) is left out, and counted. The last lines give the loss at which half of the
+runs fail, for both, with intervals.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ class Carried(Fate, frozen=True):
 
 
 class RobotMessage(Struct):
-    """What a program of a robot sent."""
+    """A message, query or reply of a program of a robot."""
 
     src: int
     kind: str

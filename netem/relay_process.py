@@ -48,7 +48,7 @@ class Port(Struct, frozen=True):
 
 
 class Setup(Struct):
-    """What the process needs to know; it is pickled."""
+    """The settings of the process; they are pickled."""
 
     config: NetemConfig
     robots: tuple[Meeting, ...]
@@ -76,7 +76,7 @@ class Said(Struct):
 
 
 class RelayReport(Struct):
-    """What happened up to a tick."""
+    """The events up to a tick."""
 
     until: int
     fates: list[Carried]

@@ -1,4 +1,4 @@
-"""What a user sets so that the programs of a robot meet us: a line for each node."""
+"""The line for each node that tells a user how the programs of a robot meet us."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def warnings(scenario: Scenario) -> Iterator[str]:
 
 
 def summary(scenario: Scenario) -> list[str]:
-    """What `fleet check` says of a valid file."""
+    """The lines of `fleet check` about a valid file."""
     links = [scenario.link_name(link) for link in scenario.graph.links]
     ends = f"ends after {scenario.duration_ns / 1e9:g} s" if scenario.ends else "runs until it is stopped"
     first = f"{scenario.name}: valid. {len(scenario.nodes)} nodes, {len(links)} directed links; it {ends}"

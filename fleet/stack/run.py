@@ -52,7 +52,7 @@ LOST_AFTER_NS = 10_000_000_000
 
 
 def setup_of(scenario: Scenario, folder: Path | None) -> Setup:
-    """What the relay of a scenario with nodes needs. `folder`: where a node's file of zenoh is looked for."""
+    """The settings of the relay of a scenario with nodes. `folder`: where a node's file of zenoh is looked for."""
     spec, here = scenario.spec, folder or Path()
     nodes = list(enumerate((spec.nodes or {}).values(), start=1))
     names, ports = scenario.nodes, []
@@ -304,8 +304,8 @@ class RelayRun:
             self._explain_exit()
 
     def _explain_exit(self, patience_s: float = 0.0) -> None:
-        """Raise RunBroken if the relay has ended. What it said before is taken first: `patience_s` is given when its
-        pipe has no more.
+        """Raise RunBroken if the relay has ended and its pipe is empty. `patience_s`: the pipe is known to be empty, and
+        the end may be reported so much later.
         """
         try:
             ended = self._exits.get(timeout=patience_s) if patience_s else self._exits.get_nowait()

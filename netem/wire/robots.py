@@ -43,7 +43,7 @@ _SETTINGS: dict[str, Any] = (
 
 @dataclass(frozen=True, slots=True)
 class Meeting:
-    """Where a robot's programs meet us: `listen` for a router of ours, `connect` for one that is there."""
+    """The address at which a robot's programs meet us. `listen`: our router. `connect`: a router of the robot."""
 
     number: int
     name: str
@@ -101,7 +101,7 @@ class _Replied(NamedTuple):
 
 
 def check_key(text: str) -> str:
-    """What is wrong with a key expression, in zenoh's words; empty: nothing."""
+    """The mistake in a key expression, in zenoh's words, or an empty text."""
     try:
         zenoh.KeyExpr(text)
     except zenoh.ZError as error:
@@ -110,7 +110,7 @@ def check_key(text: str) -> str:
 
 
 class Robot:
-    """The network of one robot. What comes goes into a queue by `put`, on a thread of zenoh."""
+    """The network of one robot. A thread of zenoh calls `put` with each message that comes."""
 
     def __init__(self, access: Meeting, carry: Sequence[str], put: Put) -> None:
         """Open its session. Raises BusError: the address is in use, nobody answers there, or a file is no configuration
@@ -286,7 +286,7 @@ def answer(message: RobotMessage, payload: bytes) -> None:
 
 
 def read(item: _Heard | _Replied) -> RobotMessage | None:
-    """What came, as a message of its robot; None: the end of the replies to a query."""
+    """A message of its robot, or None at the end of the replies to a query."""
     if isinstance(item, _Replied):
         if item.reply is None:
             return None

@@ -38,7 +38,7 @@ class Stack(LiveRun):
         return self
 
     def fleet(self, *words: str) -> str:
-        """What a command for this run prints."""
+        """The output of a command for this run."""
         with Command(*words, "--run", self.directory) as command:
             assert command.status() == 0, command.printed
             return command.printed

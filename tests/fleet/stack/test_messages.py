@@ -1,4 +1,4 @@
-"""What robots said, in the log; and the places that their topics say."""
+"""Messages of robots in the log, and the places that their topics give."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ def foreign_router(*ports: int) -> Any:
 
 
 class Heard(list[Any]):
-    """What a subscriber hears, but for what was put to find out whether it hears anything."""
+    """The messages that a subscriber hears, without those that only ask whether it hears anything."""
 
     def __init__(self, session: Any) -> None:
         self.warm: list[Any] = []

@@ -304,8 +304,8 @@ class RelayRun:
             self._explain_exit()
 
     def _explain_exit(self, patience_s: float = 0.0) -> None:
-        """Raise RunBroken if the relay has ended and its pipe is empty. `patience_s`: the pipe is known to be empty, and
-        the end may be reported so much later.
+        """Raise RunBroken if the relay has ended and its pipe is empty. `patience_s`: the pipe is known to be empty,
+        and the end may be reported so much later.
         """
         try:
             ended = self._exits.get(timeout=patience_s) if patience_s else self._exits.get_nowait()

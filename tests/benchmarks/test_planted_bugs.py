@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from planted_bugs import BENCHES, BUGS, Bug, plant, table
+from marks import slow
+from planted_bugs import BENCHES, BUGS, WITNESSES, Bug, plant, table, witnessed
 
 from fleet.scenario.loading import load_scenario
 
@@ -25,6 +26,15 @@ def test_what_they_are_looked_for_with_is_a_scenario(name: str) -> None:
     bench = BENCHES[name]
     scenario = load_scenario(bench.scenario, bench.changes)
     assert scenario.undrawn.nemesis is not None and scenario.duration_ns == 60 * 10**9
+
+
+@pytest.mark.parametrize("name", ["leads-too-long", *slow(*(name for name in WITNESSES if name != "leads-too-long"))])
+def test_a_witness_fails_with_the_defect_alone(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    (bug,) = (bug for bug in BUGS if bug.name == name)
+    with_it, without = witnessed(bug)
+    assert with_it and not without
 
 
 def test_the_table_has_the_median_and_what_was_missed() -> None:

@@ -171,7 +171,11 @@ def restore(core: AgentCore | None, memory: bytes) -> list[Delivery]:
 
 
 class RealtimeLoop(AgentLoop):
-    """Feeds an agent core with navs and with the deliveries that are due."""
+    """Feeds an agent core on a wall clock: it answers at once, with the deliveries that have come in and are due.
+
+    Of navs that queued up while it computed it answers the newest. Before that it answers the last one of a round tick,
+    if there is one, so that its neighbours hear it.
+    """
 
     def __init__(self, core: AgentCore, round_ticks: int, *, incarnation: int = 0, begin: int = 0) -> None:
         super().__init__(core, round_ticks, incarnation=incarnation, begin=begin)

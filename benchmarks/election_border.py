@@ -5,7 +5,7 @@
 A run passes if each member knows a leader from 5 s to 20 s without a break. The table counts them for each loss. The
 programs are docs/examples/election_stack/member.py and run on the wall clock; the agents are fleet.protocols.election.
 A run whose host was late (`punctual` fails) is left out, and counted. The last lines give the loss at which half of the
-runs fail, for both, with intervals.
+runs fail. They do so for programs and for agents, with intervals.
 """
 
 from __future__ import annotations

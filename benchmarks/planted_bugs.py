@@ -152,6 +152,11 @@ def _average(name: str, old: str, new: str, what: str) -> Bug:
     return Bug(name, "average", (AVERAGE,), old, new, what)
 
 
+def sound_one(bench: str) -> Bug:
+    """The protocol of a bench without a defect."""
+    return Bug(f"sound-{bench}", bench, (BENCHES[bench].module,), "", "", "no defect")
+
+
 _TAKES_BACK = """        self._value += link.gave_value - link.took_value
         self._weight += link.gave_weight - link.took_weight
 """
@@ -250,7 +255,7 @@ def main() -> None:
         print("\n".join(table(_lines(given.table))))
         return
     done = {(line["bug"], line["seed"]) for line in _lines(given.done)} if given.done else set()
-    sound = [Bug(f"sound-{name}", name, (bench.module,), "", "", "no defect") for name, bench in BENCHES.items()]
+    sound = [sound_one(name) for name in BENCHES]
     with tempfile.TemporaryDirectory() as folder:
         sys.path.insert(0, folder)
         os.chdir(folder)  # where laws are looked for
@@ -293,7 +298,7 @@ def witnessed(bug: Bug) -> tuple[list[str], list[str]]:
     exception counts as `agent`.
     """
     found = []
-    for one in (bug, Bug(f"sound-{bug.bench}", bug.bench, (BENCHES[bug.bench].module,), "", "", "no defect")):
+    for one in (bug, sound_one(bug.bench)):
         result = run(_planted(one, "nemesis=null", f"faults=[{', '.join(WITNESSES[bug.name])}]"))
         failed = [verdict.check.rpartition(":")[2] for verdict in result.checks if not verdict.passed]
         found.append(failed or ([] if result.passed else ["agent"]))

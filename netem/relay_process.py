@@ -127,8 +127,8 @@ class RelayProcess:
         self._notes: list[str] = []
         self._said: list[Said] = []
         self._placed: dict[int, tuple[str, bytes]] = {}
-        self._waiting: dict[int, Ticket] = {}
-        self._hearers: dict[int, set[int]] = {}  # by robot: those that get its queries
+        self._waiting: dict[Ticket, None] = {}  # oldest first; a query that nobody holds would end at its asker
+        self._hearers: dict[int, set[int]] = {}  # by robot: those that get its queries and tokens
         self._tokens: dict[str, int] = {}  # those of robots, by key
         self._shown: dict[tuple[Link, str], int] = {}  # when a token is to appear at the end of a link [ns]
         self._passed_ns: dict[Link, int] = {}  # when something could pass a link last
@@ -214,7 +214,7 @@ class RelayProcess:
             self._finish(item.ticket)
             return
         if message.kind == QUERY:
-            self._waiting[id(message.what)] = message.what
+            self._waiting[message.what] = None
             if len(self._waiting) > robots.MOST_OPEN:
                 del self._waiting[next(iter(self._waiting))]  # whoever asked has given up long ago
         elif message.kind == REPLY:
@@ -233,7 +233,7 @@ class RelayProcess:
         """End a query whose answers are all there. If one of them was lost, the asker waits for its own time-out."""
         complete = all(ticket.arrived.get(i, 0) >= n for i, n in ticket.sent.items())
         if complete and ticket.ended >= self._hearers.get(ticket.asker, set()):
-            self._waiting.pop(id(ticket), None)
+            self._waiting.pop(ticket, None)
             ticket.query.drop()
 
     def _asked(self, request: dict[str, Any]) -> None:
@@ -298,10 +298,9 @@ class RelayProcess:
             return
         self._tokens[token.key] = token.robot
         now = monotonic_ns()
-        for link in self._setup.config.links:
-            if link[0] == token.robot and link[1] in self._robots:
-                delay = self._relay.latency_ns(link) if self._setup.linked else 0
-                self._shown[link, token.key] = now + delay
+        for link in ((token.robot, dst) for dst in self._hearers.get(token.robot, ())):
+            delay = self._relay.latency_ns(link) if self._setup.linked else 0
+            self._shown[link, token.key] = now + delay
         self._discover(now)
 
     def _discover(self, now_ns: int) -> None:

@@ -354,9 +354,11 @@ def _initial(setup: VehicleSetup) -> State:
 
 
 def measure(true: Measured, noise: NavNoise, seed: int, vehicle: int, tick: int, purpose: str = PURPOSE) -> Measured:
-    """The report of a vehicle's sensor at a tick, in the form of `true`, which it is if the noise is off: pose x, y, z
-    [m, NED], theta, psi [rad]; velocity u, v, w [m/s, body, over ground], q, r [rad/s]; roll phi [rad], p [rad/s], or
-    nothing. `purpose` distinguishes this noise from all other draws.
+    """The report of a vehicle's sensor at a tick: `true`, with white noise if there is some.
+
+    `true` has three parts. The pose is x, y, z [m, NED], theta, psi [rad]. The velocity over ground is u, v, w [m/s,
+    body], q, r [rad/s]. The roll is phi [rad], p [rad/s], or empty. The noise of a component is a function of (seed,
+    purpose, vehicle, tick, component), so it does not depend on who was sensed before.
     """
     if noise.off:
         return true

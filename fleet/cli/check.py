@@ -58,16 +58,17 @@ def check(scenario: str, overrides: tuple[str, ...], fault: tuple[Override, ...]
 
     refused: list[Problem] = []
     loaded = load_scenario(scenario, [*overrides, *net, *fault], refused=refused)
-    try_laws(loaded)
-    try_plants(loaded)
-    with showing_steps("limits of the linear loop") as step:
-        found = analyse(loaded, tell=step)
-        told = [*found.warnings, *warnings(loaded)]
-        lines = [] if json_is_asked() or loaded.nodes else report(loaded, found)
     if loaded.nodes:
         from fleet.stack import lines as of_nodes
 
-        told, lines = list(of_nodes.warnings(loaded)), of_nodes.summary(loaded)
+        found, told, lines = analyse(loaded), list(of_nodes.warnings(loaded)), of_nodes.summary(loaded)
+    else:
+        try_laws(loaded)
+        try_plants(loaded)
+        with showing_steps("limits of the linear loop") as step:
+            found = analyse(loaded, tell=step)
+            told = [*found.warnings, *warnings(loaded)]
+            lines = [] if json_is_asked() else report(loaded, found)
     if json_is_asked():
         from fleet.cli.documents.logs import checked
 

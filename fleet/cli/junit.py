@@ -30,8 +30,8 @@ _NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 @dataclass(frozen=True, slots=True)
 class JUnitCase:
-    """One test case: `failure` names the failed checks, `error` the reason for a missing verdict, each empty without
-    one; `said` is help to repeat the case, such as a command to paste; `wall_s` its wall time [s].
+    """One test case. `failure` names the failed checks, and `error` the reason for a missing verdict. `said` helps to
+    repeat the case, for instance with a command to paste. `wall_s` is its wall time [s].
     """
 
     name: str

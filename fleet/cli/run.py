@@ -131,7 +131,10 @@ def run(
         return
     terminal = stderr()
     if not quiet:
-        for warning in _warnings(loaded):
+        from fleet.analysis.preflight import warnings
+        from fleet.analysis.stability import analyse
+
+        for warning in [*analyse(loaded).warnings, *warnings(loaded)]:
             say(f"warning: {warning}", err=True)
     asked = replace(_options(loaded, start, how, terminal), quiet=quiet)
     if not quiet:
@@ -252,13 +255,6 @@ def _load(
         raise click.UsageError("no scenario given: name one (see fleet list), or give --from LOG")
     # A scenario that is only shown may name laws that may not run.
     return load_scenario(scenario, changes, refused=[] if only_shown else None), None
-
-
-def _warnings(scenario: Scenario) -> list[str]:
-    from fleet.analysis.preflight import warnings
-    from fleet.analysis.stability import analyse
-
-    return [*analyse(scenario).warnings, *warnings(scenario)]
 
 
 def _check_clock(speed: float | None, clock: str, one_process: str) -> None:

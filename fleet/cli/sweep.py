@@ -175,10 +175,11 @@ def _run(store: Store, spec: StudySpec, modules: Modules | None, how: Making) ->
 
 
 def _tell_if_all_are_the_same(store: Store) -> None:
-    """Of a study whose runs differ by their seeds alone."""
-    digests = [row.digest for row in store.rows(details=True)] if len(store.points) == 1 else []
-    if len(digests) > 1 and len(set(digests)) == 1 and digests[0] is not None:
-        say(f"fleet: all {len(digests)} runs have the same log: no draw of the seed matters; {_HOW_TO_VARY}", err=True)
+    """Of a study whose runs differ by their seeds alone. The first two logs that differ end the reading."""
+    rows, runs = store.rows(details=True), sum(store.needed().values()) - store.missing
+    digest = first.digest if len(store.points) == 1 and (first := next(rows, None)) else None
+    if runs > 1 and digest is not None and all(row.digest == digest for row in rows):
+        say(f"fleet: all {runs} runs have the same log: no draw of the seed matters; {_HOW_TO_VARY}", err=True)
 
 
 def _announced(store: Store, missing: int) -> str:

@@ -304,9 +304,7 @@ class RelayRun:
             self._explain_exit()
 
     def _explain_exit(self, patience_s: float = 0.0) -> None:
-        """Raise RunBroken if the relay has ended and its pipe is empty. `patience_s`: the pipe is known to be empty,
-        and the end may be reported so much later.
-        """
+        """Raise RunBroken if the relay has ended. `patience_s`: its pipe is empty, so we wait so long for its end."""
         try:
             ended = self._exits.get(timeout=patience_s) if patience_s else self._exits.get_nowait()
         except Empty:

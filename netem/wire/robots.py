@@ -43,7 +43,7 @@ _SETTINGS: dict[str, Any] = (
 
 @dataclass(frozen=True, slots=True)
 class Meeting:
-    """The address at which a robot's programs meet us. `listen`: our router. `connect`: a router of the robot."""
+    """The place where a robot's programs meet us: our router (`listen`), or a router of the robot (`connect`)."""
 
     number: int
     name: str

@@ -48,9 +48,8 @@ def expanded(root: Mapping, problems: list[Problem]) -> Mapping:
         if "edges" in graph.entries:
             graph = graph.with_entry("edges", graph.keys["edges"], expand.edges(graph.entries["edges"]))
         if "reference" not in graph.entries:
-            graph = graph.with_entry(
-                "reference", graph.place, _tree([1], graph.place)
-            )  # whom `connected` asks to reach
+            # Whom the check `connected` asks to reach.
+            graph = graph.with_entry("reference", graph.place, _tree([1], graph.place))
         root = root.with_entry("graph", root.keys["graph"], graph)
     network = root.entries.get("network")
     said = network.entries if isinstance(network, Mapping) else [network.value] if isinstance(network, Scalar) else ()

@@ -15,7 +15,7 @@ from refusals import check_refusals
 from small_scenario import SMALL, read_back, small
 
 from fleet.analysis.link_shares import effective_loss, link_lines
-from fleet.analysis.preflight import warnings
+from fleet.analysis.preflight import may_draw, warnings
 from fleet.errors import ScenarioError
 from fleet.scenario.loading import changed, parse_scenario
 from fleet.scenario.scenario import Scenario
@@ -55,6 +55,7 @@ def test_states_and_what_follows_from_them() -> None:
     states = s.netem_config.changing[1, 2]
     assert states.shares == pytest.approx((0.8, 0.2))
     assert effective_loss(states) == pytest.approx(0.16)
+    assert "link states" in may_draw(s)
     (line,) = link_lines(s)
     assert line == "links *: good 80 % (mean 8 s), bad 20 % (mean 2 s) of the time; effective loss 16 %"
     assert (

@@ -24,6 +24,7 @@ from agents.errors import PayloadError
 
 VERSION = 0x81
 _DEEPEST = 16  # lists and maps within each other
+_SIMPLE = frozenset({int, bool, str, bytes, type(None)})
 _decode = msgspec.msgpack.Decoder().decode
 
 
@@ -79,7 +80,10 @@ def _plain(values: Any, depth: int = 0) -> bool:
     if isinstance(values, float):
         return isfinite(values)
     if isinstance(values, dict):
-        return depth < _DEEPEST and all(_plain(k, depth + 1) and _plain(v, depth + 1) for k, v in values.items())
+        return _plain([*values, *values.values()], depth)
     if isinstance(values, list | tuple):
-        return depth < _DEEPEST and all(_plain(value, depth + 1) for value in values)
-    return values is None or isinstance(values, bool | int | str | bytes)
+        if depth >= _DEEPEST:
+            return False
+        # Of a list without floats and lists no item needs a call, and one for each would cost more than the rest.
+        return _SIMPLE.issuperset(map(type, values)) or all(_plain(value, depth + 1) for value in values)
+    return values is None or isinstance(values, int | str | bytes)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import partial
 from math import isfinite, isnan
-from typing import Any
+from typing import Any, NamedTuple
 
 from msgspec.structs import replace
 
@@ -128,6 +128,18 @@ class CheckError(FleetError):
         self.where = where
 
 
+class _NoSignal(NamedTuple):
+    """Why there is no such signal. A check may ask at every tick, so the words are made when somebody reads them."""
+
+    vehicle: int
+    signal: Any
+    there: Collection[str]
+
+    def __str__(self) -> str:
+        hint = nearest(str(self.signal), self.there) or f"it has {', '.join(self.there)}"
+        return f"vehicle {self.vehicle} has no signal {self.signal!r}; {hint}"
+
+
 class SeenVehicle:
     """One vehicle at one tick, as a check sees it."""
 
@@ -146,8 +158,7 @@ class SeenVehicle:
         """
         place = self._places.get(signal)
         if place is None:
-            hint = nearest(str(signal), self._places) or f"it has {', '.join(self._places)}"
-            raise LookupError(f"vehicle {self.id} has no signal {signal!r}; {hint}")
+            raise LookupError(_NoSignal(self.id, signal, self._places))
         self._asked[signal] = None
         found = self._values.values(self.id, signal.partition(".")[0])[place.values]
         if not found or (place.width == 1 and isnan(found[0])):

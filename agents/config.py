@@ -189,6 +189,7 @@ class AgentConfig:
     standby_after_s: float = 0.0  # for so long
     keep_apart: KeepApartParams | None = None  # between guidance and tracking; None: nothing is there
     localization: LocalizationParams | None = None  # between navigation and guidance; None: nothing is there
+    moored: bool = False  # its vehicle does not move, so a whole agent need not steer
 
     def desired(self, t: float) -> Motion:
         """Where to be at time t [s], and how to move: pd_i = eta_1^d + p_i. Raises ValueError: it is not known."""

@@ -39,18 +39,26 @@ from world.vectors import Vec3
 
 
 class FormationAgent:
-    """The agent that a vehicle has if the user gives it no whole agent: it keeps the formation."""
+    """The agent that a vehicle has if the user gives it no whole agent: it keeps the formation.
+
+    On a moored vehicle there is nothing to steer: it sends nothing, reports nothing, and its forces are 0.
+    """
 
     def __init__(self, config: AgentConfig) -> None:
         """Make it of the agent's own slice of the scenario."""
+        self.signals: tuple[Signal, ...] = ()
+        self._where: dict[str, tuple[int, slice]] = {}
+        self._agent: Agent | None = None
+        if config.moored:
+            return
         self._agent = Agent(replace(config, agent=None))
         layout: SignalLayout = self._agent.layout
         self._where = {signal.name: (signal.width, place) for _, signal, place in layout.signals()}
-        self.signals: tuple[Signal, ...] = (*layout.guidance, *layout.control)  # what `decide` returns values for
+        self.signals = (*layout.guidance, *layout.control)  # what `decide` returns values for
 
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:
         """The payloads to every neighbour: own position and velocity."""
-        return self._agent.transmit(by_simulated_time(nav))
+        return () if self._agent is None else self._agent.transmit(by_simulated_time(nav))
 
     def decide(
         self, nav: Nav, deliveries: Iterable[Delivery], course: Motion | None = None
@@ -68,6 +76,8 @@ class FormationAgent:
         Raises:
             ControllerError: the measurement is not finite, time went back, or a law failed.
         """
+        if self._agent is None:
+            return (0.0, 0.0, 0.0), {}
         states = [d for d in deliveries if d.payload[:1] != _OWN]
         tau, telemetry = self._agent.decide(by_simulated_time(nav), states, None if course is None else _motion(course))
         return tau, {
@@ -77,11 +87,12 @@ class FormationAgent:
 
     def state(self) -> dict[str, Any]:
         """Everything that the next sample depends on, as plain values."""
-        return self._agent.state()
+        return {} if self._agent is None else self._agent.state()
 
     def restore(self, values: dict[str, Any]) -> None:
         """Continue from `state()`."""
-        self._agent.restore(values)
+        if self._agent is not None:
+            self._agent.restore(values)
 
 
 _OWN = bytes((VERSION,))

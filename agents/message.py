@@ -14,6 +14,7 @@ neighbour may send anything: what is not of the kind, damaged, or holds a number
 
 from __future__ import annotations
 
+from itertools import chain
 from math import isfinite
 from typing import Any
 from zlib import crc32
@@ -77,13 +78,18 @@ def unpack(kind: str, payload: bytes) -> Any:
 
 def _plain(values: Any, depth: int = 0) -> bool:
     """Whether these are plain values, every number is finite, and nothing is nested too deep."""
+    if isinstance(values, list | tuple):
+        if depth >= _DEEPEST:
+            return False
+        # A call for each value would cost more than the rest of a message.
+        kinds = set(map(type, values))
+        if kinds <= _SIMPLE:
+            return True
+        if kinds == {list}:
+            return _plain(list(chain.from_iterable(values)), depth + 1)
+        return all(_plain(value, depth + 1) for value in values)
     if isinstance(values, float):
         return isfinite(values)
     if isinstance(values, dict):
         return _plain([*values, *values.values()], depth)
-    if isinstance(values, list | tuple):
-        if depth >= _DEEPEST:
-            return False
-        # Of a list without floats and lists no item needs a call, and one for each would cost more than the rest.
-        return _SIMPLE.issuperset(map(type, values)) or all(_plain(value, depth + 1) for value in values)
     return values is None or isinstance(values, int | str | bytes)

@@ -64,26 +64,6 @@ class Core:
     def restore(self, values):
         self._formation.restore(values)
 '''
-# A protocol is judged by what it says, so its vehicles need not steer; runs are several times as fast.
-_STILL = '''
-class FormationAgent:
-    """Does not steer."""
-
-    def __init__(self, config):
-        self.signals = ()
-
-    def transmit(self, nav):
-        return ()
-
-    def decide(self, nav, deliveries, course=None):
-        return (0.0, 0.0, 0.0), {}
-
-    def state(self):
-        return {}
-
-    def restore(self, values):
-        pass
-'''
 # Each bench has faults that its protocol survives without a defect. Long one-way silence, two deaths at a time in an
 # auction, and faults that leave no time to recover make the sound ones fail, too.
 _SWARM = "nemesis={mode: swarm, until: 45 s, pick: [%s]}"
@@ -98,7 +78,6 @@ class Bench:
     scenario: str
     law: str  # module and class
     changes: tuple[str, ...]
-    still: bool = False  # vehicles do not steer
 
     @property
     def module(self) -> str:
@@ -107,16 +86,16 @@ class Bench:
 
 BENCHES = {
     "election": Bench("election", f"{ELECTION}:Election", (
-        *_COMMON, _SWARM % "partition, pause, kill",
+        *_COMMON, "moored=true", _SWARM % "partition, pause, kill",
         'network.links={"*": delay 100ms 30ms loss 10%}',
         "checks={fleet.protocols.checks:AtMostOneLeader: {per: fleet}, "
         "fleet.protocols.checks:AgreeAfterHeal: {within: 9 s, quorum: fleet}}",
-    ), still=True),
+    )),
     "average": Bench("average", f"{AVERAGE}:ExactAverage", (
-        *_COMMON, _SWARM % "kill",
+        *_COMMON, "moored=true", _SWARM % "kill",
         'network.links={"*": delay 100ms 50ms loss 10% duplicate 5%}',
         "checks={fleet.protocols.checks:TrueMean: {below: 0.01, within: 10 s}}",
-    ), still=True),
+    )),
     "auction": Bench("auction", f"{AUCTION}:BundleAuction", (
         *_COMMON, _GRID % ("12 s", "7 s", "31 s", "kill"), "checks.tumbled=waived",
     )),
@@ -341,10 +320,6 @@ def plant(bug: Bug, folder: Path) -> str:
             text = text.replace(bug.old, bug.new)
         for other, planted in names.items():
             text = text.replace(f"from {other} import", f"from {planted} import")
-        if bench.still:
-            text = text.replace("FormationAgent, ", "").replace(
-                "\nfrom fleet.protocols", f"\n{_STILL}\nfrom fleet.protocols", 1
-            )
         (folder / f"{name}.py").write_text(text, "utf-8")
     return f"{names[bug.chain[0]]}:{bench.law.partition(':')[2]}"
 

@@ -21,11 +21,11 @@ class NetFault(TimedFault, frozen=True):
     """A fault of the network."""
 
     kind: FaultKind
-    links: tuple[Link, ...] = ()  # of link, down, up, partition
+    links: tuple[Link, ...] = ()  # of link, down, up, partition, hold, duplicate
     vehicles: tuple[int, ...] = ()  # of mute, deaf, slow, clock
     condition: Condition | None = None  # of link
-    ticks: int = 0  # of slow: how late
-    values: tuple[float, ...] = ()  # of clock: step [s] and drift [s/s]
+    ticks: int = 0  # of slow: how late; of duplicate: how much later the copy comes
+    values: tuple[float, ...] = ()  # of clock: step [s] and drift [s/s]; of hold: 1 if the order is reversed
 
 
 _CONDITION = NetFault.__struct_fields__.index("condition")
@@ -73,9 +73,12 @@ class ActiveFaults(NamedTuple):
     deaf: frozenset[int]
     up: frozenset[Link]  # links that are up whatever their own condition says
     slow: dict[int, int]  # vehicle -> by how many ticks what it sends is late
+    hold: dict[Link, int]  # for how many ticks a packet sent now is kept at least
+    again: dict[Link, int]  # by how many ticks later a copy of it comes
 
 
-NO_FAULTS = ActiveFaults({}, {}, frozenset(), frozenset(), frozenset(), {})
+NO_FAULTS = ActiveFaults({}, {}, frozenset(), frozenset(), frozenset(), {}, {}, {})
+_FOR_GOOD = 2**40  # ticks: longer than any run
 
 
 def active_faults(faults: tuple[NetFault, ...], tick: int) -> ActiveFaults:
@@ -90,6 +93,8 @@ def active_faults(faults: tuple[NetFault, ...], tick: int) -> ActiveFaults:
     deaf: set[int] = set()
     up: set[Link] = set()
     slow: dict[int, int] = {}
+    hold: dict[Link, int] = {}
+    again: dict[Link, int] = {}
     for fault in active:
         match fault.kind:
             case "link":
@@ -103,8 +108,14 @@ def active_faults(faults: tuple[NetFault, ...], tick: int) -> ActiveFaults:
                 up |= set(fault.links)
             case "slow":
                 slow |= {i: max(fault.ticks, slow.get(i, 0)) for i in fault.vehicles}
+            case "hold":
+                # In the reverse order packets come as far behind the end as they were sent before it.
+                left = _FOR_GOOD if fault.end is None else (fault.end - tick) * (2 if fault.values else 1)
+                hold |= {link: max(left, hold.get(link, 0)) for link in fault.links}
+            case "duplicate":
+                again |= dict.fromkeys(fault.links, fault.ticks)
             case "mute":
                 mute.update(fault.vehicles)
             case "deaf":
                 deaf.update(fault.vehicles)
-    return ActiveFaults(conditions, cut, frozenset(mute), frozenset(deaf), frozenset(up), slow)
+    return ActiveFaults(conditions, cut, frozenset(mute), frozenset(deaf), frozenset(up), slow, hold, again)

@@ -142,6 +142,8 @@ class IndependentLinks:
             self._transit.lose(Fate(tick, src, dst, seq, 0, tick, tick, 0, cut, False, payload))
             return
         outcomes = links.enter(tick * config.tick_ns, link, seq, payload, faults)
+        if faults.hold or faults.again:
+            outcomes = _kept(outcomes, config.tick_ns, faults.hold.get(link, 0), faults.again.get(link))
         links.ledger.enter(link, sent=1, duplicated=len(outcomes) - 1)
         for copy, outcome in enumerate(outcomes):
             ticks = -(-outcome.delay_ns // config.tick_ns) + faults.slow.get(src, 0)
@@ -161,3 +163,12 @@ class IndependentLinks:
 
     def restore(self, values: dict[str, Any]) -> None:
         """The inverse of `state`."""
+
+
+def _kept(outcomes: list[LinkOutcome], tick_ns: int, hold: int, again: int | None) -> list[LinkOutcome]:
+    """The outcomes of a packet that is held for `hold` ticks at least, and comes once more, `again` ticks later."""
+    held = [one._replace(delay_ns=max(one.delay_ns, hold * tick_ns)) for one in outcomes]
+    first = held[0]
+    if again is None or first.cause is not None:
+        return held
+    return [*held, first._replace(delay_ns=first.delay_ns + again * tick_ns)]

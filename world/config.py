@@ -167,4 +167,5 @@ class WorldConfig:
     absences: tuple[Absence, ...] = ()  # when a vehicle has no agent
     memory_ticks: int = 0  # all that world and agents remember is in a frame every so many ticks; 0: never
     clocks: dict[int, VehicleClock] = field(default_factory=dict)  # of the vehicles for which one is set
+    moored: bool = False  # vehicles stay where they begin
     keep_going: bool = False  # the run goes on without a vehicle whose motion leaves the finite numbers

@@ -46,7 +46,7 @@ class _Vehicle:
         self.k: Coefficients = coefficients(setup.params)
         self.tau_max: Vec3 = setup.tau_max
         self.tick: int = 0
-        self.state: State = _initial(setup)
+        self.state: State = _initial(setup, moored=config.moored)
         self.plant: Any = None
         if setup.plant is not None:
             self.plant = FencedPlant(
@@ -207,9 +207,11 @@ class World:
         """Integrate vehicle i alone to its next tick with `tau` [N, N m] held. Raises IntegrationError if the motion
         left the finite numbers, PlantError if its plant failed; the state then stays that of the tick before.
         """
-        vehicle = self._vehicles[i]
+        vehicle, config = self._vehicles[i], self.config
+        if config.moored:
+            vehicle.tick += 1
+            return
         k, tick, state = vehicle.k, vehicle.tick, vehicle.state
-        config = self.config
         current = config.current
         if config.drift is not None:
             current = plus(current, self._drift("", *config.drift).at(tick))
@@ -347,9 +349,11 @@ def _of_plant(plant: Any) -> State:
     return x, y, z, theta, psi, u, v, w, q, r
 
 
-def _initial(setup: VehicleSetup) -> State:
+def _initial(setup: VehicleSetup, *, moored: bool) -> State:
     x, y, z, theta, psi = map(float, setup.eta0)
     u, v, w, q, r = map(float, setup.nu0)
+    if moored:
+        return x, y, z, theta, psi, 0.0, 0.0, 0.0, 0.0, 0.0
     return x, y, z, theta, psi, u, v, w, q, r
 
 

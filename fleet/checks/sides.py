@@ -51,6 +51,9 @@ class Sides:
                     cut |= partition(what, self._facts.vehicles, self._facts.seed, fault.id, self._facts.links)
                 case "down":
                     down |= set(select(parse_selector(what), self._facts.links))
+                case "hold":
+                    links_of = what.removeprefix("{links: ").partition(",")[0]
+                    cut |= set(select(parse_selector(links_of), self._facts.links))
                 case "up":
                     down -= set(select(parse_selector(what), self._facts.links))
                 case "mute" | "deaf":

@@ -71,6 +71,7 @@ FIELDS: dict[type, dict[str, Meaning]] = {
         "standby_after_s": ("real", "s", "for so long it must not have heard them"),
         "keep_apart": ("KeepApartParams or null", "", "what keeps vehicles apart; yours may do the same"),
         "localization": ("LocalizationParams or null", "", "how ranges to others are used; yours may do the same"),
+        "moored": ("bool", "", "the vehicle does not move, so commands have no effect"),
     },
     Neighbour: {
         "id": ("uint", "", "the neighbour's number j, `src` of its deliveries"),

@@ -22,7 +22,7 @@ from fleet.scenario.scenario import Reading, Scenario
 from fleet.scenario.schema.checks import PYTHON
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.schema.value_types import Section, section_of
-from fleet.scenario.text.nodes import expanded
+from fleet.scenario.text.nodes import expanded, still
 from fleet.scenario.text.overrides import Override, apply
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Scalar, Source, locate, plain, read, text_place
 from fleet.scenario.trust import READING, TYPED, OverrideOrigin, Policy, ran_from, stranger
@@ -271,8 +271,7 @@ def parse_scenario(
         name = re.sub(r"[^a-z0-9_-]+", "-", Path(source_name).stem.lower()).strip("-_")[:64] or "scenario"
         root = root.with_entry("name", root.place, Scalar(name, root.place))
     root, more = apply(root, overrides)
-    if "nodes" in root.entries:
-        root = expanded(root, problems)
+    root = expanded(root, problems) if "nodes" in root.entries else still(root)
     parts, mistakes = validate(root, folder, policy)
     problems += [*more, *mistakes]
     if parts is None or problems:

@@ -148,6 +148,7 @@ class Scenario:
             keep_going=spec.on_death != "abort" and not self.ideal,
             noise=self.noise,
             clocks=dict(self.clocks),
+            moored=bool(spec.moored),
         )
 
     @property
@@ -222,6 +223,7 @@ class Scenario:
             standby_after_s=0.0 if spec.graph.standby is None else spec.graph.standby.after / 1e9,
             keep_apart=control.keep_apart,
             localization=control.localization,
+            moored=bool(spec.moored),
         )
 
     def standby_for(self, i: int) -> tuple[int, ...]:

@@ -7,7 +7,7 @@ import os
 import shutil
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from importlib.metadata import version
 from math import isfinite
@@ -21,10 +21,12 @@ from fleet.execution.directory import LOG, SCENARIO
 from fleet.execution.stepped_run import judged
 from fleet.recorder.log_file import LogFile
 from fleet.result.file import write_result
-from fleet.result.result import Result
+from fleet.result.result import Result, Status
+from fleet.result.verdict import Verdict
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy
+from fleet.study.bare_run import bare_verdicts, fits
 from fleet.study.branches import Branch, run_branch
 from fleet.study.errors import StudyError
 from fleet.study.measures import MEASURES, Samples
@@ -47,6 +49,7 @@ class Task(NamedTuple):
     signals: tuple[str, ...] = ()  # measures of signals, by name
     log: str = ""  # the run directory that is to be made; empty: none
     branch: Branch | None = None  # a part of a run, in place of all of it
+    bare: bool = False  # without an emulator, if that is possible and the run passes its checks
 
 
 def late(task: Task) -> StudyError:
@@ -104,6 +107,11 @@ def _made(task: Task) -> Row:
         scenario = scenario_of(task)
         if task.branch is not None:
             return run_branch(scenario, task.branch, check)
+        if task.bare and fits(scenario):
+            verdicts = bare_verdicts(scenario, check if isfinite(task.timeout_s) else None)
+            if verdicts:
+                checks, numbers = _judged(verdicts)
+                return Row(seed=task.seed, status=Status.PASS, passed=True, checks=checks, numbers=numbers)
         samples = Samples(scenario, task.signals)
         if task.log:
             result = recorded(scenario, Path(task.log), check, samples)
@@ -148,8 +156,17 @@ def scenario_of(task: Task) -> Scenario:
 
 
 def _measured(result: Result, samples: Samples) -> Row:
+    checks, numbers = _judged(result.checks)
+    numbers |= {name: float(measure.of(result)) for name, measure in MEASURES.items()}
+    numbers |= {name: float(value) for name, value in samples.numbers().items()}
+    return Row(seed=result.seed, status=str(result.status), reason=_text(result.reason), digest=result.digest,
+               passed=result.passed, checks=checks, numbers=numbers)  # fmt: skip
+
+
+def _judged(verdicts: Iterable[Verdict]) -> tuple[dict[str, CheckRow], dict[str, float]]:
+    """The rows of some verdicts, and which of those were reached that some run must reach."""
     checks, numbers = dict[str, CheckRow](), dict[str, float]()
-    for verdict in result.checks:
+    for verdict in verdicts:
         name, margin = verdict.check, verdict.margin
         if verdict.reached is not None:
             numbers[PREFIX + name] = float(verdict.reached)
@@ -160,7 +177,4 @@ def _measured(result: Result, samples: Samples) -> Row:
             None if margin is None else float(margin.value),
         )
         checks[name] = checks[name].and_then(found) if name in checks else found
-    numbers |= {name: float(measure.of(result)) for name, measure in MEASURES.items()}
-    numbers |= {name: float(value) for name, value in samples.numbers().items()}
-    return Row(seed=result.seed, status=str(result.status), reason=_text(result.reason), digest=result.digest,
-               passed=result.passed, checks=checks, numbers=numbers)  # fmt: skip
+    return checks, numbers

@@ -139,7 +139,8 @@ class _Search:
             yield self._repeats.pop()
 
     def task(self, seed: int) -> Task:
-        return Task(run_key(f"{self._text}\nseed {seed}"), 0, seed, self._scenario.name, self._text, inf, self._modules)
+        return Task(run_key(f"{self._text}\nseed {seed}"), 0, seed, self._scenario.name, self._text, inf, self._modules,
+                    bare=True)  # fmt: skip
 
     def take(self, row: Row) -> None:
         """Take a row. Count the rows that are next in order, until one fails in a new way: it is repeated first."""

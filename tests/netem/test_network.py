@@ -18,6 +18,8 @@ from netem.condition import Condition, Link
 from netem.config import NetemConfig
 from netem.draws import normal, uniform
 from netem.errors import OutOfPlace
+from netem.fault_kinds import Cause
+from netem.faults import NetFault
 from netem.ledger import Ledger
 from netem.link_states import LinkStates
 from netem.link_trace import LinkTrace
@@ -264,3 +266,41 @@ def test_the_order_of_arrival_changes_no_round(arrivals: list) -> None:
     expected = outcomes([(1, 0), (2, 0), (3, 0), ("round", 0), (1, 10), (2, 10), (3, 10), ("round", 10)])
     assert outcomes(ordered) == expected
     assert len(expected) == 2
+
+
+# --- packets that a fault holds, or brings once more
+
+
+@given(st.integers(0, 3), st.integers(1, 5), st.booleans())
+def test_what_is_sent_while_it_lasts_is_held_until_its_end(begin: int, rounds: int, reverse: bool) -> None:
+    """In order all of it comes at the end, in the reverse order as far behind the end as it was sent before it."""
+    m, end = 10, 10 * (begin + rounds)
+    fault = NetFault("f", 10 * begin, end, "hold", ((1, 2),), values=(1.0,) if reverse else ())
+    netem = Netem(replace(config({(1, 2): Condition(delay_ns=TICK_NS)}), round_ticks=m, faults=(fault,)))
+    came = []
+    for k in range(0, 300, m):
+        sent = {i: (b"x",) if i == 1 and k < end else () for i in (1, 2, 3)}
+        came += [(d.due_tick, d.sent_tick) for d in netem.exchange(k, sent).inboxes[2]]
+    held = list(range(10 * begin, end, m))
+    free = [(k + 1, k) for k in range(0, 10 * begin, m)]
+    assert came == free + ([(2 * end - k, k) for k in reversed(held)] if reverse else [(end, k) for k in held])
+
+
+def test_a_fault_without_an_end_holds_for_good() -> None:
+    fault = NetFault("f", 0, None, "hold", ((1, 2),))
+    netem = Netem(replace(config({}), faults=(fault,)))
+    netem.exchange(0, {1: (b"x",), 2: (), 3: ()})
+    assert [(fate.dst, fate.cause) for fate in netem.close(1000)] == [(3, Cause.DELIVERED), (2, Cause.IN_FLIGHT)]
+
+
+@given(st.integers(1, 50), st.sampled_from([0.0, 1.0]))
+def test_a_copy_comes_so_much_later_and_is_in_the_ledger(later: int, loss: float) -> None:
+    """What is lost on its way has no copy."""
+    fault = NetFault("f", 0, 5, "duplicate", ((1, 2),), ticks=later)
+    condition = Condition(delay_ns=3 * TICK_NS, loss=loss)
+    netem = Netem(replace(config({(1, 2): condition}, ((1, 2),)), faults=(fault,)))
+    fates = play(netem, [{1: (b"x",)}, {1: (b"y",)}, *[{}] * 6])
+    assert [(f.sent_tick, f.copy, f.due_tick) for f in fates if f.cause == Cause.DELIVERED] == (
+        [] if loss else sorted([(0, 0, 3), (0, 1, 3 + later), (10, 0, 13)], key=lambda one: one[2])
+    )
+    assert netem.entered[1, 2] == (2, 0 if loss else 1)

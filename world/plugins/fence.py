@@ -136,8 +136,8 @@ class Fence:
         flat: list[float] = []
         for signal_ in signals:
             value = values[signal_.name]
-            if type(value) is float and isfinite(value) and signal_.width == 1:
-                flat.append(value)  # nearly all are, and the general way costs ten times as much
+            if (type(value) is float or type(value) is int) and isfinite(value) and signal_.width == 1:
+                flat.append(float(value))  # nearly all are, and the general way costs ten times as much
                 continue
             numbers = (hasattr(value, "__iter__") and numbers_of(value)) or numbers_of((value,))
             if len(numbers) != signal_.width:

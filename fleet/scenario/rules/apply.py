@@ -103,6 +103,7 @@ RULES: tuple[Callable[[Parts, Report], None], ...] = (
     nodes.nodes,
     nodes.contents,
     laws.per_vehicle,
+    motion.moored,
     motion.navigation,
     faults.faults,
     faults.nemesis,

@@ -206,8 +206,13 @@ def _target_problems(
             yield FaultProblem(kind, "cuts no link of the graph")
     elif kind == "link" and not fault.link:
         yield FaultProblem(kind, "names no link", "write link 1->2: loss 30%")
-    elif kind in ("link", "down", "up"):
-        for text in (fault.link or ()) if kind == "link" else [getattr(fault, kind)]:
+    elif kind in ("link", "down", "up", "hold", "duplicate"):
+        if kind in ("hold", "duplicate") and spec.network.acoustic is not None:
+            yield FaultProblem(kind, "acts on links of their own, and this network is acoustic", at_key=True)
+        if fault.duplicate is not None and (uneven := no_whole_ticks(fault.duplicate.after, spec.tick)):
+            yield FaultProblem(kind, *uneven)
+        given = getattr(fault, kind)
+        for text in (fault.link or ()) if kind == "link" else [getattr(given, "links", given)]:
             if not select(parse_selector(text), links) and text != "*":
                 yield FaultProblem(kind, f"the graph has no link {text}", known_links(links))
     else:

@@ -22,6 +22,25 @@ from netem.fault_kinds import WorldFaultKind
 from world.navigation.config import KINDS as KINDS_OF_FAULT
 from world.navigation.config import DeadReckoning, Navigation, NavigationTrace
 
+# --- moored vehicles
+
+
+def moored(parts: Parts, report: Report) -> None:
+    """Moored vehicles have whole agents, and nothing that moves."""
+    spec = parts.spec
+    if not spec.moored:
+        return
+    if any(choice.whole_agent is None for _, choice in parts.choices()):
+        hint = 'agent: "my_protocol:MyProtocol"; fleet new protocol NAME writes one'
+        report.add(("moored",), "needs an agent for every vehicle, since there is nothing to steer", hint)
+    for key in ("navigation", "keep_apart"):
+        if report.has((key,)):
+            report.add((key,), "has no effect on moored vehicles", key=True)
+    for parent, section in sections(spec, "vehicle"):
+        if section is not None and section.plant is not None:
+            report.add((*parent, "vehicle", "plant"), "has no effect on moored vehicles", key=True)
+
+
 # --- navigation of the vehicles, and its faults
 
 MOST_UNDER_WAY = 20  # fixes: the filter keeps a past position for each

@@ -138,11 +138,32 @@ class ClockFault(OfVehicles):
     drift: v.ClockDrift = 0.0
 
 
+class Hold(Section):
+    """Packets that are sent meanwhile are kept, and come when the fault is over."""
+
+    links: v.LinkSelector
+    order: Literal["sent", "reversed"] = "sent"  # reversed: the last one first, at the pace at which they were sent
+
+
+class Duplicate(Section):
+    """Packets that are sent meanwhile come once more, so much later."""
+
+    links: v.LinkSelector
+    after: v.Period
+
+
 class Gust(Section):
     """A current that rises to a velocity and falls again, for all vehicles."""
 
     velocity: v.Velocity
     over: v.Period
+
+
+def _show_hold(hold: Hold | None) -> Any:
+    return hold and (hold.model_dump() if hold.order == "reversed" else hold.model_dump()["links"])
+
+
+HoldChoice = Annotated[Hold, word_for("links"), PlainSerializer(_show_hold)]
 
 
 class FaultTimes(Section):
@@ -171,6 +192,8 @@ class FaultAction(Section):
     down: v.LinkSelector | None = None
     up: v.LinkSelector | None = None  # the end of every down, and of the links' own
     partition: str | None = None  # "1,2 / 3,4", or halves, one, majority, ring, bridge, isolate:3
+    hold: HoldChoice | None = None
+    duplicate: Duplicate | None = None
     mute: v.VehicleNumbers | None = None  # sends nothing
     deaf: v.VehicleNumbers | None = None  # receives nothing
     slow: Slow | None = None

@@ -135,6 +135,7 @@ class ScenarioSpec(Section):
     sensors: SensorsSection = SensorsSection()
     model_error: ModelErrorSection = ModelErrorSection()
     agents: AgentsSection = AgentsSection()
+    moored: bool | None = None  # true: vehicles stay where they begin, and agents need not steer
     external: bool | None = None  # true: the run starts no agent
     knows_reference: bool | None = None  # false: only those in graph.reference and graph.standby know it
     agent: AgentChoice | None = None  # in place of controller, guidance and tracking, which it may use; its clock

@@ -140,6 +140,15 @@ def parts(section: FaultSection, name: str, spec: ScenarioSpec, links: Sequence[
             ]
         case "down" | "up":
             return [NetFault(name, begin, end, kind, select(parse_selector(getattr(section, kind)), links))]
+        case "hold":
+            assert section.hold is not None
+            held = select(parse_selector(section.hold.links), links)
+            back = (1.0,) if section.hold.order == "reversed" else ()
+            return [NetFault(name, begin, end, kind, held, values=back)]
+        case "duplicate":
+            assert section.duplicate is not None
+            later, copied = section.duplicate.after // spec.tick, select(parse_selector(section.duplicate.links), links)
+            return [NetFault(name, begin, end, kind, copied, ticks=later)]
         case "partition":
             cut = partition(section.partition or "", spec.vehicles, spec.seed, name, links)
             return [NetFault(name, begin, end, "partition", tuple(link for link in links if link in cut))]

@@ -29,6 +29,8 @@ _EXAMPLES = {
     "down": "down 2->3",
     "up": "up 2->3",
     "partition": "partition 1,2 / 3,4",
+    "hold": "hold 1->2",
+    "duplicate": "duplicate links=1->2 after=3s",
     "noise": "noise vehicles=2 position_noise=10cm",
     "bias": "bias vehicles=2 position=1 0 0 m",
     "dropout": "dropout vehicles=2 loss=30%",
@@ -126,7 +128,7 @@ class _Reader:
         if kind.text == "link":
             return self.links(kind)
         keyed = section_of(FaultAction.model_fields[kind.text].annotation) is not None
-        if keyed and (kind.text != "current" or any(_KEY.match(word.text) for word in self.words)):
+        if keyed and (kind.text not in ("current", "hold") or any(_KEY.match(word.text) for word in self.words)):
             return self._pairs(kind)
         if not self.words:
             raise self._wrong(kind, f"{kind.text} of what?", f"as in {example(kind.text)}")

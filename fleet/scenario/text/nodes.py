@@ -59,6 +59,20 @@ def expanded(root: Mapping, problems: list[Problem]) -> Mapping:
     return root
 
 
+def still(root: Mapping) -> Mapping:
+    """The tree of a scenario with what moored vehicles may leave out, and others may not."""
+    moored = root.entries.get("moored")
+    if not isinstance(moored, Scalar) or moored.value is not True:
+        return root
+    network = root.entries.get("network")
+    period = network.entries.get("period") if isinstance(network, Mapping) else None
+    added = {key: _tree(value, moored.place) for key, value in _MOORED.items()}
+    for key, node in (added | ({} if period is None else {"tick": period})).items():
+        if key not in root.entries:
+            root = root.with_entry(key, moored.place, node)
+    return root
+
+
 class _Expanded:
     """Puts numbers in place of names."""
 
@@ -149,6 +163,12 @@ def _added(nodes: Mapping, *, water: bool) -> dict[str, Any]:
     }
 
 
+# Vehicles that do not move need no reference, and no tick within a round.
+_MOORED = {
+    "reference": {"start": "0 0 10 m", "velocity": "0 0 0 m/s"},
+    "formation": {"shape": "line"},
+    "initial": {"scatter": "0 m", "around": "reference"},
+}
 _ADDED = ("vehicles", "reference", "formation", "initial")
 
 

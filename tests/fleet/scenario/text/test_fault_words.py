@@ -44,6 +44,8 @@ def told(fault: FaultSection) -> str:
         ("current 0.2 0 0 m/s", {"current": "0.2 0 0 m/s"}),
         ("current mean=0.2 0 0 m/s", {"current": {"mean": "0.2 0 0 m/s"}}),
         ("kill 2-3", {"kill": "2-3"}),
+        ("hold 1->2 for 3 s", {"for": "3 s", "hold": "1->2"}),
+        ("hold links=1->2 order=reversed", {"hold": {"links": "1->2", "order": "reversed"}}),
         ("at 20 kill 3", {"at": "20", "kill": "3"}),  # the schema says that the time has no unit
     ],
 )
@@ -97,6 +99,8 @@ def some(**values: st.SearchStrategy[str]) -> st.SearchStrategy[dict[str, str]]:
 TARGETS: dict[str, st.SearchStrategy[Any]] = {
     "link": st.dictionaries(SELECTORS, conditions().map(print_condition), min_size=1, max_size=3),
     "down": SELECTORS,
+    "hold": SELECTORS | st.fixed_dictionaries({"links": SELECTORS, "order": st.just("reversed")}),
+    "duplicate": st.fixed_dictionaries({"links": SELECTORS, "after": PERIODS}),
     "up": SELECTORS,
     "partition": st.sampled_from(["1,2 / 3,4", "1, 2 /3", "halves", "one", "ring", "isolate:3", "isolate: 3"]),
     "slow": st.fixed_dictionaries({"by": st.integers(1, 99).map("{} ticks".format)}, optional={"vehicles": VEHICLES}),

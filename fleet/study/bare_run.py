@@ -1,0 +1,173 @@
+"""Runs of moored vehicles with nothing around their agents but the network and the scenario's own checks.
+
+A search makes hundreds of runs of which nobody reads a log. So there is no journal here, no metrics, no messages
+between processes. A run that passes here would pass in the emulator: the tests compare them. What does not pass here is
+to be repeated there, and only that counts.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import NamedTuple
+
+import msgpack
+
+from agents.agent import Agent
+from agents.config import AgentConfig
+from agents.make_agent import make_agent
+from agents.plugged_agent import PluggedAgent
+from fleet.checks.own_checks import OwnChecks
+from fleet.checks.values import Values
+from fleet.result.verdict import Verdict
+from fleet.scenario.scenario import Scenario, frame_every
+from fleet.study.errors import StudyError
+from netem.lives import Lives
+from netem.network import Netem
+from netem.wire.messages import Delivery, Fate, Nav
+from world.sea import World
+
+# Checks that a bare run leaves out: of the emulator's own work, and of what never happens to a moored vehicle.
+_LEFT_OUT = frozenset({"ledger", "middleware_loss", "tumbled", "deaths", "qp_infeasible"})
+
+
+def fits(scenario: Scenario) -> bool:
+    """Whether a bare run can judge a scenario: it has moored vehicles, and only checks of signals or in Python."""
+    spec = scenario.spec
+    others = {key for key, value in spec.checks if value is not None} - {"signal", "python"} - _LEFT_OUT
+    plain = spec.expect == "pass" and not (scenario.ideal or scenario.external)
+    return bool(spec.moored) and plain and not others and bool(spec.checks.own())
+
+
+def bare_verdicts(scenario: Scenario, progress: Callable[[float], None] | None = None) -> list[Verdict]:
+    """The verdicts of a scenario's own checks, which are all passed; empty: the emulator has to judge this run.
+
+    Args:
+        progress: called with the simulated time [s] in each round.
+
+    Raises:
+        StudyError: `progress` raised it.
+    """
+    try:
+        verdicts = _BareRun(scenario).to_end(progress)
+    except StudyError:  # it took too long
+        raise
+    except Exception:  # a law failed, or a check asks for what is not here: the emulator says which
+        return []
+    return verdicts if all(verdict.passed for verdict in verdicts) else []
+
+
+class _Values(NamedTuple):
+    """What the vehicles report at a tick, as checks see it."""
+
+    tick: int
+    due: frozenset[str]
+    known: dict[int, dict[str, Values]]  # by vehicle and topic group
+
+    def values(self, i: int, group: str) -> Values:
+        if group not in self.due:
+            return ()
+        return self.known[i][group]
+
+
+class _BareRun:
+    def __init__(self, scenario: Scenario) -> None:
+        self._scenario = scenario
+        checks = OwnChecks.asked(scenario)
+        assert checks is not None
+        self._checks = checks
+        self._world, self._network = World(scenario.world_config), Netem(scenario.netem_config)
+        self._lives = Lives(scenario.world_config.absences)
+        self._agents: dict[int, tuple[int, Agent | PluggedAgent]] = {}  # by vehicle: which life, and its core
+        self._waiting: dict[int, list[Delivery]] = {i: [] for i in self._world.ids}
+        self._events, self._fates = deque(scenario.faults.events), deque[Fate]()
+        self._frames = deque[_Values]()
+        self._frame_every = frame_every(scenario)
+        still = {i: self._world.state(i) for i in self._world.ids}
+        self._state: dict[int, Values] = {i: (*eta, *nu) for i, (eta, nu) in still.items()}
+        self._places = {i: eta[:3] for i, (eta, _) in still.items()}
+        packed = {i: msgpack.packb(scenario.agent_config(i).to_values()) for i in still}
+        self._configs = {i: AgentConfig.from_values(msgpack.unpackb(data)) for i, data in packed.items()}
+
+    def to_end(self, progress: Callable[[float], None] | None) -> list[Verdict]:
+        scenario, network = self._scenario, self._network
+        m, tick_s, last = scenario.round_ticks, scenario.tick_ns / 1e9, scenario.ticks
+        for k in range(last):
+            begins_round = k % m == 0
+            sent: dict[int, tuple[bytes, ...]] = {}
+            known: dict[int, dict[str, Values]] = {}
+            alive: dict[int, tuple[float, ...]] = {}
+            for i, state in self._state.items():
+                known[i] = groups = {"state": state, "nav": (), "control": (), "guidance": ()}
+                if (agent := self._agent(i, k)) is not None:
+                    alive[i] = self._places[i]
+                    if not self._world.paused(i, k):
+                        self._step(i, k, agent, sent if begins_round else None, groups)
+                self._world.hold(i)
+            self._frame(k, known)
+            if begins_round:
+                inboxes, fates = network.exchange(k, sent, alive)
+                for i, deliveries in inboxes.items():
+                    self._waiting[i] += deliveries
+                self._fates += fates
+                self._take(k)
+                if progress is not None:
+                    progress(k * tick_s)
+        nothing: dict[str, Values] = {"nav": (), "control": (), "guidance": ()}
+        self._frame(last, {i: {"state": state, **nothing} for i, state in self._state.items()})
+        self._fates += network.close(last)
+        self._take(last)
+        return self._checks.verdicts(over=True)
+
+    def _agent(self, i: int, k: int) -> Agent | PluggedAgent | None:
+        """The agent of vehicle i at tick k, perhaps a new one; None: it has none."""
+        if self._lives.without_agent(i, k):
+            return None
+        life = self._lives.incarnation(i, k)
+        if i not in self._agents or self._agents[i][0] != life:
+            self._agents[i] = life, make_agent(self._configs[i])
+            self._waiting[i] = []
+        return self._agents[i][1]
+
+    def _step(
+        self,
+        i: int,
+        k: int,
+        agent: Agent | PluggedAgent,
+        sent: dict[int, tuple[bytes, ...]] | None,
+        groups: dict[str, Values],
+    ) -> None:
+        """Let agent i answer the sample of tick k. `sent` takes its payloads, `groups` what it measured and reports."""
+        world = self._world
+        clocks = world.clocks
+        eta, nu, roll = world.sense(i)
+        nav = Nav(self._agents[i][0], k, eta, nu, roll, None if clocks is None else clocks.reading_ns(i, k))
+        if sent is not None:
+            sent[i] = agent.transmit(nav)
+        waiting = self._waiting[i]
+        due = [delivery for delivery in waiting if delivery.due_tick <= k]
+        if due:
+            self._waiting[i] = waiting[len(due) :]
+        telemetry = agent.decide(nav, due).telemetry
+        groups["nav"] = eta + nu + roll
+        groups["control"] = groups["guidance"] = telemetry
+
+    def _frame(self, k: int, known: dict[int, dict[str, Values]]) -> None:
+        if k % self._frame_every == 0 or k == self._scenario.ticks:
+            self._frames.append(_Values(k, self._checks.due(k), known))
+
+    def _take(self, limit: int) -> None:
+        """Show the checks everything up to a tick, in the order of a log."""
+        checks, events = self._checks, self._events
+        while self._frames and self._frames[0].tick <= limit:
+            values = self._frames.popleft()
+            self._settle(values.tick - 1)
+            while events and events[0].tick <= values.tick:
+                checks.event(events.popleft())
+            if values.due:
+                checks.take(values)
+        self._settle(limit)
+
+    def _settle(self, until: int) -> None:
+        while self._fates and self._fates[0].final_tick <= until:
+            self._checks.settle(self._fates.popleft())

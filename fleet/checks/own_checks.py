@@ -340,8 +340,7 @@ class OwnChecks:
     def __init__(self, scenario: Scenario, begin: int = 0) -> None:
         """Make them; see `asked`."""
         checks = scenario.spec.checks
-        self._tick_s, self._last = scenario.tick_ns / 1e9, scenario.ticks
-        self._every = {group: scenario.log_every[group] for group in GROUPS if group in scenario.log_every}
+        self._scenario, self._tick_s, self._last = scenario, scenario.tick_ns / 1e9, scenario.ticks
         self._places = {i: reported(scenario, i).places() for i in range(1, scenario.vehicles + 1)}
         self._messages = LastMessages(scenario.graph.links, scenario.tick_ns)
         self._signals: list[RunningSignalCheck] = []
@@ -374,12 +373,8 @@ class OwnChecks:
         return frozenset(GROUPS) if self._python else frozenset(check.group for check in self._signals)
 
     def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, Error]) -> None:
-        if due := self.due(frame.tick):
+        if due := due_groups(self._scenario, frame.tick):
             self.take(FrameValues(frame, commands, errors, due))
-
-    def due(self, tick: int) -> frozenset[str]:
-        """The topic groups with samples in the log at a tick."""
-        return frozenset(group for group, every in self._every.items() if tick % every == 0 or tick == self._last)
 
     def take(self, values: TickValues) -> None:
         self._judge()
@@ -452,6 +447,13 @@ class OwnChecks:
             list(self._active),
             self._messages.of(failure.vehicles, signals),
         )
+
+
+def due_groups(scenario: Scenario, tick: int) -> frozenset[str]:
+    """The topic groups with samples in the log at a tick."""
+    every = scenario.log_every
+    last = tick == scenario.ticks
+    return frozenset(group for group in GROUPS if group in every and (last or tick % every[group] == 0))
 
 
 def reported(scenario: Scenario, i: int) -> VehicleSignals:

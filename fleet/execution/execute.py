@@ -25,6 +25,7 @@ from fleet.execution.options import Options
 from fleet.execution.outcome import account_for, judge_run, settle
 from fleet.execution.registry import RegistryError, register
 from fleet.execution.runner import Runner
+from fleet.execution.triggered import fired
 from fleet.processes.interrupts import DeferInterrupts, HungUp
 from fleet.processes.limits import NO_THREAD, free_port, no_thread
 from fleet.recorder.journal import Journal
@@ -33,7 +34,7 @@ from fleet.recorder.writer import LogWriter
 from fleet.replay.publisher import LivePublisher
 from fleet.result.file import write_result
 from fleet.result.result import Published, Punctual, Result, Status, Wall
-from fleet.scenario.scenario import Scenario
+from fleet.scenario.scenario import Scenario, timeline_lines
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
 from fleet.terminal.status_line import BAR, StatusLine, bar
 from fleet.terminal.table import GAP, Piece, shortened
@@ -149,13 +150,18 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         terminal: where progress is shown; None: stderr.
 
     Raises:
-        ScenarioError: a plant cannot be started.
+        ScenarioError: a plant cannot be started, or a module may not run.
         RunBroken: the port is taken.
         LogError: the log cannot be created.
         CheckError: a check in Python cannot be made.
         FleetError: the run directory cannot be made, the journal cannot be published, or an agent is external in a run
             in one process.
     """
+    if scenario.spec.triggers:
+        scenario = fired(scenario)
+        if not options.quiet:
+            for begun in timeline_lines(scenario):
+                (terminal or Terminal(stderr=True)).print(begun, markup=False, highlight=False, soft_wrap=True)
     try_plants(scenario)
     interrupts = DeferInterrupts()
     with interrupts.handling(), ExitStack() as while_it_lives:

@@ -287,11 +287,11 @@ class Operator:
         name = section.id or next(n for n in map("live-{}".format, count(1)) if n not in self._words)
         if name in self._words:
             raise RefusedError(f"there is a fault {name} already")
-        end = self._add(section, name)
+        end = self.add(section, name)
         times = {"from_s": self._seconds(tick), "to_s": self._seconds(end), "until_healed": section.for_ is None}
         return {"id": name, "what": words(section, self.scenario.nodes), **times}
 
-    def _add(self, section: FaultSection, name: str) -> int:
+    def add(self, section: FaultSection, name: str) -> int:
         """Add a fault. Returns the tick of its end. The operator may heal it earlier."""
         scenario = self.scenario
         found = parts(section, name, scenario.spec, scenario.graph.links)

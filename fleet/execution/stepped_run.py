@@ -21,6 +21,7 @@ from fleet.execution.external_agents import refuse
 from fleet.execution.in_process import MakeLife, in_process
 from fleet.execution.operator import Operator, RefusedError
 from fleet.execution.outcome import account_for, judge_run, settle
+from fleet.execution.triggered import fired
 from fleet.notebook import html_table
 from fleet.quantities import QuantityError, show_time, time_ns
 from fleet.recorder.journal import WatchedLog, Watcher
@@ -136,7 +137,7 @@ class Run:
         agents: Mapping[int, MakeLife] | None,
     ) -> None:
         refuse(scenario, "a run in one process")
-        self.scenario = scenario
+        self.scenario = scenario = fired(scenario)
         self._file = log or NoLog()
         writer = LogWriter(self._file, scenario)
         recorded = writer if watcher is None else WatchedLog(writer, watcher)

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta, Struct, field
 
-from fleet.checks.own_checks import OwnChecks, reported
+from fleet.checks.own_checks import OwnChecks, due_groups, reported
 from fleet.checks.values import LoggedValues, Values
 from fleet.errors import FleetError, Problem, ScenarioError
 from fleet.logs.decoder import Decoder
@@ -112,6 +112,7 @@ class _Feed:
     """Shows checks what a log holds, in its order: the faults of a tick, its values, and its fates."""
 
     def __init__(self, scenario: Scenario, checks: OwnChecks, first: int) -> None:
+        self._scenario = scenario
         self._checks, self._tick_ns, self._end = checks, scenario.tick_ns, scenario.ticks + 1
         self._links = {link_topic(link): link for link in scenario.graph.links}
         self._samples = {
@@ -183,7 +184,7 @@ class _Feed:
         A run shows them to its checks, too.
         """
         for tick in range(self._next, min(until, self._end)) if self._whole else ():
-            if self._checks.due(tick):
+            if due_groups(self._scenario, tick):
                 self._take(tick, {})
 
     def _take(self, tick: int, found: dict[tuple[int, str], Values]) -> None:

@@ -22,6 +22,7 @@ from fleet.scenario.sections.modem_files import shipped_modems
 from fleet.scenario.sections.navigation import inlined_navigation
 from fleet.scenario.sections.per_vehicle import Control, inlined_vehicle, model_name, shipped_vehicles
 from fleet.scenario.sections.signals import BeliefKind
+from fleet.scenario.sections.triggers import trigger_lines
 from fleet.scenario.text import yaml_writer
 from fleet.scenario.text.nodes import UNTIL_STOPPED_NS
 from fleet.scenario.text.overrides import Override
@@ -325,10 +326,12 @@ def timeline(scenario: Scenario) -> list[tuple[str, float, float, str]]:
 def timeline_lines(scenario: Scenario, most: int | None = None) -> list[str]:
     """The same in words, a line each; with `most`, only so many and a line that says how many more there are."""
     found = timeline(scenario)
+    waiting = trigger_lines(scenario.spec.triggers, scenario.spec)
     lines = [
         f"fault from {begin_s:g} to {end_s:g} s: {what} (id {name})" for name, begin_s, end_s, what in found[:most]
     ]
-    return lines if len(lines) == len(found) else [*lines, f"... and {len(found) - len(lines)} more faults"]
+    more = [] if len(lines) == len(found) else [f"... and {len(found) - len(lines)} more faults"]
+    return [*lines, *more, *waiting]
 
 
 def frame_every(scenario: Scenario) -> int:

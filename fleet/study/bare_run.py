@@ -1,15 +1,15 @@
 """Runs of moored vehicles with nothing around their agents but the network and the scenario's own checks.
 
 A search makes hundreds of runs of which nobody reads a log. So there is no journal here, no metrics, no messages
-between processes. A run that passes here would pass in the emulator: the tests compare them. What does not pass here is
-to be repeated there, and only that counts.
+between processes. A run that passes here would pass in the emulator: the tests compare them. What fails here is to be
+repeated there, and only that counts.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import msgpack
 
@@ -17,14 +17,18 @@ from agents.agent import Agent
 from agents.config import AgentConfig
 from agents.make_agent import make_agent
 from agents.plugged_agent import PluggedAgent
-from fleet.checks.own_checks import OwnChecks
+from fleet.checks.own_checks import OwnChecks, due_groups
+from fleet.checks.triggers import Triggers
 from fleet.checks.values import Values
 from fleet.result.verdict import Verdict
 from fleet.scenario.scenario import Scenario, frame_every
+from fleet.scenario.schema.faults import FaultSection
+from fleet.scenario.sections.timeline import Kill, begin_and_end, event_order, parts
 from fleet.study.errors import StudyError
+from netem.faults import NetFault
 from netem.lives import Lives
 from netem.network import Netem
-from netem.wire.messages import Delivery, Fate, Nav
+from netem.wire.messages import Delivery, Fate, Nav, TimedFault, WorldFault
 from world.sea import World
 
 # Checks that a bare run leaves out: of the emulator's own work, and of what never happens to a moored vehicle.
@@ -40,7 +44,7 @@ def fits(scenario: Scenario) -> bool:
 
 
 def bare_verdicts(scenario: Scenario, progress: Callable[[float], None] | None = None) -> list[Verdict]:
-    """The verdicts of a scenario's own checks, which are all passed; empty: the emulator has to judge this run.
+    """The verdicts of a scenario's own checks, none of which failed; empty: the emulator has to judge this run.
 
     Args:
         progress: called with the simulated time [s] in each round.
@@ -54,7 +58,15 @@ def bare_verdicts(scenario: Scenario, progress: Callable[[float], None] | None =
         raise
     except Exception:  # a law failed, or a check asks for what is not here: the emulator says which
         return []
-    return verdicts if all(verdict.passed for verdict in verdicts) else []
+    return [] if any(verdict.failed for verdict in verdicts) else verdicts
+
+
+_Timed = TypeVar("_Timed", bound=TimedFault)
+
+
+def _in_order(*faults: _Timed) -> tuple[_Timed, ...]:
+    """The faults in the order in which they begin."""
+    return tuple(sorted(faults, key=lambda fault: fault.begin))
 
 
 class _Values(NamedTuple):
@@ -83,6 +95,7 @@ class _BareRun:
         self._events, self._fates = deque(scenario.faults.events), deque[Fate]()
         self._frames = deque[_Values]()
         self._frame_every = frame_every(scenario)
+        self._triggers = Triggers(scenario) if scenario.spec.triggers else None
         still = {i: self._world.state(i) for i in self._world.ids}
         self._state: dict[int, Values] = {i: (*eta, *nu) for i, (eta, nu) in still.items()}
         self._places = {i: eta[:3] for i, (eta, _) in still.items()}
@@ -154,7 +167,25 @@ class _BareRun:
 
     def _frame(self, k: int, known: dict[int, dict[str, Values]]) -> None:
         if k % self._frame_every == 0 or k == self._scenario.ticks:
-            self._frames.append(_Values(k, self._checks.due(k), known))
+            values = _Values(k, due_groups(self._scenario, k), known)
+            self._frames.append(values)
+            if self._triggers is not None:
+                for fault in self._triggers.look(values):
+                    self._begin(fault)
+
+    def _begin(self, fault: FaultSection) -> None:
+        """Put a fault that a trigger begins behind those that are there."""
+        scenario, name = self._scenario, fault.id or ""
+        found = parts(fault, name, scenario.spec, scenario.graph.links)
+        for part in found:
+            if isinstance(part, Kill):
+                for absence in part.absences:
+                    self._lives.add(absence)
+        network, world = self._network, self._world
+        network.faults = _in_order(*network.faults, *(part for part in found if isinstance(part, NetFault)))
+        world.faults = _in_order(*world.faults, *(part for part in found if isinstance(part, WorldFault)))
+        events = begin_and_end(found, fault, scenario.ticks)
+        self._events = deque(sorted((*self._events, *events), key=event_order))
 
     def _take(self, limit: int) -> None:
         """Show the checks everything up to a tick, in the order of a log."""

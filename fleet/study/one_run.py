@@ -19,6 +19,7 @@ from fleet.cores import cores
 from fleet.errors import FleetError
 from fleet.execution.directory import LOG, SCENARIO
 from fleet.execution.stepped_run import judged
+from fleet.execution.triggered import fired
 from fleet.recorder.log_file import LogFile
 from fleet.result.file import write_result
 from fleet.result.result import Result, Status
@@ -49,7 +50,7 @@ class Task(NamedTuple):
     signals: tuple[str, ...] = ()  # measures of signals, by name
     log: str = ""  # the run directory that is to be made; empty: none
     branch: Branch | None = None  # a part of a run, in place of all of it
-    bare: bool = False  # without an emulator, if that is possible and the run passes its checks
+    bare: bool = False  # without an emulator, if that is possible and no check fails
 
 
 def late(task: Task) -> StudyError:
@@ -111,7 +112,10 @@ def _made(task: Task) -> Row:
             verdicts = bare_verdicts(scenario, check if isfinite(task.timeout_s) else None)
             if verdicts:
                 checks, numbers = _judged(verdicts)
-                return Row(seed=task.seed, status=Status.PASS, passed=True, checks=checks, numbers=numbers)
+                passed = all(verdict.passed for verdict in verdicts)
+                status = Status.PASS if passed else Status.CHECK_FAILED
+                return Row(seed=task.seed, status=status, passed=passed, checks=checks, numbers=numbers)
+        scenario = fired(scenario)
         samples = Samples(scenario, task.signals)
         if task.log:
             result = recorded(scenario, Path(task.log), check, samples)

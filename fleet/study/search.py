@@ -15,6 +15,7 @@ from math import inf
 from typing import Literal
 
 from fleet.execution.external_agents import refuse
+from fleet.execution.triggered import fired
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.overrides import SET, Override
 from fleet.study.engine import Engine
@@ -199,7 +200,7 @@ class _Search:
         return found
 
     def scenario(self, seed: int) -> Scenario:
-        return scenario_of(self.task(seed))
+        return fired(scenario_of(self.task(seed)))
 
     @property
     def _key(self) -> str:

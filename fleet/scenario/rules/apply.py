@@ -116,6 +116,7 @@ RULES: tuple[Callable[[Parts, Report], None], ...] = (
     motion.localization,
     motion.faults,
     checks.signal,
+    checks.triggers,
     checks.python,
     checks.names,
     laws.effective,

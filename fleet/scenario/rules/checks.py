@@ -1,4 +1,4 @@
-"""Rules on the checks."""
+"""Rules on the checks, and on the triggers, which look at signals as they do."""
 
 from __future__ import annotations
 
@@ -7,17 +7,22 @@ from collections.abc import Iterable, Mapping
 from functools import partial
 from typing import Any
 
+from pydantic import ValidationError
+
 from agents.controllers import BUILT_IN, laws, layout
 from fleet.errors import FleetError
 from fleet.quantities import describe_value, show_time, vehicle_numbers
 from fleet.scenario.parts import Parts
-from fleet.scenario.rules.faults import fault_names
+from fleet.scenario.rules.faults import fault_names, report_fault
 from fleet.scenario.rules.laws import plugin
 from fleet.scenario.rules.report import LINKS_SHOWN, Report, vehicles_exist, whole_multiple
 from fleet.scenario.schema.checks import CHECK_NAME, EVERY, OF_THE_SCHEMA
+from fleet.scenario.schema.faults import ACTIONS
 from fleet.scenario.sections.signal_checks import SignalCheckError, ask, load_check, of_a_plugin, parameters_of
 from fleet.scenario.sections.signals import BeliefKind, SignalPlace, VehicleSignals
+from fleet.scenario.sections.triggers import ask_moment, fault_of, trigger_name, wait_ns
 from netem.grammar import parse_selector, select
+from netem.parsing import nearest
 from world.errors import PluginError
 
 Path = tuple[str | int, ...]  # of a key
@@ -111,6 +116,45 @@ def signal(parts: Parts, report: Report) -> None:
                 report.add((*path, error.key), error.problem, error.hint)
         if check.fault is not None and not report.mistaken("faults", "nemesis"):
             _ends(report, (*path, "fault"), check.fault, *fault_names(parts))
+
+
+def triggers(parts: Parts, report: Report) -> None:
+    """Each trigger waits for a moment of some vehicle, and begins a fault."""
+    spec = parts.spec
+    if not spec.triggers:
+        return
+    if spec.network.ideal:
+        report.add(("triggers",), "need a network, and this one is ideal", "give the network a period")
+        return
+    taken = {fault.id or f"f{n}" for n, fault in enumerate(spec.faults, start=1)}
+    vehicles = _signals(parts, report)
+    for index, trigger in enumerate(spec.triggers):
+        path: Path = ("triggers", index)
+        name = trigger_name(trigger, index + 1)
+        if name in taken:
+            report.add((*path, "id"), f'another fault has the id "{name}" already', "give every fault its own id")
+        taken.add(name)
+        for key, time in (("wait", trigger.wait), ("for", trigger.for_)):
+            if time is not None:
+                whole_multiple(report, (*path, key), time, spec.tick)
+        if wait_ns(trigger, spec) < spec.network.period:
+            report.add((*path, "wait"), f"is shorter than a round of {show_time(spec.network.period)}")
+        if vehicles is not None:
+            try:
+                ask_moment(trigger.when, vehicles)
+            except SignalCheckError as error:
+                report.add((*path, "when", error.key), error.problem, error.hint)
+        if unknown := next((key for key in trigger.fault if key.partition(" ")[0] not in ACTIONS), ""):
+            hint = nearest(unknown, ACTIONS) or f"one of {', '.join(ACTIONS)}; wait, for and id stand beside fault"
+            report.add((*path, "fault", unknown), "is no kind of fault", hint, key=True)
+            continue
+        try:
+            fault = fault_of(trigger, name, 0, 1, spec, [2])
+        except ValidationError as error:
+            wrong = error.errors()[0]
+            report.add((*path, "fault", *wrong["loc"]), str(wrong.get("ctx", {}).get("message", wrong["msg"])))
+        else:
+            report_fault(report, (*path, "fault"), fault, spec, parts.links)
 
 
 def _signals(parts: Parts, report: Report) -> dict[int, Mapping[str, SignalPlace]] | None:

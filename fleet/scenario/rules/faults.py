@@ -17,6 +17,7 @@ from fleet.scenario.rules.report import (
 )
 from fleet.scenario.schema.faults import ACTIONS, DrawnKind, FaultAction, FaultSection, NemesisSection
 from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.sections import episodes
 from fleet.scenario.sections.liveness import healed_at
 from fleet.scenario.sections.nemesis import fault_count
 from fleet.scenario.sections.partitions import is_drawn, partition
@@ -93,7 +94,11 @@ def nemesis(parts: Parts, report: Report) -> None:
             report_fault(report, path, pick, spec, links)
 
 
-_OF_GRID, _OF_SWARM = ("every", "for_"), ("mean", "aims", "leader", "core", "heal")
+_OF_GRID = ("every", "for_")
+_OF_MODES = {
+    "mean": ("swarm", "liveness"), "aims": ("swarm", "liveness"), "leader": ("swarm", "liveness"),
+    "unit": ("episodes",), "watch": ("episodes",), "core": ("liveness",), "heal": ("liveness",),
+}  # fmt: skip
 
 
 def _keys_of_mode(nemesis: NemesisSection, report: Report) -> None:
@@ -107,10 +112,9 @@ def _keys_of_mode(nemesis: NemesisSection, report: Report) -> None:
             report.add(("nemesis", name), problem, "leave it out", key=True)
     if nemesis.mode is None and nemesis.pick is None:
         report.add_missing(("nemesis",), "pick", "")
-    for key in _OF_SWARM:
-        wanted = "liveness" if key in ("core", "heal") else nemesis.mode or "swarm"
-        if getattr(nemesis, key) is not None and nemesis.mode != wanted:
-            report.add(("nemesis", key), f"has no effect without mode: {wanted}", key=True)
+    for key, modes in _OF_MODES.items():
+        if getattr(nemesis, key) is not None and nemesis.mode not in modes:
+            report.add(("nemesis", key), f"has no effect without mode: {modes[0]}", key=True)
     if nemesis.mode == "liveness" and nemesis.most_silent is not None:
         problem = "has no effect with mode: liveness, since all vehicles outside the core stay broken"
         report.add(("nemesis", "most_silent"), problem, "name a core with core", key=True)
@@ -135,6 +139,9 @@ def _grid(nemesis: NemesisSection, spec: ScenarioSpec, report: Report) -> None:
 def _mode(nemesis: NemesisSection, parts: Parts, report: Report) -> None:
     """The times of a swarm are in order, and its vehicles are there."""
     spec = parts.spec
+    if nemesis.mode == "episodes":
+        _episodes(nemesis, parts, report)
+        return
     start, until = span(nemesis, parts.ground)
     end, key = until, "until"
     if nemesis.mode == "liveness":
@@ -149,6 +156,20 @@ def _mode(nemesis: NemesisSection, parts: Parts, report: Report) -> None:
         vehicles_exist(spec, report, ("nemesis", "leader"), str(nemesis.leader))
     if nemesis.core is not None:
         vehicles_exist(spec, report, ("nemesis", "core"), nemesis.core)
+
+
+def _episodes(nemesis: NemesisSection, parts: Parts, report: Report) -> None:
+    """There is room for an episode, and each kind can be drawn."""
+    planned = episodes.plan(nemesis, parts.ground)
+    if parts.spec.network.ideal:
+        report.add(("nemesis", "mode"), "episodes need a network, and this one is ideal", "give the network a period")
+    if not planned.begins:
+        units = episodes.UNITS + episodes.QUIET
+        problem = f"has no room for an episode, {units} units of {show_time(planned.unit)} ({planned.origin})"
+        report.add(("nemesis",), problem, "make the run longer, or state a shorter unit")
+    for index, pick in enumerate(nemesis.pick or ()):
+        if pick.drawn not in episodes.KINDS:
+            report.add(("nemesis", "pick", index), f"episodes have only {', '.join(episodes.KINDS)}")
 
 
 def report_fault(

@@ -8,6 +8,7 @@ from pydantic import BeforeValidator, Field, PlainSerializer
 
 from fleet.quantities import describe_value
 from fleet.scenario.schema import value_types as v
+from fleet.scenario.schema.checks import OnlyTrue, Quantity
 from fleet.scenario.schema.value_types import Section, mistake, word_for
 from netem.parsing import nearest
 
@@ -166,10 +167,13 @@ def _show_hold(hold: Hold | None) -> Any:
 HoldChoice = Annotated[Hold, word_for("links"), PlainSerializer(_show_hold)]
 
 
+FaultId = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,31}$")]
+
+
 class FaultTimes(Section):
     """When a fault begins, and for how long it lasts. It always ends, at the latest with the run."""
 
-    id: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,31}$")] | None = None  # f1, f2, ...
+    id: FaultId | None = None  # f1, f2, ...
     at: v.Time
     for_: Annotated[v.Period | None, Field(alias="for")] = None  # to the end
 
@@ -239,14 +243,57 @@ def read_fault(value: Any) -> Any:
 FaultEntry = Annotated[FaultSection, BeforeValidator(read_fault)]
 
 
+# --- triggers: faults that begin when an agent reports something
+
+
+class WhenSection(Section):
+    """A moment in what agents report: one condition begins to hold, or a value changes.
+
+    A condition that holds in the first sample begins there.
+    """
+
+    topic: str  # topic group, dot, field: control.leads
+    vehicles: v.VehicleNumbers | None = None  # whose reports count; all
+    above: Quantity | None = None
+    below: Quantity | None = None
+    equals: Quantity | None = None
+    changes: OnlyTrue = None
+    after: v.Time = 0  # earlier samples do not count
+    before: v.Period | None = None  # nor those from then on; to the end
+
+
+class TriggerSection(Section):
+    """A fault that begins some time after such a moment; at most once in a run."""
+
+    id: FaultId | None = None  # t1, t2, ...
+    when: WhenSection
+    nth: Annotated[int, Field(ge=1)] = 1  # which of these moments, in the order of time and vehicles
+    wait: v.Period | None = None  # from the moment on; a round, which is also the least
+    for_: Annotated[v.Period | None, Field(alias="for")] = None  # to the end
+    fault: dict[str, Any]  # as in `faults`; itself, others and neighbours stand for numbers
+
+
 # --- nemesis: faults that the seed draws, on a grid of times or as a swarm
 
 
 # The kinds that need nothing but a target, which a nemesis draws.
-DrawnKind = Literal["partition", "down", "mute", "deaf", "kill", "pause", "freeze", "off", "stuck"]
+DrawnKind = Literal["partition", "down", "hold", "mute", "deaf", "kill", "pause", "freeze", "off", "stuck"]
 # The kinds of a swarm whose strength is drawn as well; loss, delay and rate are those of links.
 StrongKind = Literal[
-    "loss", "delay", "rate", "slow", "clock", "dvl", "compass", "fix", "bias", "noise", "dropout", "efficiency", "gust"
+    "loss",
+    "delay",
+    "rate",
+    "duplicate",
+    "slow",
+    "clock",
+    "dvl",
+    "compass",
+    "fix",
+    "bias",
+    "noise",
+    "dropout",
+    "efficiency",
+    "gust",
 ]
 WORDS: tuple[str, ...] = (*get_args(DrawnKind), *get_args(StrongKind))
 Aim = Literal["any", "leader", "hub", "bridge", "speaker"]
@@ -274,7 +321,8 @@ class NemesisSection(Section):
     """Random faults from the seed.
 
     Without `mode` one of `pick` begins in every period `every`, each for the time `for`. A swarm draws which kinds are
-    on, and when, for how long and how strongly each fault holds. Liveness is a swarm up to `heal`; then a core of
+    on, and when, for how long and how strongly each fault holds. Episodes are a few faults in a unit of time of the
+    protocol, with quiet times between them. Liveness is a swarm up to `heal`; then a core of
     vehicles has no fault any more, and all others stay broken to the end.
     """
 
@@ -283,10 +331,12 @@ class NemesisSection(Section):
     pick: Picks | None = None  # with a mode: all kinds that fit the scenario
     start: v.Time | None = None  # of the first; `every`, and 0 s with a mode
     until: v.Period | None = None  # when the last has ended; the end of the run, three quarters of it in a swarm
-    mode: Literal["swarm", "liveness"] | None = None
+    mode: Literal["swarm", "episodes", "liveness"] | None = None
     most_silent: Annotated[int, Field(ge=1)] | None = None  # vehicles killed, suspended or mute at once; any number
     mean: v.Period | None = None  # time from one beginning to the next; the seed draws it
     aims: Annotated[list[Aim], Field(min_length=1)] | None = None  # all
     leader: Annotated[int, Field(ge=1)] | None = None  # vehicle that the aim `leader` means
+    unit: v.Period | None = None  # episodes: lease_s or forget_after_s of the agent, drop_after, or ten rounds
+    watch: Annotated[list[str], Field(min_length=1)] | None = None  # episodes: signals whose reports begin faults
     core: v.VehicleNumbers | None = None  # liveness: a drawn majority that links connect
     heal: v.Time | None = None  # liveness: half of the run

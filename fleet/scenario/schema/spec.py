@@ -28,7 +28,7 @@ from fleet.scenario.schema.control import (
     TrackingSection,
     VehicleOverrides,
 )
-from fleet.scenario.schema.faults import FaultEntry, NemesisSection, SeaSection, SensorsSection
+from fleet.scenario.schema.faults import FaultEntry, NemesisSection, SeaSection, SensorsSection, TriggerSection
 from fleet.scenario.schema.groups import Group
 from fleet.scenario.schema.motion import (
     FormationSection,
@@ -153,6 +153,7 @@ class ScenarioSpec(Section):
     physics: PhysicsSection = PhysicsSection()
     log: Annotated[LogSection, BeforeValidator(_read_log), PlainSerializer(_show_log)] = LogSection()
     faults: list[FaultEntry] = []
+    triggers: list[TriggerSection] = []
     # Becomes explicit faults when the scenario is read.
     nemesis: Annotated[NemesisSection, word_for("mode")] | None = None
     checks: ChecksSection = ChecksSection()

@@ -1,7 +1,7 @@
 """Random faults from the seed: a `nemesis:` becomes explicit faults before the run starts.
 
-Without a mode they begin on a grid of times, as this module has it; `swarm` and `liveness` have the modes. Each fault
-is a pure function of (seed, number of the fault), so the faults can be printed, edited and run again.
+Without a mode they begin on a grid of times, as this module has it; `swarm`, `episodes` and `liveness` have the modes.
+Each fault is a pure function of (seed, number of the fault), so the faults can be printed, edited and run again.
 The word, and the idea of faults that come and go by themselves, are Jepsen's.
 """
 
@@ -12,7 +12,7 @@ from typing import Any
 
 from fleet.scenario.schema.faults import FaultSection, NemesisPick, NemesisSection
 from fleet.scenario.schema.spec import ScenarioSpec
-from fleet.scenario.sections import liveness, swarm
+from fleet.scenario.sections import episodes, liveness, swarm
 from fleet.scenario.sections.ground import Ground, free_name
 from fleet.scenario.sections.partitions import DRAWN_PARTITIONS, partition
 from fleet.scenario.sections.timeline import action, vehicles_of
@@ -37,6 +37,9 @@ def explicit(ground: Ground) -> ScenarioSpec:
         case "liveness":
             drawn = liveness.faults(nemesis, ground)
             changes["checks"] = liveness.of_the_core(spec.checks, nemesis, ground)
+        case "episodes":
+            drawn, triggers = episodes.draw(nemesis, ground)
+            changes["triggers"] = [*spec.triggers, *triggers]
         case "swarm":
             drawn = swarm.written(swarm.draw(nemesis, ground), ground)
         case _:
@@ -92,6 +95,8 @@ def fault_count(nemesis: NemesisSection, ground: Ground) -> int:
     """How many faults a nemesis draws, at most."""
     if nemesis.mode is None:
         return len(_times(nemesis, ground.spec))
+    if nemesis.mode == "episodes":
+        return episodes.MOST_FAULTS * len(episodes.plan(nemesis, ground).begins)
     until = liveness.healed_at(nemesis, ground) if nemesis.mode == "liveness" else None
     return sum(one.pieces for one in swarm.draw(nemesis, ground, until)) + (
         ground.spec.vehicles if nemesis.mode == "liveness" else 0
@@ -100,7 +105,7 @@ def fault_count(nemesis: NemesisSection, ground: Ground) -> int:
 
 def _picks(nemesis: NemesisSection, links: Sequence[Link]) -> list[NemesisPick]:
     """The kinds of fault that may be drawn. A fleet of one keeps its scenario: faults that need a link are left out."""
-    return [pick for pick in nemesis.pick or () if links or pick.drawn not in ("partition", "down")]
+    return [pick for pick in nemesis.pick or () if links or pick.drawn not in ("partition", "down", "hold")]
 
 
 def _times(nemesis: NemesisSection, spec: ScenarioSpec) -> range:
@@ -115,7 +120,7 @@ def _target(kind: str, name: str, spec: ScenarioSpec, number: int, links: Sequen
     if kind == "partition":
         cuts = [p for p in PARTITIONS if partition(p, spec.vehicles, spec.seed, name, links)] or ["halves"]
         return cuts[_draw(spec, number, 1, len(cuts))]
-    if kind == "down":
+    if kind in ("down", "hold"):
         pairs = sorted({(min(link), max(link)) for link in links})
         return str(Selector(*pairs[_draw(spec, number, 1, len(pairs))], both=True))
     return str(1 + _draw(spec, number, 1, spec.vehicles))

@@ -107,24 +107,7 @@ def ask(check: SignalCheck, vehicles: Mapping[int, Mapping[str, SignalPlace]]) -
 
     `vehicles`: the signals of every vehicle of the scenario. Raises SignalCheckError: it makes no sense.
     """
-    signal = parse_name(check.topic)
-    if signal is None:
-        problem = f"{describe_value(check.topic)} names no signal"
-        raise SignalCheckError("topic", problem, 'write one such as state.z or "|error.e|"')
-    if signal.vehicle is not None:
-        hint = f'write topic: {signal._replace(vehicle=None)} and vehicles: "{signal.vehicle}"'
-        raise SignalCheckError("topic", f"{signal} names a vehicle, which has a key of its own", hint)
-    some = tuple(vehicles) if check.vehicles is None else tuple(dict.fromkeys(vehicle_numbers(check.vehicles)))
-    if strangers := [i for i in some if i not in vehicles]:
-        problem = f"there is no vehicle {strangers[0]}: the vehicles are 1 to {len(vehicles)}"
-        raise SignalCheckError("vehicles", problem)
-    try:
-        unit = unit_of(signal, (vehicles[i] for i in some))
-    except SignalError as error:
-        raise SignalCheckError("topic", error.problem, error.hint) from None
-    if check.vehicles is not None and (without := [i for i in some if signal.name not in vehicles[i]]):
-        hint = "without the key all that have the signal count"
-        raise SignalCheckError("vehicles", f"vehicle {without[0]} has no signal {signal.name}", hint)
+    signal, some, unit = named_signal(check.topic, check.vehicles, vehicles)
     condition = _condition(check, unit)
     if condition.over != "each" and len(some) < 2:
         raise SignalCheckError(_given(check)[0], "compares vehicles, but there is only one", "name two or more")
@@ -137,6 +120,34 @@ def ask(check: SignalCheck, vehicles: Mapping[int, Mapping[str, SignalPlace]]) -
         signal, unit, some, condition, bool(check.never or check.sometimes), within, least, check.fault, check.after,
         words, bool(check.sometimes),
     )  # fmt: skip
+
+
+def named_signal(
+    topic: str, of: str | None, vehicles: Mapping[int, Mapping[str, SignalPlace]]
+) -> tuple[SignalName, tuple[int, ...], str]:
+    """The signal that a topic names, the vehicles that are meant, and its unit.
+
+    `of`: the vehicles, as the scenario names them; None: all. Raises SignalCheckError: there is no such signal.
+    """
+    signal = parse_name(topic)
+    if signal is None:
+        problem = f"{describe_value(topic)} names no signal"
+        raise SignalCheckError("topic", problem, 'write one such as state.z or "|error.e|"')
+    if signal.vehicle is not None:
+        hint = f'write topic: {signal._replace(vehicle=None)} and vehicles: "{signal.vehicle}"'
+        raise SignalCheckError("topic", f"{signal} names a vehicle, which has a key of its own", hint)
+    some = tuple(vehicles) if of is None else tuple(dict.fromkeys(vehicle_numbers(of)))
+    if strangers := [i for i in some if i not in vehicles]:
+        problem = f"there is no vehicle {strangers[0]}: the vehicles are 1 to {len(vehicles)}"
+        raise SignalCheckError("vehicles", problem)
+    try:
+        unit = unit_of(signal, (vehicles[i] for i in some))
+    except SignalError as error:
+        raise SignalCheckError("topic", error.problem, error.hint) from None
+    if of is not None and (without := [i for i in some if signal.name not in vehicles[i]]):
+        hint = "without the key all that have the signal count"
+        raise SignalCheckError("vehicles", f"vehicle {without[0]} has no signal {signal.name}", hint)
+    return signal, some, unit
 
 
 def of_a_plugin(text: str) -> bool:

@@ -126,6 +126,7 @@ def without(pairs: Iterable[Pair], cut: Collection[Pair], silent: Collection[int
 # | loss | 5 % | 100 %, over the link's own condition |
 # | delay | a fifth of a round | 50 rounds more, with a quarter of it as jitter |
 # | rate | 20 kbit/s | 200 bit/s |
+# | duplicate | a second copy a fifth of a round later | 50 rounds later |
 # | slow | 1 tick | 5 rounds |
 # | clock | drift 20 ppm, step 1 ms | 2 %, 1 s; either sign |
 # | dvl, compass, fix | 5 % of the samples lost, or bias 2 cm/s, 1 deg, 1 m | all lost, or 0.5 m/s, 30 deg, 50 m |
@@ -135,7 +136,7 @@ def without(pairs: Iterable[Pair], cut: Collection[Pair], silent: Collection[int
 # | gust | 0.1 m/s | 1 m/s |
 
 
-OF_LINKS = frozenset({"loss", "delay", "rate"})
+OF_LINKS = frozenset({"loss", "delay", "rate", "duplicate", "hold"})
 MOST_CONDITIONS = 16  # links that keep their own condition below a fault; of more links it has one for all
 
 
@@ -150,11 +151,16 @@ def condition(kind: str, own: Condition, strength: float, ground: Ground) -> Con
         case "loss":
             return replace(own, loss=max(own.loss, between(0.05, 1.0, strength)), loss_model=None)
         case "delay":
-            tick = ground.spec.tick
-            late = max(tick, round(between(0.2, 50.0, strength) * ground.round_ns) // tick * tick)
+            late = _later(strength, ground)
             return replace(own, delay_ns=own.delay_ns + late, jitter_ns=max(own.jitter_ns, late // 4))
     rate = round(between(200.0, 20_000.0, 1.0 - strength))
     return replace(own, rate_bit_s=min(own.rate_bit_s or rate, rate))
+
+
+def _later(strength: float, ground: Ground) -> int:
+    """A time [ns] from a fifth of a round to 50 rounds, in whole ticks."""
+    tick = ground.spec.tick
+    return max(tick, round(between(0.2, 50.0, strength) * ground.round_ns) // tick * tick)
 
 
 def link_fault(kind: str, selector: str, links: tuple[Link, ...], strength: float, ground: Ground) -> dict[str, Any]:
@@ -375,6 +381,10 @@ def _body(one: DrawnFault, ground: Ground, past: _Past) -> tuple[dict[str, Any],
     if kind == "down" or kind in OF_LINKS:
         selector = _links(one, ground, past)
         those = select(selector, ground.links)
+        if kind == "hold":
+            return {kind: str(selector)}, set(), set()
+        if kind == "duplicate":
+            return {kind: {"links": str(selector), "after": f"{_later(one.strength, ground)} ns"}}, set(), set()
         if kind == "down":
             return {kind: str(selector)}, {(min(link), max(link)) for link in those}, set()
         return {"link": link_fault(kind, str(selector), those, one.strength, ground)["link"]}, set(), set()

@@ -25,7 +25,10 @@ def scenario_yaml(spec: ScenarioSpec) -> str:
     values["faults"] = [
         fault.model_dump(exclude_none=True, exclude_defaults=True, by_alias=True) for fault in spec.faults
     ]
-    for key in ("per_vehicle", "model_error", "faults"):
+    values["triggers"] = [
+        trigger.model_dump(exclude_none=True, exclude_defaults=True, by_alias=True) for trigger in spec.triggers
+    ]
+    for key in ("per_vehicle", "model_error", "faults", "triggers"):
         if not values[key]:
             del values[key]
     if values["expect"] == "pass":

@@ -54,7 +54,7 @@ def test_what_is_drawn_is_a_list_before_the_run_and_makes_the_same_run() -> None
     words = f"nemesis={{mode: swarm, mean: 60 ms, until: 900 ms, pick: [{', '.join(WORDS)}]}}"
     more = ("agent.clock={drift: 20 ppm}", "navigation={usbl: {at: 0 0 0 m}}")
     seen = set()
-    for seed in range(1, 9):
+    for seed in range(1, 13):
         s = small(words, *more, f"seed={seed}")
         seen |= {action(fault) for fault in s.spec.faults}
         again = read_back(s)

@@ -1,0 +1,213 @@
+"""Episodes: a few faults in the protocol's own unit of time, and then a quiet time in which it may recover.
+
+| what | how it is drawn |
+|---|---|
+| episode | three units with faults and three without, one to four times in a run |
+| kinds | each is on in a run with probability 1/2; if none is, one of them |
+| faults | one (30 %), two (40 %) or three (30 %) in an episode |
+| begin | in one of the three units, on its eighths |
+| length | one round, half a unit, a unit less or more one round, two or three units; at most to the end of the three |
+| target | one vehicle, a minority, a majority, all but one; a side of the last partition, those of the fault before |
+
+In the last episode of a run every fourth partition and kill lasts to the end of the run. In a third of the episodes all faults cut
+off one vehicle each. For these the chance of a pattern is known (`chance`): its faults, in any order, must get the
+right vehicles and units. (C. Dragoi, C. Enea, B. Ozkan, R. Majumdar, F. Niksic, "Testing consensus implementations
+using communication closure", OOPSLA 2020, has the bound for a uniform choice of process and round.)
+
+With `watch` a fault in three waits until an agent reports something else in one of these signals, or more than a
+number (`control.leads above 0`): its target is then this agent, or all others.
+"""
+
+from __future__ import annotations
+
+from math import factorial
+from typing import Any, NamedTuple
+
+from fleet.quantities import show_time
+from fleet.scenario.schema.control import AgentSection
+from fleet.scenario.schema.faults import FaultSection, NemesisSection, TriggerSection
+from fleet.scenario.sections.ground import Ground, free_name
+from fleet.scenario.sections.partitions import partition
+from netem.draws import bits, uniform
+
+PURPOSE = "nemesis episodes"  # of the draws
+UNITS, QUIET = 3, 3  # of an episode: with faults, and without
+MOST_EPISODES = 4
+MOST_FAULTS = 3  # of an episode
+SHARES = {1: 0.3, 2: 0.4, 3: 0.3}  # of the episodes with so many faults
+_FOR_GOOD = ("partition", "kill")  # kinds that may last to the end of the run
+KINDS = ("partition", "kill", "pause", "mute", "deaf", "hold", "duplicate")
+PARAMETERS = ("lease_s", "forget_after_s", "silence_s")  # of agents: times after which something is over
+_ROUNDS = 10  # of a unit that nothing states
+_ISOLATED = 1.0 / 3.0  # of the episodes: all faults cut off one vehicle each
+_ON, _COUNT, _ISOLATES, _KIND, _UNIT, _EIGHTH, _LENGTH, _TARGET, _WHO, _FORM, _GOOD, _WATCH, _WAIT, _NTH = range(14)
+_OF_EPISODE = 10  # numbers of draws that an episode may use
+
+
+class Plan(NamedTuple):
+    """When the episodes of a run are [ns]."""
+
+    unit: int
+    origin: str  # what states the unit
+    begins: tuple[int, ...]
+
+
+def unit(nemesis: NemesisSection, ground: Ground) -> tuple[int, str]:
+    """The protocol's unit of time [ns], in whole rounds, and what states it."""
+    spec, round_ns = ground.spec, ground.round_ns
+    found, origin = _ROUNDS * round_ns, f"{_ROUNDS} rounds"
+    parameters = spec.agent.parameters if isinstance(spec.agent, AgentSection) else None
+    if nemesis.unit is not None:
+        found, origin = nemesis.unit, "nemesis.unit"
+    elif key := next((key for key in PARAMETERS if isinstance((parameters or {}).get(key), int | float)), ""):
+        found, origin = round(float((parameters or {})[key]) * 1e9), f"agent.parameters.{key}"
+    elif spec.neighbours.drop_after:
+        found, origin = spec.neighbours.drop_after, "neighbours.drop_after"
+    return max(2, round(found / round_ns)) * round_ns, origin
+
+
+def plan(nemesis: NemesisSection, ground: Ground) -> Plan:
+    """The episodes of a run; none if there is no room for one."""
+    length, origin = unit(nemesis, ground)
+    start = length if nemesis.start is None else nemesis.start
+    until = ground.spec.duration if nemesis.until is None else min(nemesis.until, ground.spec.duration)
+    count = min(MOST_EPISODES, (until - start) // ((UNITS + QUIET) * length))
+    tick = ground.spec.tick
+    apart = (until - start) // count // tick * tick if count > 0 else 0
+    return Plan(length, origin, tuple(start + number * apart for number in range(count)))
+
+
+def chance(isolations: int, vehicles: int, episodes: int) -> float:
+    """The probability that some of these episodes cut off given vehicles, each in a given unit; no two are equal."""
+    one = _ISOLATED * SHARES[isolations] * factorial(isolations) / (vehicles * UNITS) ** isolations
+    return float(1.0 - (1.0 - one) ** episodes)
+
+
+def draw(nemesis: NemesisSection, ground: Ground) -> tuple[list[FaultSection], list[TriggerSection]]:
+    """The faults that the scenario's seed draws, in order of time; and those that wait for a report."""
+    picked = [pick.drawn for pick in nemesis.pick or ()] or KINDS
+    among = [kind for kind in picked if kind and (ground.links or kind not in ("partition", "hold", "duplicate"))]
+    draws = _Draws(ground.spec.seed)
+    kinds = [kind for number, kind in enumerate(among) if draws.share(number, _ON) < 0.5]
+    kinds = kinds or [among[draws.among(len(among), -1, _ON)]] * bool(among)
+    planned = plan(nemesis, ground)
+    work = _Drawn(nemesis, ground, draws, planned.unit)
+    for number, begin in enumerate(planned.begins if kinds else ()):
+        work.episode(number, begin, kinds, last=number == len(planned.begins) - 1)
+    return sorted(work.faults, key=lambda fault: fault.at), work.triggers
+
+
+class _Draws(NamedTuple):
+    seed: int
+
+    def share(self, number: int, what: int) -> float:
+        return uniform(self.seed, PURPOSE, number, what)
+
+    def among(self, count: int, number: int, what: int) -> int:
+        return bits(self.seed, PURPOSE, number, what) % count
+
+
+class _Drawn:
+    """The faults drawn so far."""
+
+    def __init__(self, nemesis: NemesisSection, ground: Ground, draws: _Draws, unit_ns: int) -> None:
+        self._nemesis, self._ground, self._draws, self._unit = nemesis, ground, draws, unit_ns
+        self._taken = {fault.id for fault in ground.spec.faults} | {one.id for one in ground.spec.triggers}
+        self.faults: list[FaultSection] = []
+        self.triggers: list[TriggerSection] = []
+
+    def episode(self, number: int, begin: int, kinds: list[str], *, last: bool) -> None:
+        """Draw the faults of an episode that begins at a time [ns]."""
+        draws, first = self._draws, number * _OF_EPISODE
+        x, count = draws.share(first, _COUNT), 1
+        while count < MOST_FAULTS and x >= sum(SHARES[n] for n in range(1, count + 1)):
+            count += 1
+        isolates = draws.share(first, _ISOLATES) < _ISOLATED and bool(self._ground.links)
+        side: list[int] = []  # of the partition that was drawn last
+        before: list[int] = []  # the target of the fault before
+        for k in range(first, first + count):
+            kind = "partition" if isolates else kinds[draws.among(len(kinds), k, _KIND)]
+            eighths = 8 * draws.among(UNITS, k, _UNIT) + draws.among(8, k, _EIGHTH)
+            at = begin + eighths * self._unit // 8 // self._ground.spec.tick * self._ground.spec.tick
+            lasts: int | None = self._length(k, begin + UNITS * self._unit - at)
+            if last and not isolates and kind in _FOR_GOOD and draws.share(k, _GOOD) < 0.25:
+                lasts = None
+            waits = self._nemesis.watch and self._ground.spec.vehicles > 1 and not isolates
+            if waits and draws.share(k, _WATCH) < 1.0 / 3.0:
+                self._wait(k, kind, at, begin, lasts)
+                continue
+            who = [1 + draws.among(self._ground.spec.vehicles, k, _WHO)] if isolates else self._target(k, side, before)
+            if kind == "partition":
+                side = who
+            before = who
+            self._add(k, self._body(k, kind, who), at, lasts)
+
+    def _length(self, k: int, most: int) -> int:
+        round_ns, whole = self._ground.round_ns, self._unit
+        lengths = (round_ns, whole // 2, whole - round_ns, whole + round_ns, 2 * whole, 3 * whole)
+        tick = self._ground.spec.tick
+        return max(round_ns, min(lengths[self._draws.among(len(lengths), k, _LENGTH)], most) // tick * tick)
+
+    def _target(self, k: int, side: list[int], before: list[int]) -> list[int]:
+        """The vehicles of a fault. `side`: of the partition before it; `before`: of the fault before it."""
+        draws, n = self._draws, self._ground.spec.vehicles
+        drawn = sorted(range(1, n + 1), key=lambda i: (draws.share(100 * k + i, _WHO), i))
+        some = [drawn[:1], drawn[:1], drawn[: max(1, (n - 1) // 2)], drawn[: n // 2 + 1], drawn[: max(1, n - 1)]]
+        some += [one for one in (side, before) if one]
+        return sorted(some[draws.among(len(some), k, _TARGET)])
+
+    def _body(self, k: int, kind: str, who: list[int]) -> dict[str, Any]:
+        """The fault of a kind with these vehicles."""
+        spec, links = self._ground.spec, self._ground.links
+        numbers = ",".join(map(str, who))
+        match kind:
+            case "partition":
+                rest = ",".join(str(i) for i in range(1, spec.vehicles + 1) if i not in who)
+                text = f"{numbers} / {rest}" if rest else f"isolate:{who[0]}"
+                return {
+                    kind: text if partition(text, spec.vehicles, spec.seed, "", links) else f"isolate:{links[0][0]}"
+                }
+            case "hold" | "duplicate":
+                form = self._draws.among(4, k, _FORM)
+                one = who[self._draws.among(len(who), k, _NTH)]
+                out = any(src == one for src, _ in links)
+                into = any(dst == one for _, dst in links)
+                selector = "*" if not (out or into) else f"{one}->*" if out and (form % 2 or not into) else f"*->{one}"
+                if kind == "duplicate":
+                    return {kind: {"links": selector, "after": f"{self._unit} ns"}}
+                return {kind: {"links": selector, "order": "reversed" if form > 1 else "sent"}}
+        return {kind: numbers}
+
+    def _add(self, k: int, body: dict[str, Any], at: int, lasts: int | None) -> None:
+        times = {"at": f"{at} ns"} | ({} if lasts is None else {"for": f"{lasts} ns"})
+        self.faults.append(FaultSection.model_validate({"id": self._name(k), **times, **body}))
+
+    def _wait(self, k: int, kind: str, at: int, begin: int, lasts: int | None) -> None:
+        """A fault that waits for a report from `at` on, as long as the episode has faults."""
+        draws, round_ns, topics = self._draws, self._ground.round_ns, self._nemesis.watch or []
+        form = draws.among(4, k, _FORM)
+        who = "others" if form == 3 and kind != "partition" else "itself"
+        fault: dict[str, Any] = {kind: who}
+        if kind == "partition":
+            fault = {kind: "itself / others"}
+        elif kind in ("hold", "duplicate"):
+            links = ("itself->*", "*->itself")[form % 2]
+            fault = {kind: {"links": links} | ({"after": show_time(self._unit)} if kind == "duplicate" else {})}
+        waits = (round_ns, 2 * round_ns, self._unit // 4, self._unit // 2, self._unit)
+        topic, _, above = topics[draws.among(len(topics), k, _WATCH)].partition(" above ")
+        moment = {"above": above} if above else {"changes": True}
+        when = {"topic": topic.strip(), "after": show_time(at), **moment}
+        tick = self._ground.spec.tick
+        wait = max(round_ns, waits[draws.among(len(waits), k, _WAIT)] // tick * tick)
+        self.triggers.append(
+            TriggerSection.model_validate({
+                "id": self._name(k), "when": when | {"before": show_time(begin + UNITS * self._unit)},
+                "nth": (1, 1, 2)[draws.among(3, k, _NTH)], "wait": show_time(wait), "fault": fault,
+                **({} if lasts is None else {"for": show_time(lasts)}),
+            })
+        )  # fmt: skip
+
+    def _name(self, k: int) -> str:
+        name = free_name(f"nemesis-{k // _OF_EPISODE + 1}-{k % _OF_EPISODE + 1}", self._taken)
+        self._taken.add(name)
+        return name

@@ -1,0 +1,94 @@
+"""Triggers: faults that begin when an agent reports something, such as that it leads.
+
+A trigger becomes an ordinary fault as soon as it is known when it begins, and by whose report.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, NamedTuple
+
+from pydantic import TypeAdapter
+
+from fleet.quantities import show_time
+from fleet.scenario.schema.checks import SignalCheck
+from fleet.scenario.schema.faults import FaultEntry, FaultSection, TriggerSection, WhenSection
+from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.sections.signal_checks import SignalCheckError, SignalCondition, ask, named_signal
+from fleet.scenario.sections.signals import SignalName, SignalPlace
+
+RELATIVE = ("itself", "others", "neighbours")  # of the agent whose report it is
+_RELATIVE = re.compile(rf"\b({'|'.join(RELATIVE)})\b")
+_ENTRY: TypeAdapter[FaultSection] = TypeAdapter(FaultEntry)
+
+
+class AskedMoment(NamedTuple):
+    """The moment that a trigger waits for, in SI units."""
+
+    signal: SignalName
+    vehicles: tuple[int, ...]
+    condition: SignalCondition | None  # None: any change
+
+
+def ask_moment(when: WhenSection, vehicles: Mapping[int, Mapping[str, SignalPlace]]) -> AskedMoment:
+    """The moment in SI units; `vehicles`: the signals of each. Raises SignalCheckError: it makes no sense."""
+    given = [key for key in ("above", "below", "equals", "changes") if getattr(when, key) is not None]
+    if len(given) != 1:
+        problem = f"expected one condition, got {' and '.join(given) or 'none'}"
+        raise SignalCheckError(given[1] if given else "topic", problem, "above, below, equals, or changes: true")
+    signal, some, _ = named_signal(when.topic, when.vehicles, vehicles)
+    if when.changes is not None:
+        return AskedMoment(signal, some, None)
+    values = {key: getattr(when, key) for key in ("topic", "vehicles", "above", "below", "equals")}
+    return AskedMoment(signal, some, ask(SignalCheck(**values), vehicles).condition)
+
+
+def trigger_name(trigger: TriggerSection, number: int) -> str:
+    """The id of the fault of a trigger, which is the `number`-th one."""
+    return trigger.id or f"t{number}"
+
+
+def wait_ns(trigger: TriggerSection, spec: ScenarioSpec) -> int:
+    """How long after the moment the fault begins: a round, unless the trigger says more."""
+    return spec.network.period if trigger.wait is None else trigger.wait
+
+
+def fault_of(
+    trigger: TriggerSection, name: str, at: int, i: int, spec: ScenarioSpec, near: Collection[int]
+) -> FaultSection:
+    """The fault that begins at a time [ns] because of what vehicle i reported; `near`: its neighbours.
+
+    Raises pydantic.ValidationError: it is no fault.
+    """
+    others = [j for j in range(1, spec.vehicles + 1) if j != i]
+    numbers = {"itself": str(i), "others": ",".join(map(str, others)), "neighbours": ",".join(map(str, sorted(near)))}
+    times = {"at": f"{at} ns"} | ({} if trigger.for_ is None else {"for": f"{trigger.for_} ns"})
+    return _ENTRY.validate_python({"id": name, **times, **_resolved(trigger.fault, numbers)})
+
+
+def _resolved(value: Any, numbers: Mapping[str, str]) -> Any:
+    if isinstance(value, str):
+        return _RELATIVE.sub(lambda match: numbers[match[1]], value)
+    if isinstance(value, dict):
+        return {_resolved(key, numbers): _resolved(one, numbers) for key, one in value.items()}
+    return value
+
+
+def trigger_lines(triggers: Sequence[TriggerSection], spec: ScenarioSpec) -> list[str]:
+    """The triggers in words, a line each."""
+    lines = []
+    for number, trigger in enumerate(triggers, start=1):
+        when = trigger.when
+        (condition,) = [
+            f"{key} {value}" for key in ("above", "below", "equals") if (value := getattr(when, key)) is not None
+        ] or ["changes"]
+        nth = "" if trigger.nth == 1 else f", moment number {trigger.nth},"
+        after = f" after {show_time(when.after)}" if when.after else ""
+        lasts = "" if trigger.for_ is None else f" for {show_time(trigger.for_)}"
+        (kind, what), *_ = trigger.fault.items()
+        lines.append(
+            f"fault {show_time(wait_ns(trigger, spec))} after {when.topic} {condition}{nth}{after}: "
+            f"{kind} {what}{lasts} (id {trigger_name(trigger, number)})"
+        )
+    return lines

@@ -1,6 +1,6 @@
 """How many runs a search needs to find a defect that was planted on purpose.
 
-    python benchmarks/planted_bugs.py --most 100 --workers 2 >> planted.jsonl
+    python benchmarks/planted_bugs.py --budget 600 --seeds 10 >> planted.jsonl
     python benchmarks/planted_bugs.py --table planted.jsonl
     python benchmarks/planted_bugs.py --witnesses
 
@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import resource
 import statistics
 import sys
 import tempfile
@@ -22,7 +23,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from math import inf
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from fleet.execution.stepped_run import run
 from fleet.scenario.loading import load_scenario
@@ -33,6 +34,7 @@ from fleet.study.search import search
 from fleet.study.shrink import Shrinker
 
 SHRINK_RUNS = 150
+APART = 100_000  # seeds between two searches for one defect
 ELECTION, AVERAGE = "fleet.protocols.election", "fleet.protocols.average"
 AUCTION, BIDDER, EVENT = "fleet.protocols.bundle_auction", "fleet.protocols.bidder", "fleet.protocols.event_triggered"
 FORMATION, AGENT, NEIGHBOURS = "agents.formation_agent", "agents.agent", "agents.neighbours"
@@ -64,11 +66,12 @@ class Core:
     def restore(self, values):
         self._formation.restore(values)
 '''
-# Each bench has faults that its protocol survives without a defect. Long one-way silence, two deaths at a time in an
-# auction, and faults that leave no time to recover make the sound ones fail, too.
-_SWARM = "nemesis={mode: swarm, until: 45 s, pick: [%s]}"
+# Each bench has faults that its protocol survives without a defect. Two deaths at a time in an auction, and faults that
+# leave no time to recover make the sound ones fail, too.
+_EPISODES = "nemesis={mode: episodes%s}"
 _GRID = "nemesis={every: %s, for: %s, until: %s, pick: [%s]}"
 _COMMON = ("duration=60 s", "tick=100 ms", "log={every: 1 tick, snapshot: 0 s}", "faults=[]", "expect=pass")
+_PLACES = "[[10, 0, 10], [20, 0, 10], [10, 12, 10], [10, -12, 10], [20, 12, 10], [20, -12, 10]]"
 
 
 @dataclass(frozen=True)
@@ -86,18 +89,25 @@ class Bench:
 
 BENCHES = {
     "election": Bench("election", f"{ELECTION}:Election", (
-        *_COMMON, "moored=true", _SWARM % "partition, pause, kill",
+        *_COMMON, "moored=true", _EPISODES % ", watch: [control.leads above 0, control.candidate]",
         'network.links={"*": delay 100ms 30ms loss 10%}',
         "checks={fleet.protocols.checks:AtMostOneLeader: {per: fleet}, "
         "fleet.protocols.checks:AgreeAfterHeal: {within: 9 s, quorum: fleet}}",
     )),
     "average": Bench("average", f"{AVERAGE}:ExactAverage", (
-        *_COMMON, "moored=true", _SWARM % "kill",
+        *_COMMON, "moored=true", _EPISODES % "",
         'network.links={"*": delay 100ms 50ms loss 10% duplicate 5%}',
         "checks={fleet.protocols.checks:TrueMean: {below: 0.01, within: 10 s}}",
     )),
     "auction": Bench("auction", f"{AUCTION}:BundleAuction", (
         *_COMMON, _GRID % ("12 s", "7 s", "31 s", "kill"), "checks.tumbled=waived",
+    )),
+    "bids": Bench("auction", f"{AUCTION}:BundleAuction", (
+        *_COMMON, "moored=true", _EPISODES % ", unit: 3 s, pick: [kill, duplicate], most_silent: 1", "vehicles=4",
+        "reference={start: 0 0 10 m, velocity: 0 0 0 m/s}", "initial={scatter: 0 m, around: reference}",
+        "formation={offsets: [0 6 0 m, 0 -6 0 m, 30 6 0 m, 30 -6 0 m]}",  # bids tie
+        f"agent={{law: {AUCTION}:BundleAuction, parameters: {{bundle: 2, places: {_PLACES}}}}}",
+        f"checks={{fleet.protocols.checks:NoConflict: {{places: {_PLACES}, bundle: 2}}}}",
     )),
     "event-triggered": Bench("event-triggered", f"{EVENT}:EventTriggered", (
         *_COMMON, _GRID % ("5 s", "4 s", "45 s", "down, deaf, mute"),
@@ -169,13 +179,13 @@ BUGS = (
              "shares go to a neighbour that is gone"),
     _average("old-round", "if delivery.sent_tick <= link.heard:", "if delivery.sent_tick < 0:",
              "an old round is accepted"),
-    Bug("no-tie-break-of-bids", "auction", (AUCTION, BIDDER), "bid == other and bidder < winner", "bid == other",
+    Bug("no-tie-break-of-bids", "bids", (AUCTION, BIDDER), "bid == other and bidder < winner", "bid == other",
         "of equal bids each believes its own"),
-    Bug("double-bid", "auction", (AUCTION, BIDDER), "or not outbids(bid, self.number, self.bids[j], self.winners[j])",
+    Bug("double-bid", "bids", (AUCTION, BIDDER), "or not outbids(bid, self.number, self.bids[j], self.winners[j])",
         "", "it bids for what somebody else has won"),
     Bug("keeps-the-rest", "auction", (AUCTION, BIDDER), "del self.bundle[kept:]", "del self.bundle[kept : kept + 1]",
         "who is outbid keeps what it chose after that"),
-    Bug("old-news", "auction", (AUCTION, BIDDER), _OLD_NEWS, "", "old news are believed"),
+    Bug("old-news", "bids", (AUCTION, BIDDER), _OLD_NEWS, "", "old news are believed"),
     Bug("never-released", "auction", (AUCTION,), "> self._silence_ticks and", "> 10**9 and",
         "the places of a vehicle that is gone stay its own"),
     Bug("no-last-word", "event-triggered", (EVENT,), "            and nav.tick - told[0] < self._silence_ticks\n", "",
@@ -220,11 +230,12 @@ WITNESSES: dict[str, tuple[str, ...]] = {
 def main() -> None:
     """Search for each defect, or print the table of what was found."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--most", type=int, default=2000, help="runs of a search")
-    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--most", type=float, default=inf, help="runs of a search")
+    parser.add_argument("--budget", type=float, default=600.0, help="wall time of a search [s]")
+    parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--only", nargs="*", default=[], help="names of defects or protocols")
     parser.add_argument("--sound", action="store_true", help="search the protocols without any defect")
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--seeds", type=int, default=10, help="searches for each defect, with other seeds")
     parser.add_argument("--done", type=Path, help="lines of searches that need not be made again")
     parser.add_argument("--no-shrink", action="store_true")
     parser.add_argument("--witnesses", action="store_true", help="run the faults that show a defect, and no search")
@@ -242,32 +253,52 @@ def main() -> None:
             print("\n".join(witness_table([bug for bug in BUGS if bug.name in WITNESSES])))
             return
         for bug in sound if given.sound else BUGS:
-            wanted = not given.only or {bug.name, bug.bench} & set(given.only)
-            if wanted and (bug.name, given.seed) not in done:
-                least = 0 if given.no_shrink else SHRINK_RUNS
-                print(json.dumps(searched(bug, given.most, given.workers, given.seed, least)), flush=True)
+            if given.only and not {bug.name, bug.bench} & set(given.only):
+                continue
+            for number in range(given.seeds):
+                seed = 1 + number * APART
+                if (bug.name, seed) not in done:
+                    limits = Limits(given.most, given.budget, given.workers)
+                    least = SHRINK_RUNS if number == 0 and not given.no_shrink else 0
+                    print(json.dumps(searched(bug, limits, seed, least)), flush=True)
 
 
-def searched(bug: Bug, most: int, workers: int, seed: int = 1, least: int = 0) -> dict[str, Any]:
+class Limits(NamedTuple):
+    most: float = inf  # runs of a search
+    budget_s: float = inf  # of wall time
+    workers: int = 1
+
+
+def searched(bug: Bug, limits: Limits, seed: int = 1, least: int = 0) -> dict[str, Any]:
     """One search for a defect, which is planted in the current folder; `least`: runs for making it smaller."""
     folder = Path.cwd()
     scenario = _planted(bug, f"seed={seed}")
-    with local_engine(workers) as engine:
-        modules = modules_of([scenario], folder)
-        found = search(scenario, engine, lambda _: None, most_runs=most, modules=modules)
-        runs = found.runs + found.without
-        if found.seed is not None:
-            runs = found.seed - found.first_seed + 1  # others were under way
-        shown = _shrunk(found.scenario, found.check, engine, modules, least) if found.scenario else []
-    return {"bug": bug.name, "protocol": bug.bench, "what": bug.what, "seed": seed, "most": most,
-            "found": found.seed is not None, "check": found.check, "runs": runs, "without": found.without,
-            "reason": found.reason, "least": shown}  # fmt: skip
+    modules, before = modules_of([scenario], folder), _cpu_s()
+    with local_engine(limits.workers) as engine:
+        found = search(scenario, engine, lambda _: None, most_runs=limits.most, budget_s=limits.budget_s,
+                       modules=modules)  # fmt: skip
+    took_s = _cpu_s() - before  # of workers that have ended
+    runs = found.runs + found.without
+    if found.seed is not None:
+        runs = found.seed - found.first_seed + 1  # others were under way
+    shown = timeline_lines(found.scenario) if found.scenario else []
+    if found.scenario and least:
+        with local_engine(limits.workers) as engine:
+            small = Shrinker(found.scenario, engine, lambda *_: None, modules).shrink(found.check, least).scenario
+        shown = [f"{small.vehicles} vehicles, {small.duration_ns / 1e9:g} s", *timeline_lines(small)]
+    return {"bug": bug.name, "protocol": bug.bench, "what": bug.what, "seed": seed,
+            "found": found.seed is not None, "check": found.check, "runs": runs, "cpu_s": round(took_s, 1),
+            "without": found.without, "reason": found.reason, "least": shown}  # fmt: skip
+
+
+def _cpu_s() -> float:
+    return sum(resource.getrusage(who).ru_utime for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
 
 
 def _planted(bug: Bug, *changes: str) -> Scenario:
     """The scenario of a defect's bench, with the defect planted in the current folder."""
     bench = BENCHES[bug.bench]
-    parameters = load_scenario(bench.scenario).spec.agent
+    parameters = load_scenario(bench.scenario, bench.changes).spec.agent
     law = json.dumps({"law": plant(bug, Path.cwd()), "parameters": (parameters and parameters.parameters) or {}})
     return load_scenario(bench.scenario, [*bench.changes, f"agent={law}", *changes])
 
@@ -292,14 +323,6 @@ def witness_table(bugs: Sequence[Bug]) -> Iterator[str]:
         with_it, without = witnessed(bug)
         shown = "passes" if not without else f"fails, too: {', '.join(without)}"
         yield f"| {bug.bench} | {bug.what} | {len(WITNESSES[bug.name])} | {', '.join(with_it) or 'nothing'} | {shown} |"
-
-
-def _shrunk(scenario: Scenario, check: str, engine: Any, modules: Any, most: int) -> list[str]:
-    if not most:
-        return timeline_lines(scenario)
-    found = Shrinker(scenario, engine, lambda *_: None, modules).shrink(check, most)
-    return [f"{found.scenario.vehicles} vehicles, {found.scenario.duration_ns / 1e9:g} s",
-            *timeline_lines(found.scenario)]  # fmt: skip
 
 
 def plant(bug: Bug, folder: Path) -> str:
@@ -336,21 +359,35 @@ def _lines(path: Path) -> list[dict[str, Any]]:
 
 
 def table(lines: list[dict[str, Any]]) -> Iterator[str]:
-    """The table as Markdown: each defect with the median of the runs that it needed, and the least scenario."""
-    yield "| protocol | defect | runs | fails | the least that shows it |"
-    yield "|---|---|---|---|---|"
-    medians = list[float]()
+    """The table as Markdown: each defect with the medians of the runs and of the CPU time that searches needed, and the
+    least scenario. An interval is that of the median, from the second to the second last of ten searches (97.9 %).
+    """
+    yield "| protocol | defect | depth | found | runs | CPU time [s] | fails | the least that shows it |"
+    yield "|---|---|---|---|---|---|---|---|"
+    medians, counted = list[float](), list[float]()
     for name in dict.fromkeys(line["bug"] for line in lines):
         mine = [line for line in lines if line["bug"] == name]
-        middle = statistics.median(line["runs"] if line["found"] else inf for line in mine)
-        medians.append(middle)
-        cell = f"{middle:g}" if middle < inf else f"not in {max(line['most'] for line in mine)}"
-        found = min((line for line in mine if line["found"]), key=lambda line: len(line["least"]), default=None)
-        least = "; ".join(found["least"]) if found else ""
-        fails = found["check"] if found else ""
-        yield f"| {' | '.join((mine[0]['protocol'], mine[0]['what'], cell, fails, least))} |"
+        hits = [line for line in mine if line["found"]]
+        runs = sorted(line["runs"] if line["found"] else inf for line in mine)
+        took = sorted(line["cpu_s"] if line["found"] else inf for line in mine)
+        medians.append(statistics.median(runs))
+        depth = str(len(WITNESSES[name])) if name in WITNESSES else ""
+        if depth:
+            counted.append(medians[-1])
+        least = next(("; ".join(line["least"]) for line in hits if line["least"]), "")
+        cells = (mine[0]["protocol"], mine[0]["what"], depth, f"{len(hits)} of {len(mine)}", _middle(runs),
+                 _middle(took), ", ".join(dict.fromkeys(line["check"] for line in hits)), least)  # fmt: skip
+        yield f"| {' | '.join(cells)} |"
     yield ""
-    yield f"Found {sum(one < inf for one in medians)} of {len(medians)}, median {statistics.median(medians):g} runs."
+    yield f"Found by the median search: {sum(one < inf for one in medians)} of {len(medians)} defects."
+    yield f"Of {len(counted)} with a witness: {sum(one < inf for one in counted)}."
+
+
+def _middle(values: list[float]) -> str:
+    """The median of some values in order, and its interval."""
+    low, high = values[min(1, len(values) - 1)], values[max(0, len(values) - 2)]
+    shown = [f"{one:.3g}" if one < inf else "more" for one in (statistics.median(values), low, high)]
+    return f"{shown[0]} ({shown[1]} to {shown[2]})" if len(values) > 2 else shown[0]
 
 
 if __name__ == "__main__":

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from math import inf
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal
 
 import click
@@ -121,9 +122,11 @@ def pieces(line: StatusLine, doing: str, runs: int) -> list[Piece]:
     return [Piece(0, [f"{runs} runs"]), Piece(1, [doing])]
 
 
-def show_least(scenario: Scenario, found: Shrunk, path: Path) -> None:
-    """Say what was made less, and where the least scenario is."""
-    say(f"{_enough(found.scenario)}. Then {found.check} fails. See why: fleet run {path}; fleet why")
+def show_least(
+    scenario: Scenario, found: Shrunk, path: Path, triggered: Mapping[str, str] = MappingProxyType({})
+) -> None:
+    """Say what was made less, and where the least scenario is. `triggered`: what began faults, by their ids."""
+    say(f"{_enough(found.scenario, triggered)}. Then {found.check} fails. See why: fleet run {path}; fleet why")
     for step in found.steps or ["nothing can be left out"]:
         say(f"  {step}")
     first, last = found.found
@@ -131,14 +134,16 @@ def show_least(scenario: Scenario, found: Shrunk, path: Path) -> None:
     click.echo(path)
 
 
-def _enough(scenario: Scenario) -> str:
+def _enough(scenario: Scenario, triggered: Mapping[str, str]) -> str:
     """The faults that are enough for a failure, in words."""
     from fleet.scenario.scenario import timeline
 
     end_s, faults = scenario.duration_ns / 1e9, timeline(scenario)
     each = [
-        f"{what} " + (f"from {begin:g} s" if end >= end_s else f"for {end - begin:g} s from {begin:g} s")
-        for _, begin, end, what in faults[:MOST_FAULTS]
+        f"{what} "
+        + (f"from {begin:g} s" if end >= end_s else f"for {end - begin:g} s from {begin:g} s")
+        + (f" ({triggered[name]})" if name in triggered else "")
+        for name, begin, end, what in faults[:MOST_FAULTS]
     ]
     more = [f"{len(faults) - len(each)} more"] if len(faults) > len(each) else []
     count = f"{'One fault is' if len(faults) == 1 else f'{len(faults)} faults are'} enough"
@@ -158,7 +163,7 @@ def _failing_scenario(name: str, changes: list[str | Override]) -> tuple[Scenari
     return recorded(path).script(changes, Policy()), None
 
 
-NemesisMode = Literal["swarm", "liveness"] | None
+NemesisMode = Literal["swarm", "episodes", "liveness"] | None
 
 
 @click.command()
@@ -166,6 +171,9 @@ NemesisMode = Literal["swarm", "liveness"] | None
 @click.option("--budget", type=BUDGET, default="200", show_default=True,
               help="The number of seeds to try, or the time in which new ones begin, e.g. '10 min'.")  # fmt: skip
 @click.option("--nemesis", is_flag=True, help="Add a nemesis to a scenario without one: a swarm of faults.")
+@click.option("--episodes", is_flag=True,
+              help="Like --nemesis, but a few faults at a time, in the protocol's own unit, and then a quiet "
+                   "time.")  # fmt: skip
 @click.option("--liveness", is_flag=True,
               help="Like --nemesis, but in the middle of the run a core of vehicles is healed; the others stay "
                    "broken.")  # fmt: skip
@@ -180,6 +188,7 @@ def search(
     scenario: str,
     budget: tuple[float, float],
     nemesis: bool,
+    episodes: bool,
     liveness: bool,
     check: str | None,
     changes: list[str | Override],
@@ -200,6 +209,7 @@ def search(
     Examples:
       fleet search nemesis --budget 200
       fleet search election --nemesis --budget '10 min'
+      fleet search election --episodes
       fleet search election --liveness
       fleet search my.yaml --set seed=201 --check formation_error
       fleet search election --nemesis --budget 1000 --keep failures
@@ -209,7 +219,7 @@ def search(
     if keep is not None and (out is not None or force):
         said = "--keep writes a file for each kind of failure"
         raise click.UsageError(f"{said}, so it cannot be used together with --out or --force")
-    mode: NemesisMode = "liveness" if liveness else "swarm" if nemesis else None
+    mode: NemesisMode = "liveness" if liveness else "episodes" if episodes else "swarm" if nemesis else None
     tried, modules = _tried(scenario, changes, mode)
     hunt = _Hunt(tried, check, keep, keep or place_of(tried, out, force=force))
     with how.showing(pieces) as tell, how.engine() as engine:
@@ -302,7 +312,7 @@ def _print_search(
         print_document(first_failing(found, least, path, kept))
         return
     if found.scenario is not None and least is not None:
-        show_least(found.scenario, least, path)
+        show_least(found.scenario, least, path, found.triggered)
     elif found.scenario is not None:
         say(f"{found.runs} runs, kinds of failure: {len(found.kinds)}")
         for failure in kept:
@@ -317,6 +327,11 @@ def _print_search(
         which = f"the check {check}" if check else "a check"
         say(f"none of {found.runs} runs fails {which}: at most {100 * found.most_failures:.2g} % of such runs do, "
             "with 95 % confidence")  # fmt: skip
+    if (its := found.covered) is not None:
+        say(
+            f"{its.episodes} episodes in units of {its.unit_s:g} s ({its.stated_by}): each pattern of two isolations "
+            f"in three units was drawn with {its.two:.0%}, of three with {its.three:.0%}"
+        )
     for name, seed in found.unstated.items():
         say(f"seed {seed} fails {name}, which {found.name} does not state; --check {name} looks for it", err=True)
     for one in found.reached:

@@ -95,7 +95,7 @@ class _BareRun:
         self._events, self._fates = deque(scenario.faults.events), deque[Fate]()
         self._frames = deque[_Values]()
         self._frame_every = frame_every(scenario)
-        self._triggers = Triggers(scenario) if scenario.spec.triggers else None
+        self.triggers = Triggers(scenario) if scenario.spec.triggers else None
         still = {i: self._world.state(i) for i in self._world.ids}
         self._state: dict[int, Values] = {i: (*eta, *nu) for i, (eta, nu) in still.items()}
         self._places = {i: eta[:3] for i, (eta, _) in still.items()}
@@ -169,8 +169,8 @@ class _BareRun:
         if k % self._frame_every == 0 or k == self._scenario.ticks:
             values = _Values(k, due_groups(self._scenario, k), known)
             self._frames.append(values)
-            if self._triggers is not None:
-                for fault in self._triggers.look(values):
+            if self.triggers is not None:
+                for fault in self.triggers.look(values):
                     self._begin(fault)
 
     def _begin(self, fault: FaultSection) -> None:

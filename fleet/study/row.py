@@ -126,3 +126,13 @@ class Reached:
         if not self.hits:
             return f"{self.name} was reached in none of {self.runs} runs"
         return f"{self.name} was reached in {self.hits} of {self.runs} runs, the first seed is {self.seed}"
+
+
+class Covered(Struct, frozen=True):
+    """What the episodes of a search have drawn."""
+
+    episodes: int
+    unit_s: float
+    stated_by: str  # what states the unit
+    two: float  # probability of a pattern of two vehicles that are cut off, each in a given unit of one episode
+    three: float

@@ -17,6 +17,8 @@ from typing import Literal
 from fleet.execution.external_agents import refuse
 from fleet.execution.triggered import fired
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections import episodes
+from fleet.scenario.sections.triggers import moments
 from fleet.scenario.text.overrides import SET, Override
 from fleet.study.engine import Engine
 from fleet.study.errors import StudyError
@@ -24,11 +26,24 @@ from fleet.study.failures import FailureFolder, FoundFailure, SearchProgress, fi
 from fleet.study.modules import NO_MODULES, Modules
 from fleet.study.one_run import Task, scenario_of
 from fleet.study.plan import run_key
-from fleet.study.row import Reached, Row, sometimes_names
+from fleet.study.row import Covered, Reached, Row, sometimes_names
 from fleet.study.spec import LARGEST_SEED
 from fleet.study.statistics import most_failures
 
 _SAVE_S = 2.0  # how often a search writes how far it is
+
+
+def covered(scenario: Scenario, runs: int) -> Covered | None:
+    """What so many runs of a scenario have drawn; None: its nemesis has no episodes, or cuts off nobody."""
+    nemesis = scenario.undrawn.nemesis
+    if nemesis is None or nemesis.mode != "episodes":
+        return None
+    if nemesis.pick is not None and all(pick.drawn != "partition" for pick in nemesis.pick):
+        return None
+    plan, n = episodes.plan(nemesis, scenario.ground), scenario.vehicles
+    count = runs * len(plan.begins)
+    two, three = (episodes.chance(isolations, n, count) for isolations in (2, 3))
+    return Covered(count, plan.unit / 1e9, plan.origin, two, three)
 
 
 @dataclass(slots=True)
@@ -46,6 +61,8 @@ class Searched:
     kinds: dict[str, int] = field(default_factory=dict)  # the first seed by check; without a folder only one
     reached: list[Reached] = field(default_factory=list)  # the checks that some run must reach
     unstated: dict[str, int] = field(default_factory=dict)  # a seed by check that failed and is not looked for
+    triggered: dict[str, str] = field(default_factory=dict)  # what began a fault of `scenario`, by the fault's id
+    covered: Covered | None = None
 
     @property
     def most_failures(self) -> float | None:
@@ -58,7 +75,7 @@ class Searched:
         return most_failures(self.runs) if known else None
 
 
-def nemesis_of(scenario: Scenario, mode: Literal["swarm", "liveness"] = "swarm") -> Override:
+def nemesis_of(scenario: Scenario, mode: Literal["swarm", "episodes", "liveness"] = "swarm") -> Override:
     """A nemesis for a scenario that has none, as a change of it. Raises StudyError: it has one."""
     if scenario.undrawn.nemesis is not None:
         raise StudyError(f"{scenario.name} already has a nemesis: change that one, as with --set nemesis.mode={mode}")
@@ -196,7 +213,9 @@ class _Search:
         if found.kinds:
             found.check = min(found.kinds, key=lambda check: found.kinds[check])
             found.seed = found.kinds[found.check]
-            found.scenario = self.scenario(found.seed)
+            drawn = scenario_of(self.task(found.seed))
+            found.scenario, found.triggered = fired(drawn), moments(drawn.spec.triggers, drawn.spec)
+        found.covered = covered(self._scenario, found.runs)
         return found
 
     def scenario(self, seed: int) -> Scenario:

@@ -23,7 +23,7 @@ class TheLaw:
         # `config` is this agent's slice of the scenario: config.id, config.neighbours, config.tick_ns, ...
         # What follows the star are parameters: `agent: {law: "the_law:TheLaw", parameters: {forget_after_s: 5.0}}`.
         self._config = config
-        self._formation = FormationAgent(config)  # steers, so that the protocol need not
+        self._formation = FormationAgent(config)  # steers, so that the protocol need not; nothing if moored
         self._forget_ticks = forget_after_s * 1e9 / config.tick_ns
         self._seen: dict[int, int] = {}  # vehicle -> the newest tick at which it is known to have been there
 

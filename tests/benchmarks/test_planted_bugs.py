@@ -37,9 +37,11 @@ def test_a_witness_fails_with_the_defect_alone(name: str, tmp_path: Path, monkey
     assert with_it and not without
 
 
-def test_the_table_has_the_median_and_what_was_missed() -> None:
-    line = {"bug": "a", "protocol": "p", "what": "w", "seed": 1, "most": 9, "found": True, "check": "C",
-            "runs": 4, "without": 0, "reason": "", "least": ["fault"]}  # fmt: skip
-    lines = list(table([line, line | {"seed": 2, "runs": 6}, line | {"bug": "b", "found": False}]))
-    assert lines[2] == "| p | w | 5 | C | fault |" and lines[3] == "| p | w | not in 9 |  |  |"
-    assert lines[-1] == "Found 1 of 2, median inf runs."
+def test_the_table_has_the_medians_and_what_was_missed() -> None:
+    line = {"bug": "leads-too-long", "protocol": "p", "what": "w", "seed": 1, "found": True, "check": "C",
+            "runs": 4, "cpu_s": 2.0, "without": 0, "reason": "", "least": ["fault"]}  # fmt: skip
+    missed = line | {"bug": "b", "found": False, "least": []}
+    lines = list(table([line, line | {"runs": 6}, line | {"runs": 8, "cpu_s": 3.0}, missed]))
+    assert lines[2] == "| p | w | 2 | 3 of 3 | 6 (6 to 6) | 2 (2 to 2) | C | fault |"
+    assert lines[3] == "| p | w |  | 0 of 1 | more | more |  |  |"
+    assert lines[-2:] == ["Found by the median search: 1 of 2 defects.", "Of 1 with a witness: 1."]

@@ -11,6 +11,7 @@ from msgspec import Meta, Struct
 from fleet.scenario.scenario import Scenario, timeline
 from fleet.study.failures import FoundFailure
 from fleet.study.measures import MeasureColumn
+from fleet.study.row import Covered
 
 if TYPE_CHECKING:  # these need the extra `study`, and `fleet about --schemas` does not
     from fleet.study.borders import Border, Borders
@@ -129,6 +130,14 @@ class FirstFailing(Struct):
     least: Annotated[Less | None, Meta(description="The least scenario that fails; null: none does, or with --keep.")]
     sometimes: list[SometimesReached]
     kept: Annotated[list[FoundFailure], Meta(description="With --keep: what the folder has of this scenario.")]
+    triggered: Annotated[dict[str, str], Meta(description="What began faults of the failing run, by their ids.")]
+    covered: Annotated[
+        Covered | None,
+        Meta(
+            description="Of episodes: their number, the unit [s] and what states it, and the probabilities that given "
+            "patterns of two and of three vehicles that are cut off were drawn."
+        ),
+    ]
 
 
 class RegressedRow(Struct):
@@ -190,6 +199,7 @@ def first_failing(found: Searched, shrunk: Shrunk | None, file: Path, kept: Sequ
     return FirstFailing(
         found.name, found.first_seed, found.runs, found.without, found.reason, found.seed, found.check or None,
         found.most_failures, least, _sometimes(found.reached), [*kept],
+        found.triggered, found.covered,
     )  # fmt: skip
 
 

@@ -5,13 +5,14 @@
 | episode | three units with faults and three without, one to four times in a run |
 | kinds | each is on in a run with probability 1/2; if none is, one of them |
 | faults | one (30 %), two (40 %) or three (30 %) in an episode |
-| begin | in one of the three units, on its eighths |
+| begin | in one of the three units, on its eighths; or when the fault before begins or ends |
 | length | one round, half a unit, a unit less or more one round, two or three units; at most to the end of the three |
-| target | one vehicle, a minority, a majority, all but one; a side of the last partition, those of the fault before |
+| target | one vehicle, a minority, a majority, all but one; a side of the last partition, perhaps but for one vehicle |
+| | or with one more; those of the fault before |
 
-In the last episode of a run every fourth partition and kill lasts to the end of the run. In a third of the episodes all faults cut
-off one vehicle each. For these the chance of a pattern is known (`chance`): its faults, in any order, must get the
-right vehicles and units. (C. Dragoi, C. Enea, B. Ozkan, R. Majumdar, F. Niksic, "Testing consensus implementations
+In the last episode of a run every fourth partition and kill lasts to the end of the run. If partitions may be drawn, in
+a third of the episodes all faults cut off one vehicle each. For these the chance of a pattern is known (`chance`): its
+faults, in any order, must get the right vehicles and units. (C. Dragoi and others, "Testing consensus implementations
 using communication closure", OOPSLA 2020, has the bound for a uniform choice of process and round.)
 
 With `watch` a fault in three waits until an agent reports something else in one of these signals, or more than a
@@ -40,7 +41,9 @@ KINDS = ("partition", "kill", "pause", "mute", "deaf", "hold", "duplicate")
 PARAMETERS = ("lease_s", "forget_after_s", "silence_s")  # of agents: times after which something is over
 _ROUNDS = 10  # of a unit that nothing states
 _ISOLATED = 1.0 / 3.0  # of the episodes: all faults cut off one vehicle each
-_ON, _COUNT, _ISOLATES, _KIND, _UNIT, _EIGHTH, _LENGTH, _TARGET, _WHO, _FORM, _GOOD, _WATCH, _WAIT, _NTH = range(14)
+_ON, _COUNT, _ISOLATES, _KIND, _UNIT, _EIGHTH, _LENGTH, _TARGET, _WHO, _FORM, _GOOD, _WATCH, _WAIT, _NTH, _THEN = range(
+    15
+)
 _OF_EPISODE = 10  # numbers of draws that an episode may use
 
 
@@ -91,7 +94,7 @@ def draw(nemesis: NemesisSection, ground: Ground) -> tuple[list[FaultSection], l
     kinds = [kind for number, kind in enumerate(among) if draws.share(number, _ON) < 0.5]
     kinds = kinds or [among[draws.among(len(among), -1, _ON)]] * bool(among)
     planned = plan(nemesis, ground)
-    work = _Drawn(nemesis, ground, draws, planned.unit)
+    work = _Drawn(nemesis, ground, draws, planned.unit, isolates="partition" in among)
     for number, begin in enumerate(planned.begins if kinds else ()):
         work.episode(number, begin, kinds, last=number == len(planned.begins) - 1)
     return sorted(work.faults, key=lambda fault: fault.at), work.triggers
@@ -110,7 +113,8 @@ class _Draws(NamedTuple):
 class _Drawn:
     """The faults drawn so far."""
 
-    def __init__(self, nemesis: NemesisSection, ground: Ground, draws: _Draws, unit_ns: int) -> None:
+    def __init__(self, nemesis: NemesisSection, ground: Ground, draws: _Draws, unit_ns: int, *, isolates: bool) -> None:
+        self._isolates = isolates
         self._nemesis, self._ground, self._draws, self._unit = nemesis, ground, draws, unit_ns
         self._taken = {fault.id for fault in ground.spec.faults} | {one.id for one in ground.spec.triggers}
         self.faults: list[FaultSection] = []
@@ -122,13 +126,17 @@ class _Drawn:
         x, count = draws.share(first, _COUNT), 1
         while count < MOST_FAULTS and x >= sum(SHARES[n] for n in range(1, count + 1)):
             count += 1
-        isolates = draws.share(first, _ISOLATES) < _ISOLATED and bool(self._ground.links)
+        isolates = draws.share(first, _ISOLATES) < _ISOLATED and self._isolates
         side: list[int] = []  # of the partition that was drawn last
         before: list[int] = []  # the target of the fault before
+        times = begin, begin  # of the fault before
         for k in range(first, first + count):
             kind = "partition" if isolates else kinds[draws.among(len(kinds), k, _KIND)]
             eighths = 8 * draws.among(UNITS, k, _UNIT) + draws.among(8, k, _EIGHTH)
             at = begin + eighths * self._unit // 8 // self._ground.spec.tick * self._ground.spec.tick
+            if k > first and not isolates and draws.share(k, _THEN) < 0.5:
+                at = max(begin, times[draws.among(2, k, _THEN)] // self._ground.round_ns * self._ground.round_ns)
+            at = min(at, begin + UNITS * self._unit - self._ground.round_ns)
             lasts: int | None = self._length(k, begin + UNITS * self._unit - at)
             if last and not isolates and kind in _FOR_GOOD and draws.share(k, _GOOD) < 0.25:
                 lasts = None
@@ -137,6 +145,7 @@ class _Drawn:
                 self._wait(k, kind, at, begin, lasts)
                 continue
             who = [1 + draws.among(self._ground.spec.vehicles, k, _WHO)] if isolates else self._target(k, side, before)
+            times = at, at + (lasts or 0)
             if kind == "partition":
                 side = who
             before = who
@@ -154,6 +163,8 @@ class _Drawn:
         drawn = sorted(range(1, n + 1), key=lambda i: (draws.share(100 * k + i, _WHO), i))
         some = [drawn[:1], drawn[:1], drawn[: max(1, (n - 1) // 2)], drawn[: n // 2 + 1], drawn[: max(1, n - 1)]]
         some += [one for one in (side, before) if one]
+        if side:  # one vehicle changes sides
+            some.append(sorted({*side} ^ {drawn[0]}) or side)
         return sorted(some[draws.among(len(some), k, _TARGET)])
 
     def _body(self, k: int, kind: str, who: list[int]) -> dict[str, Any]:

@@ -75,20 +75,25 @@ def _resolved(value: Any, numbers: Mapping[str, str]) -> Any:
     return value
 
 
+def moments(triggers: Sequence[TriggerSection], spec: ScenarioSpec) -> dict[str, str]:
+    """When each trigger begins its fault, in words, by the id of the fault."""
+    found = {}
+    for number, trigger in enumerate(triggers, start=1):
+        when = trigger.when
+        given = [f"{key} {one}" for key in ("above", "below", "equals") if (one := getattr(when, key)) is not None]
+        nth = "" if trigger.nth == 1 else f" (moment {trigger.nth})"
+        after = f" from {show_time(when.after)} on" if when.after else ""
+        moment = f"{when.topic} {(given or ['changes'])[0]}{nth}{after}"
+        found[trigger_name(trigger, number)] = f"{show_time(wait_ns(trigger, spec))} after {moment}"
+    return found
+
+
 def trigger_lines(triggers: Sequence[TriggerSection], spec: ScenarioSpec) -> list[str]:
     """The triggers in words, a line each."""
     lines = []
-    for number, trigger in enumerate(triggers, start=1):
-        when = trigger.when
-        (condition,) = [
-            f"{key} {value}" for key in ("above", "below", "equals") if (value := getattr(when, key)) is not None
-        ] or ["changes"]
-        nth = "" if trigger.nth == 1 else f", moment number {trigger.nth},"
-        after = f" after {show_time(when.after)}" if when.after else ""
+    for trigger, (name, moment) in zip(triggers, moments(triggers, spec).items(), strict=True):
         lasts = "" if trigger.for_ is None else f" for {show_time(trigger.for_)}"
         (kind, what), *_ = trigger.fault.items()
-        lines.append(
-            f"fault {show_time(wait_ns(trigger, spec))} after {when.topic} {condition}{nth}{after}: "
-            f"{kind} {what}{lasts} (id {trigger_name(trigger, number)})"
-        )
+        shown = f"{{{', '.join(f'{key}: {one}' for key, one in what.items())}}}" if isinstance(what, dict) else what
+        lines.append(f"fault {moment}: {kind} {shown}{lasts} (id {name})")
     return lines

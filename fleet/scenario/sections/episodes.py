@@ -16,7 +16,8 @@ faults, in any order, must get the right vehicles and units. (C. Dragoi and othe
 using communication closure", OOPSLA 2020, has the bound for a uniform choice of process and round.)
 
 With `watch` a fault in three waits until an agent reports something else in one of these signals, or more than a
-number (`control.leads above 0`): its target is then this agent, or all others.
+number (`control.leads above 0`): its target is then this agent, or all others. It waits for a unit at most, and lasts a
+unit at most.
 """
 
 from __future__ import annotations
@@ -194,7 +195,7 @@ class _Drawn:
         self.faults.append(FaultSection.model_validate({"id": self._name(k), **times, **body}))
 
     def _wait(self, k: int, kind: str, at: int, begin: int, lasts: int | None) -> None:
-        """A fault that waits for a report from `at` on, as long as the episode has faults."""
+        """A fault that waits a unit for a report, and is over when the episode has two quiet units left."""
         draws, round_ns, topics = self._draws, self._ground.round_ns, self._nemesis.watch or []
         form = draws.among(4, k, _FORM)
         who = "others" if form == 3 and kind != "partition" else "itself"
@@ -204,17 +205,17 @@ class _Drawn:
         elif kind in ("hold", "duplicate"):
             links = ("itself->*", "*->itself")[form % 2]
             fault = {kind: {"links": links} | ({"after": show_time(self._unit)} if kind == "duplicate" else {})}
-        waits = (round_ns, 2 * round_ns, self._unit // 4, self._unit // 2, self._unit)
+        waits, tick = (round_ns, 2 * round_ns, self._unit // 4, self._unit // 2), self._ground.spec.tick
+        at = begin + (at - begin) // 2 // tick * tick
         topic, _, above = topics[draws.among(len(topics), k, _WATCH)].partition(" above ")
         moment = {"above": above} if above else {"changes": True}
-        when = {"topic": topic.strip(), "after": show_time(at), **moment}
-        tick = self._ground.spec.tick
+        times = {"after": show_time(at), "before": show_time(at + self._unit)}
         wait = max(round_ns, waits[draws.among(len(waits), k, _WAIT)] // tick * tick)
         self.triggers.append(
             TriggerSection.model_validate({
-                "id": self._name(k), "when": when | {"before": show_time(begin + UNITS * self._unit)},
+                "id": self._name(k), "when": {"topic": topic.strip(), **moment, **times},
                 "nth": (1, 1, 2)[draws.among(3, k, _NTH)], "wait": show_time(wait), "fault": fault,
-                **({} if lasts is None else {"for": show_time(lasts)}),
+                "for": show_time(min(self._unit, lasts or self._unit)),
             })
         )  # fmt: skip
 

@@ -60,8 +60,7 @@ def test_when_they_are(changes: tuple[str, ...], unit_s: float, begins_s: tuple[
 def test_faults_lie_in_the_first_half_of_an_episode_but_for_those_that_stay(seed: int) -> None:
     s = moored(f"seed={seed}")
     unit, _, begins = plan(s)
-    drawn = s.spec.faults + [trigger for trigger in s.spec.triggers if trigger.when.before]
-    assert len(begins) <= len(drawn) <= 3 * len(begins)
+    assert len(begins) <= len(s.spec.faults) + len(s.spec.triggers) <= 3 * len(begins)
     for fault in s.spec.faults:
         begin = max(at for at in begins if at <= fault.at)
         assert fault.at < begin + 3 * unit
@@ -70,7 +69,10 @@ def test_faults_lie_in_the_first_half_of_an_episode_but_for_those_that_stay(seed
         else:
             assert s.ground.round_ns <= fault.for_ <= begin + 3 * unit - fault.at
     for trigger in s.spec.triggers:
-        assert trigger.when.before is not None and trigger.when.before - 3 * unit in begins
+        assert trigger.when.before is not None and trigger.wait is not None and trigger.for_ is not None
+        begin = max(at for at in begins if at <= trigger.when.after)
+        assert trigger.when.after < trigger.when.before
+        assert trigger.when.before + trigger.wait + trigger.for_ <= begin + 4 * unit
     assert parse_scenario(s.to_yaml(), "m.yaml").spec == s.spec
 
 

@@ -206,7 +206,7 @@ class Relay:
     def passes(self, link: Link, now_ns: int) -> bool:
         """Whether a packet could pass a link now, wherever its ends are."""
         faults, model = self._faults(self.tick(now_ns)), self._links.models[link]
-        if link in faults.cut or link[0] in faults.mute or link[1] in faults.deaf:
+        if link in faults.cut or link in faults.hold or link[0] in faults.mute or link[1] in faults.deaf:
             return False
         condition = faults.conditions.get(link, model.condition)
         return lost_share(condition) < 1.0 or link in faults.up

@@ -43,7 +43,7 @@ def may_draw(scenario: Scenario) -> list[str]:
             c.jitter_ns or c.loss or c.loss_model or c.duplicate or c.corrupt or c.reorder for c in conditions
         ),
         "acoustic channel": scenario.acoustic is not None,
-        "faults": bool(spec.faults or spec.nemesis),
+        "faults": bool(spec.faults or spec.triggers or spec.nemesis),
         "laws of yours": bool(scenario.other_laws),
         "plants": bool(scenario.plants),
     }

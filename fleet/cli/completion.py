@@ -130,13 +130,13 @@ def injection(context: click.Context) -> Iterable[str]:
         return ACTIONS
     kind = given[0]
     section = section_of(FaultSection.model_fields[kind].annotation)
-    if section is not None and kind != "current":
+    if section is not None and kind not in ("current", "hold"):
         return [f"{info.alias or key}=" for key, info in section.model_fields.items()]
     if len(given) > 1:
         return _CONDITIONS if kind == "link" else ()
     vehicles, links = _targets(_run(context, *named))
     match kind:
-        case "link" | "down" | "up":
+        case "link" | "down" | "up" | "hold":
             both = [f"{a}<->{b}" for a, b in links if a < b and (b, a) in links]
             return ["*", *(f"{a}->{b}" for a, b in links), *both]
         case "partition":

@@ -34,7 +34,8 @@ from fleet.recorder.writer import LogWriter
 from fleet.replay.publisher import LivePublisher
 from fleet.result.file import write_result
 from fleet.result.result import Published, Punctual, Result, Status, Wall
-from fleet.scenario.scenario import Scenario, timeline_lines
+from fleet.scenario.scenario import Scenario, timeline
+from fleet.scenario.sections.triggers import moments
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
 from fleet.terminal.status_line import BAR, StatusLine, bar
 from fleet.terminal.table import GAP, Piece, shortened
@@ -158,10 +159,12 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
             in one process.
     """
     if scenario.spec.triggers:
+        names = moments(scenario.spec.triggers, scenario.spec)
         scenario = fired(scenario)
-        if not options.quiet:
-            for begun in timeline_lines(scenario):
-                (terminal or Terminal(stderr=True)).print(begun, markup=False, highlight=False, soft_wrap=True)
+        for name, begin_s, end_s, what in () if options.quiet else timeline(scenario):
+            if name in names:
+                text = f"fault from {begin_s:g} to {end_s:g} s: {what} (id {name}), {names[name]}"
+                (terminal or Terminal(stderr=True)).print(text, markup=False, highlight=False, soft_wrap=True)
     try_plants(scenario)
     interrupts = DeferInterrupts()
     with interrupts.handling(), ExitStack() as while_it_lives:

@@ -119,6 +119,8 @@ def refuse_branches(scenario: Scenario, check: str) -> None:
     if others := [part for part in may_draw(scenario) if part in _OF_THE_WHOLE_SEED]:
         text = f"{', '.join(others)} cannot be drawn again from a snapshot on"
         raise StudyError(f"{scenario.name}: {text}; count with fleet sweep instead")
+    if scenario.spec.triggers:
+        raise StudyError(f"{scenario.name}: behind a snapshot its triggers would begin other faults; use fleet sweep")
     if not scenario.memory_ticks:
         raise StudyError(f"{scenario.name} has no snapshots: log.snapshot is 0 s, or a law cannot save its state")
 

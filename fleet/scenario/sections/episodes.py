@@ -48,7 +48,7 @@ _ON, _COUNT, _ISOLATES, _KIND, _UNIT, _EIGHTH, _LENGTH, _TARGET, _WHO, _FORM, _G
 _OF_EPISODE = 10  # numbers of draws that an episode may use
 
 
-class Plan(NamedTuple):
+class EpisodePlan(NamedTuple):
     """When the episodes of a run are [ns]."""
 
     unit: int
@@ -70,7 +70,7 @@ def unit(nemesis: NemesisSection, ground: Ground) -> tuple[int, str]:
     return max(2, round(found / round_ns)) * round_ns, origin
 
 
-def plan(nemesis: NemesisSection, ground: Ground) -> Plan:
+def plan(nemesis: NemesisSection, ground: Ground) -> EpisodePlan:
     """The episodes of a run; none if there is no room for one."""
     length, origin = unit(nemesis, ground)
     start = length if nemesis.start is None else nemesis.start
@@ -78,7 +78,7 @@ def plan(nemesis: NemesisSection, ground: Ground) -> Plan:
     count = min(MOST_EPISODES, (until - start) // ((UNITS + QUIET) * length))
     tick = ground.spec.tick
     apart = (until - start) // count // tick * tick if count > 0 else 0
-    return Plan(length, origin, tuple(start + number * apart for number in range(count)))
+    return EpisodePlan(length, origin, tuple(start + number * apart for number in range(count)))
 
 
 def chance(isolations: int, vehicles: int, episodes: int) -> float:

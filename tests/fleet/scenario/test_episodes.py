@@ -32,7 +32,7 @@ def moored(*changes: str) -> Scenario:
     return parse_scenario(MOORED, "m.yaml", changes)
 
 
-def plan(s: Scenario) -> episodes.Plan:
+def plan(s: Scenario) -> episodes.EpisodePlan:
     assert s.undrawn.nemesis is not None
     return episodes.plan(s.undrawn.nemesis, s.ground)
 

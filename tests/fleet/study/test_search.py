@@ -11,6 +11,8 @@ from small_scenario import small
 from study_engine import Here, Rows
 
 from fleet.execution.stepped_run import judged
+from fleet.scenario.loading import parse_scenario
+from fleet.scenario.sections.episodes import chance
 from fleet.study.one_run import Task
 from fleet.study.row import CheckRow, Row
 from fleet.study.search import Searched, nemesis_of, search
@@ -116,3 +118,39 @@ def test_a_nemesis_is_added_where_there_is_none() -> None:
     assert added.undrawn.nemesis is not None
     events = added.faults.events
     assert events and max(event.tick for event in events) <= 0.75 * added.ticks
+
+
+EPISODES = """
+title: episodes
+moored: true
+vehicles: 3
+duration: 14 s
+graph: {shape: complete}
+agent: {law: "fleet.protocols.election:Election", parameters: {vehicles: 3, lease_s: 2, quorum: fleet}}
+network: {period: 100 ms, links: {"*": delay 100ms}}
+nemesis: {mode: episodes, pick: [partition, pause], watch: [control.leads above 0]}
+checks:
+  signal: {name: always-1, topic: control.leader, vehicles: 2-3, within: [0, 1]}
+"""
+
+
+def test_a_search_with_episodes_says_what_began_faults_and_what_was_covered() -> None:
+    """The scenario that it found has ordinary faults, so it fails again by itself."""
+    scenario = parse_scenario(EPISODES, "e.yaml")
+    found = search(scenario, Here(), lambda runs: None, most_runs=40)
+    assert (found.check, found.triggered != {}) == ("always-1", True)
+    assert found.scenario is not None and found.scenario.spec.triggers == []
+    began = {fault.id for fault in found.scenario.spec.faults} & set(found.triggered)
+    assert began and all("after control.leads above 0" in found.triggered[name] for name in began)
+    again = judged(found.scenario)
+    assert [verdict.check for verdict in again.checks if verdict.failed] == ["always-1"]
+    covered = found.covered
+    assert covered is not None and (covered.episodes, covered.unit_s) == (found.runs, 2.0)
+    assert covered.two == chance(2, 3, covered.episodes) > covered.three == chance(3, 3, covered.episodes)
+
+
+@pytest.mark.parametrize("change", ["nemesis={mode: swarm, watch: null}", "nemesis.pick=[pause]"])
+def test_what_was_covered_is_said_of_isolations_alone(change: str) -> None:
+    text = EPISODES.replace(", watch: [control.leads above 0]", "")
+    found = search(parse_scenario(text, "e.yaml", [change]), Here(), lambda runs: None, most_runs=2)
+    assert found.covered is None

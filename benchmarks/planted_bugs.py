@@ -94,7 +94,7 @@ BENCHES = {
             "partition, kill, pause, duplicate"),
         'network.links={"*": delay 100ms 30ms loss 10%}',
         "checks={fleet.protocols.checks:AtMostOneLeader: {per: fleet}, "
-        "fleet.protocols.checks:AgreeAfterHeal: {within: 9 s, quorum: fleet}}",
+        "fleet.protocols.checks:AgreeAfterHeal: {within: 6 s, quorum: fleet}}",
     )),
     "average": Bench("average", f"{AVERAGE}:ExactAverage", (
         *_COMMON, "moored=true", _EPISODES % "",

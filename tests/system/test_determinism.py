@@ -45,12 +45,15 @@ CLOCKS = "agent.clock={drift: {sigma: 2000 ppm}, offset: {mean: 5 ms, sigma: 30 
 CLOCK_FAULTS = (
     "faults=[{at: 1 s, for: 1 s, clock: {vehicles: 2, step: -200 ms, drift: 1e4 ppm}}, {at: 1.5 s, clock: {step: 1 s}}]"
 )
+HELD = "faults=[{at: 1 s, for: 1 s, hold: 1->2}, {at: 2 s, for: 1 s, duplicate: {links: 2->3, after: 500 ms}}]"
+TRIGGER = "triggers=[{when: {topic: control.leads, above: 0}, for: 1 s, fault: {pause: itself}}]"
 SLOTS = "network.acoustic={modem: s2c, mac: tdma, slot: 1.4 s, guard: 1.05 s}"
 
 # What each adds: nothing; loss, jitter and the disturbance; draws in the world process; frames that are not sent
 # every tick, and an end tick between two of them; a last round that is cut; the tightest coupling there is; estimates
 # in place of the truth; a graph in which vehicles hear more than one other, and numbers of two digits; links that
-# change by themselves; a QP at every tick; clocks that are drawn, drift, and are set, of agents, modems and protocols.
+# change by themselves; a QP at every tick; clocks that are drawn, drift, and are set, of agents, modems and protocols;
+# vehicles that do not move, packets that are held or come twice, and a fault that an agent's report begins.
 CASES: dict[str, tuple[str, list[str]]] = {
     "paper": ("paper", ["duration=4 s"]),
     "rough-sea": ("rough-sea", ["duration=6 s"]),
@@ -64,6 +67,7 @@ CASES: dict[str, tuple[str, list[str]]] = {
     "clocks": ("rough-sea", ["duration=3 s", CLOCKS, CLOCK_FAULTS]),
     "clocks and slots": ("acoustic-s2c", ["duration=6 s", SLOTS, CLOCKS, CLOCK_FAULTS, "checks={tumbled: waived}"]),
     "clocks of a protocol": ("election", ["duration=3 s", CLOCKS, CLOCK_FAULTS]),
+    "held and triggered": ("election", ["duration=5 s", "moored=true", HELD, TRIGGER]),
     "twelve in a ring": ("paper", ["vehicles=12", "graph.shape=ring", "duration=2 s", *NOISE, ROUGH]),
 }
 

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from msgspec.structs import replace
 
+from agents.message import VERSION
 from fleet.checks.api import Facts, Failure, Fault, Margin, NotJudged, Packet, Tick, Vehicle
 from fleet.checks.signal_check import RunningSignalCheck
 from fleet.checks.values import Error, FrameValues, TickValues
@@ -44,6 +45,9 @@ from world.plugins.fence import Fence, shown
 # | all others | none: a depth or a force is not judged by what was heard |
 
 
+_OF_A_PROTOCOL = bytes((VERSION,))  # begins every message that `agents.api.pack` makes
+
+
 class LastMessages:
     """For each link and protocol: the last fate, and the sending time of the newest message that arrived whole."""
 
@@ -51,7 +55,8 @@ class LastMessages:
         self._states, self._own = _LastOfLinks(links, tick_ns / 1e9), _LastOfLinks(links, tick_ns / 1e9)
 
     def settle(self, fate: Fate) -> None:
-        (self._states if kind_of(fate.payload) == STATE else self._own).settle(fate)
+        own = fate.payload[:1] == _OF_A_PROTOCOL or kind_of(fate.payload) != STATE
+        (self._own if own else self._states).settle(fate)
 
     def of(self, vehicles: Collection[int], signals: Iterable[str]) -> LastMessage | None:
         """The message that made the difference to the vehicles that failed a check, of the signals that it looks at: of
@@ -169,7 +174,9 @@ class SeenVehicle:
 class RunningPythonCheck:
     """A check in Python, and how it came out so far."""
 
-    def __init__(self, name: str, class_name: str, given: Mapping[str, Any], facts: Facts) -> None:
+    def __init__(
+        self, name: str, class_name: str, given: Mapping[str, Any], facts: Facts, budget_s: float = BUDGET_S
+    ) -> None:
         """`class_name` is `package.module:Class`, `given` what the scenario has of it. Raises CheckError if it cannot
         be made.
         """
@@ -178,7 +185,7 @@ class RunningPythonCheck:
         parameters = parameters_of(given)
         self._vehicles = facts.vehicles
         # What it prints goes to standard error; there is no place for notes beside a verdict.
-        self._fence = Fence(class_name, BUDGET_S, [], partial(_error, class_name), PATIENCE)
+        self._fence = Fence(class_name, budget_s, [], partial(_error, class_name), PATIENCE)
         try:
             found = load_check(class_name, parameters)
         except PluginError as error:
@@ -337,7 +344,7 @@ def packets_of(fates: Iterable[Fate], tick_s: float) -> list[Packet]:
 class OwnChecks:
     """The checks of one run that are the user's own."""
 
-    def __init__(self, scenario: Scenario, begin: int = 0) -> None:
+    def __init__(self, scenario: Scenario, begin: int = 0, budget_s: float = BUDGET_S) -> None:
         """Make them; see `asked`."""
         checks = scenario.spec.checks
         self._scenario, self._tick_s, self._last = scenario, scenario.tick_ns / 1e9, scenario.ticks
@@ -351,7 +358,7 @@ class OwnChecks:
                 asked = ask((checks.signal or [])[place], self._places)
                 self._signals.append(RunningSignalCheck(name, asked, scenario, self._places, begin))
             else:
-                self._python.append(RunningPythonCheck(name, key, (checks.python or {})[key][place], facts))
+                self._python.append(RunningPythonCheck(name, key, (checks.python or {})[key][place], facts, budget_s))
         self._moments: dict[str, Moment] = {}  # at which checks failed, by name
         self._active: dict[str, Fault] = {}
         self._dead: dict[str, list[int]] = {}  # by fault, whose agents it ended
@@ -360,12 +367,13 @@ class OwnChecks:
         self._now = begin
 
     @classmethod
-    def asked(cls, scenario: Scenario, begin: int = 0) -> OwnChecks | None:
-        """The checks that a scenario asks for; None: it has none. Samples before `begin` do not count. Raises
-        SignalCheckError if no vehicle has the signal of a check; CheckError if a check in Python cannot be made.
+    def asked(cls, scenario: Scenario, begin: int = 0, budget_s: float = BUDGET_S) -> OwnChecks | None:
+        """The checks that a scenario asks for; None: it has none. Samples before `begin` do not count. `budget_s`: of a
+        call of a check in Python; 0: any. Raises SignalCheckError if no vehicle has the signal of a check; CheckError
+        if a check in Python cannot be made.
         """
         checks = scenario.spec.checks
-        return cls(scenario, begin) if checks.signal or checks.python else None
+        return cls(scenario, begin, budget_s) if checks.signal or checks.python else None
 
     @property
     def groups(self) -> frozenset[str]:

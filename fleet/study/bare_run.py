@@ -7,8 +7,10 @@ repeated there, and only that counts.
 
 from __future__ import annotations
 
+import threading
 from collections import deque
 from collections.abc import Callable
+from contextlib import nullcontext
 from typing import NamedTuple, TypeVar
 
 import msgpack
@@ -29,8 +31,10 @@ from netem.faults import NetFault
 from netem.lives import Lives
 from netem.network import Netem
 from netem.wire.messages import Delivery, Fate, Nav, TimedFault, WorldFault
+from world.plugins.fence import OverBudgetError, alarm
 from world.sea import World
 
+BUDGET_S = 600.0  # of wall time; what takes longer is left to the emulator, which limits each call of a check
 # Checks that a bare run leaves out: of the emulator's own work, and of what never happens to a moored vehicle.
 _LEFT_OUT = frozenset({"ledger", "middleware_loss", "tumbled", "deaths", "qp_infeasible"})
 
@@ -53,10 +57,14 @@ def bare_verdicts(scenario: Scenario, progress: Callable[[float], None] | None =
         StudyError: `progress` raised it.
     """
     try:
-        verdicts = _BareRun(scenario).to_end(progress)
+        run = _BareRun(scenario)
+        # One alarm for the whole run: one for each call of a check would take a fifth of its time.
+        here = threading.current_thread() is threading.main_thread()  # only there signals arrive
+        with alarm(BUDGET_S, 0.0, lambda: True) if here else nullcontext():
+            verdicts = run.to_end(progress)
     except StudyError:  # it took too long
         raise
-    except Exception:  # a law failed, or a check asks for what is not here: the emulator says which
+    except (Exception, OverBudgetError):  # a law failed, or a check asks for what is not here: the emulator says which
         return []
     return [] if any(verdict.failed for verdict in verdicts) else verdicts
 
@@ -85,7 +93,7 @@ class _Values(NamedTuple):
 class _BareRun:
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
-        checks = OwnChecks.asked(scenario)
+        checks = OwnChecks.asked(scenario, budget_s=0.0)
         assert checks is not None
         self._checks = checks
         self._world, self._network = World(scenario.world_config), Netem(scenario.netem_config)

@@ -30,7 +30,7 @@ from world.vectors import Vec3
 Failure = Callable[[int, str, str], Exception]  # the error for a tick, a problem, and the line or ""
 
 
-class _OverBudgetError(BaseException):
+class OverBudgetError(BaseException):
     """Raised inside a plug-in by the timer; no Exception, so that the plug-in cannot take it for one of its own."""
 
 
@@ -76,7 +76,7 @@ class Fence:
                     return function(*args, **named)
                 with self._timer():
                     return function(*args, **named)
-        except _OverBudgetError as error:
+        except OverBudgetError as error:
             took = f"{self._name} took longer than its budget of {self._budget_s * 1e3:g} ms"
             raise self._failure(tick, took, place_of(error) or place_of_method(function)) from None
         except BaseException as error:  # SystemExit, too: a plug-in may fail, but not end the run as if all were well
@@ -176,17 +176,17 @@ class Fence:
 
         # Only a main thread gets signals; elsewhere the time is looked at when the plug-in is back.
         if threading.current_thread() is threading.main_thread():
-            with _alarm(budget_s, budget_s if patience > 1 else 0.0, over):
+            with alarm(budget_s, budget_s if patience > 1 else 0.0, over):
                 yield
         else:
             yield
         if over():  # a plug-in that swallowed the signal, or never left C code
-            raise _OverBudgetError
+            raise OverBudgetError
 
 
 @contextmanager
-def _alarm(after_s: float, again_s: float, over: Callable[[], bool]) -> Iterator[None]:
-    """Raise `_OverBudgetError` in the code inside after a time; a timer that was set before goes on afterwards.
+def alarm(after_s: float, again_s: float, over: Callable[[], bool]) -> Iterator[None]:
+    """Raise `OverBudgetError` in the code inside after a time; a timer that was set before goes on afterwards.
 
     Args:
         again_s: how often it is asked again whether it is over; 0: the first alarm ends it.
@@ -195,7 +195,7 @@ def _alarm(after_s: float, again_s: float, over: Callable[[], bool]) -> Iterator
 
     def ring(number: int, frame: FrameType | None) -> None:
         if not again_s or over():
-            raise _OverBudgetError
+            raise OverBudgetError
 
     began = perf_counter()
     left_s = interval_s = 0.0

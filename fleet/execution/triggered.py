@@ -56,7 +56,7 @@ def fired(scenario: Scenario) -> Scenario:
 
 
 class _Looks:
-    """What the journal of such a run writes to: only the triggers see it."""
+    """A sink of the journal that shows each frame to the triggers, and records nothing."""
 
     def __init__(self, scenario: Scenario) -> None:
         self.triggers, self._scenario = Triggers(scenario), scenario

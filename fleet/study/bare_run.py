@@ -1,8 +1,8 @@
 """Runs of moored vehicles with nothing around their agents but the network and the scenario's own checks.
 
-A search makes hundreds of runs of which nobody reads a log. So there is no journal here, no metrics, no messages
-between processes. A run that passes here would pass in the emulator: the tests compare them. What fails here is to be
-repeated there, and only that counts.
+A search makes hundreds of runs, and nobody reads their logs. So there is no journal here, no metrics, no messages
+between processes. A run that passes here would pass in the emulator: the tests compare them. The caller repeats a run
+that fails here in the emulator, and only that counts.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def fits(scenario: Scenario) -> bool:
 
 
 def bare_verdicts(scenario: Scenario, progress: Callable[[float], None] | None = None) -> list[Verdict]:
-    """The verdicts of a scenario's own checks, none of which failed; empty: the emulator has to judge this run.
+    """The verdicts of a scenario's own checks, if none failed. Empty: the emulator has to judge this run.
 
     Args:
         progress: called with the simulated time [s] in each round.
@@ -78,7 +78,7 @@ def _in_order(*faults: _Timed) -> tuple[_Timed, ...]:
 
 
 class _Values(NamedTuple):
-    """What the vehicles report at a tick, as checks see it."""
+    """The reports of the vehicles at a tick, as checks see them."""
 
     tick: int
     due: frozenset[str]
@@ -182,7 +182,7 @@ class _BareRun:
                     self._begin(fault)
 
     def _begin(self, fault: FaultSection) -> None:
-        """Put a fault that a trigger begins behind those that are there."""
+        """Add a fault that a trigger begins."""
         scenario, name = self._scenario, fault.id or ""
         found = parts(fault, name, scenario.spec, scenario.graph.links)
         for part in found:

@@ -129,7 +129,7 @@ class Reached:
 
 
 class Covered(Struct, frozen=True):
-    """What the episodes of a search have drawn."""
+    """The episodes of a search, and how likely they held given patterns."""
 
     episodes: int
     unit_s: float

@@ -34,7 +34,7 @@ _SAVE_S = 2.0  # how often a search writes how far it is
 
 
 def covered(scenario: Scenario, runs: int) -> Covered | None:
-    """What so many runs of a scenario have drawn; None: its nemesis has no episodes, or cuts off nobody."""
+    """The episodes of so many runs of a scenario. None: its nemesis draws no episodes, or no partitions."""
     nemesis = scenario.undrawn.nemesis
     if nemesis is None or nemesis.mode != "episodes":
         return None

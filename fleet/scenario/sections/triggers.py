@@ -1,6 +1,6 @@
 """Triggers: faults that begin when an agent reports something, such as that it leads.
 
-A trigger becomes an ordinary fault as soon as it is known when it begins, and by whose report.
+A trigger becomes an ordinary fault when an agent has made the report that it waits for.
 """
 
 from __future__ import annotations

@@ -114,6 +114,8 @@ class Fence:
 
     def vector(self, tick: int, method: Any, what: str, value: Any) -> Vec3:
         """`value` as three finite numbers."""
+        if type(value) is tuple and len(value) == 3 and all(type(one) is float and isfinite(one) for one in value):
+            return value
         numbers = numbers_of(value)
         if len(numbers) != 3:
             raise self.wrong(tick, method, f"returned {what} {shown(value)}: expected three numbers")

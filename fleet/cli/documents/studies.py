@@ -130,7 +130,9 @@ class FirstFailing(Struct):
     least: Annotated[Less | None, Meta(description="The least scenario that fails; null: none does, or with --keep.")]
     sometimes: list[SometimesReached]
     kept: Annotated[list[FoundFailure], Meta(description="With --keep: what the folder has of this scenario.")]
-    triggered: Annotated[dict[str, str], Meta(description="By the id of a fault of the failing run: the report that began it.")]
+    triggered: Annotated[
+        dict[str, str], Meta(description="By the id of a fault of the failing run: the report that began it.")
+    ]
     covered: Annotated[
         Covered | None,
         Meta(

@@ -115,7 +115,8 @@ def _made(task: Task) -> Row:
                 passed = all(verdict.passed for verdict in verdicts)
                 status = Status.PASS if passed else Status.CHECK_FAILED
                 return Row(seed=task.seed, status=status, passed=passed, checks=checks, numbers=numbers)
-        scenario = fired(scenario)
+        if scenario.spec.triggers:
+            scenario = fired_of(task)
         samples = Samples(scenario, task.signals)
         if task.log:
             result = recorded(scenario, Path(task.log), check, samples)
@@ -154,9 +155,18 @@ def recorded(
 
 def scenario_of(task: Task) -> Scenario:
     """The scenario of a run. Raises ScenarioError."""
+    return _read(task, lambda scenario: scenario)
+
+
+def fired_of(task: Task) -> Scenario:
+    """The same with faults in place of its triggers. Raises ScenarioError."""
+    return _read(task, fired)
+
+
+def _read(task: Task, then: Callable[[Scenario], Scenario]) -> Scenario:
     modules = task.modules
     with trusting(Trust(fingerprints=frozenset(modules.fingerprints))):
-        return parse_scenario(task.text, task.name, [f"seed={task.seed}"], folder_of(modules), Policy(A_STUDY))
+        return then(parse_scenario(task.text, task.name, [f"seed={task.seed}"], folder_of(modules), Policy(A_STUDY)))
 
 
 def _measured(result: Result, samples: Samples) -> Row:

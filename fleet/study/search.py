@@ -15,7 +15,6 @@ from math import inf
 from typing import Literal
 
 from fleet.execution.external_agents import refuse
-from fleet.execution.triggered import fired
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections import episodes
 from fleet.scenario.sections.triggers import moments
@@ -24,7 +23,7 @@ from fleet.study.engine import Engine
 from fleet.study.errors import StudyError
 from fleet.study.failures import FailureFolder, FoundFailure, SearchProgress, file_of
 from fleet.study.modules import NO_MODULES, Modules
-from fleet.study.one_run import Task, scenario_of
+from fleet.study.one_run import Task, fired_of, scenario_of
 from fleet.study.plan import run_key
 from fleet.study.row import Covered, Reached, Row, sometimes_names
 from fleet.study.spec import LARGEST_SEED
@@ -213,13 +212,13 @@ class _Search:
         if found.kinds:
             found.check = min(found.kinds, key=lambda check: found.kinds[check])
             found.seed = found.kinds[found.check]
-            drawn = scenario_of(self.task(found.seed))
-            found.scenario, found.triggered = fired(drawn), moments(drawn.spec.triggers, drawn.spec)
+            spec = scenario_of(self.task(found.seed)).spec
+            found.scenario, found.triggered = self.scenario(found.seed), moments(spec.triggers, spec)
         found.covered = covered(self._scenario, found.runs)
         return found
 
     def scenario(self, seed: int) -> Scenario:
-        return fired(scenario_of(self.task(seed)))
+        return fired_of(self.task(seed))
 
     @property
     def _key(self) -> str:

@@ -167,6 +167,30 @@ BUGS = (
               "a suspended leader trusts its last grant, not its quorum"),
     _election("grant-from-now", "fresh[wanted].made + self._lease", "tick + self._lease",
               "a grant counts from when it is given, not from when the candidate was there"),
+    _election("half-silence", "self._silent_until = tick + self._lease", "self._silent_until = tick + self._lease // 2",
+              "after a restart it listens for half a lease"),
+    _election("silence-until-heard", "        leader = self._leader(fresh, nav.tick)\n        return tau",
+              "        self._silent_until = 0 if messages else self._silent_until\n"
+              "        leader = self._leader(fresh, nav.tick)\n        return tau",
+              "after a restart it listens until the first message"),
+    _election("silence-with-a-leader", "if tick >= self._silent_until and (wanted",
+              "if (tick >= self._silent_until or leader == NOBODY) and (wanted",
+              "after a restart it listens only if it knows of a leader"),
+    _election("until-from-now", "self._leads_until(fresh) * self._tick_s if leader",
+              "(nav.tick + self._lease) * self._tick_s if leader", 
+              "a suspended leader trusts its lease from its last sample"),
+    _election("silence-of-two-rounds", "self._silent_until = tick + self._lease", "self._silent_until = tick + 2",
+              "after a restart it listens for two rounds"),
+    _election("silence-for-others", "if tick >= self._silent_until and (wanted",
+              "if (tick >= self._silent_until or wanted == self._id) and (wanted",
+              "after a restart it grants to itself at once"),
+    _election("until-last-but-one", "next(end for end in grants if not leads_at(end))", "grants[-2]",
+              "a suspended leader trusts its last grant but one"),
+    _election("quorum-until-all", "voters = self._vehicles if self._of_fleet else len(fresh)",
+              "voters = self._vehicles if self._of_fleet and len(self._others) == self._vehicles - 1 else len(fresh)",
+              "until it has heard of all, the quorum is of those that are there"),
+    _election("until-of-records", "next(end for end in grants if not leads_at(end))", "max(others)",
+              "a suspended leader trusts the newest record that it has"),
     _election("known-quorum", "voters = self._vehicles if self._of_fleet else len(fresh)",
               "voters = 1 + len(self._others) if self._of_fleet else len(fresh)",
               "the quorum is of the vehicles that it has heard of in this life"),
@@ -192,7 +216,22 @@ BUGS = (
 
 # Faults, made by hand, with which a defect fails its bench, while the sound protocol passes; none are needed for an
 # empty list.
+_FORGETS = (
+    '{at: 20 s, for: 2 s, partition: "1,2,3 / 4,5"}',
+    '{at: 22 s, for: 10 s, partition: "1,2 / 3,4,5"}',
+    "{at: 22 s, for: 200 ms, kill: 3}",
+)
+_SUSPENDED = ('{at: 20 s, for: 12 s, partition: "1,2 / 3,4,5"}', "{at: 22500 ms, for: 6 s, pause: 1}")
 WITNESSES: dict[str, tuple[str, ...]] = {
+    "half-silence": _FORGETS,
+    "silence-until-heard": _FORGETS,
+    "silence-with-a-leader": _FORGETS,
+    "until-from-now": _SUSPENDED,
+    "until-of-records": _SUSPENDED,
+    "silence-of-two-rounds": _FORGETS,
+    "silence-for-others": _FORGETS,
+    "until-last-but-one": _SUSPENDED,
+    "quorum-until-all": ('{at: 44 s, kill: "1-2, 5"}', "{at: 48 s, for: 1500 ms, kill: 4}"),
     # After its restart vehicle 4 knows of 3 alone, so two are its quorum.
     "known-quorum": ('{at: 44 s, kill: "1-2, 5"}', "{at: 48 s, for: 1500 ms, kill: 4}"),
     "grant-from-now": ("{at: 20 s, for: 12 s, kill: 1}",),
@@ -202,13 +241,9 @@ WITNESSES: dict[str, tuple[str, ...]] = {
     "no-tie-break-of-bids": (),
     # Vehicle 3 granted 1 its lease until 25 s, and has forgotten it. 4 and 5 have not heard 1 since 20 s, so they are
     # free at 23 s, and with 3 they are a majority.
-    "no-silence-after-start": (
-        '{at: 20 s, for: 2 s, partition: "1,2,3 / 4,5"}',
-        '{at: 22 s, for: 10 s, partition: "1,2 / 3,4,5"}',
-        "{at: 22 s, for: 200 ms, kill: 3}",
-    ),
+    "no-silence-after-start": _FORGETS,
     # The grants of 3, 4 and 5 end at 23 s, that of 2 at 25 s.
-    "leads-too-long": ('{at: 20 s, for: 12 s, partition: "1,2 / 3,4,5"}', "{at: 22500 ms, for: 6 s, pause: 1}"),
+    "leads-too-long": _SUSPENDED,
     "small-quorum": ('{at: 20 s, for: 12 s, partition: "1,2 / 3,4,5"}',),
     "no-tie-break": (),
     "never-dropped": ("{at: 20 s, for: 12 s, kill: 1}",),

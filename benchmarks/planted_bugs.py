@@ -177,7 +177,7 @@ BUGS = (
               "if (tick >= self._silent_until or leader == NOBODY) and (wanted",
               "after a restart it listens only if it knows of a leader"),
     _election("until-from-now", "self._leads_until(fresh) * self._tick_s if leader",
-              "(nav.tick + self._lease) * self._tick_s if leader", 
+              "(nav.tick + self._lease) * self._tick_s if leader",
               "a suspended leader trusts its lease from its last sample"),
     _election("silence-of-two-rounds", "self._silent_until = tick + self._lease", "self._silent_until = tick + 2",
               "after a restart it listens for two rounds"),

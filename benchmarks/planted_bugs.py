@@ -239,6 +239,10 @@ WITNESSES: dict[str, tuple[str, ...]] = {
     "expired-votes": ('{at: 22 s, for: 2900 ms, partition: "isolate:1"}',),
     "old-round": ('{at: 32500 ms, for: 500 ms, duplicate: {links: "*->1", after: 2 s}}',),
     "no-tie-break-of-bids": (),
+    "old-news": (
+        '{at: 26100 ms, for: 4900 ms, duplicate: {links: "4->*", after: 3 s}}',
+        "{at: 30600 ms, for: 100 ms, kill: 4}",
+    ),
     # Vehicle 3 granted 1 its lease until 25 s, and has forgotten it. 4 and 5 have not heard 1 since 20 s, so they are
     # free at 23 s, and with 3 they are a majority.
     "no-silence-after-start": _FORGETS,

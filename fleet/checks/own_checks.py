@@ -175,7 +175,7 @@ class RunningPythonCheck:
     """A check in Python, and how it came out so far."""
 
     def __init__(
-        self, name: str, class_name: str, given: Mapping[str, Any], facts: Facts, budget_s: float = BUDGET_S
+        self, name: str, class_name: str, given: Mapping[str, Any], facts: Facts, budget_s: float | None = None
     ) -> None:
         """`class_name` is `package.module:Class`, `given` what the scenario has of it. Raises CheckError if it cannot
         be made.
@@ -185,7 +185,9 @@ class RunningPythonCheck:
         parameters = parameters_of(given)
         self._vehicles = facts.vehicles
         # What it prints goes to standard error; there is no place for notes beside a verdict.
-        self._fence = Fence(class_name, budget_s, [], partial(_error, class_name), PATIENCE)
+        self._fence = Fence(
+            class_name, BUDGET_S if budget_s is None else budget_s, [], partial(_error, class_name), PATIENCE
+        )
         try:
             found = load_check(class_name, parameters)
         except PluginError as error:
@@ -344,7 +346,7 @@ def packets_of(fates: Iterable[Fate], tick_s: float) -> list[Packet]:
 class OwnChecks:
     """The checks of one run that are the user's own."""
 
-    def __init__(self, scenario: Scenario, begin: int = 0, budget_s: float = BUDGET_S) -> None:
+    def __init__(self, scenario: Scenario, begin: int = 0, budget_s: float | None = None) -> None:
         """Make them; see `asked`."""
         checks = scenario.spec.checks
         self._scenario, self._tick_s, self._last = scenario, scenario.tick_ns / 1e9, scenario.ticks
@@ -367,9 +369,9 @@ class OwnChecks:
         self._now = begin
 
     @classmethod
-    def asked(cls, scenario: Scenario, begin: int = 0, budget_s: float = BUDGET_S) -> OwnChecks | None:
+    def asked(cls, scenario: Scenario, begin: int = 0, budget_s: float | None = None) -> OwnChecks | None:
         """The checks that a scenario asks for; None: it has none. Samples before `begin` do not count. `budget_s`: of a
-        call of a check in Python; 0: any. Raises SignalCheckError if no vehicle has the signal of a check; CheckError
+        call of a check in Python; 0: any; None: `BUDGET_S`. Raises SignalCheckError if no vehicle has the signal of a check; CheckError
         if a check in Python cannot be made.
         """
         checks = scenario.spec.checks

@@ -371,8 +371,8 @@ class OwnChecks:
     @classmethod
     def asked(cls, scenario: Scenario, begin: int = 0, budget_s: float | None = None) -> OwnChecks | None:
         """The checks that a scenario asks for; None: it has none. Samples before `begin` do not count. `budget_s`: of a
-        call of a check in Python; 0: any; None: `BUDGET_S`. Raises SignalCheckError if no vehicle has the signal of a check; CheckError
-        if a check in Python cannot be made.
+        call of a check in Python; 0: any; None: `BUDGET_S`. Raises SignalCheckError if no vehicle has the signal of a
+        check; CheckError if a check in Python cannot be made.
         """
         checks = scenario.spec.checks
         return cls(scenario, begin, budget_s) if checks.signal or checks.python else None

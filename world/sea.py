@@ -46,7 +46,7 @@ class _Vehicle:
         self.k: Coefficients = coefficients(setup.params)
         self.tau_max: Vec3 = setup.tau_max
         self.tick: int = 0
-        self.state: State = _initial(setup, moored=config.moored)
+        self.state: State = _initial(setup)
         self.plant: Any = None
         if setup.plant is not None:
             self.plant = FencedPlant(
@@ -349,11 +349,9 @@ def _of_plant(plant: Any) -> State:
     return x, y, z, theta, psi, u, v, w, q, r
 
 
-def _initial(setup: VehicleSetup, *, moored: bool) -> State:
+def _initial(setup: VehicleSetup) -> State:
     x, y, z, theta, psi = map(float, setup.eta0)
     u, v, w, q, r = map(float, setup.nu0)
-    if moored:
-        return x, y, z, theta, psi, 0.0, 0.0, 0.0, 0.0, 0.0
     return x, y, z, theta, psi, u, v, w, q, r
 
 

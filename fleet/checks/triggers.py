@@ -11,9 +11,8 @@ from fleet.checks.values import TickValues
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultSection, TriggerSection
 from fleet.scenario.sections.signals import SignalPlace
-from fleet.scenario.sections.timeline import parts
+from fleet.scenario.sections.timeline import acts, parts
 from fleet.scenario.sections.triggers import AskedMoment, ask_moment, fault_of, trigger_name, wait_ns
-from netem.faults import NetFault
 
 
 @dataclass(slots=True)
@@ -57,7 +56,9 @@ class Triggers:
 
     def look(self, values: TickValues) -> list[FaultSection]:
         """The faults that a tick's samples begin; each begins a round later, at the earliest."""
-        found = [fault for one in self._waiting if (fault := self._begins(one, values)) is not None]
+        due = due_groups(self._scenario, values.tick)
+        waiting = [one for one in self._waiting if one.asked.signal.group in due]
+        found = [fault for one in waiting if (fault := self._begins(one, values)) is not None]
         if found:
             self._waiting = [one for one in self._waiting if one.left]
             self.begun += found
@@ -67,8 +68,6 @@ class Triggers:
         signal, tick, spec = one.asked.signal, values.tick, self._spec
         at_ns, when = tick * self._tick_ns, one.trigger.when
         if at_ns < when.after or (when.before is not None and at_ns >= when.before):
-            return None
-        if signal.group not in due_groups(self._scenario, tick):
             return None
         for i in one.asked.vehicles:
             place = self._places[i].get(signal.name)
@@ -81,6 +80,5 @@ class Triggers:
                 near = [j for j, _ in self._scenario.graph.neighbours(i)]
                 fault = fault_of(one.trigger, one.name, at, i, spec, near)
                 found = parts(fault, one.name, spec, self._scenario.graph.links)
-                acts = any(not isinstance(part, NetFault) or part.links or part.vehicles for part in found)
-                return fault if acts and at < spec.duration else None
+                return fault if acts(found) and at < spec.duration else None
         return None

@@ -28,7 +28,7 @@ from fleet.scenario.rules.nodes import OF_ROBOTS
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultEntry, FaultSection
 from fleet.scenario.sections.node_names import numbered_values
-from fleet.scenario.sections.timeline import Kill, Part, action, begin_and_end, parts, with_end, words
+from fleet.scenario.sections.timeline import Kill, Part, action, acts, begin_and_end, parts, with_end, words
 from fleet.scenario.sections.vehicle_events import vehicle_events
 from netem.faults import NetFault
 from netem.vehicle_clock import Clock
@@ -295,7 +295,7 @@ class Operator:
         """Add a fault. Returns the tick of its end. The operator may heal it earlier."""
         scenario = self.scenario
         found = parts(section, name, scenario.spec, scenario.graph.links)
-        if not any(not isinstance(part, NetFault) or part.links or part.vehicles for part in found):
+        if not acts(found):
             raise RefusedError(f"this {action(section)} concerns no link of the graph")
         self._replace([*self.faults, *found])
         for part in found:

@@ -166,6 +166,8 @@ class Scenario:
             file = str(file_of(section.name) or "")
             plant = PlantSetup(section.name, section.parameters or {}, section.budget / 1e9, *rolls[i - 1], file)
         limit = control.tumble_limit
+        if self.spec.moored:
+            nu0 = (0.0, 0.0, 0.0, 0.0, 0.0)
         return VehicleSetup(i, eta0, nu0, control.vehicle, control.tau_max, limit, size, plant, control.navigation)
 
     def belief(self, i: int) -> BeliefKind:

@@ -15,10 +15,9 @@ from typing import NamedTuple, TypeVar
 
 import msgpack
 
-from agents.agent import Agent
 from agents.config import AgentConfig
+from agents.loop import AgentLoop
 from agents.make_agent import make_agent
-from agents.plugged_agent import PluggedAgent
 from fleet.checks.own_checks import OwnChecks, due_groups
 from fleet.checks.triggers import Triggers
 from fleet.checks.values import Values
@@ -30,7 +29,7 @@ from fleet.study.errors import StudyError
 from netem.faults import NetFault
 from netem.lives import Lives
 from netem.network import Netem
-from netem.wire.messages import Delivery, Fate, Nav, TimedFault, WorldFault
+from netem.wire.messages import Command, Fate, Inbox, Nav, TimedFault, Transmission, WorldFault
 from world.plugins.fence import OverBudgetError, alarm
 from world.sea import World
 
@@ -98,8 +97,7 @@ class _BareRun:
         self._checks = checks
         self._world, self._network = World(scenario.world_config), Netem(scenario.netem_config)
         self._lives = Lives(scenario.world_config.absences)
-        self._agents: dict[int, tuple[int, Agent | PluggedAgent]] = {}  # by vehicle: which life, and its core
-        self._waiting: dict[int, list[Delivery]] = {i: [] for i in self._world.ids}
+        self._loops: dict[int, AgentLoop] = {}  # by vehicle: the life of its agent
         self._events, self._fates = deque(scenario.faults.events), deque[Fate]()
         self._frames = deque[_Values]()
         self._frame_every = frame_every(scenario)
@@ -120,16 +118,17 @@ class _BareRun:
             alive: dict[int, tuple[float, ...]] = {}
             for i, state in self._state.items():
                 known[i] = groups = {"state": state, "nav": (), "control": (), "guidance": ()}
-                if (agent := self._agent(i, k)) is not None:
+                if (loop := self._loop(i, k)) is not None:
                     alive[i] = self._places[i]
                     if not self._world.paused(i, k):
-                        self._step(i, k, agent, sent if begins_round else None, groups)
+                        self._step(i, k, loop, sent, groups)
                 self._world.hold(i)
             self._frame(k, known)
             if begins_round:
                 inboxes, fates = network.exchange(k, sent, alive)
                 for i, deliveries in inboxes.items():
-                    self._waiting[i] += deliveries
+                    loop = self._loops[i]
+                    loop.inbox(Inbox(loop.incarnation, k + m, False, deliveries))
                 self._fates += fates
                 self._take(k)
                 if progress is not None:
@@ -140,38 +139,30 @@ class _BareRun:
         self._take(last)
         return self._checks.verdicts(over=True)
 
-    def _agent(self, i: int, k: int) -> Agent | PluggedAgent | None:
+    def _loop(self, i: int, k: int) -> AgentLoop | None:
         """The agent of vehicle i at tick k, perhaps a new one; None: it has none."""
         if self._lives.without_agent(i, k):
             return None
         life = self._lives.incarnation(i, k)
-        if i not in self._agents or self._agents[i][0] != life:
-            self._agents[i] = life, make_agent(self._configs[i])
-            self._waiting[i] = []
-        return self._agents[i][1]
+        if i not in self._loops or self._loops[i].incarnation != life:
+            core = make_agent(self._configs[i])
+            self._loops[i] = AgentLoop(core, self._scenario.round_ticks, incarnation=life, begin=k)
+        return self._loops[i]
 
     def _step(
-        self,
-        i: int,
-        k: int,
-        agent: Agent | PluggedAgent,
-        sent: dict[int, tuple[bytes, ...]] | None,
-        groups: dict[str, Values],
+        self, i: int, k: int, loop: AgentLoop, sent: dict[int, tuple[bytes, ...]], groups: dict[str, Values]
     ) -> None:
         """Let agent i answer the sample of tick k. `sent` takes its payloads, `groups` what it measured and reports."""
         world = self._world
         clocks = world.clocks
         eta, nu, roll = world.sense(i)
-        nav = Nav(self._agents[i][0], k, eta, nu, roll, None if clocks is None else clocks.reading_ns(i, k))
-        if sent is not None:
-            sent[i] = agent.transmit(nav)
-        waiting = self._waiting[i]
-        due = [delivery for delivery in waiting if delivery.due_tick <= k]
-        if due:
-            self._waiting[i] = waiting[len(due) :]
-        telemetry = agent.decide(nav, due).telemetry
         groups["nav"] = eta + nu + roll
-        groups["control"] = groups["guidance"] = telemetry
+        nav = Nav(loop.incarnation, k, eta, nu, roll, None if clocks is None else clocks.reading_ns(i, k))
+        for answer in loop.nav(nav):
+            if isinstance(answer, Transmission):
+                sent[i] = answer.payloads
+            elif isinstance(answer, Command):
+                groups["control"] = groups["guidance"] = answer.telemetry
 
     def _frame(self, k: int, known: dict[int, dict[str, Values]]) -> None:
         if k % self._frame_every == 0 or k == self._scenario.ticks:

@@ -182,6 +182,11 @@ def parts(section: FaultSection, name: str, spec: ScenarioSpec, links: Sequence[
     return [WorldFault(name, begin, end, WorldFaultKind(kind), who, _numbers_of(section))]
 
 
+def acts(found: Sequence[Part]) -> bool:
+    """Whether the parts of a fault concern anything: one of links may find none in the graph."""
+    return any(not isinstance(part, NetFault) or part.links or part.vehicles for part in found)
+
+
 def _numbers_of(section: FaultAction) -> tuple[float, ...]:
     """The values of a fault of the world, as `WorldFault` lists them: mostly those of its keys in their order."""
     if (b := section.bias) is not None:

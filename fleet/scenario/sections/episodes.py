@@ -15,6 +15,10 @@ a third of the episodes all faults cut off one vehicle each. For these the chanc
 faults, in any order, must get the right vehicles and units. (C. Dragoi and others, "Testing consensus implementations
 using communication closure", OOPSLA 2020, has the bound for a uniform choice of process and round.)
 
+Another third are *splits*: half of the fleet is cut off from the others. In every second one a vehicle changes sides
+later. One more fault, of another kind, begins within a unit of the last of these partitions. It concerns, half of the
+time, the vehicle that changed sides; or one of the half, or all of it.
+
 With `watch` a fault in three waits until an agent reports something else in one of these signals, or more than a
 number (`control.leads above 0`): its target is then this agent, or all others. It waits for a unit at most, and lasts a
 unit at most.
@@ -42,9 +46,9 @@ KINDS = ("partition", "kill", "pause", "mute", "deaf", "hold", "duplicate")
 PARAMETERS = ("lease_s", "forget_after_s", "silence_s")  # of agents: times after which something is over
 _ROUNDS = 10  # of a unit that nothing states
 _ISOLATED = 1.0 / 3.0  # of the episodes: all faults cut off one vehicle each
-_ON, _COUNT, _ISOLATES, _KIND, _UNIT, _EIGHTH, _LENGTH, _TARGET, _WHO, _FORM, _GOOD, _WATCH, _WAIT, _NTH, _THEN = range(
-    15
-)
+_SPLIT = 1.0 / 3.0  # of the episodes: the fleet is in two halves
+_ON, _COUNT, _ISOLATES, _KIND, _UNIT, _EIGHTH, _LENGTH, _TARGET, _WHO, _FORM = range(10)
+_GOOD, _WATCH, _WAIT, _NTH, _THEN, _MOVES = range(10, 16)
 _OF_EPISODE = 10  # numbers of draws that an episode may use
 
 
@@ -128,6 +132,9 @@ class _Drawn:
         while count < MOST_FAULTS and x >= sum(SHARES[n] for n in range(1, count + 1)):
             count += 1
         isolates = draws.share(first, _ISOLATES) < _ISOLATED and self._isolates
+        if self._isolates and not isolates and draws.share(first, _ISOLATES) < _ISOLATED + _SPLIT:
+            self._split(first, begin, [kind for kind in kinds if kind != "partition"])
+            return
         side: list[int] = []  # of the partition that was drawn last
         before: list[int] = []  # the target of the fault before
         times = begin, begin  # of the fault before
@@ -151,6 +158,27 @@ class _Drawn:
                 side = who
             before = who
             self._add(k, self._body(k, kind, who), at, lasts)
+
+    def _split(self, k: int, begin: int, kinds: list[str]) -> None:
+        """Draw an episode in which half of the fleet is cut off from the others."""
+        draws, n, end = self._draws, self._ground.spec.vehicles, begin + UNITS * self._unit
+        drawn = sorted(range(1, n + 1), key=lambda i: (draws.share(100 * k + i, _WHO), i))
+        side, who = sorted(drawn[: max(1, n // 2)]), drawn[draws.among(n, k, _NTH)]
+        at, moved = self._eighths(begin, k, 8 * UNITS), sorted({*side} ^ {who})
+        lasts = self._length(k, end - at)
+        self._add(k, self._body(k, "partition", side), at, lasts)
+        if 0 < len(moved) < n and draws.share(k, _MOVES) < 0.5 and at + lasts < end:
+            at, k, side = at + lasts, k + 1, moved
+            self._add(k, self._body(k, "partition", side), at, end - at)
+        if kinds:
+            at, k = min(self._eighths(at, k + 1, 8), end - self._ground.round_ns), k + 1
+            target = ([who], [who], drawn[:1], side)[draws.among(4, k, _TARGET)]
+            self._add(k, self._body(k, kinds[draws.among(len(kinds), k, _KIND)], target), at, self._length(k, end - at))
+
+    def _eighths(self, begin: int, k: int, count: int) -> int:
+        """A time on the eighths of a unit [ns], before so many have passed."""
+        tick = self._ground.spec.tick
+        return begin + self._draws.among(count, k, _EIGHTH) * self._unit // 8 // tick * tick
 
     def _length(self, k: int, most: int) -> int:
         round_ns, whole = self._ground.round_ns, self._unit

@@ -83,6 +83,18 @@ def test_every_kind_and_every_size_of_target_is_drawn() -> None:
     assert {fault.hold.order for fault in drawn if fault.hold} == {"sent", "reversed"}
 
 
+def test_a_vehicle_changes_sides_and_then_something_happens_to_it() -> None:
+    """Three faults that belong together, as one needs who looks for a lease that is forgotten at a restart."""
+    found = 0
+    for seed in range(200):
+        faults = moored(f"seed={seed}", "nemesis.watch=null").spec.faults
+        for first, then, last in zip(faults, faults[1:], faults[2:], strict=False):
+            if first.partition and then.partition and first.for_ and first.at + first.for_ == then.at and last.kill:
+                before, after = ({*str(fault.partition).partition(" ")[0].split(",")} for fault in (first, then))
+                found += before ^ after == {str(last.kill)}
+    assert found >= 5
+
+
 def test_only_kinds_that_are_picked_are_drawn() -> None:
     drawn = [f for seed in range(20) for f in moored(f"seed={seed}", "nemesis.pick=[kill, duplicate]").spec.faults]
     assert {action(fault) for fault in drawn} == {"kill", "duplicate"}

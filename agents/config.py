@@ -61,6 +61,7 @@ class Offset:
 
 Extrapolation = Literal["hold", "neighbour", "reference"]
 Cost = Literal["printed", "consistent"]
+Solver = Literal["piqp", "exact"]
 Angles = Literal["printed", "exact"]
 OnError = Literal["abort", "coast", "die"]
 Codec = Literal["full", "compact", "located"]
@@ -92,6 +93,7 @@ class GuidanceParams:
     qp_ticks: int  # the QP runs on ticks divisible by this
     horizon_s: float  # prediction step Delta t of eq. 18
     cost: Cost = "printed"
+    solver: Solver = "piqp"  # of the gain: its exact formula alone, or PIQP beside it; the gain is the same
     slew: float = 0.0  # m/s^2 per axis on rho; 0: off
 
 

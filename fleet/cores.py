@@ -1,7 +1,8 @@
-"""Whether the cores of world, agents and netem are compiled; the bytes of a run are the same either way."""
+"""What computes: the cores of world, agents and netem, compiled or not with the same bytes; the processor."""
 
 from __future__ import annotations
 
+import os
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -47,3 +48,22 @@ def hidden_cores() -> str:
                     "twice as fast: start from another folder, or move the script out of the checkout"
                 )
     return ""
+
+
+def processor() -> str:
+    """Name of the processor; empty: the system does not say."""
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
+            lines = [line for line in file if line.startswith("model name")]
+    except OSError:
+        return ""
+    return lines[0].partition(":")[2].strip() if lines else ""
+
+
+def machine() -> str:
+    """What may round differently on another machine: the kind of processor, its name, and the C library."""
+    try:
+        library = os.confstr("CS_GNU_LIBC_VERSION") or ""
+    except ValueError:
+        library = "not glibc"
+    return ", ".join(filter(None, (os.uname().machine, processor(), library)))

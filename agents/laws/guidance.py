@@ -16,7 +16,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import piqp
 
-from agents.config import AgentConfig, GuidanceParams
+from agents.config import AgentConfig, GuidanceParams, Solver
 from agents.laws.velocity_command import clip, slew, virtual_control
 from agents.sample import Sample
 from world.signal import Signal
@@ -52,6 +52,10 @@ from world.vectors import Vec3
 # 9; at 1e-16 rounding keeps one problem in four from ever converging.
 TOLERANCE = 1e-14
 
+# How far PIQP's gain may be from the exact one [1/s]: thirty times the 3e-6 above. It decides no value, only whether a
+# sample counts as failed, and that must not depend on PIQP's last bits.
+AGREES = 1e-4
+
 # An axis whose allowed range moves rho by less than this [m/s] is settled without the solver, which needs an
 # interior to walk through.
 FIXED_RANGE = 1e-9
@@ -74,11 +78,12 @@ class Solution(NamedTuple):
     """The gain that minimises a problem."""
 
     K: Vec3  # 1/s, diagonal on north, east, down
-    iterations: int  # of the solver; 0 if it was not needed
+    iterations: int = 0  # of PIQP; 0 if it was not needed
+    refused: str = ""  # why PIQP has no solution, or has another one; empty: it agrees
 
 
 class NoSolution(NamedTuple):
-    """A problem that was not solved."""
+    """A problem that has no solution."""
 
     problem: GainProblem
     reason: str  # one line for a person
@@ -115,9 +120,11 @@ def build_qp(e: Vec3, c: float, rho_d: Vec3, rho0: Vec3, K0: Vec3, params: Guida
     return GainProblem((P[0], P[1], P[2]), (q[0], q[1], q[2]), (lo[0], lo[1], lo[2]), (hi[0], hi[1], hi[2]), e)
 
 
-def solve(problem: GainProblem) -> Solution | NoSolution:
-    """The gain that minimises a problem, or the reason why there is none. Every call sets up its own solver: one that
-    is updated instead gives last bits that depend on the problems before.
+def solve(problem: GainProblem, solver: Solver = "piqp") -> Solution | NoSolution:
+    """The gain that minimises a problem, or the reason why there is none.
+
+    P is diagonal, so each gain is -q / P, cut to its bounds: that is the answer, to the bit, on every machine. The
+    solver "piqp" also solves the problem as one, and says if that gives another gain; "exact" leaves that out.
     """
     P, q, lo, hi, e = problem
     K = [0.0, 0.0, 0.0]
@@ -133,9 +140,18 @@ def solve(problem: GainProblem) -> Solution | NoSolution:
         if width * max(1.0, abs(e[axis])) <= FIXED_RANGE:
             K[axis] = lo[axis]
         else:
+            K[axis] = min(max(-q[axis] / P[axis], lo[axis]), hi[axis])
             free.append(axis)
-    if not free:
-        return Solution((K[0], K[1], K[2]), 0)
+    if free and solver == "piqp":
+        return _confirmed(problem, (K[0], K[1], K[2]), free)
+    return Solution((K[0], K[1], K[2]))
+
+
+def _confirmed(problem: GainProblem, K: Vec3, free: list[int]) -> Solution:
+    """What PIQP says about the exact gain K. Every call sets up its own solver: one that is updated instead gives last
+    bits that depend on the problems before.
+    """
+    P, q, lo, hi, _ = problem
     # Scaled by the root of the Hessian the axes weigh the same, however far their errors differ.
     scale = [sqrt(P[axis]) for axis in free]
     pairs = list(zip(free, scale, strict=True))
@@ -148,11 +164,14 @@ def solve(problem: GainProblem) -> Solution | NoSolution:
     )
     status = solver.solve()
     result = solver.result
+    iterations = int(result.info.iter)
     if status != piqp.PIQP_SOLVED:
-        return NoSolution(problem, f"PIQP: {status.name.removeprefix('PIQP_').lower().replace('_', ' ')}")
+        return Solution(K, iterations, f"PIQP: {status.name.removeprefix('PIQP_').lower().replace('_', ' ')}")
     for (axis, root), scaled in zip(pairs, result.x.tolist(), strict=True):
-        K[axis] = min(max(scaled / root, lo[axis]), hi[axis])
-    return Solution((K[0], K[1], K[2]), int(result.info.iter))
+        found = min(max(scaled / root, lo[axis]), hi[axis])
+        if abs(found - K[axis]) > AGREES:
+            return Solution(K, iterations, f"PIQP: {found:g} on axis {axis}, where {K[axis]:g} is optimal")
+    return Solution(K, iterations)
 
 
 def _new_solver() -> Any:
@@ -166,7 +185,7 @@ def _new_solver() -> Any:
     return solver
 
 
-HELD, SOLVED, NO_SOLUTION = 0, 1, 2
+HELD, SOLVED, NO_SOLUTION, REFUSED = 0, 1, 2, 3
 
 _K = Signal("K", "1/s", "diagonal of the virtual control gain in use", 3)
 
@@ -209,11 +228,12 @@ class OptimalGuidance:
 
     signals: ClassVar[tuple[Signal, ...]] = (
         _K,
-        Signal("qp_status", "1", "0 gain held, 1 solved, 2 no solution and gain held"),
-        Signal("qp_failures", "1", "optimisations without a solution since the start"),
+        Signal("qp_status", "1", "0 gain held, 1 solved, 2 no solution and gain held, 3 exact, PIQP differs"),
+        Signal("qp_failures", "1", "optimisations since the start without a solution, or where PIQP differs"),
     )
     uses: ClassVar[frozenset[str]] = frozenset(
-        {"Q", "R1", "R2", "p", "K0", "k_min", "k_max", "rho_lo", "rho_hi", "qp_ticks", "horizon_s", "cost", "slew"}
+        {"Q", "R1", "R2", "p", "K0", "k_min", "k_max", "rho_lo", "rho_hi", "slew"}
+        | {"qp_ticks", "horizon_s", "cost", "solver"}
     )
 
     __slots__ = ("K", "_params", "_rho", "failures")
@@ -234,13 +254,14 @@ class OptimalGuidance:
         previous = sample.velocity if self._rho is None else self._rho
         status = HELD
         if sample.tick % params.qp_ticks == 0:
-            outcome = solve(build_qp(e, sample.c, rho_d, previous, self.K, params))
+            outcome = solve(build_qp(e, sample.c, rho_d, previous, self.K, params), params.solver)
             if isinstance(outcome, NoSolution):
                 # Holding the last gain is safe: the bounds below hold whatever the gain is.
                 status = NO_SOLUTION
                 self.failures += 1
             else:
-                status = SOLVED
+                status = REFUSED if outcome.refused else SOLVED
+                self.failures += bool(outcome.refused)
                 self.K = outcome.K
         rho = clip(virtual_control(e, self.K, rho_d), params.rho_lo, params.rho_hi)
         if params.slew > 0.0:

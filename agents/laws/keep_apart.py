@@ -44,6 +44,9 @@ from world.vectors import ZERO, Vec3, dot, minus, moved, scale
 # Of a unit of slack. Larger than the multipliers of constraints that can be kept, so that these have no slack.
 PENALTY = 1000.0
 TOLERANCE = 1e-10  # of PIQP
+CHANGES = 8  # of PIQP's active constraints, at most
+ROUNDING = 1e-9  # m/s, of the closed form
+DEPENDENT = 1e-7  # what is left of the direction of a constraint that follows from others
 SLACK = 1e-6  # m/s; more than this is an infeasible problem
 ASIDE = 0.5  # of the velocity that is lost along a constraint, what is added across it
 SIDE = 0.1  # a relative course that passes by less than this to port, over its length, has no side: starboard then
@@ -143,6 +146,9 @@ def _widest(rho: Vec3, params: KeepApartParams) -> Vec3:
     return max(params.speed, abs(x)), max(params.speed, abs(y)), max(params.climb, abs(z))
 
 
+_Row = tuple[float, float, float, float, float]  # of a constraint on rho and the slack: four factors, and the least sum
+
+
 def _nearest(target: Vec3, found: Sequence[Bound], ahead: tuple[Vec3, float], widest: Vec3) -> Vec3 | None:
     """The velocity [m/s, NED] nearest to `target` with the least slack; None: PIQP has no solution. Every call sets up
     its own solver, for the reason that agents/laws/guidance.py gives.
@@ -162,8 +168,94 @@ def _nearest(target: Vec3, found: Sequence[Bound], ahead: tuple[Vec3, float], wi
     )
     if solver.solve() != piqp.PIQP_SOLVED:
         return None
-    north, east, down, _ = solver.result.x.tolist()
+    result = solver.result
+    rows: list[_Row] = [(*n, 1.0, least) for n, least, _ in found]
+    rows += [(*along, 0.0, least), (0.0, 0.0, 0.0, 1.0, 0.0)]
+    x, y, z = widest
+    rows += [(1.0, 0.0, 0.0, 0.0, -x), (0.0, 1.0, 0.0, 0.0, -y), (0.0, 0.0, 1.0, 0.0, -z)]
+    rows += [(-1.0, 0.0, 0.0, 0.0, -x), (0.0, -1.0, 0.0, 0.0, -y), (0.0, 0.0, -1.0, 0.0, -z)]
+    low, high, room = result.z_bl.tolist(), result.z_bu.tolist(), result.s_bl.tolist()
+    duals = [*result.z_l.tolist(), low[3], *low[:3], *high[:3]]
+    slacks = [*result.s_l.tolist(), room[3], *room[:3], *result.s_bu.tolist()[:3]]
+    active = [k for k, (dual, slack) in enumerate(zip(duals, slacks, strict=True)) if dual > slack]
+    if (exact := _polished(target, rows, active)) is not None:
+        return clip(exact, scale(widest, -1.0), widest)
+    north, east, down, _ = result.x.tolist()
     return north, east, down
+
+
+def _polished(target: Vec3, rows: list[_Row], active: list[int]) -> Vec3 | None:
+    """The nearest velocity in closed form, from the constraints that hold with equality; None: these are no solution.
+
+    PIQP's builds differ in the last bits, and from there a run goes another way. `active` is what PIQP found. One that
+    pushes the wrong way is left out, and one that is missed is added, one at a time.
+    """
+    active = _independent(rows, active)
+    for _ in range(CHANGES):
+        solved = _eliminated(target, rows, active)
+        if solved is None:
+            return None
+        x, y, z, slack, *pushes = solved
+        weakest = min(range(len(active)), key=pushes.__getitem__, default=None)
+        if weakest is not None and pushes[weakest] < 0.0:
+            active = active[:weakest] + active[weakest + 1 :]
+            continue
+        room = [a * x + b * y + c * z + d * slack - least for a, b, c, d, least in rows]
+        worst = min((k for k in range(len(rows)) if k not in active), key=room.__getitem__, default=None)
+        if worst is None or room[worst] >= -ROUNDING:
+            return x, y, z
+        active = sorted([*active, worst])
+    return None
+
+
+def _independent(rows: list[_Row], active: list[int]) -> list[int]:
+    """These constraints but for those whose direction follows from others before them. (Gram and Schmidt.)"""
+    kept, basis = list[int](), list[list[float]]()
+    for k in active:
+        rest = list(rows[k][:4])
+        for one in basis:
+            along = sum(a * b for a, b in zip(rest, one, strict=True))
+            rest = [a - along * b for a, b in zip(rest, one, strict=True)]
+        length = sqrt(sum(a * a for a in rest))
+        if length > DEPENDENT:
+            kept.append(k)
+            basis.append([a / length for a in rest])
+    return kept
+
+
+def _eliminated(target: Vec3, rows: list[_Row], active: list[int]) -> list[float] | None:
+    """rho, the slack, and how hard each active constraint pushes: rho - target = n' pushes, and these sum up to PENALTY
+    on the slack. None: not a single solution. (Gauss, with the largest pivot of a column.)
+    """
+    size = 4 + len(active)
+    left = [[0.0] * (size + 1) for _ in range(size)]
+    for axis in (0, 1, 2):
+        left[axis][axis], left[axis][size] = 1.0, target[axis]
+    left[3][size] = -PENALTY
+    for k, number in enumerate(active, start=4):
+        row = rows[number]
+        for axis in (0, 1, 2, 3):
+            left[axis][k], left[k][axis] = -row[axis], row[axis]
+        left[k][size] = row[4]
+    for column in range(size):
+        pivot = max(range(column, size), key=lambda r: abs(left[r][column]))
+        if abs(left[pivot][column]) < DEPENDENT:
+            return None
+        left[column], left[pivot] = left[pivot], left[column]
+        top = left[column]
+        for row_number in range(column + 1, size):
+            below = left[row_number]
+            factor = below[column] / top[column]
+            if factor != 0.0:
+                for k in range(column, size + 1):
+                    below[k] -= factor * top[k]
+    found = [0.0] * size
+    for column in range(size - 1, -1, -1):
+        rest = left[column][size]
+        for k in range(column + 1, size):
+            rest -= left[column][k] * found[k]
+        found[column] = rest / left[column][column]
+    return found
 
 
 def _aside(bound: Bound, rho: Vec3) -> Vec3:

@@ -19,7 +19,7 @@ import psutil
 
 import fleet
 from fleet.cli.completion import RUNS
-from fleet.cores import cores_and_reason
+from fleet.cores import cores_and_reason, processor
 
 if TYPE_CHECKING:
     from fleet.result.result import Result
@@ -111,16 +111,6 @@ def _system() -> Iterator[tuple[str, str]]:
     folder = tempfile.gettempdir()
     yield "temporary", f"{folder}, {shutil.disk_usage(folder).free / 1e9:.1f} GB free"
     yield "variables", ", ".join(sorted(name for name in os.environ if _VARIABLES.match(name))) or "none"
-
-
-def processor() -> str:
-    """Name of the processor; empty: the system does not say."""
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
-            lines = [line for line in file if line.startswith("model name")]
-    except OSError:
-        return ""
-    return lines[0].partition(":")[2].strip() if lines else ""
 
 
 def _run(run: Path) -> Iterator[tuple[str, str]]:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from msgspec import convert
 
 from fleet.analysis.verdicts import judge, judge_expected
-from fleet.cores import cores
+from fleet.cores import cores, machine
 from fleet.execution.runner import Runner
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogError, LogFile, NoLog
@@ -74,7 +74,7 @@ def account_for(
     result.faults, result.events = rows(faults=True), rows(faults=False)
     result.messages, result.log_bytes, result.digest = file.messages, file.size, file.digest
     result.python = sys.version.split()[0]
-    wall.cores = cores()
+    wall.cores, wall.machine = cores(), machine()
     wall.x_real_time = (result.sim_s - result.from_s) / max(1e-9, wall.run_s)
     result.wall = wall
     result.rejected = runner.closing.rejected

@@ -163,6 +163,7 @@ FIELDS: dict[type, dict[str, Meaning]] = {
         "qp_ticks": ("uint", "tick", "the gain is optimised on ticks that this divides"),
         "horizon_s": ("real", "s", "prediction step"),
         "cost": ("str", "", "printed or consistent"),
+        "solver": ("str", "", "piqp or exact: whether PIQP solves the problem of the gain beside the formula"),
         "slew": ("real", "m/s^2", "limit of the change of rho per axis; 0: none"),
     },
     TrackingParams: {

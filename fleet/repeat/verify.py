@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from math import inf, nan
 from pathlib import Path
@@ -20,6 +21,7 @@ from msgspec import field as entry
 from agents.loop import AgentLoop
 from agents.sample import Decision
 from agents.signals import SignalLayout
+from fleet.cores import machine
 from fleet.errors import FleetError
 from fleet.execution.clock import GrantPolicy
 from fleet.execution.external_agents import named
@@ -34,6 +36,7 @@ from fleet.recorder.snapshot import TOPIC, Snapshot, Start
 from fleet.recorder.writer import LogWriter, run_metadata
 from fleet.repeat.recorded_run import Recorded, recorded
 from fleet.repeat.resume import start_of
+from fleet.result.file import ResultError, read_result
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.trust import Policy, ran_from
@@ -210,6 +213,9 @@ class Verification(Struct):
     reason: Annotated[str, Meta(description="Why the re-run ended early; empty: it did not.")] = ""
     contradictions: Annotated[list[str], Meta(description="Between the log's metadata and its scenario.")] = []
     versions: Annotated[list[str], Meta(description="Those that are not as they were when it was recorded.")] = []
+    machine: Annotated[
+        str, Meta(description="This one and the recording one, if they differ or that is not known.")
+    ] = ""
     external: Annotated[tuple[int, ...], Meta(description="Vehicles whose commands were taken from the log.")] = ()
     unknown: Annotated[str, Meta(description="Why nothing more could be compared; empty: everything was.")] = ""
 
@@ -237,6 +243,7 @@ def verify(
     _compare_metadata(verification, reader.metadata.get("run", {}), run_metadata(scenario, start))
     comparison = _Comparison(verification, scenario, reader, last_ns, tell)
     _run_again(comparison, verification, scenario, last_ns, start)
+    verification.machine = _machines(path)
     verification.reproduced = verification.difference is None and not verification.contradictions
     return verification
 
@@ -269,6 +276,20 @@ def _compare_metadata(verification: Verification, recorded: dict[str, str], here
             verification.versions.append(f"{key}: recorded with {short[0]}, here is {short[1]}")
         else:
             verification.contradictions.append(f"metadata {key}: {left}, but its scenario says {right}")
+
+
+def _machines(path: Path) -> str:
+    """The machine that recorded a log and this one. Empty: they are of one kind. It is not in a log, whose bytes would
+    differ then, but in the result beside it.
+    """
+    here, there = machine(), ""
+    with suppress(OSError, ResultError):
+        there = read_result(path.parent).wall.machine
+    return (
+        ""
+        if there == here
+        else f"recorded on {there or 'a machine that no result beside the log names'}, here is {here}"
+    )
 
 
 class _Over(Exception):
@@ -410,5 +431,6 @@ def verification_lines(verification: Verification) -> list[str]:
         if verification.reason and verification.difference.b is not None:
             lines.append(f"the re-run ended: {verification.reason}")
         lines += [f"likely why: {text}" for text in verification.versions]
+        lines += [f"machine: {verification.machine}"] * bool(verification.machine)
     lines += [f"contradiction: {text}" for text in verification.contradictions]
     return lines

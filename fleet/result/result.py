@@ -215,6 +215,7 @@ class Wall(Struct):
     startup_s: float = 0.0
     run_s: float = 0.0
     cores: Annotated[str, Meta(description="`compiled` or `plain Python`: the cores of world, agents and netem.")] = ""
+    machine: Annotated[str, Meta(description="Its processor and C library.")] = ""
     x_real_time: Annotated[float, Meta(description="Times real time [1].")] = 0.0
 
 

@@ -166,7 +166,10 @@ def fired_of(task: Task) -> Scenario:
 def _read(task: Task, then: Callable[[Scenario], Scenario]) -> Scenario:
     modules = task.modules
     with trusting(Trust(fingerprints=frozenset(modules.fingerprints))):
-        return then(parse_scenario(task.text, task.name, [f"seed={task.seed}"], folder_of(modules), Policy(A_STUDY)))
+        read = parse_scenario(task.text, task.name, [f"seed={task.seed}"], folder_of(modules), Policy(A_STUDY))
+        found = then(read)
+    found.exact_gains = True
+    return found
 
 
 def _measured(result: Result, samples: Samples) -> Row:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+import random
 from dataclasses import replace
+from importlib import import_module
 
+import piqp
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from piqp import instruction_set
 from small_scenario import SMALL, small
 
 from agents.api import Sample
@@ -272,3 +276,28 @@ def test_the_section_reads_back() -> None:
     assert parse_scenario(scenario.to_yaml(), "again.yaml") == scenario
     config = scenario.agent_config(1)
     assert AgentConfig.from_values(config.to_values()) == config
+
+
+def test_builds_of_the_solver_give_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """PIQP only says which constraints are active, so its last bits do not matter."""
+    draw = random.Random(3)
+
+    def answer() -> list[Vec3]:
+        found = []
+        for _ in range(draw.randint(1, 8)):
+            n = (draw.gauss(0.0, 1.0), draw.gauss(0.0, 1.0), draw.gauss(0.0, 1.0))
+            found.append(Bound(scale(n, 1.0 / math.hypot(*n)), draw.uniform(-1.0, 0.5), ZERO))
+        found += found[: draw.randint(0, 1)]  # a constraint twice
+        rho = (draw.uniform(-1.0, 1.0), draw.uniform(-1.0, 1.0), draw.uniform(-1.0, 1.0))
+        ahead = Bound((1.0, 0.0, 0.0), draw.uniform(-1.0, 0.3), ZERO)
+        answers = []
+        for build in ("piqp_python", "piqp_python_avx2"):
+            module = import_module(f"piqp.{build}")
+            monkeypatch.setattr(piqp, "DenseSolver", module.DenseSolver)
+            monkeypatch.setattr(piqp, "PIQP_SOLVED", module.PIQP_SOLVED)
+            answers.append(apart(rho, found, ahead, PARAMS).rho)
+        return answers
+
+    if not instruction_set.avx2:
+        pytest.skip("this processor runs one build only")
+    assert all(one == other for one, other in (answer() for _ in range(3000)))

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, PlainSerializer
 
-from agents.config import Angles, Cost, Extrapolation, Method
+from agents.config import Angles, Cost, Extrapolation, Method, Solver
 from fleet.scenario.schema import value_types as v
 from fleet.scenario.schema.navigation import NavigationChoice
 from fleet.scenario.schema.value_types import Section, word_for
@@ -100,6 +100,7 @@ class GuidanceSection(Section):
     qp_period: v.Period | None = None
     horizon: v.Period | None = None
     cost: Cost | None = None
+    solver: Solver | None = None  # the exact formula alone, or PIQP beside it: the gain is the same
     slew: v.Acceleration | None = None
 
 

@@ -277,6 +277,7 @@ def test_result_file(tmp_path: Path) -> None:
         "startup_s",
         "run_s",
         "cores",
+        "machine",
         "x_real_time",
     }
     assert values["wall"]["in_process"] is False

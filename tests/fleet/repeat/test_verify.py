@@ -23,6 +23,7 @@ from waiting import wait_for
 
 import fleet.logs.deviation
 from agents.controllers import TRACKING
+from fleet.cores import machine
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.decoder import Decoder
@@ -33,7 +34,8 @@ from fleet.logs.recover import Copy, Recovered, recover
 from fleet.logs.salvage import Item, Salvage
 from fleet.repeat.resume import continuation
 from fleet.repeat.verify import Verification, verification_lines, verify
-from fleet.result.result import Status
+from fleet.result.file import write_result
+from fleet.result.result import Result, Status, Wall
 
 Part = Item | Message
 ROUGH = "network.links={'*': 'delay 200ms 50ms loss 30%'}"
@@ -190,13 +192,14 @@ def test_one_bit_is_found(log: Path, tmp_path: Path) -> None:
     number = next(n for n, r in enumerate(LogReader(log)) if r.topic == "uuv/3/nav" and r.log_ns == 1_500_000_000)
     result = invoke("verify", altered(log, tmp_path / "a", at(number, flipped)))
     assert result.exit_code == 1
-    first, head, names, field, rest = result.stdout.splitlines()
+    first, head, names, field, rest, where = result.stdout.splitlines()
     assert first == f"NOT reproduced: {number} messages are the same, then"
     assert head == f"message {number}: uuv/3/nav, tick 150, t = 1.5 s, sent 1500000000 ns, seq 150"
     assert names.split() == ["field", "recorded", "re-run", "|a", "-", "b|", "unit"]
     assert field.startswith("  r ") and field.endswith("  rad/s")
     assert field.split()[1] != field.split()[2]
     assert rest == "  (9 other fields the same)"
+    assert where.startswith("machine: recorded on a machine that no result")
 
 
 def test_a_message_less_or_more(log: Path, tmp_path: Path) -> None:
@@ -255,6 +258,20 @@ def test_other_versions_are_a_likely_reason(log: Path, tmp_path: Path) -> None:
     assert result.exit_code == 1
     assert "likely why: piqp: recorded with 0.5.0, here is 0." in result.stdout
     assert "likely why: law my:Law: recorded with sha256 abc, here is unknown" in result.stdout
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_another_machine_is_named_when_bytes_differ(log: Path, tmp_path: Path, known: bool) -> None:
+    folder = tmp_path / "a"
+    path = altered(log, folder, lambda n, item: flipped(item) if isinstance(item, Message) and n == 50 else item)
+    assert (found := verify(path)).machine.endswith(f"here is {machine()}")
+    if known:
+        write_result(Result(status=Status.PASS, wall=Wall(machine="arm64, glibc 2.36")), path.parent)
+        found = verify(path)
+        assert found.machine == f"recorded on arm64, glibc 2.36, here is {machine()}"
+    assert f"machine: {found.machine}" in verification_lines(found)
+    write_result(Result(status=Status.PASS, wall=Wall(machine=machine())), path.parent)
+    assert verify(path).machine == ""
 
 
 def test_a_recovered_log_with_a_gap(log: Path, tmp_path: Path) -> None:

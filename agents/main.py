@@ -5,6 +5,7 @@ from __future__ import annotations
 import traceback
 from collections.abc import Iterable
 from pathlib import Path
+from socket import socket
 from time import monotonic, sleep
 from typing import Any
 
@@ -32,9 +33,10 @@ from netem.wire.messages import (
     Receipt,
     Transmission,
 )
-from netem.wire.queues import Stamped
+from netem.wire.queues import PutQueue, Stamped
 from netem.wire.session import quiet_zenoh
 from netem.wire.shell import Shell, end_with_link, read_map
+from netem.wire.vehicle_bus import AgentEnd, Inbound
 from world.errors import PluginError
 
 # --- host: one process, and one session, for several agents in lockstep
@@ -45,9 +47,17 @@ from world.errors import PluginError
 class HostProcess:
     """Passes what comes in to its agents and publishes what comes out."""
 
-    def __init__(self, bus: Bus, keys: Keys, number: int, agents: Iterable[OneAgent], running: Running) -> None:
+    def __init__(
+        self,
+        bus: Bus,
+        keys: Keys,
+        number: int,
+        agents: Iterable[OneAgent],
+        running: Running,
+        end: socket | None = None,
+    ) -> None:
         """Connect; the agents are ready to be asked. `number`: of the host, from 1. `running`: receives the number of
-        the agent that computes.
+        the agent that computes. `end`: of the vehicles' bus; None: that is on zenoh.
         """
         role = host_role(number)
         self._bus, self._number, self._running = bus, number, running
@@ -56,7 +66,11 @@ class HostProcess:
         self._cmd, self._tx, self._note = (bus.publisher(key(role)) for key in (keys.cmd, keys.tx, keys.note))
         self._key = keys.host(number)
         # Navs and inboxes come in one channel: of two, the one that is not looked at could hold back the other.
-        self._in = bus.channel(self._key, capacity=max(64, 3 * len(self._agents)))
+        self._in: PutQueue | Inbound = bus.channel(self._key, capacity := max(64, 3 * len(self._agents)))
+        if end is not None:
+            self._in = Inbound(self._in, capacity)
+            self._in.add(self._key, end)
+            self._cmd = AgentEnd(end, self._key).put
         self._to_world: list[BundlePart] = []
         self._to_netem: list[BundlePart] = []
 
@@ -190,10 +204,17 @@ class RealtimeAgentProcess(AgentProcess):
 
 
 def run(
-    endpoint: str, run_id: str, vehicle: int, credentials: Credentials, incarnation: int = 0, begin: int = 0
+    endpoint: str,
+    run_id: str,
+    vehicle: int,
+    credentials: Credentials,
+    end: socket | None = None,
+    incarnation: int = 0,
+    begin: int = 0,
 ) -> None:
-    """Join a run as agent `vehicle` and answer navs, from tick `begin` on, until the process is ended. Raises BusError
-    if the run cannot be joined. Passes on whatever the controller raised; the console has a note about it by then.
+    """Join a run as agent `vehicle` and answer navs, from tick `begin` on, until the process is ended. `end`: of the
+    vehicle's bus; None: that is on zenoh. Raises BusError if the run cannot be joined. Passes on whatever the
+    controller raised; the console has a note about it by then.
     """
     quiet_zenoh()
     keys = Keys(run_id)
@@ -201,12 +222,16 @@ def run(
     end_with_link(bus, credentials)
     values = _ask_config(bus, keys.cfg(vehicle))
     config = AgentConfig.from_values(values["agent"])
-    begin_life(bus, keys, config, incarnation, begin, clock_of(values)).serve()
+    wires = None if end is None else AgentEnd(end, keys.nav(vehicle))
+    begin_life(bus, keys, config, incarnation, begin, clock_of(values), end=wires).serve()
 
 
-def run_host(endpoint: str, run_id: str, number: int, credentials: Credentials, running: Path) -> None:
+def run_host(
+    endpoint: str, run_id: str, number: int, credentials: Credentials, running: Path, end: socket | None = None
+) -> None:
     """Join a run as host `number`, and answer the navs of its agents in lockstep until the process is ended. `running`:
-    a file that says at any time which of them is computing. Raises BusError if the run cannot be joined.
+    a file that says at any time which of them is computing. `end`: of the vehicles' bus; None: that is on zenoh. Raises
+    BusError if the run cannot be joined.
     """
     quiet_zenoh()
     keys = Keys(run_id)
@@ -221,7 +246,7 @@ def run_host(endpoint: str, run_id: str, number: int, credentials: Credentials, 
         loop = AgentLoop(core, config.round_ticks, memory_ticks=config.memory_ticks)
         agents.append(OneAgent(bus, keys, config.id, loop))
     mark.at(0)
-    process = HostProcess(bus, keys, number, agents, mark)
+    process = HostProcess(bus, keys, number, agents, mark, end)
     process.get_ready()
     process.serve()
 
@@ -239,9 +264,11 @@ def begin_life(
     begin: int,
     clock: Clock,
     core: AgentCore | None = None,
+    end: AgentEnd | None = None,
 ) -> AgentProcess:
     """Make an agent that is ready: world and netem have both answered it. `core` answers samples for a program that is
-    not ours and gives no memory; None: the core that `config` names. Raises BusError if world or netem does not answer;
+    not ours and gives no memory; None: the core that `config` names. `end`: of the vehicle's bus; None: that is on
+    zenoh. Raises BusError if world or netem does not answer;
     SystemExit if a law cannot be made, of which the console has a note by then.
     """
     vehicle = config.id
@@ -253,7 +280,7 @@ def begin_life(
         process = RealtimeAgentProcess(bus, keys, vehicle, RealtimeLoop(core, m, incarnation=incarnation, begin=begin))
     else:
         loop = AgentLoop(core, m, incarnation=incarnation, begin=begin, memory_ticks=memory_ticks)
-        process = AgentProcess(bus, keys, vehicle, loop)
+        process = AgentProcess(bus, keys, vehicle, loop, end)
     process.get_ready()
     return process
 

@@ -24,6 +24,7 @@ from netem.wire.keys import Keys
 from netem.wire.messages import PROTOCOL_VERSION, End, Hello, Inbox, Message, Nav, Receipt, Transmission
 from netem.wire.queues import PutQueue, Stamped
 from netem.wire.shell import Shell
+from netem.wire.vehicle_bus import AgentEnd
 
 # --- running: which of its agents a host is computing, told to the console through a file that both map
 # A law that hangs, or ends the process, can tell nobody any more; what is in the file stays.
@@ -120,12 +121,13 @@ class OneAgent:
 class AgentProcess:
     """Passes what comes in to an agent and publishes what comes out."""
 
-    def __init__(self, bus: Bus, keys: Keys, vehicle: int, loop: AgentLoop) -> None:
+    def __init__(self, bus: Bus, keys: Keys, vehicle: int, loop: AgentLoop, end: AgentEnd | None = None) -> None:
+        """`end`: of the vehicle's bus; None: that is on zenoh."""
         self._keys, self._vehicle, self._loop, self._bus = keys, vehicle, loop, bus
         self._agent = OneAgent(bus, keys, vehicle, loop)
         self._tx: Callable[[bytes], None] = bus.publisher(keys.tx(vehicle))
-        self._cmd: Callable[[bytes], None] = bus.publisher(keys.cmd(vehicle))
-        self._navs = bus.channel(keys.nav(vehicle))
+        self._cmd: Callable[[bytes], None] = bus.publisher(keys.cmd(vehicle)) if end is None else end.put
+        self._navs: PutQueue | AgentEnd = bus.channel(keys.nav(vehicle)) if end is None else end
         self._rx: PutQueue | Stamped = self._listen(bus, keys.rx(vehicle))
 
     def _listen(self, bus: Bus, key: str) -> PutQueue | Stamped:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from contextlib import suppress
 from pathlib import Path
+from socket import socket
 from time import monotonic_ns
 from typing import Any
 
@@ -189,6 +190,7 @@ def run(
     listener: Listener | None = None,
     certified: Listener | None = None,
     members: Members = (),
+    ends: socket | None = None,
 ) -> None:
     """Host the router and serve the sea of a run until the process is ended.
 
@@ -201,10 +203,11 @@ def run(
         listener: further addresses of the router. None: it has only `endpoint`.
         certified: address of a second router, for agents without a password. None: no such router.
         members: the vehicles of each process that hosts several agents.
+        ends: where the console hands over the ends of vehicles' buses; None: they are on zenoh.
     """
     keys = Keys(run_id)
     bus, refusals = host(endpoint, keys, credentials, private, config, listener, certified, members)
-    _process(bus, keys, config, frame_every, clock, speed, most_asked, refusals, members).serve_or_give_up()
+    _process(bus, keys, config, frame_every, clock, speed, most_asked, ends, refusals, members).serve_or_give_up()
 
 
 def host(
@@ -236,6 +239,7 @@ def join(
     clock: Clock,
     speed: float,
     most_asked: int,
+    ends: socket | None = None,
 ) -> None:
     """Serve the sea of a run through a router that is there already; as `run` otherwise. Raises BusError if the router
     does not let us in.
@@ -243,7 +247,7 @@ def join(
     quiet_zenoh()
     bus = Bus.connect(endpoint, credentials)
     end_with_link(bus, credentials)
-    _process(bus, Keys(run_id), config, frame_every, clock, speed, most_asked).serve_or_give_up()
+    _process(bus, Keys(run_id), config, frame_every, clock, speed, most_asked, ends).serve_or_give_up()
 
 
 def _process(
@@ -254,13 +258,15 @@ def _process(
     clock: Clock,
     speed: float,
     most_asked: int,
+    ends: socket | None,
     refusals: Refusals | None = None,
     members: Members = (),
 ) -> WorldProcess:
     if clock is Clock.LOCKSTEP:
         if most_asked < len(config.vehicles):
             share_processor()
-        return WorldProcess(bus, keys, Lockstep(config, frame_every=frame_every), refusals, most_asked, members)
+        run = Lockstep(config, frame_every=frame_every)
+        return WorldProcess(bus, keys, run, refusals, most_asked, members, ends)
     return RealtimeWorldProcess(bus, keys, config, frame_every, speed, refusals)
 
 

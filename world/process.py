@@ -7,6 +7,7 @@ import sys
 import traceback
 from collections import deque
 from collections.abc import Callable, Hashable
+from socket import socket
 from threading import Lock
 from time import monotonic
 from typing import Any, NoReturn
@@ -40,8 +41,10 @@ from netem.wire.messages import (
     WorldFault,
     WorldFaults,
 )
+from netem.wire.queues import PutQueue
 from netem.wire.refusals import Refusals
 from netem.wire.shell import Probes, Shell, read_map
+from netem.wire.vehicle_bus import Inbound
 from world.errors import IntegrationError
 from world.lockstep import Lockstep, NavTo, Out
 from world.realtime import RealtimeRun
@@ -168,17 +171,21 @@ class WorldProcess:
         refusals: Refusals | None = None,
         most_asked: int | None = None,
         members: Members = (),
+        ends: socket | None = None,
     ) -> None:
         """`refusals`: what the router refuses, if it lives here. `most_asked`: processes that are asked at a time;
-        None: all. `members`: the vehicles of each host.
+        None: all. `members`: the vehicles of each host. `ends`: where the console hands over the ends of vehicles'
+        buses (`netem.wire.vehicle_bus`); None: they are on zenoh.
         """
         self._keys = keys
+        self._in: PutQueue | Inbound
+        self._ends: Inbound | None = None
         self._grant_key = keys.grant
         self._run = run
         self._state = run.state
         self._ids = run.state.ids
         most = len(self._ids) if most_asked is None else most_asked
-        self._hosts = hosts = Hosts(bus, keys, members, keys.cmd)
+        self._hosts = hosts = Hosts(bus, keys, members, keys.cmd, self._past_zenoh)
         self._turns = Turns(run.config.round_ticks, most, lambda i, nav: -hosts.of(i, nav.incarnation) or i)
         self._shell = Shell(bus, WORLD, keys.note(WORLD))
         self._nav: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.nav(i)) for i in self._ids}
@@ -194,6 +201,10 @@ class WorldProcess:
         self._ready: set[tuple[int, int]] = set()  # agent and incarnation
         self._grant_heard = False
         self._listen(bus)
+        if ends is not None:
+            capacity = max(64, 3 * len(self._ids))
+            assert isinstance(self._in, PutQueue)
+            self._in = self._ends = Inbound(self._in, capacity, ends, keys.cmd(""))
         bus.answer(keys.ctl(WORLD), self._control)
         self._token_roles = {keys.alive(agent_role(i)): [i] for i in self._ids}
         self._token_roles |= {keys.alive(host_role(h)): [*group] for h, group in enumerate(members, start=1)}
@@ -307,7 +318,7 @@ class WorldProcess:
                 self._ready.add((i, message.incarnation))
             else:
                 self._probes.spend(i)
-                self._nav[i](_ECHO)
+                self._nav_to(i, _ECHO)
         return []
 
     def _take_command(self, i: int, command: Command, data: bytes) -> list[Out]:
@@ -358,13 +369,21 @@ class WorldProcess:
         if host := self._hosts.of(i, nav.incarnation):
             self._hosts.put(host, [(i, encode(nav)) for i, nav in turn])
         else:
-            self._nav[i](encode(nav))
+            self._nav_to(i, encode(nav))
+
+    def _nav_to(self, i: int, data: bytes) -> None:
+        if not self._past_zenoh(self._keys.cmd(i), data):
+            self._nav[i](data)
+
+    def _past_zenoh(self, key: str, data: bytes) -> bool:
+        """Send a message to the process whose messages come in on `key`, if its bus is a socket."""
+        return self._ends is not None and self._ends.put(key, data)
 
     def _tell(self, i: int, incarnation: int, data: bytes) -> None:
         if host := self._hosts.of(i, incarnation):
             self._hosts.put(host, [(i, data)])
         else:
-            self._nav[i](data)
+            self._nav_to(i, data)
 
     def _add_frame(self, frame: Frame) -> None:
         lives, tumbles = frame.lives, frame.tumbles

@@ -13,6 +13,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import chain
+from socket import socket
 from typing import Any
 
 import agents.main
@@ -47,11 +48,13 @@ from fleet.scenario.sections.timeline import MOST_RESTARTS, Kill
 from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values
 from netem.lives import Absence, Lives
+from netem.vehicle_clock import Clock
 from netem.wire.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, WORLD, Listener, agent_role, generate, host_role
 from netem.wire.bus import Bus
 from netem.wire.keys import Keys
 from netem.wire.messages import RUN_OVER, Death, Restart, WorldFault, WorldFaults
 from netem.wire.session import PENDING
+from netem.wire.vehicle_bus import Ends
 
 # --- launch
 # The processes of a run: the world, netem and the agents, each with its credentials and its part of the scenario.
@@ -89,6 +92,8 @@ class Launch:
         others = self._listener or self._rendezvous.certified
         allow_open_files(scenario.vehicles, others=PENDING if others else 0)
         self._private = RunFolder()
+        # On a wall clock a suspended agent would leave its navs unread, and the world would wait for room.
+        self._ends = Ends() if options.clock is Clock.LOCKSTEP else None
         self.endpoint = self._rendezvous.router or self._private.endpoint  # for the run's own processes
 
     def admit(self, external: ExternalAgents) -> None:
@@ -116,7 +121,8 @@ class Launch:
         targets: dict[str, Target] = {WORLD: self._world()}
         targets[NETEM] = netem.main.run, (*here, self.credentials[NETEM], *network)
         for h, role in enumerate(map(host_role, range(1, len(self._hosting.members) + 1)), start=1):
-            targets[role] = agents.main.run_host, (*here, h, self.credentials[role], self._private.path / role)
+            shared = self.credentials[role], self._private.path / role, self._end(role)
+            targets[role] = agents.main.run_host, (*here, h, *shared)
         elsewhere = {*self._scenario.external, *chain(*self._hosting.members)}
         for i in range(1, self._scenario.vehicles + 1):
             if i not in elsewhere:
@@ -127,7 +133,14 @@ class Launch:
     def agent(self, i: int, incarnation: int = 0, begin: int = 0) -> Target:
         """The function that an agent's process runs, in the life `incarnation` that begins at tick `begin`."""
         credentials = self.credentials[self._hosting.role(i)]
-        return agents.main.run, (self.endpoint, self._keys.run, i, credentials, incarnation, begin)
+        return agents.main.run, (self.endpoint, self._keys.run, i, credentials, self._end(str(i)), incarnation, begin)
+
+    def _end(self, name: str) -> socket | None:
+        """The end of a vehicle's bus for a process that is about to start, if the bus is not on zenoh."""
+        try:
+            return None if self._ends is None else self._ends.new(name)
+        except OSError as error:
+            raise RunBroken(f"no bus for {name.replace('-', ' ')}: {error.strerror}") from error
 
     def computing(self, role: str) -> int:
         """The vehicle whose agent a host computes, or computed when it ended. 0: no vehicle, or not a host."""
@@ -144,21 +157,28 @@ class Launch:
         except (EOFError, OSError) as error:
             why = forkserver_death(FORKSERVER_S) or str(error) or type(error).__name__
             raise RunBroken(f"{role} could not be started: {why}") from error
+        finally:
+            for one in arguments:
+                if isinstance(one, socket):
+                    one.close()  # the process has it
 
     def close(self) -> None:
         """Remove the folder of the run's socket: from now on nobody joins."""
         self._private.close()
+        if self._ends is not None:
+            self._ends.close()
 
     def _world(self) -> Target:
         scenario = self._scenario
         # An agent elsewhere may take long to answer, and keep the turn of one that would not.
         most_asked = scenario.vehicles if scenario.external else ASKED_PER_CPU * processors()
         sea = scenario.world_config, frame_every(scenario), self._options.clock, self._options.speed or 1.0, most_asked
+        ends = None if self._ends is None else self._ends.of_world
         if self.joins_router:
-            return world.main.join, (self.endpoint, self._keys.run, self.credentials[WORLD], *sea)
+            return world.main.join, (self.endpoint, self._keys.run, self.credentials[WORLD], *sea, ends)
         clients = {role: known for role, known in self.credentials.items() if role != WORLD}
         listening = self._listener, self._rendezvous.certified, self._hosting.members
-        return world.main.run, (self.endpoint, self._keys.run, clients, self._private.path, *sea, *listening)
+        return world.main.run, (self.endpoint, self._keys.run, clients, self._private.path, *sea, *listening, ends)
 
     def _other_endpoints(self) -> Listener | None:
         listener = self._rendezvous.listener

@@ -371,6 +371,14 @@ slice, your navs and deliveries alone: no wall clock, and no randomness except f
 If the answer on `cfg/<i>` says `clock: real`, the run does not wait. Answer the newest `nav` at once with the
 deliveries that have come and are due. An `rx` then comes only with content, and its `until` has no meaning.
 
+## The bus of a vehicle
+
+`nav`, `end` and `cmd` with `memory` are the wires within a vehicle, from its sensors to its agent and from there to its
+actuators. For the agents that a run starts in lockstep they are a pair of Unix sockets (`SOCK_SEQPACKET`) per process:
+a packet is a message, or a bundle of a host. The process inherits its end, so there is no address and no password. The
+`hello` to the world and its echo go there, too. Your agent has the keys `nav/<i>` and `cmd/<i>` instead, as on a wall
+clock. The messages are the same, byte for byte. Agents talk to each other on `tx` and `rx` in all cases.
+
 ## Lives and the end
 
 Messages with a lower incarnation than yours are for a life that is over: ignore them. Malformed messages are dropped,

@@ -34,7 +34,7 @@ class SeaSection(Section):
     """The forces of the sea on every vehicle."""
 
     disturbance: Literal["none", "paper"] = "none"
-    current: Current = CurrentSection()
+    current: Current = CurrentSection.model_construct()
 
 
 class SensorsSection(Section):

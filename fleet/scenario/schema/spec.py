@@ -130,33 +130,33 @@ class ScenarioSpec(Section):
     formation: FormationSection
     graph: GraphSection
     initial: Annotated[InitialSection, BeforeValidator(read_initial), PlainSerializer(show_initial)]
-    vehicle: VehicleSection = VehicleSection()
-    sea: SeaSection = SeaSection()
-    sensors: SensorsSection = SensorsSection()
-    model_error: ModelErrorSection = ModelErrorSection()
-    agents: AgentsSection = AgentsSection()
+    vehicle: VehicleSection = VehicleSection.model_construct()
+    sea: SeaSection = SeaSection.model_construct()
+    sensors: SensorsSection = SensorsSection.model_construct()
+    model_error: ModelErrorSection = ModelErrorSection.model_construct()
+    agents: AgentsSection = AgentsSection.model_construct()
     moored: bool | None = None  # true: vehicles stay where they begin, and agents need not steer
     external: bool | None = None  # true: the run starts no agent
     knows_reference: bool | None = None  # false: only those in graph.reference and graph.standby know it
     agent: AgentChoice | None = None  # in place of controller, guidance and tracking, which it may use; its clock
-    controller: LawChoice = LawSection(law="nboc")
+    controller: LawChoice = LawSection.model_construct(law="nboc")
     profile: Profile = "paper"
-    guidance: GuidanceChoice = GuidanceSection()
-    tracking: TrackingChoice = TrackingSection()
+    guidance: GuidanceChoice = GuidanceSection.model_construct()
+    tracking: TrackingChoice = TrackingSection.model_construct()
     on_controller_error: OnError = "abort"
     controller_budget: v.Time = 0  # wall time that a law of the user may take for a sample; 0: any
-    neighbours: NeighboursSection = NeighboursSection()
+    neighbours: NeighboursSection = NeighboursSection.model_construct()
     keep_apart: KeepApartSection | None = None  # between guidance and tracking
     per_vehicle: dict[v.VehicleNumbers, VehicleOverrides] = {}  # "3" or "2-4, 7"; later ones over earlier ones
     network: Annotated[NetworkSection, BeforeValidator(read_network), PlainSerializer(show_network)]
     navigation: NavigationChoice | None = None  # ideal: they know where they are
-    physics: PhysicsSection = PhysicsSection()
-    log: Annotated[LogSection, BeforeValidator(_read_log), PlainSerializer(_show_log)] = LogSection()
+    physics: PhysicsSection = PhysicsSection.model_construct()
+    log: Annotated[LogSection, BeforeValidator(_read_log), PlainSerializer(_show_log)] = LogSection.model_construct()
     faults: list[FaultEntry] = []
     triggers: list[TriggerSection] = []
     # Becomes explicit faults when the scenario is read.
     nemesis: Annotated[NemesisSection, word_for("mode")] | None = None
-    checks: ChecksSection = ChecksSection()
+    checks: ChecksSection = ChecksSection.model_construct()
     expect: Literal["pass", "fail"] = "pass"  # fail: the run is meant to fail a check, and exits with 0 when it does
 
 

@@ -37,7 +37,7 @@ from world.vectors import Vec3
 class Section(BaseModel):
     """A mapping with known keys; with nothing in it, it may also be left empty."""
 
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, defer_build=True)
 
     @model_validator(mode="before")
     @classmethod

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import log1p
+from math import fsum, log1p
 
 from netem.condition import Condition, Link
 from netem.draws import packed, unit
@@ -53,7 +53,7 @@ def stationary(mean: Sequence[float], following: Sequence[Sequence[float]]) -> t
     count = len(mean)
     q = [[p / mean[i] for p in following[i]] for i in range(count)]
     for k in range(count - 1, 0, -1):
-        out = sum(q[k][:k])
+        out = fsum(q[k][:k])
         for i in range(k):
             q[i][k] /= out
             for j in range(k):
@@ -61,8 +61,8 @@ def stationary(mean: Sequence[float], following: Sequence[Sequence[float]]) -> t
                     q[i][j] += q[i][k] * q[k][j]
     weights = [1.0]
     for k in range(1, count):
-        weights.append(sum(weights[i] * q[i][k] for i in range(k)))
-    total = sum(weights)
+        weights.append(fsum(weights[i] * q[i][k] for i in range(k)))
+    total = fsum(weights)
     return tuple(weight / total for weight in weights)
 
 

@@ -41,7 +41,7 @@ Pure functions on doubles; `docs/guide/acoustic.md` says what is left out (multi
 
 from __future__ import annotations
 
-from math import comb, log10, sqrt
+from math import comb, fsum, log10, sqrt
 
 # Information weights B_d of the code (561, 753), from its free distance 12 on, in steps of 2.
 _WEIGHTS = (33, 281, 2179, 15035, 105166, 692330, 4580007, 29692894)
@@ -79,7 +79,7 @@ def noise_density(f_khz: float, shipping: float, wind_mps: float) -> float:
         50.0 + 7.5 * sqrt(wind_mps) + 20.0 * log_f - 40.0 * log10(f_khz + 0.4),
         -15.0 + 20.0 * log_f,
     )
-    return decibels(sum(power(part) for part in parts))
+    return decibels(fsum(power(part) for part in parts))
 
 
 def noise_level(f_khz: float, bandwidth_hz: float, shipping: float, wind_mps: float) -> float:
@@ -93,7 +93,7 @@ def bit_error_rate(snr_db: float) -> float:
     total = 0.0
     for index, weight in enumerate(_WEIGHTS):
         d = _FREE_DISTANCE + 2 * index
-        total += weight * p**d * sum(comb(d - 1 + k, k) * (1.0 - p) ** k for k in range(d))
+        total += weight * p**d * fsum(comb(d - 1 + k, k) * (1.0 - p) ** k for k in range(d))
     return total
 
 

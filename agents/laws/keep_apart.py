@@ -46,7 +46,7 @@ PENALTY = 1000.0
 TOLERANCE = 1e-10  # of PIQP
 CHANGES = 8  # of PIQP's active constraints, at most
 ROUNDING = 1e-9  # m/s, of the closed form
-DEPENDENT = 1e-7  # what is left of the direction of a constraint that follows from others
+DEPENDENT = 1e-7  # less than this is left of the direction of a constraint that follows from others
 SLACK = 1e-6  # m/s; more than this is an infeasible problem
 ASIDE = 0.5  # of the velocity that is lost along a constraint, what is added across it
 SIDE = 0.1  # a relative course that passes by less than this to port, over its length, has no side: starboard then
@@ -190,7 +190,6 @@ def _polished(target: Vec3, rows: list[_Row], active: list[int]) -> Vec3 | None:
     PIQP's builds differ in the last bits, and from there a run goes another way. `active` is what PIQP found. One that
     pushes the wrong way is left out, and one that is missed is added, one at a time.
     """
-    active = _independent(rows, active)
     for _ in range(CHANGES):
         solved = _eliminated(target, rows, active)
         if solved is None:
@@ -208,24 +207,10 @@ def _polished(target: Vec3, rows: list[_Row], active: list[int]) -> Vec3 | None:
     return None
 
 
-def _independent(rows: list[_Row], active: list[int]) -> list[int]:
-    """These constraints but for those whose direction follows from others before them. (Gram and Schmidt.)"""
-    kept, basis = list[int](), list[list[float]]()
-    for k in active:
-        rest = list(rows[k][:4])
-        for one in basis:
-            along = sum(a * b for a, b in zip(rest, one, strict=True))
-            rest = [a - along * b for a, b in zip(rest, one, strict=True)]
-        length = sqrt(sum(a * a for a in rest))
-        if length > DEPENDENT:
-            kept.append(k)
-            basis.append([a / length for a in rest])
-    return kept
-
-
 def _eliminated(target: Vec3, rows: list[_Row], active: list[int]) -> list[float] | None:
     """rho, the slack, and how hard each active constraint pushes: rho - target = n' pushes, and these sum up to PENALTY
-    on the slack. None: not a single solution. (Gauss, with the largest pivot of a column.)
+    on the slack. One whose direction follows from others does not push. None: they contradict each other. (Gauss, with
+    the largest pivot of a column.)
     """
     size = 4 + len(active)
     left = [[0.0] * (size + 1) for _ in range(size)]
@@ -233,28 +218,29 @@ def _eliminated(target: Vec3, rows: list[_Row], active: list[int]) -> list[float
         left[axis][axis], left[axis][size] = 1.0, target[axis]
     left[3][size] = -PENALTY
     for k, number in enumerate(active, start=4):
-        row = rows[number]
         for axis in (0, 1, 2, 3):
-            left[axis][k], left[k][axis] = -row[axis], row[axis]
-        left[k][size] = row[4]
+            left[axis][k], left[k][axis] = -rows[number][axis], rows[number][axis]
+        left[k][size] = rows[number][4]
+    pivots: list[int] = []  # the column of each row
     for column in range(size):
-        pivot = max(range(column, size), key=lambda r: abs(left[r][column]))
-        if abs(left[pivot][column]) < DEPENDENT:
-            return None
-        left[column], left[pivot] = left[pivot], left[column]
-        top = left[column]
-        for row_number in range(column + 1, size):
-            below = left[row_number]
-            factor = below[column] / top[column]
-            if factor != 0.0:
-                for k in range(column, size + 1):
-                    below[k] -= factor * top[k]
+        top = len(pivots)
+        best = max(range(top, size), key=lambda r: abs(left[r][column]))
+        if abs(left[best][column]) < DEPENDENT:
+            continue
+        left[top], left[best] = left[best], left[top]
+        for below in left[top + 1 :]:
+            factor = below[column] / left[top][column]
+            for k in range(column, size + 1):
+                below[k] -= factor * left[top][k]
+        pivots.append(column)
+    if any(abs(row[size]) > SLACK for row in left[len(pivots) :]):
+        return None
     found = [0.0] * size
-    for column in range(size - 1, -1, -1):
-        rest = left[column][size]
-        for k in range(column + 1, size):
-            rest -= left[column][k] * found[k]
-        found[column] = rest / left[column][column]
+    for row, column in zip(reversed(left[: len(pivots)]), reversed(pivots), strict=True):
+        rest = row[size]
+        for k in range(column + 1, size):  # `sum` rounds in another way from Python 3.12 on
+            rest -= row[k] * found[k]
+        found[column] = rest / row[column]
     return found
 
 

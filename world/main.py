@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from contextlib import suppress
 from pathlib import Path
 from socket import socket
 from time import monotonic_ns
@@ -263,23 +261,6 @@ def _process(
     members: Members = (),
 ) -> WorldProcess:
     if clock is Clock.LOCKSTEP:
-        if most_asked < len(config.vehicles):
-            share_processor()
         run = Lockstep(config, frame_every=frame_every)
         return WorldProcess(bus, keys, run, refusals, most_asked, members, ends)
     return RealtimeWorldProcess(bus, keys, config, frame_every, speed, refusals)
-
-
-def share_processor() -> None:
-    """Keep all threads of this process, present and future, on one of two processors.
-
-    With many agents both processors are busy, and zenoh's threads here and ours do one thing after the other. On two
-    processors they interrupt each other for each message (measured, N = 100: 15 to 20 % of the whole run's CPU time).
-    With more processors there is room for them side by side.
-    """
-    processors = sorted(os.sched_getaffinity(0))
-    if len(processors) == 2:
-        one = {processors[os.getpid() % 2]}
-        for thread in os.listdir("/proc/self/task"):
-            with suppress(ProcessLookupError):  # it has ended meanwhile
-                os.sched_setaffinity(int(thread), one)

@@ -33,10 +33,10 @@ from netem.wire.messages import (
     Receipt,
     Transmission,
 )
-from netem.wire.queues import PutQueue, Stamped
+from netem.wire.queues import Stamped
 from netem.wire.session import quiet_zenoh
 from netem.wire.shell import Shell, end_with_link, read_map
-from netem.wire.vehicle_bus import AgentEnd, Inbound
+from netem.wire.vehicle_bus import AgentEnd
 from world.errors import PluginError
 
 # --- host: one process, and one session, for several agents in lockstep
@@ -47,17 +47,9 @@ from world.errors import PluginError
 class HostProcess:
     """Passes what comes in to its agents and publishes what comes out."""
 
-    def __init__(
-        self,
-        bus: Bus,
-        keys: Keys,
-        number: int,
-        agents: Iterable[OneAgent],
-        running: Running,
-        end: socket | None = None,
-    ) -> None:
+    def __init__(self, bus: Bus, keys: Keys, number: int, agents: Iterable[OneAgent], running: Running) -> None:
         """Connect; the agents are ready to be asked. `number`: of the host, from 1. `running`: receives the number of
-        the agent that computes. `end`: of the vehicles' bus; None: that is on zenoh.
+        the agent that computes.
         """
         role = host_role(number)
         self._bus, self._number, self._running = bus, number, running
@@ -66,11 +58,7 @@ class HostProcess:
         self._cmd, self._tx, self._note = (bus.publisher(key(role)) for key in (keys.cmd, keys.tx, keys.note))
         self._key = keys.host(number)
         # Navs and inboxes come in one channel: of two, the one that is not looked at could hold back the other.
-        self._in: PutQueue | Inbound = bus.channel(self._key, capacity := max(64, 3 * len(self._agents)))
-        if end is not None:
-            self._in = Inbound(self._in, capacity)
-            self._in.add(self._key, end)
-            self._cmd = AgentEnd(end, self._key).put
+        self._in = bus.channel(self._key, capacity=max(64, 3 * len(self._agents)))
         self._to_world: list[BundlePart] = []
         self._to_netem: list[BundlePart] = []
 
@@ -226,12 +214,9 @@ def run(
     begin_life(bus, keys, config, incarnation, begin, clock_of(values), end=wires).serve()
 
 
-def run_host(
-    endpoint: str, run_id: str, number: int, credentials: Credentials, running: Path, end: socket | None = None
-) -> None:
+def run_host(endpoint: str, run_id: str, number: int, credentials: Credentials, running: Path) -> None:
     """Join a run as host `number`, and answer the navs of its agents in lockstep until the process is ended. `running`:
-    a file that says at any time which of them is computing. `end`: of the vehicles' bus; None: that is on zenoh. Raises
-    BusError if the run cannot be joined.
+    a file that says at any time which of them is computing. Raises BusError if the run cannot be joined.
     """
     quiet_zenoh()
     keys = Keys(run_id)
@@ -246,7 +231,7 @@ def run_host(
         loop = AgentLoop(core, config.round_ticks, memory_ticks=config.memory_ticks)
         agents.append(OneAgent(bus, keys, config.id, loop))
     mark.at(0)
-    process = HostProcess(bus, keys, number, agents, mark, end)
+    process = HostProcess(bus, keys, number, agents, mark)
     process.get_ready()
     process.serve()
 

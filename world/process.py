@@ -185,7 +185,7 @@ class WorldProcess:
         self._state = run.state
         self._ids = run.state.ids
         most = len(self._ids) if most_asked is None else most_asked
-        self._hosts = hosts = Hosts(bus, keys, members, keys.cmd, self._past_zenoh)
+        self._hosts = hosts = Hosts(bus, keys, members, keys.cmd)
         self._turns = Turns(run.config.round_ticks, most, lambda i, nav: -hosts.of(i, nav.incarnation) or i)
         self._shell = Shell(bus, WORLD, keys.note(WORLD))
         self._nav: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.nav(i)) for i in self._ids}
@@ -204,7 +204,7 @@ class WorldProcess:
         if ends is not None:
             capacity = max(64, 3 * len(self._ids))
             assert isinstance(self._in, PutQueue)
-            self._in = self._ends = Inbound(self._in, capacity, ends, keys.cmd(""))
+            self._in = self._ends = Inbound(self._in, capacity, ends, keys.cmd)
         bus.answer(keys.ctl(WORLD), self._control)
         self._token_roles = {keys.alive(agent_role(i)): [i] for i in self._ids}
         self._token_roles |= {keys.alive(host_role(h)): [*group] for h, group in enumerate(members, start=1)}
@@ -372,12 +372,8 @@ class WorldProcess:
             self._nav_to(i, encode(nav))
 
     def _nav_to(self, i: int, data: bytes) -> None:
-        if not self._past_zenoh(self._keys.cmd(i), data):
+        if self._ends is None or not self._ends.put(i, data):
             self._nav[i](data)
-
-    def _past_zenoh(self, key: str, data: bytes) -> bool:
-        """Send a message to the process whose messages come in on `key`, if its bus is a socket."""
-        return self._ends is not None and self._ends.put(key, data)
 
     def _tell(self, i: int, incarnation: int, data: bytes) -> None:
         if host := self._hosts.of(i, incarnation):

@@ -92,8 +92,9 @@ class Launch:
         others = self._listener or self._rendezvous.certified
         allow_open_files(scenario.vehicles, others=PENDING if others else 0)
         self._private = RunFolder()
-        # On a wall clock a suspended agent would leave its navs unread, and the world would wait for room.
-        self._ends = Ends() if options.clock is Clock.LOCKSTEP else None
+        # On a wall clock a suspended agent would leave its navs unread, and the world would wait for room. To a host
+        # zenoh carries the messages of many agents at once, and sockets besides it cost more than they save.
+        self._ends = Ends() if options.clock is Clock.LOCKSTEP and not hosting.members else None
         self.endpoint = self._rendezvous.router or self._private.endpoint  # for the run's own processes
 
     def admit(self, external: ExternalAgents) -> None:
@@ -121,8 +122,7 @@ class Launch:
         targets: dict[str, Target] = {WORLD: self._world()}
         targets[NETEM] = netem.main.run, (*here, self.credentials[NETEM], *network)
         for h, role in enumerate(map(host_role, range(1, len(self._hosting.members) + 1)), start=1):
-            shared = self.credentials[role], self._private.path / role, self._end(role)
-            targets[role] = agents.main.run_host, (*here, h, *shared)
+            targets[role] = agents.main.run_host, (*here, h, self.credentials[role], self._private.path / role)
         elsewhere = {*self._scenario.external, *chain(*self._hosting.members)}
         for i in range(1, self._scenario.vehicles + 1):
             if i not in elsewhere:
@@ -133,14 +133,14 @@ class Launch:
     def agent(self, i: int, incarnation: int = 0, begin: int = 0) -> Target:
         """The function that an agent's process runs, in the life `incarnation` that begins at tick `begin`."""
         credentials = self.credentials[self._hosting.role(i)]
-        return agents.main.run, (self.endpoint, self._keys.run, i, credentials, self._end(str(i)), incarnation, begin)
+        return agents.main.run, (self.endpoint, self._keys.run, i, credentials, self._end(i), incarnation, begin)
 
-    def _end(self, name: str) -> socket | None:
-        """The end of a vehicle's bus for a process that is about to start, if the bus is not on zenoh."""
+    def _end(self, i: int) -> socket | None:
+        """The end of a vehicle's bus for an agent that is about to start, if the bus is not on zenoh."""
         try:
-            return None if self._ends is None else self._ends.new(name)
+            return None if self._ends is None else self._ends.new(i)
         except OSError as error:
-            raise RunBroken(f"no bus for {name.replace('-', ' ')}: {error.strerror}") from error
+            raise RunBroken(f"no bus for agent {i}: {error.strerror}") from error
 
     def computing(self, role: str) -> int:
         """The vehicle whose agent a host computes, or computed when it ended. 0: no vehicle, or not a host."""

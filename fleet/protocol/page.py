@@ -374,10 +374,11 @@ deliveries that have come and are due. An `rx` then comes only with content, and
 ## The bus of a vehicle
 
 `nav`, `end` and `cmd` with `memory` are the wires within a vehicle, from its sensors to its agent and from there to its
-actuators. For the agents that a run starts in lockstep they are a pair of Unix sockets (`SOCK_SEQPACKET`) per process:
-a packet is a message, or a bundle of a host. The process inherits its end, so there is no address and no password. The
-`hello` to the world and its echo go there, too. Your agent has the keys `nav/<i>` and `cmd/<i>` instead, as on a wall
-clock. The messages are the same, byte for byte. Agents talk to each other on `tx` and `rx` in all cases.
+actuators. For an agent that a run starts in lockstep, with a process of its own, they are a pair of Unix sockets
+(`SOCK_SEQPACKET`): a packet is a message. The process inherits its end, so there is no address and no password. The
+`hello` to the world and its echo go there, too. Your agent has the keys `nav/<i>` and `cmd/<i>` instead, as agents that
+share a process and those on a wall clock. The messages are the same, byte for byte. Agents talk to each other on `tx`
+and `rx` in all cases.
 
 ## Lives and the end
 

@@ -23,23 +23,14 @@ def bundles(parts: Sequence[BundlePart]) -> Iterator[bytes]:
 class Hosts:
     """The hosts of a run, as world and netem see them: the agents on each host, and the key that leads there."""
 
-    def __init__(
-        self,
-        bus: Bus,
-        keys: Keys,
-        members: Members,
-        up: Callable[[str], str],
-        past_zenoh: Callable[[str, bytes], bool] = lambda key, data: False,
-    ) -> None:
+    def __init__(self, bus: Bus, keys: Keys, members: Members, up: Callable[[str], str]) -> None:
         """Connect. `members`: the vehicles of each host. `up`: the key that carries the messages of a host with that
-        role. `past_zenoh`: sends a message to the process whose messages come in on a key, if there is another way.
+        role.
         """
         numbers = range(1, len(members) + 1)
         self._of = {i: h for h, group in zip(numbers, members, strict=True) for i in group}
         self._puts = {h: bus.publisher(keys.host(h)) for h in numbers}
-        self._ups = {h: up(host_role(h)) for h in numbers}
-        self._by_key = {key: h for h, key in self._ups.items()}
-        self._past_zenoh = past_zenoh
+        self._by_key = {up(host_role(h)): h for h in numbers}
 
     def of(self, i: int, incarnation: int) -> int:
         """The host of a life of agent i; 0: that has a process of its own, as all but the first have."""
@@ -55,14 +46,10 @@ class Hosts:
             raise MalformedMessage("bundle", f"vehicle {i} is not on {host_role(h)}")
 
     def greet(self, h: int, echo: bytes) -> None:
-        self._send(h, echo)
+        self._puts[h](echo)
 
     def put(self, h: int, messages: Iterable[tuple[int, bytes]]) -> None:
         for data in bundles([BundlePart(i, message) for i, message in messages]):
-            self._send(h, data)
-
-    def _send(self, h: int, data: bytes) -> None:
-        if not self._past_zenoh(self._ups[h], data):
             self._puts[h](data)
 
 

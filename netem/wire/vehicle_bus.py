@@ -1,10 +1,10 @@
-"""The bus within a vehicle: navs down and commands up, over a pair of Unix sockets (SOCK_SEQPACKET) for each process.
+"""The bus within a vehicle: navs down and commands up, over a pair of Unix sockets (SOCK_SEQPACKET) for each agent.
 
 The sensors and actuators of a vehicle are not the network that a run is about, and zenoh takes six wake-ups for a round
 trip where a socket takes one. The messages are those of the wire protocol, byte for byte. The console makes a pair for
-each process of agents that it starts. The process inherits one end, the world gets the other one, and nobody else has
-either, so the bus needs no password. Agents that somebody else starts, agents on other hosts, and runs on a wall clock
-have the keys `nav` and `cmd` of zenoh in place of it.
+each agent that it starts. The agent inherits one end, the world gets the other one, and nobody else has either, so the
+bus needs no password. Agents that somebody else starts, agents that share a process, and runs on a wall clock have the
+keys `nav` and `cmd` of zenoh in place of it.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import os
 import select
 import socket
 from collections import deque
+from collections.abc import Callable
 from contextlib import suppress
 from queue import Queue
 from threading import Thread
@@ -21,7 +22,7 @@ from netem.errors import BusError
 from netem.wire.queues import PutQueue
 from netem.wire.session import MAX_BYTES
 
-_NAME_BYTES = 64  # of the process whose end the console hands over
+_NUMBER_BYTES = 20  # of the agent whose end the console hands over
 
 
 class Ends:
@@ -30,15 +31,14 @@ class Ends:
     def __init__(self) -> None:
         self._world, self.of_world = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
 
-    def new(self, name: str) -> socket.socket:
-        """The end of a process that is about to start. `name`: the last part of its keys, `3` or `host-1`. The world
-        gets the other end, in place of an earlier one with this name. Raises OSError: the world has ended, or too many
-        files are open.
+    def new(self, i: int) -> socket.socket:
+        """The end of an agent i that is about to start. The world gets the other end, in place of one before. Raises
+        OSError: the world has ended, or too many files are open.
         """
         theirs, worlds = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with worlds:
             try:
-                socket.send_fds(self._world, [name.encode()], [worlds.fileno()])
+                socket.send_fds(self._world, [b"%d" % i], [worlds.fileno()])
             except OSError:
                 theirs.close()
                 raise
@@ -50,14 +50,11 @@ class Ends:
 
 
 class AgentEnd:
-    """The end of a process with agents."""
+    """The end of an agent."""
 
     def __init__(self, end: socket.socket, key: str) -> None:
         """`key`: that of what comes in, as zenoh would name it."""
         self._end, self._key = end, key
-
-    def fileno(self) -> int:
-        return self._end.fileno()
 
     def put(self, data: bytes) -> None:
         """Send a message. Raises BusError: it is too long, or the world has ended."""
@@ -85,37 +82,28 @@ class AgentEnd:
 
 
 class Inbound:
-    """What comes in to a process: the puts of a channel of zenoh, and the messages of sockets."""
+    """What comes in to the world: the puts of a channel of zenoh, and the messages of sockets."""
 
-    def __init__(self, channel: PutQueue, capacity: int, control: socket.socket | None = None, key: str = "") -> None:
-        """`capacity`: puts that wait here, besides those in the channel. `control`: of the world, where the console
-        hands over its ends; what comes from them counts as puts on `key` and the name of the process.
+    def __init__(self, channel: PutQueue, capacity: int, control: socket.socket, key: Callable[[int], str]) -> None:
+        """`capacity`: puts that wait here, besides those in the channel. `control`: where the console hands over the
+        ends of agents. `key`: that of what comes from an agent, as zenoh would name it.
         """
         self._epoll = select.epoll()
         self._ready: deque[tuple[str, bytes]] = deque()
         self._puts: Queue[tuple[str, bytes]] = Queue(capacity)
         self._arrived = os.eventfd(0)
+        self._ends: dict[int, tuple[int, str, socket.socket]] = {}  # by descriptor
+        self._of: dict[int, socket.socket] = {}  # by agent
+        self._control, self._key = control, key
         self._epoll.register(self._arrived, select.EPOLLIN)
-        self._ends: dict[int, tuple[str, socket.socket]] = {}  # by descriptor
-        self._by_key: dict[str, socket.socket] = {}
-        self._control, self._prefix = control, key
-        if control is not None:
-            self._epoll.register(control, select.EPOLLIN)
+        self._epoll.register(control, select.EPOLLIN)
         Thread(target=self._pump, args=(channel,), name="inbound", daemon=True).start()
 
-    def add(self, key: str, end: socket.socket) -> None:
-        """Take what comes on `end`, as puts on `key`."""
-        if (before := self._by_key.pop(key, None)) is not None:
-            self._drop(before.fileno())
-        self._by_key[key] = end
-        self._ends[end.fileno()] = key, end
-        self._epoll.register(end, select.EPOLLIN)
-
-    def put(self, key: str, data: bytes) -> bool:
-        """Send a message to the end whose messages come in on `key`. False: there is none. To one that has ended, it is
-        lost, as a put on a key that nobody subscribes to. Raises BusError: it is too long.
+    def put(self, i: int, data: bytes) -> bool:
+        """Send a message to agent i. False: it has no end here. To one that has ended, it is lost, as a put on a key
+        that nobody subscribes to. Raises BusError: it is too long.
         """
-        end = self._by_key.get(key)
+        end = self._of.get(i)
         if end is None:
             return False
         with suppress(_Ended):
@@ -138,7 +126,7 @@ class Inbound:
         ready, ends = self._ready, self._ends
         for descriptor, _ in self._epoll.poll(timeout_s):
             if (known := ends.get(descriptor)) is not None:
-                key, end = known
+                i, key, end = known
                 try:
                     data = end.recv(MAX_BYTES, socket.MSG_DONTWAIT)
                 except OSError:
@@ -146,25 +134,27 @@ class Inbound:
                 if data:
                     ready.append((key, data))
                 else:
-                    self._drop(descriptor)
+                    self._drop(i, end)
             elif descriptor == self._arrived:
                 for _ in range(os.eventfd_read(descriptor)):
                     ready.append(self._puts.get())
-            elif self._control is not None:
-                self._take_ends(self._control)
+            else:
+                self._take_ends()
 
-    def _take_ends(self, control: socket.socket) -> None:
-        name, descriptors, _, _ = socket.recv_fds(control, _NAME_BYTES, 1)
-        if not name:
-            self._epoll.unregister(control)  # the console has ended
+    def _take_ends(self) -> None:
+        number, descriptors, _, _ = socket.recv_fds(self._control, _NUMBER_BYTES, 1)
+        if not number:
+            self._epoll.unregister(self._control)  # the console has ended
         for descriptor in descriptors:
-            self.add(self._prefix + name.decode(), socket.socket(fileno=descriptor))
+            i, end = int(number), socket.socket(fileno=descriptor)
+            if (before := self._of.get(i)) is not None:
+                self._drop(i, before)
+            self._of[i], self._ends[descriptor] = end, (i, self._key(i), end)
+            self._epoll.register(end, select.EPOLLIN)
 
-    def _drop(self, descriptor: int) -> None:
-        key, end = self._ends.pop(descriptor)
-        self._epoll.unregister(descriptor)
-        if self._by_key.get(key) is end:
-            del self._by_key[key]
+    def _drop(self, i: int, end: socket.socket) -> None:
+        self._epoll.unregister(end)
+        del self._of[i], self._ends[end.fileno()]
         end.close()
 
     def _pump(self, channel: PutQueue) -> None:

@@ -25,7 +25,7 @@ from fleet.execution.triggered import fired
 from fleet.notebook import html_table
 from fleet.quantities import QuantityError, show_time, time_ns
 from fleet.recorder.journal import WatchedLog, Watcher
-from fleet.recorder.log_file import LogFile, NoLog
+from fleet.recorder.log_file import LogFile, NoDigest, NoLog
 from fleet.recorder.writer import LogWriter
 from fleet.result.result import Result, Status, Wall
 from fleet.result.verdict import Margin
@@ -110,14 +110,14 @@ class Run:
     def prepared(
         cls,
         scenario: Scenario,
-        log: LogFile | None = None,
+        log: LogFile | NoLog | None = None,
         watcher: Watcher | None = None,
         agents: Mapping[int, MakeLife] | None = None,
     ) -> Self:
         """The run of a scenario that is loaded.
 
         Args:
-            log: where it is recorded; None: nowhere.
+            log: where it is recorded; None: nowhere, with the digest that a log would have.
             watcher: sees every frame.
             agents: by vehicle, what makes an agent in place of the scenario's.
 
@@ -132,14 +132,14 @@ class Run:
     def _prepare(
         self,
         scenario: Scenario,
-        log: LogFile | None,
+        log: LogFile | NoLog | None,
         watcher: Watcher | None,
         agents: Mapping[int, MakeLife] | None,
     ) -> None:
         refuse(scenario, "a run in one process")
         self.scenario = scenario = fired(scenario)
         self._file = log or NoLog()
-        writer = LogWriter(self._file, scenario)
+        writer = self._file if isinstance(self._file, NoDigest) else LogWriter(self._file, scenario)
         recorded = writer if watcher is None else WatchedLog(writer, watcher)
         self._runner = in_process(scenario, recorded, agents=agents)
         self._journal = self._runner.journal
@@ -445,13 +445,13 @@ def judged(
     scenario: Scenario,
     progress: Callable[[float], None] | None = None,
     watcher: Watcher | None = None,
-    log: LogFile | None = None,
+    log: LogFile | NoLog | None = None,
 ) -> Result:
     """The result of a scenario that is loaded; see `run`.
 
     Args:
         watcher: sees every frame.
-        log: where the run is recorded; None: nowhere.
+        log: where the run is recorded; None: nowhere, with the digest that a log would have.
 
     Raises:
         LogError: the log cannot be written.

@@ -13,6 +13,10 @@ from fleet.errors import FleetError
 from fleet.logs.mcap_writer import Batch, McapWriter
 from fleet.logs.records import Digest
 from fleet.logs.schemas import Schema
+from fleet.recorder.metrics import VehicleError
+from fleet.recorder.snapshot import Snapshot
+from fleet.scenario.sections.timeline import Event
+from netem.wire.messages import Command, Fate, Frame
 
 # --- no log: the stand-in for a log in a run with `log: none`: it computes the digest, and writes nothing
 
@@ -65,6 +69,26 @@ class NoLog:
         """Nothing to do."""
 
     def abandon(self) -> None:
+        """Nothing to do."""
+
+
+class NoDigest(NoLog):
+    """No log, and no digest either, which costs as much as the messages of a log: for a run of which only the verdicts
+    count. The journal writes to it in place of a `LogWriter`.
+    """
+
+    digest = ""
+
+    def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None:
+        """Nothing to do."""
+
+    def packet(self, fate: Fate) -> None:
+        """Nothing to do."""
+
+    def event(self, event: Event) -> None:
+        """Nothing to do."""
+
+    def snapshot(self, snapshot: Snapshot) -> None:
         """Nothing to do."""
 
 

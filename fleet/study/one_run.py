@@ -7,7 +7,7 @@ import os
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from importlib.metadata import version
 from math import isfinite
@@ -20,7 +20,7 @@ from fleet.errors import FleetError
 from fleet.execution.directory import LOG, SCENARIO
 from fleet.execution.stepped_run import judged
 from fleet.execution.triggered import fired
-from fleet.recorder.log_file import LogFile
+from fleet.recorder.log_file import LogFile, NoDigest
 from fleet.result.file import write_result
 from fleet.result.result import Result, Status
 from fleet.result.verdict import Verdict
@@ -50,7 +50,7 @@ class Task(NamedTuple):
     signals: tuple[str, ...] = ()  # measures of signals, by name
     log: str = ""  # the run directory that is to be made; empty: none
     branch: Branch | None = None  # a part of a run, in place of all of it
-    bare: bool = False  # without an emulator, if that is possible and no check fails
+    bare: bool = False  # without an emulator or a digest, as far as that is possible and no check fails
 
 
 def late(task: Task) -> StudyError:
@@ -108,23 +108,26 @@ def _made(task: Task) -> Row:
         scenario = scenario_of(task)
         if task.branch is not None:
             return run_branch(scenario, task.branch, check)
-        if task.bare and fits(scenario):
-            verdicts = bare_verdicts(scenario, check if isfinite(task.timeout_s) else None)
-            if verdicts:
-                checks, numbers = _judged(verdicts)
-                passed = all(verdict.passed for verdict in verdicts)
-                status = Status.PASS if passed else Status.CHECK_FAILED
-                return Row(seed=task.seed, status=status, passed=passed, checks=checks, numbers=numbers)
+        in_time = check if isfinite(task.timeout_s) else None
+        if task.bare and fits(scenario) and (verdicts := bare_verdicts(scenario, in_time)):
+            return _by_verdicts(task, verdicts)
         if scenario.spec.triggers:
             scenario = fired_of(task)
         samples = Samples(scenario, task.signals)
         if task.log:
-            result = recorded(scenario, Path(task.log), check, samples)
-        else:
-            result = judged(scenario, check if isfinite(task.timeout_s) else None, samples)
-        return _measured(result, samples)
+            return _measured(recorded(scenario, Path(task.log), check, samples), samples)
+        if task.bare and (result := judged(scenario, in_time, log=NoDigest())).status is Status.PASS:
+            return _by_verdicts(task, result.checks)
+        return _measured(judged(scenario, in_time, samples), samples)
     except Exception as error:  # a law of a user's may raise anything: the study says so and goes on
         return _failed(task, error)
+
+
+def _by_verdicts(task: Task, verdicts: Sequence[Verdict]) -> Row:
+    checks, numbers = _judged(verdicts)
+    passed = all(verdict.passed for verdict in verdicts)
+    status = Status.PASS if passed else Status.CHECK_FAILED
+    return Row(seed=task.seed, status=status, passed=passed, checks=checks, numbers=numbers)
 
 
 def _failed(task: Task, error: Exception) -> Row:

@@ -87,7 +87,7 @@ def test_none_that_fails_is_an_upper_bound() -> None:
 
 
 def test_a_run_without_result_is_no_evidence(monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(*_: object) -> None:
+    def broken(*_: object, **__: object) -> None:
         raise RuntimeError("enough")
 
     monkeypatch.setattr("fleet.study.one_run.judged", broken)

@@ -1,4 +1,4 @@
-"""What computes: the cores of world, agents and netem, compiled or not with the same bytes; the processor."""
+"""Whether the cores of world, agents and netem are compiled (the bytes of a run are the same), and on what they run."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def processor() -> str:
 
 
 def machine() -> str:
-    """What may round differently on another machine: the kind of processor, its name, and the C library."""
+    """The kind of processor, its name, and the C library: another machine may round differently."""
     try:
         library = os.confstr("CS_GNU_LIBC_VERSION") or ""
     except ValueError:

@@ -187,8 +187,8 @@ def _nearest(target: Vec3, found: Sequence[Bound], ahead: tuple[Vec3, float], wi
 def _polished(target: Vec3, rows: list[_Row], active: list[int]) -> Vec3 | None:
     """The nearest velocity in closed form, from the constraints that hold with equality; None: these are no solution.
 
-    PIQP's builds differ in the last bits, and from there a run goes another way. `active` is what PIQP found. One that
-    pushes the wrong way is left out, and one that is missed is added, one at a time.
+    PIQP's builds differ in the last bits, and from there a run goes another way. `active` is what PIQP found. A
+    constraint that pushes the wrong way is left out, and a constraint that is missed is added, one at a time.
     """
     for _ in range(CHANGES):
         solved = _eliminated(target, rows, active)

@@ -279,8 +279,8 @@ def _compare_metadata(verification: Verification, recorded: dict[str, str], here
 
 
 def _machines(path: Path) -> str:
-    """The machine that recorded a log and this one. Empty: they are of one kind. It is not in a log, whose bytes would
-    differ then, but in the result beside it.
+    """The machine that recorded a log, and this one. Empty: both are of one kind. The result beside the log names it;
+    if the log did, its bytes would differ from machine to machine.
     """
     here, there = machine(), ""
     with suppress(OSError, ResultError):

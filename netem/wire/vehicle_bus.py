@@ -82,7 +82,7 @@ class AgentEnd:
 
 
 class Inbound:
-    """What comes in to the world: the puts of a channel of zenoh, and the messages of sockets."""
+    """The world's side: it takes the puts of a channel of zenoh and the messages of agents in one order."""
 
     def __init__(self, channel: PutQueue, capacity: int, control: socket.socket, key: Callable[[int], str]) -> None:
         """`capacity`: puts that wait here, besides those in the channel. `control`: where the console hands over the
@@ -100,8 +100,8 @@ class Inbound:
         Thread(target=self._pump, args=(channel,), name="inbound", daemon=True).start()
 
     def put(self, i: int, data: bytes) -> bool:
-        """Send a message to agent i. False: it has no end here. To one that has ended, it is lost, as a put on a key
-        that nobody subscribes to. Raises BusError: it is too long.
+        """Send a message to agent i. False: it has no end here. If the agent has ended, the message is lost, as a put on
+        a key without a subscriber. Raises BusError: it is too long.
         """
         end = self._of.get(i)
         if end is None:

@@ -160,7 +160,7 @@ class _Drawn:
             self._add(k, self._body(k, kind, who), at, lasts)
 
     def _split(self, k: int, begin: int, kinds: list[str]) -> None:
-        """Draw an episode in which half of the fleet is cut off from the others."""
+        """Draw an episode that cuts off half of the fleet from the others."""
         draws, n, end = self._draws, self._ground.spec.vehicles, begin + UNITS * self._unit
         drawn = sorted(range(1, n + 1), key=lambda i: (draws.share(100 * k + i, _WHO), i))
         side, who = sorted(drawn[: max(1, n // 2)]), drawn[draws.among(n, k, _NTH)]

@@ -148,8 +148,8 @@ def solve(problem: GainProblem, solver: Solver = "piqp") -> Solution | NoSolutio
 
 
 def _confirmed(problem: GainProblem, K: Vec3, free: list[int]) -> Solution:
-    """The exact gain K, and whether PIQP agrees with it. Every call sets up a new solver. The last bits of a solver that
-    is updated depend on the problems before.
+    """The exact gain K, and whether PIQP agrees with it. Every call sets up a new solver. The last bits of a solver
+    that is updated depend on the problems before.
     """
     P, q, lo, hi, _ = problem
     # Scaled by the root of the Hessian the axes weigh the same, however far their errors differ.

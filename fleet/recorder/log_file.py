@@ -73,8 +73,8 @@ class NoLog:
 
 
 class NoDigest(NoLog):
-    """No log and no digest, for a run of which only the verdicts count: a digest takes as long as the messages of a log.
-    The journal writes to it in place of a `LogWriter`.
+    """No log and no digest, for a run of which only the verdicts count: a digest takes as long as the messages of a
+    log. The journal writes to it in place of a `LogWriter`.
     """
 
     digest = ""

@@ -100,8 +100,8 @@ class Inbound:
         Thread(target=self._pump, args=(channel,), name="inbound", daemon=True).start()
 
     def put(self, i: int, data: bytes) -> bool:
-        """Send a message to agent i. False: it has no end here. If the agent has ended, the message is lost, as a put on
-        a key without a subscriber. Raises BusError: it is too long.
+        """Send a message to agent i. False: it has no end here. If the agent has ended, the message is lost, as a put
+        on a key without a subscriber. Raises BusError: it is too long.
         """
         end = self._of.get(i)
         if end is None:

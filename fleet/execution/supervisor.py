@@ -136,11 +136,13 @@ class Launch:
         return agents.main.run, (self.endpoint, self._keys.run, i, credentials, self._end(i), incarnation, begin)
 
     def _end(self, i: int) -> socket | None:
-        """The end of a vehicle's bus for an agent that is about to start, if the bus is not on zenoh."""
+        """The end of a vehicle's bus for an agent that is about to start; None: the bus is on zenoh."""
+        if self._ends is None:
+            return None
         try:
-            return None if self._ends is None else self._ends.new(i)
-        except OSError as error:
-            raise RunBroken(f"no bus for agent {i}: {error.strerror}") from error
+            return self._ends.new(i)
+        except OSError:  # no descriptor is left; or the world has ended, which its exit explains
+            return None
 
     def computing(self, role: str) -> int:
         """The vehicle whose agent a host computes, or computed when it ended. 0: no vehicle, or not a host."""

@@ -6,6 +6,7 @@ import getpass
 import re
 import socket
 from collections.abc import Callable
+from errno import EMFILE
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from spawned import fleet
 from fleet.execution.directory import RunDirectory
 from fleet.logs.reader import LogReader, digest
 from fleet.result.result import Status
+from netem.wire.vehicle_bus import Ends
 
 CHECKS = "checks={qp_infeasible: {at_most: 0}, ledger: balanced, middleware_loss: {at_most: 0}}"
 NOISE = [
@@ -110,6 +112,24 @@ def test_distributed_is_in_process(case: str, order: str, tmp_path: Path, alone:
     """Processes over zenoh and a plain loop write the same file, so no scheduling, no order of arrival and no
     start order reaches a result. Every distributed run schedules differently, so each is a new sample of that."""
     assert_same_bytes(once(alone, case), run(tmp_path, case, start_order=ORDERS[order]))
+
+
+def test_the_bus_of_a_vehicle_changes_nothing(tmp_path: Path, alone: Alone, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sockets, or zenoh for the agents that got no descriptor."""
+    new = Ends.new
+
+    def none_left(ends: Ends, i: int) -> socket.socket:
+        if i != 2:
+            raise OSError(EMFILE, "Too many open files")
+        return new(ends, i)
+
+    monkeypatch.setattr(Ends, "new", none_left)
+    assert_same_bytes(once(alone, "rough-sea"), run(tmp_path, "rough-sea"))
+
+
+def test_the_formula_gives_the_gains_that_piqp_confirms(alone: Alone) -> None:
+    """All messages are the same; the scenario that the log holds differs."""
+    assert digest(once(alone, "rough-sea")) == digest(once(alone, "rough-sea", "guidance.solver=exact"))
 
 
 @pytest.mark.slow

@@ -13,11 +13,13 @@ A kind is read from the first bytes and the length; no checksum is computed.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from agents import compact, message, payload
-from fleet.logs.topic import Topic
 from netem.fault_kinds import Cause
+
+if TYPE_CHECKING:
+    from fleet.logs.topic import Topic
 
 STATE, OTHER, DAMAGED = "state message", "other bytes", "damaged"
 _CHECKSUM = 4  # bytes at the end of a message of one's own

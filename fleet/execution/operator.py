@@ -15,7 +15,7 @@ from time import monotonic
 from typing import Any, Protocol
 
 from msgspec.structs import asdict
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ValidationError
 
 from fleet.analysis.verdicts import standing
 from fleet.errors import FleetError
@@ -26,9 +26,10 @@ from fleet.recorder.settling import below_from, least_s, stayed
 from fleet.scenario.rules.faults import fault_problems
 from fleet.scenario.rules.nodes import OF_ROBOTS
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.schema.faults import FaultEntry, FaultSection
+from fleet.scenario.schema.faults import FaultSection
 from fleet.scenario.sections.node_names import numbered_values
 from fleet.scenario.sections.timeline import Kill, Part, action, acts, begin_and_end, parts, with_end, words
+from fleet.scenario.sections.triggers import read_entry
 from fleet.scenario.sections.vehicle_events import vehicle_events
 from netem.faults import NetFault
 from netem.vehicle_clock import Clock
@@ -38,7 +39,6 @@ from netem.wire.messages import WorldFault
 
 
 BROKEN = 3  # the status of a refusal for which the asker can do nothing
-_ENTRY: TypeAdapter[FaultSection] = TypeAdapter(FaultEntry)
 
 
 class RefusedError(FleetError):
@@ -63,7 +63,7 @@ def checked_fault(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
         nodes = ", ".join(scenario.nodes)
         raise RefusedError(f"there is no node {error.args[0]}; the nodes are {nodes}") from None
     try:
-        section = _ENTRY.validate_python(entry | {"at": f"{tick * scenario.tick_ns} ns"})
+        section = read_entry()(entry | {"at": f"{tick * scenario.tick_ns} ns"})
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         said = str(first.get("ctx", {}).get("message", first["msg"]))

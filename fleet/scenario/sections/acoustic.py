@@ -114,7 +114,7 @@ def _stationary(m: int, earliest: Any, b: int) -> Any:
     return pi
 
 
-DEFAULT_MODEM: str = AcousticSection().modem
+DEFAULT_MODEM: str = AcousticSection.model_construct().modem
 DEFAULT_SPREADING = 1.5
 DEFAULT_SALINITY = 35.0  # ppt
 DEFAULT_REQUEST = 4  # bytes, of two-way ranging

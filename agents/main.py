@@ -253,8 +253,8 @@ def begin_life(
 ) -> AgentProcess:
     """Make an agent that is ready: world and netem have both answered it. `core` answers samples for a program that is
     not ours and gives no memory; None: the core that `config` names. `end`: of the vehicle's bus; None: that is on
-    zenoh. Raises BusError if world or netem does not answer;
-    SystemExit if a law cannot be made, of which the console has a note by then.
+    zenoh. Raises BusError if world or netem does not answer, and SystemExit if a law cannot be made. The console has a
+    note about the law by then.
     """
     vehicle = config.id
     memory_ticks = config.memory_ticks if core is None else 0

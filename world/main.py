@@ -92,7 +92,7 @@ class RealtimeWorldProcess(WorldProcess):
         self._heard_ns: dict[int, int] = {}
         super().__init__(bus, keys, run, refusals)
 
-    def _listen(self, bus: Bus) -> None:
+    def _listen(self, bus: Bus, ends: socket | None) -> None:
         self._came = bus.stamped(self._keys.cmd("*"))
 
     def serve(self) -> None:

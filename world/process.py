@@ -200,11 +200,7 @@ class WorldProcess:
         self._probes = Probes()
         self._ready: set[tuple[int, int]] = set()  # agent and incarnation
         self._grant_heard = False
-        self._listen(bus)
-        if ends is not None:
-            capacity = max(64, 3 * len(self._ids))
-            assert isinstance(self._in, PutQueue)
-            self._in = self._ends = Inbound(self._in, capacity, ends, keys.cmd)
+        self._listen(bus, ends)
         bus.answer(keys.ctl(WORLD), self._control)
         self._token_roles = {keys.alive(agent_role(i)): [i] for i in self._ids}
         self._token_roles |= {keys.alive(host_role(h)): [*group] for h, group in enumerate(members, start=1)}
@@ -213,9 +209,12 @@ class WorldProcess:
         self._refusals = refusals or Refusals()
         self._refusals.report_to(lambda text: self._shell.note(0, min(map(self._state.tick_of, self._ids)), text))
 
-    def _listen(self, bus: Bus) -> None:
+    def _listen(self, bus: Bus, ends: socket | None) -> None:
         # Commands and grants: an agent owes one at a time, and its memory now and then.
-        self._in = bus.channel(self._keys.cmd("*"), capacity=max(64, 3 * len(self._ids)))
+        capacity = max(64, 3 * len(self._ids))
+        self._in = channel = bus.channel(self._keys.cmd("*"), capacity=capacity)
+        if ends is not None:
+            self._in = self._ends = Inbound(channel, capacity, ends, self._keys.cmd)
 
     def serve_or_give_up(self) -> NoReturn:
         """Serve; when a vehicle's motion cannot go on, publish what there is, say why in one line, and end."""

@@ -154,6 +154,7 @@ def _nearest(target: Vec3, found: Sequence[Bound], ahead: tuple[Vec3, float], wi
     its own solver, for the reason that agents/laws/guidance.py gives.
     """
     along, least = ahead
+    rows: list[_Row] = [*((*bound.n, 1.0, bound.least) for bound in found), (*along, 0.0, least)]
     solver: Any = piqp.DenseSolver()
     settings = solver.settings
     settings.eps_abs = settings.eps_rel = TOLERANCE
@@ -161,17 +162,16 @@ def _nearest(target: Vec3, found: Sequence[Bound], ahead: tuple[Vec3, float], wi
     solver.setup(
         _HESSIAN,
         _LINEAR - np.array([*target, 0.0]),
-        G=np.array([*([*bound.n, 1.0] for bound in found), [*along, 0.0]], order="F"),
-        h_l=np.array([*(bound.least for bound in found), least]),
+        G=np.array([row[:4] for row in rows], order="F"),
+        h_l=np.array([row[4] for row in rows]),
         x_l=np.array([*scale(widest, -1.0), 0.0]),
         x_u=np.array([*widest, np.inf]),
     )
     if solver.solve() != piqp.PIQP_SOLVED:
         return None
     result = solver.result
-    rows: list[_Row] = [(*n, 1.0, least) for n, least, _ in found]
-    rows += [(*along, 0.0, least), (0.0, 0.0, 0.0, 1.0, 0.0)]
     x, y, z = widest
+    rows += [(0.0, 0.0, 0.0, 1.0, 0.0)]  # the slack; then the limits of the velocity
     rows += [(1.0, 0.0, 0.0, 0.0, -x), (0.0, 1.0, 0.0, 0.0, -y), (0.0, 0.0, 1.0, 0.0, -z)]
     rows += [(-1.0, 0.0, 0.0, 0.0, -x), (0.0, -1.0, 0.0, 0.0, -y), (0.0, 0.0, -1.0, 0.0, -z)]
     low, high, room = result.z_bl.tolist(), result.z_bu.tolist(), result.s_bl.tolist()

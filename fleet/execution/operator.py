@@ -63,7 +63,7 @@ def checked_fault(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
         nodes = ", ".join(scenario.nodes)
         raise RefusedError(f"there is no node {error.args[0]}; the nodes are {nodes}") from None
     try:
-        section = read_entry()(entry | {"at": f"{tick * scenario.tick_ns} ns"})
+        section = read_entry(entry | {"at": f"{tick * scenario.tick_ns} ns"})
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         said = str(first.get("ctx", {}).get("message", first["msg"]))

@@ -14,7 +14,7 @@ from netem.wire.vehicle_bus import AgentEnd, Ends, Inbound
 
 
 class Channel:
-    """What zenoh would deliver."""
+    """Stands for the channel of zenoh: a test puts into it."""
 
     def __init__(self) -> None:
         self.puts: SimpleQueue[tuple[str, bytes]] = SimpleQueue()

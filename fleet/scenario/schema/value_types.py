@@ -37,6 +37,8 @@ from world.vectors import Vec3
 class Section(BaseModel):
     """A mapping with known keys; with nothing in it, it may also be left empty."""
 
+    # A schema is built when it is first needed, with all below it. So a default of a section is made by
+    # `model_construct`: a call of the class would build one of its own.
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, defer_build=True)
 
     @model_validator(mode="before")

@@ -140,8 +140,7 @@ class _Drawn:
         times = begin, begin  # of the fault before
         for k in range(first, first + count):
             kind = "partition" if isolates else kinds[draws.among(len(kinds), k, _KIND)]
-            eighths = 8 * draws.among(UNITS, k, _UNIT) + draws.among(8, k, _EIGHTH)
-            at = begin + eighths * self._unit // 8 // self._ground.spec.tick * self._ground.spec.tick
+            at = self._after(begin, 8 * draws.among(UNITS, k, _UNIT) + draws.among(8, k, _EIGHTH))
             if k > first and not isolates and draws.share(k, _THEN) < 0.5:
                 at = max(begin, times[draws.among(2, k, _THEN)] // self._ground.round_ns * self._ground.round_ns)
             at = min(at, begin + UNITS * self._unit - self._ground.round_ns)
@@ -162,23 +161,29 @@ class _Drawn:
     def _split(self, k: int, begin: int, kinds: list[str]) -> None:
         """Draw an episode that cuts off half of the fleet from the others."""
         draws, n, end = self._draws, self._ground.spec.vehicles, begin + UNITS * self._unit
-        drawn = sorted(range(1, n + 1), key=lambda i: (draws.share(100 * k + i, _WHO), i))
+        drawn = self._shuffled(k)
         side, who = sorted(drawn[: max(1, n // 2)]), drawn[draws.among(n, k, _NTH)]
-        at, moved = self._eighths(begin, k, 8 * UNITS), sorted({*side} ^ {who})
+        at, moved = self._after(begin, draws.among(8 * UNITS, k, _EIGHTH)), sorted({*side} ^ {who})
         lasts = self._length(k, end - at)
         self._add(k, self._body(k, "partition", side), at, lasts)
         if 0 < len(moved) < n and draws.share(k, _MOVES) < 0.5 and at + lasts < end:
             at, k, side = at + lasts, k + 1, moved
             self._add(k, self._body(k, "partition", side), at, end - at)
         if kinds:
-            at, k = min(self._eighths(at, k + 1, 8), end - self._ground.round_ns), k + 1
+            k += 1
+            at = min(self._after(at, draws.among(8, k, _EIGHTH)), end - self._ground.round_ns)
             target = ([who], [who], drawn[:1], side)[draws.among(4, k, _TARGET)]
             self._add(k, self._body(k, kinds[draws.among(len(kinds), k, _KIND)], target), at, self._length(k, end - at))
 
-    def _eighths(self, begin: int, k: int, count: int) -> int:
-        """A time on the eighths of a unit [ns], before so many have passed."""
+    def _after(self, begin: int, eighths: int) -> int:
+        """The time so many eighths of a unit after another one [ns], in whole ticks."""
         tick = self._ground.spec.tick
-        return begin + self._draws.among(count, k, _EIGHTH) * self._unit // 8 // tick * tick
+        return begin + eighths * self._unit // 8 // tick * tick
+
+    def _shuffled(self, k: int) -> list[int]:
+        """All vehicles, in a random order."""
+        vehicles = range(1, self._ground.spec.vehicles + 1)
+        return sorted(vehicles, key=lambda i: (self._draws.share(100 * k + i, _WHO), i))
 
     def _length(self, k: int, most: int) -> int:
         round_ns, whole = self._ground.round_ns, self._unit
@@ -188,8 +193,7 @@ class _Drawn:
 
     def _target(self, k: int, side: list[int], before: list[int]) -> list[int]:
         """The vehicles of a fault. `side`: of the partition before it; `before`: of the fault before it."""
-        draws, n = self._draws, self._ground.spec.vehicles
-        drawn = sorted(range(1, n + 1), key=lambda i: (draws.share(100 * k + i, _WHO), i))
+        draws, n, drawn = self._draws, self._ground.spec.vehicles, self._shuffled(k)
         some = [drawn[:1], drawn[:1], drawn[: max(1, (n - 1) // 2)], drawn[: n // 2 + 1], drawn[: max(1, n - 1)]]
         some += [one for one in (side, before) if one]
         if side:  # one vehicle changes sides

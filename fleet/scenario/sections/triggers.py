@@ -6,7 +6,7 @@ A trigger becomes an ordinary fault when an agent has made the report that it wa
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -23,11 +23,14 @@ RELATIVE = ("itself", "others", "neighbours")  # of the agent whose report it is
 _RELATIVE = re.compile(rf"\b({'|'.join(RELATIVE)})\b")
 
 
-@cache
-def read_entry() -> Callable[[Any], FaultSection]:
-    """What makes the section of a fault from plain values. Most runs need none, and to make it takes 20 ms."""
-    entry: TypeAdapter[FaultSection] = TypeAdapter(FaultEntry)
-    return entry.validate_python
+@cache  # most runs need none, and it takes 20 ms
+def _entry() -> TypeAdapter[FaultSection]:
+    return TypeAdapter(FaultEntry)
+
+
+def read_entry(values: Mapping[str, Any]) -> FaultSection:
+    """Read an entry of `faults`. Raises pydantic.ValidationError: it is none."""
+    return _entry().validate_python(values)
 
 
 class AskedMoment(NamedTuple):
@@ -71,7 +74,7 @@ def fault_of(
     others = [j for j in range(1, spec.vehicles + 1) if j != i]
     numbers = {"itself": str(i), "others": ",".join(map(str, others)), "neighbours": ",".join(map(str, sorted(near)))}
     times = {"at": f"{at} ns"} | ({} if trigger.for_ is None else {"for": f"{trigger.for_} ns"})
-    return read_entry()({"id": name, **times, **_resolved(trigger.fault, numbers)})
+    return read_entry({"id": name, **times, **_resolved(trigger.fault, numbers)})
 
 
 def _resolved(value: Any, numbers: Mapping[str, str]) -> Any:

@@ -31,7 +31,7 @@ taken as held: in the formation e = 0, and how the gain depends on e is of secon
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import atan2, cos, pi, sin
 from typing import Any, NamedTuple
 
@@ -111,15 +111,16 @@ class VehicleRound:
         moved = np.abs(self._outputs[:3, at])
         return abs(float(np.angle(self._values[at]))), LOOPS[int(np.argmax(moved))]
 
-    def resolvent(self, z: Complex) -> Complex:
-        """C (z - P)^-1 at every z."""
-        if self._inputs is not None:
-            shares: Complex = self._outputs / (z[:, None] - self._values)[:, None, :] @ self._inputs
-            return shares
-        matrices = z[:, None, None] * np.eye(len(self._P)) - self._P.T
-        return np.swapaxes(np.linalg.solve(matrices, self._C.T.astype(complex)), 1, 2)
+    def resolvent(self, z: Complex, S: Any) -> Complex:
+        """C (z - P)^-1 S at every z, for S (states, outputs)."""
+        if self._inputs is None:
+            moved: Complex = np.linalg.solve(z[:, None, None] * np.eye(len(S)) - self._P, S.astype(complex)[None])
+            return np.asarray(self._C @ moved)
+        each = self._outputs.T[:, :, None] * (self._inputs @ S)[:, None, :]  # what an eigenvector carries
+        shares: Complex = (1.0 / (z[:, None] - self._values)) @ each.reshape(len(each), -1)
+        return shares.reshape(len(z), *each.shape[1:])
 
-    def answer(self, resolvent: Complex, z: Complex, delay: int) -> Complex:
+    def answer(self, z: Complex, delay: int) -> Complex:
         """C (z - P)^-1 S(z) for a link with a delay [ticks]."""
         total = np.zeros((len(z), self.outputs, self.outputs), complex)
         phases = np.arange(self.m)
@@ -135,11 +136,14 @@ class VehicleRound:
                 S[:, 3:] = np.tensordot(ages[back == h] * self._tick_s, used, 1) @ self._K
             if self._heard:
                 S[:, 3:] += used.sum(axis=0) / self._heard
-            total += (z ** float(-h))[:, None, None] * (resolvent @ S)
+            total += (z ** float(-h))[:, None, None] * self.resolvent(z, S)
         return total
 
 
-MOST_VEHICLES = 12  # beyond it the computation takes seconds, and only the rules of thumb are printed
+# The links into a vehicle: its round, and by link the number of the sender, the weight, the delay [ticks].
+Row = tuple[VehicleRound, list[tuple[int, float, int]]]
+Answers = dict[tuple[VehicleRound, int], Complex]  # (angle, output, output), by vehicle and delay [ticks]
+MOST_VEHICLES = 20  # beyond it the computation takes seconds, and only the rules of thumb are printed
 LEAST_GAIN, MOST_GAIN = 1e-3, 50.0  # 1/s, between which a border is looked for
 MOST_DELAY_S = 10.0
 MOST_WORK_S = 20.0  # vehicles times the longest delay of their links: 4 s of CPU, which grow faster than this
@@ -155,7 +159,7 @@ class Mode(NamedTuple):
     loop: str  # one of LOOPS
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class LinearFleet:
     """The fleet at any gain, and with any delay that all links share."""
 
@@ -163,6 +167,7 @@ class LinearFleet:
     m: int
     tick_s: float
     tell: Callable[[], None] = lambda: None  # called now and then while something is computed
+    _known: dict[float, list[VehicleRound]] = field(default_factory=dict)  # by gain
 
     def unstable(self, gain: float, delay: int | None = None) -> int:
         """How many modes grow. `gain`: K [1/s], the largest of all vehicles and axes. `delay`: of all links [ticks], in
@@ -177,19 +182,18 @@ class LinearFleet:
         (below SLOW) are left out. If L + B is regular, det(I - T(1)) is not 0, so none of them can be the first to
         grow.
         """
-        rows, alone = self._rows(gain * (1.0 + FINE), delay)  # a little beyond the border
-        if alone:
-            angle, loop = max((row.kind for row in rows), key=lambda kind: kind.growth).own_mode()
+        grown = max(self._rounds(gain * (1.0 + FINE)), key=lambda kind: kind.growth)  # a little beyond the border
+        if grown.unstable:
+            angle, loop = grown.own_mode()
             return Mode(angle / (2.0 * pi * self.m * self.tick_s), loop)
-        _, angles, parts = self._survey(gain, delay)
+        _, rows, angles, sizes = self._survey(gain, delay)
         first = int(np.searchsorted(angles, min(SLOW * self.m * self.tick_s, 1.0)))
         nearest = []
-        for axes, part in parts:
-            size = _slogdet(part)[1]
+        for axes, size in sizes.items():
             dips = [n for n in range(first, len(angles)) if size[n] <= size[max(n - 1, first) : n + 2].min()]
-            _, values, right = np.linalg.svd(part[dips])
+            _, values, right = np.linalg.svd(_part(rows, _answers(rows, angles[dips]), axes))
             at = int(np.argmin(values[:, -1]))
-            shape = np.abs(right[at, -1]).reshape(len(self.members), -1, len(axes))[:, 0]
+            shape = np.abs(right[at, -1]).reshape(-1, self._outputs // 3, len(axes))[:, 0]
             loop = LOOPS[axes[int(np.argmax((shape**2).sum(axis=0)))]]
             nearest.append((float(values[at, -1]), float(angles[dips[at]]), loop))
         _, angle, loop = min(nearest)
@@ -232,10 +236,15 @@ class LinearFleet:
             stable, delay = (stable, middle) if self.unstable(gain, middle) else (middle, delay)
         return delay
 
-    def _survey(self, gain: float, delay: int | None) -> tuple[int, Array, list[tuple[tuple[int, ...], Complex]]]:
-        """How many modes grow; angles of z on the unit circle; I - T there, split into axes that do not mix."""
+    def _survey(self, gain: float, delay: int | None) -> tuple[int, list[Row], Array, dict[tuple[int, ...], Array]]:
+        """How many modes grow; the links that count; angles of z on the unit circle; the logarithm of abs(det(I - T))
+        there, by axes that do not mix.
+        """
         self.tell()
-        rows, alone = self._rows(gain, delay)
+        kinds = self._rounds(gain)
+        alone, rows = sum(kind.unstable for kind in kinds), self._rows(kinds, delay)
+        if not rows:
+            return alone, [], np.zeros(0), {}
         live = min(pi, LIVE * self.m * self.tick_s)
         oldest = max([delay or 0, *(link.delay for member in self.members for link in member.links)]) / self.m + 1.0
         even = int(max(50.0, live * oldest / 0.3))
@@ -244,11 +253,10 @@ class LinearFleet:
         )
         if live < pi:
             angles = np.concatenate([angles, np.linspace(live, pi, 20)[1:]])
-        loop = self._loop(rows, angles)
-        groups = _groups(loop[::10])
-        parts = [_part(loop, axes) for axes in groups]
+        answers = _answers(rows, angles)
+        groups = _groups(answers)
         # Sign (a direction in the complex plane) and logarithm of det(I - T), per part.
-        found = np.array([_slogdet(part) for part in parts])
+        found = np.array([_slogdet(_part(rows, answers, axes)) for axes in groups])
         for _ in range(40):
             turn = np.abs(np.angle(found[:, 0, 1:] * found[:, 0, :-1].conj())) > 0.6
             coarse = (turn | (np.abs(np.diff(found[:, 1].real)) > 0.7)).any(axis=0)
@@ -260,76 +268,75 @@ class LinearFleet:
             if not wide.any():
                 break
             new = 0.5 * (angles[1:] + angles[:-1])[wide]
-            loop = self._loop(rows, new)
-            more = [_part(loop, axes) for axes in groups]
+            answers = _answers(rows, new)
+            more = [_slogdet(_part(rows, answers, axes)) for axes in groups]
             order = np.argsort(np.concatenate([angles, new]))
             angles = np.concatenate([angles, new])[order]
-            found = np.concatenate([found, [_slogdet(part) for part in more]], axis=2)[:, :, order]
-            parts = [np.concatenate([part, added])[order] for part, added in zip(parts, more, strict=True)]
+            found = np.concatenate([found, more], axis=2)[:, :, order]
         turns = float(np.angle(found[:, 0, 1:] * found[:, 0, :-1].conj()).sum()) / pi
-        return alone - round(turns), angles, list(zip(groups, parts, strict=True))
+        return alone - round(turns), rows, angles, dict(zip(groups, found[:, 1].real, strict=True))
 
-    def _rows(self, gain: float, delay: int | None) -> tuple[list[_Row], int]:
-        """The answer of each vehicle to the messages, and the number of unstable eigenvalues of the P_i."""
-        outputs = 6 if any(member.reckons or not member.told for member in self.members) else 3
-        kinds: dict[Any, VehicleRound] = {}
-        rows, alone = [], 0
-        for member in self.members:
-            c = member.c
-            key = (
-                id(member.linear),
-                round(c, 9),
-                member.reckons,
-                member.age_cap,
-                member.told,
-                member.b,
-                member.pattern.tobytes(),
-            )
-            if key not in kinds:
-                kinds[key] = VehicleRound(member, gain, self.m, self.tick_s, outputs)
-            kind = kinds[key]
-            alone += kind.unstable
-            links = [(link.sender, link.weight, link.delay if delay is None else delay) for link in member.links]
-            rows.append(_Row(kind, links))
-        return rows, alone
+    @property
+    def _outputs(self) -> int:
+        return 6 if any(member.reckons or not member.told for member in self.members) else 3
 
-    def _loop(self, rows: list[_Row], angles: Array) -> Complex:
-        """I - T(z) for z = exp(i angle): (angle, vehicle, output, vehicle, output)."""
-        z = np.exp(1j * angles)
-        N, outputs = len(rows), rows[0].kind.outputs
-        loop = np.zeros((len(z), N, outputs, N, outputs), complex)
-        answers: dict[tuple[int, int], Complex] = {}
-        resolvents: dict[int, Complex] = {}
-        for i, row in enumerate(rows):
-            loop[:, i, range(outputs), i, range(outputs)] += 1.0
-            kind = row.kind
-            for sender, weight, delay in row.links:
-                if (id(kind), delay) not in answers:
-                    if id(kind) not in resolvents:
-                        resolvents[id(kind)] = kind.resolvent(z)
-                    answers[id(kind), delay] = kind.answer(resolvents[id(kind)], z, delay)
-                loop[:, i, :, sender, :] += weight * answers[id(kind), delay]
-        return loop
+    def _rounds(self, gain: float) -> list[VehicleRound]:
+        """Each vehicle's own round."""
+        if gain not in self._known:
+            kinds: dict[Any, VehicleRound] = {}
+            for m in self.members:
+                key = id(m.linear), round(m.c, 9), m.b, m.reckons, m.age_cap, m.told, m.pattern.tobytes()
+                if key not in kinds:
+                    kinds[key] = VehicleRound(m, gain, self.m, self.tick_s, self._outputs)
+                self._known.setdefault(gain, []).append(kinds[key])
+        return self._known[gain]
+
+    def _rows(self, kinds: Sequence[VehicleRound], delay: int | None) -> list[Row]:
+        """The links into each vehicle that hears of itself over some chain of links, from those that do, too. Ordered
+        along the other links T is triangular, with zeros on its diagonal, so they do not change its determinant.
+        """
+        N = len(self.members)
+        hears = np.zeros((N, N))
+        for i, member in enumerate(self.members):
+            hears[i, [link.sender for link in member.links]] = 1.0
+        looped = np.flatnonzero(np.diag(hears @ np.linalg.matrix_power(hears + np.eye(N), N))).tolist()
+        return [
+            (kinds[i], [
+                (looped.index(link.sender), link.weight, link.delay if delay is None else delay)
+                for link in self.members[i].links if link.sender in looped
+            ])
+            for i in looped
+        ]  # fmt: skip
 
 
-class _Row(NamedTuple):
-    kind: VehicleRound
-    links: list[tuple[int, float, int]]  # sender, weight, delay [ticks]
+def _answers(rows: Sequence[Row], angles: Array) -> Answers:
+    """The answers to the messages of all links for z = exp(i angle)."""
+    z = np.exp(1j * angles)
+    every = dict.fromkeys((kind, delay) for kind, links in rows for _, _, delay in links)
+    return {(kind, delay): kind.answer(z, delay) for kind, delay in every}
 
 
-def _groups(loop: Complex) -> list[tuple[int, ...]]:
-    points, N, outputs = loop.shape[:3]
-    size = np.abs(loop).reshape(points, N, outputs // 3, 3, N, outputs // 3, 3).max(axis=(0, 1, 2, 4, 5))
-    mixed = size + size.T > 1e-6 * size.max()
+def _groups(answers: Answers) -> list[tuple[int, ...]]:
+    each = [np.abs(answer).max(axis=0) for answer in answers.values()]
+    size = np.max([one.reshape(-1, 3, len(one) // 3, 3).max(axis=(0, 2)) for one in each], axis=0)
+    mixed = size + size.T > 1e-6 * max(1.0, size.max())
     if mixed[1, 0] or mixed[1, 2]:
         return [(0, 1, 2)]
     return [(0, 2), (1,)] if mixed[0, 2] else [(0,), (1,), (2,)]
 
 
-def _part(loop: Complex, axes: tuple[int, ...]) -> Complex:
-    points, N, outputs = loop.shape[:3]
+def _part(rows: Sequence[Row], answers: Answers, axes: tuple[int, ...]) -> Complex:
+    """I - T of some axes: (angle, vehicle and output, vehicle and output)."""
+    points, outputs, _ = next(iter(answers.values())).shape
     chosen = [3 * kind + axis for kind in range(outputs // 3) for axis in axes]
-    return loop[:, :, chosen][:, :, :, :, chosen].reshape(points, N * len(chosen), N * len(chosen))
+    blocks = {key: answer[:, chosen][:, :, chosen] for key, answer in answers.items()}
+    size, k = len(rows) * len(chosen), len(chosen)
+    part: Complex = np.zeros((points, size, size), complex)
+    part[:, range(size), range(size)] = 1.0
+    for i, (kind, links) in enumerate(rows):
+        for j, weight, delay in links:
+            part[:, i * k : (i + 1) * k, j * k : (j + 1) * k] += weight * blocks[kind, delay]
+    return part
 
 
 def _slogdet(part: Complex) -> Any:

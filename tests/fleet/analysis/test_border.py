@@ -81,6 +81,14 @@ def test_as_many_modes_grow_as_the_matrix_has_eigenvalues_outside(fleet: LinearF
     assert fleet.unstable(gain) == int((sizes > 1.0).sum())
 
 
+def test_a_chain_needs_no_determinant(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`fleet check rough-sea` took four times as long: it went through 200 delays, and none of them matters."""
+    monkeypatch.setattr(np.linalg, "slogdet", None)
+    fleet = analyse(load_scenario("rough-sea")).at_most
+    assert fleet.delay_border(0.3) is None
+    assert fleet.gain_border(0.3) == pytest.approx(8.39, rel=0.01)
+
+
 def test_equal_vehicles_have_multiple_zeros() -> None:
     """On the complete graph of four all modes but one come three times."""
     links = [tuple(Link(j, 1.0, 2) for j in range(4) if j != i) for i in range(4)]
@@ -128,7 +136,7 @@ def test_the_resolvent_is_that_of_a_linear_system(defective: bool) -> None:
         )
     z = np.exp(1j * np.linspace(0.1, 3.0, 7))
     each = np.array([PAPER.C @ np.linalg.inv(one * np.eye(len(kind._P)) - kind._P) for one in z])
-    assert kind.resolvent(z) == pytest.approx(each, rel=1e-6, abs=1e-9 * np.abs(each).max())
+    assert kind.resolvent(z, np.eye(len(kind._P))) == pytest.approx(each, rel=1e-6, abs=1e-9 * np.abs(each).max())
 
 
 def test_a_division_by_zero_that_changes_no_result_is_no_warning(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -218,7 +226,7 @@ def test_what_a_gain_that_is_optimised_bears() -> None:
 @pytest.mark.parametrize(
     ("overrides", "why"),
     [
-        (["vehicles=13", "graph={shape: ring}", "formation={shape: grid}", "initial={scatter: 1 m}"], "more than 12"),
+        (["vehicles=21", "graph={shape: ring}", "formation={shape: grid}", "initial={scatter: 1 m}"], "more than 20"),
         (["network={period: 1 s, payload: compact, acoustic: mfsk-1066}"], "acoustic"),
         (["reference.velocity=0.2 0 0 m/s"], "no steady flight at 0.2 m/s"),
         (["neighbours.drop_after=50 ms"], "drop_after"),
@@ -270,7 +278,6 @@ def test_of_vehicles_with_equations_of_their_own_nothing_linear_is_said() -> Non
 
 
 def test_long_delays_are_not_computed_and_that_is_said() -> None:
-    """A delay of 30 s took 26 s and 320 MB."""
     at, beyond = (load_scenario("paper", [f"network.links.*.delay={delay}"]) for delay in ("4.9s", "5.1s"))
     assert linear_fleet(at, [(1.0, 1.0, 1.0)] * 4).members
     found = analyse(beyond)

@@ -75,9 +75,9 @@ def test_a_dense_graph_needs_smaller_gains() -> None:
         (warning,) = analyse(fleet("{shape: complete}", 6, f"guidance.k_max={most} 1/s")).warnings
         assert "above the limit of the linear loop. With these rounds and delays the limit is 1.16" in warning
     assert analyse(fleet("{shape: complete}", 6, "guidance.k_max=1.1 1/s")).warnings == []
-    (warning,) = analyse(fleet("{shape: complete}", 20)).warnings  # too large a fleet for the linear loop
-    assert "K lambda_max(L+B) = 42 1/s is not below a = 10 1/s" in warning
-    assert "Set guidance.k_max below 0.4762 1/s; the true limit may be lower" in warning
+    (warning,) = analyse(fleet("{shape: complete}", 21)).warnings  # too large a fleet for the linear loop
+    assert "K lambda_max(L+B) = 44 1/s is not below a = 10 1/s" in warning
+    assert "Set guidance.k_max below 0.4545 1/s; the true limit may be lower" in warning
     assert analyse(fleet("{shape: complete}", 6, "controller=boc")).warnings == []
     assert analyse(fleet("{shape: complete}", 6, "per_vehicle.1-6.controller=bc")).warnings == []
 

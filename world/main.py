@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from socket import socket
 from time import monotonic_ns
-from typing import Any
+from typing import Any, NamedTuple
 
 from netem.histogram import Histogram
 from netem.vehicle_clock import Clock
@@ -175,92 +175,60 @@ class RealtimeWorldProcess(WorldProcess):
         return {"world": world, "vehicles": vehicles}
 
 
+class Sea(NamedTuple):
+    """What the world serves."""
+
+    config: WorldConfig
+    frame_every: int  # ticks from one frame to the next
+    clock: Clock
+    speed: float  # how fast ticks begin on a wall clock, times real time
+    most_asked: int  # in lockstep, the number of processes that have a turn at the same time
+
+
 def run(
     endpoint: str,
     run_id: str,
     credentials: dict[str, Credentials],
     private: Path,
-    config: WorldConfig,
-    frame_every: int,
-    clock: Clock,
-    speed: float,
-    most_asked: int,
-    listener: Listener | None = None,
-    certified: Listener | None = None,
-    members: Members = (),
-    ends: socket | None = None,
+    sea: Sea,
+    listener: Listener | None,
+    certified: Listener | None,
+    members: Members,
+    ends: socket | None,
 ) -> None:
     """Host the router and serve the sea of a run until the process is ended.
 
     Args:
         credentials: the logins of all processes that may connect, by role.
         private: a folder that only this user can read, for the router's files.
-        frame_every: ticks from one frame to the next.
-        speed: how fast ticks begin on a wall clock, times real time.
-        most_asked: in lockstep, the number of processes that have a turn at the same time.
         listener: further addresses of the router. None: it has only `endpoint`.
         certified: address of a second router, for agents without a password. None: no such router.
         members: the vehicles of each process that hosts several agents.
         ends: where the console hands over the ends of vehicles' buses; None: they are on zenoh.
     """
-    keys = Keys(run_id)
-    bus, refusals = host(endpoint, keys, credentials, private, config, listener, certified, members)
-    _process(bus, keys, config, frame_every, clock, speed, most_asked, ends, refusals, members).serve_or_give_up()
-
-
-def host(
-    endpoint: str,
-    keys: Keys,
-    credentials: dict[str, Credentials],
-    private: Path,
-    config: WorldConfig,
-    listener: Listener | None,
-    certified: Listener | None,
-    members: Members,
-) -> tuple[Bus, Refusals]:
-    """The run's router, with the one for agents without a password if there is one, and what they refuse."""
-    refusals = Refusals()
+    keys, refusals = Keys(run_id), Refusals()
     listen(refusals)
-    vehicles = tuple(setup.id for setup in config.vehicles)
+    vehicles = tuple(setup.id for setup in sea.config.vehicles)
     bus = Bus.host(endpoint, keys, vehicles, credentials, private, listener, members)
     if certified is not None:
         CertificateRouter(bus, keys, vehicles, certified)
-    return bus, refusals
+    _process(bus, keys, sea, ends, refusals, members).serve_or_give_up()
 
 
-def join(
-    endpoint: str,
-    run_id: str,
-    credentials: Credentials,
-    config: WorldConfig,
-    frame_every: int,
-    clock: Clock,
-    speed: float,
-    most_asked: int,
-    ends: socket | None = None,
-) -> None:
+def join(endpoint: str, run_id: str, credentials: Credentials, sea: Sea, ends: socket | None) -> None:
     """Serve the sea of a run through a router that is there already; as `run` otherwise. Raises BusError if the router
     does not let us in.
     """
     quiet_zenoh()
     bus = Bus.connect(endpoint, credentials)
     end_with_link(bus, credentials)
-    _process(bus, Keys(run_id), config, frame_every, clock, speed, most_asked, ends).serve_or_give_up()
+    _process(bus, Keys(run_id), sea, ends).serve_or_give_up()
 
 
 def _process(
-    bus: Bus,
-    keys: Keys,
-    config: WorldConfig,
-    frame_every: int,
-    clock: Clock,
-    speed: float,
-    most_asked: int,
-    ends: socket | None,
-    refusals: Refusals | None = None,
-    members: Members = (),
+    bus: Bus, keys: Keys, sea: Sea, ends: socket | None, refusals: Refusals | None = None, members: Members = ()
 ) -> WorldProcess:
-    if clock is Clock.LOCKSTEP:
-        run = Lockstep(config, frame_every=frame_every)
-        return WorldProcess(bus, keys, run, refusals, most_asked, members, ends)
-    return RealtimeWorldProcess(bus, keys, config, frame_every, speed, refusals)
+    if sea.clock is Clock.LOCKSTEP:
+        run = Lockstep(sea.config, frame_every=sea.frame_every)
+        return WorldProcess(bus, keys, run, refusals, sea.most_asked, members, ends)
+    return RealtimeWorldProcess(bus, keys, sea.config, sea.frame_every, sea.speed, refusals)

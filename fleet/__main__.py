@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import signal
 import sys
 from importlib.machinery import ModuleSpec
@@ -23,6 +24,8 @@ READER_GONE = 128 + signal.SIGPIPE  # what a shell shows for `seq 99999 | head -
 def main() -> None:
     """The console script: the command line, with Ctrl-C, SIGTERM and SIGHUP as a clean end."""
     gc.set_threshold(COLLECT_EVERY)
+    # One thread per process, or each numpy spins a thread per core as it starts, for half of its time to import.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     open_streams()
     for number in ENDING:
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # as `nohup` leaves it

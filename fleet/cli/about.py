@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from fleet.result.result import Result
 
 # Variables of ours and of the libraries that change what a run does. Their values may be private and are left out.
-_VARIABLES = re.compile(r"UUV_|ZENOH_|RUST_LOG|PYTHON|TMPDIR|XDG_RUNTIME_DIR|OMP_|DASK_")
+_VARIABLES = re.compile(r"UUV_|ZENOH_|RUST_LOG|PYTHON|TMPDIR|XDG_RUNTIME_DIR|OMP_|OPENBLAS_|DASK_")
 _MOST_CHECKS = 20
 
 

@@ -15,9 +15,14 @@ LIGHT = READING | {"rich", "yaml", "msgspec", "fractions", "asyncio", "hashlib"}
 
 def imported(*arguments: str, **environment: str) -> set[str]:
     """All modules that a command imports, in a process of its own."""
+    return at_the_end("*sys.modules", *arguments, **environment)
+
+
+def at_the_end(value: str, *arguments: str, **environment: str) -> set[str]:
+    """The words that `print` makes of a value as a command ends, in a process of its own."""
     code = (
-        "import atexit, sys; sys.argv[0] = 'fleet'; from fleet.__main__ import main; "
-        "atexit.register(lambda: print(*sys.modules, file=sys.stderr)); main()"
+        "import atexit, os, sys; sys.argv[0] = 'fleet'; from fleet.__main__ import main; "
+        f"atexit.register(lambda: print({value}, file=sys.stderr)); main()"
     )
     ended = subprocess.run(
         [sys.executable, "-c", code, *arguments],
@@ -61,3 +66,14 @@ def test_a_run_in_one_process_imports_no_middleware_and_draws_nothing(tmp_path: 
     distributed = {"zenoh", "multiprocessing.forkserver", "fleet.processes.preload", "fleet.execution.console"}
     assert "numpy" in found
     assert found & (distributed | {"matplotlib", "jinja2"}) == set()
+
+
+@pytest.mark.skipif(sys.platform != "linux" or os.cpu_count() == 1, reason="counts threads where /proc lists them")
+@pytest.mark.parametrize(("asked", "threads"), [(None, 1), ("2", 2)])
+def test_numpy_makes_threads_only_if_somebody_asks(
+    asked: str | None, threads: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A thread per core in each process of a fleet, which spun as numpy was imported."""
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    environment = {} if asked is None else {"OPENBLAS_NUM_THREADS": asked}
+    assert at_the_end("len(os.listdir('/proc/self/task'))", "check", "paper", **environment) == {str(threads)}

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import re
 import shutil
 import subprocess
 import venv
 import zipfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 import spawned
 from repository import ROOT
+from shared import alone
 
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
@@ -89,7 +87,7 @@ def build(tmp_path: Path, python: Path, modules: str = "", **environment: str) -
         modules: that are compiled in place of all that should be.
     """
     sources = tmp_path / "sources"
-    sources.mkdir()
+    sources.mkdir(parents=True)
     for name in COPIED:
         place = ROOT / name
         if place.is_dir():
@@ -118,38 +116,21 @@ def build(tmp_path: Path, python: Path, modules: str = "", **environment: str) -
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder for what is made once, by the first of the workers that run these tests."""
-    base = tmp_path_factory.getbasetemp()
-    place = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "compiled"
-    place.mkdir(exist_ok=True)
-    return place
-
-
-@contextmanager
-def alone(place: Path, name: str) -> Iterator[Path]:
-    """The path of a thing, which no other worker makes meanwhile."""
-    with (place / f"{name}.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield place / name
-
-
-@pytest.fixture(scope="module")
-def python(place: Path) -> Path:
+def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Of a new environment, as a user has one: where msgspec is installed already, mypy would see it during a build."""
-    with alone(place, "bare") as bare:
+    with alone(tmp_path_factory, "bare") as bare:
         if not bare.is_dir():
             venv.create(bare, with_pip=True)
     return bare / "bin" / "python"
 
 
 @pytest.fixture(scope="module")
-def compiled(place: Path, python: Path) -> Path:
+def compiled(tmp_path_factory: pytest.TempPathFactory, python: Path) -> Path:
     """Built as an ordinary install builds it."""
     if shutil.which("cc") is None:
         pytest.skip("there is no C compiler")
-    with alone(place, "unpacked") as unpacked:
-        return unpacked if unpacked.is_dir() else build(place, python)[0]
+    with alone(tmp_path_factory, "compiled") as made:
+        return made / "unpacked" if (made / "unpacked").is_dir() else build(made, python)[0]
 
 
 def fleet(packages: Path, *arguments: str, folder: Path, typed: str = "") -> subprocess.CompletedProcess[str]:

@@ -85,7 +85,7 @@ def test_a_law_that_fails_and_a_check_that_asks_for_more_are_left_to_the_emulato
 @pytest.mark.parametrize(
     ("name", "changes"),
     [*((name, ["duration=4 s"]) for name in ("nemesis", "average-naive", "navigation-aid", "rough-sea")),
-     ("election-slow", [])],
+     ("election-slow", ["duration=14 s"])],
 )  # fmt: skip
 def test_a_run_of_a_search_has_a_digest_only_if_a_check_fails(name: str, changes: list[str]) -> None:
     """Its verdicts are those of any run, also of one that is to fail, and does."""

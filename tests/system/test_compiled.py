@@ -247,6 +247,8 @@ def test_the_tests_of_the_cores_pass(compiled: Path, tmp_path: Path) -> None:
     for room in ("agents", "fleet", "netem", "world"):
         (tmp_path / room).symlink_to(compiled / room)
     rooms = ["tests/agents", "tests/netem", "tests/world", *(f"--ignore=tests/{name}" for name in PLAIN)]
+    # The builds of PIQP are not ours: a hundred thousand problems for each are enough once.
+    rooms += ["--deselect=tests/agents/test_gain_qp.py::test_every_build_of_the_solver_agrees_with_the_formula"]
     assert all((tmp_path / "tests" / name).is_file() for name in PLAIN)
     words = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "--hypothesis-profile=few", *rooms]
     result = spawned.python(*words, environment={"PYTHONPATH": str(compiled)}, cwd=tmp_path, timeout=850)

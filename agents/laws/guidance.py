@@ -168,9 +168,8 @@ def _confirmed(problem: GainProblem, K: Vec3, free: list[int]) -> Solution:
     if status != piqp.PIQP_SOLVED:
         return Solution(K, iterations, f"PIQP: {status.name.removeprefix('PIQP_').lower().replace('_', ' ')}")
     for (axis, root), scaled in zip(pairs, result.x.tolist(), strict=True):
-        found = min(max(scaled / root, lo[axis]), hi[axis])
-        if abs(found - K[axis]) > AGREES:
-            return Solution(K, iterations, f"PIQP: {found:g} on axis {axis}, where {K[axis]:g} is optimal")
+        if abs(scaled / root - K[axis]) > AGREES:
+            return Solution(K, iterations, f"PIQP: {scaled / root:g} on axis {axis}, where {K[axis]:g} is optimal")
     return Solution(K, iterations)
 
 

@@ -179,7 +179,7 @@ def _tell_if_all_are_the_same(store: Store) -> None:
     rows, runs = store.rows(details=True), sum(store.needed().values()) - store.missing
     digest = first.digest if len(store.points) == 1 and (first := next(rows, None)) else None
     if runs > 1 and digest is not None and all(row.digest == digest for row in rows):
-        say(f"fleet: all {runs} runs have the same log: no draw of the seed matters; {_HOW_TO_VARY}", err=True)
+        say(f"fleet: all {runs} runs have the same log: no draw of the seed matters", err=True)
 
 
 def _announced(store: Store, missing: int) -> str:

@@ -188,7 +188,7 @@ BUGS = (
               "a suspended leader trusts its last grant but one"),
     _election("quorum-until-all", "voters = self._vehicles if self._of_fleet else len(fresh)",
               "voters = self._vehicles if self._of_fleet and len(self._others) == self._vehicles - 1 else len(fresh)",
-              "it takes the quorum of those that are there before it has heard of all vehicles"),
+              "the quorum is too small until a vehicle has heard all others"),
     _election("until-of-records", "next(end for end in grants if not leads_at(end))", "max(others)",
               "a suspended leader trusts the newest record that it has"),
     _election("known-quorum", "voters = self._vehicles if self._of_fleet else len(fresh)",

@@ -176,7 +176,7 @@ class RealtimeWorldProcess(WorldProcess):
 
 
 class Sea(NamedTuple):
-    """What the world serves."""
+    """The parameters of a world process, whether it hosts the router or joins one."""
 
     config: WorldConfig
     frame_every: int  # ticks from one frame to the next

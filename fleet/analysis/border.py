@@ -32,6 +32,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from math import atan2, cos, pi, sin
 from typing import Any, NamedTuple
 
@@ -39,6 +40,7 @@ import numpy as np
 
 from fleet.analysis.linear import Array, Flight, Linear, NotLinear, linearise
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.graph import reached
 from world.vectors import Vec3
 
 # --- vehicle round
@@ -140,7 +142,7 @@ class VehicleRound:
         return total
 
 
-# The links into a vehicle: its round, and by link the number of the sender, the weight, the delay [ticks].
+# A vehicle that counts: its round, and of each link into it the sender's number, the weight, the delay [ticks].
 Row = tuple[VehicleRound, list[tuple[int, float, int]]]
 Answers = dict[tuple[VehicleRound, int], Complex]  # (angle, output, output), by vehicle and delay [ticks]
 MOST_VEHICLES = 20  # beyond it the computation takes seconds, and only the rules of thumb are printed
@@ -159,7 +161,7 @@ class Mode(NamedTuple):
     loop: str  # one of LOOPS
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False)
 class LinearFleet:
     """The fleet at any gain, and with any delay that all links share."""
 
@@ -280,32 +282,38 @@ class LinearFleet:
     def _outputs(self) -> int:
         return 6 if any(member.reckons or not member.told for member in self.members) else 3
 
+    @cached_property
+    def _looped(self) -> list[int]:
+        """The vehicles that hear of themselves over some chain of links. If the vehicles are sorted along the other
+        links, T is triangular there, with zeros on its diagonal. So these links do not change the determinant.
+        """
+        hearers: dict[int, list[int]] = {}
+        for i, member in enumerate(self.members):
+            for link in member.links:
+                hearers.setdefault(link.sender, []).append(i)
+        return [i for i in range(len(self.members)) if i in reached(hearers.get(i, ()), hearers)]
+
     def _rounds(self, gain: float) -> list[VehicleRound]:
         """Each vehicle's own round."""
         if gain not in self._known:
             kinds: dict[Any, VehicleRound] = {}
+            rounds = self._known[gain] = []
             for m in self.members:
                 key = id(m.linear), round(m.c, 9), m.b, m.reckons, m.age_cap, m.told, m.pattern.tobytes()
                 if key not in kinds:
                     kinds[key] = VehicleRound(m, gain, self.m, self.tick_s, self._outputs)
-                self._known.setdefault(gain, []).append(kinds[key])
+                rounds.append(kinds[key])
         return self._known[gain]
 
     def _rows(self, kinds: Sequence[VehicleRound], delay: int | None) -> list[Row]:
-        """The links into each vehicle that hears of itself over some chain of links, from those that do, too. Ordered
-        along the other links T is triangular, with zeros on its diagonal, so they do not change its determinant.
-        """
-        N = len(self.members)
-        hears = np.zeros((N, N))
-        for i, member in enumerate(self.members):
-            hears[i, [link.sender for link in member.links]] = 1.0
-        looped = np.flatnonzero(np.diag(hears @ np.linalg.matrix_power(hears + np.eye(N), N))).tolist()
+        """The links between the vehicles that count."""
+        place = {i: number for number, i in enumerate(self._looped)}
         return [
             (kinds[i], [
-                (looped.index(link.sender), link.weight, link.delay if delay is None else delay)
-                for link in self.members[i].links if link.sender in looped
+                (place[link.sender], link.weight, link.delay if delay is None else delay)
+                for link in self.members[i].links if link.sender in place
             ])
-            for i in looped
+            for i in place
         ]  # fmt: skip
 
 

@@ -68,18 +68,9 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """
     with alone(tmp_path_factory, "site") as made:
         if not made.is_dir():
-            sphinx = [sys.executable, "-c", WITHOUT, ",".join(modules_beyond_docs())]
             part = tmp_path_factory.mktemp("part")
-            command: list[str | Path] = [
-                *sphinx,
-                "-q",
-                "-W",
-                "--keep-going",
-                "-d",
-                part / "cache",
-                "docs",
-                part / "site",
-            ]
+            sphinx = [sys.executable, "-c", WITHOUT, ",".join(modules_beyond_docs()), "-q", "-W", "--keep-going"]
+            command: list[str | Path] = [*sphinx, "-d", part / "cache", "docs", part / "site"]
             done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=280, check=False)
             assert done.returncode == 0, done.stdout + done.stderr
             (part / "site").rename(made)

@@ -1,4 +1,4 @@
-"""What is made once, by the first of the workers whose tests need it."""
+"""Things that all workers share: the first worker whose tests need one makes it."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ def test_a_law_that_fails_and_a_check_that_asks_for_more_are_left_to_the_emulato
      ("election-slow", ["duration=14 s"])],
 )  # fmt: skip
 def test_a_run_of_a_search_has_a_digest_only_if_a_check_fails(name: str, changes: list[str]) -> None:
-    """Its verdicts are those of any run, also of one that is to fail, and does."""
+    """A run of a search has the verdicts of any other run. So has a run that is expected to fail and does."""
     text = load_scenario(name, [*changes, "seed=2"]).to_undrawn_yaml()
     bare, whole = (make_run(Task("k", 0, 2, name, text, inf, bare=one)) for one in (True, False))
     assert bare.checks == whole.checks and (bare.status, bare.passed) == (whole.status, whole.passed)

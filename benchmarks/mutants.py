@@ -37,7 +37,10 @@ ROOMS = {  # with their tests
     "netem": ["tests/netem"],
     "agents": ["tests/agents", _GOLDEN],
     "world": ["tests/world", _GOLDEN],
+    "fleet/execution": ["tests/fleet/execution", "tests/fleet/repeat", "tests/system/test_deaths.py"],
     "fleet/protocols": ["tests/fleet/protocols"],
+    "fleet/recorder": ["tests/fleet/recorder", "tests/fleet/repeat", "tests/system/test_determinism.py"],
+    "fleet/study": ["tests/fleet/study"],
 }
 MEMORY = 4 << 30  # bytes that a mutant's tests may take
 LEAST_S = 30.0  # of CPU time for the tests of a mutant, beside a multiple of what they take without it

@@ -1,5 +1,6 @@
 """What holds for all tests."""
 
+import gc
 import os
 import signal
 import sys
@@ -8,6 +9,7 @@ from collections.abc import Iterator
 import pytest
 from hypothesis import HealthCheck, settings
 from repository import ROOT
+from samples import take_all
 
 # The package `benchmarks`. At the end, since an installed `fleet` comes first, which may be compiled.
 sys.path.append(str(ROOT))
@@ -34,6 +36,7 @@ settings.register_profile("few", settings.get_profile("laws"), max_examples=15) 
 
 def pytest_configure(config: pytest.Config) -> None:
     """Draw the same examples in each run, and 200 per law with `-m ''`; `--hypothesis-seed` draws new ones."""
+    take_all(not config.option.markexpr)
     profile = config.option.hypothesis_profile or ("laws" if config.option.markexpr else "many")
     settings.register_profile("drawn", settings.get_profile(profile), derandomize=config.option.hypothesis_seed is None)
     settings.load_profile("drawn")
@@ -46,6 +49,18 @@ def own_registry(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         patch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("runtime")))
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         yield
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_collection(session: pytest.Session) -> Iterator[None]:
+    """Let the garbage collector look neither at each of the thousands of items while they are made, nor ever again."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.collect()
+        gc.freeze()
+        gc.enable()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -9,6 +9,7 @@ from importlib.machinery import PathFinder
 from pathlib import Path
 
 import pytest
+from marks import slow
 from repository import ROOT
 from spawned import python
 
@@ -55,15 +56,14 @@ def test_ours_are_ours_wherever_they_are(tmp_path: Path, monkeypatch: pytest.Mon
     assert foreign() == ""
 
 
-@pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize(
-    "change",
+    ("name", "change"),
     [
-        lambda folder: (folder / "__init__.py").write_text("from .theirs import *\n"),
-        lambda folder: (folder / "__init__.py").unlink(),
-        shutil.rmtree,
+        ("agents", lambda folder: (folder / "__init__.py").write_text("from .theirs import *\n")),
+        ("world", lambda folder: (folder / "__init__.py").unlink()),
+        ("netem", shutil.rmtree),
     ],
-    ids=["overwritten", "without its __init__", "gone"],
+    ids=["agents overwritten", "world without its __init__", "netem gone"],
 )
 def test_what_is_not_ours_is_named(
     name: str, change: Callable[[Path], object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -76,7 +76,7 @@ def test_what_is_not_ours_is_named(
     assert "\n" not in text
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ["agents", *slow("world", "netem")])
 def test_the_command_says_whose_it_is(name: str, tmp_path: Path) -> None:
     """In one line, without running anything of theirs."""
     done = python(*OURS, "list", cwd=distribution(tmp_path, name), environment={"PYTHONPATH": str(tmp_path)})

@@ -1,4 +1,7 @@
-"""The shipped scenarios that stress the network keep their promises, and distributed gives the bytes of in-process."""
+"""The shipped scenarios that stress the network keep their promises, and distributed gives the bytes of in-process.
+
+All of it is slow. The quick tests have one row for each mechanism: tests/system/test_same_bytes.py.
+"""
 
 from __future__ import annotations
 
@@ -44,40 +47,18 @@ EARLY = {
     "formation-no-fixes": ["faults.1.at=2 s"],
 }
 PAGE = ROOT / "docs" / "guide" / "scenarios.md"
-# Distributed, one scenario per mechanism is quick: a link condition, a death, a disturbance, a channel, another plant,
-# a protocol, localisation, navigation. The others are slow tests.
-MECHANISMS = (
-    *("lossy", "kill-restart", "gauss-markov-current", "acoustic-s2c"),
-    *("mixed", "event-triggered-loss", "locate-naive", "formation-on-belief"),
-)
-# Slow, since there is a quick one of the same kind: another leader, another disturbance, another channel.
-LONGEST = (
-    *("leader-lost", "leader-lost-standby", "follow-the-leader", "nemesis", "gauss-markov-current"),
-    *("partition-heal", "rough-sea", "remus", "mixed"),
-    *("acoustic-noise", "acoustic-80bps", "acoustic-s2c", "burst", "event-triggered-loss", "election-slow"),
-    *("average", "election", "event-triggered", "auction-partition"),
-    *("navigation-aid", "navigation-aid-clock", "locate-naive", "locate-naive-loop"),
-    *("locate-consistent", "locate-compass"),
-    *("mirror-image", "mirror-image-turn", "formation-on-belief", "formation-no-fixes"),
-)
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in LONGEST else []) for name in GALLERY]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", GALLERY)
 def test_a_scenario_keeps_its_promise(name: str, tmp_path: Path) -> None:
     thin = load_scenario(name, ["log.every=50 ticks", "log.snapshot=0 s"])
     result = execute(thin, Options(tmp_path, in_process=True, quiet=True))
     assert result.status is Status.PASS, (result.reason, result.lines, result.checks)
 
 
-@pytest.mark.parametrize(
-    ("name", "seconds"),
-    [
-        pytest.param(name, seconds, marks=[] if name in MECHANISMS else [pytest.mark.slow])
-        for name, seconds in GALLERY.items()
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "seconds"), GALLERY.items())
 def test_distributed_is_in_process(name: str, seconds: int, tmp_path: Path) -> None:
     scenario = load_scenario(
         name,

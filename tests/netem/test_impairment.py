@@ -12,6 +12,7 @@ import pytest
 from any_condition import conditions
 from hypothesis import given
 from hypothesis import strategies as st
+from samples import samples
 
 from netem.condition import Condition, FourState, GilbertElliott, condition_from_values, condition_values
 from netem.config import NetemConfig
@@ -45,7 +46,7 @@ def bursts(lost: list[bool]) -> list[int]:
 
 def test_gilbert_elliott_against_its_closed_form() -> None:
     """Share of bad time p / (p + r); loss = good (1-k) + bad (1-h); with h = k = 0, 1 bursts last 1 / r packets."""
-    n, p, r = 60_000, 0.02, 0.25
+    n, p, r = samples(60_000), 0.02, 0.25
     simple = losses(Condition(loss_model=GilbertElliott(p, r)), n)
     share = p / (p + r)
     # Neighbouring packets correlate by 1 - p - r, which widens the error by (2 - p - r) / (p + r).
@@ -85,7 +86,7 @@ def test_four_state_against_its_chain() -> None:
 
 def test_defaults_make_the_four_state_model_bernoulli() -> None:
     """`loss state P`: p31 = 1 - p13, so every packet is lost with P whatever happened before."""
-    n = 40_000
+    n = samples(40_000)
     lost = losses(Condition(loss_model=FourState(0.1, 0.9)), n)
     assert abs(sum(lost) / n - 0.1) < 3 * math.sqrt(0.09 / n)
     after = [b for a, b in pairwise(lost) if a]
@@ -96,7 +97,7 @@ def test_defaults_make_the_four_state_model_bernoulli() -> None:
 def test_correlation_smooths_the_random_numbers(rho: float) -> None:
     """x_n = (1 - rho) u_n + rho x_(n-1): mean 1/2, variance (1 - rho) / (1 + rho) / 12, lag-1 correlation rho. So, as
     tc-netem(8) warns, the loss it yields is not the one that was asked for."""
-    n = 40_000
+    n = samples(40_000)
     model = link(Condition(loss=0.3, loss_correlation=rho))
     numbers, lost = [], []
     for k in range(n):
@@ -127,7 +128,7 @@ QUANTILES = [0.1, 0.25, 0.5, 0.75, 0.9]
     ],
 )
 def test_delay_distributions_have_their_quantiles(distribution: str, expected: list[float]) -> None:
-    n = 20_000
+    n = samples(20_000)
     condition = Condition(1000 * MS, 100 * MS, distribution=distribution)  # type: ignore[arg-type]
     t = (np.array([v[0].delay_ns for v in send(link(condition), n)]) - 1000 * MS) / (100 * MS)
     assert np.quantile(t, QUANTILES) == pytest.approx(expected, abs=0.05)
@@ -160,7 +161,7 @@ def drawn(n: int, **changes: Any) -> FloatArray:
 @pytest.mark.parametrize("distribution", TABLES)
 def test_delays_fill_the_tables_of_iproute2_evenly(distribution: str, correlation: float) -> None:
     """Sixteen stretches of a table are equally likely; and its tail fits, which those do not see."""
-    n = 20_000
+    n = samples(20_000)
     entries, (mean, sd, q99) = TABLES[distribution]
     t = drawn(n, distribution=distribution, delay_correlation=correlation)
     counts = np.histogram(t, [-np.inf, *(entry / 8192 for entry in entries[1:]), np.inf])[0]
@@ -175,7 +176,7 @@ def test_delays_fill_the_tables_of_iproute2_evenly(distribution: str, correlatio
 def test_a_correlation_leaves_delays_their_distribution(correlation: float) -> None:
     """As in the kernel, whose table is looked up by the low bits of the correlated number: `delay 1000ms 100ms 25%
     distribution normal` keeps its 100 ms, and the delays themselves do not correlate."""
-    n = 20_000
+    n = samples(20_000)
     normal = drawn(n, distribution="normal", delay_correlation=correlation)
     uniform = drawn(n, delay_correlation=correlation)
     assert normal.std() == pytest.approx(1.0, rel=0.02)
@@ -257,7 +258,7 @@ def test_a_rate_is_never_exceeded(rate: int, traffic: list[tuple[int, int]]) -> 
 
 def test_duplicates_and_their_own_fate() -> None:
     """Both copies draw their own delay; a packet that is duplicated and lost goes on as one (sch_netem)."""
-    n = 20_000
+    n = samples(20_000)
     verdicts = send(link(Condition(100 * MS, 50 * MS, 0.2, duplicate=0.3)), n)
     twice = [v for v in verdicts if len(v) == 2]
     assert abs(len(twice) / n - 0.3 * 0.8) < 3 * math.sqrt(0.24 * 0.76 / n)

@@ -13,6 +13,7 @@ from any_condition import link_states, link_traces
 from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import astuple
+from samples import samples
 
 from netem.condition import Condition, Link
 from netem.config import NetemConfig
@@ -145,7 +146,7 @@ def test_state_and_restore_continue_as_if_uninterrupted(per_link: dict[Link, Giv
 def test_loss_and_jitter_have_the_distribution_they_promise() -> None:
     """Against closed forms, three standard errors: Bernoulli 30 %, uniform 150..250 ms with variance w^2/12."""
     netem = Netem(config({(1, 2): Condition(200_000_000, 50_000_000, 0.3, limit=10**6)}, ((1, 2),)))
-    n = 20_000
+    n = samples(20_000)
     fates = [*netem.exchange(0, {1: (b"",) * n, 2: (), 3: ()}).fates, *netem.close(10)]
     lost = sum(f.cause == "loss" for f in fates)
     assert abs(lost / n - 0.3) < 3 * sqrt(0.3 * 0.7 / n)

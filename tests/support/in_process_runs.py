@@ -1,12 +1,14 @@
-"""Runs in this process that many tests compare with: each is made once in a session."""
+"""Runs in this process that many tests compare with: each is made once in a session, by one of its workers."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
+from shared import made_once
 
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
@@ -25,12 +27,10 @@ def recorded(folder: Path, name: str, *overrides: Override | str, **options: Any
 @pytest.fixture(scope="session")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Alone:
     """Gives the run of a scenario with overrides, passed or not. Nobody may write to its directory."""
-    known: dict[tuple[str, ...], Result] = {}
 
+    @cache
     def run(name: str, *overrides: str) -> Result:
-        if (name, *overrides) not in known:
-            known[name, *overrides] = recorded(tmp_path_factory.mktemp("made"), name, *overrides)
-        return known[name, *overrides]
+        return made_once(tmp_path_factory, ("run", name, *overrides), lambda folder: recorded(folder, name, *overrides))
 
     return run
 

@@ -125,8 +125,8 @@ def test_exit_status(arguments: list[str], status: int, said: str, tmp_path: Pat
     """0 pass, 1 a check failed, 2 usage or bad scenario, 3 the run broke; with the reason on stderr, never a
     traceback. (130 is with the interrupts, 3 for each way to die with the deaths, and more of 2 in test_mistakes.)"""
     place = ["--out", str(tmp_path), "--quiet"] if arguments[0] == "run" and len(arguments) > 1 else []
-    done = shell(*arguments, *place)
-    found, stdout, stderr = done.returncode, done.stdout, done.stderr
+    done = invoke(*arguments, *place)
+    found, stdout, stderr = done.exit_code, done.stdout, done.stderr
     assert found == status, stderr
     assert said in stderr
     assert bool(said) == bool(stderr)
@@ -393,15 +393,15 @@ def test_run_says_what_came_of_it(tmp_path: Path) -> None:
 
 def test_ideal_network_says_that_it_runs_in_one_process(tmp_path: Path) -> None:
     """An option that is overruled is not overruled in silence."""
-    done = shell("run", "ideal", "--duration", "500 ms", "--out", tmp_path, *NO_CHECKS)
-    assert done.returncode == 0
+    done = invoke("run", "ideal", "--duration", "500 ms", "--out", tmp_path, *NO_CHECKS)
+    assert done.exit_code == 0
     assert "network: ideal has no latency and so runs in one process" in done.stderr
 
 
 def test_quiet_says_nothing_of_a_failure_that_is_meant(tmp_path: Path) -> None:
     short = ["--duration", "500 ms", "--out", tmp_path, "--quiet", "--set", "checks={formation_error: {below: 1 mm}}"]
-    done = shell("run", "ideal", *short, "--set", "expect=fail")
-    assert (done.returncode, done.stderr) == (0, "")
+    done = invoke("run", "ideal", *short, "--set", "expect=fail")
+    assert (done.exit_code, done.stderr) == (0, "")
     failed = invoke("run", "ideal", *short)
     assert (failed.exit_code, "FAIL  formation_error" in failed.stderr) == (1, True)
 

@@ -11,6 +11,7 @@ import pytest
 from failing_laws import failing
 from failing_laws import module as module
 from fault_histories import EVERYTHING
+from in_process_runs import Alone
 from marks import slow
 from ranged import DYING
 from refusals import check_commands
@@ -55,8 +56,10 @@ def run(s: Scenario, folder: Path, start: Start | None = None) -> Result:
     return result
 
 
-def recorded(folder: Path, name: str, *overrides: str) -> Result:
-    return run(load_scenario(name, ["checks={ledger: balanced, tumbled: waived}", *overrides]), folder)
+@pytest.fixture
+def recorded(alone: Alone) -> Alone:
+    """Gives the run of a scenario with overrides, made once. Nobody may write to its directory."""
+    return lambda name, *overrides: alone(name, "checks={ledger: balanced, tumbled: waived}", *overrides)
 
 
 def since(directory: Path, ns: int) -> list[Record]:
@@ -68,7 +71,7 @@ def since(directory: Path, ns: int) -> list[Record]:
     ("name", "overrides"),
     [
         ("paper", ["duration=2.4 s", LINKS, EVERYTHING]),
-        ("paper", ["duration=2.4 s", CHANGING, "faults=[{at: 1 s, for: 500 ms, link: {1->2: loss 50%}}]"]),
+        *slow(("paper", ["duration=2.4 s", CHANGING, "faults=[{at: 1 s, for: 500 ms, link: {1->2: loss 50%}}]"])),
         *slow(("ideal", ["duration=1.5 s"])),
         *slow(
             (
@@ -79,7 +82,7 @@ def since(directory: Path, ns: int) -> list[Record]:
                 ],
             )
         ),
-        ("nemesis", ["duration=3 s", NEMESIS, "sea.current={sigma: 5 5 0 cm/s, time_constant: 2 s}"]),
+        *slow(("nemesis", ["duration=3 s", NEMESIS, "sea.current={sigma: 5 5 0 cm/s, time_constant: 2 s}"])),
         (
             "dead-reckoning",
             ["duration=2 s", "per_vehicle.1.navigation.usbl={at: 0 0 0 m, period: 400 ms, delay: 1 s}", INSTRUMENTS],
@@ -109,14 +112,21 @@ def since(directory: Path, ns: int) -> list[Record]:
                 "faults=[{at: 700 ms, for: 900 ms, clock: {vehicles: 2, step: -200 ms, drift: 900 ppm}}]",
             ],
         ),
-        ("event-triggered", ["duration=2 s", "agent.parameters.silence_s=0.5", "agent.parameters.threshold_m=0.02"]),
-        *slow(("auction", ["duration=3 s", "faults=[{at: 1 s, kill: 3}]", "agent.parameters.silence_s=0.5"])),
+        *slow(
+            (
+                "event-triggered",
+                ["duration=2 s", "agent.parameters.silence_s=0.5", "agent.parameters.threshold_m=0.02"],
+            ),
+            ("auction", ["duration=3 s", "faults=[{at: 1 s, kill: 3}]", "agent.parameters.silence_s=0.5"]),
+        ),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_the_rest_is_the_same_to_the_last_bit(name: str, overrides: list[str], part: float, tmp_path: Path) -> None:
+def test_the_rest_is_the_same_to_the_last_bit(
+    recorded: Alone, name: str, overrides: list[str], part: float, tmp_path: Path
+) -> None:
     """From a snapshot after this part of them."""
-    first = recorded(tmp_path, name, "log.snapshot=500 ms", *overrides)
+    first = recorded(name, "log.snapshot=500 ms", *overrides)
     snapshots = [r.log_ns for r in LogReader(first.directory / "run.mcap") if r.topic == "snapshot"]
     assert snapshots
     at, last = snapshots[min(int(part * len(snapshots)), len(snapshots) - 1)], snapshots[-1]
@@ -135,8 +145,8 @@ def test_the_rest_is_the_same_to_the_last_bit(name: str, overrides: list[str], p
         assert since(run(later, tmp_path, further).directory, last) == since(first.directory, last)
 
 
-def test_a_change_acts_from_there_on(tmp_path: Path) -> None:
-    first = recorded(tmp_path, "paper", "duration=2 s", "log.snapshot=500 ms")
+def test_a_change_acts_from_there_on(recorded: Alone, tmp_path: Path) -> None:
+    first = recorded("paper", "duration=2 s", "log.snapshot=500 ms")
     scenario, start = continuation(first.directory, 1_200_000_000, ["faults=[{at: 1.5 s, mute: 1}]", "duration=3 s"])
     assert start.notes[0].endswith("its last snapshot before 1.2 s")
     again = run(scenario, tmp_path, start)
@@ -147,10 +157,10 @@ def test_a_change_acts_from_there_on(tmp_path: Path) -> None:
     assert again.values["sim_s"] == 3.0
 
 
-def test_pictures_of_it_begin_where_it_begins(tmp_path: Path) -> None:
+def test_pictures_of_it_begin_where_it_begins(recorded: Alone, tmp_path: Path) -> None:
     """Ages had grown from 0, where the log has nothing; a link that is silent at first has none until it delivers."""
     cut = "faults=[{at: 500 ms, for: 1 s, down: 1->2}]"
-    first = recorded(tmp_path, "paper", "duration=2 s", "log.snapshot=1 s", cut)
+    first = recorded("paper", "duration=2 s", "log.snapshot=1 s", cut)
     scenario, start = continuation(first.directory, 1_000_000_000)
     again = run(scenario, tmp_path / "again", start)
     (drawn,) = load([again.directory])
@@ -165,8 +175,8 @@ def test_pictures_of_it_begin_where_it_begins(tmp_path: Path) -> None:
     assert max(age for row in samples if row[0] > 1.2 for age in row[2] if age is not None) < 0.5
 
 
-def test_a_fault_and_links_in_words_act_from_there_on(tmp_path: Path) -> None:
-    first = recorded(tmp_path, "paper", "duration=1 s", "log.snapshot=500 ms")
+def test_a_fault_and_links_in_words_act_from_there_on(recorded: Alone, tmp_path: Path) -> None:
+    first = recorded("paper", "duration=1 s", "log.snapshot=500 ms")
     mute, down = Override(FAULT, "at 700 ms for 100 ms mute 1"), Override(NET, "3->4 down")
     scenario, start = continuation(first.directory, None, [mute, down])
     again = run(scenario, tmp_path, start)
@@ -178,8 +188,8 @@ def test_a_fault_and_links_in_words_act_from_there_on(tmp_path: Path) -> None:
         continuation(first.directory, None, [early])
 
 
-def test_an_agent_with_another_law_begins_without_memory(tmp_path: Path) -> None:
-    first = recorded(tmp_path, "paper", "duration=1 s", "log.snapshot=500 ms")
+def test_an_agent_with_another_law_begins_without_memory(recorded: Alone, tmp_path: Path) -> None:
+    first = recorded("paper", "duration=1 s", "log.snapshot=500 ms")
     scenario, start = continuation(first.directory, None, ["per_vehicle={'3': {controller: bsmc}}"])
     assert start.anew == (3,)
     assert "agents 3 begin without memory" in start.notes[1]
@@ -192,8 +202,8 @@ def test_an_agent_with_another_law_begins_without_memory(tmp_path: Path) -> None
     assert changed == {"uuv/3/command", "uuv/3/guidance", "uuv/3/control", "snapshot"}
 
 
-def test_a_snapshot_is_plain_values(tmp_path: Path) -> None:
-    first = recorded(tmp_path, "paper", "duration=1 s", "log.snapshot=500 ms")
+def test_a_snapshot_is_plain_values(recorded: Alone, tmp_path: Path) -> None:
+    first = recorded("paper", "duration=1 s", "log.snapshot=500 ms")
     snapshot = find(first.directory)
     assert Snapshot.from_bytes(snapshot.to_bytes()) == snapshot
     assert set(snapshot.memories) == {1, 2, 3, 4}
@@ -227,14 +237,16 @@ def test_when_there_is_one() -> None:
 def test_what_cannot_go_on_says_why(module: Callable[[str], str], tmp_path: Path) -> None:
     law = module(failing(10**6, "pass"))
     logs = {"LOG": (), "WITHOUT": ("log.snapshot=0 s",), "FORGETFUL": (f"controller={law}:Law",)}
-    short = ("duration=1 s", "log.snapshot=500 ms")
-    places = {name: recorded(tmp_path, "paper", *short, *overrides).directory for name, overrides in logs.items()}
+    short = ("checks={ledger: balanced, tumbled: waived}", "duration=1 s", "log.snapshot=500 ms")
+    places = {
+        name: run(load_scenario("paper", [*short, *overrides]), tmp_path).directory for name, overrides in logs.items()
+    }
     check_commands("repeat/what cannot go on", places | {"mine": law, "HERE": tmp_path}, "run", "--from")
     assert parse_from("a@b@20 s") == (Path("a@b"), 20_000_000_000)
 
 
-def test_on_the_command_line(tmp_path: Path) -> None:
-    first = recorded(tmp_path, "paper", "duration=1 s", "log.snapshot=500 ms")
+def test_on_the_command_line(recorded: Alone, tmp_path: Path) -> None:
+    first = recorded("paper", "duration=1 s", "log.snapshot=500 ms")
     result = invoke("run", "--from", f"{first.directory}@0.5s", "--out", tmp_path)
     assert result.exit_code == 0, result.output
     assert "goes on from t = 500 ms of " in result.stderr
@@ -242,8 +254,8 @@ def test_on_the_command_line(tmp_path: Path) -> None:
     assert "\nvehicles; settling times count from the start at t = 0.5 s" in result.stdout
 
 
-def test_times_and_speed_count_from_its_start(tmp_path: Path) -> None:
-    first = recorded(tmp_path, "paper", "duration=12 s", "log.snapshot=1 s", "log.every=5 ticks")
+def test_times_and_speed_count_from_its_start(recorded: Alone, tmp_path: Path) -> None:
+    first = recorded("paper", "duration=12 s", "log.snapshot=1 s", "log.every=5 ticks")
     scenario, start = continuation(first.directory, 2_000_000_000)
     again = run(scenario, tmp_path, start)
     assert (first.values["from_s"], again.values["from_s"], again.values["sim_s"]) == (0.0, 2.0, 12.0)

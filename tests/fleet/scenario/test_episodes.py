@@ -6,6 +6,7 @@ from itertools import permutations, product
 from math import sqrt
 
 import pytest
+from samples import samples
 
 from fleet.errors import ScenarioError
 from fleet.scenario.loading import parse_scenario
@@ -101,8 +102,8 @@ def test_only_kinds_that_are_picked_are_drawn() -> None:
 
 
 def test_how_likely_a_pattern_is() -> None:
-    """Of two isolations of given vehicles in given units, against 1,000 runs of four episodes each."""
-    vehicles, runs = 3, 1_000
+    """Of two isolations of given vehicles in given units, against many runs of four episodes each."""
+    vehicles, runs = 3, samples(1_000)
     wanted = [{(1, 0), (2, 1)}, {(3, 2), (3, 0)}, {(1, 1), (2, 1)}]
     hits, count = [0] * len(wanted), 0
     for seed in range(runs):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import fields, replace
-from itertools import pairwise, product
+from itertools import pairwise
 from math import pi
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from marks import slow
 from refusals import check_refusals
 from repository import EXPECTED
 from small_scenario import SMALL, WILD, accepted, places, read_back, small
@@ -196,8 +197,9 @@ def test_scatter_is_order_free() -> None:
 # --- the merged scenario ---------------------------------------------------
 
 
-def test_show_config_loads_to_an_equal_scenario() -> None:
-    for name, overrides in product(SHIPPED, ([], ["vehicles=20", "seed=9", "duration=5 s"])):
+@pytest.mark.parametrize("overrides", [[], *slow(["vehicles=20", "seed=9", "duration=5 s"])])
+def test_show_config_loads_to_an_equal_scenario(overrides: list[str]) -> None:
+    for name in SHIPPED:
         read_back(load_scenario(name, overrides))
 
 
@@ -290,7 +292,7 @@ SHAPES = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("vehicles", [1, 2, 20])
+@pytest.mark.parametrize("vehicles", [1, 2, *slow(20)])
 def test_all_that_ships_scales_by_itself(vehicles: int) -> None:
     """What is said of vehicles that are gone goes with them; a shape fits any number."""
     for name in SHIPPED:

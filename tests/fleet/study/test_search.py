@@ -137,7 +137,7 @@ checks:
 def test_a_search_with_episodes_says_what_began_faults_and_what_was_covered() -> None:
     """The scenario that it found has ordinary faults, so it fails again by itself."""
     scenario = parse_scenario(EPISODES, "e.yaml")
-    found = search(scenario, Here(), lambda runs: None, most_runs=40)
+    found = search(scenario, Here(), lambda runs: None, most_runs=8)
     assert (found.check, found.triggered != {}) == ("always-1", True)
     assert found.scenario is not None and found.scenario.spec.triggers == []
     began = {fault.id for fault in found.scenario.spec.faults} & set(found.triggered)

@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from math import inf, isnan
 from pathlib import Path
+from shutil import copytree
 from unittest.mock import Mock
 
 import pytest
@@ -46,14 +47,22 @@ def made(file: str, directory: Path, engine: Here | None = None) -> Store:
     return store
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    """The study of eight runs, made once. Nobody may write to its directory."""
+    folder = tmp_path_factory.mktemp("whole")
+    (folder / "small.yaml").write_text(SMALL, "utf-8")
+    return made(str(folder / "small.yaml"), folder / "study")
+
+
 def assert_same_rows(one: Store, other: Store) -> None:
     """Every value but the wall time is the same, to the last bit."""
     frames = [store.frame().drop(columns=["wall_s"]) for store in (one, other)]
     assert_frame_equal(*frames, check_exact=True)
 
 
-def test_a_row_is_the_run(small_file: str, tmp_path: Path) -> None:
-    frame = open_study(made(small_file, tmp_path / "study").directory).to_pandas()
+def test_a_row_is_the_run(small_file: str, whole: Store) -> None:
+    frame = open_study(whole.directory).to_pandas()
     assert len(frame) == 8
     row = frame[(frame["network.links.*.loss"] == 80.0) & (frame["seed"] == 2)].iloc[1]
     assert row["neighbours.extrapolate"] == "neighbour"
@@ -79,12 +88,11 @@ def test_every_seed_draws_faults_of_its_own(small_file: str, tmp_path: Path) -> 
     assert list(store.frame()["digest"]) == digests
 
 
-def test_rows_are_the_same_in_whatever_order_they_were_made(small_file: str, tmp_path: Path) -> None:
-    forwards = made(small_file, tmp_path / "a")
-    assert_same_rows(forwards, made(small_file, tmp_path / "b", Here(backwards=True)))
+def test_rows_are_the_same_in_whatever_order_they_were_made(small_file: str, whole: Store, tmp_path: Path) -> None:
+    assert_same_rows(whole, made(small_file, tmp_path / "b", Here(backwards=True)))
 
 
-def test_an_interrupted_study_goes_on_where_it_was(small_file: str, tmp_path: Path) -> None:
+def test_an_interrupted_study_goes_on_where_it_was(small_file: str, whole: Store, tmp_path: Path) -> None:
     store, _ = prepare(plan(small_file), tmp_path / "study")
     first, second = Here(most=3), Here()
     with pytest.raises(KeyboardInterrupt):
@@ -102,7 +110,7 @@ def test_an_interrupted_study_goes_on_where_it_was(small_file: str, tmp_path: Pa
     assert {task.key for task in first.tasks}.isdisjoint(task.key for task in second.tasks)
     assert seen[-1] == (8, 8)
     assert again.missing == 0
-    assert_same_rows(again, made(small_file, tmp_path / "whole"))
+    assert_same_rows(again, whole)
 
 
 def test_a_study_is_run_by_one_program_at_a_time(small_file: str, tmp_path: Path) -> None:
@@ -140,14 +148,10 @@ def test_a_run_without_a_frame_is_a_row(small_file: str, tmp_path: Path) -> None
         assert modules_again(store).fingerprints == modules.fingerprints
 
 
-def test_a_strangers_study_cannot_fill_the_memory(
-    small_file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    store = made(small_file, tmp_path / "study")
-    with monkeypatch.context() as patched:
-        patched.setattr(stores, "_MOST_CELLS", 100)
-        with pytest.raises(StudyError, match="has 8 rows, too many to be read at once"):
-            Study(store).to_pandas()
+def test_a_strangers_study_cannot_fill_the_memory(whole: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stores, "_MOST_CELLS", 100)
+    with pytest.raises(StudyError, match="has 8 rows, too many to be read at once"):
+        Study(whole).to_pandas()
 
 
 def test_a_round_in_which_no_run_is_made_is_the_last(small_file: str, tmp_path: Path) -> None:
@@ -157,10 +161,8 @@ def test_a_round_in_which_no_run_is_made_is_the_last(small_file: str, tmp_path: 
         run_study(store, Here(), lambda progress: None)
 
 
-def test_the_log_of_a_run_that_comes_out_differently_is_not_kept_and_others_are(
-    small_file: str, tmp_path: Path
-) -> None:
-    store = made(small_file, tmp_path / "study")
+def test_the_log_of_a_run_that_comes_out_differently_is_not_kept_and_others_are(whole: Store, tmp_path: Path) -> None:
+    store = Store.open(copytree(whole.directory, tmp_path / "study"))
     damage(store.directory, "UPDATE runs SET digest = '0000' WHERE point = 0 AND seed = 1")
     progress = run_study(store, Here(), lambda progress: None, logs="all")
     (sentence,) = progress.not_kept
@@ -274,8 +276,8 @@ def test_the_logs_of_runs_that_failed_are_kept(small_file: str, tmp_path: Path) 
     assert len(list((store.directory / "logs").iterdir())) == 4
 
 
-def test_the_summary_has_intervals(small_file: str, tmp_path: Path) -> None:
-    study = Study(made(small_file, tmp_path / "study"))
+def test_the_summary_has_intervals(whole: Store) -> None:
+    study = Study(whole)
     rows = study.summary("formation_final_m")
     assert [row.values for row in rows][:2] == [
         {"network.links.*.loss": 0.0, "neighbours.extrapolate": "hold"},
@@ -288,8 +290,8 @@ def test_the_summary_has_intervals(small_file: str, tmp_path: Path) -> None:
         study.summary("formation")
 
 
-def test_two_values_are_compared_run_by_run(small_file: str, tmp_path: Path) -> None:
-    study = Study(made(small_file, tmp_path / "study"))
+def test_two_values_are_compared_run_by_run(whole: Store) -> None:
+    study = Study(whole)
     found = study.compare("network.links.*.loss", 0.0, 80.0, "loss_share")
     assert found.difference.runs == 4  # two seeds at each of two extrapolations
     assert found.difference.value > 0.5
@@ -303,8 +305,8 @@ def test_two_values_are_compared_run_by_run(small_file: str, tmp_path: Path) -> 
             study.compare(key, value, 80.0, measure)
 
 
-def test_arrays_have_the_keys_as_dimensions_and_units(small_file: str, tmp_path: Path) -> None:
-    found = Study(made(small_file, tmp_path / "study")).to_xarray()
+def test_arrays_have_the_keys_as_dimensions_and_units(whole: Store) -> None:
+    found = Study(whole).to_xarray()
     assert dict(found.sizes) == {"network.links.*.loss": 2, "neighbours.extrapolate": 2, "seed": 2}
     assert found["age_p95_s"].attrs["units"] == "s"
     assert found["network.links.*.loss"].attrs["units"] == "%"
@@ -312,8 +314,8 @@ def test_arrays_have_the_keys_as_dimensions_and_units(small_file: str, tmp_path:
     assert float(lossy.mean()) > float(found["loss_share"].sel({"network.links.*.loss": 0.0}).mean())
 
 
-def test_a_run_is_made_again_with_its_log(small_file: str, tmp_path: Path) -> None:
-    study = Study(made(small_file, tmp_path / "study"))
+def test_a_run_is_made_again_with_its_log(whole: Store, tmp_path: Path) -> None:
+    study = Study(whole)
     row = study.to_pandas().iloc[3]
     found = study.rerun(int(row["point"]), int(row["seed"]), tmp_path / "runs")
     assert found.digest == row["digest"]
@@ -326,10 +328,9 @@ def test_a_run_is_made_again_with_its_log(small_file: str, tmp_path: Path) -> No
         study.rerun({"network.links.*.loss": 80.0}, 1)
 
 
-def test_a_folder_that_has_a_study_and_one_that_has_none(small_file: str, tmp_path: Path) -> None:
-    store = made(small_file, tmp_path / "study")
+def test_a_folder_that_has_a_study_and_one_that_has_none(small_file: str, whole: Store, tmp_path: Path) -> None:
     with pytest.raises(StudyError, match="is there already: choose"):
-        prepare(plan(small_file), store.directory)
+        prepare(plan(small_file), whole.directory)
     with pytest.raises(StudyError, match="it has no study"):
         open_study(tmp_path)
 
@@ -344,7 +345,7 @@ def test_a_study_that_is_ended_while_it_is_made_leaves_nothing(
         with pytest.raises(KeyboardInterrupt):
             made(small_file, tmp_path / "study")
     assert not (tmp_path / "study").exists()
-    assert made(small_file, tmp_path / "study").record.seeds
+    assert prepare(plan(small_file), tmp_path / "study")[0].record.seeds
 
 
 def test_a_mistake_in_the_file_is_reported_once_whatever_values_are_like_its_words(tmp_path: Path) -> None:

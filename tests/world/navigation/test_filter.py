@@ -67,8 +67,8 @@ def covariance(navigator: Navigator) -> np.ndarray:
 @pytest.mark.parametrize(
     ("setup", "current"),
     [
-        (config(ALL, start=1.0), 0.0),
-        (config(ALL, USBL, start=1.0), 0.0),
+        pytest.param(config(ALL, start=1.0), 0.0, marks=pytest.mark.slow),
+        pytest.param(config(ALL, USBL, start=1.0), 0.0, marks=pytest.mark.slow),
         (config(ALL, USBL, bottom=200.0, current_sigma=0.2, current_time_s=1e9, start=1.0), 0.2),
     ],
     ids=["dead reckoning", "with fixes", "through the water"],

@@ -5,15 +5,18 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+from kinds import EXTRAS, FAST, NIGHTLY, ONCE, extra_of, without_packages
 from repository import ROOT
 from samples import take_all
 
 # The package `benchmarks`. At the end, since an installed `fleet` comes first, which may be compiled.
 sys.path.append(str(ROOT))
 
+LEFT_OUT = without_packages(EXTRAS)
 pytest_plugins = ["in_process_runs"]
 
 # Some containers set it: each of the hundreds of processes, and pytest itself, would compile everything again.
@@ -63,8 +66,35 @@ def pytest_collection(session: pytest.Session) -> Iterator[None]:
         gc.enable()
 
 
+def place_of(path: Path) -> str:
+    """A file's place in the repository."""
+    return path.relative_to(ROOT).as_posix() if path.is_relative_to(ROOT) else ""
+
+
+def pytest_ignore_collect(collection_path: Path) -> bool | None:
+    """Leave out the tests of an extra that is not installed; the summary names it."""
+    return True if extra_of(place_of(collection_path)) in LEFT_OUT else None
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say which extras were not tested."""
+    for name, package in LEFT_OUT.items():
+        terminalreporter.write_line(f"NOT TESTED: the extra [{name}], since {package} is not installed: '.[test-all]'")
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests that may take longer than others begin first, or several workers would wait for one at the end."""
+    """Give each test the mark of its file. Tests that may take longer begin first, or workers wait for one at the end."""
+    for item in items:
+        place = place_of(item.path)
+        if place.startswith(ONCE):
+            item.add_marker("once")
+        elif place.startswith(NIGHTLY):
+            item.add_marker("slow")
+        elif extra_of(place):
+            item.add_marker("extra")
+        elif place.startswith(FAST) and item.get_closest_marker("slow") is None:
+            item.add_marker("fast")
     items.sort(key=lambda item: item.get_closest_marker("timeout") is None)
 
 

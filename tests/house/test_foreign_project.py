@@ -65,7 +65,6 @@ def mypy(python: Path, folder: Path, file: str) -> subprocess.CompletedProcess[s
     return subprocess.run([*command, file], cwd=folder, capture_output=True, text=True, timeout=300, check=False)
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(400)
 def test_a_strict_project_of_somebody_else_accepts_our_types(python: Path, tmp_path: Path) -> None:
     """`py.typed` is found, and what it promises is there: right uses pass, a wrong one is found."""

@@ -124,7 +124,6 @@ def first_missing(shown: str, streams: tuple[str, ...]) -> str:
     return ""
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", LESSONS)
 def test_a_lesson_can_be_done(name: str, reader: Reader) -> None:
     if name in EXTRAS:

@@ -16,7 +16,6 @@ from repository import ROOT
 from shared import alone
 
 pytestmark = [
-    pytest.mark.slow,
     pytest.mark.skipif(importlib.util.find_spec("sphinx") is None, reason="the extra [docs] is not installed"),
 ]
 # Words that a stranger types, and a page that has to be among the first twelve.

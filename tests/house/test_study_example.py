@@ -17,7 +17,6 @@ from study_engine import Here
 PAGE = ROOT / "docs" / "guide" / "study-example.md"
 
 
-@pytest.mark.slow
 def test_the_notebook_page_shows_what_its_code_prints_and_draws(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

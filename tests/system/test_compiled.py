@@ -19,7 +19,7 @@ from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+pytestmark = pytest.mark.timeout(900)
 COPIED = (".packaging", "agents", "fleet", "netem", "world", "pyproject.toml", "README.md", "LICENSE", "NOTICE")
 # Tests of modules that are not compiled: they say the same there as on the sources.
 PLAIN = (

@@ -1,0 +1,56 @@
+"""Which tests are of which kind, by their files: fast ones, those of an extra, and those that only `.ci/run` asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from importlib.util import find_spec
+
+# Pure functions, without processes: the loop while editing. Pages, pictures and everything that starts a run are not here.
+FAST = (
+    *(
+        "tests/agents",
+        "tests/netem",
+        "tests/world",
+        "tests/fleet/scenario",
+        "tests/fleet/checks",
+        "tests/fleet/terminal",
+    ),
+    *("tests/fleet/recorder", "tests/fleet/processes", "tests/fleet/protocols"),
+)
+# An extra with the packages that its tests need, and their files. `[test]` installs none of them, `[test-all]` all.
+EXTRAS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "cluster": (("dask", "distributed"), ("tests/fleet/study/test_dask_engine.py",)),
+    "fmu": (("fmpy",), ("tests/world/plants/test_fmu.py", "tests/system/test_fmu_runs.py")),
+    "foxglove": (("foxglove", "websockets"), ("tests/fleet/view/test_foxglove",)),
+    "rl": (("pettingzoo", "gymnasium"), ("tests/fleet/rl",)),
+    "ros2": (
+        ("rosbags", "xxhash", "mcap_ros2", "pyzeros", "zenoh_ros2_sdk"),
+        ("tests/fleet/ros2", "tests/fleet/stack/test_messages.py", "tests/fleet/stack/test_ros2.py"),
+    ),
+    "view": (
+        ("nicegui",),
+        (
+            *("tests/fleet/view/test_page_", "tests/fleet/view/test_server.py", "tests/fleet/view/test_words.py"),
+            "tests/fleet/cli/test_view.py",
+        ),
+    ),
+}
+# What is asked once per merge, since it looks at the whole tree, or at what is built from it.
+ONCE = (
+    *("tests/house/test_docstrings.py", "tests/house/test_foreign_project.py", "tests/house/test_lessons.py"),
+    *("tests/house/test_rooms.py", "tests/house/test_site.py", "tests/house/test_study_example.py"),
+    "tests/system/test_compiled.py",
+)
+# Of what nobody changes who changes the product: what measures it, and the paper's claims.
+NIGHTLY = ("tests/benchmarks", "tests/fleet/reproduce")
+
+
+def extra_of(path: str) -> str:
+    """The extra whose tests stand in a file; empty: none."""
+    return next((name for name, (_, places) in EXTRAS.items() if path.startswith(places)), "")
+
+
+def without_packages(extras: Iterable[str] = EXTRAS) -> dict[str, str]:
+    """Extras that cannot be tested here, with the first package that is missing."""
+    missing = {name: next((one for one in EXTRAS[name][0] if find_spec(one) is None), "") for name in extras}
+    return {name: package for name, package in missing.items() if package}

@@ -1,21 +1,14 @@
-"""Which tests are of which kind, by their files: fast ones, those of an extra, and those that only `.ci/run` asks for."""
+"""The kinds of tests, by their files: fast ones, those of an extra, and those that only `.ci/run` asks for."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from importlib.util import find_spec
 
-# Pure functions, without processes: the loop while editing. Pages, pictures and everything that starts a run are not here.
+# Pure functions, almost without processes: the loop while editing. Pages, pictures and whole runs are not here.
 FAST = (
-    *(
-        "tests/agents",
-        "tests/netem",
-        "tests/world",
-        "tests/fleet/scenario",
-        "tests/fleet/checks",
-        "tests/fleet/terminal",
-    ),
-    *("tests/fleet/recorder", "tests/fleet/processes", "tests/fleet/protocols"),
+    *("tests/agents", "tests/netem", "tests/world", "tests/fleet/checks", "tests/fleet/processes"),
+    *("tests/fleet/protocols", "tests/fleet/recorder", "tests/fleet/scenario", "tests/fleet/terminal"),
 )
 # An extra with the packages that its tests need, and their files. `[test]` installs none of them, `[test-all]` all.
 EXTRAS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {

@@ -84,7 +84,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Give each test the mark of its file. Those that may take longer begin first, or workers wait for one at the end."""
+    """Give each test the mark of its file. Those that may take longer begin first, or workers would wait for one."""
     for item in items:
         place = place_of(item.path)
         if place.startswith(ONCE):

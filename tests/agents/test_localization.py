@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from marks import slow
 from msgspec import structs
 from small_scenario import small
 
@@ -211,7 +212,9 @@ def mean(values: Iterable[float]) -> float:
     return sum(some) / len(some)
 
 
-@pytest.mark.parametrize("hardship", [Hardship(), Hardship(0.2, 5 * ROUND, range(1000, 1600))], ids=["none", "all"])
+@pytest.mark.parametrize(
+    "hardship", [*slow(Hardship()), Hardship(0.2, 5 * ROUND, range(1000, 1600))], ids=["none", "all"]
+)
 def test_naive_becomes_overconfident_and_intersection_stays_consistent(hardship: Hardship) -> None:
     """Two vehicles without fixes cannot learn where both are: over 20 seeds a mean of 2 is right, and less is safe.
 

@@ -511,6 +511,7 @@ def test_a_law_that_cannot_be_made(module: Callable[[str], str], tmp_path: Path)
 # --- the other kinds -------------------------------------------------------
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(
     "kind", [pytest.param(kind, marks=[] if kind == "controller" else [pytest.mark.slow]) for kind in KINDS]
 )

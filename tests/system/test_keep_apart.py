@@ -76,6 +76,7 @@ def test_a_vehicle_goes_round_a_cylinder_on_its_course(tmp_path: Path) -> None:
     assert guidance.keep_apart_infeasible[-1] == 0.0
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("changes", [{}, *slow({"keep_apart": "null"})], ids=["on", "off"])
 def test_the_page_s_own_scenario_and_check(
     changes: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

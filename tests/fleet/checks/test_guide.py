@@ -18,6 +18,7 @@ PAGE = (ROOT / "docs" / "guide" / "your-checks.md").read_text("utf-8")
 BLOCKS = dict(re.findall(r"```(yaml|python)\n(.*?)```", PAGE, re.DOTALL)[::-1])  # the first of each language
 
 
+@pytest.mark.once
 def test_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.delitem(sys.modules, "one_leader", raising=False)

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from marks import slow
 
 READING = {"numpy", "pydantic", "zenoh", "matplotlib", "google.protobuf", "mcap", "piqp", "jinja2", "multiprocessing"}
 LIGHT = READING | {"rich", "yaml", "msgspec", "fractions", "asyncio", "hashlib"}
@@ -69,7 +70,7 @@ def test_a_run_in_one_process_imports_no_middleware_and_draws_nothing(tmp_path: 
 
 
 @pytest.mark.skipif(sys.platform != "linux" or os.cpu_count() == 1, reason="counts threads where /proc lists them")
-@pytest.mark.parametrize(("asked", "threads"), [(None, 1), ("2", 2)])
+@pytest.mark.parametrize(("asked", "threads"), [(None, 1), *slow(("2", 2))])
 def test_numpy_makes_threads_only_if_somebody_asks(
     asked: str | None, threads: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

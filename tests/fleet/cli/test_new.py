@@ -27,6 +27,7 @@ def new(*arguments: str) -> Result:
     return invoke("new", "scenario", *arguments)
 
 
+@pytest.mark.once
 def test_it_is_checked_runs_and_passes_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     written = new("harbour", "--dir", "some where")

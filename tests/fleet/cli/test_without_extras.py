@@ -26,6 +26,7 @@ faults: [{at: 300 ms, kill: 2}]
 """
 
 
+@pytest.mark.once
 @pytest.mark.timeout(300)  # on a busy machine: four of the commands start a worker
 def test_search_regress_rare_shrink_and_why_need_no_table_of_runs(tmp_path: Path) -> None:
     (tmp_path / "fails.yaml").write_text(FAILS)

@@ -118,6 +118,7 @@ def test_a_run_that_breaks_is_over_and_the_result_says_why(module) -> None:  # t
     assert run.t < 1.0
 
 
+@pytest.mark.once
 def test_the_page_shows_what_its_code_prints(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert run_page(ROOT / "docs" / "guide" / "stepping.md") >= 5

@@ -23,6 +23,7 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
+@pytest.mark.once
 def test_it_passes() -> None:
     result = run("weakest.yaml", set={"log.every": "5 ticks"})
     assert [verdict.check for verdict in result.checks if not verdict.passed] == []

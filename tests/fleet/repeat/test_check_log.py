@@ -127,13 +127,13 @@ def test_silence_in_a_log_is_judged_as_in_its_run(folder: Path) -> None:
 
 
 def test_a_cut_log_is_judged_to_where_it_is_whole(folder: Path) -> None:
-    result = run("duration=20 s")
+    result = run("duration=8 s")
     assert result.directory is not None
     log = result.directory / "run.mcap"
     (folder / "cut.mcap").write_bytes(log.read_bytes()[: log.stat().st_size * 2 // 3])
-    asked = "checks={signal: {topic: state.x, below: 1000 m, eventually_within: 19 s}}"
+    asked = "checks={signal: {topic: state.x, below: 1000 m, eventually_within: 7 s}}"
     found = check_log(folder / "cut.mcap", [asked])
-    assert found.passed and 0.0 < found.until_s < 20.0 and "cut" in found.missing
+    assert found.passed and 0.0 < found.until_s < 8.0 and "cut" in found.missing
     late = check_log(folder / "cut.mcap", [asked.replace("below", "above")])
     assert not late.passed and late.verdicts[0].found == "there is still time"
     (folder / "stump.mcap").write_bytes(log.read_bytes()[:2000])

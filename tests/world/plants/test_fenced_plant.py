@@ -9,6 +9,7 @@ from typing import Any
 import msgpack
 import pytest
 from loops import world_config
+from marks import slow
 
 from netem.wire.messages import WorldFault
 from world.config import NavNoise, PlantSetup, WorldConfig
@@ -163,7 +164,7 @@ def test_it_goes_on_from_what_was_remembered(name: str) -> None:
     [
         (None, "Forgetful raised LookupError: no memory ("),
         ("an object", "Forgetful returned from state() <object object>, which a log cannot hold: TypeError: "),
-        ("loop", "Forgetful took longer than its budget of 1000 ms ("),
+        *slow(("loop", "Forgetful took longer than its budget of 1000 ms (")),
     ],
 )
 def test_what_cannot_be_remembered_is_named_and_the_run_goes_on_without_a_snapshot(values: Any, said: str) -> None:

@@ -42,7 +42,7 @@ ROOMS = {  # with their tests
     "world": ["tests/world", _GOLDEN],
     "fleet/execution": ["tests/fleet/execution", "tests/fleet/repeat", "tests/system/test_deaths.py"],
     "fleet/protocols": ["tests/fleet/protocols"],
-    "fleet/recorder": ["tests/fleet/recorder", "tests/fleet/repeat", "tests/system/test_determinism.py"],
+    "fleet/recorder": ["tests/fleet/recorder", "tests/fleet/repeat", "tests/system/test_same_bytes.py"],
     "fleet/study": ["tests/fleet/study", f"--deselect={_HANGS}"],
 }
 MEMORY = 4 << 30  # bytes that a mutant's tests may take

@@ -91,7 +91,7 @@ def test_in_process_run_follows_the_reference_trajectory(name: str, tmp_path: Pa
 
 @pytest.mark.slow
 def test_distributed_run_follows_the_reference_trajectory(tmp_path: Path) -> None:
-    """One is enough: `test_determinism` shows that distributed and in-process logs are the same bytes."""
+    """One is enough: `test_same_bytes` shows that distributed and in-process logs are the same bytes."""
     result = execute(load_scenario("paper-disturbed", [EVERY]), Options(tmp_path, quiet=True))
     assert result.status is Status.PASS, (result.reason, result.lines, result.checks)
     compare(result.directory / "run.mcap", "net_10Hz_dr_disturbed")

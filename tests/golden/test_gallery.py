@@ -19,7 +19,7 @@ from fleet.scenario.catalogue import list_scenarios
 from fleet.scenario.loading import load_scenario
 
 # name: how long the distributed run is [s]; what happens to a fleet there has happened by then
-# (deaths, restarts, partitions and draws of other kinds: tests/system/test_determinism.py and test_acoustic_runs.py)
+# (deaths, restarts, partitions and draws of other kinds: tests/system/test_same_bytes.py and test_acoustic_runs.py)
 GALLERY = {
     "lossy": 5, "burst": 8, "partition-heal": 8, "kill": 7, "kill-restart": 10, "gauss-markov-current": 8,
     "nemesis": 14, "acoustic-80bps": 17, "acoustic-s2c": 10, "rough-sea": 5, "breakdown": 5, "follow-the-leader": 5,

@@ -5,25 +5,31 @@ from __future__ import annotations
 import getpass
 import re
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from errno import EMFILE
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
+from fault_histories import EVERYTHING
 from first_difference import assert_same_bytes, decode, first_difference
 from in_process_runs import Alone, log_of, recorded
-from marks import slow
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from spawned import fleet
 
 from fleet.execution.directory import RunDirectory
 from fleet.logs.reader import LogReader, digest
+from fleet.repeat.verify import verification_lines, verify
 from fleet.result.result import Status
 from netem.wire.vehicle_bus import Ends
 
-CHECKS = "checks={qp_infeasible: {at_most: 0}, ledger: balanced, middleware_loss: {at_most: 0}}"
+SHARED = "agents.per_process=3"  # of four: two and two
+CHECKS = (
+    "checks={qp_infeasible: {at_most: 0}, ledger: balanced, middleware_loss: {at_most: 0}, tumbled: waived, "
+    "deaths: waived}"
+)
 NOISE = [
     "sensors.position_noise=5 cm",
     "sensors.angle_noise=0.5 deg",
@@ -51,67 +57,122 @@ HELD = "faults=[{at: 1 s, for: 1 s, hold: 1->2}, {at: 2 s, for: 1 s, duplicate: 
 TRIGGER = "triggers=[{when: {topic: control.leads, above: 0}, for: 1 s, fault: {pause: itself}}]"
 SLOTS = "network.acoustic={modem: s2c, mac: tdma, slot: 1.4 s, guard: 1.05 s}"
 
-# What each adds: nothing; loss, jitter and the disturbance; draws in the world process; frames that are not sent
-# every tick, and an end tick between two of them; a last round that is cut; the tightest coupling there is; estimates
-# in place of the truth; a graph in which vehicles hear more than one other, and numbers of two digits; links that
-# change by themselves; a QP at every tick; clocks that are drawn, drift, and are set, of agents, modems and protocols;
-# vehicles that do not move, packets that are held or come twice, and a fault that an agent's report begins.
-CASES: dict[str, tuple[str, list[str]]] = {
-    "paper": ("paper", ["duration=4 s"]),
-    "rough-sea": ("rough-sea", ["duration=6 s"]),
-    "sensor noise": ("paper", ["duration=3 s", *NOISE]),
-    "thinned log": ("rough-sea", ["duration=3 s", "log.every=7 ticks", "log.pose=21 ticks"]),
-    "short last round": ("paper", ["duration=3.07 s", ROUGH]),
-    "a round per tick": ("paper", ["duration=2 s", "network.period=10 ms", ROUGH]),
-    "states and a trace": ("paper", ["duration=3 s", CHANGING]),
-    "kept apart": ("crossing", ["duration=3 s", "keep_apart.distance=25 m", "checks={tumbled: waived}"]),
-    "dead reckoning": ("dead-reckoning", ["duration=3 s", INSTRUMENTS, "log.every=3 ticks"]),
-    "clocks": ("rough-sea", ["duration=3 s", CLOCKS, CLOCK_FAULTS]),
-    "clocks and slots": ("acoustic-s2c", ["duration=6 s", SLOTS, CLOCKS, CLOCK_FAULTS, "checks={tumbled: waived}"]),
-    "clocks of a protocol": ("election", ["duration=3 s", CLOCKS, CLOCK_FAULTS]),
-    "held and triggered": ("election", ["duration=5 s", "moored=true", HELD, TRIGGER]),
-    "twelve in a ring": ("paper", ["vehicles=12", "graph.shape=ring", "duration=2 s", *NOISE, ROUGH]),
-}
+ACOUSTIC = (
+    "faults=[{at: 1.5 s, for: 2 s, kill: 3}, {at: 2 s, for: 2 s, pause: 2}, {at: 3 s, for: 2 s, mute: 1}, "
+    "{at: 4 s, for: 2 s, slow: {vehicles: 4, by: 30 ticks}}, {at: 5 s, for: 2 s, link 1->2: loss 50% delay 300ms}]"
+)
+RANGING = "network.acoustic.ranging={method: two-way, noise: 1 m, outliers: {probability: 10 %}}"
 
-# The world hosts the router, so those before it in the second order knock at a door that is not there yet.
+
+class Row(NamedTuple):
+    """A mechanism that could make two runs differ: the scenario that has it, and the ways that the quick tests go."""
+
+    scenario: str
+    changes: tuple[str, ...]
+    quick: str
+
+
+# Each row adds something: nothing; loss, jitter and the disturbance; draws in the world process; frames that are not
+# sent every tick, and an end tick between two of them; a last round that is cut; the tightest coupling there is;
+# estimates in place of the truth; a graph in which vehicles hear more than one other, and numbers of two digits; links
+# that change by themselves; a QP at every tick; clocks that are drawn, drift, and are set, of agents, modems and
+# protocols; vehicles that do not move, packets that are held or come twice, and a fault that an agent's report begins;
+# agents that are ended, suspended, slowed and started again; the same in water, with ranges.
+ROWS = {
+    "paper": Row("paper", ("duration=4 s",), "verified"),
+    "rough-sea": Row("rough-sea", ("duration=6 s",), "again distributed exact"),
+    "sensor noise": Row("paper", ("duration=3 s", *NOISE), ""),
+    "thinned log": Row("rough-sea", ("duration=3 s", "log.every=7 ticks", "log.pose=21 ticks"), "verified paced"),
+    "short last round": Row("paper", ("duration=3.07 s", ROUGH), ""),
+    "a round per tick": Row("paper", ("duration=2 s", "network.period=10 ms", ROUGH), "hosted"),
+    "states and a trace": Row("paper", ("duration=3 s", CHANGING), ""),
+    "kept apart": Row("crossing", ("duration=3 s", "keep_apart.distance=25 m"), "distributed"),
+    "dead reckoning": Row("dead-reckoning", ("duration=3 s", INSTRUMENTS, "log.every=3 ticks"), "distributed"),
+    "clocks": Row("rough-sea", ("duration=3 s", CLOCKS, CLOCK_FAULTS), ""),
+    "clocks and slots": Row("acoustic-s2c", ("duration=6 s", SLOTS, CLOCKS, CLOCK_FAULTS), "distributed"),
+    "clocks of a protocol": Row("election", ("duration=3 s", CLOCKS, CLOCK_FAULTS), "again"),
+    "held and triggered": Row("election", ("duration=5 s", "moored=true", HELD, TRIGGER), "distributed verified"),
+    "twelve in a ring": Row("paper", ("vehicles=12", "graph.shape=ring", "duration=2 s", *NOISE, ROUGH), ""),
+    "every fault": Row("paper", ("duration=2 s", ROUGH, EVERYTHING), "distributed hosted verified"),
+    "faults in water": Row("acoustic-s2c", ("duration=8 s", RANGING, ACOUSTIC, "on_death=continue"), "distributed"),
+}
+# The world hosts the router, so those before it knock at a door that is not there yet.
 ORDERS: dict[str, Callable[[list[str]], list[str]]] = {
-    "as listed": lambda roles: roles,
     "world last": lambda roles: roles[::-1],
     "agents first": lambda roles: sorted(roles),
 }
 
 
-def marked(*quick: str) -> list[Any]:
-    """All cases, those that are not named as slow ones: each adds something, and the first of them show the law."""
-    return [pytest.param(case, marks=[] if case in quick else [pytest.mark.slow]) for case in CASES]
-
-
-def run(out: Path, case: str, *more: str, **options: Any) -> Path:
-    """The log of one run of a case."""
-    scenario, overrides = CASES[case]
-    result = recorded(out, scenario, CHECKS, *overrides, *more, **({"in_process": False} | options))
+def run(out: Path, row: str, *more: str, **options: Any) -> Path:
+    """The log of one run of a row."""
+    result = recorded(out, ROWS[row].scenario, CHECKS, *ROWS[row].changes, *more, **({"in_process": False} | options))
     assert result.status is Status.PASS, (result.reason, result.lines, result.checks)
-    return result.directory / "run.mcap"
+    return log_of(result)
 
 
-def once(alone: Alone, case: str, *more: str) -> Path:
-    """The log of a case in this process, made once."""
-    scenario, overrides = CASES[case]
-    return log_of(alone(scenario, CHECKS, *overrides, *more))
+def once(alone: Alone, row: str, *more: str) -> Path:
+    """The log of a row in this process, made once."""
+    return log_of(alone(ROWS[row].scenario, CHECKS, *ROWS[row].changes, *more))
 
 
-@pytest.mark.parametrize("case", marked("rough-sea", "clocks of a protocol"))
-def test_same_seed_same_bytes(case: str, tmp_path: Path, alone: Alone) -> None:
-    """Two runs in one process: nothing is left over from the first, or from one between them, that the second sees."""
-    assert_same_bytes(once(alone, case), run(tmp_path, case, in_process=True))
+def again(row: str, out: Path, alone: Alone) -> None:
+    """Nothing is left over from a run in one process, or from one between, that the next one sees."""
+    assert_same_bytes(once(alone, row), run(out, row, in_process=True))
 
 
-@pytest.mark.parametrize("order", ["world last", *slow("agents first")])
-@pytest.mark.parametrize("case", marked("rough-sea", "thinned log", "dead reckoning", "clocks and slots", "kept apart"))
-def test_distributed_is_in_process(case: str, order: str, tmp_path: Path, alone: Alone) -> None:
-    """Processes over zenoh and a plain loop write the same file, so no scheduling, no order of arrival and no
-    start order reaches a result. Every distributed run schedules differently, so each is a new sample of that."""
-    assert_same_bytes(once(alone, case), run(tmp_path, case, start_order=ORDERS[order]))
+def distributed(row: str, out: Path, alone: Alone) -> None:
+    """Processes and a plain loop write the same file, so no scheduling, no order of arrival and no order of starts
+    reaches a result. Every distributed run schedules differently, so each is a new sample of that."""
+    assert_same_bytes(once(alone, row), run(out, row, start_order=ORDERS["world last"]))
+
+
+def agents_first(row: str, out: Path, alone: Alone) -> None:
+    """The same in another order of starts."""
+    assert_same_bytes(once(alone, row), run(out, row, start_order=ORDERS["agents first"]))
+
+
+def hosted(row: str, out: Path, alone: Alone) -> None:
+    """Agents that share a process; the scenario in the log says that they do, so its bytes are compared with it."""
+    assert_same_bytes(once(alone, row, SHARED), run(out, row, SHARED))
+    assert digest(once(alone, row, SHARED)) == digest(once(alone, row))
+
+
+def paced(row: str, out: Path, alone: Alone) -> None:
+    """Grants by the wall clock come in other portions than grants ahead of it; neither is a result."""
+    assert_same_bytes(once(alone, row), run(out, row, in_process=True, speed=6.0))
+    assert_same_bytes(once(alone, row), run(out, row, speed=4.0))
+
+
+def verified(row: str, out: Path, alone: Alone) -> None:
+    """`fleet verify` makes the run again from what its log says of it."""
+    log = once(alone, row)
+    found = verify(log.parent)
+    assert (found.reproduced, found.messages) == (True, sum(1 for _ in LogReader(log))), verification_lines(found)
+
+
+def exact(row: str, out: Path, alone: Alone) -> None:
+    """The formula gives the gains that PIQP confirms; the scenario that the log holds differs."""
+    assert digest(once(alone, row)) == digest(once(alone, row, "guidance.solver=exact"))
+
+
+WAYS = {way.__name__: way for way in (again, distributed, agents_first, hosted, paced, verified, exact)}
+
+
+def cells() -> Iterator[Any]:
+    """Each row in each way; all but those that it names for the quick tests are slow."""
+    for row, way in product(ROWS, WAYS):
+        marks = [] if way in ROWS[row].quick.split() else [pytest.mark.slow]
+        yield pytest.param(row, way, marks=marks, id=f"{row}, {way}")
+
+
+@pytest.mark.parametrize(("row", "way"), [*cells()])
+def test_same_bytes(row: str, way: str, tmp_path: Path, alone: Alone) -> None:
+    """Whatever makes a run, in whatever order it starts, wherever and whenever: the log has the same bytes.
+
+    Elsewhere, since they need something else: compiled cores (test_compiled.py), runs that go on from a log
+    (test_resume.py), bare runs (test_bare_run.py), plants and units (test_plants.py, test_fmu_runs.py).
+    """
+    WAYS[way](row, tmp_path, alone)
 
 
 def test_the_bus_of_a_vehicle_changes_nothing(tmp_path: Path, alone: Alone, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -125,11 +186,6 @@ def test_the_bus_of_a_vehicle_changes_nothing(tmp_path: Path, alone: Alone, monk
 
     monkeypatch.setattr(Ends, "new", none_left)
     assert_same_bytes(once(alone, "rough-sea"), run(tmp_path, "rough-sea"))
-
-
-def test_the_formula_gives_the_gains_that_piqp_confirms(alone: Alone) -> None:
-    """All messages are the same; the scenario that the log holds differs."""
-    assert digest(once(alone, "rough-sea")) == digest(once(alone, "rough-sea", "guidance.solver=exact"))
 
 
 @pytest.mark.slow
@@ -155,13 +211,6 @@ def test_another_seed_gives_another_log(alone: Alone) -> None:
     assert digest(logs[0]) != digest(logs[1])
     difference = first_difference(*logs)  # a packet, lost in one run and not, or later, in the other
     assert difference.startswith("message ") and "link/" in difference
-
-
-def test_speed_changes_nothing(tmp_path: Path, alone: Alone) -> None:
-    """Grants paced by the wall clock come in other portions than grants ahead of it; neither is a result."""
-    fast = once(alone, "thinned log")
-    assert_same_bytes(fast, run(tmp_path, "thinned log", in_process=True, speed=6.0))
-    assert_same_bytes(fast, run(tmp_path, "thinned log", speed=4.0))
 
 
 # --- what the log holds ----------------------------------------------------

@@ -145,9 +145,7 @@ def test_a_strangers_unit_does_not_run_unasked(command: str, folder: Path, monke
         assert call(command, "../units.yaml", *out, "--trust")[0] == 0
 
 
-def test_a_stranger_s_log_runs_no_unit_unasked(
-    there: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stranger_s_log_runs_no_unit_unasked(there: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert call("verify", str(there))[0] == 0
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))  # of somebody else
     status, said = call("verify", str(there))

@@ -5,9 +5,25 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from live import READY_S, LiveRun
+from tool import tool
 from waiting import wait_for
 
 from fleet.execution.connection import ask, find
+
+
+def began(live: LiveRun) -> Hand:
+    """The hand of an operator of a run that has begun."""
+    wait_for(lambda: live.over or tool(live.out, "status").exit_code == 0, READY_S, "the run to begin")
+    assert not live.over, live.printed
+    return Hand(live.out)
+
+
+def held(live: LiveRun) -> Hand:
+    """The same hand, which holds the clock from then on, so that nothing need be quick."""
+    hand = began(live)
+    hand.clock("pause")
+    return hand
 
 
 class Hand:
@@ -31,6 +47,10 @@ class Hand:
     def until(self, sim_s: float) -> None:
         wait_for(lambda: self.now() >= sim_s, 60.0, f"{sim_s:g} s")
 
+    def step(self, ticks: int) -> None:
+        """Let a clock that is held go on for so many ticks; it does so meanwhile."""
+        self.clock("step", ticks)
+
     def pause_at_round(self) -> None:
         """Hold the clock with the grant at a round tick."""
         self.clock("pause")
@@ -39,4 +59,4 @@ class Hand:
             wait_for(lambda: round(self.now() / 0.01) == granted - 1, 60.0, "the clock to hold")  # noqa: B023
             if granted % 10 == 0:
                 return
-            self.clock("step", 10 - granted % 10)
+            self.step(10 - granted % 10)

@@ -1,7 +1,8 @@
 """A program of a robot, with a library of ROS 2 by another author and nothing of ours; it is started as a process.
 
 python ros_robot.py talk PORT             a topic /fleet/chatter ten times a second, and a service /fleet/set
-python ros_robot.py listen PORT SECONDS   what it hears, what it finds, and what a call answers, as JSON
+python ros_robot.py listen PORT SECONDS   what it hears, what it finds, and what a call answers, as JSON;
+                                          it waits so long for each of the three
 """
 
 import json
@@ -40,9 +41,14 @@ def listen(port: int, seconds: float) -> None:
         "string data\n",
         **where,
     )
-    time.sleep(seconds)
-    services = dict(sdk.get_service_names_and_types(domain_id=0, router_port=port, timeout=1.0))
-    client = sdk.ROS2ServiceClient(*SERVICE, REQUEST, RESPONSE, timeout=3.0, **where)
+    deadline = time.monotonic() + seconds
+    while not delays and time.monotonic() < deadline:
+        time.sleep(0.01)
+    services = {}
+    deadline = time.monotonic() + seconds
+    while not services and time.monotonic() < deadline:
+        services = dict(sdk.get_service_names_and_types(domain_id=0, router_port=port, timeout=seconds))
+    client = sdk.ROS2ServiceClient(*SERVICE, REQUEST, RESPONSE, timeout=seconds, **where)
     began = time.monotonic()
     answer = client.call(data=True)
     took = time.monotonic() - began

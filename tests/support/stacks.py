@@ -11,7 +11,9 @@ from typing import Any
 
 import zenoh
 from free_ports import free_port
-from live import Command, LiveRun
+from live import READY_S, LiveRun
+from tool import invoke
+from waiting import wait_for
 
 from fleet.result.file import read_result
 from fleet.result.result import Result
@@ -34,14 +36,17 @@ class Stack(LiveRun):
 
     def begun(self) -> Stack:
         """Wait until its nodes can be reached."""
-        self.until_running(0.1)
+        # Written once the sessions of the nodes are open; the log would say so a second later.
+        wait_for(lambda: self.over or (self.out / "latest" / "connection.json").exists(), READY_S, "its nodes")
+        assert not self.over, self.printed
+        self.family()
         return self
 
     def fleet(self, *words: str) -> str:
-        """The output of a command for this run."""
-        with Command(*words, "--run", self.directory) as command:
-            assert command.status() == 0, command.printed
-            return command.printed
+        """The output of a command for this run, as from another terminal, but without starting Python."""
+        done = invoke(*words, "--run", self.directory)
+        assert done.exit_code == 0, done.output
+        return done.stdout
 
     def end(self, status: int = 0) -> Result:
         """Stop it, and return its result."""

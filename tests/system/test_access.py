@@ -11,14 +11,16 @@ import json
 import os
 import stat
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, closing, contextmanager
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import pytest
 import zenoh
+from ended_runs import LONG
 from free_ports import free_port
 from in_process_runs import recorded
 from live import LiveRun
@@ -91,7 +93,7 @@ class Hall:
 
     def __init__(self, private: Path) -> None:
         self.credentials = generate((*VEHICLES, 3), hosts=HOSTS)
-        self._folder = RunFolder()
+        self._folder, self.private = RunFolder(), private
         self.endpoint = self._folder.endpoint
         self.port = f"tcp/127.0.0.1:{free_port()}"  # for those who cannot use the socket
         self.heard: list[tuple[str, str, bytes]] = []  # listener, key, data
@@ -217,6 +219,25 @@ GUARDS: dict[str, Any] = {
 }
 
 
+Halls = Callable[[str], Hall]
+
+
+@pytest.fixture(scope="module")
+def halls(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Halls]:
+    """The hall with a guard. All tests of a guard share it: what one of them leaves there reaches nobody."""
+    known: dict[str, Hall] = {}
+    with ExitStack() as opened, pytest.MonkeyPatch.context() as patch:
+
+        def of(guard: str) -> Hall:
+            if guard not in known:
+                patch.setattr(netem.wire.bus, "access_control", GUARDS[guard])
+                known[guard] = opened.enter_context(hall(tmp_path_factory.mktemp("hall")))
+                patch.setattr(netem.wire.bus, "access_control", GUARDS["as in every run"])
+            return known[guard]
+
+        yield of
+
+
 @pytest.fixture
 def guard(request: pytest.FixtureRequest) -> str:
     """The name of a guard, for tests that are parametrised with it."""
@@ -224,18 +245,14 @@ def guard(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.fixture
-def guarded(guard: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hall]:
-    monkeypatch.setattr(netem.wire.bus, "access_control", GUARDS[guard])
-    with hall(tmp_path) as opened:
-        yield opened
+def guarded(guard: str, halls: Halls) -> Hall:
+    return halls(guard)
 
 
 @pytest.fixture
-def unguarded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hall]:
+def unguarded(halls: Halls) -> Hall:
     """A router without the list."""
-    monkeypatch.setattr(netem.wire.bus, "access_control", GUARDS["none"])
-    with hall(tmp_path) as opened:
-        yield opened
+    return halls("none")
 
 
 # --- putting ---------------------------------------------------------------
@@ -352,13 +369,20 @@ def test_without_the_list_an_agent_learns_everything(unguarded: Hall) -> None:
 @ENFORCED
 def test_nobody_answers_for_another(guarded: Hall) -> None:
     """An agent that offers itself as the console or the world is never asked."""
-    for expression in (KEYS.cfg(2), KEYS.cfg("*"), KEYS.ctl("*"), f"{KEYS.op}/**", f"{KEYS.prefix}/**"):
-        guarded.sessions["agent-1"].answer(expression, _answer("a lie"))
-    guarded.settle("agent-1")
-    assert allowed(guarded, "agent-2", KEYS.cfg(2)) == [f"the slice for {KEYS.cfg(2)}"]
-    assert allowed(guarded, CONSOLE, KEYS.ctl(WORLD)) == [f"the world for {KEYS.ctl(WORLD)}"]
-    assert allowed(guarded, CONSOLE, KEYS.ctl(NETEM)) == [f"netem for {KEYS.ctl(NETEM)}"]
-    assert allowed(guarded, OPERATOR, f"{KEYS.op}/status") == [f"the operation for {KEYS.op}/status"]
+    with closing(guarded.join("agent-1")) as liar:  # one of its own: it would be answered by its own lies
+        for expression in (KEYS.cfg(2), KEYS.cfg("*"), KEYS.ctl("*"), f"{KEYS.op}/**", f"{KEYS.prefix}/**"):
+            liar.answer(expression, _answer("a lie"))
+        behind = b"behind the lies"
+
+        def known() -> bool:
+            liar._session.put(KEYS.cmd(1), behind)
+            return (WORLD, KEYS.cmd(1)) in guarded.who_heard(behind)
+
+        wait_for(known, LIMIT_S, "a sign of life")
+        assert allowed(guarded, "agent-2", KEYS.cfg(2)) == [f"the slice for {KEYS.cfg(2)}"]
+        assert allowed(guarded, CONSOLE, KEYS.ctl(WORLD)) == [f"the world for {KEYS.ctl(WORLD)}"]
+        assert allowed(guarded, CONSOLE, KEYS.ctl(NETEM)) == [f"netem for {KEYS.ctl(NETEM)}"]
+        assert allowed(guarded, OPERATOR, f"{KEYS.op}/status") == [f"the operation for {KEYS.op}/status"]
 
 
 @pytest.mark.parametrize("guard", ["as in every run", "incoming only", "none"], indirect=True)
@@ -379,25 +403,28 @@ def test_nobody_lives_for_another(guard: str, guarded: Hall) -> None:
 def test_wrong_credentials_are_refused(guarded: Hall) -> None:
     """A wrong password, another role's, an unknown user, none at all: refused in clear words without the password."""
     good = guarded.credentials
-    for endpoint, credentials in product(
-        (guarded.endpoint, guarded.port),
-        (
-            Credentials("agent-1", "wrong-password"),
-            Credentials("agent-1", good["agent-2"].password),
-            Credentials("agent-9", good["agent-1"].password),
-            Credentials(WORLD, ""),
-            Credentials("", ""),
-        ),
-    ):
+    wrong = [
+        Credentials("agent-1", "wrong-password"),
+        Credentials("agent-1", good["agent-2"].password),
+        Credentials("agent-9", good["agent-1"].password),
+        Credentials(WORLD, ""),
+        Credentials("", ""),
+    ]
+
+    def try_to_join(endpoint: str, credentials: Credentials) -> None:
         with pytest.raises(BusError) as caught:
             Bus.connect(endpoint, credentials, timeout_ms=300)
         assert f"cannot join the run at {endpoint} as {credentials.user}:" in str(caught.value)
         assert not credentials.password or credentials.password not in str(caught.value)
 
+    attempts = list(product((guarded.endpoint, guarded.port), wrong))
+    with ThreadPoolExecutor(len(attempts)) as pool:  # each waits until its time is over
+        assert list(pool.map(lambda attempt: try_to_join(*attempt), attempts)) == [None] * 10
 
-def test_users_file_is_gone_once_the_router_is_up(guarded: Hall, tmp_path: Path) -> None:
+
+def test_users_file_is_gone_once_the_router_is_up(guarded: Hall) -> None:
     """Nothing of the credentials is left on the disk, and who knows them may still join."""
-    assert list(tmp_path.iterdir()) == []
+    assert list(guarded.private.iterdir()) == []
     guarded.join("agent-2").close()
 
 
@@ -460,8 +487,7 @@ def test_no_secret_is_left_lying_about(tmp_path: Path, monkeypatch: pytest.Monke
 
 def test_connection_file(tmp_path: Path) -> None:
     """While the run lives, for its owner alone, and enough to join as the operator; afterwards gone."""
-    arguments = ["--duration", "60 s", "--speed", "5", "--set", "on_death=abort"]
-    with LiveRun(tmp_path / "runs", "paper", *arguments) as run:
+    with LiveRun(tmp_path / "runs", "paper", *LONG) as run:
         run.until_running(0.5)
         path = run.directory / "connection.json"
         assert stat.S_IMODE(path.stat().st_mode) == 0o600

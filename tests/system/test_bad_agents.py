@@ -22,6 +22,7 @@ import agents.make_agent
 import fleet.execution.in_process
 import fleet.execution.supervisor
 from agents.controllers import TRACKING
+from fleet.execution.clock import GrantPolicy
 from fleet.execution.directory import RunDirectory
 from fleet.logs.reader import LogReader
 from fleet.result.result import Result, Status
@@ -122,10 +123,11 @@ class Intruder:
     """Agent 3's credentials in other hands: a second session beside the real agent's, from its start to its end.
 
     The run itself is `execute` on the main thread, where processes must be started; this thread joins as soon as
-    the connection file is written, and puts `nonsense` again and again until told to stop.
+    the connection file is written, and puts `nonsense` again and again until told to stop. The clock stands until it
+    has done so some times after the beginning of the run.
     """
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, nonsense: Callable[[Keys], list[tuple[str, bytes]]]) -> None:
+    def __init__(self, patch: pytest.MonkeyPatch, nonsense: Callable[[Keys], list[tuple[str, bytes]]]) -> None:
         self._nonsense = nonsense
         self._credentials: dict[str, Credentials] = {}
         self._over = Event()
@@ -142,8 +144,19 @@ class Intruder:
             self._thread = Thread(target=self._talk, args=(values["endpoint"], values["run"]))
             self._thread.start()
 
-        monkeypatch.setattr(fleet.execution.supervisor, "generate", generate_and_leak)
-        monkeypatch.setattr(RunDirectory, "write_connection", write_and_join)
+        grant = GrantPolicy.until
+
+        def grant_later(policy: GrantPolicy, written: int, wall_s: float) -> int:
+            granted = grant(policy, written, wall_s)
+            if written >= policy.ticks // 4:
+                self._seen = self._seen or self.rounds
+                granted = granted if self.rounds >= self._seen + ROUNDS else min(granted, policy.ticks // 2)
+            return granted
+
+        self._seen = 0
+        patch.setattr(fleet.execution.supervisor, "generate", generate_and_leak)
+        patch.setattr(RunDirectory, "write_connection", write_and_join)
+        patch.setattr(GrantPolicy, "until", grant_later)
 
     def _talk(self, endpoint: str, run: str) -> None:
         bus = Bus.connect(endpoint, self._credentials["agent-3"])
@@ -155,18 +168,17 @@ class Intruder:
             self.rounds += 1
         bus.close()
 
-    def run(self, tmp_path: Path, *overrides: str) -> Result:
+    def run(self, folder: Path) -> Result:
         try:
-            return recorded(tmp_path / "runs", "paper", CHECKS, "duration=4 s", *overrides, in_process=False, speed=4.0)
+            return recorded(folder, "paper", CHECKS, DURATION, in_process=False)
         finally:
             self._over.set()
             if self._thread is not None:
                 self._thread.join()
 
 
-def assert_unaffected(result: Result, alone: Alone) -> None:
-    assert result.status is Status.PASS, (result.reason, result.lines)
-    assert_same_bytes(log_of(alone("paper", CHECKS, "duration=4 s")), log_of(result))
+ROUNDS = 12
+DURATION = "duration=2 s"
 
 
 def nonsense(keys: Keys) -> list[tuple[str, bytes]]:
@@ -200,45 +212,48 @@ def nonsense(keys: Keys) -> list[tuple[str, bytes]]:
     ]
 
 
-def test_garbage_beside_a_real_agent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, alone: Alone) -> None:
-    """Malformed, misplaced, mistimed and non-finite messages from an agent's own session, all the run long: each is
-    counted and dropped, and the log is byte for byte that of a run in peace."""
-    intruder = Intruder(monkeypatch, nonsense)
-    result = intruder.run(tmp_path)
-    assert intruder.rounds > 10
-    assert_unaffected(result, alone)
+def notes(keys: Keys) -> list[tuple[str, bytes]]:
+    """What a hostile agent may put on the one key on which it reaches the console, which is for notes: garbage, what
+    only world and netem may say, or it could write the log, and lies."""
+    nav = encode(Nav(0, 3, (0.0,) * 5, (0.0,) * 5))
+    frames = [
+        encode(Frames(())),
+        *(encode(LinkReport(at, over, False, (), b"")) for at, over in ((0, False), (200, True))),
+    ]
+    lies = [encode(Note("world", 99, 2**63, "[red]\x1b[2Jall is lost[/red]")), encode(Note("x" * 4096, 0, 0, ""))]
+    return [(keys.note("agent-3"), data) for data in [b"", b"\xc1", nav, *frames, *lies]]
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> Result:
+    """That of a run beside all this."""
+    with pytest.MonkeyPatch.context() as patch:
+        intruder = Intruder(patch, lambda keys: [*nonsense(keys), *notes(keys)])
+        found = intruder.run(tmp_path_factory.mktemp("runs"))
+    assert intruder.rounds >= ROUNDS
+    return found
+
+
+def test_a_run_beside_a_hostile_agent_is_the_run_in_peace(result: Result, alone: Alone) -> None:
+    """Malformed, misplaced, mistimed and non-finite messages, forged frames and lies from an agent's own session, all
+    the run long: nobody dies of them, and the log is byte for byte that of a run in peace."""
+    assert result.status is Status.PASS, (result.reason, result.lines)
+    assert_same_bytes(log_of(alone("paper", CHECKS, DURATION)), log_of(result))
+
+
+def test_garbage_beside_a_real_agent_is_counted(result: Result) -> None:
     rejected = json.loads((result.directory / "result.json").read_text())["rejected"]
-    for kind in ("cmd/3: MalformedMessage", "cmd/3: OutOfPlace", "tx/3: MalformedMessage", "tx/3: OutOfPlace"):
+    kinds = "cmd/3: MalformedMessage", "cmd/3: OutOfPlace", "tx/3: MalformedMessage", "tx/3: OutOfPlace"
+    for kind in kinds:
         assert rejected[kind] > 10
     assert sum("rejected on" in note for note in result.values["notes"]) == 4  # of each kind only the first is told
 
 
-def test_garbage_notes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, alone: Alone) -> None:
-    """Notes are for people; one that cannot be read is no reason to end a run."""
-    bad = [b"", b"\xc1", encode(Nav(0, 3, (0.0,) * 5, (0.0,) * 5))]
-    result = Intruder(monkeypatch, lambda keys: [(keys.note("agent-3"), data) for data in bad]).run(tmp_path)
-    assert_unaffected(result, alone)
-
-
-def test_forged_frames_and_reports_on_the_note_key(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, alone: Alone
-) -> None:
-    """The one key on which an agent reaches the console is for notes: what only world and netem may say is refused
-    there, or an agent could write the log."""
-    forged = [
-        encode(Frames(())),
-        encode(LinkReport(0, False, False, (), b"")),
-        encode(LinkReport(400, True, False, (), b"")),
-    ]
-    result = Intruder(monkeypatch, lambda keys: [(keys.note("agent-3"), data) for data in forged]).run(tmp_path)
-    assert_unaffected(result, alone)
-
-
-def test_notes_that_lie_are_only_notes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, alone: Alone) -> None:
-    """Markup, escapes and absurd numbers in a note reach a person as text and nothing else."""
-    lies = [encode(Note("world", 99, 2**63, "[red]\x1b[2Jall is lost[/red]")), encode(Note("x" * 4096, 0, 0, ""))]
-    result = Intruder(monkeypatch, lambda keys: [(keys.note("agent-3"), data) for data in lies]).run(tmp_path)
-    assert_unaffected(result, alone)
+def test_notes_that_cannot_be_read_or_lie_are_only_notes(result: Result) -> None:
+    assert json.loads((result.directory / "result.json").read_text())["rejected"]["note/agent-3"] > 10
+    told = result.values["notes"]
+    assert sum("rejected from agent-3" in note for note in told) == 1
+    assert not [note for note in told if "\x1b" in note]
 
 
 LONG_PAYLOADS = """

@@ -21,13 +21,15 @@ from refusals import check_refusals
 from tool import tool as op
 from waiting import wait_for
 
-from agents.join_file import JoinFile
+from agents.join import serve
+from agents.join_file import JoinFile, NotYetError
 from fleet.errors import FleetError
 from fleet.logs.reader import digest
+from fleet.result.result import Status
 from fleet.scenario.loading import load_scenario, parse_scenario
 from netem.wire.messages import PROTOCOL_VERSION
 
-SHORT = ["duration=3 s", "checks={tumbled: waived}"]
+SHORT = ["duration=2 s", "checks={tumbled: waived}"]
 EXTERNAL = "per_vehicle={3: {external: true}}"
 READY_S = 60.0
 
@@ -84,7 +86,7 @@ def reference(tmp_path: Path, *overrides: str) -> str:
     return recorded(tmp_path / "reference", "paper", *overrides).digest
 
 
-def test_who_joins_is_the_agent_that_would_have_been_started(tmp_path: Path) -> None:
+def test_who_joins_is_the_agent_that_would_have_been_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same digest; and on the way: a wrong password, a second agent, and the file after the end."""
     expected = reference(tmp_path, *SHORT)
     with LiveRun(tmp_path / "runs", "paper", *sets(*SHORT, EXTERNAL)) as run:
@@ -95,10 +97,9 @@ def test_who_joins_is_the_agent_that_would_have_been_started(tmp_path: Path) -> 
             "endpoint", "run", "vehicle", "user", "password", "version", "scenario", "incarnation", "begin",
         }  # fmt: skip
         assert (values["vehicle"], values["user"], values["begin"]) == (3, "agent-3", 0)
-        wrong = tmp_path / "wrong.json"
-        JoinFile(values["endpoint"], values["run"], 3, "agent-3", "guess").write(wrong)
-        code, said = ended(agent(wrong))
-        assert (code, "refuses agent-3: the password is wrong" in said, said.count("\n")) == (2, True, 1), said
+        monkeypatch.setattr("agents.join.CONNECT_MS", 300)  # after which it gives up
+        with pytest.raises(NotYetError, match="refuses agent-3: the password is wrong"):
+            serve(JoinFile(values["endpoint"], values["run"], 3, "agent-3", "guess"), print)
         kept = tmp_path / "kept.json"
         JoinFile(**values).write(kept)
         code, said = ended(agent(path))
@@ -108,7 +109,7 @@ def test_who_joins_is_the_agent_that_would_have_been_started(tmp_path: Path) -> 
         assert "waiting for agent 3 (external): fleet agent --join " in run.said
         assert digest(run.log) == expected
         code, said = ended(agent(kept))
-        assert (code, "there is no router at" in said) == (2, True), said
+        assert (code, "there is no router at" in said, said.count("\n")) == (2, True, 1), said
 
 
 @pytest.mark.slow
@@ -185,10 +186,10 @@ def test_one_that_leaves(policy: str, tmp_path: Path) -> None:
 
 def test_nobody_comes(tmp_path: Path) -> None:
     """The run ends, says for whom it waited, and leaves no credentials behind."""
-    with LiveRun(tmp_path / "runs", "paper", *sets(*SHORT, EXTERNAL), "--join-timeout", "500 ms") as run:
-        assert run.status() == 3
-        assert "agent 3 (external) did not join within 0.5 s" in run.said
-        assert not (run.directory / "join-3.json").exists()
+    result = recorded(tmp_path, "paper", *SHORT, EXTERNAL, in_process=False, join_timeout_s=0.3)
+    assert result.status is Status.BROKEN
+    assert "agent 3 (external) did not join within 0.3 s" in result.reason
+    assert not (result.directory / "join-3.json").exists()
 
 
 def test_nobody_can_join_a_run_in_one_process(tmp_path: Path) -> None:

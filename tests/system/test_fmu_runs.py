@@ -16,7 +16,7 @@ from tool import invoke
 
 from fleet.logs.open_log import open_log
 from fleet.logs.reader import digest
-from fleet.result.result import Status
+from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario
 from fleet.study.modules import folder_of, modules_of, packed
 
@@ -26,14 +26,35 @@ per_vehicle: {2: {vehicle: {plant: "fmu:three.fmu"}}}
 """
 
 
+def with_units(folder: Path) -> Path:
+    """The folder, with a scenario and its units."""
+    build(folder / "two.fmu", 2)
+    build(folder / "three.fmu", 3)
+    (folder / "units.yaml").write_text(SMALL + PLANTS, "utf-8")
+    return folder
+
+
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The user's folder, in which a scenario and its units lie."""
-    build(tmp_path / "two.fmu", 2)
-    build(tmp_path / "three.fmu", 3)
-    (tmp_path / "units.yaml").write_text(SMALL + PLANTS, "utf-8")
     monkeypatch.chdir(tmp_path)
-    return tmp_path
+    return with_units(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Result:
+    """A run in this process, with snapshots, in a folder of its own."""
+    folder = with_units(tmp_path_factory.mktemp("units"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        return recorded(folder / "runs", "units.yaml", "log.snapshot=500 ms")
+
+
+@pytest.fixture
+def there(whole: Result, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The directory of that run, whose units lie in the folder where we are."""
+    monkeypatch.chdir(whole.directory.parent.parent)
+    return whole.directory
 
 
 def call(*arguments: str) -> tuple[int, str]:
@@ -45,11 +66,11 @@ def call(*arguments: str) -> tuple[int, str]:
 run = partial(recorded, Path("runs"), "units.yaml")
 
 
-def test_a_fleet_of_units_gives_the_same_bytes_alone_and_distributed(folder: Path) -> None:
-    alone, distributed = run(), run(in_process=False)
-    assert (alone.status, distributed.status) == (Status.PASS, Status.PASS)
-    assert digest(alone.directory / "run.mcap") == digest(distributed.directory / "run.mcap")
-    log = open_log(alone.directory)
+def test_a_fleet_of_units_gives_the_same_bytes_alone_and_distributed(whole: Result, there: Path) -> None:
+    distributed = run("log.snapshot=500 ms", in_process=False)
+    assert (whole.status, distributed.status) == (Status.PASS, Status.PASS)
+    assert digest(there / "run.mcap") == digest(distributed.directory / "run.mcap")
+    log = open_log(there)
     effort = log["uuv/1/plant"].effort
     assert effort[-1] > effort[0] == 0.0
     assert "uuv/2/plant" not in log.topics
@@ -63,12 +84,11 @@ def test_units_that_report_nothing_are_recorded(folder: Path) -> None:
     assert log["uuv/3/state"].phi[-1] == 0.0
 
 
-def test_a_run_goes_on_from_its_log_bit_for_bit(folder: Path) -> None:
-    whole = run("log.snapshot=500 ms")
-    status, said = call("run", "--from", f"{whole.directory}@0.5s", "--in-process", "--out", "rest", "--trust")
+def test_a_run_goes_on_from_its_log_bit_for_bit(there: Path) -> None:
+    status, said = call("run", "--from", f"{there}@0.5s", "--in-process", "--out", "rest", "--trust")
     assert status == 0, said
     [rest] = (path for path in Path("rest").iterdir() if not path.is_symlink())
-    one, other = open_log(whole.directory), open_log(rest)
+    one, other = open_log(there), open_log(rest)
     assert one["uuv/1/plant"].effort[-1] == other["uuv/1/plant"].effort[-1] > 0.0
     assert one["uuv/2/state"].u[-1] == other["uuv/2/state"].u[-1]
 
@@ -125,14 +145,13 @@ def test_a_strangers_unit_does_not_run_unasked(command: str, folder: Path, monke
         assert call(command, "../units.yaml", *out, "--trust")[0] == 0
 
 
-def test_a_stranger_s_log_runs_no_unit_unasked(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    directory = run().directory
-    assert call("verify", str(directory))[0] == 0
-    monkeypatch.setenv("XDG_STATE_HOME", str(folder / "of somebody else"))
-    status, said = call("verify", str(directory))
+def test_a_stranger_s_log_runs_no_unit_unasked(there: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert call("verify", str(there))[0] == 0
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))  # of somebody else
+    status, said = call("verify", str(there))
     assert status != 0
     assert "two.fmu, which is not installed, and a log names it" in said
-    assert call("verify", str(directory), "--trust")[0] == 0
+    assert call("verify", str(there), "--trust")[0] == 0
 
 
 def test_a_unit_that_is_not_there_is_named_with_its_line(folder: Path) -> None:

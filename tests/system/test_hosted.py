@@ -14,8 +14,11 @@ from failing_laws import failing
 from failing_laws import module as module
 from fault_histories import EVERYTHING
 from first_difference import assert_same_bytes
+from hand import began
 from in_process_runs import Alone, log_of, recorded
-from live import LiveRun
+from live import READY_S, LiveRun
+from tool import tool
+from waiting import wait_for
 
 from fleet.errors import FleetError
 from fleet.result.result import Result, Status
@@ -34,7 +37,7 @@ def shared_run(out: Path, *overrides: str, per_process: int = 3) -> Result:
     [
         # Ended, suspended, slowed and started again, while others of the same process go on.
         ("duration=2 s", "network.links={'*': 'delay 200ms 50ms loss 30%'}", EVERYTHING),
-        ("duration=1.6 s", "vehicles=12", "graph.shape=ring", "network.period=10 ms", KILLED),
+        ("duration=1.2 s", "vehicles=12", "graph.shape=ring", "network.period=10 ms", KILLED),
     ],
 )
 def test_the_same_bytes_as_in_one_process_and_as_with_one_each(
@@ -72,7 +75,7 @@ def test_a_law_that_raises_ends_its_own_agent(
         ("1 / 0", "on_controller_error=abort", r"agent 2 \(host-1, pid \d+\) exited with status 70"),
         ("import os; os._exit(3)", "on_death=abort", r"host 1 \(pid \d+\) exited with status 3 .* agent 2 computed"),
         (
-            "while True: pass",
+            "__import__('time').sleep(3600)",
             "stall_timeout=1 s",
             r"nothing moved for 1 s .*waiting for agent 2 \(host-1, pid \d+\)$",
         ),
@@ -88,19 +91,19 @@ def test_a_law_that_ends_or_hangs_its_process_is_named(
 
 
 def test_a_host_that_is_killed_takes_its_agents_along_and_nobody_else(tmp_path: Path) -> None:
-    arguments = ["--duration", "6 s", "--speed", "3", "--set", CHECKS, "--set", SHARED, "--set", "on_death=continue"]
+    """The others go on, until Ctrl-C, which a terminal sends to the hosts as well."""
+    arguments = [*LONG, "--set", CHECKS, "--set", SHARED, "--set", "on_death=continue"]
     with LiveRun(tmp_path / "runs", "paper", *arguments) as run:
-        run.until_running().role("host 1").kill()
-        run.ends(0)
+        hand = began(run)
+        run.role("host 1").kill()
+        without = re.compile("^[12] +no agent ", re.MULTILINE)
+        wait_for(lambda: len(without.findall(tool(run.out, "status").stdout)) == 2, READY_S, "their deaths")
+        hand.until(hand.now() + 1.0)
+        run.send(signal.SIGINT, group=True)
+        run.ends(130)
         deaths = json.loads((run.directory / "result.json").read_text())["deaths"]
         assert [(i, how[0][:21]) for i, how in deaths.items()] == [(i, "was killed by SIGKILL") for i in "12"]
         assert "agent 1 (host-1, pid " in run.said
-
-
-def test_ctrl_c(tmp_path: Path) -> None:
-    with LiveRun(tmp_path / "runs", "paper", *LONG, "--set", SHARED) as run:
-        run.until_running().send(signal.SIGINT, group=True)
-        run.ends(130)
 
 
 def test_refused_on_a_wall_clock(tmp_path: Path) -> None:

@@ -40,7 +40,7 @@ SLEEPER = """
 
 
 def test_a_real_run_is_on_time_and_lockstep_or_says_why_not(tmp_path: Path) -> None:
-    words = ["paper", "duration=2 s", "checks={ledger: balanced, middleware_loss: {at_most: 0}}"]
+    words = ["paper", "duration=500 ms", "checks={ledger: balanced, middleware_loss: {at_most: 0}}"]
     found = recorded(tmp_path, *words, in_process=False, clock=Clock.REAL, speed=0.5, most_missed=1.0)
     same = recorded(tmp_path, *words)
     assert (found.status, found.reason) == (Status.PASS, "")
@@ -49,8 +49,8 @@ def test_a_real_run_is_on_time_and_lockstep_or_says_why_not(tmp_path: Path) -> N
     assert measured.label in ("on time", "degraded")
     assert found.digest == same.digest or measured.label == "degraded"
     assert (measured.label == "on time") == (measured.reasons == [])
-    assert all(row.asked == 200 for row in measured.vehicles.values())
-    assert measured.netem.hop.count + measured.netem.unread == 120
+    assert all(row.asked == 50 for row in measured.vehicles.values())
+    assert measured.netem.hop.count + measured.netem.unread == 30
     assert measured.netem.links["1->2"].injected.p50_ms == 10.0
     assert read_result(found.directory) == found
     (run,) = load([found.directory])

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from ended_runs import LONG
 from live import LiveRun
 from live_directory import live_directory
 from small_scenario import SMALL
@@ -105,7 +106,7 @@ def test_without_a_runtime_directory_there_is_another_place(value: str, monkeypa
 def test_a_run_goes_on_without_a_registry(place: Path, tmp_path: Path) -> None:
     """It says so once, and is found by its directory."""
     place.mkdir(mode=0o755)
-    with LiveRun(tmp_path / "runs", "paper", "--speed", "1").until_running(0.2) as run:
+    with LiveRun(tmp_path / "runs", "paper", *LONG).until_running() as run:
         assert run.said.count("the run is not registered: ") == 1, run.said
         assert f"commands find it with --run {tmp_path / 'runs' / run.directory.name}" in run.said
         assert find(str(run.directory)).directory == run.directory
@@ -155,7 +156,7 @@ def test_a_run_is_found_from_any_folder_and_kill_9_leaves_no_ghost(
 ) -> None:
     """The real thing: a run is asked from elsewhere; its console is killed, and nothing says any more that it lives."""
     monkeypatch.chdir("/")
-    with LiveRun(tmp_path / "runs", "paper", "--speed", "1").until_running(0.2) as run:
+    with LiveRun(tmp_path / "runs", "paper", *LONG).until_running() as run:
         said = invoke("inject", "mute", 3, "--for", "1 s")
         assert said.stdout.startswith(f"{run.directory.name}: live-1: mute 3, from t = "), said.output
         refused = invoke("inject", "kill", 9, "--run", "pap")

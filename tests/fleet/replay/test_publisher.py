@@ -48,7 +48,8 @@ def missing_to(ear: Ear, end: Ear, prefix: str) -> Missing:
 def test_live_publishing_equals_the_log(where: str, log: Path, records: list[Record], tmp_path: Path) -> None:
     """From the first sample heard on, every message of the log comes once, in order, with what a replay would say, or
     is counted as missing; the log is the same as without; and the way in is private, read-only and gone afterwards."""
-    arguments = ["paper", "--duration", "2 s", "--set", "checks={}", "--speed", "1", "--publish"]
+    arguments = ["paper", "--duration", "2 s", "--set", "checks={}", "--speed", "4"]
+    arguments += ["--publish", "--wait-for-subscribers"]
     arguments += ["--in-process"] if where == "in-process" else []
     with LiveRun(tmp_path / "runs", *arguments) as run:
         path = tmp_path / "runs" / "latest" / "observe.json"
@@ -61,12 +62,12 @@ def test_live_publishing_equals_the_log(where: str, log: Path, records: list[Rec
             session(OpenBus.connect(values["endpoint"], observer)) as bus,
             session(OpenBus.connect(values["endpoint"], observer)) as other,
         ):
-            end = Ear(bus, f"{prefix}/log-end")
-            ear, overheard = Ear(bus, f"{prefix}/log/**"), Ear(other, "**")
-            other._session.put(f"{prefix}/log/uuv/1/state", b"forged")
             with pytest.raises(BusError) as caught:
                 OpenBus.connect(values["endpoint"], Credentials("observer", "guess"), timeout_ms=300)
             assert "guess" not in str(caught.value)
+            end, overheard = Ear(bus, f"{prefix}/log-end"), Ear(other, "**")
+            ear = Ear(bus, f"{prefix}/log/**")  # for which the run waits
+            other._session.put(f"{prefix}/log/uuv/1/state", b"forged")
             end.until(1)
             with suppress(AssertionError):  # what was lost does not come
                 wait_for(lambda: not missing_to(ear, end, prefix).to_come, LIMIT_S / 6)

@@ -12,8 +12,10 @@ from typing import Any, NamedTuple
 import msgpack
 import pytest
 from foxglove_client import Viewer, viewer
+from hand import began
 from live import LiveRun
 from showing import Fingers, going_on, quiet_line
+from tool import tool
 from traffic import LIMIT_S, endpoint, session
 from traffic import log as log
 from waiting import wait_for
@@ -129,6 +131,7 @@ def test_what_waits_for_a_viewer_when_the_run_ends_still_comes(tmp_path: Path, m
     say = bridge.server.say
     monkeypatch.setattr(bridge.server, "say", lambda text, **more: (said.append(text), say(text, **more)))
     monkeypatch.setattr("fleet.view.foxglove_live.REST_S", LIMIT_S)  # until the viewer leaves
+    monkeypatch.setattr("fleet.view.foxglove_live.COME_S", 0.0)  # all that comes from the publisher is here
 
     def run(_: Fingers, line: StatusLine) -> None:
         try:
@@ -157,10 +160,10 @@ def test_what_waits_for_a_viewer_when_the_run_ends_still_comes(tmp_path: Path, m
 def test_a_service_call_cuts_a_link_of_a_live_run(tmp_path: Path) -> None:
     """Every message that a viewer gets is the log's, and it is told how many it did not get; what it injects is in the
     log, and it is told of the end."""
-    arguments = ["paper", "--duration", "20 s", "--set", "checks={}", "--speed", "2", "--publish"]
+    arguments = ["paper", "--duration", "600 s", "--set", "checks={}", "--speed", "4", "--publish"]
     topics = ("uuv/1/state", "link/1-2", "scene", "faults")
     with LiveRun(tmp_path / "runs", *arguments) as run:
-        run.until_running(0.5)
+        began(run)
         source = find_source(str(run.directory), tmp_path)
         with joined(source.observed) as bus:
             bridge = LiveBridge(source, LiveJournal(bus, Keys(source.observed.run)), "127.0.0.1", 0, control=True)
@@ -183,10 +186,11 @@ def test_a_service_call_cuts_a_link_of_a_live_run(tmp_path: Path) -> None:
                 assert "the clock knows" in watcher.call("/fleet/clock", do="speed", value=-1)
                 watcher.call("/fleet/clock", do="speed", value=10)
                 assert watcher.call("/fleet/clock", do="resume")["clock"] == "10 x real time"
+                assert tool(run.out, "stop").exit_code == 0
                 watcher.until(lambda: "the run is over" in watcher.told)  # it may come before the last messages
                 watcher.until(lambda: len(watcher.messages) == bridge.server.sent)
                 assert watcher.times == sorted(watcher.times)
-        assert run.status() == 0, run.printed
+        assert run.status() == 130, run.printed
         link = open_log(run.log)["link/1-2"]
         while_cut = (link.sent > cut["from_s"]) & (link.sent < cut["from_s"] + 0.5)
         assert while_cut.any() and set(link.fate[while_cut]) == {"down"}

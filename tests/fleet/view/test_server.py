@@ -10,11 +10,10 @@ import stat
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, suppress
 from pathlib import Path
-from signal import SIGINT
+from signal import SIGINT, Signals
 from urllib.parse import urlsplit
 from urllib.request import Request, urlopen
 
@@ -24,6 +23,7 @@ from marks import slow
 from repository import ROOT
 from traffic import Command
 from traffic import log as log
+from waiting import wait_for
 
 from fleet.errors import FleetError
 from fleet.processes.limits import allow_most_open_files
@@ -100,31 +100,26 @@ def test_without_a_screen_no_browser_is_opened(monkeypatch: pytest.MonkeyPatch) 
         assert not browser.open()
 
 
-@pytest.fixture
-def served(log: Path) -> Iterator[tuple[str, psutil.Process]]:
-    """The address of a page with its token, and its process, which may open no more files than most systems allow."""
+@pytest.fixture(scope="module")
+def viewer(log: Path) -> Iterator[Command]:
+    """A page that is served, by a process that may open no more files than most systems allow. The test of malformed
+    messages ends it."""
     pytest.importorskip("nicegui", reason="the extra [view] is not installed")
     allow_most_open_files()  # for our ends of the connections
-    with Command("view", log, "--no-open") as viewer:
-        resource.prlimit(viewer.pid, resource.RLIMIT_NOFILE, (1024, resource.getrlimit(resource.RLIMIT_NOFILE)[1]))
-        viewer.until("/?token=")
-        address = viewer.printed.split()[-1]
-        urlopen(address, timeout=60).close()
-        yield address, psutil.Process(viewer.pid)
+    with Command("view", log, "--no-open") as found:
+        resource.prlimit(found.pid, resource.RLIMIT_NOFILE, (1024, resource.getrlimit(resource.RLIMIT_NOFILE)[1]))
+        urlopen(address_of(found), timeout=60).close()
+        yield found
 
 
-def test_half_open_connections_do_not_shut_out_who_has_the_token(served: tuple[str, psutil.Process]) -> None:
-    address, _ = served
-    where = ("127.0.0.1", urlsplit(address).port)
-    with ExitStack() as held:
-        silent = [held.enter_context(socket.create_connection(where, 60)) for _ in range(1100)]
-        urlopen(address, timeout=60).close()
-        assert silent[0].recv(1) == b""  # each is closed after some seconds
+def address_of(viewer: Command) -> str:
+    """The address of the page, with its token."""
+    return viewer.until("/?token=").printed.split()[-1]
 
 
-def test_requests_without_a_token_do_not_fill_the_memory(served: tuple[str, psutil.Process]) -> None:
+def test_requests_without_a_token_do_not_fill_the_memory(viewer: Command) -> None:
     """Whoever sends headers without an end is cut off. Before, a hundred such connections took 250 MB in a second."""
-    address, process = served
+    address, process = address_of(viewer), psutil.Process(viewer.pid)
     where = ("127.0.0.1", urlsplit(address).port)
     before = process.memory_info().rss
     with ExitStack() as held:
@@ -139,41 +134,51 @@ def test_requests_without_a_token_do_not_fill_the_memory(served: tuple[str, psut
         urlopen(address, timeout=60).close()
 
 
-def test_malformed_messages_are_one_line_and_a_count(log: Path) -> None:
+def test_half_open_connections_do_not_shut_out_who_has_the_token(viewer: Command) -> None:
+    address = address_of(viewer)
+    where = ("127.0.0.1", urlsplit(address).port)
+    with ExitStack() as held:
+        silent = [held.enter_context(socket.create_connection(where, 60)) for _ in range(1100)]
+        urlopen(address, timeout=60).close()
+        assert silent[0].recv(1) == b""  # each is closed after some seconds
+
+
+def test_malformed_messages_are_one_line_and_a_count(viewer: Command) -> None:
     """Before, each printed a traceback, so a browser could fill the terminal, or the disk behind it."""
-    pytest.importorskip("nicegui", reason="the extra [view] is not installed")
     connect = pytest.importorskip("websockets.sync.client").connect
-    with Command("view", log, "--no-open") as viewer:
-        viewer.until("/?token=")
-        address = urlsplit(viewer.printed.split()[-1])
-        with urlopen(address.geturl(), timeout=60) as answer:
-            cookie = answer.headers["set-cookie"].partition(";")[0]
-        page = f"http://{address.netloc}"
-        with urlopen(Request(page, headers={"cookie": cookie}), timeout=60) as answer:
-            client = re.search(rb"[0-9a-f]{8}-[0-9a-f-]{27}", answer.read())
-        assert client is not None
-        asked = f"client_id={client[0].decode()}&next_message_id=0&tab_id=t&implicit_handshake=false&document_id=d"
-        ws = f"ws://{address.netloc}/_nicegui_ws/socket.io/?EIO=4&transport=websocket&old_tab_id=&{asked}"
-        with connect(ws, additional_headers={"cookie": cookie}, origin=page) as browser:
-            browser.send("40")
-            for malformed in ['42["handshake"]', "42[", "42{}", '42["event", 1]'] * 5:
-                browser.send(malformed)
-            browser.send('42["no_such_event", 1]')
-        viewer.send(SIGINT)
-        assert viewer.status() == 130
-        assert "Traceback" not in viewer.printed
-        assert viewer.printed.count("an error of the page") == 1
-        assert re.search(r"the page had \d+ errors in all", viewer.printed)
+    address = urlsplit(address_of(viewer))
+    with urlopen(address.geturl(), timeout=60) as answer:
+        cookie = answer.headers["set-cookie"].partition(";")[0]
+    page = f"http://{address.netloc}"
+    with urlopen(Request(page, headers={"cookie": cookie}), timeout=60) as answer:
+        client = re.search(rb"[0-9a-f]{8}-[0-9a-f-]{27}", answer.read())
+    assert client is not None
+    asked = f"client_id={client[0].decode()}&next_message_id=0&tab_id=t&implicit_handshake=false&document_id=d"
+    ws = f"ws://{address.netloc}/_nicegui_ws/socket.io/?EIO=4&transport=websocket&old_tab_id=&{asked}"
+    with connect(ws, additional_headers={"cookie": cookie}, origin=page) as browser:
+        browser.send("40")
+        for malformed in ['42["handshake"]', "42[", "42{}", '42["event", 1]'] * 5:
+            browser.send(malformed)
+        browser.send('42["no_such_event", 1]')
+    viewer.send(SIGINT)
+    assert viewer.status() == 130
+    assert "Traceback" not in viewer.printed
+    assert viewer.printed.count("an error of the page") == 1
+    assert re.search(r"the page had \d+ errors in all", viewer.printed)
 
 
 def test_a_second_ctrl_c_prints_no_traceback(log: Path) -> None:
     pytest.importorskip("nicegui", reason="the extra [view] is not installed")
     with Command("view", log, "--no-open") as viewer:
-        viewer.until("/?token=")
-        address = viewer.printed.split()[-1]
-        urlopen(address, timeout=60).close()  # it serves, so the signals are the server's
-        for _ in range(2):
-            viewer.send(SIGINT)
-            time.sleep(0.05)  # or both are one signal
+        urlopen(address_of(viewer), timeout=60).close()  # it serves, so the signals are the server's
+        viewer.send(SIGINT)
+        wait_for(lambda: viewer.over or not pending(viewer.pid, SIGINT), 60.0, "the first Ctrl-C")  # or both are one
+        viewer.send(SIGINT)
         assert viewer.status() == 130
         assert "Traceback" not in viewer.printed
+
+
+def pending(pid: int, number: Signals) -> bool:
+    """Whether a signal to a process waits until the process takes it."""
+    (waiting,) = re.findall(r"^ShdPnd:\s*([0-9a-f]+)", Path(f"/proc/{pid}/status").read_text(), re.MULTILINE)
+    return bool(int(waiting, 16) & 1 << number - 1)

@@ -18,6 +18,10 @@ pytest_plugins = ["in_process_runs"]
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
+# As in `fleet` itself: each worker's numpy would have a thread per core, and these spin while others compute. It counts
+# for the numpy that is imported after it.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 # A shell starts a command in the background with interrupts ignored, and the tests interrupt what they start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 # `nohup` has hang-ups ignored. With a handler they still do nothing here, and what the tests start begins without it.

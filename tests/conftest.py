@@ -13,7 +13,7 @@ from repository import ROOT
 # The package `benchmarks`. At the end, since an installed `fleet` comes first, which may be compiled.
 sys.path.append(str(ROOT))
 
-pytest_plugins = ["in_process_runs"]
+pytest_plugins = ["in_process_runs", "coarse_pictures"]
 
 # Some containers set it: each of the hundreds of processes, and pytest itself, would compile everything again.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)

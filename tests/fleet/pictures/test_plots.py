@@ -36,6 +36,8 @@ from fleet.result.file import read_result
 from netem.fault_kinds import LOSSES, Cause
 from netem.ledger import Account
 
+pytestmark = pytest.mark.usefixtures("coarse")
+
 
 @pytest.fixture(scope="module")
 def directories(made: Alone, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:

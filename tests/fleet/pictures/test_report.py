@@ -16,6 +16,8 @@ from fleet.pictures.report import network_facts, page
 from fleet.pictures.runs import View, load
 from fleet.scenario.loading import load_scenario
 
+pytestmark = pytest.mark.usefixtures("coarse")
+
 
 @pytest.fixture(autouse=True)
 def few(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -150,12 +150,14 @@ def test_a_nemesis_of_millions_of_faults_is_refused_before_they_are_made() -> No
     assert "3599990 faults" in problems(with_check)
 
 
-def test_what_a_nemesis_adds_counts_with_the_rest() -> None:
+def test_what_a_nemesis_adds_counts_with_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a limit of 50 faults in place of 5000."""
+    monkeypatch.setattr("fleet.scenario.rules.faults.MOST_FAULTS", 50)
     own = "faults: [{at: 1 s, for: 1 s, kill: 1}]\n"
-    most = "nemesis: {every: 10 ms, for: 10 ms, until: 50 s, pick: [kill]}\n"  # 4999 + 1
-    assert len(parse_scenario(PAPER + most, "x.yaml").spec.faults) == 4999
-    assert len(parse_scenario(PAPER + most + own, "x.yaml").spec.faults) == 5000
-    assert "expected at most 5000" in problems(PAPER + most + own.replace("]", ", {at: 2 s, for: 1 s, kill: 1}]"))
+    most = "nemesis: {every: 10 ms, for: 10 ms, until: 500 ms, pick: [kill]}\n"  # 49 + 1
+    assert len(parse_scenario(PAPER + most, "x.yaml").spec.faults) == 49
+    assert len(parse_scenario(PAPER + most + own, "x.yaml").spec.faults) == 50
+    assert "expected at most 50 " in problems(PAPER + most + own.replace("]", ", {at: 2 s, for: 1 s, kill: 1}]"))
 
 
 def test_a_list_of_too_many_faults() -> None:

@@ -17,11 +17,15 @@ from samples import take_all
 sys.path.append(str(ROOT))
 
 LEFT_OUT = without_packages(EXTRAS)
-pytest_plugins = ["in_process_runs"]
+pytest_plugins = ["in_process_runs", "coarse_pictures"]
 
 # Some containers set it: each of the hundreds of processes, and pytest itself, would compile everything again.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
+
+# As in `fleet` itself: each worker's numpy would have a thread per core, and these spin while others compute. It counts
+# for the numpy that is imported after it.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # A shell starts a command in the background with interrupts ignored, and the tests interrupt what they start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -56,13 +60,14 @@ def own_registry(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_collection(session: pytest.Session) -> Iterator[None]:
-    """Let the garbage collector look neither at each of the thousands of items while they are made, nor ever again."""
+    """Thousands of tests live to the end, so the garbage collector visits them neither while they are made nor ever."""
     gc.disable()
     try:
         return (yield)
     finally:
         gc.collect()
         gc.freeze()
+        gc.set_threshold(200_000)  # as in `fleet`
         gc.enable()
 
 

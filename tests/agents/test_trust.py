@@ -24,7 +24,6 @@ from agents.join import _admit
 from agents.join_file import JoinError
 from agents.plugins import laws
 from fleet.errors import ScenarioError
-from fleet.pictures.gallery import WHAT
 from fleet.pictures.runs import load
 from fleet.scenario.loading import load_scenario
 from fleet.study.failures import FailureFolder, FoundFailure
@@ -139,7 +138,7 @@ READING = (
 def test_reading_runs_nothing(where: str, victim: tuple[str, Path, str], monkeypatch: pytest.MonkeyPatch) -> None:
     """All that a reader shows stands in the log, the signals of laws that it never sees, too."""
     log, mark, name = victim
-    monkeypatch.setattr("fleet.pictures.report.WHAT", {"inputs": WHAT["inputs"]})  # `plot` draws more of the same
+    monkeypatch.setattr("fleet.pictures.report.WHAT", {"formation": ()})  # `plot` draws more of the same
     if where == "installed":
         monkeypatch.syspath_prepend(str(mark.parent / "site"))
         write_laws(mark.parent / "site", name)

@@ -53,7 +53,7 @@ from netem.grammar import parse_condition
 from netem.main import NetemProcess, RealtimeNetemProcess
 from netem.realtime_rounds import RealtimeRounds
 from netem.rounds import Rounds
-from netem.wire.bus import PART_BYTES
+from netem.wire.bus import PART_BYTES, Bus
 from netem.wire.codec import decode, encode
 from netem.wire.keys import Keys
 from netem.wire.messages import (
@@ -612,7 +612,9 @@ CONNECTIONS = st.one_of(
 @fuzz
 def test_no_connection_file_crashes_the_tools(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
     """`fleet ls` and `fleet status` say in a line what they make of any connection.json, without a traceback."""
-    with live_directory(tmp_path_factory.getbasetemp() / "fuzzed-runs") as run:
+    with pytest.MonkeyPatch.context() as patch, live_directory(tmp_path_factory.getbasetemp() / "fuzzed-runs") as run:
+        connect = Bus.connect
+        patch.setattr(Bus, "connect", lambda *given, **_: connect(*given, timeout_ms=50))  # nobody will ever answer
         (run / "connection.json").write_bytes(text.encode("utf-8", "surrogateescape"))
         for arguments in (["ls"], ["ls", "--json"], ["status"], ["status", "--run", str(run)]):
             result = typed(*arguments)

@@ -160,7 +160,7 @@ def test_a_division_by_zero_that_changes_no_result_is_no_warning(monkeypatch: py
 @pytest.mark.parametrize(
     ("what", "case", "seconds"),
     [
-        ("gain", Case("path", 10, 1.0), 20.0),
+        ("gain", Case("path", 10, 1.0), 8.0),
         pytest.param("gain", Case("star", 200, 1.0), 40.0, marks=pytest.mark.slow),
         pytest.param("gain", Case("ring", 100, 1.0, 0, "reference"), 40.0, marks=pytest.mark.slow),
         pytest.param("delay", Case("ring", 100, 0.9), 40.0, marks=pytest.mark.slow),

@@ -21,6 +21,8 @@ from fleet.scenario.text.yaml_reader import Source, inline, plain, read
 from netem.condition import Condition
 from netem.link_states import LinkStates, StateProcess
 
+pytestmark = pytest.mark.usefixtures("coarse")
+
 SECOND = 10**9
 
 

@@ -13,6 +13,8 @@ from tool import invoke
 
 from fleet.study.study import open_study
 
+pytestmark = pytest.mark.usefixtures("coarse")
+
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -24,7 +26,7 @@ def test_the_pictures_of_a_study_are_printed(study: Path, tmp_path: Path) -> Non
     assert found.exit_code == 0, found.output
     names = ["passed.png", "passed.svg", "e_rms_m.png", "e_rms_m.svg"]
     assert found.stdout.splitlines() == [str(tmp_path / name) for name in names]
-    assert (tmp_path / "passed.png").stat().st_size > 5000
+    assert (tmp_path / "passed.png").stat().st_size > 1000  # a picture of nothing has 300
 
 
 def test_without_a_place_they_go_into_the_study(tmp_path: Path) -> None:

@@ -17,6 +17,8 @@ from fleet.pictures.gallery import WHAT, draw
 from fleet.pictures.report import page, telling
 from fleet.pictures.runs import Run, View, load
 
+pytestmark = pytest.mark.usefixtures("coarse")
+
 CHECKS = (
     "checks={signal: ["
     "{name: shallow, topic: state.z, below: 7 m, after: 1 s}, {name: one, topic: control.leads, at_most_one: true}, "

@@ -36,6 +36,8 @@ from fleet.result.file import read_result
 from netem.fault_kinds import LOSSES, Cause
 from netem.ledger import Account
 
+pytestmark = pytest.mark.usefixtures("coarse")
+
 
 @pytest.fixture(scope="module")
 def directories(made: Alone, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
@@ -155,7 +157,7 @@ def test_heavy_where_a_command_is_at_its_limit(runs: dict[str, Run]) -> None:
 def test_logarithmic_errors(runs: dict[str, Run]) -> None:
     """Errors unless asked otherwise, other signals and ages only where asked."""
     for asked, scales in ((None, ["log", "log", "linear"]), (True, ["log"] * 3), (False, ["linear"] * 3)):
-        drawn = pictures(runs["faulty"], ["error", "ages"], View(log_scale=asked))
+        drawn = pictures(runs["faulty"], ["error", "ages"] if asked is not None else list(WHAT), View(log_scale=asked))
         assert [drawn[name].axes[0].get_yscale() for name in ("error", "formation", "ages")] == scales
 
 
@@ -418,7 +420,14 @@ def test_plot_beside_the_log_and_of_a_cut_one(directories: dict[str, Path]) -> N
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Reports with few pictures, which take most of the time."""
-    monkeypatch.setattr("fleet.pictures.report.WHAT", {"inputs": WHAT["inputs"]})
+    monkeypatch.setattr("fleet.pictures.report.WHAT", {"formation": ()})
+
+
+@pytest.fixture
+def without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reports that are words and tables."""
+    monkeypatch.setattr("fleet.pictures.report.WHAT", {})
+    monkeypatch.setattr("fleet.pictures.report.PER_RUN", set())
 
 
 @pytest.mark.usefixtures("few")
@@ -441,7 +450,7 @@ def test_report_is_one_file_that_loads_nothing(directories: dict[str, Path], tmp
     assert "tumbled FAIL" in words
 
 
-@pytest.mark.usefixtures("few")
+@pytest.mark.usefixtures("without_pictures")
 def test_report_says_what_is_missing(directories: dict[str, Path], tmp_path: Path) -> None:
     words = " ".join(Page(page([*load([directories["cut"]])], View())).words)
     assert "There is no result.json beside this log" in words
@@ -490,7 +499,7 @@ def test_ticks_of_a_logarithmic_axis(low: float, high: float, shown: str | None)
     assert " ".join(inside) == shown if shown else all("10^" in text for text in inside)
 
 
-@pytest.mark.usefixtures("few")
+@pytest.mark.usefixtures("without_pictures")
 def test_report_of_two_runs_with_verdicts_and_names_that_are_html(made: Alone) -> None:
     first = made("ideal", "duration=500 ms", "checks={formation_error: {below: 1 mm}}", 'title="<b>&</b>"')
     second = made("ideal", "checks={}", "duration=300 ms")

@@ -11,16 +11,17 @@ from tool import invoke
 
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.pictures.gallery import WHAT
 from fleet.pictures.report import network_facts, page
 from fleet.pictures.runs import View, load
 from fleet.scenario.loading import load_scenario
+
+pytestmark = pytest.mark.usefixtures("coarse")
 
 
 @pytest.fixture(autouse=True)
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """One picture, since they take most of the time."""
-    monkeypatch.setattr("fleet.pictures.report.WHAT", {"inputs": WHAT["inputs"]})
+    monkeypatch.setattr("fleet.pictures.report.WHAT", {"formation": ()})
 
 
 def test_report_names_the_run_that_latest_is_and_says_when_it_began(tmp_path: Path) -> None:

@@ -201,7 +201,7 @@ def test_ranges_without_a_navigator_are_not_drawn_and_old_ones_are_forgotten() -
 
 def test_in_three_dimensions_no_label_is_cut(alone: Alone) -> None:
     """The layout of a figure leaves no room for them: that of the depth was outside by some pixels."""
-    short = ("checks={}", "tick=100 ms", "log.every=100 ticks")
+    short = ("checks={}", "duration=30 s", "tick=100 ms", "log.every=20 ticks")
     figure = space(load([log_of(alone("formation-on-belief", *short))]), View())
     figure.draw_without_rendering()
     ax: Any = figure.axes[0]

@@ -21,6 +21,8 @@ from fleet.study.pictures.marks import REASONS
 from fleet.study.pictures.points import MADE, Points, VariedKey, load
 from fleet.study.store import Store
 
+pytestmark = pytest.mark.usefixtures("coarse")
+
 SAMPLE = ("network.links.*.loss=0 %..60 % latin 6", "network.links.*.delay=50 ms..1 s latin 6")
 STUDIES: dict[str, tuple[str, ...]] = {
     "heat": (LOSS, DELAY),

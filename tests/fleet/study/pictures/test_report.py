@@ -20,6 +20,8 @@ from fleet.study.pictures.report import write
 from fleet.study.record import BorderRecord, read_record
 from fleet.study.store import FILE, Store
 
+pytestmark = pytest.mark.usefixtures("coarse")
+
 
 @pytest.fixture(autouse=True)
 def few(monkeypatch: pytest.MonkeyPatch) -> None:

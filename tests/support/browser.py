@@ -92,7 +92,7 @@ class Tab:
 @contextmanager
 def browser() -> Iterator[Any]:
     """A browser; skips the test where there is none."""
-    api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: pip install '.[test]'")
+    api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: pip install '.[test-all]'")
     path = next((found for found in map(shutil.which, BROWSERS) if found), None)
     if path is None:
         pytest.skip(f"no browser: none of {', '.join(BROWSERS)} is on the PATH")

@@ -117,16 +117,20 @@ def test_a_flood_changes_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
         garbage = [b"\xc1", b"", b"\x91" * 40_000, encode(Hello("agent", 3, 0, 0, True))]
         note = encode(Note("agent-3", 3, 0, "!"))
 
+        def say(n: int) -> None:
+            for key in (keys.cmd(3), keys.tx(3), keys.note("agent-3")):
+                bus._session.put(key, garbage[n % len(garbage)])
+            bus._session.put(keys.note("agent-3"), note)
+
         def flood() -> None:
-            for n in range(3000):
+            for n in range(1, 3000):
                 if over.is_set():
                     break
                 with suppress(Exception):  # the router goes first
-                    for key in (keys.cmd(3), keys.tx(3), keys.note("agent-3")):
-                        bus._session.put(key, garbage[n % len(garbage)])
-                    bus._session.put(keys.note("agent-3"), note)
+                    say(n)
             bus.close()
 
+        say(0)  # here, so that the run is not over before
         threads.append(threading.Thread(target=flood, daemon=True))
         threads[0].start()
 

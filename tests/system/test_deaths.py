@@ -17,6 +17,7 @@ import psutil
 import pytest
 from ended_runs import CHECKS, LONG
 from first_difference import assert_same_bytes
+from hand import began
 from in_process_runs import Alone, log_of, recorded
 from live import FORKSERVER, LiveRun
 from marks import slow
@@ -158,13 +159,15 @@ def test_suspended_process_is_a_stall_that_names_it(suspended: str, tmp_path: Pa
 def test_suspension_shorter_than_the_timeout_changes_nothing(tmp_path: Path, alone: Alone) -> None:
     """Sim time does not know of the pause: the log is that of a run without it, byte for byte."""
     arguments = ["--duration", "4 s", "--set", CHECKS]
-    with LiveRun(tmp_path / "paused", "paper", *arguments, "--speed", "2") as run:
-        agent = run.until_running().role("agent 2")
+    with LiveRun(tmp_path / "paused", "paper", *arguments, "--speed", "0.05") as run:
+        hand, agent = began(run), run.role("agent 2")
         agent.suspend()
-        stood = run.logged_s()
-        # Nothing is written any more once what was under way has arrived.
         wait_for(lambda: agent.status() == psutil.STATUS_STOPPED, 60.0, "the suspension")
-        assert run.logged_s() - stood <= 1.0
+        stood = hand.now()
+        hand.clock("speed")  # as fast as it goes, which is not at all
+        # Nothing moves any more once what was under way has arrived.
+        wait_for(lambda: hand.now() == hand.now(), 60.0, "the standstill")
+        assert hand.now() - stood <= 1.0
         agent.resume()
         assert run.status() == 0, run.printed
         assert_same_bytes(log_of(alone("paper", CHECKS, "duration=4 s")), run.log)

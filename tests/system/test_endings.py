@@ -17,6 +17,8 @@ from pathlib import Path
 
 import psutil
 import pytest
+from ended_runs import LONG
+from hand import began
 from in_process_runs import recorded
 from live import FORKSERVER, LiveRun, gone
 from marks import slow
@@ -30,7 +32,6 @@ from fleet.processes.interrupts import DeferInterrupts, HungUp, holding_interrup
 from fleet.result.result import Status
 
 FLEET = [sys.executable, "-m", "fleet"]
-LONG = ["--duration", "60 s", "--speed", "5"]
 SHORT = ["run", "paper", "--in-process", "--duration", "500 ms", "--set", "checks={}"]
 
 
@@ -50,9 +51,11 @@ def test_a_suspended_fork_server_does_not_keep_a_run_from_ending(number: signal.
 
 @pytest.mark.slow
 def test_a_suspended_fork_server_at_the_end(tmp_path: Path) -> None:
-    arguments = ["--duration", "4 s", "--speed", "2", "--set", "checks={ledger: balanced}"]
+    arguments = ["--duration", "4 s", "--speed", "0.05", "--set", "checks={ledger: balanced}"]
     with LiveRun(tmp_path / "runs", "paper", *arguments) as run:
-        run.until_running().role(FORKSERVER).suspend()
+        hand = began(run)
+        run.role(FORKSERVER).suspend()
+        hand.clock("speed")  # as fast as it goes
         run.ends(0)
         assert LogReader(run.log).missing == ""
 
@@ -291,7 +294,7 @@ def _drain(descriptor: int, seen: bytearray) -> None:
 
 def _status(pid: int) -> int:
     with ExitStack() as stack:
-        killer = threading.Timer(30.0, os.kill, (pid, signal.SIGKILL))
+        killer = threading.Timer(60.0, os.kill, (pid, signal.SIGKILL))
         killer.start()
         stack.callback(killer.cancel)
         return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
@@ -309,7 +312,7 @@ start_forkserver()
 early = forkserver._forkserver._forkserver_pid
 children = Children(lambda _: None)
 children.start("role", "title", Path(argv[1]) / "role.log", print, "begun")
-children.by_role["role"].process.join(20)
+children.by_role["role"].process.join(60)
 children.stop()
 print(early == forkserver._forkserver._forkserver_pid)
 """
@@ -329,7 +332,7 @@ from fleet.processes.children import Children
 children = Children(lambda _: None)
 children.start("late", "late", Path(sys.argv[1]) / "late.log", print, "begun")
 process = children.by_role["late"].process
-process.join(20)
+process.join(60)
 children.stop()
 print(process.exitcode)
 """

@@ -143,7 +143,7 @@ def test_who_waits_can_be_told_to_stop(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_killed_one_is_sent_away_and_another_life_joins(tmp_path: Path) -> None:
     """A scripted kill with an end: two lives of agent 3, started by hand, give the log of two of our own."""
-    faults = "faults=[{at: 1 s, for: 1 s, kill: 3}]"
+    faults = "faults=[{at: 500 ms, for: 500 ms, kill: 3}]"
     expected = reference(tmp_path, *SHORT, faults)
     with LiveRun(tmp_path / "runs", "paper", *sets(*SHORT, EXTERNAL, faults)) as run:
         code, said = ended(agent(join_file(run)))
@@ -159,7 +159,7 @@ def test_a_killed_one_is_sent_away_and_another_life_joins(tmp_path: Path) -> Non
 def test_one_that_leaves(policy: str, tmp_path: Path) -> None:
     """Ctrl-C at `fleet agent`: its token goes, and `on_death` says what follows."""
     arguments = sets("duration=4 s", "checks={tumbled: waived, deaths: {at_most: 1}}", EXTERNAL, f"on_death={policy}")
-    with LiveRun(tmp_path / "runs", "paper", *arguments, "--speed", "0.3") as run:
+    with LiveRun(tmp_path / "runs", "paper", *arguments, "--speed", "0.05") as run:
         first = agent(join_file(run))
         wait_for(lambda: "agent 3 (external) has joined" in run.printed, READY_S, "agent 3")
         # Until then another one may come in its place, whatever the policy.

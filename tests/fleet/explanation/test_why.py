@@ -205,6 +205,7 @@ def test_what_healing_leaves_of_a_scenario() -> None:
     assert healed(tree, 3_500_000_000)["faults"][0] == tree["faults"][0] | {"id": "f1"}  # it is over by then
 
 
+@pytest.mark.usefixtures("coarse")
 def test_the_command(small_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fleet.study.engine.engine_of", lambda *_: nullcontext(Here()))
     picture = tmp_path / "why.png"

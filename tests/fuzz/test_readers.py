@@ -14,6 +14,8 @@ from shutil import copytree
 from typing import Any, NamedTuple
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from in_process_runs import Alone
 from live_directory import CONNECTION, live_directory
 from made_up_study import LOSS, made_up, usual
@@ -127,8 +129,12 @@ def path(who: str, made: Alone, tmp_path: Path) -> Iterator[Path]:
     found = tmp_path / reader.folder / reader.file
     if not reader.folder:
         found.touch(0o600)
-        found.write_bytes(reader.content if isinstance(reader.content, bytes) else reader.content.read_bytes())
+        found.write_bytes(content_of(reader))
     yield found
+
+
+def content_of(reader: Reader) -> bytes:
+    return reader.content if isinstance(reader.content, bytes) else reader.content.read_bytes()
 
 
 @pytest.mark.parametrize("who", READERS)
@@ -147,3 +153,26 @@ def test_a_reader_takes_its_file_and_refuses_all_else_in_words(who: str, path: P
         path.rmdir() if kind == "a directory" else path.unlink()
         path.touch(0o600)
         path.write_bytes(whole)
+
+
+SMALL = [who for who, reader in READERS.items() if reader.content]
+PIECES = [b"", b"-", b"9" * 400, b"nan", b"1e999", b"null", b"[", b"{}", b'"', b",", b"=", b"\n", b"\xff", b"\0", b"ms"]
+CHANGES = st.lists(st.tuples(st.floats(0, 1), st.sampled_from(PIECES) | st.binary(max_size=4)), min_size=1, max_size=4)
+
+
+@given(st.sampled_from(SMALL), CHANGES)
+def test_a_changed_file_is_taken_or_refused_in_words(
+    tmp_path_factory: pytest.TempPathFactory, who: str, changes: list[tuple[float, bytes]]
+) -> None:
+    reader = READERS[who]
+    path = tmp_path_factory.getbasetemp() / f"changed-{reader.file}"
+    data = content_of(reader)
+    for place, piece in changes:
+        at = int(place * len(data))
+        data = data[:at] + piece + data[at + 1 :]
+    path.touch(0o600)
+    path.write_bytes(data)
+    try:
+        reader.read(path)
+    except (AgentError, FleetError, NetemError) as error:
+        assert 0 < len(str(error)) < 5000  # noqa: PT017

@@ -10,9 +10,11 @@ import sys
 import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
+from shutil import copytree
 from typing import Any
 
 import pytest
+from in_process_runs import Alone
 from live_directory import live_directory
 from marks import slow
 from repository import ROOT
@@ -20,12 +22,8 @@ from tool import invoke
 
 from fleet.analysis.stability import oldest_s
 from fleet.errors import ScenarioError
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
-from fleet.pictures.report import page
-from fleet.pictures.runs import Run, View, load
 from fleet.result.file import ResultError, read_result
-from fleet.scenario.loading import _everywhere, load_scenario, parse_scenario
+from fleet.scenario.loading import _everywhere, parse_scenario
 from netem.lives import Absence, Lives
 
 PAPER = (ROOT / "fleet" / "scenario" / "shipped" / "paper.yaml").read_text("utf-8")
@@ -131,12 +129,11 @@ NASTY: tuple[Any, ...] = (
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def directory(made: Alone) -> Path:
     """A run with losses, a fault and a check."""
     words = ["duration=1 s", "network.links={'*': 'loss 30%'}", "faults=[{at: 300 ms, for: 200 ms, partition: halves}]"]
     words += ["checks={ledger: balanced, formation_error: {below: 1 mm}}"]
-    options = Options(tmp_path_factory.mktemp("runs"), in_process=True, quiet=True)
-    return load([execute(load_scenario("paper", words), options).directory])[0]
+    return made("paper", *words).directory
 
 
 def mutated(seed: int, whole: str) -> str:
@@ -175,26 +172,30 @@ def _places(values: Any) -> Iterator[tuple[Any, Any]]:
 
 
 @pytest.mark.parametrize("seeds", [range(60), *slow(range(60, 250))])
-def test_no_result_stops_a_report(seeds: range, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_result_stops_a_report(
+    seeds: range, directory: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of every variant: the page is made, with the verdicts or with what is wrong where; and tables from the log."""
+    from fleet.pictures.report import page
+    from fleet.pictures.runs import View, load
+
     monkeypatch.setattr("fleet.pictures.report.WHAT", {})
     monkeypatch.setattr("fleet.pictures.report.PER_RUN", set())
-    path = run.log.path.parent / "result.json"
+    copytree(directory, tmp_path / "run")
+    (run,) = load([tmp_path / "run"])
+    path = tmp_path / "run" / "result.json"
     whole = path.read_text()
     used = told = 0
-    try:
-        assert "result.json" not in page([run], View())
-        for seed in seeds:
-            path.write_text(mutated(seed, whole), "utf-8", "surrogatepass")
-            text = page([run] if seed % 3 else [run, run], View())
-            assert "<script>" not in text
-            damaged = "result.json is damaged: " in text or "is of another log" in text
-            counted = damaged or any(account.sent for account in read_result(path.parent).ledger.values())
-            assert ("Packets per directed link" in text) == counted
-            told += damaged
-            used += not damaged
-    finally:
-        path.write_text(whole)
+    assert "result.json" not in page([run], View())
+    for seed in seeds:
+        path.write_text(mutated(seed, whole), "utf-8", "surrogatepass")
+        text = page([run] if seed % 3 else [run, run], View())
+        assert "<script>" not in text
+        damaged = "result.json is damaged: " in text or "is of another log" in text
+        counted = damaged or any(account.sent for account in read_result(path.parent).ledger.values())
+        assert ("Packets per directed link" in text) == counted
+        told += damaged
+        used += not damaged
     print(f"{told} told, {used} used")
     assert told > 0.4 * len(seeds) and used > 0.1 * len(seeds)
 
@@ -207,8 +208,8 @@ def test_no_result_stops_a_report(seeds: range, run: Run, monkeypatch: pytest.Mo
         ({"digest": None}, r"Expected `str`, got `null` - at `\$.digest`"),
     ],
 )  # fmt: skip
-def test_a_damaged_result_is_told_where(change: dict[str, Any], why: str, run: Run, tmp_path: Path) -> None:
-    values = json.loads((run.log.path.parent / "result.json").read_text())
+def test_a_damaged_result_is_told_where(change: dict[str, Any], why: str, directory: Path, tmp_path: Path) -> None:
+    values = json.loads((directory / "result.json").read_text())
     (tmp_path / "result.json").write_text(json.dumps(values | change))
     with pytest.raises(ResultError, match=why):
         read_result(tmp_path)

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pandas as pd
 import pytest
 from made_up_study import LOSS, made_up, usual, with_holes
-from pandas.testing import assert_frame_equal
 from refusals import check_refusals, type_command
 from tool import invoke
 
-from fleet.study.study import open_study
+import fleet
 
 pytestmark = pytest.mark.usefixtures("coarse")
 
@@ -85,9 +83,12 @@ def test_a_file_instead_of_a_folder_is_refused_with_the_known_formats(study: Pat
 
 
 def test_a_study_is_exported_with_units_and_read_back(study: Path, tmp_path: Path) -> None:
+    import pandas as pd
+    from pandas.testing import assert_frame_equal
+
     found = invoke("export", study, "--csv", tmp_path / "a", "--parquet", tmp_path / "b")
     assert found.stdout.splitlines() == [str(tmp_path / "a" / "s.csv"), str(tmp_path / "b" / "s.parquet")]
-    frame = open_study(study).to_pandas()
+    frame = fleet.open_study(study).to_pandas()
     assert_frame_equal(pd.read_parquet(tmp_path / "b" / "s.parquet"), frame)
     table = pd.read_csv(tmp_path / "a" / "s.csv")
     assert table["network.links.*.loss [%]"].tolist() == frame["network.links.*.loss"].tolist()

@@ -31,7 +31,7 @@ TIGHT = "checks: {formation_error: {below: 5.5 m, vehicles: 1}, tumbled: waived}
 
 
 # What decides is when messages arrive, so these runs, which are made again and again, may have a coarse step.
-COARSE = ("tick=50 ms", "log.every=1 tick")
+COARSE, COARSER = ("tick=50 ms", "log.every=1 tick"), ("tick=100 ms", "log.every=1 tick")
 
 
 def recorded(folder: Path, name: str, *overrides: str) -> Path:
@@ -111,7 +111,7 @@ def test_a_check_that_is_not_there_is_said_before_anything_is_run(small_log: Pat
 
 def test_a_protocol_that_is_too_slow(tmp_path: Path) -> None:
     """Each link takes 1.5 s and nothing is lost: two leaders, whatever is healed."""
-    why = explained(recorded(tmp_path, "election-slow", "duration=7 s", *COARSE), "AtMostOneLeader")
+    why = explained(recorded(tmp_path, "election-slow", "duration=7 s", *COARSER), "AtMostOneLeader")
     assert why.at_s == 5.5
     assert why.faults == []
     assert set(why.lost) == {"on the way"}
@@ -124,7 +124,7 @@ def test_a_protocol_that_is_too_slow(tmp_path: Path) -> None:
 def test_healing_does_not_help_a_protocol_that_is_too_slow(tmp_path: Path) -> None:
     """A fault that has nothing to do with it."""
     faults = "faults=[{at: 1 s, for: 3 s, noise: {vehicles: 4, position_noise: 1 cm}}]"
-    why = explained(recorded(tmp_path, "election-slow", "duration=7 s", faults, *COARSE), "AtMostOneLeader", 2)
+    why = explained(recorded(tmp_path, "election-slow", "duration=7 s", faults, *COARSER), "AtMostOneLeader", 2)
     assert why.no_return.passes_s is None
     assert why.no_return.words.startswith("healing does not help: no healed run passes, not even the one without any")
     assert [(fault.what.partition(" ")[0], fault.on) for fault in why.faults] == [("noise", False)]
@@ -205,6 +205,7 @@ def test_what_healing_leaves_of_a_scenario() -> None:
     assert healed(tree, 3_500_000_000)["faults"][0] == tree["faults"][0] | {"id": "f1"}  # it is over by then
 
 
+@pytest.mark.usefixtures("coarse")
 def test_the_command(small_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fleet.study.engine.engine_of", lambda *_: nullcontext(Here()))
     picture = tmp_path / "why.png"

@@ -108,6 +108,7 @@ def test_check_log_judges_no_samples_that_it_cannot_read(
     assert "the schema of uuv/1/state cannot be used" in said("check", log)
 
 
+@pytest.mark.usefixtures("coarse")
 @pytest.mark.parametrize("command", [["plot"], ["report", "--force"]])
 def test_a_picture_of_what_are_no_numbers(command: list[str], run: Path, tmp_path: Path) -> None:
     log = changed(tmp_path / "a.mcap", run, other_schema("State", texts))
@@ -174,7 +175,8 @@ def test_a_log_of_others_may_have_any_time_that_can_be_one(run: Path, tmp_path: 
     assert sum(1 for _ in none) == 1000 and "beyond the year 2262" in none.missing
 
 
-@pytest.mark.parametrize("command", [["info"], ["plot", "--what", "error", "-o"], ["report", "--force", "-o"]])
+@pytest.mark.usefixtures("coarse")
+@pytest.mark.parametrize("command", [["info"], ["plot", "--what", "formation", "-o"], ["report", "--force", "-o"]])
 def test_readers_say_that_a_time_after_the_end_was_left_out(
     command: list[str], run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from in_process_runs import Alone, log_of
-from in_process_runs import alone as alone
 from mcap.writer import Writer
 
 import fleet
@@ -20,11 +19,15 @@ from fleet.logs.open_log import Log, Opening
 from fleet.logs.reader import LogReadError
 from fleet.logs.schemas import UINT32, MessageField, flat_schema
 
-pd = pytest.importorskip("pandas")
-xr = pytest.importorskip("xarray")
-scipy_io = pytest.importorskip("scipy.io")
 # What the files may say: udunits' own, with nothing of ours.
 UNITS = {"1", "m", "s", "rad", "N", "N m", "m/s", "rad/s", "1/s"}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def packages() -> None:
+    """They take a second to import, so that is not done while the tests are collected."""
+    for name in ("pandas", "xarray", "scipy.io"):
+        pytest.importorskip(name)
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +65,8 @@ def test_times_that_do_not_rise_are_no_index(log: Log) -> None:
 
 def test_a_table_for_pandas_says_its_units(log: Log, tmp_path: Path) -> None:
     """From the log, and from the Parquet that export writes."""
+    import pandas as pd
+
     frame = log.to_pandas("uuv/1/command")
     assert frame.attrs["units"]["t"] == "s" and frame.attrs["units"]["tau_1"] == "N m"
     assert "surge force" in frame.attrs["meanings"]["tau_0"]
@@ -75,11 +80,14 @@ def test_a_table_for_pandas_says_its_units(log: Log, tmp_path: Path) -> None:
 
 def test_netcdf_is_what_others_read(log: Log, tmp_path: Path) -> None:
     """By scipy's own reader and by xarray: names, units and numbers, and nothing beside the files that are named."""
+    import xarray as xr
+    from scipy.io import netcdf_file
+
     paths = export(log, tmp_path, "netcdf")
     assert {path.name for path in paths} == {path.name for path in tmp_path.iterdir()}
     of_file = {path.name: next(t for t in log if t.replace("/", "-") == path.stem) for path in paths[:-1]}
     for name, topic in of_file.items():
-        with scipy_io.netcdf_file(tmp_path / name, mmap=False) as file:
+        with netcdf_file(tmp_path / name, mmap=False) as file:
             assert file.Conventions == b"CF-1.11" and file.title == topic.encode() and file.seed == b"1"
             for variable, values in file.variables.items():
                 assert re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", variable)
@@ -97,6 +105,8 @@ def test_netcdf_is_what_others_read(log: Log, tmp_path: Path) -> None:
 
 def test_netcdf_of_another_programs_log(tmp_path: Path) -> None:
     """Fields whose names we use ourselves, units that are none, numbers for which NetCDF-3 has no integers."""
+    import xarray as xr
+
     fields = (
         MessageField("t", "V", "volts"),
         MessageField("sample", "furlong", "far"),

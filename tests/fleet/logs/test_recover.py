@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tracemalloc
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -106,16 +107,16 @@ def test_beside_the_log_by_default(log: Path, tmp_path: Path) -> None:
 # --- cut --------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("every", [41, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("every", [211, pytest.param(1, marks=pytest.mark.slow)])
 def test_cut_at_every_byte_of_the_last_chunk(every: int, log: Path, tmp_path: Path) -> None:
     """Reading gives every complete chunk and nothing else; only the uncut file is whole. (Behind the chunk stands what
-    is only an index: every 29th byte of that.)"""
+    is only an index, at every 29th byte or more.)"""
     data = log.read_bytes()
     whole = list(LogReader(log))
     (_, behind), (begin, end) = chunks(data)[-2:]
     before = len(read(tmp_path / "a", data[:begin])[0])
     assert 0 < before < len(whole)
-    for size in [*range(behind, end - 1, every), end - 1, end, *range(end + 1, len(data), 29)]:
+    for size in [*range(behind, end - 1, every), end - 1, end, *range(end + 1, len(data), max(29, every))]:
         found, missing = read(tmp_path / "a", data[:size])
         assert found == whole[: len(whole) if size >= end else before], size
         assert missing in (CUT, "the index is missing or damaged"), size
@@ -124,13 +125,15 @@ def test_cut_at_every_byte_of_the_last_chunk(every: int, log: Path, tmp_path: Pa
     assert read(tmp_path / "a", data) == (whole, "")
 
 
-def test_recovery_of_a_cut_file(log: Path, tmp_path: Path) -> None:
-    """At every 97th byte: nothing, or an indexed file with every complete chunk, its scenario, and what is missing."""
+@pytest.mark.parametrize("every", [499, pytest.param(97, marks=pytest.mark.slow)])
+def test_recovery_of_a_cut_file(every: int, log: Path, tmp_path: Path) -> None:
+    """At every so many bytes: nothing, or an indexed file with every complete chunk, its scenario, and what is lost."""
     data = log.read_bytes()
     whole = list(LogReader(log))
     ends = [behind for _, behind in chunks(data)]
     data_end = next(at for opcode, at, _ in records(data) if opcode == Opcode.DATA_END) + 13
-    for size in range(0, len(data), 97):
+    whole_chunks = [each + k for each in ends for k in (-1, 0, 1)]
+    for size in sorted({*range(0, len(data), every), *whole_chunks, data_end - 1, data_end}):
         found, messages, reader = mended(tmp_path / "a", data[:size])
         assert found.nothing == (size < ends[0])
         if found.nothing:
@@ -449,21 +452,23 @@ def test_a_fleet_killed_leaves_a_log_that_verifies(victim: str, tmp_path: Path) 
         assert invoke("diff", run.log, run.directory / "run.recovered.mcap", "-q").exit_code == 0
 
 
+@contextmanager
+def files_up_to(size: int) -> Iterator[None]:
+    """No file may grow beyond this many bytes."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
 def test_a_file_that_may_not_grow(tmp_path: Path) -> None:
     """Like a full disk, where nothing can be mounted: status 3, the reason, and what was written is a log."""
 
-    def limit() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (400_000, 400_000))
-
-    done = subprocess.run(
-        [sys.executable, "-m", "fleet", "run", "paper", "--in-process", "-q", "--out", str(tmp_path)],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-        preexec_fn=limit,
-    )
-    assert (done.returncode, done.stdout) == (3, f"{(tmp_path / 'latest').resolve()}\n")
+    with files_up_to(200_000):
+        done = invoke("run", "paper", "--in-process", "-q", "--out", tmp_path)
+    assert (done.exit_code, done.stdout) == (3, f"{(tmp_path / 'latest').resolve()}\n")
     assert "cannot write the log" in done.stderr and "File too large" in done.stderr
     assert "Traceback" not in done.stderr
     result = invoke("verify", tmp_path / "latest")
@@ -472,15 +477,10 @@ def test_a_file_that_may_not_grow(tmp_path: Path) -> None:
     assert invoke("recover", tmp_path / "latest").exit_code == 3
 
 
-def test_recovery_onto_a_full_disk(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_recovery_onto_a_full_disk(log: Path, tmp_path: Path) -> None:
     """No half of a file is left."""
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
-    try:
-        with pytest.raises(FleetError, match="File too large"):
-            recover(log, tmp_path / "out")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    with files_up_to(1000), pytest.raises(FleetError, match="File too large"):
+        recover(log, tmp_path / "out")
     assert not list(tmp_path.iterdir())
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from html_page import words_of
+from in_process_runs import Alone
 from tool import invoke
 
 from fleet.execution.execute import execute
@@ -59,9 +60,8 @@ def test_a_report_names_the_modem_and_what_was_changed_of_it() -> None:
     assert network_facts(load_scenario("ideal")) == [("network", "ideal: without latency")]
 
 
-def test_a_report_is_not_overwritten_without_force(tmp_path: Path) -> None:
-    scenario = load_scenario("ideal", ["duration=100 ms", "checks={}"])
-    log = execute(scenario, Options(tmp_path, in_process=True, quiet=True)).directory
+def test_a_report_is_not_overwritten_without_force(made: Alone, tmp_path: Path) -> None:
+    log = made("ideal", "duration=200 ms", "checks={}", "seed=7").directory
     out = tmp_path / "r.html"
     out.write_text("mine")
     arguments = ["report", str(log), "-o", str(out)]

@@ -20,30 +20,32 @@ from fleet.pictures.style import COLUMN_IN, LABEL_PT, LEGEND_PT, TEXT_PT
 
 @pytest.fixture(scope="module")
 def directory(made: Alone) -> Path:
-    return made("ideal", "duration=1 s", "checks={}", "seed=7").directory
+    return made("ideal", "duration=200 ms", "checks={}", "seed=7").directory
 
 
 def test_a_file_says_scenario_seed_and_digest(directory: Path, tmp_path: Path) -> None:
     """In PNG's text, PDF's information and SVG's Dublin Core; 300 dpi; the same bytes every time, so without a date."""
     for folder in ("a", "b"):
         runs = load([directory])
-        write(["inputs"], runs, View(), tmp_path / folder, ("png", "svg", "pdf"), print)
+        write(["formation"], runs, View(), tmp_path / folder, ("png", "svg", "pdf"), print)
     told = digest(directory / "run.mcap")
-    with Image.open(tmp_path / "a" / "inputs.png") as image:
+    with Image.open(tmp_path / "a" / "formation.png") as image:
         assert image.info["dpi"] == pytest.approx((300, 300), abs=0.1)
         assert image.size[0] == COLUMN_IN * 300
         assert {image.info["Scenario"], image.info["Seed"], image.info["Digest"]} == {"ideal", "7", told}
-        assert image.info["Title"].startswith("Force")
-    svg = (tmp_path / "a" / "inputs.svg").read_text()
+        assert image.info["Title"].startswith("Distance")
+    svg = (tmp_path / "a" / "formation.svg").read_text()
     assert f"<dc:description>scenario ideal, seed 7, digest {told}</dc:description>" in svg
     assert f"<rdf:li>digest={told}</rdf:li>" in svg
-    pdf = (tmp_path / "a" / "inputs.pdf").read_bytes()
+    pdf = (tmp_path / "a" / "formation.pdf").read_bytes()
     streams = b"".join(
         zlib.decompressobj().decompress(part) for part in re.findall(rb"stream\r?\n(x.*?)endstream", pdf, re.S)
     )
     assert f"digest {told}".encode() in pdf + streams
     for form in ("png", "svg", "pdf"):
-        assert (tmp_path / "a" / f"inputs.{form}").read_bytes() == (tmp_path / "b" / f"inputs.{form}").read_bytes()
+        assert (tmp_path / "a" / f"formation.{form}").read_bytes() == (
+            tmp_path / "b" / f"formation.{form}"
+        ).read_bytes()
 
 
 def test_one_typography() -> None:

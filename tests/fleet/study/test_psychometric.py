@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from scipy.stats import fisher_exact
 
 from fleet.study.borders import ENDS, RISING, SCALES, Array, PsychometricCurve, Rise, Walk, _fisher, steepest_rise
 
@@ -104,6 +103,8 @@ def test_a_pass_rate_that_rises_is_noticed() -> None:
 
 @pytest.mark.parametrize("table", [(0, 6, 6, 0), (2, 5, 4, 1), (5, 1, 1, 5), (0, 3, 0, 4)])
 def test_the_exact_test_is_that_of_scipy(table: tuple[int, int, int, int]) -> None:
+    from scipy.stats import fisher_exact
+
     passed, failed, passed_on, failed_on = table
     expected = fisher_exact([[passed, failed], [passed_on, failed_on]], alternative="less").pvalue
     assert _fisher(*table) == pytest.approx(expected)

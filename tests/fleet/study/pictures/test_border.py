@@ -17,7 +17,7 @@ from fleet.study.plan import Plan
 from fleet.study.spec import BoundarySpec
 from fleet.study.values import parse_axis
 
-DELAY, HOW = "delay=0 ms, 100 ms, 1 s", "neighbours.extrapolate=hold, neighbour"
+DELAY, FEW, HOW = "delay=0 ms, 100 ms, 1 s", "delay=0 ms, 1 s", "neighbours.extrapolate=hold, neighbour"
 
 
 pytestmark = pytest.mark.usefixtures("small_file")
@@ -58,7 +58,7 @@ def test_one_key_goes_to_the_right_and_runs_are_marked() -> None:
 
 
 def test_further_keys_are_lines_columns_and_rows() -> None:
-    borders = borders_of([DELAY, "network.period=50 ms, 100 ms", HOW], run=False)
+    borders = borders_of([FEW, "network.period=50 ms, 100 ms", HOW], run=False)
     figure = draw_borders(borders, said(borders))
     assert [ax.get_title().split("\n")[0] for ax in figure.axes] == ["period 50 ms", "period 100 ms"]
     (legend,) = figure.legends
@@ -102,6 +102,6 @@ def test_keys_and_names_are_text_and_never_formulas() -> None:
 
 def test_too_much_for_a_picture_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fleet.study.pictures.border.MOST_PANELS", 1)
-    borders = borders_of([DELAY, "network.period=50 ms, 100 ms", HOW], run=False)
+    borders = borders_of([FEW, "network.period=50 ms, 100 ms", HOW], run=False)
     with pytest.raises(StudyError, match="these are 2 panels, and a picture has 1 at most"):
         draw_borders(borders, said(borders))

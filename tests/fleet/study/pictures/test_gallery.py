@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import product
+from itertools import islice, product
 from pathlib import Path
 from typing import Any
 
@@ -170,17 +170,18 @@ def test_a_curve_has_a_band_for_each_word_and_a_logarithmic_axis_for_equal_ratio
 def test_many_panels_go_to_further_pictures_and_too_many_boxes_are_said() -> None:
     many = VariedKey("title", None, tuple(f"t{n}" for n in range(61)))
     some = VariedKey("title", None, many.values[:14])
-    found = [name for name, *_ in draw(points(56, VariedKey("speed", "m/s", (1.0, 2.0)), UP, some, seeds=1))]
-    assert found[:4] == ["passed", "passed-2", "e_rms_m", "e_rms_m-2"]
+    found = draw(points(56, VariedKey("speed", "m/s", (1.0, 2.0)), UP, some, seeds=1))
+    assert [name for name, *_ in islice(found, 3)] == ["passed", "passed-2", "e_rms_m"]
     (passed, *_) = draw(points(61, many))
     assert "61 boxes do not fit" in str(passed.figure)
 
 
 def test_names_are_text_and_never_formulas(tmp_path: Path) -> None:
     store = made_up(tmp_path / "s", LOSS, "title=$x^2 $\\frac$, _b, " + 60 * "x", row=usual)
-    for figure in figures(store).values():
+    found = figures(store)
+    for figure in found.values():
         figure.draw_without_rendering()
-    labels = legend_of(figures(store)["passed"])
+    labels = legend_of(found["passed"])
     assert labels[:2] == [r"\$x^2 \$\frac\$", " _b"]
     assert len(labels[2]) == 30
 

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from xml.etree import ElementTree
 
+import pytest
 from repository import ROOT
+
+pytest.importorskip("grimp", reason="import-linter is not installed: '.[test-all]'")
+
 from rooms import imports, named, rooms, svg
 
 STORED = ROOT / "docs" / "rooms.svg"

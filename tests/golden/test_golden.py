@@ -83,7 +83,7 @@ def true_error(tick: int, states: Any) -> Any:
     return e
 
 
-# Its quick test is the whole run in test_fleet_golden.py.
+# Its quick test is the run in test_fleet_golden.py, a third of it.
 IN_WHOLE_RUNS = ("net_10Hz_dr",)
 
 

@@ -26,6 +26,7 @@ def test_ci_runs_the_readme_test_command() -> None:
     assert commands((ROOT / ".ci" / "run").read_text("utf-8")) == [tests]
 
 
+@pytest.mark.once
 def test_a_property_test_that_hangs_ends_with_its_time(tmp_path: Path) -> None:
     """Hypothesis takes an exception for a failing example and calls the test again, without a time limit."""
     hangs = tmp_path / "test_hangs.py"

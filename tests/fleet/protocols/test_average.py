@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from protocol_network import Link, ProtocolNetwork, delivery, line, memory_goes_on, nav, ring, stand_still
+from samples import samples
 from small_scenario import small
 
 from agents.api import pack
@@ -53,7 +54,7 @@ def test_loss_makes_the_naive_one_agree_on_a_wrong_number() -> None:
     assert off(net, *MEASURED) > 0.1
 
 
-@settings(max_examples=20)
+@settings(max_examples=samples(40))
 @given(
     seed=st.integers(0, 10**6),
     loss=st.floats(0.0, 0.6),
@@ -69,7 +70,7 @@ def test_the_exact_one_finds_it_whatever_is_lost_late_or_repeated(
     assert off(net, *MEASURED) < 1e-6
 
 
-@settings(max_examples=20)
+@settings(max_examples=samples(40))
 @given(seed=st.integers(0, 10**6), victim=st.integers(1, 5), before=st.integers(0, 60), away=st.integers(1, 80))
 def test_a_vehicle_that_ends_takes_its_measurement_with_it_and_brings_it_back(
     seed: int, victim: int, before: int, away: int

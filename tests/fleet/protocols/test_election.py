@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from protocol_network import ROUND_TICKS, ProtocolNetwork, delivery, line, memory_goes_on, nav, ring, stand_still
+from samples import samples
 from small_scenario import small
 
 from agents.api import pack, unpack
@@ -66,7 +67,7 @@ def test_a_quorum_of_the_fleet_never_has_two_leaders(seed: int, links: Any, loss
             assert len(leaders(net)) <= 1
 
 
-@settings(max_examples=12)
+@settings(max_examples=samples(36))
 @given(seed=st.integers(0, 10**6), links=st.sampled_from(GRAPHS), quorum=st.sampled_from(["fleet", "side"]))
 def test_all_agree_within_the_bound_after_any_history(seed: int, links: Any, quorum: Any) -> None:
     """Two leases and seven times what news take across, after the last change; one lease after it one leads at most."""
@@ -110,7 +111,7 @@ def two_lead(seed: int) -> tuple[bool, bool]:
     return believed, leased
 
 
-@settings(max_examples=15)
+@settings(max_examples=samples(40))
 @given(seed=st.integers(0, 10**6))
 def test_nobody_leads_by_its_lease_while_another_does_also_suspended(seed: int) -> None:
     """At any true time, over pauses, deaths, restarts and partitions."""
@@ -142,7 +143,7 @@ def test_a_suspended_leader_leads_until_its_voters_are_free(quorum: str) -> None
     assert net.told[1]["leads_until"] == 0.0
 
 
-@settings(max_examples=15)
+@settings(max_examples=samples(40))
 @given(seed=st.integers(0, 10**6), quorum=st.sampled_from(["fleet", "side"]), loss=st.floats(0.0, 0.8))
 def test_a_leader_that_hears_nothing_more_leads_until_it_said(seed: int, quorum: str, loss: float) -> None:
     net = network(quorum, seed=seed)

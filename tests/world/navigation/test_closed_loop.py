@@ -7,10 +7,11 @@ from math import sqrt
 import numpy as np
 import pytest
 from in_process_runs import Alone, log_of
+from samples import samples
 
 from fleet.logs.open_log import open_log
 
-SEEDS, VEHICLES, SPEED_MPS, SECONDS = 6, 4, 0.7, 20
+SEEDS, VEHICLES, SPEED_MPS, SECONDS = samples(12), 4, 0.7, 20
 BIAS = 0.006  # of the way, ahead
 FEW = (f"duration={SECONDS} s", "tick=50 ms", "per_vehicle={}", "navigation.start=0 m", "checks={}")
 

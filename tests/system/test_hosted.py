@@ -12,7 +12,6 @@ import pytest
 from ended_runs import CHECKS, LONG
 from failing_laws import failing
 from failing_laws import module as module
-from fault_histories import EVERYTHING
 from first_difference import assert_same_bytes
 from hand import began
 from in_process_runs import Alone, log_of, recorded
@@ -32,17 +31,9 @@ def shared_run(out: Path, *overrides: str, per_process: int = 3) -> Result:
     return recorded(out, "paper", CHECKS, *overrides, f"agents.per_process={per_process}", in_process=False)
 
 
-@pytest.mark.parametrize(
-    "overrides",
-    [
-        # Ended, suspended, slowed and started again, while others of the same process go on.
-        ("duration=2 s", "network.links={'*': 'delay 200ms 50ms loss 30%'}", EVERYTHING),
-        ("duration=1.2 s", "vehicles=12", "graph.shape=ring", "network.period=10 ms", KILLED),
-    ],
-)
-def test_the_same_bytes_as_in_one_process_and_as_with_one_each(
-    overrides: tuple[str, ...], tmp_path: Path, alone: Alone
-) -> None:
+def test_the_same_bytes_as_in_one_process_and_as_with_one_each(tmp_path: Path, alone: Alone) -> None:
+    """Twelve agents of which two end, while others of the same process go on. Other mechanisms: test_same_bytes.py."""
+    overrides = ("duration=1.6 s", "vehicles=12", "graph.shape=ring", "network.period=10 ms", KILLED)
     together = shared_run(tmp_path / "together", *overrides)
     assert together.status is Status.PASS, (together.reason, together.lines)
     assert together.wall.per_process > 1

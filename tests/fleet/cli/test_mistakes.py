@@ -38,9 +38,13 @@ def files(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*")}
 
 
+@pytest.mark.parametrize("section", ["commands", pytest.param("page", marks=pytest.mark.extra)])
 def test_a_mistake_is_told_with_its_remedy_and_changes_nothing(
-    alone: Alone, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    section: str, alone: Alone, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    if section == "page":
+        for package in ("nicegui", "foxglove"):
+            pytest.importorskip(package, reason="an extra is not installed: '.[test-all]'")
     monkeypatch.setattr("fleet.study.engine.engine_of", lambda *_, **__: nullcontext(Here()))
     monkeypatch.chdir(tmp_path)
     there = FILES | {"run.mcap": log_of(alone("paper", "duration=2 s", "checks={}")).read_bytes()}
@@ -53,4 +57,4 @@ def test_a_mistake_is_told_with_its_remedy_and_changes_nothing(
         finally:
             assert files(tmp_path) == there, line
 
-    check_refusals("cli/commands", typed, hide={str(tmp_path): "HERE", LONG: "LONG"})
+    check_refusals(f"cli/{section}", typed, hide={str(tmp_path): "HERE", LONG: "LONG"})

@@ -362,7 +362,8 @@ def regress(folder: Path, accept: bool, junit: Path | None, how: Making) -> None
     of = len(regression.failures)
     with how.showing(lambda _, made, of: [Piece(0, [f"{made} / {of} runs"])]) as tell, how.engine() as engine:
         found = regression.run(engine, lambda made: tell(made, of), engine.carry(regression.modules))
-    changed = regression.accept(found) if accept else 0
+    if accept:
+        found = regression.accept(found)
     cli_junit.write(junit, folder.name, cli_junit.of_regress(found))
     if json_is_asked():
         from fleet.cli.documents.studies import regressed
@@ -371,10 +372,10 @@ def regress(folder: Path, accept: bool, junit: Path | None, how: Making) -> None
     else:
         _show_regressed(found)
     if accept:
-        say(f"{changed} expected verdicts are changed", err=True)
+        say(f"{sum(one.accepted for one in found)} expected verdicts are changed", err=True)
     if any(one.broken for one in found):
         sys.exit(3)
-    if not accept and not all(one.same for one in found):
+    if not all(one.same for one in found):
         sys.exit(1)
 
 
@@ -382,7 +383,8 @@ def _show_regressed(found: Sequence[Regressed]) -> None:
     for one in found:
         failure = one.failure
         wanted = f"fails {failure.check}" if failure.expected == "fail" else "passes"
-        say(f"{'as expected' if one.same else 'DIFFERS'}  {failure.file}: {one.got}"
+        verdict = "accepted" if one.accepted else "as expected" if one.same else "DIFFERS"
+        say(f"{verdict}  {failure.file}: {one.got}"
             + ("" if one.same else f"; expected: {wanted}"))  # fmt: skip
         if not one.same:
             click.echo(failure.paste)  # whole, however narrow the terminal is

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from math import inf
 from pathlib import Path
@@ -95,10 +95,15 @@ class FailureFolder:
         """Write a scenario and what is expected of it, in place of what was there of this name. Raises StudyError: it
         cannot be written."""
         path = self.path / failure.file
-        failure.paste = f"fleet run {path} --seed {failure.seed}  # fails {failure.check}, sha256 {failure.digest[:16]}"
+        failure.paste = self.paste(failure)
         self._write(path, scenario.to_yaml().encode())
         self.update([*(one for one in self.failures() if one.file != failure.file), failure])
         return failure
+
+    def paste(self, failure: FoundFailure) -> str:
+        """The line that runs a failure, with what comes of it."""
+        verdict = f"fails {failure.check}" if failure.expected == "fail" else "passes"
+        return f"fleet run {self.path / failure.file} --seed {failure.seed}  # {verdict}, sha256 {failure.digest[:16]}"
 
     def load(self, failure: FoundFailure, *, imports: bool = True) -> Scenario:
         """One of its scenarios; `imports` the laws that it names. Raises ScenarioError: with every mistake that was
@@ -164,6 +169,10 @@ class Regressed:
     broken: bool  # whether the run has no verdict
     differs: bool  # whether the same version of fleet made another log. A change of its code cannot be the reason
     wall_s: float  # duration of the run [s]
+    failed: tuple[str, ...] = ()  # the checks that fail now
+    digest: str = ""  # of its log
+    version: str = ""  # of fleet, that made the digest
+    accepted: bool = False  # whether this outcome has replaced the expected one
 
 
 class Regression:
@@ -199,13 +208,32 @@ class Regression:
         engine.make(tasks(), take, lambda: tell(len(rows)))
         return [_compared(failure, rows[number]) for number, failure in enumerate(self.failures)]
 
-    def accept(self, found: list[Regressed]) -> int:
-        """Expect from now on what came out; returns how many of them changed. Raises StudyError."""
-        changed = [one.failure for one in found if not one.same and not one.broken]
-        for failure in changed:
-            failure.expected = "pass" if failure.expected == "fail" else "fail"
+    def accept(self, found: list[Regressed]) -> list[Regressed]:
+        """Expect from now on what came out: the verdict, and the digest of the log.
+
+        A run that fails is expected to fail the check that it failed before, or else the first one that it fails.
+
+        Args:
+            found: What `run` returned.
+
+        Returns:
+            The same, with what is expected now.
+
+        Raises:
+            StudyError: The folder cannot be written.
+        """
+        settled = []
+        for one in found:
+            failure = one.failure
+            if not one.broken:
+                failure.expected = "fail" if one.failed else "pass"
+                if one.failed and failure.check not in one.failed:
+                    failure.check = one.failed[0]
+                failure.digest, failure.version = one.digest, one.version
+                failure.paste = self._folder.paste(failure)
+            settled.append(replace(one, same=not one.broken, differs=False, accepted=not (one.same or one.broken)))
         self._folder.update(self.failures)
-        return len(changed)
+        return settled
 
 
 def _compared(failure: FoundFailure, row: Row) -> Regressed:
@@ -217,7 +245,7 @@ def _compared(failure: FoundFailure, row: Row) -> Regressed:
     same = fails if failure.expected == "fail" else not failed
     got = f"fails {', '.join(failed)}" if failed else "passes"
     differs = row.version == failure.version and row.digest != failure.digest
-    return Regressed(failure, got, same, False, differs, wall_s)
+    return Regressed(failure, got, same, False, differs, wall_s, tuple(failed), row.digest or "", row.version)
 
 
 def make_least(

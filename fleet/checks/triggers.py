@@ -59,9 +59,8 @@ class Triggers:
         due = due_groups(self._scenario, values.tick)
         waiting = [one for one in self._waiting if one.asked.signal.group in due]
         found = [fault for one in waiting if (fault := self._begins(one, values)) is not None]
-        if found:
-            self._waiting = [one for one in self._waiting if one.left]
-            self.begun += found
+        self._waiting = [one for one in self._waiting if one.left]
+        self.begun += found
         return found
 
     def _begins(self, one: _Waiting, values: TickValues) -> FaultSection | None:
@@ -73,12 +72,15 @@ class Triggers:
             place = self._places[i].get(signal.name)
             numbers = () if place is None else values.values(i, signal.group)[place.values]
             value = signal.value(numbers) if numbers else None
-            if one.moment(i, None if value is None or isnan(value) else value):
-                one.left -= 1
+            one.left -= one.moment(i, None if value is None or isnan(value) else value)
             if not one.left:
-                at = at_ns + wait_ns(one.trigger, spec)
-                near = [j for j, _ in self._scenario.graph.neighbours(i)]
-                fault = fault_of(one.trigger, one.name, at, i, spec, near)
-                found = parts(fault, one.name, spec, self._scenario.graph.links)
-                return fault if acts(found) and at < spec.duration else None
+                return self._fault(one, at_ns + wait_ns(one.trigger, spec), i)
         return None
+
+    def _fault(self, one: _Waiting, at_ns: int, i: int) -> FaultSection | None:
+        """What begins because of vehicle i. A trigger is over with its moment, also if the fault acts on nothing."""
+        spec, graph = self._spec, self._scenario.graph
+        fault = fault_of(one.trigger, one.name, at_ns, i, spec, [j for j, _ in graph.neighbours(i)])
+        if fault is None or at_ns >= spec.duration:
+            return None
+        return fault if acts(parts(fault, one.name, spec, graph.links)) else None

@@ -154,7 +154,8 @@ def triggers(parts: Parts, report: Report) -> None:
             wrong = error.errors()[0]
             report.add((*path, "fault", *wrong["loc"]), str(wrong.get("ctx", {}).get("message", wrong["msg"])))
         else:
-            report_fault(report, (*path, "fault"), fault, spec, parts.links)
+            if fault is not None:  # with one vehicle there are no others
+                report_fault(report, (*path, "fault"), fault, spec, parts.links)
 
 
 def _signals(parts: Parts, report: Report) -> dict[int, Mapping[str, SignalPlace]] | None:

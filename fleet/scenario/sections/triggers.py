@@ -66,15 +66,36 @@ def wait_ns(trigger: TriggerSection, spec: ScenarioSpec) -> int:
 
 def fault_of(
     trigger: TriggerSection, name: str, at: int, i: int, spec: ScenarioSpec, near: Collection[int]
-) -> FaultSection:
-    """The fault that begins at a time [ns] because of what vehicle i reported; `near`: its neighbours.
+) -> FaultSection | None:
+    """The fault that begins because of what a vehicle reported.
 
-    Raises pydantic.ValidationError: it is no fault.
+    Args:
+        trigger: Whose moment has come.
+        name: Of the fault.
+        at: When it begins [ns].
+        i: The vehicle that reported it.
+        spec: Of the scenario.
+        near: The vehicles that it hears.
+
+    Returns:
+        The fault; None if it is to act on neighbours or others, and the vehicle has none.
+
+    Raises:
+        pydantic.ValidationError: It is no fault.
     """
     others = [j for j in range(1, spec.vehicles + 1) if j != i]
     numbers = {"itself": str(i), "others": ",".join(map(str, others)), "neighbours": ",".join(map(str, sorted(near)))}
+    if any(not numbers[word] for word in _relative(trigger.fault)):
+        return None
     times = {"at": f"{at} ns"} | ({} if trigger.for_ is None else {"for": f"{trigger.for_} ns"})
     return read_entry({"id": name, **times, **_resolved(trigger.fault, numbers)})
+
+
+def _relative(value: Any) -> set[str]:
+    """The words in a fault that stand for vehicles."""
+    if isinstance(value, dict):
+        return set().union(*(_relative(part) for item in value.items() for part in item))
+    return set(_RELATIVE.findall(value)) if isinstance(value, str) else set()
 
 
 def _resolved(value: Any, numbers: Mapping[str, str]) -> Any:

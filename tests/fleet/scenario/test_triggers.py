@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 
 import pytest
 from marks import slow
@@ -39,9 +38,9 @@ def election(triggers: str, *changes: str) -> Scenario:
     return parse_scenario(ELECTION + triggers, "t.yaml", changes, policy=Policy(imports=True))
 
 
-def begun(triggers: str, samples: Sequence[Sequence[float | None]]) -> list[tuple[int, str]]:
+def begun(triggers: str, samples: Sequence[Sequence[float | None]], *changes: str) -> list[tuple[int, str]]:
     """Tick and target of the faults that reports of `leads` begin: a row of samples for each tick, None without one."""
-    running = Triggers(election(triggers))
+    running = Triggers(election(triggers, *changes))
     found = []
     for tick, row in enumerate(samples):
         known = {(i, "control"): (value, *[0.0] * 5) for i, value in enumerate(row, 1) if value is not None}
@@ -121,21 +120,24 @@ def test_a_fault_that_acts_on_nothing_is_left_out() -> None:
     assert fired(scenario).spec.faults == []
 
 
-@pytest.mark.xfail(strict=True, reason="the next sample of any vehicle is taken for the moment")
-def test_a_fault_that_acts_on_nothing_is_not_left_to_another_vehicle() -> None:
-    """Vehicle 4 leads, and sends to nobody. Vehicle 1, which comes first, never led."""
-    one_way = ("graph={edges: {1->2: 1, 2->3: 1, 3->4: 1}}", "agent.parameters.quorum=side")
-    trigger = "  - {when: {topic: control.leads, above: 0}, fault: {down: itself->*}}\n"
-    (fault,) = fired(election(trigger, *one_way)).spec.faults or [None]
-    assert fault is None or fault.down != "1->*"
+ONE_WAY = "graph={edges: {1->2: 1, 2->3: 1, 3->4: 1}}"
 
 
-@pytest.mark.xfail(strict=True, reason="what is wrong with the fault is told by pydantic")
-def test_neighbours_of_a_vehicle_that_hears_nobody_are_a_mistake_or_nobody() -> None:
-    one_way = ("graph={edges: {1->2: 1, 2->3: 1, 3->4: 1}}", "agent.parameters.quorum=side")
-    trigger = "  - {when: {topic: control.leads, above: 0}, fault: {kill: neighbours}}\n"
-    with suppress(ScenarioError):
-        assert all(fault.kill for fault in fired(election(trigger, *one_way)).spec.faults)
+@pytest.mark.parametrize(
+    ("fault", "leader", "found"),
+    [
+        ("{down: itself->*}", 4, []),  # it sends to nobody, and vehicle 1, the first that is looked at, never led
+        ("{down: itself->*}", 3, [(2, "3->*")]),
+        ("{kill: neighbours}", 1, []),  # it hears nobody
+        ("{kill: neighbours}", 2, [(2, "1")]),
+    ],
+)
+def test_a_fault_that_acts_on_nothing_is_left_to_no_other_vehicle(
+    fault: str, leader: int, found: list[tuple[int, str]]
+) -> None:
+    samples = [tuple(float(leads and i == leader) for i in range(1, 5)) for leads in (False, True, True, False, True)]
+    trigger = f"  - {{when: {{topic: control.leads, above: 0}}, fault: {fault}}}\n"
+    assert begun(trigger, samples, ONE_WAY) == found
 
 
 @pytest.mark.parametrize(

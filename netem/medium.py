@@ -165,9 +165,13 @@ class IndependentLinks:
         """The inverse of `state`."""
 
 
+# Of a fault without an end: 73 years. A delay has 64 bits in the log and on the wire, and a copy comes still later.
+_LONGEST_NS = 2**61
+
+
 def _kept(outcomes: list[LinkOutcome], tick_ns: int, hold: int, again: int | None) -> list[LinkOutcome]:
     """The outcomes of a packet that is held for `hold` ticks at least, and comes once more, `again` ticks later."""
-    held = [one._replace(delay_ns=max(one.delay_ns, hold * tick_ns)) for one in outcomes]
+    held = [one._replace(delay_ns=max(one.delay_ns, min(hold * tick_ns, _LONGEST_NS))) for one in outcomes]
     first = held[0]
     if again is None or first.cause is not None:
         return held

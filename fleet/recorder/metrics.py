@@ -61,7 +61,7 @@ class Series:
     qp_counted: int = 0  # by the agent that runs now
     payloads_rejected: int = 0
     reported: tuple[float, ...] = ()  # what the agent told last
-    reported_s: float = -inf  # when
+    reported_tick: int | None = None  # when
 
 
 class _Places(NamedTuple):
@@ -94,7 +94,8 @@ class Metrics:
         self._disturbance = scenario.disturbance
         self._protocols = {i: AgentProtocol.of(scenario, i) for i in range(1, scenario.vehicles + 1)}
         # Who reported before the last round and the last frames reports no more.
-        self._silent_s = max(scenario.round_ticks, frame_every(scenario)) * self._tick_s
+        self._silent_ticks = max(scenario.round_ticks, frame_every(scenario))
+        self._tick = 0  # of the last frame
         self.times = array("d")
         self.series = {i: Series() for i in range(1, scenario.vehicles + 1)}
         self._vehicles = {
@@ -120,6 +121,7 @@ class Metrics:
             spots[row.id] = row.eta, plus(reference, plan.at(t).position if plan.changes else plan.start)
         elapsed = (t - self.times[-1] if self.times else 0.0) or self._tick_s
         self.times.append(t)
+        self._tick = frame.tick
         errors = {}
         for row in frame.vehicles:
             i, tau = row.id, row.tau
@@ -132,7 +134,7 @@ class Metrics:
                 series.effort_Ns += abs(tau[0]) * elapsed
             if i in commands and (telemetry := commands[i].telemetry):
                 _take(series, vehicle.places, telemetry)
-                series.reported, series.reported_s = telemetry, t
+                series.reported, series.reported_tick = telemetry, frame.tick
         return errors
 
     @property
@@ -207,6 +209,10 @@ class Metrics:
         at_s = self.times[last] if stayed(self.times, last, frames.stop, least) else None
         return Settled(at_s, slowest, getattr(self.series[slowest], what)[frames[-1]], least)
 
+    def _is_silent(self, series: Series) -> bool:
+        """Whether an agent ended before the run. Compared in ticks: of times in seconds the last bits decided."""
+        return series.reported_tick is None or self._tick - series.reported_tick > self._silent_ticks
+
     def summary(self) -> dict[str, VehicleResult]:
         """Per vehicle, the numbers of the result table; None where a vehicle has not settled."""
         if not self.times:
@@ -228,7 +234,7 @@ class Metrics:
                 qp_failures=series.qp_failures,
                 payloads_rejected=series.payloads_rejected,
                 agent=protocol.law,
-                signals=protocol.values(series.reported if end - series.reported_s <= self._silent_s else ()),
+                signals=protocol.values(() if self._is_silent(series) else series.reported),
             )
         return rows
 

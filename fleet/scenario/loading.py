@@ -108,7 +108,10 @@ class _Partial:
             if section is not None:
                 return _Partial(section, value)
             bad = {loc[0] for loc in locs}
-            return kind.validate_python({k: v for k, v in value.items() if k not in bad}, strict=True)
+            try:
+                return kind.validate_python({k: v for k, v in value.items() if k not in bad}, strict=True)
+            except ValidationError:  # what is left is too little, as one node of two
+                raise UnknownValueError from None
 
 
 @cache

@@ -52,6 +52,16 @@ def test_names_stand_where_numbers_do() -> None:
     assert found.link_name((2, 3)) == "b->shore"
 
 
+@pytest.mark.parametrize(
+    ("wrong", "key"),
+    [({"listem": "tcp/127.0.0.1:1"}, "nodes.a.listem"), (5, "nodes.a"), ({"listen": 7561}, "nodes.a.listen")],
+)
+@pytest.mark.parametrize("others", [["b"], ["b", "shore"]])
+def test_a_mistake_in_a_node_is_told_however_many_are_left(wrong: object, key: str, others: list[str]) -> None:
+    """Without the wrong one of two nodes the section would be too short, which nobody has to be told."""
+    assert mistakes(nodes={"a": wrong, **{name: NODES[name] for name in others}}).startswith(f"{key}: ")
+
+
 def test_the_record_of_a_run_loads_to_an_equal_scenario() -> None:
     found = scenario(
         carry=["*/x/**"], header="20 bytes", discovery="linked", lost_after="3 s", log={"payloads": "yes"},

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from marks import slow
 from refusals import check_refusals
@@ -476,6 +476,7 @@ WILD_OVERRIDES = st.lists(
 
 
 @given(WILD_OVERRIDES)
+@example(["nodes={0}"])
 def test_any_override_is_accepted_or_a_scenario_error(overrides: list[str]) -> None:
     """Wrong values of every type at every key: the validator itself never raises anything else."""
     accepted(*overrides)

@@ -98,7 +98,6 @@ def test_prestero_s_hull_turns_in_his_circle(rudder: float, diameter: float) -> 
     assert found == pytest.approx(level_circle(rudder), rel=0.01)
 
 
-@pytest.mark.once
 def test_the_table_of_circles_is_what_the_hulls_turn() -> None:
     page = (ROOT / "docs" / "background" / "plants.md").read_text("utf-8")
     rows = []

@@ -78,7 +78,7 @@ class Triggers:
         return None
 
     def _fault(self, one: _Waiting, at_ns: int, i: int) -> FaultSection | None:
-        """What begins because of vehicle i. A trigger is over with its moment, also if the fault acts on nothing."""
+        """The fault that vehicle i begins. A trigger ends with its moment, also if its fault acts on nothing."""
         spec, graph = self._spec, self._scenario.graph
         fault = fault_of(one.trigger, one.name, at_ns, i, spec, [j for j, _ in graph.neighbours(i)])
         if fault is None or at_ns >= spec.duration:

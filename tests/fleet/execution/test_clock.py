@@ -26,7 +26,7 @@ def clock(speed: float | None = None) -> LiveClock:
 
 @given(st.lists(DO, max_size=20), st.sampled_from([None, 1.0]))
 def test_it_holds_and_never_goes_back(done: list[tuple[str, float]], speed: float | None) -> None:
-    """A held clock grants no tick beyond the one at which it is held, however long one waits."""
+    """A held clock grants no tick after the one at which it is held. Waiting does not change that."""
     live, now = clock(speed), 0.0
     granted = live.until(0, now)
     for what, value in done:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
-from kinds import EXTRAS, FAST, NIGHTLY, ONCE, extra_of, without_packages
+from kinds import EXTRAS, FAST, NIGHTLY, NOT_FAST, ONCE, extra_of, without_packages
 from repository import ROOT
 from samples import take_all
 
@@ -98,7 +98,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker("slow")
         elif extra_of(place):
             item.add_marker("extra")
-        elif place.startswith(FAST) and item.get_closest_marker("slow") is None:
+        elif place.startswith(FAST) and place not in NOT_FAST and not [*item.iter_markers("slow")]:
             item.add_marker("fast")
     items.sort(key=lambda item: item.get_closest_marker("timeout") is None)
 

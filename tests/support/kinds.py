@@ -7,8 +7,18 @@ from importlib.util import find_spec
 
 # Pure functions, almost without processes: the loop while editing. Pages, pictures and whole runs are not here.
 FAST = (
-    *("tests/agents", "tests/netem", "tests/world", "tests/fleet/checks", "tests/fleet/processes"),
-    *("tests/fleet/protocols", "tests/fleet/recorder", "tests/fleet/scenario", "tests/fleet/terminal"),
+    *("tests/agents", "tests/netem", "tests/world"),
+    *("tests/fleet/checks", "tests/fleet/recorder", "tests/fleet/scenario", "tests/fleet/terminal"),
+)
+# Files of these folders that make whole runs or processes, or draw many samples: half of the time of the folders.
+NOT_FAST = (
+    *("tests/agents/test_following.py", "tests/agents/test_localization.py", "tests/agents/test_plugins.py"),
+    *("tests/agents/test_trust.py", "tests/netem/test_lives.py", "tests/netem/wire/test_certificate_router.py"),
+    *("tests/fleet/scenario/rules/test_plants.py", "tests/fleet/scenario/test_aloha.py"),
+    *("tests/fleet/scenario/test_episodes.py", "tests/fleet/scenario/test_sea_trial.py"),
+    *("tests/fleet/scenario/test_swarm.py", "tests/fleet/scenario/test_triggers.py"),
+    *("tests/world/navigation/test_closed_loop.py", "tests/world/navigation/test_filter.py"),
+    *("tests/world/test_realtime.py", "tests/world/test_world_golden.py"),
 )
 # An extra with the packages that its tests need, and their files. `[test]` installs none of them, `[test-all]` all.
 EXTRAS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
-from kinds import EXTRAS, FAST, NIGHTLY, NOT_FAST, ONCE, extra_of, without_packages
+from kinds import FAST, NIGHTLY, NOT_FAST, ONCE, extra_of, without_packages
 from repository import ROOT
 from samples import take_all
 
 # The package `benchmarks`. At the end, since an installed `fleet` comes first, which may be compiled.
 sys.path.append(str(ROOT))
 
-LEFT_OUT = without_packages(EXTRAS)
+LEFT_OUT = without_packages()
 pytest_plugins = ["in_process_runs", "coarse_pictures"]
 
 # Some containers set it: each of the hundreds of processes, and pytest itself, would compile everything again.
@@ -61,13 +61,15 @@ def own_registry(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_collection(session: pytest.Session) -> Iterator[None]:
     """Thousands of tests live to the end, so the garbage collector visits them neither while they are made nor ever."""
+    from fleet.__main__ import COLLECT_EVERY  # not at the top: the number of numpy's threads is set there
+
     gc.disable()
     try:
         return (yield)
     finally:
         gc.collect()
         gc.freeze()
-        gc.set_threshold(200_000)  # as in `fleet`
+        gc.set_threshold(COLLECT_EVERY)
         gc.enable()
 
 

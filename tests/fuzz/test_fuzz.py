@@ -1,9 +1,9 @@
 """Hostile input, wherever the outside can put some: it is refused in words, and no process crashes or hangs over it.
 
-What is fuzzed elsewhere, beside what it is about: single messages (`test_messages`), overrides and damaged scenarios
-(`test_scenario`, `test_checks`), link conditions, quantities, studies (`test_strange_studies`), results
-(`test_strange_files`), and small files (`test_readers`). Here are whole processes on a bus that is none, the operator's
-requests, files that claim to be logs, scenarios or live runs.
+Here are whole processes on a bus that is none, the operator's requests, and files that claim to be logs, scenarios or
+live runs. Other tests fuzz single messages (`test_messages`), overrides and damaged scenarios (`test_scenario`,
+`test_checks`), link conditions, quantities, studies (`test_strange_studies`), results (`test_strange_files`) and small
+files (`test_readers`).
 
 `FUZZ_EXAMPLES=20000 pytest tests/fuzz/test_fuzz.py` looks longer than the suite has time for.
 """

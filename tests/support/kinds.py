@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from importlib.util import find_spec
 
 # Pure functions, almost without processes: the loop while editing. Pages, pictures and whole runs are not here.
@@ -45,7 +44,7 @@ ONCE = (
     *("tests/house/test_rooms.py", "tests/house/test_site.py", "tests/house/test_study_example.py"),
     "tests/system/test_compiled.py",
 )
-# Of what nobody changes who changes the product: what measures it, and the paper's claims.
+# The benchmarks and the paper's claims: a change of the product seldom concerns them.
 NIGHTLY = ("tests/benchmarks", "tests/fleet/reproduce")
 
 
@@ -54,7 +53,9 @@ def extra_of(path: str) -> str:
     return next((name for name, (_, places) in EXTRAS.items() if path.startswith(places)), "")
 
 
-def without_packages(extras: Iterable[str] = EXTRAS) -> dict[str, str]:
+def without_packages() -> dict[str, str]:
     """Extras that cannot be tested here, with the first package that is missing."""
-    missing = {name: next((one for one in EXTRAS[name][0] if find_spec(one) is None), "") for name in extras}
+    missing = {
+        name: next((one for one in needed if find_spec(one) is None), "") for name, (needed, _) in EXTRAS.items()
+    }
     return {name: package for name, package in missing.items() if package}

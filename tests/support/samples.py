@@ -11,7 +11,7 @@ _divisor = [1]
 
 
 def take_all(every: bool) -> None:
-    """Said once, when pytest begins."""
+    """Choose the size of all samples. `conftest.py` calls it once, when pytest begins."""
     _divisor[0] = 1 if every else QUICK
 
 

@@ -213,8 +213,10 @@ def nonsense(keys: Keys) -> list[tuple[str, bytes]]:
 
 
 def notes(keys: Keys) -> list[tuple[str, bytes]]:
-    """What a hostile agent may put on the one key on which it reaches the console, which is for notes: garbage, what
-    only world and netem may say, or it could write the log, and lies."""
+    """What a hostile agent may put on its key for notes, the only one on which it reaches the console.
+
+    It puts garbage and lies. It also puts what only world and netem may say, which would end in the log.
+    """
     nav = encode(Nav(0, 3, (0.0,) * 5, (0.0,) * 5))
     frames = [
         encode(Frames(())),

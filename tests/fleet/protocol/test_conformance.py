@@ -134,7 +134,7 @@ Examined = Callable[[str, float], list[ProtocolCheck]]
 
 @pytest.fixture(scope="module")
 def examined(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Examined:
-    """Examines an agent with so much patience. With the least, all that are asked for wait at the same time."""
+    """Examines an agent with a given patience. With the least patience, it examines all agents at the same time."""
     mine = [item for item in request.session.items if item.path == request.path]
     wanted = [how for how in BROKEN if any(item.name.endswith(f"[{how}]") for item in mine)]
     folders = {how: tmp_path_factory.mktemp("broken") for how in BROKEN}

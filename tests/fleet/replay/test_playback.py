@@ -34,7 +34,7 @@ from netem.wire.open_bus import OpenBus
 
 
 class Nobody:
-    """A keyboard on which nobody types, and a clock that goes on while it is waited for, and only then."""
+    """A keyboard on which nobody types. Its clock stands still, and a wait moves it on."""
 
     def __init__(self) -> None:
         self.now_ns = 0

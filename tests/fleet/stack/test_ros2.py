@@ -54,7 +54,7 @@ def talker(port: int) -> Iterator[None]:
 
 
 def listened(stack: Stack, seconds: float) -> dict[str, Any]:
-    """What a program of the second robot hears, finds and is answered."""
+    """A program of the second robot tells which messages it hears, which services it finds, and their answer."""
     words = [sys.executable, ROBOT, "listen", str(stack.ports["auv2"]), str(seconds)]
     done = subprocess.run(words, capture_output=True, text=True, timeout=4 * LIMIT_S, check=True)
     found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])

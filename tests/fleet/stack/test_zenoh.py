@@ -1,4 +1,4 @@
-"""Robots whose programs are zenoh's own clients: what passes, to whom, when, and what the run says.
+"""The programs of these robots are zenoh's own clients. The tests ask what passes, to whom and when.
 
 Most tests ask one run, in which each has robots of its own that no other robot is a neighbour of.
 """
@@ -187,7 +187,7 @@ def test_who_comes_late_gets_what_a_publisher_of_another_robot_keeps(stack: Stac
 
 
 class Passed(NamedTuple):
-    """What the programs of three robots in a row heard of the messages of the first one."""
+    """The messages of the first of three robots in a row, as the program of each one heard them."""
 
     here: list[Any]
     there: list[Any]

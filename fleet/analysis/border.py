@@ -96,9 +96,9 @@ class VehicleRound:
             self._later[f] = after
             after = own @ after
         self._P = np.linalg.matrix_power(own, m)
-        self._values, vectors = np.linalg.eig(self._P)
-        self.unstable = int((np.abs(self._values) > 1.0).sum())
-        self.growth = float(np.abs(self._values).max())
+        self.poles, vectors = np.linalg.eig(self._P)
+        self.unstable = int((np.abs(self.poles) > 1.0).sum())
+        self.growth = float(np.abs(self.poles).max())
         # In terms of the eigenvectors of P the resolvent is a division. If eigenvalues meet, the vectors may not span
         # the space, and `resolvent` solves a linear system.
         self._outputs = self._C @ vectors
@@ -109,9 +109,9 @@ class VehicleRound:
 
     def own_mode(self) -> tuple[float, str]:
         """Angle of the largest eigenvalue of P, and the loop that it moves most."""
-        at = int(np.argmax(np.abs(self._values)))
+        at = int(np.argmax(np.abs(self.poles)))
         moved = np.abs(self._outputs[:3, at])
-        return abs(float(np.angle(self._values[at]))), LOOPS[int(np.argmax(moved))]
+        return abs(float(np.angle(self.poles[at]))), LOOPS[int(np.argmax(moved))]
 
     def resolvent(self, z: Complex, S: Any) -> Complex:
         """C (z - P)^-1 S at every z, for S (states, outputs)."""
@@ -119,7 +119,7 @@ class VehicleRound:
             moved: Complex = np.linalg.solve(z[:, None, None] * np.eye(len(S)) - self._P, S.astype(complex)[None])
             return np.asarray(self._C @ moved)
         each = self._outputs.T[:, :, None] * (self._inputs @ S)[:, None, :]  # what an eigenvector carries
-        shares: Complex = (1.0 / (z[:, None] - self._values)) @ each.reshape(len(each), -1)
+        shares: Complex = (1.0 / (z[:, None] - self.poles)) @ each.reshape(len(each), -1)
         return shares.reshape(len(z), *each.shape[1:])
 
     def answer(self, z: Complex, delay: int) -> Complex:
@@ -255,6 +255,12 @@ class LinearFleet:
         )
         if live < pi:
             angles = np.concatenate([angles, np.linspace(live, pi, 20)[1:]])
+        # A zero outside beside a pole inside is a whole turn between two angles that are farther apart than the two.
+        poles = np.concatenate([kind.poles for kind in {id(kind): kind for kind, _ in rows}.values()])
+        turned, distance = np.angle(poles), np.abs(1.0 - np.abs(poles))
+        sharp = (turned > 0.0) & (turned < live) & (distance < live / even)
+        close = turned[sharp, None] + distance[sharp, None] * [-1.0, 0.0, 1.0]
+        angles = np.union1d(angles, np.clip(close, 0.0, pi))
         answers = _answers(rows, angles)
         groups = _groups(answers)
         # Sign (a direction in the complex plane) and logarithm of det(I - T), per part.

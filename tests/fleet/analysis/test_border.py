@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from repository import ROOT
 
@@ -72,8 +72,18 @@ def fleets(draw: st.DrawFn) -> LinearFleet:
     return LinearFleet(tuple(members), draw(st.integers(1, 5)), 0.04)
 
 
+# A zero of its determinant leaves the circle at 0.34 Hz, beside a pole that stays inside. Between two angles that were
+# looked at the determinant made a whole turn, so the border was told 6 % too high.
+POLE_BESIDE_ZERO = LinearFleet(
+    tuple(Member(PAPER, 1.0, (Link((i + 1) % 3, 0.5, 1),), False, None, np.diag([1.0, 0.7, 0.9])) for i in range(3)),
+    1,
+    0.04,
+)
+
+
 @pytest.mark.filterwarnings("ignore:Generating overly large repr")  # of a large matrix
 @given(fleets(), st.floats(0.2, 5.0))
+@example(POLE_BESIDE_ZERO, 4.8)
 def test_as_many_modes_grow_as_the_matrix_has_eigenvalues_outside(fleet: LinearFleet, gain: float) -> None:
     """The turns of the determinant count the eigenvalues: hold, rounds, delays, caps and double zeros included."""
     sizes = np.abs(eigenvalues(fleet, gain))
@@ -100,6 +110,7 @@ def test_equal_vehicles_have_multiple_zeros() -> None:
 
 @pytest.mark.filterwarnings("ignore:Generating overly large repr")
 @given(fleets())
+@example(POLE_BESIDE_ZERO)
 @settings(max_examples=8)
 def test_the_mode_at_the_border_is_the_eigenvalue_that_leaves_the_circle(fleet: LinearFleet) -> None:
     """Whether vehicles excite each other, or one of them grows by itself."""

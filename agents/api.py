@@ -25,7 +25,7 @@ import agents
 from agents.config import AgentConfig
 from agents.errors import PayloadError
 from agents.formation_agent import FormationAgent
-from agents.laws.kinematics import earth_velocity, wrap
+from agents.laws.kinematics import earth_velocity, flight_path, wrap
 from agents.message import pack, unpack
 from agents.sample import NeighbourState, Sample, VelocityCommand
 from agents.trajectory import Motion
@@ -52,6 +52,7 @@ __all__ = [
     "VelocityCommand",
     "WholeAgent",
     "earth_velocity",
+    "flight_path",
     "pack",
     "unpack",
     "wrap",

@@ -63,6 +63,7 @@ Extrapolation = Literal["hold", "neighbour", "reference"]
 Cost = Literal["printed", "consistent"]
 Solver = Literal["piqp", "exact"]
 Angles = Literal["printed", "exact"]
+Astern = Literal["bow", "printed"]
 OnError = Literal["abort", "coast", "die"]
 Codec = Literal["full", "compact", "located"]
 Method = Literal["aid", "naive", "consistent"]
@@ -116,6 +117,7 @@ class TrackingParams:
     u_eps: float  # m/s  least speed in the direction cosines
     phi: Vec3 = (1.0, 1.0, 1.0)  # m/s, rad/s, rad/s: boundary layers of sliding mode
     angles: Angles = "printed"  # direction of the velocity: theta + theta', psi + psi', or the true angles
+    astern: Astern = "bow"  # what is steered below 0.1 m/s of surge: the bow, or the velocity as printed
 
 
 @dataclass(frozen=True, slots=True)

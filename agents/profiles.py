@@ -28,6 +28,7 @@ _TRACKING = TrackingParams(
         1.0,
     ),  # chosen; with disturbance, the tracking error z of sliding mode is 0.044 m/s at phi = 1, 0.004 at 0.1
     angles="printed",
+    astern="bow",
 )
 
 # The paper's cost and parameters. Stable with at least 10 messages per second and at most 0.5 s of delay.

@@ -13,6 +13,10 @@
 | tau | surge force, pitch moment, yaw moment, before any limit | N, N m | body | (35), (45) |
 | C_r | cos(theta') cos(psi'), kept away from 0 | 1 | - | (35) |
 
+The paper takes for granted that u > 0. Astern the pitch of the velocity falls as the bow rises, so the law as printed
+leaves its depth at full speed. With `astern: bow` it steers the bow below ASTERN: theta' and psi' are those of a
+vehicle that goes ahead at ASTERN, and thrust acts on u alone. The exact direction is no cure: the vehicle tumbles.
+
 The flavours differ in A alone: -K2 err plus the derivatives of the commands (*backstepping*: BC, BOC), a shunting model
 in place of err and no derivatives, which the paper then counts as disturbances (*neurodynamic*: NBC, NBOC), a
 saturated switching term (*sliding mode*: BSMC). All derivatives are filtered differences (see `filters`).
@@ -24,7 +28,7 @@ from math import asin, atan2, cos, exp, sin
 from typing import Any, ClassVar
 
 from agents.config import AgentConfig
-from agents.laws.kinematics import RateFilter, flow_angles, wrap
+from agents.laws.kinematics import ASTERN, RateFilter, flow_angles, wrap
 from agents.sample import Sample, VelocityCommand
 from world.signal import Signal
 from world.vectors import Vec3
@@ -61,19 +65,20 @@ _ERRORS = (
 _DEMAND = Signal("demand", "N, N m", "surge force, pitch moment, yaw moment before the limits", 3)
 _RATES = Signal("cmd_rate", "m/s^2, rad/s^2", "filtered derivatives of u_cmd, q_cmd, r_cmd", 3)
 _COMMON = frozenset(
-    {"k_u", "k_q", "k_r", "k_theta", "k_psi", "tau_f", "u_floor", "rho_eps", "cos_eps", "u_eps", "angles"}
+    {"k_u", "k_q", "k_r", "k_theta", "k_psi", "tau_f", "u_floor", "rho_eps", "cos_eps", "u_eps", "angles", "astern"}
 )
 
 
 class _Backstepping:
     """The common part. Each flavour has its own `_act`, and its own signals between errors and demand."""
 
-    __slots__ = ("_exact", "_filters", "_m", "_params")
+    __slots__ = ("_bow", "_exact", "_filters", "_m", "_params")
 
     def __init__(self, config: AgentConfig) -> None:
         p = config.vehicle
         self._params = config.tracking
         self._exact = config.tracking.angles == "exact"
+        self._bow = config.tracking.astern == "bow"
         self._m = (*p.inertia, p.beta_u, p.beta_v, p.beta_w, p.beta_q, p.beta_r, p.beta_b)
         # Rates of theta_cmd, psi_cmd, theta', psi', in this order.
         self._filters = tuple(RateFilter(config.tracking.tau_f, angle=True) for _ in range(4))
@@ -89,15 +94,17 @@ class _Backstepping:
         u, v, w, q, r = sample.nu
         u_cmd, theta_cmd, psi_cmd = command
         rate_theta_cmd, rate_psi_cmd, rate_attack, rate_sideslip = self._filters
-        u_a, attack, sideslip = flow_angles(u, v, w)
+        astern = self._bow and u < ASTERN
+        ahead = ASTERN if astern else u
+        u_a, attack, sideslip = flow_angles(ahead, v, w)
         g = max(u_a, k.u_eps)
         if self._exact:
             sth = sin(theta)
-            attack = asin(max(-1.0, min(1.0, (u * sth - w * cos(theta)) / g))) - theta
-            sideslip = atan2(v, u * cos(theta) + w * sth)
+            attack = asin(max(-1.0, min(1.0, (ahead * sth - w * cos(theta)) / g))) - theta
+            sideslip = atan2(v, ahead * cos(theta) + w * sth)
 
         # Errors of speed and direction.
-        u_err = u_a - u_cmd
+        u_err = (u if astern else u_a) - u_cmd
         theta_err = wrap(theta + attack - theta_cmd)
         psi_err = wrap(psi + sideslip - psi_cmd)
 
@@ -110,10 +117,13 @@ class _Backstepping:
         (A1, A2, A3), inner = self._act((u_err, q_err, r_err), (u_cmd, q_cmd, r_cmd), dt)
 
         # Surge: thrust acts along the axis, so the speed along the velocity gains by its cosine.
-        C = u / g
-        if -k.cos_eps < C < k.cos_eps:
-            C = k.cos_eps if C >= 0.0 else -k.cos_eps
-        tau1_star = v / g / m2 * (m1 * u * r + beta_v * v) - w / g / m3 * (m1 * u * q - beta_w * w)
+        if astern:
+            C, tau1_star = 1.0, 0.0
+        else:
+            C = u / g
+            if -k.cos_eps < C < k.cos_eps:
+                C = k.cos_eps if C >= 0.0 else -k.cos_eps
+            tau1_star = v / g / m2 * (m1 * u * r + beta_v * v) - w / g / m3 * (m1 * u * q - beta_w * w)
         tau1 = -m2 * v * r + m3 * w * q + beta_u * u + m1 / C * (tau1_star + A1)
         tau2 = -(m3 - m1) * u * w + beta_q * q + beta_b * sin(theta) - m4 * theta_err + m4 * A2
         tau3 = -(m1 - m2) * u * v + beta_r * r - m5 * psi_err / max(cth, k.cos_eps) + m5 * A3

@@ -10,7 +10,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isfinite, sqrt
+from math import inf, isfinite, sqrt
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -43,8 +43,11 @@ from world.vectors import Vec3
 # with rho_d during the prediction, and R1 weighs rho - rho_d: e1 = e + s (rho - rho_d). The printed one pulls
 # rho to rest, so on an axis where the formation moves towards the error it prefers the least gain.
 #
-# The bounds on rho win over k_min, never over the sign of the gain (eq. 22). The paper has no k_max. Without it a
-# periodic disturbance increases the gain step by step, until the inner loop cannot follow.
+# The bounds on rho win over k_min, never over the sign of the gain (eq. 22) or k_max. While rho_lo <= rho_d <= rho_hi
+# there is a gain that keeps them; else there may be none, and the last gain is held.
+#
+# The paper has no k_max. Without it a periodic disturbance increases the gain step by step, until the inner loop cannot
+# follow.
 
 
 # A bound that is only just active leaves an interior point sqrt(tolerance) away from it. Measured on random
@@ -110,13 +113,14 @@ def build_qp(e: Vec3, c: float, rho_d: Vec3, rho0: Vec3, K0: Vec3, params: Guida
         R2 = params.R2[axis]
         P.append(2.0 * (ei * ei * (Q * s * s + R1 + R2) + p))
         q.append(-2.0 * (p * K0[axis] + ei * (Q * s * (ei + pull * s * vi) + pull * R1 * vi + R2 * (vi - rho0[axis]))))
-        top = k_max
-        if ei > 0.0:
-            top = min(top, (vi - params.rho_lo[axis]) / ei)
-        elif ei < 0.0:
-            top = min(top, (vi - params.rho_hi[axis]) / ei)
+        rho_lo, rho_hi = params.rho_lo[axis], params.rho_hi[axis]
+        if ei == 0.0:
+            bottom, top = 0.0, k_max if rho_lo <= vi <= rho_hi else -inf
+        else:
+            one, other = (vi - rho_lo) / ei, (vi - rho_hi) / ei
+            bottom, top = (other, min(k_max, one)) if ei > 0.0 else (one, min(k_max, other))
         hi.append(top)
-        lo.append(max(min(k_min, top), 0.0))
+        lo.append(max(min(k_min, top), bottom, 0.0))
     return GainProblem((P[0], P[1], P[2]), (q[0], q[1], q[2]), (lo[0], lo[1], lo[2]), (hi[0], hi[1], hi[2]), e)
 
 
@@ -131,12 +135,12 @@ def solve(problem: GainProblem, solver: Solver = "piqp") -> Solution | NoSolutio
     free: list[int] = []
     for axis in (0, 1, 2):
         width = hi[axis] - lo[axis]
+        if width < 0.0:
+            return NoSolution(problem, f"axis {axis}: no gain >= 0 keeps rho within its bounds")
         if not isfinite(P[axis] + q[axis] + width):
             return NoSolution(problem, f"axis {axis}: not a finite problem")
         if P[axis] <= 0.0:
             return NoSolution(problem, f"axis {axis}: the cost does not depend on the gain")
-        if width < 0.0:
-            return NoSolution(problem, f"axis {axis}: no gain >= 0 keeps rho within its bounds")
         if width * max(1.0, abs(e[axis])) <= FIXED_RANGE:
             K[axis] = lo[axis]
         else:

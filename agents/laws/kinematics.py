@@ -29,6 +29,7 @@ from world.vectors import Vec3
 
 
 TWO_PI = 2.0 * pi
+ASTERN = 0.1  # m/s of surge, chosen: well below every speed of the runs in which no vehicle fails
 
 
 def wrap(angle: float) -> float:
@@ -117,3 +118,22 @@ def flow_angles(u: float, v: float, w: float) -> Vec3:
     when u < 0 and has no value at u = 0.
     """
     return sqrt(u * u + v * v + w * w), atan2(-w, hypot(u, v)), atan2(v, u)
+
+
+def flight_path(eta: Sequence[float], nu: Sequence[float]) -> Vec3:
+    """Speed, pitch and course of a velocity, as a law should steer them.
+
+    Astern, the pitch of the velocity falls as the bow rises: a law that steers it turns away from its depth. So below
+    `ASTERN` these are the surge, which is then nearly the speed and has a sign, and the pitch and course of a vehicle
+    that goes ahead at `ASTERN`.
+
+    Args:
+        eta: x, y, z [m, NED], theta, psi [rad].
+        nu: u, v, w [m/s, body, over ground], q, r [rad/s].
+
+    Returns:
+        Speed [m/s], pitch [rad, up > 0] and course [rad, from north to east].
+    """
+    u, v, w, q, r = nu
+    north, east, down = earth_velocity(eta, (max(u, ASTERN), v, w, q, r))
+    return u if u < ASTERN else hypot(north, east, down), atan2(-down, hypot(north, east)), atan2(east, north)

@@ -2,7 +2,7 @@
 
 from math import atan2, hypot
 
-from agents.api import AgentConfig, Sample, Signal, wrap
+from agents.api import AgentConfig, Sample, Signal, flight_path, wrap
 
 
 class LeaderFollower:
@@ -31,10 +31,11 @@ class LeaderFollower:
         north, east, down = (v + shrink * c for v, c in zip(velocity, correction))
 
         # Compare directions of motion, not of the hull: these vehicles drift sideways when they turn.
-        (vn, ve, vd), (u, v, w, q, r), (m1, m2, m3, *_) = sample.velocity, sample.nu, self.inertia
-        pitch_error = atan2(vd, hypot(vn, ve)) - atan2(down, hypot(north, east))
-        yaw_error = wrap(atan2(east, north) - atan2(ve, vn))
-        surge = hypot(north, east, down) + 6.0 * (hypot(north, east, down) - hypot(vn, ve, vd))
+        (u, v, w, q, r), (m1, m2, m3, *_) = sample.nu, self.inertia
+        own_speed, theta, psi = flight_path(sample.eta, sample.nu)
+        pitch_error = -theta - atan2(down, hypot(north, east))
+        yaw_error = wrap(atan2(east, north) - psi)
+        surge = hypot(north, east, down) + 6.0 * (hypot(north, east, down) - own_speed)
         pitch = 15.0 * pitch_error - 10.0 * q - (m3 - m1) * u * w
         yaw = 10.0 * yaw_error - 8.0 * r - (m1 - m2) * u * v
         return (surge, pitch, yaw), {"error": hypot(*error)}

@@ -182,6 +182,7 @@ FIELDS: dict[type, dict[str, Meaning]] = {
         "u_eps": ("real", "m/s", "least speed in the direction cosines"),
         "phi": ("real[3]", "m/s, rad/s, rad/s", "boundary layers of sliding mode"),
         "angles": ("str", "", "printed or exact"),
+        "astern": ("str", "", "what is steered below 0.1 m/s of surge: bow, or the velocity as printed"),
     },
 }
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from math import atan2, hypot
 from typing import Any
 
-from agents.api import AgentConfig, Delivery, Nav, Signal, earth_velocity, wrap
+from agents.api import AgentConfig, Delivery, Nav, Signal, flight_path, wrap
 
 PAYLOAD = struct.Struct("<3f")  # what we send to our neighbours: our position, in single precision
 
@@ -51,12 +51,11 @@ class TheLaw:
         north, east, down = (v + self._gain * e for v, e in zip(velocity, error, strict=True))
         speed = hypot(north, east, down)
         (u, v, w, q, r), (m1, m2, m3, *_) = nav.nu, config.vehicle.inertia
-        x, y, z, theta, psi = nav.eta
-        vn, ve, vd = earth_velocity((x, y, z, theta, psi), (u, v, w, q, r))
-        pitch_error = atan2(vd, hypot(vn, ve)) - atan2(down, hypot(north, east))
-        yaw_error = wrap(atan2(east, north) - atan2(ve, vn))
+        own_speed, theta, psi = flight_path(nav.eta, nav.nu)
+        pitch_error = -theta - atan2(down, hypot(north, east))
+        yaw_error = wrap(atan2(east, north) - psi)
         tau = (
-            speed + 6.0 * (speed - hypot(vn, ve, vd)),
+            speed + 6.0 * (speed - own_speed),
             15.0 * pitch_error - 10.0 * q - (m3 - m1) * u * w,
             10.0 * yaw_error - 8.0 * r - (m1 - m2) * u * v,
         )

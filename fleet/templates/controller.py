@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import atan2, hypot
 from typing import Any
 
-from agents.api import AgentConfig, Sample, Signal, wrap
+from agents.api import AgentConfig, Sample, Signal, flight_path, wrap
 
 
 class TheLaw:
@@ -40,10 +40,11 @@ class TheLaw:
 
         # From the commanded velocity to forces. Directions of motion are compared, not of the hull, because these
         # vehicles drift sideways when they turn; the last terms cancel the moment that the drift causes.
-        (vn, ve, vd), (u, v, w, q, r), (m1, m2, m3, *_) = sample.velocity, sample.nu, self._inertia
-        pitch_error = atan2(vd, hypot(vn, ve)) - atan2(down, hypot(north, east))
-        yaw_error = wrap(atan2(east, north) - atan2(ve, vn))
-        surge = speed + 6.0 * (speed - hypot(vn, ve, vd))
+        (u, v, w, q, r), (m1, m2, m3, *_) = sample.nu, self._inertia
+        own_speed, theta, psi = flight_path(sample.eta, sample.nu)
+        pitch_error = -theta - atan2(down, hypot(north, east))
+        yaw_error = wrap(atan2(east, north) - psi)
+        surge = speed + 6.0 * (speed - own_speed)
         pitch = 15.0 * pitch_error - 10.0 * q - (m3 - m1) * u * w
         yaw = 10.0 * yaw_error - 8.0 * r - (m1 - m2) * u * v
         return (surge, pitch, yaw), {"distance": hypot(*error), "command": (north, east, down)}

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from math import atan2, hypot
 from typing import Any
 
-from agents.api import AgentConfig, Sample, Signal, VelocityCommand, wrap
+from agents.api import AgentConfig, Sample, Signal, VelocityCommand, flight_path, wrap
 
 
 class TheLaw:
@@ -27,10 +26,11 @@ class TheLaw:
         """One control sample: surge force [N], pitch and yaw moment [N m]; and the telemetry."""
         # `command` is speed [m/s], theta and psi [rad] of the velocity that guidance asks for. Directions of motion
         # are compared, not of the hull, because these vehicles drift sideways when they turn.
-        (vn, ve, vd), (u, v, w, q, r), (m1, m2, m3, *_) = sample.velocity, sample.nu, self._inertia
-        speed_error = command.speed - hypot(vn, ve, vd)
-        pitch_error = wrap(command.theta + atan2(vd, hypot(vn, ve)))
-        yaw_error = wrap(command.psi - atan2(ve, vn))
+        (u, v, w, q, r), (m1, m2, m3, *_) = sample.nu, self._inertia
+        speed, theta, psi = flight_path(sample.eta, sample.nu)
+        speed_error = command.speed - speed
+        pitch_error = wrap(command.theta - theta)
+        yaw_error = wrap(command.psi - psi)
         surge, pitch, yaw = self._gains
         tau = (
             command.speed + surge * speed_error,

@@ -505,8 +505,9 @@ def test_guards(theta: float, nu: Any) -> None:
 
 
 def test_at_rest_the_thrust_still_has_a_direction() -> None:
-    """Below u_eps the cosine shrinks with the speed; above, a straight run has cosine 1."""
+    """Below u_eps the printed cosine shrinks with the speed; above, a straight run has cosine 1."""
     config = agent_config(1)
+    config = replace(config, tracking=replace(config.tracking, astern="printed"))
     for u, cosine in ((0.01, 0.5), (0.019, 0.95), (0.5, 1.0)):
         tracking = NeurodynamicTracking(config)
         sample = sample_of((0.0,) * 5, (u, 0.0, 0.0, 0.0, 0.0))

@@ -127,11 +127,16 @@ def test_entry_points_are_read_once_for_all_vehicles(
 ) -> None:
     """Reading them opens a file of every installed package."""
     point, read = EntryPoint("my-law", f"{module(GOOD)}:Law", loading.LAWS), []
-    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: read.append(group) or [point])
+
+    def entry_points(group: str) -> list[EntryPoint]:
+        read.append(group)
+        return [point] if group == loading.LAWS else []  # pydantic asks, too, if this is the first test of a process
+
+    monkeypatch.setattr("importlib.metadata.entry_points", entry_points)
     fleet = scenario("controller=my-law")
     for i in range(1, fleet.vehicles + 1):
         make_agent(fleet.agent_config(i))
-    assert read == [loading.LAWS]
+    assert read.count(loading.LAWS) == 1
 
 
 def test_import_path_and_entry_point(module: Callable[[str], str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -215,7 +220,7 @@ def test_an_entry_point_that_cannot_be_used(module: Callable[[str], str], monkey
         written = module(changed(change))
         hide[written] = "mine"
         point = EntryPoint("my-law", f"{written}:{attribute}", loading.LAWS)
-        monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point])
+        monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point] if group == loading.LAWS else [])
         loading.installed.cache_clear()
         with pytest.raises(ScenarioError) as refused:
             scenario("controller=my-law")

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, PlainSerializer
 
-from agents.config import Angles, Cost, Extrapolation, Method, Solver
+from agents.config import Angles, Astern, Cost, Extrapolation, Method, Solver
 from fleet.scenario.schema import value_types as v
 from fleet.scenario.schema.navigation import NavigationChoice
 from fleet.scenario.schema.value_types import Section, word_for
@@ -120,6 +120,7 @@ class TrackingSection(Section):
     phi: v.Layers | None = None
     tau_f: v.Time | None = None
     angles: Angles | None = None
+    astern: Astern | None = None  # what is steered below 0.1 m/s of surge
     u_floor: v.Speed | None = None
     rho_eps: v.Speed | None = None
     cos_eps: v.PositiveNumber | None = None

@@ -19,7 +19,6 @@ from agents.trajectory import Motion
 from fleet.result.result import Result
 from fleet.templates import agent, controller, tracking
 
-
 sys.path.insert(0, str(ROOT / "docs" / "examples"))
 from leader_follower import LeaderFollower
 

@@ -73,12 +73,11 @@ class ActiveFaults(NamedTuple):
     deaf: frozenset[int]
     up: frozenset[Link]  # links that are up whatever their own condition says
     slow: dict[int, int]  # vehicle -> by how many ticks what it sends is late
-    hold: dict[Link, int]  # for how many ticks a packet sent now is kept at least
+    hold: dict[Link, bool]  # links whose packets are kept; true: the last one comes first
     again: dict[Link, int]  # by how many ticks later a copy of it comes
 
 
 NO_FAULTS = ActiveFaults({}, {}, frozenset(), frozenset(), frozenset(), {}, {}, {})
-_FOR_GOOD = 2**40  # ticks: longer than any run
 
 
 def active_faults(faults: tuple[NetFault, ...], tick: int) -> ActiveFaults:
@@ -93,7 +92,7 @@ def active_faults(faults: tuple[NetFault, ...], tick: int) -> ActiveFaults:
     deaf: set[int] = set()
     up: set[Link] = set()
     slow: dict[int, int] = {}
-    hold: dict[Link, int] = {}
+    hold: dict[Link, bool] = {}
     again: dict[Link, int] = {}
     for fault in active:
         match fault.kind:
@@ -109,9 +108,7 @@ def active_faults(faults: tuple[NetFault, ...], tick: int) -> ActiveFaults:
             case "slow":
                 slow |= {i: max(fault.ticks, slow.get(i, 0)) for i in fault.vehicles}
             case "hold":
-                # In the reverse order packets come as far behind the end as they were sent before it.
-                left = _FOR_GOOD if fault.end is None else (fault.end - tick) * (2 if fault.values else 1)
-                hold |= {link: max(left, hold.get(link, 0)) for link in fault.links}
+                hold |= dict.fromkeys(fault.links, bool(fault.values))
             case "duplicate":
                 again |= dict.fromkeys(fault.links, fault.ticks)
             case "mute":
@@ -119,3 +116,13 @@ def active_faults(faults: tuple[NetFault, ...], tick: int) -> ActiveFaults:
             case "deaf":
                 deaf.update(fault.vehicles)
     return ActiveFaults(conditions, cut, frozenset(mute), frozenset(deaf), frozenset(up), slow, hold, again)
+
+
+def release_tick(faults: tuple[NetFault, ...], link: Link, tick: int) -> int | None:
+    """The first tick, from `tick` on, at which no fault holds the packets of a link. None: one lasts to the end."""
+    holds = [fault for fault in faults if fault.kind == "hold" and link in fault.links]
+    while over := [fault.end for fault in holds if fault.active(tick)]:
+        if None in over:
+            return None
+        tick = max(end for end in over if end is not None)
+    return tick

@@ -14,7 +14,7 @@ from netem.impairment import LinkModel, LinkOutcome
 from netem.ledger import Ledger
 from netem.link_states import LinkStates, StateProcess
 from netem.link_trace import TraceProcess
-from netem.transit import PendingPacket, Transit
+from netem.transit import HeldPacket, PendingPacket, Transit
 from netem.vehicle_clock import Clocks
 from netem.wire.messages import Fate
 
@@ -142,8 +142,10 @@ class IndependentLinks:
             self._transit.lose(Fate(tick, src, dst, seq, 0, tick, tick, 0, cut, False, payload))
             return
         outcomes = links.enter(tick * config.tick_ns, link, seq, payload, faults)
-        if faults.hold or faults.again:
-            outcomes = _kept(outcomes, config.tick_ns, faults.hold.get(link, 0), faults.again.get(link))
+        ours = len(outcomes)  # beside them is the copy that a fault adds
+        if link in faults.again and outcomes[0].cause is None:
+            later_ns = faults.again[link] * config.tick_ns
+            outcomes = [*outcomes, outcomes[0]._replace(delay_ns=outcomes[0].delay_ns + later_ns)]
         links.ledger.enter(link, sent=1, duplicated=len(outcomes) - 1)
         for copy, outcome in enumerate(outcomes):
             ticks = -(-outcome.delay_ns // config.tick_ns) + faults.slow.get(src, 0)
@@ -151,6 +153,8 @@ class IndependentLinks:
             packet = PendingPacket(due, tick, src, seq, copy, dst, outcome.delay_ns, outcome.payload, outcome.corrupted)
             if outcome.cause is not None:
                 self._transit.lose(packet.fate(tick, outcome.cause))
+            elif link in faults.hold:
+                self._transit.hold(HeldPacket(packet, faults.again[link] if copy >= ours else 0, faults.hold[link]))
             else:
                 self._transit.add(packet)
 
@@ -163,16 +167,3 @@ class IndependentLinks:
 
     def restore(self, values: dict[str, Any]) -> None:
         """The inverse of `state`."""
-
-
-# Of a fault without an end: 73 years. A delay has 64 bits in the log and on the wire, and a copy comes still later.
-_LONGEST_NS = 2**61
-
-
-def _kept(outcomes: list[LinkOutcome], tick_ns: int, hold: int, again: int | None) -> list[LinkOutcome]:
-    """The outcomes of a packet that is held for `hold` ticks at least, and comes once more, `again` ticks later."""
-    held = [one._replace(delay_ns=max(one.delay_ns, min(hold * tick_ns, _LONGEST_NS))) for one in outcomes]
-    first = held[0]
-    if again is None or first.cause is not None:
-        return held
-    return [*held, first._replace(delay_ns=first.delay_ns + again * tick_ns)]

@@ -20,7 +20,7 @@ from netem.config import NetemConfig
 from netem.faults import NetFault, active_faults, fault_from_values, fault_values
 from netem.impairment import LinkMemory, LinkModel
 from netem.medium import IndependentLinks, Medium, MediumRound, Place, make_links
-from netem.transit import PendingPacket, Transit
+from netem.transit import HeldPacket, PendingPacket, Transit
 from netem.vehicle_clock import Clocks
 from netem.wire.messages import Delivery, Fate, MeasuredRange
 
@@ -47,6 +47,7 @@ class _State(Struct, omit_defaults=True):
     unheard: list[Fate]
     ledger: list[tuple[int, int, dict[str, Any]]]
     ranges: list[tuple[tuple[int, int, int, int], MeasuredRange]] = []
+    held: list[HeldPacket] = []
 
 
 class Netem:
@@ -96,6 +97,8 @@ class Netem:
         until = tick if ideal else tick + self.config.round_ticks
         alive = transmissions.keys() if positions is None else positions.keys()
         self._medium.carry(MediumRound(tick, until, transmissions, positions, faults, self._clocks))
+        if transit.held:
+            transit.release(self.faults, until, tick if ideal else tick + 1)
         # On an ideal network today's packets are due today, so they are announced before they are settled.
         fates = [] if ideal else transit.settle(tick)
         inboxes, unheard = transit.announce(alive, until, faults, self._clocks)
@@ -135,6 +138,7 @@ class Netem:
             transit.lost,
             [(*link, account.to_values()) for link, account in links.ledger.accounts.items()],
             sorted(transit.ranges.items(), key=itemgetter(0)),
+            [held for link in sorted(transit.held) for held in transit.held[link]],
         )
         values: dict[str, Any] = msgspec.to_builtins(state, builtin_types=(bytes,))
         return values | self._medium.state()
@@ -154,5 +158,8 @@ class Netem:
         transit.pending = {i: [] for i in self.config.vehicles}
         for packet in state.pending:
             transit.pending[packet.dst].append(packet)  # sorted, and a sorted list is a heap
+        transit.held = {}
+        for held in state.held:
+            transit.hold(held)
         transit.announced, transit.lost, transit.ranges = state.announced, state.unheard, dict(state.ranges)
         self._medium.restore(values)

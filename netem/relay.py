@@ -18,11 +18,11 @@ from netem.acoustic import AcousticChannel
 from netem.condition import Link, lost_share
 from netem.config import NetemConfig
 from netem.fault_kinds import Cause
-from netem.faults import ActiveFaults, active_faults
+from netem.faults import ActiveFaults, active_faults, release_tick
 from netem.histogram import Histogram
 from netem.medium import IndependentLinks, MediumRound, Place, make_links
 from netem.network import fate_order
-from netem.transit import PendingPacket, Transit
+from netem.transit import HeldPacket, PendingPacket, Transit
 from netem.wire.messages import Fate, MeasuredRange
 
 PUT, DELETE, QUERY, REPLY, DATAGRAM = ("put", "delete", "query", "reply", "datagram")
@@ -76,20 +76,32 @@ class _Outbox(Transit):
         self.now: PacketPart | None = None  # what enters a link now; None: in water, where `named` says it
         self.named: dict[tuple[int, int], PacketPart] = {}  # by (src, seq)
         self.heap: list[tuple[int, int, PendingPacket, PacketPart]] = []
+        self._parts: dict[tuple[int, int, int, int], PacketPart] = {}  # of what a fault holds
         self.final: list[Carried] = []
         self.begin_ns = self.reported = 0  # nothing becomes final before this tick any more
-        self._tick_ns = config.tick_ns
         self._count = 0
 
     def add(self, packet: PendingPacket, measured: MeasuredRange | None = None) -> None:
-        part = self.now
-        if part is not None:
+        part = self._parts.pop(packet.name, None)  # faults have the grain of a tick
+        if part is None and self.now is not None:
+            part = self.now
             due_ns = part.message.at_ns + packet.delay_ns
         else:
-            part = self.named[packet.src, packet.seq]
+            part = part or self.named[packet.src, packet.seq]
             due_ns = self.begin_ns + packet.due_tick * self._tick_ns
         self._count += 1
         heappush(self.heap, (due_ns, self._count, packet, part))
+
+    def hold(self, held: HeldPacket) -> None:
+        super().hold(held)
+        assert self.now is not None
+        self._parts[held.packet.name] = self.now
+
+    def all_held(self) -> list[tuple[PendingPacket, PacketPart]]:
+        """What faults hold still, for the end of the run."""
+        packets = [held.packet for all_held in self.held.values() for held in all_held]
+        self.held = {}
+        return [(packet, self._parts.pop(packet.name)) for packet in packets]
 
     def lose(self, fate: Fate) -> None:
         part = self.now or self.named[fate.src, fate.seq]
@@ -143,6 +155,10 @@ class Relay:
     def due_ns(self) -> int | None:
         """When there is something to do next; None: not before a message comes."""
         due = self._out.heap[0][0] if self._out.heap else None
+        for link, held in self._out.held.items():
+            if (end := release_tick(self.faults, link, held[0].packet.sent_tick)) is not None:
+                end_ns = self._begin_ns + end * self.config.tick_ns
+                due = end_ns if due is None else min(due, end_ns)
         if self._water is None:
             return due
         carries = self._begin_ns + self._next * self.config.tick_ns
@@ -169,6 +185,8 @@ class Relay:
     def handed(self, now_ns: int) -> Iterator[DueMessage]:
         """Every message that is due, in that order. The caller counts in `late` how late it handed each over."""
         out = self._out
+        if out.held:
+            out.release(self.faults, self.tick(now_ns))
         while self._water is not None and self._begin_ns + self._next * self.config.tick_ns <= now_ns:
             self._carry(self._water)
         while out.heap and out.heap[0][0] <= now_ns:
@@ -198,7 +216,8 @@ class Relay:
         if self._water is not None:
             self._water.close(end_tick)
         heap = self._out.heap
-        rest = [carried(packet.fate(end_tick, Cause.IN_FLIGHT), part, end_tick) for _, _, packet, part in heap]
+        under_way = [(packet, part) for _, _, packet, part in heap] + self._out.all_held()
+        rest = [carried(packet.fate(end_tick, Cause.IN_FLIGHT), part, end_tick) for packet, part in under_way]
         lost = [structs.replace(fate, final_tick=end_tick, cause=Cause.IN_FLIGHT) for fate in self._out.final]
         self._out.heap, self._out.final = [], []
         return final + sorted([*rest, *lost], key=fate_order)

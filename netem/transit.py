@@ -8,9 +8,10 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
+from netem.condition import Link
 from netem.config import NetemConfig
 from netem.fault_kinds import Cause
-from netem.faults import ActiveFaults
+from netem.faults import ActiveFaults, NetFault, release_tick
 from netem.vehicle_clock import Clocks
 from netem.wire.messages import Delivery, Fate, MeasuredRange
 
@@ -49,6 +50,14 @@ class PendingPacket(NamedTuple):
         return self.dst, self.src, self.seq, self.copy
 
 
+class HeldPacket(NamedTuple):
+    """A packet that a fault holds."""
+
+    packet: PendingPacket  # with the times that it would have otherwise
+    later: int  # ticks between it and the packet that it is a copy of, also after the fault
+    reverse: bool
+
+
 def stamped(delivery: Delivery, clocks: Clocks) -> Delivery:
     """The same with the time of sending by the clock of its sender, as its modem stamps it."""
     return replace(delivery, sent_tick=clocks.reading_ticks(delivery.src, delivery.sent_tick))
@@ -66,14 +75,40 @@ class Transit:
         self.pending: dict[int, list[PendingPacket]] = {
             i: [] for i in config.vehicles
         }  # heaps of what is in no inbox yet
+        self._tick_ns = config.tick_ns
         self.announced: list[PendingPacket] = []  # in an inbox, not yet due
         self.lost: list[Fate] = []  # their final tick is still to come
         self.ranges: dict[tuple[int, int, int, int], MeasuredRange] = {}  # of packets without a final fate
+        self.held: dict[Link, list[HeldPacket]] = {}  # by faults, in the order of sending
+        self._reversed: set[tuple[int, int, int, int]] = set()  # released, and in no inbox yet
 
     def add(self, packet: PendingPacket, measured: MeasuredRange | None = None) -> None:
         heapq.heappush(self.pending[packet.dst], packet)
         if measured is not None:
             self.ranges[packet.name] = measured
+
+    def hold(self, held: HeldPacket) -> None:
+        """Keep a packet until `release`."""
+        self.held.setdefault((held.packet.src, held.packet.dst), []).append(held)
+
+    def release(self, faults: tuple[NetFault, ...], until: int, earliest: int = 0) -> None:
+        """Send what faults held on its way, if they end up to tick `until`. None of it is due before `earliest`."""
+        for link, all_held in [*self.held.items()]:
+            end = release_tick(faults, link, all_held[0].packet.sent_tick)
+            if end is not None and end <= until:
+                del self.held[link]
+                last = len(all_held)
+                order = sorted(range(last), key=lambda n: -n if all_held[n].reverse else last)
+                for n in order:
+                    self._set_free(all_held[n], max(end, earliest))
+
+    def _set_free(self, held: HeldPacket, end: int) -> None:
+        packet, later = held.packet, held.later
+        if (due := max(packet.due_tick - later, end) + later) > packet.due_tick:
+            packet = packet._replace(due_tick=due, delay_ns=(due - packet.sent_tick) * self._tick_ns)
+        if held.reverse:
+            self._reversed.add(packet.name)
+        self.add(packet)
 
     def hand_over(self, packets: Iterable[tuple[PendingPacket, MeasuredRange | None]]) -> None:
         for packet, measured in packets:
@@ -104,8 +139,14 @@ class Transit:
                     if self.ranges and (measured := self.ranges.get(packet.name)) is not None:
                         delivery = ranged(delivery, measured)
                     inbox.append(delivery if clocks is None else stamped(delivery, clocks))
+            if self._reversed:
+                last = self._reversed  # comes first among what is due at the same tick
+                inbox.sort(
+                    key=lambda d: (d.due_tick, *((-d.sent_tick, -d.seq) if (i, d.src, d.seq, d.copy) in last else (1,)))
+                )
             if i in alive:
                 inboxes[i] = tuple(inbox)
+        self._reversed.clear()
         return inboxes, unheard
 
     def settle(self, until: int) -> list[Fate]:
@@ -124,7 +165,9 @@ class Transit:
         """The fates of everything that is left when the run ends before tick `end_tick` is started."""
         fates = self.settle(end_tick - 1)
         rest = self.announced + [p for i in sorted(self.pending) for p in self.pending[i]]
+        rest += [held.packet for link in sorted(self.held) for held in self.held[link]]
         fates += [packet.fate(end_tick, Cause.IN_FLIGHT) for packet in rest]
         fates += [replace(fate, final_tick=end_tick, cause=Cause.IN_FLIGHT) for fate in self.lost]
         self.announced, self.lost, self.pending, self.ranges = [], [], {i: [] for i in self.pending}, {}
+        self.held = {}
         return fates

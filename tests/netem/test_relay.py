@@ -226,3 +226,32 @@ def test_what_waits_in_a_modem_at_the_end_is_in_flight() -> None:
     fates = relay.close(31)
     assert {fate.cause for fate in fates} <= {Cause.DELIVERED, Cause.IN_FLIGHT}
     assert len(fates) == relay.entered[1, 2][0] == 5
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+@pytest.mark.parametrize("healed", [30, None])
+def test_what_is_held_comes_when_the_fault_is_over_or_healed(reverse: bool, healed: int | None) -> None:
+    """In the order of sending or the last one first; the relay says when to come back for it."""
+    values = (1.0,) if reverse else ()
+    relay = Relay(config(PERFECT, 1, NetFault("f", 0, 50, "hold", ((1, 2),), values=values)), BEGIN_NS)
+    for at_ms in (0, 0.2, 7):
+        relay.take(message(1, b"%g" % at_ms, at_ms))
+    assert relay.due_ns() == BEGIN_NS + 50 * TICK_NS
+    assert handed(relay, 20) == []
+    if healed is not None:
+        relay.faults = (NetFault("f", 0, healed, "hold", ((1, 2),), values=values),)
+    end = healed or 50
+    assert relay.due_ns() == BEGIN_NS + end * TICK_NS
+    came = handed(relay, end)
+    sent = [b"0", b"0.2", b"7"]
+    assert [one.payload for one in came] == (sent[::-1] if reverse else sent)
+    assert {one.due_ns for one in came} == {BEGIN_NS + end * TICK_NS}
+    assert relay.due_ns() is None
+
+
+def test_what_is_still_held_at_the_end_is_in_flight() -> None:
+    relay = Relay(config(PERFECT, 1, NetFault("f", 0, None, "hold", ((1, 2),))), BEGIN_NS)
+    relay.take(message(1, b"x"))
+    assert relay.due_ns() is None
+    assert [fate.cause for fate in relay.close(100)] == [Cause.IN_FLIGHT]
+    assert relay.close(200) == []

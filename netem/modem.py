@@ -113,6 +113,7 @@ class AcousticConfig:
     guard_ns: int = DEFAULT_GUARD_NS  # tdma: of each slot, kept silent for propagation
     buffer: int = 1  # payloads that wait in a modem
     sound_speed: float = SOUND_SPEED  # m/s
+    water: propagation.Water | None = None  # that absorbs sound; None: Thorp's, of 4 deg C
     spreading: float = 1.5  # 1 cylindrical, 1.5 practical, 2 spherical
     excess: float = 0.0  # dB, lost in addition to spreading and absorption
     shipping: float = 0.5  # 0 none, 1 heavy
@@ -141,7 +142,7 @@ class AcousticConfig:
     def received_level(self, range_m: float, sender: Modem | None = None) -> float:
         """The level [dB re 1 uPa] of a modem's signal at a range [m]."""
         modem = self.modem if sender is None else sender
-        loss = propagation.transmission_loss(range_m, modem.carrier / 1e3, self.spreading)
+        loss = propagation.transmission_loss(range_m, modem.carrier / 1e3, self.spreading, self.water)
         return modem.source_level - loss - self.excess
 
     def packet_error_rate(

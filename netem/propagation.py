@@ -19,6 +19,7 @@
 | c(T, S, D), the nine terms of `sound_speed` | [1]; 2 to 30 deg C, 25 to 40 ppt, down to 8000 m |
 | alpha = 0.11 f^2/(1 + f^2) + 44 f^2/(4100 + f^2) + 2.75e-4 f^2 + 0.003 | Thorp, as in [2]; f >= 0.4 |
 | alpha = 0.002 + 0.11 f^2/(1 + f^2) + 0.011 f^2 | Thorp; f < 0.4. Older releases of ns-3 have f for f^2, a slip |
+| alpha = boric acid + magnesium sulphate + water, as in `absorption` | Francois and Garrison [5], at pH 8; 0.2 to 1000 kHz |
 | TL = 10 k log10(r / 1 m) + alpha r / 1000 | [2]; 0 within 1 m |
 | turbulence 17 - 30 log10 f | Wenz as fitted by Coates, as in [3] |
 | shipping 40 + 20 (s - 0.5) + 26 log10 f - 60 log10(f + 0.03) | likewise |
@@ -31,7 +32,8 @@
 | PER = 1 - (1 - P_b)^bits | a packet without further correction |
 
 [1] K. V. Mackenzie, J. Acoust. Soc. Am. 70(3), 807-812, 1981. ns-3: [2] `uan-prop-model-thorp.cc`,
-[3] `uan-noise-model-default.cc`, [4] `UanPhyPerUmodem` in `uan-phy-gen.cc`.
+[3] `uan-noise-model-default.cc`, [4] `UanPhyPerUmodem` in `uan-phy-gen.cc`. [5] R. E. Francois, G. R. Garrison,
+J. Acoust. Soc. Am. 72(6), 1879-1890, 1982.
 
 ns-3 subtracts, in addition, the chance of one error among 288 bits: that is left out, since for shorter packets it
 makes the probability negative.
@@ -42,32 +44,57 @@ Pure functions on doubles; `docs/guide/acoustic.md` says what is left out (multi
 from __future__ import annotations
 
 from math import comb, fsum, log10, sqrt
+from typing import NamedTuple
 
 # Information weights B_d of the code (561, 753), from its free distance 12 on, in steps of 2.
 _WEIGHTS = (33, 281, 2179, 15035, 105166, 692330, 4580007, 29692894)
 _FREE_DISTANCE = 12
 
 
-def sound_speed(temperature_degc: float, salinity_ppt: float, depth_m: float) -> float:
+PH = 8.0  # assumption: from 7.9 to 8.2, absorption changes by -2 to 5 % at 10 kHz and by 1 % at 25 kHz
+
+
+class Water(NamedTuple):
+    """The properties of sea water that its speed of sound and its absorption depend on."""
+
+    temperature: float  # deg C
+    salinity: float  # ppt
+    depth: float  # m
+
+
+def sound_speed(water: Water) -> float:
     """Speed of sound in sea water [m/s], by Mackenzie."""
-    T, S, D = temperature_degc, salinity_ppt - 35.0, depth_m
+    T, S, D = water.temperature, water.salinity - 35.0, water.depth
     c = 1448.96 + 4.591 * T - 5.304e-2 * T * T + 2.374e-4 * T * T * T
     return c + 1.340 * S + 1.630e-2 * D + 1.675e-7 * D * D - 1.025e-2 * T * S - 7.139e-13 * T * D * D * D
 
 
-def absorption(f_khz: float) -> float:
-    """Absorption [dB/km] at a frequency, by Thorp."""
+def absorption(f_khz: float, water: Water | None = None) -> float:
+    """Absorption [dB/km] at a frequency, by Francois and Garrison; by Thorp if nothing is known of the water."""
     f2 = f_khz * f_khz
-    if f_khz < 0.4:
-        return 0.002 + 0.11 * f2 / (1.0 + f2) + 0.011 * f2
-    return 0.11 * f2 / (1.0 + f2) + 44.0 * f2 / (4100.0 + f2) + 2.75e-4 * f2 + 0.003
+    if water is None:
+        if f_khz < 0.4:
+            return 0.002 + 0.11 * f2 / (1.0 + f2) + 0.011 * f2
+        return 0.11 * f2 / (1.0 + f2) + 44.0 * f2 / (4100.0 + f2) + 2.75e-4 * f2 + 0.003
+    T, S, D = water
+    c = 1412.0 + 3.21 * T + 1.19 * S + 0.0167 * D
+    f_boric = 2.8 * sqrt(S / 35.0) * 10.0 ** (4.0 - 1245.0 / (T + 273.0))
+    boric = 8.86 / c * 10.0 ** (0.78 * PH - 5.0) * f_boric * f2 / (f_boric * f_boric + f2)
+    f_sulphate = 8.17 * 10.0 ** (8.0 - 1990.0 / (T + 273.0)) / (1.0 + 0.0018 * (S - 35.0))
+    sulphate = 21.44 * S / c * (1.0 + 0.025 * T) * f_sulphate * f2 / (f_sulphate * f_sulphate + f2)
+    if T <= 20.0:
+        viscous = 4.937e-4 - 2.59e-5 * T + 9.11e-7 * T * T - 1.50e-8 * T * T * T
+    else:
+        viscous = 3.964e-4 - 1.146e-5 * T + 1.45e-7 * T * T - 6.5e-10 * T * T * T
+    deep_sulphate, deep_water = 1.0 - 1.37e-4 * D + 6.2e-9 * D * D, 1.0 - 3.83e-5 * D + 4.9e-10 * D * D
+    return boric + sulphate * deep_sulphate + viscous * f2 * deep_water
 
 
-def transmission_loss(range_m: float, f_khz: float, spreading: float) -> float:
+def transmission_loss(range_m: float, f_khz: float, spreading: float, water: Water | None = None) -> float:
     """Transmission loss [dB] over a range: spreading and absorption."""
     if range_m <= 1.0:
         return 0.0
-    return 10.0 * spreading * log10(range_m) + absorption(f_khz) * range_m / 1000.0
+    return 10.0 * spreading * log10(range_m) + absorption(f_khz, water) * range_m / 1000.0
 
 
 def noise_density(f_khz: float, shipping: float, wind_mps: float) -> float:

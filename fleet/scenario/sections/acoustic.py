@@ -36,7 +36,7 @@ from fleet.scenario.sections.modem_files import (
     without_replaced,
 )
 from netem.modem import DEFAULT_GUARD_NS, SOUND_SPEED, AcousticConfig, Modem, RangingConfig
-from netem.propagation import sound_speed
+from netem.propagation import Water, sound_speed
 
 # --- aloha
 # How often a vehicle talks with aloha, and how much of that meets nobody, for any number of vehicles.
@@ -170,6 +170,7 @@ def compile_acoustic(
         guard_ns=guard_ns(section),
         buffer=section.buffer,
         sound_speed=speed_of_sound(section),
+        water=known_water(section),
         spreading=section.spreading or (site.spreading if site is not None else DEFAULT_SPREADING),
         excess=0.0 if site is None else site.excess,
         shipping=section.shipping,
@@ -214,12 +215,17 @@ def guard_ns(section: AcousticSection) -> int:
 
 def speed_of_sound(section: AcousticSection) -> float:
     """The speed of sound [m/s]: from the water's properties, or as given, or by default 1500."""
-    water = section.water
-    if water is not None and water.temperature is not None and water.depth is not None:
-        return sound_speed(
-            water.temperature, DEFAULT_SALINITY if water.salinity is None else water.salinity, water.depth
-        )
+    if (water := known_water(section)) is not None:
+        return sound_speed(water)
     return SOUND_SPEED if section.sound_speed is None else section.sound_speed
+
+
+def known_water(section: AcousticSection) -> Water | None:
+    """The water whose properties a section gives; None: it gives none, or a site, whose loss was fitted with Thorp's."""
+    water = section.water
+    if water is None or water.temperature is None or water.depth is None:
+        return None
+    return Water(water.temperature, DEFAULT_SALINITY if water.salinity is None else water.salinity, water.depth)
 
 
 def extent_m(plans: tuple[Offset, ...]) -> float:

@@ -19,7 +19,7 @@
 | c(T, S, D), the nine terms of `sound_speed` | [1]; 2 to 30 deg C, 25 to 40 ppt, down to 8000 m |
 | alpha = 0.11 f^2/(1 + f^2) + 44 f^2/(4100 + f^2) + 2.75e-4 f^2 + 0.003 | Thorp, as in [2]; f >= 0.4 |
 | alpha = 0.002 + 0.11 f^2/(1 + f^2) + 0.011 f^2 | Thorp; f < 0.4. Older releases of ns-3 have f for f^2, a slip |
-| alpha = boric acid + magnesium sulphate + water, as in `absorption` | Francois and Garrison [5], at pH 8; 0.2 to 1000 kHz |
+| alpha = boric acid + magnesium sulphate + water, see `absorption` | Francois and Garrison [5]; pH 8, 0.2 to 1000 kHz |
 | TL = 10 k log10(r / 1 m) + alpha r / 1000 | [2]; 0 within 1 m |
 | turbulence 17 - 30 log10 f | Wenz as fitted by Coates, as in [3] |
 | shipping 40 + 20 (s - 0.5) + 26 log10 f - 60 log10(f + 0.03) | likewise |
@@ -43,7 +43,7 @@ Pure functions on doubles; `docs/guide/acoustic.md` says what is left out (multi
 
 from __future__ import annotations
 
-from math import comb, fsum, log10, sqrt
+from math import comb, fsum, log10, pow, sqrt
 from typing import NamedTuple
 
 # Information weights B_d of the code (561, 753), from its free distance 12 on, in steps of 2.
@@ -78,9 +78,9 @@ def absorption(f_khz: float, water: Water | None = None) -> float:
         return 0.11 * f2 / (1.0 + f2) + 44.0 * f2 / (4100.0 + f2) + 2.75e-4 * f2 + 0.003
     T, S, D = water
     c = 1412.0 + 3.21 * T + 1.19 * S + 0.0167 * D
-    f_boric = 2.8 * sqrt(S / 35.0) * 10.0 ** (4.0 - 1245.0 / (T + 273.0))
-    boric = 8.86 / c * 10.0 ** (0.78 * PH - 5.0) * f_boric * f2 / (f_boric * f_boric + f2)
-    f_sulphate = 8.17 * 10.0 ** (8.0 - 1990.0 / (T + 273.0)) / (1.0 + 0.0018 * (S - 35.0))
+    f_boric = 2.8 * sqrt(S / 35.0) * pow(10.0, 4.0 - 1245.0 / (T + 273.0))
+    boric = 8.86 / c * pow(10.0, 0.78 * PH - 5.0) * f_boric * f2 / (f_boric * f_boric + f2)
+    f_sulphate = 8.17 * pow(10.0, 8.0 - 1990.0 / (T + 273.0)) / (1.0 + 0.0018 * (S - 35.0))
     sulphate = 21.44 * S / c * (1.0 + 0.025 * T) * f_sulphate * f2 / (f_sulphate * f_sulphate + f2)
     if T <= 20.0:
         viscous = 4.937e-4 - 2.59e-5 * T + 9.11e-7 * T * T - 1.50e-8 * T * T * T

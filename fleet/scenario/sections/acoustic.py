@@ -221,7 +221,7 @@ def speed_of_sound(section: AcousticSection) -> float:
 
 
 def known_water(section: AcousticSection) -> Water | None:
-    """The water whose properties a section gives; None: it gives none, or a site, whose loss was fitted with Thorp's."""
+    """The water whose properties a section gives. None: it gives none, or a site, whose loss was fitted with Thorp."""
     water = section.water
     if water is None or water.temperature is None or water.depth is None:
         return None

@@ -28,7 +28,10 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 D = TypeVar("D")
-_HELP = "The run: its name or the beginning of it, its scenario, or its directory. Needed if several live."
+_HELP = (
+    "The run: its name or the beginning of it, its scenario, or its directory. Needed if several live here, "
+    "or if it lives below another folder."
+)
 _TIMES = ("at", "for", "id")  # which may stand before the kind of a fault
 _PACE = re.compile(r"max|[\d.]+x", re.ASCII)
 
@@ -133,14 +136,14 @@ def heal_words(words: tuple[str, ...], run: str | None) -> tuple[LiveRun, str | 
         raise click.UsageError(f"expected a run and the id of a fault at most, got {' '.join(words)}")
     if run is not None or len(words) != 1:
         name = _one(words[0], run) if len(words) == 2 else run
-        return find(name), words[-1] if words else None
+        return find(name, to_act=True), words[-1] if words else None
     (word,) = words
     try:
         named = find(word)
     except RemoteError as error:
         if error.status == USAGE or "/" in word:
             raise
-        return find(), word
+        return find(to_act=True), word
     if len(live_runs()) == 1 and any(fault["id"] == word for fault in ask(named, "faults")["faults"]):
         name = named.name
         both = f"fleet heal {name} (all its faults) or fleet heal {name} {word} (that one)"
@@ -187,7 +190,7 @@ def inject(what: tuple[str, ...], run: str | None, lasts: str | None, name: str 
             raise click.UsageError(f"--{key} {value}: the fault says {key} {fault[key]} already; give one of them")
         if value is not None:
             fault[key] = value
-    found = answer(Injected, find(run), "inject", fault=fault)
+    found = answer(Injected, find(run, to_act=True), "inject", fault=fault)
     until = f"until {found.to_s:.2f} s"
     if found.until_healed:
         until = f"until healed, at the latest the end at {found.to_s:g} s"
@@ -252,7 +255,7 @@ def clock(words: tuple[str, ...], run: str | None) -> None:
             raise ValueError
     except ValueError:
         raise click.BadParameter(f"expected a number above 0, got {value!r}", param_hint="VALUE") from None
-    found = answer(ClockSet, find(run), "clock", do=do, value=number)
+    found = answer(ClockSet, find(run, to_act=True), "clock", do=do, value=number)
     onward = "; fleet clock resume goes on" if found.clock == "paused" else ""
     give(found, f"{found.run}: {found.clock}, t = {found.at_s:.2f} s{onward}")
 
@@ -271,7 +274,7 @@ def stop(run: str | None) -> None:
     from fleet.execution.answers import Stopping
     from fleet.execution.connection import find
 
-    found = answer(Stopping, find(run), "stop")
+    found = answer(Stopping, find(run, to_act=True), "stop")
     give(found, f"{found.run}: stopping at t = {found.at_s:.2f} s")
 
 

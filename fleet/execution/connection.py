@@ -76,9 +76,9 @@ def live_runs() -> list[LiveRun]:
     return sorted((one for one in found if one is not None), key=lambda one: (one.name, one.directory))
 
 
-def find(run: str | None = None) -> LiveRun:
+def find(run: str | None = None, *, to_act: bool = False) -> LiveRun:
     """Find a live run that can be asked. Arguments and errors as `choose`."""
-    directory = choose(run, CONNECTION)
+    directory = choose(run, CONNECTION, to_act=to_act)
     one = _read(directory)
     if one is None:
         raise RemoteError(f"{directory} is no live run: there is no usable {CONNECTION}")
@@ -90,10 +90,18 @@ def published(file: str) -> list[Path]:
     return [directory for directory in registered() if os.path.exists(directory / file)]
 
 
-def choose(run: str | None, file: str) -> Path:
-    """The directory of the one live run that the user means, among those with such a file. `run` is its directory, or a
-    name, a scenario or the beginning of a name that only one registered run has; None: the only one. Raises RemoteError
-    if there is none, or there are several; RegistryError if it is not known which runs there are.
+def choose(run: str | None, file: str, *, to_act: bool = False) -> Path:
+    """The directory of the one live run that the user means.
+
+    Args:
+        run: its directory, or a name, a scenario or the beginning of a name. None: the only one. If several may be
+            meant, the only one below the folder `runs` or the working directory is.
+        file: what the directory must have.
+        to_act: the run will be changed. Then one that is elsewhere has to be named: it may be of another trial.
+
+    Raises:
+        RemoteError: there is none, or there are several.
+        RegistryError: it is not known which runs there are.
     """
     if run is not None and os.path.exists(Path(run) / file):  # unlike Path.exists it never raises
         directory = Path(run).resolve()  # `latest` is no name
@@ -106,10 +114,23 @@ def choose(run: str | None, file: str) -> Path:
     found = known if run is None else named(run, known)
     if not found:
         raise RemoteError(_nothing(run, known, file))
+    here = _working_directory()
+    near = [one for one in found if one.is_relative_to(here / "runs")] or [o for o in found if o.is_relative_to(here)]
+    if to_act and run is None and not near:
+        raise RemoteError(f"no live run is below {here}; one that is elsewhere has to be named:{_choices(found)}", 2)
+    if len(near) == 1:
+        return near[0]
     if len(found) > 1:
         asked = "" if run is None else f" that {run!r} may mean"
         raise RemoteError(f"{len(found)} live runs{asked}; say which:{_choices(found)}", 2)
     return found[0]
+
+
+def _working_directory() -> Path:
+    try:
+        return Path.cwd()
+    except FileNotFoundError:  # it was removed: then no run is below it
+        return Path("/nowhere")
 
 
 def named(run: str, known: list[Path]) -> list[Path]:

@@ -51,7 +51,8 @@ class Answers(dict[str, Any]):
 
 
 @pytest.fixture
-def answers(monkeypatch: pytest.MonkeyPatch) -> Answers:
+def answers(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Answers:
+    monkeypatch.chdir(tmp_path)  # below which the runs are
     monkeypatch.setattr("fleet.execution.connection.ask", found := Answers())
     return found
 
@@ -193,6 +194,7 @@ def test_the_kind_of_a_refusal_is_its_status(
 
         def close(self) -> None: ...
 
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("netem.wire.bus.Bus.connect", lambda *_, **__: FakeBus())
     with live_directory(tmp_path) as run:
         result = invoke("heal", "nosuch")

@@ -64,6 +64,38 @@ def test_names_scenarios_and_beginnings(three: dict[str, Path], monkeypatch: pyt
 
 
 @pytest.mark.parametrize("name", ["rough-sea", "a/b", "/", "/root/x", "x" * 5000, "a\0b", "*", "paper-disturbed-2"])
+def test_the_run_below_the_working_directory_is_meant(
+    three: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A fault hit a run of another trial, or was refused although one run only was at hand."""
+    with live_directory(tmp_path / "trial" / "runs") as ours:
+        monkeypatch.chdir(tmp_path / "trial")
+        for name in (None, "pap"):
+            assert find(name, to_act=True).directory == find(name).directory == ours, name
+        with live_directory(tmp_path / "trial" / "others"):
+            assert find(to_act=True).directory == ours
+    for folder in (tmp_path / "trial", tmp_path / "trial" / "runs"):
+        monkeypatch.chdir(folder)
+        with pytest.raises(RemoteError, match=f"no live run is below {folder}; one that is elsewhere") as caught:
+            find(to_act=True)
+        assert caught.value.status == 2
+        assert str(caught.value).count("--run") == 3
+    monkeypatch.chdir(three["a"].parent)
+    assert find(to_act=True).directory == three["a"]
+
+
+def test_one_run_elsewhere_is_shown_and_not_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "empty").mkdir()
+    with live_directory(tmp_path / "other") as run:
+        monkeypatch.chdir(tmp_path / "empty")
+        assert find().directory == run
+        with pytest.raises(RemoteError, match="has to be named"):
+            find(to_act=True)
+        assert find(run.name, to_act=True).directory == run
+        (tmp_path / "empty").rmdir()
+        assert find().directory == run
+
+
 def test_what_no_run_is_called(name: str, three: dict[str, Path]) -> None:
     with pytest.raises(RemoteError, match=r"no live run") as caught:
         find(name)

@@ -16,7 +16,7 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from fleet.errors import FleetError
 from fleet.logs.mcap_writer import McapWriter
 from fleet.logs.reader import GAPS, LOST, RECOVERY, Tell, log_path, lost, open_any
-from fleet.logs.records import MAGIC, Block, Message
+from fleet.logs.records import LIBRARY, MAGIC, Block, Message
 from fleet.logs.salvage import ChunkEnd, Item, Salvage
 from netem.private_file import whole_file
 
@@ -152,7 +152,7 @@ class Copy:
 
     def _started(self, item: Item | None = None) -> McapWriter:
         if self._writer is None:
-            header = item if isinstance(item, Header) else Header("", "uuv-fleet")
+            header = item if isinstance(item, Header) else Header("", LIBRARY)
             self._writer = McapWriter(self._target, **asdict(header))
         return self._writer
 

@@ -12,7 +12,7 @@ from msgspec import Meta, Struct
 
 from fleet.logs.decoder import Decoder
 from fleet.logs.fault_intervals import MOST_EVENTS, FaultInterval, FaultTime, intervals
-from fleet.logs.reader import LogReader, Record, Tell, log_path
+from fleet.logs.reader import LogReader, Record, Tell, log_path, log_size
 from fleet.scenario.sections.vehicle_events import VehicleEvents, is_fault, vehicle_events
 
 MOST_TOPICS = 100  # in words one by one
@@ -68,7 +68,7 @@ def read_info(path: Path, tell: Tell = lambda _: None) -> Info:
     found = _intervals(reader, happened, last / 1e9)
     return Info(
         path=str(path),
-        bytes=path.stat().st_size,
+        bytes=log_size(path),
         messages=counts.total(),
         start_s=(first or 0) / 1e9,
         end_s=last / 1e9,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
 from struct import Struct
 from struct import error as struct_error
@@ -151,6 +151,20 @@ class Block:
             return _at(self.data, self.begin, np.dtype((np.void, int(lengths[0])))).tobytes() if lengths[0] else b""
         view = memoryview(self.data)
         return b"".join([view[a:b] for a, b in zip(self.begin.tolist(), self.end.tolist(), strict=True)])
+
+    def alone(self) -> Block:
+        """The same without what else stands in `data`."""
+        end = np.cumsum(self.end - self.begin)
+        return replace(self, data=self.payloads(), begin=end - (self.end - self.begin), end=end)
+
+
+def renumbered(block: Block, numbers: Mapping[int, int]) -> Block:
+    """The same messages with other numbers of their channels."""
+    if all(number == own for own, number in numbers.items()):
+        return block
+    table = np.zeros(max(numbers) + 1, np.uint16)
+    table[list(numbers)] = list(numbers.values())
+    return replace(block, channel=table[block.channel])
 
 
 def together(blocks: Sequence[Block]) -> Block:

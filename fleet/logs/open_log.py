@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cached_property
@@ -286,6 +286,7 @@ class Opening:
     path: Path  # as `log_path` takes it
     topics: Iterable[str] | None = None  # patterns of those to keep; None: all
     share: Tell = lambda _: None  # called with the share of the file that was read
+    exclude: Sequence[str] = ()  # patterns of topics not to keep
     progress: Callable[[float], None] = lambda _: None  # called with the simulated time reached [s]
     part: Part = ALL
     # For pictures: pattern of topics -> the fields that are kept of them if the log is too large. Each signal then
@@ -351,6 +352,8 @@ class Opening:
 
     def _made(self, reader: LogReader, name: str) -> Topic | None:
         if self.topics is not None and not any(fnmatchcase(name, pattern) for pattern in self.topics):
+            return None
+        if any(fnmatchcase(name, pattern) for pattern in self.exclude):
             return None
         channel = reader.channel(name)
         assert channel is not None  # the name is that of one

@@ -286,6 +286,8 @@ def _bag(folder: Path) -> list[Path]:
     try:
         told = yaml.safe_load(text)["rosbag2_bagfile_information"]
         storage, names = str(told["storage_identifier"]), [PurePath(name).name for name in told["relative_file_paths"]]
+        if not names:
+            raise ValueError
     except (yaml.YAMLError, ValueError, RecursionError, TypeError, KeyError):
         raise LogReadError(f"{folder / 'metadata.yaml'} is not that of a bag of ROS 2, so {folder} is no log") from None
     if storage != "mcap" or not all(name.endswith(".mcap") for name in names):

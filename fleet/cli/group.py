@@ -90,7 +90,7 @@ class FleetGroup(click.Group):
         try:
             return super().invoke(ctx)
         except click.ClickException as error:  # click prints it
-            error.message = harmless(error.message)
+            error.message = harmless(error.message)  # type: ignore[misc]  # final for those who inherit from it
             _document(error, error.format_message(), error.exit_code)
             raise
         except (FleetError, NetemError, OSError, UnicodeEncodeError) as error:

@@ -149,9 +149,7 @@ def record(
             writer = open_writer()
         line.print(f"recording {', '.join(keys)} at {bus.endpoint} to {path}")
         if any("*" in key for key in keys) and not (ros2 or run):
-            line.print(
-                "* and ** leave out parts that begin with @, such as @v0: name them, --key '@v0/**'"
-            )
+            line.print("* and ** leave out parts that begin with @, such as @v0: name them, --key '@v0/**'")
         with exit_status(3), holding_interrupts() as interrupted:
             try:
                 over = None if run is None else PublisherGone(lambda: bus.connected)

@@ -94,11 +94,11 @@ class ScenarioError(FleetError):
 _OBEYED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
 
 
-def harmless(text: str) -> str:
-    """The same lines without what a terminal obeys. All that is printed goes through this, since names in the files of
-    others may hold anything.
+def harmless(text: str, *, json: bool = False) -> str:
+    """The same lines without what a terminal obeys; in JSON as escapes. All that is printed goes through this, since
+    names in the files of others may hold anything.
     """
-    return _OBEYED.sub("\ufffd", text)
+    return _OBEYED.sub(lambda found: f"\\u{ord(found[0]):04x}" if json else "\ufffd", text)
 
 
 def printable(text: str) -> str:

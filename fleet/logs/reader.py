@@ -23,8 +23,7 @@ RECOVERY = "recovery"  # name of the metadata record in a file that `fleet recov
 LOST = "lost"  # key in this record: text that says what is lost
 GAPS = "gaps"  # key in this record: numbers (from 0) of the messages before which data is lost
 MOST_KEPT = 256 << 20  # limit [bytes] for attachments, schemas, channels and metadata together
-_MOST_SCENARIO = 4_000_000  # bytes
-_MOST_BAG = 4_000_000  # bytes of a bag's metadata.yaml
+_MOST_YAML = 4_000_000  # bytes
 _MOST_CHANNELS = 65_536  # MCAP numbers them with 16 bits
 _WHAT_IT_IS = (
     "a log is an MCAP file, or the directory of a run, such as runs/latest, or of a bag of ROS 2; fleet ls lists runs"
@@ -272,7 +271,7 @@ def _bag(folder: Path) -> list[Path]:
     if (folder / "run.mcap").exists():
         return []
     try:
-        text = read_file(folder / "metadata.yaml", _MOST_BAG)
+        text = read_file(folder / "metadata.yaml", _MOST_YAML)
     except FileNotFoundError:
         files = sorted(folder.glob("*.mcap"))
         if len(files) > 1:
@@ -357,7 +356,7 @@ def _without_log(path: Path) -> str:
     """What to say of a log that is not there because its run was to write none; "" if it was not."""
     scenario = path.with_name("scenario.yaml")
     try:
-        lines = read_file(scenario, _MOST_SCENARIO).splitlines()
+        lines = read_file(scenario, _MOST_YAML).splitlines()
     except (OSError, ValueError):
         return ""
     if b"log: none" not in lines:

@@ -307,6 +307,9 @@ def test_no_name_of_a_stranger_reaches_the_terminal(tmp_path: Path) -> None:
     for verb, *more in commands:
         assert_harmless(invoke(verb, path, *more).output)
     assert_harmless(invoke("fit", trace).output)
+    document = invoke("info", path, "--json").stdout
+    assert_harmless(document)
+    assert json.loads(document)["run"][evil] == evil
     assert not any(line.startswith("fleet:") for line in invoke("info", path).stdout.splitlines())
 
 

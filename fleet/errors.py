@@ -8,6 +8,7 @@ fields, so that a caller can print its own words.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -87,6 +88,17 @@ class ScenarioError(FleetError):
         if count > MOST_SHOWN:
             tail += f"; the first {MOST_SHOWN} are shown"
         return "\n".join(str(problem) for problem in self.problems[:MOST_SHOWN]) + tail
+
+
+# Control characters but line breaks and tabs, and those that turn the direction of writing.
+_OBEYED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
+
+
+def harmless(text: str, *, json: bool = False) -> str:
+    """The same lines without what a terminal obeys; in JSON as escapes. All that is printed goes through this, since
+    names in the files of others may hold anything.
+    """
+    return _OBEYED.sub(lambda found: f"\\u{ord(found[0]):04x}" if json else "\ufffd", text)
 
 
 def printable(text: str) -> str:

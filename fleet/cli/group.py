@@ -16,7 +16,7 @@ import click
 
 from fleet.cli.documents.output import json_is_asked, print_document
 from fleet.cli.verbs import ELSEWHERE, FORMER, GROUPS, VERBS
-from fleet.errors import FleetError
+from fleet.errors import FleetError, harmless
 from fleet.terminal.table import say
 from netem.errors import NetemError
 
@@ -90,6 +90,7 @@ class FleetGroup(click.Group):
         try:
             return super().invoke(ctx)
         except click.ClickException as error:  # click prints it
+            error.message = harmless(error.message)  # type: ignore[misc]  # final for those who inherit from it
             _document(error, error.format_message(), error.exit_code)
             raise
         except (FleetError, NetemError, OSError, UnicodeEncodeError) as error:

@@ -28,8 +28,8 @@ def log_argument(command: F) -> F:
         return command(*arguments, log=newest_log() if log is None else log, **options)
 
     argument = click.argument("log", type=PATH, required=False,
-                              help="An MCAP file or a run directory; by default the newest run below "
-                                   "runs.")  # fmt: skip
+                              help="An MCAP file, a run directory or a bag of ROS 2; by default the newest "
+                                   "run below runs.")  # fmt: skip
     return argument(with_log)  # type: ignore[return-value]
 
 

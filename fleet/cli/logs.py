@@ -143,6 +143,7 @@ def _print(paths: Sequence[Path]) -> None:
 @click.option("--scenario", is_flag=True,
               help="Print the scenario that runs LOG again, with all that was injected while it was made.")  # fmt: skip
 @click.option("--topics", metavar="PATTERN", multiple=True, help="Only topics such as 'uuv/*/state'; repeatable.")
+@click.option("--exclude", metavar="PATTERN", multiple=True, help="Not these topics; repeatable.")
 @FORCE
 @NO_PROGRESS
 def export(
@@ -154,10 +155,11 @@ def export(
     ros2: Path | None,
     scenario: bool,
     topics: tuple[str, ...],
+    exclude: tuple[str, ...],
     force: bool,
 ) -> None:
-    """Write LOG (an MCAP file, or a run directory) as tables, one file per topic, or print its scenario;
-    or a study as one table of its runs.
+    """Write LOG (an MCAP file, a run directory, or a bag of ROS 2) as tables, one file per topic, or print its
+    scenario; or a study as one table of its runs.
 
     Times are in s. Units are in CSV's header, and in the metadata of the other formats; export.json describes each
     table. Numbers read back exactly; bytes are hexadecimal in CSV, and left out in NetCDF. Data that only 3D viewers
@@ -180,7 +182,7 @@ def export(
     tables = [(form, folder) for form, folder in (("csv", csv), ("parquet", parquet), ("netcdf", netcdf)) if folder]
     folders = [folder.absolute() for folder in (*(folder for _, folder in tables), traces, ros2) if folder is not None]
     if scenario:
-        if folders or topics:
+        if folders or topics or exclude:
             raise click.UsageError("--scenario prints the scenario only, and writes no tables")
         _print_scenario(log)
         return
@@ -188,12 +190,12 @@ def export(
         forms = "--csv DIR, --parquet DIR, --netcdf DIR, --traces DIR or --ros2 DIR"
         raise click.UsageError(f"no folder for the tables: give {forms}; or --scenario")
     if is_study(log):
-        check_options(log, {"netcdf": "--netcdf", "traces": "--traces", "ros2": "--ros2", "topics": "--topics"}, "logs")
+        check_options(log, {name: f"--{name}" for name in ("netcdf", "traces", "ros2", "topics", "exclude")}, "logs")
         for form, folder in tables:
             click.echo(export_study(log, folder, form, force=force))
         return
-    if topics and not tables:
-        raise click.UsageError("--topics chooses tables, and --traces and --ros2 write none")
+    if (topics or exclude) and not tables:
+        raise click.UsageError("--topics and --exclude choose tables, and --traces and --ros2 write none")
     if len(set(folders)) < len(folders):
         raise click.UsageError("each form needs a folder of its own: export.json says what is in one")
     if traces is not None:
@@ -203,9 +205,10 @@ def export(
     if not tables:
         return
     with showing(f"reading {log}") as tell:
-        found = Opening(log, topics or None, tell, hold_all=False).read()
+        found = Opening(log, topics or None, tell, exclude, hold_all=False).read()
     if topics and not len(found):
-        raise click.BadParameter(f"no topic of {log} is like {', '.join(topics)}", param_hint="--topics")
+        but = f" and not like {', '.join(exclude)}" if exclude else ""
+        raise click.BadParameter(f"no topic of {log} is like {', '.join(topics)}{but}", param_hint="--topics")
     if found.missing:
         say(f"fleet: {found.path}: {found.missing}", err=True)
     if left := [name for name in found if len(found[name]) and not fits(found[name])]:
@@ -313,7 +316,7 @@ def report(
 @json_option
 @NO_PROGRESS
 def info(log: Path) -> None:
-    """Summarise LOG (an MCAP file, or a run directory), also if it was cut short.
+    """Summarise LOG (an MCAP file, a run directory, or a bag of ROS 2), also if it was cut short.
 
     \b
     Examples:

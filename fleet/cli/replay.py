@@ -47,6 +47,7 @@ _listen = click.option("--listen", type=ENDPOINT,
 @click.option("--end", "end_ns", type=TIME, help="End at this time of the log.")
 @click.option("--topics", metavar="TOPIC", multiple=True,
               help="Only this topic, or those that fit: uuv/*/state, link/**; repeatable.")  # fmt: skip
+@click.option("--exclude", metavar="TOPIC", multiple=True, help="Not this topic, or those that fit; repeatable.")
 @click.option("--loop", is_flag=True, help="Begin again at the end, until Ctrl-C.")
 @click.option("--step", is_flag=True, help="Begin with a pause; right arrow plays a tick, space goes on.")
 @click.option("--wait-for-subscribers", "wait", is_flag=True,
@@ -55,7 +56,7 @@ _listen = click.option("--listen", type=ENDPOINT,
 @_listen
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no summary.")
 def replay(log: Path, connect: str | None, listen: str | None, quiet: bool, **how: Any) -> None:
-    """Publish LOG (an MCAP file, or a run directory) on zenoh again, at its own pace.
+    """Publish LOG (an MCAP file, a run directory, or a bag of ROS 2) on zenoh again, at its own pace.
 
     On a terminal: space pauses, right arrow plays one tick, up and down change the rate by 10 %, ] and [ (or shift
     with right and left arrow) seek 5 s.
@@ -80,6 +81,8 @@ def replay(log: Path, connect: str | None, listen: str | None, quiet: bool, **ho
     with exit_status(3), ending() as sessions, StatusLine(quiet=quiet) as line:
         if tape.missing:
             line.print(f"warning: {log}: {tape.missing}")
+        if played.no_keys:
+            line.print(f"warning: topics that are left out, being {played.left_out}")
         bus = _session(connect, listen, None)
         sessions.append(bus)
         began = time.monotonic()
@@ -145,6 +148,8 @@ def record(
             recorder = Recorder(source, keys)
             writer = open_writer()
         line.print(f"recording {', '.join(keys)} at {bus.endpoint} to {path}")
+        if any("*" in key for key in keys) and not (ros2 or run):
+            line.print("* and ** leave out parts that begin with @, such as @v0: name them, --key '@v0/**'")
         with exit_status(3), holding_interrupts() as interrupted:
             try:
                 over = None if run is None else PublisherGone(lambda: bus.connected)

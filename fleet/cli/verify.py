@@ -49,7 +49,7 @@ def verify(log: Path) -> None:
 
 
 @click.command(epilog=_DIFF)
-@click.argument("a", type=_log, help="An MCAP file or a run directory.")
+@click.argument("a", type=_log, help="An MCAP file, a run directory or a bag of ROS 2.")
 @click.argument("b", type=_log, required=False, help="By default the newest run below runs.")
 @click.option("--tolerance", metavar="X", type=click.FloatRange(min=0.0), default=0.0, show_default=True,
               help="The largest allowed difference of two numbers, each in its own unit.")  # fmt: skip

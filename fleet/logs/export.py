@@ -13,6 +13,7 @@ import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from io import StringIO
+from itertools import chain, count
 from math import inf
 from pathlib import Path
 from typing import IO, Any
@@ -98,6 +99,7 @@ def link_trace(topic: Topic, tick_ns: int, say: Callable[[str], None] = lambda _
 
 
 INDEX = "export.json"
+_LONGEST_NAME = 200  # bytes of a topic in the name of its file, which may have 255 with its suffix
 MOST_OPEN = 200  # tables that are written at once: Parquet keeps its files open
 _LARGE = 1 << 20  # bytes of a cell
 _HELD = 12 << 20  # bytes of messages that wait to be written
@@ -115,10 +117,7 @@ def export(log: Log, folder: Path, form: str, *, force: bool = False, share: Tel
     need(name, packages, extra)
     topics = [name for name in log if fits(log[name])]
     left_out = [name for name in log if len(log[name]) and name not in topics]
-    plain = {name: "".join(c if c.isalnum() or c in "-_." else "-" for c in name) for name in topics}
-    paths = {name: folder / f"{plain[name]}.{suffix}" for name in topics}
-    if len(set(paths.values())) < len(paths):
-        raise FleetError(f"topics of {log.path} differ only in characters that a file name cannot have")
+    paths = {name: folder / f"{plain}.{suffix}" for name, plain in file_names(topics).items()}
     there = [path.name for path in [*paths.values(), folder / INDEX] if path.exists()]
     if there and not force:
         raise FleetError(f"{folder} already holds {there[0]}; choose another place, or replace it with --force")
@@ -147,6 +146,22 @@ def export(log: Log, folder: Path, form: str, *, force: bool = False, share: Tel
             with suppress(OSError):
                 part.unlink(missing_ok=True)
     return [*paths.values(), folder / INDEX]
+
+
+def file_names(topics: Iterable[str]) -> dict[str, str]:
+    """A name for the file of each topic, without a suffix: `uuv-1-state`. Topics that differ only in characters that a
+    file name cannot have, or in upper and lower case, get a number behind it.
+    """
+    found: dict[str, str] = {}
+    taken: set[str] = set()
+    for topic in topics:
+        plain = "".join(c if c.isalnum() or c in "-_." else "-" for c in topic.strip("/"))
+        plain = plain.lstrip(".-").encode()[:_LONGEST_NAME].decode("utf-8", "ignore") or "topic"
+        numbered = (f"{plain}-{n}" for n in count(2))
+        name = next(name for name in chain([plain], numbered) if name.casefold() not in taken)
+        taken.add(name.casefold())
+        found[topic] = name
+    return found
 
 
 def _stream(path: Path, sheets: Iterable[Sheet], share: Tell) -> None:

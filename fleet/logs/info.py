@@ -10,13 +10,15 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta, Struct
 
+from fleet.errors import printable
 from fleet.logs.decoder import Decoder
 from fleet.logs.fault_intervals import MOST_EVENTS, FaultInterval, FaultTime, intervals
-from fleet.logs.reader import LogReader, Record, Tell, log_path
+from fleet.logs.reader import LogReader, Record, Tell, log_path, log_size
 from fleet.scenario.sections.vehicle_events import VehicleEvents, is_fault, vehicle_events
 
 MOST_TOPICS = 100  # in words one by one
 MOST_FAULTS = 20
+_WIDTH = 100  # characters; behind a longer name of a topic, numbers stand where they may
 _MOST_TEXT = 32 << 20  # bytes of the messages about faults
 
 
@@ -68,7 +70,7 @@ def read_info(path: Path, tell: Tell = lambda _: None) -> Info:
     found = _intervals(reader, happened, last / 1e9)
     return Info(
         path=str(path),
-        bytes=path.stat().st_size,
+        bytes=log_size(path),
         messages=counts.total(),
         start_s=(first or 0) / 1e9,
         end_s=last / 1e9,
@@ -105,9 +107,9 @@ def info_text(info: Info) -> str:
         lines.append("not a log of uuv-fleet: it says nothing of a run")
     lines += _happened(info)
     rows = _folded(info.topics) if len(info.topics) > MOST_TOPICS else info.topics
-    width = max((len(topic) for topic in rows), default=0)
+    width = max((len(topic) for topic in rows if len(topic) <= _WIDTH), default=0)
     lines += [f"  {topic:<{width}}  {count:>8}  {schema}" for topic, (schema, count) in rows.items()]
-    return "\n".join(lines)
+    return "\n".join(map(printable, lines))  # a line break in a name of others begins no line
 
 
 def _happened(info: Info) -> list[str]:

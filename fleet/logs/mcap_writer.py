@@ -32,7 +32,7 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
-from fleet.logs.records import MAGIC
+from fleet.logs.records import LIBRARY, MAGIC
 
 # --- chunk index
 # Where the messages of a chunk of an MCAP file are: its message indexes, and its entry in the file's summary.
@@ -163,7 +163,7 @@ class McapWriter:
     the target does.
     """
 
-    def __init__(self, target: IO[bytes], profile: str = "", library: str = "uuv-fleet") -> None:
+    def __init__(self, target: IO[bytes], profile: str = "", library: str = LIBRARY) -> None:
         """Write the header. `target`: an empty file; the caller closes it. `library`: what is named as the writer of
         the file; by default without a version, which would change bytes.
         """

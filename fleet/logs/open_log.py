@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cached_property
@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, NamedTuple, overload
 import numpy as np
 
 from fleet.logs.fault_intervals import FaultInterval, fault_intervals
-from fleet.logs.reader import LogReader, LogReadError, Tell, digest, log_path
+from fleet.logs.reader import LogReader, LogReadError, Tell, digest, log_path, log_size
 from fleet.logs.records import Block, Digest
 from fleet.logs.schemas import FROM_TICK
 from fleet.logs.topic import STEP, LogKeyError, Topic
@@ -257,7 +257,7 @@ def open_log(
         True
 
     Args:
-        path: an MCAP file, or a run directory.
+        path: an MCAP file, a run directory, or the directory of a bag of ROS 2.
         topics: keep only topics that match one of these patterns of `fnmatch`, such as `uuv/*/state`; None: all.
         progress: called now and then with the simulated time reached [s].
         start: keep only messages from this simulated time on [s].
@@ -283,9 +283,10 @@ def open_log(
 class Opening:
     """How a log is read: once, and topics again if they could not all be held."""
 
-    path: Path  # an MCAP file, or a run directory
+    path: Path  # as `log_path` takes it
     topics: Iterable[str] | None = None  # patterns of those to keep; None: all
     share: Tell = lambda _: None  # called with the share of the file that was read
+    exclude: Sequence[str] = ()  # patterns of topics not to keep
     progress: Callable[[float], None] = lambda _: None  # called with the simulated time reached [s]
     part: Part = ALL
     # For pictures: pattern of topics -> the fields that are kept of them if the log is too large. Each signal then
@@ -309,7 +310,7 @@ class Opening:
         for block in reader.gathered(_AT_ONCE):
             if total is not None:
                 total.add_block(block, reader.topics_of(block))
-            if plain and self.topics is None and self.path.stat().st_size > self.most_held:
+            if plain and self.topics is None and log_size(self.path) > self.most_held:
                 self.hold_all = False  # it would be given up later
             take = self._count if plain and not self.hold_all else self._take
             take(reader, block)
@@ -351,6 +352,8 @@ class Opening:
 
     def _made(self, reader: LogReader, name: str) -> Topic | None:
         if self.topics is not None and not any(fnmatchcase(name, pattern) for pattern in self.topics):
+            return None
+        if any(fnmatchcase(name, pattern) for pattern in self.exclude):
             return None
         channel = reader.channel(name)
         assert channel is not None  # the name is that of one

@@ -5,15 +5,17 @@ from __future__ import annotations
 import io
 import stat
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import IO, NamedTuple
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path, PurePath
+from typing import IO, Any, NamedTuple, TypeVar
 
 import numpy as np
+import yaml
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from fleet.errors import FleetError
-from fleet.logs.records import MAGIC, Block, Digest, together
+from fleet.logs.records import MAGIC, Block, Digest, renumbered, together
 from fleet.logs.salvage import Damage, Item, Salvage
 from netem.private_file import read_file
 
@@ -21,14 +23,20 @@ RECOVERY = "recovery"  # name of the metadata record in a file that `fleet recov
 LOST = "lost"  # key in this record: text that says what is lost
 GAPS = "gaps"  # key in this record: numbers (from 0) of the messages before which data is lost
 MOST_KEPT = 256 << 20  # limit [bytes] for attachments, schemas, channels and metadata together
-_MOST_SCENARIO = 4_000_000  # bytes
-_WHAT_IT_IS = "a log is an MCAP file, or the directory of a run, such as runs/latest; fleet ls lists them"
+_MOST_YAML = 4_000_000  # bytes
+_MOST_CHANNELS = 65_536  # MCAP numbers them with 16 bits
+_WHAT_IT_IS = (
+    "a log is an MCAP file, or the directory of a run, such as runs/latest, or of a bag of ROS 2; fleet ls lists runs"
+)
 _ENTRY = 256  # estimated memory [bytes] of one entry of metadata, in addition to its text
 Tell = Callable[[float], None]  # progress callback: gets the fraction of the file that was read, 0 to 1
 
 
 class LogReadError(FleetError):
     """The file is no log that can be read, or what is asked of it is not in it."""
+
+
+D = TypeVar("D", Schema, Channel)
 
 
 class Record(NamedTuple):
@@ -44,7 +52,8 @@ class Record(NamedTuple):
 @dataclass(slots=True)
 class LogReader:
     """Iterates over the messages of a log, once; the fields below are complete after that. It stops at the first
-    damaged place, so the messages are the beginning of the run without a gap (`fleet.logs.recover` reads on).
+    damaged place, so the messages are the beginning of the run without a gap (`fleet.logs.recover` reads on). The files
+    of a split bag are read one after the other, and what they declare is numbered as if it were in one file.
     """
 
     path: Path
@@ -58,6 +67,9 @@ class LogReader:
     missing: str = ""  # why the file is not complete; "" if it is complete
     cut: bool = False  # the file is truncated: it stops within a record, or before its end was written
     damage: list[Damage] = field(default_factory=list)
+    file: Path = Path()  # that is being read, of a log of several
+    numbers: dict[Path, dict[int, int]] = field(default_factory=dict)  # of channels, by theirs in each file
+    _known: dict[tuple[Any, ...], int] = field(default_factory=dict, init=False)  # numbers of what was declared
     _kept: dict[tuple[type, int | str], int] = field(default_factory=dict, init=False)  # size of each [bytes]
     _total: int = field(default=0, init=False)  # sum of these sizes [bytes]
     _by_topic: dict[str, Channel] = field(default_factory=dict, init=False)
@@ -90,26 +102,60 @@ class LogReader:
 
     def blocks(self) -> Iterator[Block]:
         """The same messages as iteration, in blocks; the channel of each is declared. Raises the same errors."""
-        with open_file(self.path) as file:
-            salvage = Salvage(file, tell=self.tell)
+        files = log_files(self.path)
+        for done, path in enumerate(files):
+            yield from self._blocks(path, partial(self._tell, done, len(files)))
+            if self.missing and len(files) > 1:
+                self.missing = f"{path.name}: {self.missing}"
+            if self.missing:
+                return
+
+    def _tell(self, done: int, files: int, share: float) -> None:
+        self.tell((done + share) / files)
+
+    def _blocks(self, path: Path, tell: Tell) -> Iterator[Block]:
+        self.file = path
+        numbers: dict[int, int] = {}
+        self.numbers[path] = numbers
+        schemas: dict[int, int] = {}
+        with open_file(path) as file:
+            salvage = Salvage(file, tell=tell)
             for item in salvage:
-                if not isinstance(item, Block):
-                    self._keep(item)
-                    continue
-                known = np.isin(item.channel, np.fromiter(self.channels, np.uint16, len(self.channels)))
-                first = len(item) if known.all() else int(known.argmin())
-                if first:
-                    self.last_ns = max(self.last_ns, int(item.log_ns[:first].max()))
-                    yield item if first == len(item) else item.take(np.arange(first))
-                if first == len(item):
-                    continue
-                channel = int(item.channel[first])
-                salvage.damage.append(Damage(item.offset, f"a message on the undeclared channel {channel}"))
-                break
+                match item:
+                    case Schema():
+                        self._keep(self._numbered(item, schemas, self.schemas))
+                    case Channel():
+                        schema = schemas.get(item.schema_id, item.schema_id)
+                        self._keep(self._numbered(replace(item, schema_id=schema), numbers, self.channels))
+                    case Block():
+                        known = np.isin(item.channel, np.fromiter(numbers, np.uint16, len(numbers)))
+                        first = len(item) if known.all() else int(known.argmin())
+                        if first:
+                            self.last_ns = max(self.last_ns, int(item.log_ns[:first].max()))
+                            yield renumbered(item if first == len(item) else item.take(np.arange(first)), numbers)
+                        if first == len(item):
+                            continue
+                        channel = int(item.channel[first])
+                        salvage.damage.append(Damage(item.offset, f"a message on the undeclared channel {channel}"))
+                        break
+                    case _:
+                        self._keep(item)
             self.cut, self.damage = salvage.cut, salvage.damage
             self.missing = missing(salvage)
             if not self.missing and (gone := self.metadata.get(RECOVERY, {}).get(LOST)):
                 self.missing = f"it was recovered from a damaged file, of which this is lost: {gone}"
+
+    def _numbered(self, item: D, numbers: dict[int, int], declared: Mapping[int, D]) -> D:
+        """A declaration, with another number if an earlier file of a bag has used its own for something else."""
+        what = type(item), *(tuple(v.items()) if isinstance(v, dict) else v for k, v in vars(item).items() if k != "id")
+        if item.id not in numbers:
+            number = self._known.get(what) if len(self.numbers) > 1 else item.id
+            if number is None:
+                number = item.id if item.id not in declared else max(declared) + 1
+            if number >= _MOST_CHANNELS:
+                raise LogReadError(f"{self.path} has more than the {_MOST_CHANNELS} channels that one log can have")
+            numbers[item.id] = self._known[what] = number
+        return item if item.id == numbers[item.id] else replace(item, id=numbers[item.id])
 
     def gathered(self, most: int) -> Iterator[Block]:
         """The same, a few blocks as one, with at most so many bytes of data if each has fewer."""
@@ -197,12 +243,58 @@ def digest(path: Path, tell: Tell = lambda _: None) -> str:
 
 
 def log_path(path: Path) -> Path:
-    """The path of a log file; `path` is the file itself or the directory of its run. A link such as `runs/latest` gives
-    the run that it leads to now, since it leads to another one after the next run.
+    """The path of a log: its file, or the directory of a bag that has several. `path` is the file itself, or the
+    directory of a run or of a bag. A link such as `runs/latest` gives the run that it leads to now, since it leads to
+    another one after the next run. Raises LogReadError: it is a bag that cannot be read here.
     """
     if not path.is_dir():
         return path
-    return (path.parent / path.readlink() if path.is_symlink() else path) / "run.mcap"
+    folder = path.parent / path.readlink() if path.is_symlink() else path
+    files = _bag(folder)
+    return folder / "run.mcap" if not files else files[0] if len(files) == 1 else folder
+
+
+def log_files(path: Path) -> list[Path]:
+    """The files of a log, the earliest first; `path` as `log_path` gives it. Raises LogReadError as that does."""
+    return (_bag(path) if path.is_dir() else []) or [path]
+
+
+def log_size(path: Path) -> int:
+    """The size of a log [bytes]; `path` as `log_path` gives it."""
+    return sum(file.stat().st_size for file in log_files(path))
+
+
+def _bag(folder: Path) -> list[Path]:
+    """The MCAP files of a bag of ROS 2, in the order of time; none: the directory is no bag. The bag of a recorder that
+    was killed has no metadata.yaml, and perhaps one file.
+    """
+    if (folder / "run.mcap").exists():
+        return []
+    try:
+        text = read_file(folder / "metadata.yaml", _MOST_YAML)
+    except FileNotFoundError:
+        files = sorted(folder.glob("*.mcap"))
+        if len(files) > 1:
+            raise LogReadError(
+                f"{folder} has {len(files)} MCAP files, and no metadata.yaml that says that they are one bag: name one "
+                f"of them, such as {files[0]}"
+            ) from None
+        return files
+    except OSError as error:
+        raise LogReadError(f"cannot read {folder / 'metadata.yaml'}: {error.strerror}") from None
+    try:
+        told = yaml.safe_load(text)["rosbag2_bagfile_information"]
+        storage, names = str(told["storage_identifier"]), [PurePath(name).name for name in told["relative_file_paths"]]
+        if not names:
+            raise ValueError
+    except (yaml.YAMLError, ValueError, RecursionError, TypeError, KeyError):
+        raise LogReadError(f"{folder / 'metadata.yaml'} is not that of a bag of ROS 2, so {folder} is no log") from None
+    if storage != "mcap" or not all(name.endswith(".mcap") for name in names):
+        kind = storage if storage != "mcap" else f"mcap, with files such as {names[0]}"
+        raise LogReadError(
+            f"{folder} is a bag with the storage {kind!r}; expected plain MCAP files, which ros2 bag convert makes"
+        )
+    return [folder / name for name in names]
 
 
 def open_file(path: Path) -> IO[bytes]:
@@ -234,7 +326,8 @@ def check_readable(paths: Sequence[Path]) -> None:
     wrong = []
     for path in paths:
         try:
-            open_file(log_path(path)).close()
+            for file in log_files(log_path(path)):
+                open_file(file).close()
         except LogReadError as error:
             wrong.append(str(error))
     if wrong and len(paths) > 1:
@@ -263,7 +356,7 @@ def _without_log(path: Path) -> str:
     """What to say of a log that is not there because its run was to write none; "" if it was not."""
     scenario = path.with_name("scenario.yaml")
     try:
-        lines = read_file(scenario, _MOST_SCENARIO).splitlines()
+        lines = read_file(scenario, _MOST_YAML).splitlines()
     except (OSError, ValueError):
         return ""
     if b"log: none" not in lines:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
 from struct import Struct
 from struct import error as struct_error
@@ -76,6 +76,7 @@ class Digest:
 
 
 MAGIC = b"\x89MCAP0\r\n"
+LIBRARY = "uuv-fleet"  # in the header of files that this program writes
 MOST_BYTES = 64 << 20  # of one record, packed or not; our own chunks hold 1 MiB and one message
 MOST_IN_BLOCK = 65_536  # messages
 _SHORT = 1024  # bytes of payloads that are gathered by numpy
@@ -150,6 +151,20 @@ class Block:
             return _at(self.data, self.begin, np.dtype((np.void, int(lengths[0])))).tobytes() if lengths[0] else b""
         view = memoryview(self.data)
         return b"".join([view[a:b] for a, b in zip(self.begin.tolist(), self.end.tolist(), strict=True)])
+
+    def alone(self) -> Block:
+        """The same without what else stands in `data`."""
+        end = np.cumsum(self.end - self.begin)
+        return replace(self, data=self.payloads(), begin=end - (self.end - self.begin), end=end)
+
+
+def renumbered(block: Block, numbers: Mapping[int, int]) -> Block:
+    """The same messages with other numbers of their channels."""
+    if all(number == own for own, number in numbers.items()):
+        return block
+    table = np.zeros(max(numbers) + 1, np.uint16)
+    table[list(numbers)] = list(numbers.values())
+    return replace(block, channel=table[block.channel])
 
 
 def together(blocks: Sequence[Block]) -> Block:
@@ -244,12 +259,12 @@ def span_of(body: bytes) -> tuple[int, int] | None:
     return (first, last) if first <= last else None
 
 
-def content(body: bytes) -> bytes:
-    """The unpacked content of a chunk. Raises ValueError if it is damaged, or unpacks to something else than it states,
-    or to more than is read; its words say which, and are empty of a damaged one.
+def content(body: bytes, *, exact: bool = False) -> bytes:
+    """The unpacked content of a chunk; `exact` as in `parse`. Raises ValueError if it is damaged, or unpacks to
+    something else than it states, or to more than is read; its words say which, and are empty of a damaged one.
     """
     try:
-        chunk = parse(Opcode.CHUNK, body)
+        chunk = parse(Opcode.CHUNK, body, exact=exact)
     except BROKEN:
         raise ValueError("") from None
     assert isinstance(chunk, Chunk)
@@ -290,22 +305,30 @@ _KINDS: dict[int, Callable[[ReadDataStream], Record]] = {
 class _Exact(ReadDataStream):
     """The content of a record, which gives no fewer bytes than it is asked for."""
 
+    def __init__(self, body: bytes) -> None:
+        super().__init__(BytesIO(body))
+        self.left = len(body)
+
     def read(self, length: int) -> bytes:
-        data = self._stream.read(length)
-        if len(data) < length:
+        if length > self.left:  # asked first: a stream takes no length above 63 bits
             raise ValueError
+        self.left -= length
         self._count += length
-        return data
+        return self._stream.read(length)
 
 
-def parse(opcode: int, body: bytes) -> Record:
-    """A record from its content; raises one of `BROKEN` if it is none."""
+def parse(opcode: int, body: bytes, *, exact: bool = False) -> Record:
+    """A record from its content; raises one of `BROKEN` if it is none. Fields that a later version of MCAP, or another
+    program, has put behind those that are known are ignored, or with `exact` not taken.
+    """
     if opcode not in _KINDS:
         raise ValueError
-    stream = _Exact(BytesIO(body))
+    stream = _Exact(body)
     item = _KINDS[opcode](stream)
-    if stream.count < len(body) and opcode not in (Opcode.HEADER, Opcode.SCHEMA):
+    if exact and stream.left and opcode not in (Opcode.HEADER, Opcode.SCHEMA):
         raise ValueError
-    if opcode == Opcode.ATTACHMENT and (crc := U32.unpack(body[-4:])[0]) and zlib.crc32(memoryview(body)[:-4]) != crc:
-        raise ValueError
+    if opcode == Opcode.ATTACHMENT:
+        end = stream.count - U32.size
+        if (crc := U32.unpack_from(body, end)[0]) and zlib.crc32(memoryview(body)[:end]) != crc:
+            raise ValueError
     return item

@@ -15,8 +15,8 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from fleet.errors import FleetError
 from fleet.logs.mcap_writer import McapWriter
-from fleet.logs.reader import GAPS, LOST, RECOVERY, Tell, log_path, lost, open_any
-from fleet.logs.records import MAGIC, Block, Message
+from fleet.logs.reader import GAPS, LOST, RECOVERY, Tell, log_files, log_path, lost, open_any
+from fleet.logs.records import LIBRARY, MAGIC, Block, Message
 from fleet.logs.salvage import ChunkEnd, Item, Salvage
 from netem.private_file import whole_file
 
@@ -46,6 +46,8 @@ def recover(path: Path, out: Path | None = None, tell: Tell = lambda _: None) ->
     Raises LogReadError if the file cannot be opened; FleetError if `out` exists or cannot be written.
     """
     path = log_path(path)
+    if path.is_dir():
+        raise FleetError(f"{path} is a bag of several files: recover each by itself, such as {log_files(path)[0]}")
     out = out or path.with_name(f"{path.stem}.recovered.mcap")
     if out.exists():
         raise FleetError(f"{out} exists already: choose another place with -o OUT")
@@ -152,7 +154,7 @@ class Copy:
 
     def _started(self, item: Item | None = None) -> McapWriter:
         if self._writer is None:
-            header = item if isinstance(item, Header) else Header("", "uuv-fleet")
+            header = item if isinstance(item, Header) else Header("", LIBRARY)
             self._writer = McapWriter(self._target, **asdict(header))
         return self._writer
 

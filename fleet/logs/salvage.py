@@ -3,6 +3,9 @@
 Every value in the file is checked first. A length must lie within the file and below `MOST_BYTES`, a chunk must unpack
 to the size and the CRC that it states, an attachment must have its CRC, and the summary its own. So a corrupt length
 allocates nothing, and a flipped bit is found, not decoded.
+
+Files of other programs may have what the specification lets readers ignore: records of unknown kinds, bytes behind the
+known fields of a record, and messages between chunks. In a file that this program wrote, each of these is damage.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ from fleet.logs.records import (
     BROKEN,
     CHUNK,
     HEAD,
+    LIBRARY,
     MAGIC,
     MESSAGE,
     MOST_BYTES,
@@ -48,6 +52,7 @@ _IN_DATA = frozenset({
     Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX,
     Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END,
 })  # fmt: skip
+_UNKNOWN = range(max(Opcode) + 1, 0x100)  # records of later versions, and from 0x80 on of other programs
 
 
 class ChunkEnd(NamedTuple):
@@ -93,6 +98,7 @@ class Salvage:
     damage: list[Damage] = field(default_factory=list)
     messages: int = 0
     stated: int | None = None  # messages, as the summary counts them
+    _ours: bool = field(default=False, init=False)  # this program wrote the file, as its header says
     _chunked: bool = field(default=False, init=False)
     _lost_at: int = field(default=-1, init=False)  # where the chunk is damaged whose index is being read
     _loose: bytearray = field(default_factory=bytearray, init=False)  # messages outside chunks, as they are
@@ -133,7 +139,7 @@ class Salvage:
                 if self.at - self._told >= _TELL or self._told == 0:
                     self._told = self.at
                     self.tell(self.at / size)
-                if opcode == Opcode.MESSAGE and not self._chunked:
+                if opcode == Opcode.MESSAGE and not (self._ours and self._chunked):
                     if self._gather(body, behind):
                         yield from self._gathered()
                 elif opcode == Opcode.CHUNK:
@@ -141,7 +147,7 @@ class Salvage:
                     yield from self._chunk(body)
                     if not self.damage:  # or else each index counts what is lost
                         behind = self._behind_indexes(behind)
-                else:
+                elif opcode not in _UNKNOWN:
                     yield from self._gathered()
                     yield from self._one(opcode, body)
                 if opcode != Opcode.MESSAGE_INDEX:
@@ -167,10 +173,11 @@ class Salvage:
             raise _DamagedError("a message outside the chunks")
         elif opcode == Opcode.MESSAGE_INDEX:
             # A channel, and a time and a place for each message.
-            if len(body) % 16 != 6 or U32.unpack_from(body, 2)[0] != len(body) - 6:
+            entries, more = U32.unpack_from(body, 2)[0] if len(body) >= 6 else 0, len(body) - 6
+            if entries % 16 or entries > more or (self._ours and entries < more):
                 raise _DamagedError("a damaged message index")
             if self.damage and self.damage[-1].offset == self._lost_at:
-                self.damage[-1].messages += len(body) // 16
+                self.damage[-1].messages += entries // 16
         else:
             yield from self._plain(opcode, body)
 
@@ -200,7 +207,7 @@ class Salvage:
         if len(head) < HEAD.size:
             raise EOFError
         opcode, length = HEAD.unpack(head)
-        if opcode not in _IN_DATA:
+        if not self._allowed(opcode):
             raise _DamagedError(f"a record of unknown kind {opcode:#04x}")
         begin = at + HEAD.size
         if begin + length > size:
@@ -208,9 +215,14 @@ class Salvage:
             if self._read(max(0, size - len(MAGIC)), len(MAGIC)) == MAGIC or self._next_chunk(begin, size) is not None:
                 raise _DamagedError("a record whose length is wrong")
             raise EOFError
+        if opcode in _UNKNOWN:
+            return opcode, b"", begin + length
         if length > MOST_BYTES:
             raise _DamagedError(f"a record of {length} bytes, more than the {MOST_BYTES} that are read")
         return opcode, self._read(begin, length), begin + length
+
+    def _allowed(self, opcode: int) -> bool:
+        return opcode in _IN_DATA or (opcode in _UNKNOWN and not self._ours)
 
     def _read(self, at: int, length: int) -> bytes:
         if self.file.tell() != at:
@@ -220,7 +232,7 @@ class Salvage:
     def _chunk(self, body: bytes) -> Iterator[Item]:
         self._chunked = True
         try:
-            data = content(body)
+            data = content(body, exact=self._ours)
         except ValueError as error:
             raise _DamagedError(str(error) or "a damaged chunk", span_of(body)) from None
         try:
@@ -231,11 +243,12 @@ class Salvage:
 
     def _plain(self, opcode: int, body: bytes) -> Iterator[Item]:
         try:
-            item = parse(opcode, body)
+            item = parse(opcode, body, exact=self._ours)
         except BROKEN:
             raise _DamagedError(f"a damaged {Opcode(opcode).name.lower().replace('_', ' ')}") from None
         assert not isinstance(item, Chunk)
         self.ended = isinstance(item, DataEnd)
+        self._ours = self._ours or (isinstance(item, Header) and item.library == LIBRARY)
         yield item
 
     def _behind_indexes(self, at: int) -> int:
@@ -269,7 +282,7 @@ class Salvage:
             if len(head) < HEAD.size:
                 return False
             opcode, length = HEAD.unpack(head)
-            if opcode not in _IN_DATA or length > size - at - HEAD.size:
+            if not self._allowed(opcode) or length > size - at - HEAD.size:
                 return False
             if opcode == Opcode.DATA_END:
                 return bool(length == U32.size)

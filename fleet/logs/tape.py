@@ -1,8 +1,9 @@
-"""Random access to the messages of an MCAP file by their number, without holding the file in memory.
+"""Random access to the messages of a log by their number, in the order of their log times. It is not held in memory.
 
-One pass over the file checks it and divides it into stretches (a chunk, or many small ones). It notes the place of each
-stretch, its number of messages by channel, and their due times. A stretch is unpacked again when one of its messages is
-wanted. The tape ends before the first place that cannot be read, and `missing` says what is missing.
+One pass over the log checks it and divides it into pieces (a chunk, or many small ones). It notes the place of each
+piece, its number of messages by channel, and its first time. A piece is unpacked again when one of its messages is
+wanted. If messages are out of order, a second pass notes the time and place of each, and the tape has other pieces than
+the file. The tape ends before the first place that cannot be read, and `missing` says what is missing.
 """
 
 from __future__ import annotations
@@ -10,7 +11,8 @@ from __future__ import annotations
 from array import array
 from bisect import bisect_left, bisect_right
 from collections import OrderedDict
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,14 +20,14 @@ import numpy as np
 from mcap.records import Channel
 
 from fleet.logs.reader import LogReader, LogReadError, Tell, open_file
-from fleet.logs.records import Array, Block, together
+from fleet.logs.records import Array, Block, renumbered, together
 from fleet.logs.salvage import Salvage
 
 _STRETCH = 1 << 20  # bytes unpacked, at least, but at the end
 _LATEST = (1 << 64) - 1  # ns
 _CHOSEN = 4  # stretches of which a track knows what is chosen
 _EACH = 50  # bytes that a message of a stretch takes beside its record
-_HELD = 96 << 20  # bytes of stretches that are kept unpacked, beside the last two
+_HELD = 96 << 20  # bytes that are kept unpacked, beside the last two pieces or stretches
 
 
 class Entry(NamedTuple):
@@ -38,17 +40,16 @@ class Entry(NamedTuple):
     data: bytes
 
 
-class _Stretch(NamedTuple):
-    block: Block
-    due: Array  # when each message is due [ns]: never earlier than one before it
+class _Piece(NamedTuple):
+    """A part of a file that is unpacked as a whole."""
 
-    @property
-    def size(self) -> int:
-        return len(self.block.data) + _EACH * len(self.block)
+    file: Path
+    offset: int
+    first: int  # number of its first message in the order of the file
 
 
 class Tape:
-    """The messages of an MCAP file in the order of the file."""
+    """The messages of a log in the order of their log times; those of the same time in the order of the file."""
 
     def __init__(self, path: Path, tell: Tell = lambda _: None) -> None:
         """Read it through. Raises LogReadError if the file cannot be opened, is no MCAP file, or has no complete
@@ -56,33 +57,33 @@ class Tape:
         """
         self.path = path
         reader = LogReader(path, tell)
-        self._offsets = array("Q")  # where each stretch begins
-        self.firsts = array("Q")  # number of its first message
+        self._pieces: list[_Piece] = []
+        self._order: Array | None = None  # numbers in the order of the file; None: that is in the order of time
+        self.firsts = array("Q")  # number of the first message of each stretch of the tape
         self._dues = array("Q")  # when that is due
-        self._floors = array("Q")  # when the message before it is due
         self.counts: list[tuple[Array, Array]] = []  # channels of each stretch, and how many messages
-        self._open: OrderedDict[int, _Stretch] = OrderedDict()
-        total, latest = 0, 0
+        self._open: OrderedDict[int, Block] = OrderedDict()  # by number of the piece, and below 0 of the stretch
+        self._alone: dict[int, Track] = {}  # by channel
+        self._numbers = reader.numbers
+        total, latest, rising = 0, 0, True
         pending: list[Block] = []
+        file = path
 
         def enter() -> None:
-            nonlocal total, latest
-            channel = np.concatenate([block.channel for block in pending])
-            self._offsets.append(pending[0].offset)
-            self.firsts.append(total)
-            self._floors.append(latest)
-            self._dues.append(max(latest, int(pending[0].log_ns[0])))
-            kinds, counts = np.unique(channel, return_counts=True)
-            self.counts.append((kinds, counts.astype(np.uint32)))
-            total += len(channel)
-            latest = max(latest, *(int(block.log_ns.max()) for block in pending))
+            nonlocal total
+            self._pieces.append(_Piece(file, pending[0].offset, total))
+            self._enter(total, int(pending[0].log_ns[0]), np.concatenate([block.channel for block in pending]))
+            total += sum(map(len, pending))
             pending.clear()
 
         for block in reader.blocks():
             held = sum({one.offset: len(one.data) for one in pending}.values())
-            if pending and block.offset != pending[-1].offset and held >= _STRETCH:
+            if pending and (reader.file != file or (block.offset != pending[-1].offset and held >= _STRETCH)):
                 enter()
+            file = reader.file
             pending.append(block)
+            rising = rising and latest <= block.log_ns[0] and bool((block.log_ns[1:] >= block.log_ns[:-1]).all())
+            latest = max(latest, int(block.log_ns.max()))
         if pending:
             enter()
         self.missing, self.channels, self.schemas = reader.missing, reader.channels, reader.schemas
@@ -90,6 +91,27 @@ class Tape:
         if not total:
             raise LogReadError(f"{path} holds no message{f': {self.missing}' if self.missing else ''}")
         self._total, self.end_ns = total, latest
+        if not rising:
+            self._sort(tell)
+
+    def _enter(self, first: int, due: int, channel: Array) -> None:
+        self.firsts.append(first)
+        self._dues.append(due)
+        kinds, counts = np.unique(channel, return_counts=True)
+        self.counts.append((kinds, counts.astype(np.uint32)))
+
+    def _sort(self, tell: Tell) -> None:
+        """Divide the tape into stretches of messages in the order of time, wherever in the file they are."""
+        some = [(one.log_ns, one.channel, one.end - one.begin) for one in LogReader(self.path, tell).blocks()]
+        log_ns, channel, size = (np.concatenate(column) for column in zip(*some, strict=True))
+        if len(log_ns) != self._total:
+            raise self._changed()
+        self._order = order = np.argsort(log_ns, kind="stable")
+        del self.firsts[:], self._dues[:], self.counts[:]
+        stretch = np.cumsum(size[order] + _EACH) // _STRETCH
+        borders = [0, *(np.flatnonzero(np.diff(stretch)) + 1).tolist(), self._total]
+        for first, end in pairwise(borders):
+            self._enter(first, int(log_ns[order[first]]), channel[order[first:end]])
 
     def __len__(self) -> int:
         return self._total
@@ -100,16 +122,22 @@ class Tape:
         return next(self.entries(k, np.array([within])))
 
     def entries(self, k: int, numbers: Array) -> Iterator[Entry]:
-        """Messages of part `k` of the file, by their numbers there."""
-        block, channels = self.stretch(k).block, self.channels
-        some = block.take(numbers)
-        for message in some.messages():
+        """Messages of stretch `k`, by their numbers there."""
+        channels = self.channels
+        for message in self.stretch(k).take(numbers).messages():
             yield Entry(channels[message.channel], *message[1:])
 
     def due(self, number: int) -> int:
-        """When message `number` is due [ns]: never earlier than one before it."""
+        """When message `number` is due [ns]: its log time."""
         k, within = self._place(number)
-        return int(self.stretch(k).due[within])
+        return int(self.stretch(k).log_ns[within])
+
+    def last(self, channels: Iterable[int], ns: int) -> Iterator[tuple[int, Entry]]:
+        """The last message before a time of each channel that has one by then, with its number."""
+        for channel in channels:
+            track = self._alone.setdefault(channel, Track(self, (channel,)))
+            if count := track.before(ns):
+                yield from track.entries(range(count - 1, count))
 
     def _place(self, number: int) -> tuple[int, int]:
         if not 0 <= number < self._total:
@@ -118,20 +146,55 @@ class Tape:
         return k, number - self.firsts[k]
 
     def stretch_before(self, ns: int) -> int:
-        """The last part of the file with a first message due before a time; -1 if there is none."""
+        """The last stretch with a first message due before a time; -1 if there is none."""
         return bisect_left(self._dues, ns) - 1
 
-    def stretch(self, k: int) -> _Stretch:
-        """Part `k` of the file, unpacked. Raises LogReadError if the file has changed since it was read through."""
-        if k in self._open:
-            self._open.move_to_end(k)
-            return self._open[k]
-        end = self.firsts[k + 1] if k + 1 < len(self.firsts) else self._total
-        wanted = end - self.firsts[k]
-        while len(self._open) > 1 and sum(stretch.size for stretch in self._open.values()) > _HELD:
+    def stretch(self, k: int) -> Block:
+        """Stretch `k`, unpacked. Raises LogReadError if the file has changed since it was read through."""
+        return self._piece(k) if self._order is None else self._held(-1 - k, self._gathered)
+
+    def _piece(self, k: int) -> Block:
+        return self._held(k, self._unpacked)
+
+    def _held(self, key: int, make: Callable[[int], Block]) -> Block:
+        if key in self._open:
+            self._open.move_to_end(key)
+            return self._open[key]
+        found = make(key)
+        while len(self._open) > 1 and sum(len(one.data) + _EACH * len(one) for one in self._open.values()) > _HELD:
             self._open.popitem(last=False)
-        self._open[k] = found = _unpack(self.path, self._offsets[k], wanted, self._floors[k])
+        self._open[key] = found
         return found
+
+    def _gathered(self, key: int) -> Block:
+        """The messages of a stretch, from all pieces that have some of them."""
+        assert self._order is not None
+        k = -1 - key
+        numbers = self._order[self.firsts[k] : self.firsts[k + 1] if k + 1 < len(self.firsts) else None]
+        firsts = np.array([piece.first for piece in self._pieces])
+        pieces = np.searchsorted(firsts, numbers, "right") - 1
+        where = [np.flatnonzero(pieces == piece) for piece in np.unique(pieces)]
+        parts = [self._piece(int(pieces[rows[0]])).take(numbers[rows] - firsts[pieces[rows[0]]]) for rows in where]
+        return together([part.alone() for part in parts]).take(np.argsort(np.concatenate(where)))
+
+    def _unpacked(self, k: int) -> Block:
+        piece = self._pieces[k]
+        wanted = (self._pieces[k + 1].first if k + 1 < len(self._pieces) else self._total) - piece.first
+        blocks: list[Block] = []
+        found = 0
+        with open_file(piece.file) as file:
+            for item in Salvage(file, at=piece.offset):
+                if isinstance(item, Block):
+                    blocks.append(item)
+                    found += len(item)
+                if found >= wanted:
+                    break
+        if found < wanted:
+            raise self._changed()
+        return renumbered(together(blocks).take(np.arange(wanted)), self._numbers[piece.file])
+
+    def _changed(self) -> LogReadError:
+        return LogReadError(f"{self.path} has changed: another program wrote to it during reading")
 
 
 class Track:
@@ -152,7 +215,7 @@ class Track:
         return self._total
 
     def __getitem__(self, index: int) -> int:
-        """When message `index` is due [ns]; never earlier than one before it on the tape."""
+        """When message `index` is due [ns]."""
         k, within = self._place(index)
         return int(self._of(k)[1][within])
 
@@ -182,25 +245,8 @@ class Track:
         """Numbers within a stretch, and due times, of the chosen messages."""
         if k not in self._chosen:
             stretch = self._tape.stretch(k)
-            numbers = np.flatnonzero(np.isin(stretch.block.channel, self._channels))
-            self._chosen[k] = numbers, stretch.due[numbers]
+            numbers = np.flatnonzero(np.isin(stretch.channel, self._channels))
+            self._chosen[k] = numbers, stretch.log_ns[numbers]
             if len(self._chosen) > _CHOSEN:
                 self._chosen.popitem(last=False)
         return self._chosen[k]
-
-
-def _unpack(path: Path, offset: int, messages: int, floor: int) -> _Stretch:
-    blocks: list[Block] = []
-    found = 0
-    with open_file(path) as file:
-        for item in Salvage(file, at=offset):
-            if isinstance(item, Block):
-                blocks.append(item)
-                found += len(item)
-            if found >= messages:
-                break
-    if found < messages:
-        raise LogReadError(f"{path} has changed: another program wrote to it during reading")
-    block = together(blocks).take(np.arange(messages))
-    # A message earlier than the one before it is due together with it: the order of the file is kept.
-    return _Stretch(block, np.maximum(np.maximum.accumulate(block.log_ns), np.uint64(floor)))

@@ -12,6 +12,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import IO, Any, Protocol
@@ -20,7 +21,7 @@ from fleet.errors import FleetError
 from fleet.logs.mcap_writer import CHUNK_BYTES, McapWriter
 from fleet.logs.records import MOST_BYTES
 from fleet.terminal.status_line import StatusLine
-from netem.wire.open_bus import ZenohSample, sample_of
+from netem.wire.open_bus import ZenohSample, matching, sample_of
 
 PROFILE = "zenoh"
 KIND, ENCODING = "zenoh.kind", "zenoh.encoding"
@@ -168,8 +169,15 @@ class Recorder:
         self._longest = 0, ""  # of these: bytes, and its key
         # Wall time that a correction of the system's clock cannot turn back.
         self._zero_ns = time.time_ns() - time.monotonic_ns()  # noqa: TID251 (the log of others is in wall time)
-        for key in keys:
-            bus.subscribe(key, self._receive)
+        for number, key in enumerate(keys):
+            earlier = [matching(other) for other in keys[:number]]
+            bus.subscribe(key, partial(self._receive_once, earlier) if earlier else self._receive)
+
+    def _receive_once(self, earlier: Sequence[Callable[[str], bool]], received: Any) -> None:
+        """Zenoh delivers a sample to each subscriber: if several keys include it, it is of the first one."""
+        key = sample_of(received).key
+        if not any(included(key) for included in earlier):
+            self._receive(received)
 
     def _receive(self, received: Any) -> None:
         while self._queue.qsize() >= MOST_QUEUED and not self._finished:

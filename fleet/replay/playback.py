@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
+from mcap.records import Channel
+
 from fleet.errors import FleetError
 from fleet.logs.decoder import UNITS
-from fleet.logs.tape import Tape, Track
+from fleet.logs.tape import Entry, Tape, Track
 from fleet.replay.capture import ATTACHMENT, DELETE, ENCODING, KIND, zenoh_encoding
 from fleet.replay.player import RATE_STEP, SEEK_NS, MeasuredRate, Player
 from fleet.replay.topics import Stamp, hand_out, pack
@@ -17,7 +20,7 @@ from fleet.terminal.status_line import StatusLine
 from fleet.terminal.table import Piece
 from netem.parsing import nearest
 from netem.wire.keys import Keys
-from netem.wire.open_bus import OpenBus, OpenPublication, matching
+from netem.wire.open_bus import OpenBus, OpenPublication, is_key, matching
 
 MOST = 256  # messages between two looks at the keyboard
 NAP_S = 0.05  # the longest wait without a look at the clock
@@ -34,6 +37,7 @@ class PlaybackOptions:
     end_ns: int | None = None
     step: bool = False
     topics: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
     wait: bool = False
 
 
@@ -47,12 +51,15 @@ class Replay:
         self.ours = "uuv-fleet" in tape.metadata.get("run", {})  # a journal, with sim time and a prefix of its own
         kinds = {n: channel.metadata.get(KIND, "") for n, channel in tape.channels.items()}
         played = {n: c for n, c in tape.channels.items() if kinds[n] != ATTACHMENT}
-        names = chosen((c.topic for c in played.values()), options.topics)
+        names = chosen((c.topic for c in played.values()), options.topics, options.exclude)
+        self.no_keys = sorted(name for name in names if not is_key(name.strip("/")))
         self.key_of = {
             n: self.keys.log(c.topic.strip("/")) if self.ours else c.topic.strip("/")
             for n, c in played.items()
-            if c.topic in names
+            if c.topic in names.difference(self.no_keys)
         }
+        self._latched = [n for n in self.key_of if _latched(played[n])]
+        self._after = 0  # what comes next if the player does not jump
         self._deletes = {n for n in self.key_of if kinds[n] == DELETE}
         self._attached = ATTACHMENT in kinds.values()
         self._track = track = Track(tape, self.key_of)
@@ -65,8 +72,9 @@ class Replay:
         first, stop = track.before(begin), track.before(end + 1)
         if first >= stop:
             last = (tape.end_ns - self.zero_ns) / 1e9
+            why = f"; {self.left_out}" if self.no_keys else ""
             raise FleetError(
-                f"nothing to play: the log ends at {last:g} s, and no chosen message is in what was asked for"
+                f"nothing to play: the log ends at {last:g} s, and no chosen message is in what was asked for{why}"
             )
         self._first, self.messages = first, stop - first
         self._begin, self._end = begin, end
@@ -81,8 +89,14 @@ class Replay:
             before=self._track.before,
         )  # fmt: skip
 
+    @property
+    def left_out(self) -> str:
+        """Which topics are no keys, in words; empty: all of them are."""
+        more = f" and {len(self.no_keys) - 8} more" if len(self.no_keys) > 8 else ""
+        return f"no keys of zenoh: {', '.join(map(repr, self.no_keys[:8]))}{more}" if self.no_keys else ""
+
     def open(self, bus: OpenBus) -> None:
-        """Declare the keys. Raises BusError: a topic is no key for zenoh."""
+        """Declare the keys."""
         tape = self._tape
         for n, key in self.key_of.items():
             channel = tape.channels[n]
@@ -125,17 +139,24 @@ class Replay:
             time.sleep(0.02)
 
     def _publish(self, some: range) -> None:
+        if some and some.start != self._after:
+            for number, entry in self._tape.last(self._latched, self._track[some.start]):
+                self._put(number, entry)
         for number, entry in self._track.entries(some):
-            publication = self._publications[entry.channel.id]
-            if self.ours:
-                attachment: bytes | None = pack(Stamp(entry.log_ns, entry.publish_ns, entry.sequence, number))
-            else:
-                attachment = self._attachment(number, entry.sequence)
-            if entry.channel.id in self._deletes:
-                publication.delete(attachment)
-            else:
-                publication.put(entry.data, attachment)
-            self.published += 1
+            self._put(number, entry)
+        self._after = some.stop if some else self._after
+
+    def _put(self, number: int, entry: Entry) -> None:
+        publication = self._publications[entry.channel.id]
+        if self.ours:
+            attachment: bytes | None = pack(Stamp(entry.log_ns, entry.publish_ns, entry.sequence, number))
+        else:
+            attachment = self._attachment(number, entry.sequence)
+        if entry.channel.id in self._deletes:
+            publication.delete(attachment)
+        else:
+            publication.put(entry.data, attachment)
+        self.published += 1
 
     def _attachment(self, number: int, sequence: int) -> bytes | None:
         if not number or not self._attached:
@@ -208,16 +229,30 @@ def obey(player: Player, key: Key, now: int) -> range:
     return range(0)
 
 
-def chosen(topics: Iterable[str], patterns: Sequence[str]) -> set[str]:
-    """The topics that any of the patterns names; all of them without one. `patterns`: key expressions of zenoh; slashes
-    around them and around topics do not count. Raises FleetError: a pattern names none."""
+def chosen(topics: Iterable[str], patterns: Sequence[str], exclude: Sequence[str] = ()) -> set[str]:
+    """The topics that any of the patterns names, all of them without one, but not those that `exclude` names. Patterns
+    are key expressions of zenoh; slashes around them and around topics do not count. Raises FleetError: a pattern names
+    none."""
     known = sorted(set(topics))
-    names: set[str] = set() if patterns else set(known)
-    for text in patterns:
-        included = matching(text.strip("/"))
-        some = {topic for topic in known if included(topic.strip("/"))}
-        if not some:
-            hint = nearest(text, known) or f"there are {', '.join(known[:8])}{', ...' if len(known) > 8 else ''}"
-            raise FleetError(f'no topic of the log is called "{text}": {hint}')
-        names |= some
-    return names
+
+    def named(some: Sequence[str]) -> set[str]:
+        names: set[str] = set()
+        for text in some:
+            included = matching(text.strip("/"))
+            found = {topic for topic in known if included(topic.strip("/"))}
+            if not found:
+                hint = nearest(text, known) or f"there are {', '.join(known[:8])}{', ...' if len(known) > 8 else ''}"
+                raise FleetError(f'no topic of the log is called "{text}": {hint}')
+            names |= found
+        return names
+
+    return (named(patterns) if patterns else set(known)) - named(exclude)
+
+
+_TRANSIENT_LOCAL = re.compile(r"durability: *(transient_local|1)\b")  # in a bag: in words, or its number in rmw
+
+
+def _latched(channel: Channel) -> bool:
+    """Whether a late subscriber expects the last message: static transforms, and what publishers of ROS 2 keep."""
+    offered = channel.metadata.get("offered_qos_profiles", "")
+    return channel.topic.strip("/").endswith("tf_static") or _TRANSIENT_LOCAL.search(offered) is not None

@@ -12,6 +12,7 @@ from itertools import count
 from types import TracebackType
 from typing import TYPE_CHECKING
 
+from fleet.errors import harmless, printable
 from fleet.terminal.table import Piece, fit, shortened
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ class StatusLine:
         if self._quiet:
             return
         width = self._terminal.width - 1 if self.live else None
-        text = what if isinstance(what, str) else fit(what, width)
+        text = printable(what if isinstance(what, str) else fit(what, width))
         if self.live:
             self._next = at + REFRESH_S
             self._terminal.file.write(f"\r{text[:width]}\x1b[K")
@@ -96,7 +97,7 @@ class StatusLine:
         """Print a line that stays."""
         if not self._quiet:
             self._clear()
-            self._terminal.print(text, highlight=False, markup=False, soft_wrap=True)
+            self._terminal.print(harmless(text), highlight=False, markup=False, soft_wrap=True)
 
     def _clear(self) -> None:
         if self._shown:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Literal, TextIO
 
 import click
 
+from fleet.errors import harmless
+
 if TYPE_CHECKING:
     from rich.console import Console as Terminal
 
@@ -100,7 +102,7 @@ def stdout() -> Terminal:
 def say(text: str, *, err: bool = False) -> None:
     """Print lines on stdout, or on stderr."""
     stream = sys.stderr if err else sys.stdout
-    click.echo(fold(text, _width(stream) if stream.isatty() else None), err=err)
+    click.echo(fold(harmless(text), _width(stream) if stream.isatty() else None), err=err)
 
 
 def fold(text: str, width: int | None, indent: str = INDENT) -> str:
@@ -185,12 +187,12 @@ def show(wanted: Sequence[TerminalColumn], title: str, terminal: Terminal, elsew
     most = terminal.width if terminal.is_terminal else None
     kept = fitting(wanted, terminal.width)
     # Not the title of the Table: that is folded to the width of the columns.
-    terminal.print(Text(fold(title, most), "table.title"), soft_wrap=True)
+    terminal.print(Text(fold(harmless(title), most), "table.title"), soft_wrap=True)
     made = Table(box=None, pad_edge=False)
     for column in kept:
-        made.add_column(escape(column.heading), justify=column.justify, vertical="bottom", overflow="fold")
+        made.add_column(escape(harmless(column.heading)), justify=column.justify, vertical="bottom", overflow="fold")
     for row in zip(*(column.cells for column in kept), strict=True):
-        made.add_row(*map(escape, row))
+        made.add_row(*(escape(harmless(cell)) for cell in row))
     terminal.print(made)
     if left := [column.heading.replace("\n", " ") for column in wanted if column not in kept]:
         text = f"no room here for {', '.join(left)}: {elsewhere}"

@@ -34,7 +34,6 @@ class LogBridge:
         ours = "uuv-fleet" in tape.metadata.get("run", {})
         self._begin_ns = 0 if ours else tape.due(0)  # simulated time begins at 0, whatever is logged first
         self._end_ns = tape.end_ns
-        self._alone: dict[int, Track] = {}
         self.server = FoxgloveServer(
             tape.path.parent.name if ours else tape.path.name,
             host,
@@ -151,13 +150,8 @@ class LogBridge:
             self.server.put(entry.channel.id, entry.data, entry.log_ns)
 
     def _send_last(self, channels: Iterable[int], log_ns: int) -> None:
-        for n in sorted(channels):
-            if n not in self._alone:
-                self._alone[n] = Track(self._tape, (n,))
-            track = self._alone[n]
-            if count := track.before(log_ns):
-                for _, entry in track.entries(range(count - 1, count)):
-                    self.server.put(n, entry.data, entry.log_ns)
+        for _, entry in self._tape.last(sorted(channels), log_ns):
+            self.server.put(entry.channel.id, entry.data, entry.log_ns)
 
     def _describe(self, now: int) -> list[Piece]:
         player, server = self._player, self.server

@@ -38,6 +38,15 @@ def matching(text: str) -> Callable[[str], bool]:
     return included
 
 
+def is_key(name: str) -> bool:
+    """Whether zenoh can publish on a name, and on it alone."""
+    try:
+        zenoh.KeyExpr(name)
+    except zenoh.ZError:
+        return False
+    return "*" not in name
+
+
 class ZenohSample(NamedTuple):
     """A put or a delete of another program, with everything that zenoh delivers with it."""
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from fleet.errors import harmless
 from fleet.terminal.table import say
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ def print_document(document: msgspec.Struct) -> None:
     """Print a document as JSON."""
     from fleet.result.result import json_text
 
-    text = json_text(document)
+    text = harmless(json_text(document), json=True)
     try:
         click.echo(text)
     except UnicodeEncodeError:  # stdout has another encoding; json writes with escapes what it does not have

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -12,15 +13,18 @@ from typing import Any
 import numpy as np
 import pytest
 from foreign_log import foreign
+from hypothesis import given
+from hypothesis import strategies as st
 from in_process_runs import Alone
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
 from repository import ROOT
+from tool import invoke
 
 import fleet
 from fleet.errors import ScenarioError
-from fleet.logs.export import export
+from fleet.logs.export import export, file_names
 from fleet.logs.fault_intervals import FaultInterval
 from fleet.logs.open_log import LogKeyError, Opening
 from fleet.logs.reader import LogReader, LogReadError, digest
@@ -223,3 +227,91 @@ def test_a_log_as_a_table_and_the_call_that_makes_a_table_of_a_topic(run: Path) 
     assert "<td>uuv/1/state</td><td>uuv_fleet.State</td><td>201</td>" in log._repr_html_()
     with pytest.raises(AttributeError, match=r"log.to_pandas\('uuv/1/state'\)"):
         log["uuv/1/state"].to_pandas()
+
+
+ODD = st.text("/a-.\x1b\n*é A", max_size=6) | st.text(max_size=300)
+
+
+@given(st.lists(ODD, unique=True))
+def test_every_topic_has_a_file_of_its_own(topics: list[str]) -> None:
+    """Also on a disk that does not tell upper from lower case; the name is no option, and is not hidden."""
+    names = file_names(topics)
+    assert list(names) == topics and len({name.casefold() for name in names.values()}) == len(topics)
+    for name in names.values():
+        assert name.isprintable() and "/" not in name and name[0] not in "-." and len(f"{name}.parquet".encode()) < 255
+    assert file_names(["/scan", "uuv/1/state"]) == {"/scan": "scan", "uuv/1/state": "uuv-1-state"}
+
+
+def test_tables_of_a_bag_without_some_topics(tmp_path: Path) -> None:
+    """A directory that `ros2 bag` makes, by `info`, `export` and `diff`. Topics have odd names, one of them twice."""
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    for name in ("bag_0.mcap", "bag_1.mcap"):
+        with (bag / name).open("wb") as file:
+            writer = Writer(file)
+            writer.start()
+            for topic in ("/scan", "scan", "/camera", "/camera/info"):
+                writer.add_message(writer.register_channel(topic, "json", 0), 1, b"{}", 1)
+            writer.finish()
+    (bag / "metadata.yaml").write_text(
+        "rosbag2_bagfile_information: {storage_identifier: mcap, relative_file_paths: [bag_0.mcap, bag_1.mcap]}"
+    )
+    made = invoke("export", bag, "--csv", tmp_path / "t", "--exclude", "/camera*")
+    assert made.exit_code == 0, made.output
+    assert sorted(path.name for path in (tmp_path / "t").iterdir()) == ["export.json", "scan-2.csv", "scan.csv"]
+    assert len((tmp_path / "t" / "scan.csv").read_text().splitlines()) == 3
+    size = sum(path.stat().st_size for path in bag.glob("*.mcap"))
+    found = json.loads(invoke("info", bag, "--json").stdout)
+    assert (found["messages"], found["bytes"]) == (8, size)
+    assert invoke("diff", bag, bag).stdout == "the same bit for bit (8 messages)\n"
+    assert "recover each by itself" in invoke("recover", bag).stderr
+    (bag / "metadata.yaml").unlink()
+    assert "name one of them" in invoke("info", bag).stderr
+    (bag / "bag_1.mcap").unlink()
+    assert "4 messages" in invoke("info", bag).stdout  # its recorder was killed
+
+
+@pytest.mark.parametrize(
+    ("told", "words"),
+    [
+        ("{storage_identifier: sqlite3, relative_file_paths: [a_0.db3]}", "the storage 'sqlite3'"),
+        ("{storage_identifier: mcap, relative_file_paths: [a.mcap.zstd]}", "files such as a.mcap.zstd"),
+        ("{storage_identifier: mcap, relative_file_paths: [../../secret.mcap]}", "bag/secret.mcap: No such file"),
+        ("{storage_identifier: mcap, relative_file_paths: [1]}", "not that of a bag"),
+        ("{storage_identifier: mcap, relative_file_paths: []}", "not that of a bag"),
+        ("[", "not that of a bag"),
+    ],
+)
+def test_bags_that_cannot_be_read(told: str, words: str, tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    (bag / "metadata.yaml").write_text(f"rosbag2_bagfile_information: {told}")
+    found = invoke("info", bag)
+    assert found.exit_code == 2 and words in found.stderr
+
+
+def test_no_name_of_a_stranger_reaches_the_terminal(tmp_path: Path) -> None:
+    """Escapes, and line breaks that would begin a line of ours: in names, encodings, and the heading of a trace."""
+    evil = "x\x1b]0;pwn\x07\x9b2J\r\u202enwp\nfleet: 3 messages"
+    path, trace = tmp_path / "x.mcap", tmp_path / "trace.csv"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(evil, evil)
+        schema = writer.register_schema(evil, "jsonschema", b"{}")
+        writer.add_message(writer.register_channel(evil, "json", schema), 1, b"{}", 1)
+        writer.add_message(writer.register_channel(f"/{evil}", evil, 0), 1, b"{}", 1)
+        writer.add_metadata("run", {evil: evil, "scenario": evil, "tick_ns": evil})
+        writer.finish()
+    trace.write_text(f"{evil.splitlines()[0]} [s],delivered\n0,0\n")
+    commands = (["info"], ["export", "--csv", tmp_path / "t"], ["diff", path], ["verify"], ["replay", "--topics", "y"])
+    for verb, *more in commands:
+        assert_harmless(invoke(verb, path, *more).output)
+    assert_harmless(invoke("fit", trace).output)
+    document = invoke("info", path, "--json").stdout
+    assert_harmless(document)
+    assert json.loads(document)["run"][evil] == evil
+    assert not any(line.startswith("fleet:") for line in invoke("info", path).stdout.splitlines())
+
+
+def assert_harmless(text: str) -> None:
+    assert text and all(c.isprintable() or c == "\n" for c in text), ascii(text)

@@ -8,9 +8,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from any_mcap import ANY_MCAP
 from hypothesis import example, given
 from hypothesis import strategies as st
 from mcap.opcode import Opcode
+from mcap.records import Message
 from mcap.writer import Writer
 
 from fleet.logs import records
@@ -126,6 +128,47 @@ def test_records_are_found_as_one_by_one(data: bytes, at_once: int) -> None:
         except records.NonsenseError:
             found.append("nonsense")
     assert found == list(one_by_one(data))
+
+
+@given(ANY_MCAP)
+def test_it_reads_what_the_library_reads(
+    tmp_path_factory: pytest.TempPathFactory, file: tuple[bytes, list[Message]]
+) -> None:
+    """Also with what the specification tells readers to ignore; and such a file is whole."""
+    log = tmp_path_factory.getbasetemp() / "any.mcap"
+    log.write_bytes(file[0])
+    reader = LogReader(log)
+    found = [message for block in reader.blocks() for message in block.messages()]
+    assert found == [
+        records.Message(one.channel_id, one.sequence, one.log_time, one.publish_time, one.data) for one in file[1]
+    ]
+    assert reader.missing == ""
+
+
+@pytest.mark.parametrize("what", ["unknown", "longer", "loose"])
+def test_what_is_ignored_in_files_of_others_is_damage_in_ours(what: str, tmp_path: Path) -> None:
+    """A flipped bit makes such records as well."""
+    found = []
+    for library in ("somebody", records.LIBRARY):
+        log = tmp_path / library
+        with log.open("wb") as file:
+            writer = Writer(file, chunk_size=1)
+            writer.start("", library)
+            channel = writer.register_channel("t", "", 0)
+            writer.add_message(channel, 1, b"x", 1, 1)
+            writer.finish()
+        data = log.read_bytes()
+        end = data.index(rec(Opcode.DATA_END, bytes(4)))
+        more = {
+            "unknown": rec(0x80, b""),
+            "longer": rec(Opcode.METADATA, bytes(9)),
+            "loose": rec(Opcode.MESSAGE, records.MESSAGE.pack(channel, 1, 1, 1)),
+        }[what]
+        log.write_bytes(data[:end] + more + data[end:])
+        reader = LogReader(log)
+        list(reader)
+        found.append(len(reader.damage))
+    assert found == [0, 1]
 
 
 TIMES = st.integers(0, 2**64 - 1)

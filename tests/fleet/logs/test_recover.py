@@ -32,6 +32,7 @@ from fleet.errors import FleetError
 from fleet.logs.reader import GAPS, LOST, RECOVERY, LogReader, LogReadError, Record
 from fleet.logs.records import MAGIC, MOST_BYTES
 from fleet.logs.recover import Recovered, recover, recovery_text
+from fleet.logs.salvage import Salvage
 
 # Three chunks, as small as they get.
 SMALL = ["vehicles=2", "duration=2.5 s", "log.every=50 ticks", "network.period=500 ms", "checks={}"]
@@ -191,6 +192,27 @@ def test_one_flipped_bit_anywhere(log: Path, tmp_path: Path) -> None:
         flipped = bytearray(data)
         flipped[at] ^= 1 << bit
         assert_outcome(tmp_path / "a", bytes(flipped), whole)
+
+
+@pytest.mark.parametrize("chunked", [True, False])
+def test_any_wrong_byte_in_a_file_of_others(chunked: bool, tmp_path: Path) -> None:
+    """Some of them make lengths of more than 63 bits: every one is read, and is damage or none."""
+    whole, path = tmp_path / "whole", tmp_path / "a"
+    with whole.open("wb") as file:
+        writer = Writer(file, use_chunking=chunked)
+        writer.start()
+        channel = writer.register_channel("t", "json", writer.register_schema("S", "", b"any"), {"key": "value"})
+        writer.add_message(channel, 1, b"{}", 1)
+        writer.add_attachment(1, 1, "name", "text/plain", b"text")
+        writer.add_metadata("name", {"key": "value"})
+        writer.finish()
+    data = whole.read_bytes()
+    for at in range(len(MAGIC), len(data)):
+        path.write_bytes(data[:at] + bytes([data[at] ^ 0x80]) + data[at + 1 :])
+        list(LogReader(path))
+        with path.open("rb") as file:
+            salvage = Salvage(file, beyond=True)
+            assert list(salvage) or salvage.damage
 
 
 def test_an_index_that_turns_into_a_message(log: Path, tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ from fleet.logs.tape import Tape
 from fleet.replay import capture
 from fleet.replay.capture import ATTACHMENT, KIND, PublisherGone, TrafficWriter, message_encoding, zenoh_encoding
 from fleet.replay.topics import Stamp, pack, unpack
-from netem.wire.open_bus import OpenBus, ZenohSample
+from netem.wire.open_bus import OpenBus, ZenohSample, matching
 
 
 def traffic(path: Path, samples: list[ZenohSample], every_ns: int = 1_000_000) -> Path:
@@ -92,6 +92,7 @@ def test_other_traffic_comes_back_as_it_was(tmp_path: Path) -> None:
     path, where = tmp_path / "robot.mcap", endpoint()
     with Command("record", "--key", "robot/**", "-o", path, "--listen", where) as recorder:
         recorder.until("recording")
+        recorder.until("leave out parts that begin with @")
         with session(OpenBus.connect(where)) as robot:
             outs = {
                 (s.key, s.encoding): robot.publication(s.key, s.encoding, drop=False) for s in SAMPLES if not s.delete
@@ -213,6 +214,27 @@ def test_what_readers_would_not_take_is_left_out_and_counted(tmp_path: Path, mon
     assert "2, the longest has 65 MB, on a;" in recorder.left_out
     records = LogReader(tmp_path / "x.mcap")
     assert [len(record.data) for record in records] == [capture.MOST_MESSAGE] and records.missing == ""
+
+
+PARTS = st.lists(st.sampled_from(["a", "b", "@v0", "*", "**"]), min_size=1, max_size=3).map("/".join)
+
+
+@given(st.lists(PARTS, min_size=1, max_size=4), st.lists(st.sampled_from(["a", "a/b", "a/a/b", "@v0/a", "b/@v0"])))
+def test_what_several_keys_include_is_recorded_once(keys: list[str], put: list[str]) -> None:
+    """Zenoh delivers a sample to every subscriber whose key includes it."""
+    heard = list[tuple[str, Callable[[Any], None]]]()
+    bus = SimpleNamespace(subscribe=lambda key, handler: heard.append((key, handler)))
+    found = list[str]()
+    writer = SimpleNamespace(add=lambda sample, _: found.append(sample.key), close=lambda: None)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(capture, "sample_of", lambda sample: sample)
+        recorder = capture.Recorder(bus, keys)
+        for key in put:
+            for expression, handler in heard:
+                if matching(expression)(key):
+                    handler(ZenohSample(key, b"x", False, "zenoh/bytes", None, None))
+        recorder.finish(writer)
+    assert found == [key for key in put if any(matching(expression)(key) for expression in keys)]
 
 
 def test_whether_the_other_side_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,10 +13,12 @@ import sys
 import termios
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from marks import slow
+from mcap.writer import Writer
 from traffic import LIMIT_S, PAGE, Command, Ear, endpoint, len_of, schemas_of, session
 from traffic import log as log
 from traffic import records as records
@@ -29,6 +31,7 @@ from fleet.processes.interrupts import holding_interrupts
 from fleet.replay.capture import ENCODING, zenoh_encoding
 from fleet.replay.playback import PlaybackOptions, Replay
 from fleet.replay.topics import Stamp, ask_topics, pack, unpack
+from fleet.terminal.keyboard import Key
 from netem.wire.keys import Keys
 from netem.wire.open_bus import OpenBus
 
@@ -73,6 +76,94 @@ def test_the_first_line_has_the_pace(log: Path, monkeypatch: pytest.MonkeyPatch)
         replay.play(nobody, line)  # type: ignore[arg-type]
     pace = float(re.findall(r"([\d.]+) x real time of 1", line.shown[0])[0])
     assert pace == pytest.approx(1.0, abs=0.01), line.shown[0]
+
+
+class Script(Nobody):
+    """A keyboard on which keys are typed at some times [s]. It also stands for the bus, and notes what is published."""
+
+    def __init__(self, keys: dict[float, Key], until: float) -> None:
+        super().__init__()
+        self.published: list[tuple[str, float]] = []
+        self._keys, self._until = keys, until
+
+    def publication(self, key: str, _: str, *, drop: bool) -> Any:
+        return SimpleNamespace(put=lambda data, _: self.published.append((key, int(data) / 1e9)))
+
+    def read(self, seconds: float) -> list[Any]:
+        if self.now_ns >= self._until * 1e9:
+            raise KeyboardInterrupt
+        super().read(seconds)
+        return [self._keys.pop(at) for at in list(self._keys) if self.now_ns >= at * 1e9]
+
+
+def of_others(path: Path) -> Path:
+    """Ten seconds of a robot: two latched topics with messages now and then, and one that is not latched."""
+    profile = "- history: 3\n  durability: {}\n"
+    latched = {"/tf_static": "", "/map": profile.format("transient_local"), "/grid": profile.format(1)}
+    others = {"/odom": profile.format("volatile"), "/scan": profile.format(2)}
+    seconds = {"/tf_static": [0], "/map": [1, 4], "/grid": [1, 8], "/odom": range(11), "/scan": [3]}
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        for topic, offered in (latched | others).items():
+            channel = writer.register_channel(topic, "cdr", 0, {"offered_qos_profiles": offered})
+            for second in seconds[topic]:
+                at = second * 10**9
+                writer.add_message(channel, at, str(at).encode(), at)
+        writer.finish()
+    return path
+
+
+@pytest.mark.parametrize(
+    ("options", "keys", "expected"),
+    [
+        ({}, {}, ["odom 0", "odom 1", "odom 2"]),
+        ({"start_ns": 5 * 10**9}, {}, ["odom 5", "odom 6", "odom 7"]),
+        ({"start_ns": 8 * 10**9, "end_ns": 9 * 10**9, "loop": True}, {}, ["odom 8", "odom 9", "odom 8", "odom 9"]),
+        ({}, {0.5: Key.FORWARD}, ["odom 0", "odom 6"]),
+        ({"start_ns": 2 * 10**9}, {0.5: Key.FORWARD, 1.2: Key.BACK}, ["odom 2", "odom 8", "odom 4"]),
+    ],
+    ids=["all", "start", "loop", "seek", "there and back"],
+)
+def test_what_is_latched_is_sent_after_every_jump(
+    options: dict[str, Any], keys: dict[float, Key], expected: list[str], tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """After each, a subscriber knows the last message of each latched topic, as if all had been played."""
+    script = Script(dict(keys), until=2.9)
+    monkeypatch.setattr("fleet.replay.playback.time", script)
+    replay = Replay(Tape(of_others(tmp_path / "x.mcap")), PlaybackOptions(**options))
+    replay.open(script)  # type: ignore[arg-type]
+    with pytest.raises(KeyboardInterrupt):
+        replay.play(script, LateLine(Nobody()))  # type: ignore[arg-type]
+    known: dict[str, float] = {}
+    heard = []
+    for topic, at in script.published:
+        if topic == "odom":
+            heard.append(f"{topic} {at:g}")
+            due = {"tf_static": [0], "map": [1, 4], "grid": [1, 8]}
+            last = {name: max(t for t in times if t <= at) for name, times in due.items() if times[0] <= at}
+            assert known == last
+        elif topic != "scan":
+            known[topic] = at
+    assert heard[: len(expected)] == expected
+    assert ("scan", 3) not in script.published or not options.get("start_ns")
+
+
+def test_topics_that_are_no_keys_are_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        for topic in ("", "/", "a#1", "a*b", "x/*", "**", "/good", "also good"):
+            writer.add_message(writer.register_channel(topic, "", 0), 1, b"1", 1)
+        writer.finish()
+    script = Script({}, 1.0)
+    replay = Replay(Tape(path), PlaybackOptions(speed=0.0))
+    replay.open(script)  # type: ignore[arg-type]
+    replay.play(script, LateLine(script))  # type: ignore[arg-type]
+    assert {topic for topic, _ in script.published} == {"good", "also good"}
+    assert replay.left_out == "no keys of zenoh: '', '**', '/', 'a#1', 'a*b', 'x/*'"
 
 
 @pytest.mark.parametrize("topics", [["uuv/*/pose", "link/**"], *slow([])])

@@ -34,6 +34,10 @@ def test_choice_of_topics() -> None:
     topics = ["uuv/1/state", "uuv/2/state", "link/1-2"]
     assert chosen(topics, []) == set(topics)
     assert chosen(topics, ["uuv/1/*", "link/**"]) == {"uuv/1/state", "link/1-2"}
+    assert chosen(topics, [], ["uuv/**"]) == {"link/1-2"}
+    assert chosen(topics, ["uuv/**"], ["/uuv/1/state"]) == {"uuv/2/state"}
     for pattern, words in (("uuv/1/stat", "uuv/1/state"), ("nothing", "there are link/1-2")):
         with pytest.raises(FleetError, match=words):
             chosen(topics, [pattern])
+        with pytest.raises(FleetError, match=words):
+            chosen(topics, [], [pattern])

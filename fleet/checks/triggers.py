@@ -37,7 +37,10 @@ class _Waiting:
 class Triggers:
     """The triggers of a scenario that have not begun."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, *, goes_on: bool = False) -> None:
+        """Begin to look. `goes_on`: at a run that goes on from another. What holds in its first samples is no moment, as
+        it may have held before.
+        """
         spec = self._spec = scenario.spec
         self._scenario, self._tick_ns = scenario, scenario.tick_ns
         self._places: dict[int, Mapping[str, SignalPlace]] = {
@@ -47,6 +50,9 @@ class Triggers:
             _Waiting(trigger, trigger_name(trigger, number), ask_moment(trigger.when, self._places), trigger.nth)
             for number, trigger in enumerate(spec.triggers, start=1)
         ]
+        for one in self._waiting if goes_on else ():
+            if one.asked.condition is not None:
+                one.known = dict.fromkeys(one.asked.vehicles, True)
         self.begun: list[FaultSection] = []  # in the order of their moments
 
     @property

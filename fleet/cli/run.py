@@ -171,8 +171,8 @@ def _execute(
         result = execute(scenario, replace(options, on_published=on_published), terminal)
         if page is not None and result.directory is not None:
             page.over(result.directory)
+        cli_junit.write(junit, result.scenario, cli_junit.of_run(result))
         _print_result(result, quiet=options.quiet)
-    cli_junit.write(junit, result.scenario, cli_junit.of_run(result))
     sys.exit(result.status.exit)
 
 
@@ -236,6 +236,8 @@ def _print_result(result: Result, *, quiet: bool) -> None:
         sys.stdout.flush()
     except OutputError as error:
         give_up_output()
+        if error.reader_gone:
+            return  # `head` has seen enough, and the status says how the run ended
         click.echo(f"fleet: {error}; the results are in {result.directory}", err=True)
         sys.exit(max(Status.BROKEN.exit, result.status.exit))
 

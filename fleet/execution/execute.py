@@ -160,7 +160,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     """
     if scenario.spec.triggers:
         names = moments(scenario.spec.triggers, scenario.spec)
-        scenario = fired(scenario)
+        scenario = fired(scenario, options.start)
         for name, begin_s, end_s, what in () if options.quiet else timeline(scenario):
             if name in names:
                 text = f"fault from {begin_s:g} to {end_s:g} s: {what} (id {name}), {names[name]}"

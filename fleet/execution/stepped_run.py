@@ -137,6 +137,12 @@ class Run:
         agents: Mapping[int, MakeLife] | None,
     ) -> None:
         refuse(scenario, "a run in one process")
+        if agents and scenario.spec.triggers:
+            # Their moments are found in a run before this one, and nothing is known of what these agents will do.
+            raise FleetError(
+                "triggers: they cannot be combined with agents that are given in Python; leave them out, or inject a "
+                "fault when its moment has come"
+            )
         self.scenario = scenario = fired(scenario)
         self._file = log or NoLog()
         writer = self._file if isinstance(self._file, NoDigest) else LogWriter(self._file, scenario)

@@ -19,7 +19,7 @@ from fleet.execution.external_agents import refuse
 from fleet.execution.in_process import in_process
 from fleet.execution.operator import Operator
 from fleet.recorder.metrics import VehicleError
-from fleet.recorder.snapshot import Snapshot
+from fleet.recorder.snapshot import Snapshot, Start
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultSection
@@ -29,8 +29,11 @@ from netem.wire.messages import Command, Fate, Frame
 from world.errors import WorldError
 
 
-def fired(scenario: Scenario) -> Scenario:
+def fired(scenario: Scenario, start: Start | None = None) -> Scenario:
     """The scenario with the faults that its triggers begin in place of these; itself if it has none.
+
+    Args:
+        start: where the run that counts goes on; None: it begins at t = 0.
 
     Raises:
         ScenarioError: a module of it may not run.
@@ -39,8 +42,8 @@ def fired(scenario: Scenario) -> Scenario:
     if not scenario.spec.triggers:
         return scenario
     refuse(scenario, "a scenario with triggers")
-    calm, looks = _with(scenario, ()), _Looks(scenario)
-    runner = in_process(calm, looks, judged=False)
+    calm, looks = _with(scenario, ()), _Looks(scenario, goes_on=start is not None)
+    runner = in_process(calm, looks, start=start, judged=False)
     operator = Operator(calm, runner.journal, LiveClock(GrantPolicy.of(calm), 0.0), runner)
     try:
         runner.begin()
@@ -58,8 +61,8 @@ def fired(scenario: Scenario) -> Scenario:
 class _Looks:
     """A sink of the journal that shows each frame to the triggers, and records nothing."""
 
-    def __init__(self, scenario: Scenario) -> None:
-        self.triggers, self._scenario = Triggers(scenario), scenario
+    def __init__(self, scenario: Scenario, *, goes_on: bool) -> None:
+        self.triggers, self._scenario = Triggers(scenario, goes_on=goes_on), scenario
         self._next: list[FaultSection] = []
 
     def due(self, at_ns: int) -> list[FaultSection]:

@@ -239,7 +239,7 @@ FULL = "No space left on device"
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("redirection", "why"),
-    [(">&-", "it is closed"), (">/dev/full", FULL), ("| true", "its reader is gone"), ("<&- >&-", "it is closed")],
+    [(">&-", "it is closed"), (">/dev/full", FULL), ("<&- >&-", "it is closed")],
 )
 def test_a_run_that_cannot_show_its_result(redirection: str, why: str, tmp_path: Path) -> None:
     """The log is whole and judged; that the table was not seen is said, and is status 3."""
@@ -250,6 +250,19 @@ def test_a_run_that_cannot_show_its_result(redirection: str, why: str, tmp_path:
     assert "Traceback" not in done.stderr
     assert LogReader(directory / "run.mcap").missing == ""
     assert json.loads((directory / "result.json").read_text())["status"] == "pass"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("check", "status"), [("ledger: balanced", 0), ("formation_error: {below: 1 mm}", 1)])
+@pytest.mark.parametrize("reader", ["| true", "| head -1"])
+def test_a_reader_that_has_seen_enough_changes_no_status(check: str, status: int, reader: str, tmp_path: Path) -> None:
+    """`fleet run | head -1` was status 3, as of a broken run."""
+    report = tmp_path / "junit.xml"
+    words = ["--set", f"checks={{tumbled: waived, {check}}}", "--junit", str(report), "--out", str(tmp_path)]
+    done = _shell([*SHORT, *words], reader)
+    assert done.returncode == status, done.stderr
+    assert "cannot write" not in done.stderr
+    assert report.exists()
 
 
 @pytest.mark.slow

@@ -21,6 +21,7 @@ from tool import invoke
 from fleet.errors import FleetError
 from fleet.execution.execute import _policy, execute
 from fleet.execution.options import Options
+from fleet.execution.triggered import fired
 from fleet.logs.open_log import open_log
 from fleet.logs.reader import LogReader, Record
 from fleet.pictures.axes import over_time
@@ -277,3 +278,20 @@ def test_an_agent_that_was_gone_is_there_if_nothing_ends_it(at_ms: int, tmp_path
     found = run(scenario, tmp_path, start)
     commands = open_log(found.directory)["uuv/1/command"]
     assert (commands.t[0], len(commands)) == (at_ms / 1e3, (1000 - at_ms) / 10)
+
+
+def test_triggers_look_at_the_run_that_goes_on(recorded: Alone, tmp_path: Path) -> None:
+    """They looked at a run from t = 0. So a moment before the start began a fault, and this one came too early."""
+    log = recorded("paper", "duration=2.4 s", "log.snapshot=1 s").directory / "run.mcap"
+    x = open_log(log)["uuv/1/state"]
+    early, late = (float(x["x"][np.searchsorted(x.t, at_s)]) for at_s in (0.7, 1.7))
+    triggers = ", ".join(
+        f"{{id: {name}, when: {{topic: state.x, above: {value} m, vehicles: 1}}, for: 100 ms, fault: {{mute: 2}}}}"
+        for name, value in (("early", early), ("late", late))
+    )
+    scenario, start = continuation(log, 10**9, [f"triggers=[{triggers}]"])
+    begun = [(fault.id, fault.at) for fault in fired(scenario, start).spec.faults]
+    assert [name for name, _ in begun] == ["late"]
+    assert 1.6e9 < begun[0][1] < 2.0e9
+    goes_on = execute(scenario, Options(tmp_path, quiet=True, start=start))
+    assert goes_on.status is Status.PASS, goes_on.reason

@@ -254,3 +254,11 @@ def test_nothing_of_pettingzoo_is_imported_by_the_rest() -> None:
 def test_the_page_shows_what_its_code_prints(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert run_page(ROOT / "docs" / "guide" / "policies.md") >= 3
+
+
+def test_triggers_are_refused_since_the_policies_decide_later() -> None:
+    """Their moments were found in a run before, with the law of the scenario in place of the policies."""
+    trigger = {"when": {"topic": "state.x", "above": "1 m"}, "for": "1 s", "fault": {"mute": 1}}
+    env = parallel_env(small(), set=CHECKS | {"triggers": [trigger]})
+    with pytest.raises(FleetError, match="triggers: they cannot be combined with agents that are given in Python"):
+        env.reset()

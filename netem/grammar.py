@@ -11,7 +11,7 @@ Conditions are written in the grammar of Linux tc-netem (tc-netem(8)):
     CORRUPT      := corrupt PERCENT [ CORRELATION ]
     REORDER      := reorder PERCENT [ CORRELATION ] [ gap DISTANCE ]       (needs a delay)
     RATE         := rate RATE [ PACKETOVERHEAD ]
-    TIME         := number followed by us, ms or s        PERCENT, CORRELATION := number followed by %
+    TIME         := number followed by us, ms, s (tc: usec, msec, sec)    PERCENT, CORRELATION := number followed by %
     RATE         := number followed by bit, kbit, mbit, gbit (bits per second), or bps, kbps, mbps, gbps (bytes!)
 
 Here units are required. tc reads a TIME without a unit as microseconds and a PERCENT without a sign as percent. If you
@@ -88,6 +88,7 @@ def select(selector: Selector, links: Sequence[Link]) -> tuple[Link, ...]:
 _VALUE = re.compile(rf"({NUMBER.pattern})\s*([^\W\d_]+|%)?(?=\s|$)", re.ASCII)
 _WORD = re.compile(r"\S+")
 _TIME_NS = {"us": 10**3, "ms": 10**6, "s": 10**9}
+_TIME_NS |= {f"{unit}{more}": ns for unit, ns in [*_TIME_NS.items()] for more in ("ec", "ecs")}  # tc's long names
 RATE_UNITS = {"bit": 1, "kbit": 10**3, "mbit": 10**6, "gbit": 10**9, "bps": 8, "kbps": 8000, "mbps": 8 * 10**6,
              "gbps": 8 * 10**9, "kibit": 1024, "mibit": 1024**2, "gibit": 1024**3}  # fmt: skip
 _LONGEST_TIME_NS = 10**9 * 86_400
@@ -346,7 +347,7 @@ def _time(reader: _Reader, what: str, example: str) -> int:
             f'the {what} "{got}" has no unit', column, f'write "{got}ms", or "{got}us", which is how tc reads it'
         )
     if unit not in _TIME_NS:
-        raise TextError(f'the {what} takes us, ms or s, got "{unit}"', column, nearest(unit, _TIME_NS))
+        raise TextError(f'the {what} takes us, ms or s, got "{unit}"', column, nearest(unit, ("us", "ms", "s")))
     ns = number * _TIME_NS[unit]
     if ns < 0 or ns > _LONGEST_TIME_NS:
         raise TextError(f'the {what} must be between 0 and one day, got "{got}"', column)

@@ -38,8 +38,8 @@ class Triggers:
     """The triggers of a scenario that have not begun."""
 
     def __init__(self, scenario: Scenario, *, goes_on: bool = False) -> None:
-        """Begin to look. `goes_on`: at a run that goes on from another. What holds in its first samples is no moment, as
-        it may have held before.
+        """Begin to look. `goes_on`: at a run that goes on from another. What holds in its first samples is no moment,
+        as it may have held before.
         """
         spec = self._spec = scenario.spec
         self._scenario, self._tick_ns = scenario, scenario.tick_ns

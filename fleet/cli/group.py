@@ -6,6 +6,8 @@ An error ends a command with one line on stderr and with the status of the error
 from __future__ import annotations
 
 import errno
+import os
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
@@ -15,7 +17,7 @@ from typing import Any
 import click
 
 from fleet.cli.documents.output import json_is_asked, print_document
-from fleet.cli.verbs import ELSEWHERE, FORMER, GROUPS, VERBS
+from fleet.cli.verbs import ELSEWHERE, FORMER, GROUPS, OTHER_OPTIONS, VERBS
 from fleet.errors import FleetError, harmless
 from fleet.terminal.table import say
 from netem.errors import NetemError
@@ -65,6 +67,11 @@ class FleetGroup(click.Group):
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         """The command that was typed; for one of another tool the error names ours. Raises UsageError."""
+        if args == ["help"]:
+            click.echo(ctx.get_help())
+            ctx.exit()
+        if args and args[0] == "help":
+            args = [args[1], "--help"]
         if args and not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
             from netem.parsing import nearest, quoted  # here, for commands start without it
 
@@ -90,7 +97,8 @@ class FleetGroup(click.Group):
         try:
             return super().invoke(ctx)
         except click.ClickException as error:  # click prints it
-            error.message = harmless(error.message)  # type: ignore[misc]  # final for those who inherit from it
+            # `message` is final for those who inherit from it.
+            error.message = harmless(error.message + _meant(error))  # type: ignore[misc]
             _document(error, error.format_message(), error.exit_code)
             raise
         except (FleetError, NetemError, OSError, UnicodeEncodeError) as error:
@@ -99,12 +107,29 @@ class FleetGroup(click.Group):
             ctx.exit(status)
 
 
+def _meant(error: click.ClickException) -> str:
+    """A hint at what the user probably meant; empty: there is none."""
+    context = error.ctx if isinstance(error, click.UsageError) else None
+    if context is None:
+        return ""
+    if isinstance(error, click.NoSuchOption):
+        other = OTHER_OPTIONS.get((context.info_name or "", error.option_name))
+        if other:
+            error.possibilities = []
+        return f" {other}" if other else ""
+    change = _CHANGE.search(error.message)
+    if change is None or not any("--set" in parameter.opts for parameter in context.command.params):
+        return ""
+    return f": a change of the scenario is --set '{change[1]}'"
+
+
 def command_of(name: str) -> click.Command:
     """The command of a name that is in `VERBS`."""
     offered: Sequence[click.Command] = import_module(f"fleet.cli.{VERBS[name].module}").COMMANDS
     return next(command for command in offered if command.name == name)
 
 
+_CHANGE = re.compile(r"unexpected extra arguments? \(([\w.*>-]+=[^)]*)\)")
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 _SQLITE_FULL, _SQLITE_IOERR = 13, 10  # of SQLite; sqlite3 is not imported for their sake
 
@@ -112,6 +137,8 @@ _SQLITE_FULL, _SQLITE_IOERR = 13, 10  # of SQLite; sqlite3 is not imported for t
 def report(error: Exception) -> int:
     """Print an error on stderr, and return the exit status that belongs to it."""
     say(f"fleet: {_words(error)}", err=True)
+    if not _has_folder():
+        say("       the folder that you are in has been removed: go to another one", err=True)
     if _no_room(error):
         return BROKEN
     match error:
@@ -119,6 +146,14 @@ def report(error: Exception) -> int:
             return USAGE  # about what was asked for
         case _:
             return int(getattr(error, "status", BROKEN))
+
+
+def _has_folder() -> bool:
+    """Whether the working directory exists."""
+    try:
+        return bool(os.getcwd())
+    except OSError:
+        return False
 
 
 def _no_room(error: BaseException | None) -> bool:

@@ -79,6 +79,12 @@ FORMER = {
     "acl": "fleet hosts acl",
     "certs": "fleet hosts certs",
 }
+# What users expect of a command that has no such option, by command and option.
+OTHER_OPTIONS = {
+    ("run", "--dry-run"): "fleet check SCENARIO judges a scenario without a run; --show-config prints it",
+    ("run", "--seeds"): "fleet sweep SCENARIO --seeds 20 makes a run with each seed",
+    ("run", "--vary"): "fleet sweep SCENARIO --vary 'KEY=VALUES' makes a run with each value",
+}
 VERBS: dict[str, Verb] = {name: verb for group in GROUPS.values() for name, verb in group.items()}
 # What users of other tools type, and what it is called here.
 ELSEWHERE = {
@@ -96,6 +102,6 @@ ELSEWHERE = {
     "validate": "fleet check",
     **dict.fromkeys(("bug", "doctor", "env", "version"), "fleet about (versions, machine and a run, for a bug report)"),
     "bench": "python -m benchmarks (in a checkout of uuv-fleet)",
-    "help": "--help, as in fleet run --help",
+    "scenarios": "fleet list",
     "test": "fleet run (a scenario and its checks)",
 }

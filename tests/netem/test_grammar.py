@@ -37,6 +37,8 @@ def test_printing_is_canonical(condition: Condition) -> None:
         ("down delay 1us", Condition(delay_ns=1_000, up=False)),
         ("delay 0.001us", Condition(delay_ns=1)),
         ("delay 0ms", Condition()),
+        ("delay 200msec 250usecs 5%", Condition(200_000_000, 250_000, delay_correlation=0.05)),
+        ("delay 1sec", Condition(delay_ns=1_000_000_000)),
         ("loss 100%", Condition(loss=1.0)),
         ("delay 200ms 50ms 25%", Condition(200_000_000, 50_000_000, delay_correlation=0.25)),
         ("delay 1ms 2ms distribution pareto", Condition(1_000_000, 2_000_000, distribution="pareto")),

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import world
+from netem.parsing import nearest
 from world.errors import PluginError
 from world.signal import Signal
 
@@ -135,6 +136,9 @@ def check_class(
         own = list(signature.parameters.values())[1:]
         shown = ", ".join(str(parameter.replace(annotation=inspect.Parameter.empty)) for parameter in own)
         hint = f"its parameters: {shown}" if shown else "it takes no parameters"
+        names = [parameter.name for parameter in own]
+        near = [word for key in parameters if key not in names and (word := nearest(key, names))]
+        hint = " ".join([*near, hint])
         raise PluginError(kind, name, f"cannot be made with these parameters: {error}", hint) from None
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from importlib import import_module
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -60,3 +61,35 @@ def test_a_former_verb_names_the_new_line() -> None:
         assert (result.exit_code, result.stdout) == (2, "")
         assert f"fleet {old} is now: {now}\n" in result.stderr
         assert now.split()[1] in VERBS
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["run", "paper", "duration=5s"], "a change of the scenario is --set 'duration=5s'"),
+        (["sweep", "paper", "network.links.*.loss=10%"], "is --set 'network.links.*.loss=10%'"),
+        (["run", "paper", "--dry-run"], "fleet check SCENARIO judges a scenario without a run"),
+        (["run", "paper", "--seeds", "3"], "fleet sweep SCENARIO --seeds 20"),
+        (["scenarios"], "here it is fleet list"),
+        (["help", "rnu"], 'did you mean "run"?'),
+        (["run", "election", "--set", "agent.parameters.usee_s=3"], 'did you mean "lease_s"? its parameters: '),
+    ],
+)
+def test_what_other_tools_call_otherwise_is_named(words: list[str], hint: str) -> None:
+    result = invoke(*words)
+    assert result.exit_code == 2
+    assert hint in result.stderr
+
+
+def test_help_is_a_command_too() -> None:
+    assert invoke("help").stdout == invoke("--help").stdout
+    assert invoke("help", "run").stdout == invoke("run", "--help").stdout
+
+
+def test_a_folder_that_was_removed_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    result = invoke("info")
+    assert result.exit_code != 0
+    assert "the folder that you are in has been removed" in result.stderr

@@ -12,6 +12,7 @@ import shutil
 import sys
 import sysconfig
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ from setuptools.build_meta import (  # noqa: F401  the hooks that stay as they a
     prepare_metadata_for_build_editable,
     prepare_metadata_for_build_wheel,
 )
+from setuptools.command.build_ext import build_ext
 from setuptools.command.build_py import build_py
 
 MYPYC = "mypy>=1.18,<3"
@@ -70,7 +72,10 @@ def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_dire
             if obstacle is None:
                 options = {"build": {"build_base": f"{folder}/compiled"}}
                 try:
-                    setuptools.setup = partial(plain, ext_modules=_extensions(folder), options=options)
+                    commands = {"build_ext": _OnAllCores}
+                    setuptools.setup = partial(
+                        plain, ext_modules=_extensions(folder), options=options, cmdclass=commands
+                    )
                     return build()
                 except (Exception, SystemExit) as error:  # of mypyc, of the C compiler: plain Python runs all the same
                     if _asked() == "yes":
@@ -82,6 +87,27 @@ def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_dire
             return build()
         finally:
             setuptools.setup = plain
+
+
+class _OnAllCores(build_ext):
+    """The step that compiles: several C files of an extension at a time, where setuptools takes one after the other."""
+
+    def build_extensions(self) -> None:
+        one_by_one = self.compiler.compile
+
+        def compile_all(sources: list[str], **options: Any) -> list[str]:
+            with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+                made = pool.map(
+                    lambda source: one_by_one([source], **options), sorted(sources, key=_size, reverse=True)
+                )
+                return [path for paths in made for path in paths]
+
+        self.compiler.compile = compile_all
+        super().build_extensions()
+
+
+def _size(path: str) -> int:
+    return os.path.getsize(path)
 
 
 def _asked() -> str:
@@ -127,7 +153,8 @@ def _extensions(folder: str) -> Any:
         "[mypy]\nfollow_imports = silent\nignore_missing_imports = True\nno_site_packages = True\n", "utf-8"
     )
     extensions = mypycify([f"--config-file={settings}", f"--cache-dir={folder}/cache", *MODULES],
-                          target_dir=folder, opt_level=LEVEL, debug_level="0", strip_asserts=False)  # fmt: skip
+                          target_dir=folder, opt_level=LEVEL, debug_level="0", strip_asserts=False,
+                          multi_file=True)  # fmt: skip
     for extension in extensions:
         extension.extra_compile_args = [*(extension.extra_compile_args or []), *FLAGS]
     return extensions

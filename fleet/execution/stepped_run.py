@@ -8,7 +8,8 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from inspect import signature
 from math import dist
 from pathlib import Path
 from typing import Any, NamedTuple, Never, Self
@@ -17,6 +18,7 @@ from agents.errors import AgentError
 from fleet.analysis.verdicts import judge, standing
 from fleet.errors import FleetError, RunBroken
 from fleet.execution.clock import GrantPolicy, LiveClock
+from fleet.execution.directory import RunDirectory
 from fleet.execution.external_agents import refuse
 from fleet.execution.in_process import MakeLife, in_process
 from fleet.execution.operator import Operator, RefusedError
@@ -27,6 +29,7 @@ from fleet.quantities import QuantityError, show_time, time_ns
 from fleet.recorder.journal import WatchedLog, Watcher
 from fleet.recorder.log_file import LogFile, NoDigest, NoLog
 from fleet.recorder.writer import LogWriter
+from fleet.result.file import write_result
 from fleet.result.result import Result, Status, Wall
 from fleet.result.verdict import Margin
 from fleet.scenario.loading import changed, load_scenario
@@ -34,6 +37,7 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.text.fault_words import read_fault
 from fleet.scenario.text.overrides import FAULT, NET, SET, Override
+from netem.parsing import nearest
 from netem.wire.messages import Nav
 from world.errors import WorldError
 from world.plugins.trust import trusting
@@ -102,7 +106,7 @@ class Run:
             FleetError: somebody else is to start an agent.
             TypeError: an argument is unknown; keys of the scenario go into `set`.
         """
-        found = loaded("Run", scenario, set, net, fault, seed, trust, unknown)
+        found = loaded(Run, scenario, set, net, fault, seed, trust, unknown)
         refuse(found, "a run in one process")
         self._prepare(found, None if log is None else LogFile(Path(log)), None, None)
 
@@ -354,7 +358,7 @@ def _ticks(by: int | str, tick_ns: int) -> int:
 
 
 def loaded(
-    function: str,
+    function: Callable[..., Any],
     scenario: str | Path | Scenario,
     set: Changes,
     net: Iterable[str],
@@ -370,9 +374,13 @@ def loaded(
         TypeError: an argument is unknown.
     """
     if unknown:
+        name = next(iter(unknown))
         keys = {key: unknown[key] for key in unknown if key in ScenarioSpec.model_fields}
-        hint = f"; keys of the scenario go into set={keys}" if keys else ""
-        raise TypeError(f"{function}() has no argument {next(iter(unknown))!r}{hint}")
+        known = [key for key in signature(function).parameters if key not in ("self", "unknown")]
+        hint = (
+            f"keys of the scenario go into set={keys}" if keys else nearest(name, known) or f"it has {', '.join(known)}"
+        )
+        raise TypeError(f"{function.__name__}() has no argument {name!r}; {hint}")
     for name, some in (("net", net), ("fault", fault)):
         if isinstance(some, str):
             raise TypeError(f"{name}: expected a list of texts, got {some!r}")
@@ -411,7 +419,7 @@ def run(
     fault: Iterable[str] = (),
     seed: int | None = None,
     trust: bool = False,
-    log: str | Path | None = None,
+    out: str | Path | None = None,
     progress: Callable[[float], None] | None = None,
     **unknown: Never,
 ) -> Result:
@@ -420,8 +428,8 @@ def run(
     The result is that of `fleet run --in-process --set ...`, to the digest of the log, written or not.
 
     Example:
-        >>> result = fleet.run("paper", set={"duration": "30 s"}, log="paper.mcap")
-        >>> fleet.plot("paper.mcap", "error")
+        >>> result = fleet.run("paper", set={"duration": "30 s"}, out="runs")
+        >>> log = fleet.open_log(result.directory)
 
     Args:
         scenario: a shipped name, a file, or a loaded scenario.
@@ -431,7 +439,8 @@ def run(
         fault: further faults, as `--fault`: `["at 10 s for 5 s down 1<->2"]`.
         seed: replaces the scenario's seed.
         trust: run modules, too, that are neither installed nor the user's own.
-        log: a new file that records the run, for `fleet.open_log` and `fleet.plot`; None: no file is written.
+        out: the folder for a run directory, as `--out`; `latest` in it is then this run. None: no file is written, and
+            `runs/latest` is still the run before.
         progress: called with the simulated time [s] during the run.
 
     Returns:
@@ -440,11 +449,23 @@ def run(
     Raises:
         ScenarioError: with every mistake that was found.
         LogError: the log cannot be written.
-        FleetError: somebody else is to start an agent.
+        FleetError: somebody else is to start an agent, or the run directory cannot be made.
         TypeError: an argument is unknown; keys of the scenario go into `set`.
     """
-    loaded_one = loaded("run", scenario, set, net, fault, seed, trust, unknown)
-    return judged(loaded_one, progress, log=None if log is None else LogFile(Path(log)))
+    found = loaded(run, scenario, set, net, fault, seed, trust, unknown)
+    if out is None:
+        return judged(found, progress)
+    found = fired(found)  # the record has the faults that triggers began
+    with closing(RunDirectory(Path(out), found.name, found.seed)) as directory:
+        directory.write_scenario(found.to_yaml())
+        result = judged(found, progress, log=LogFile(directory.log))
+        result.run, result.directory = directory.path.name, directory.path
+        try:
+            write_result(result, directory.path)
+        except OSError as error:
+            result.lines.append(f"result.json could not be written: {error.strerror}")
+            directory.remove_result()
+    return result
 
 
 def judged(

@@ -58,7 +58,7 @@ def parallel_env(
         ScenarioError: with every mistake that was found.
     """
     need("parallel_env", ("pettingzoo", "gymnasium"), "rl")
-    found = loaded("parallel_env", scenario, set, (), (), seed, trust)
+    found = loaded(parallel_env, scenario, set, (), (), seed, trust)
     refuse(found, "an environment")
     numbers = _numbers(found, message)
     if move not in ("velocity", "force"):

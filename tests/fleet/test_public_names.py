@@ -10,6 +10,7 @@ from made_up_study import CONTROLLER, DELAY, LOSS, Row, made_up, usual
 import fleet
 from fleet.errors import FleetError
 from fleet.notebook import MOST_ROWS, html_table
+from fleet.result.file import read_result
 from fleet.result.result import Result, Status
 from fleet.result.verdict import Verdict
 from fleet.study.errors import StudyError
@@ -23,17 +24,26 @@ def test_dir_lists_what_is_offered() -> None:
 def test_a_key_of_the_scenario_that_is_given_as_an_argument() -> None:
     with pytest.raises(TypeError, match=r"has no argument 'duration'; .* set=\{'duration': '5 s'\}"):
         fleet.run("paper", duration="5 s")  # type: ignore[arg-type]
-    with pytest.raises(TypeError, match=r"has no argument 'in_process'$"):
+    with pytest.raises(TypeError, match=r"has no argument 'in_process'; it has scenario, "):
         fleet.run("paper", in_process=True)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=r"run\(\) has no argument 'sede'; did you mean \"seed\"\?"):
+        fleet.run("paper", sede=3)  # type: ignore[arg-type]
+    with pytest.raises(
+        TypeError, match=r"Run\(\) has no argument 'out'; it has scenario, set, net, fault, seed, trust, log"
+    ):
+        fleet.Run("paper", out="runs")  # type: ignore[arg-type]
 
 
 def test_a_run_in_a_notebook_can_be_drawn(tmp_path: Path) -> None:
     changes = {"duration": "2 s", "checks": {}}
-    result = fleet.run("paper", set=changes, log=tmp_path / "paper.mcap")
-    log = fleet.open_log(tmp_path / "paper.mcap")
+    result = fleet.run("paper", set=changes, out=tmp_path)
+    assert result.directory is not None
+    log = fleet.open_log(tmp_path / "latest")
+    assert log.path.parent.samefile(result.directory)
     assert log.digest == result.digest == fleet.run("paper", set=changes).digest
+    assert read_result(result.directory).digest == result.digest
     drawn = fleet.plot(log, "formation", "state.z")
-    assert drawn == [tmp_path / "plots" / "formation.png", tmp_path / "plots" / "state.z.png"]
+    assert drawn == [log.path.parent / "plots" / "formation.png", log.path.parent / "plots" / "state.z.png"]
     assert drawn._repr_html_().count('<img alt="formation.png" src="data:image/png;base64,iVBOR') == 1
     for what in ("formatoin!", "timing", "state.zz"):
         with pytest.raises(FleetError):

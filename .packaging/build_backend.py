@@ -66,8 +66,8 @@ def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_dire
     obstacle = _obstacle()
     # A folder of its own, since setuptools would also pack what an earlier build left in `build`: old compiled modules.
     # It takes no absolute path of a source.
-    with tempfile.TemporaryDirectory(prefix=".build-", dir=".") as made:
-        folder = os.path.relpath(made)
+    with tempfile.TemporaryDirectory(prefix=".build-", dir=".") as temporary:
+        folder = os.path.relpath(temporary)
         try:
             if obstacle is None:
                 options = {"build": {"build_base": f"{folder}/compiled"}}
@@ -97,17 +97,12 @@ class _OnAllCores(build_ext):
 
         def compile_all(sources: list[str], **options: Any) -> list[str]:
             with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-                made = pool.map(
-                    lambda source: one_by_one([source], **options), sorted(sources, key=_size, reverse=True)
-                )
+                largest_first = sorted(sources, key=os.path.getsize, reverse=True)
+                made = pool.map(lambda source: one_by_one([source], **options), largest_first)
                 return [path for paths in made for path in paths]
 
         self.compiler.compile = compile_all
         super().build_extensions()
-
-
-def _size(path: str) -> int:
-    return os.path.getsize(path)
 
 
 def _asked() -> str:

@@ -115,7 +115,7 @@ def _meant(error: click.ClickException) -> str:
     if isinstance(error, click.NoSuchOption):
         other = OTHER_OPTIONS.get((context.info_name or "", error.option_name))
         if other:
-            error.possibilities = []
+            error.possibilities = []  # type: ignore[misc]
         return f" {other}" if other else ""
     change = _CHANGE.search(error.message)
     if change is None or not any("--set" in parameter.opts for parameter in context.command.params):

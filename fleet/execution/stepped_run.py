@@ -377,9 +377,9 @@ def loaded(
         name = next(iter(unknown))
         keys = {key: unknown[key] for key in unknown if key in ScenarioSpec.model_fields}
         known = [key for key in signature(function).parameters if key not in ("self", "unknown")]
-        hint = (
-            f"keys of the scenario go into set={keys}" if keys else nearest(name, known) or f"it has {', '.join(known)}"
-        )
+        hint = nearest(name, known, 0.7) or f"it has {', '.join(known)}"
+        if keys:
+            hint = f"keys of the scenario go into set={keys}"
         raise TypeError(f"{function.__name__}() has no argument {name!r}; {hint}")
     for name, some in (("net", net), ("fault", fault)):
         if isinstance(some, str):

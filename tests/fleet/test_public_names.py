@@ -29,7 +29,7 @@ def test_a_key_of_the_scenario_that_is_given_as_an_argument() -> None:
     with pytest.raises(TypeError, match=r"run\(\) has no argument 'sede'; did you mean \"seed\"\?"):
         fleet.run("paper", sede=3)  # type: ignore[arg-type]
     with pytest.raises(
-        TypeError, match=r"Run\(\) has no argument 'out'; it has scenario, set, net, fault, seed, trust, log"
+        TypeError, match=r"Run\(\) has no argument 'out'; it has scenario, set, net, fault, seed, trust"
     ):
         fleet.Run("paper", out="runs")  # type: ignore[arg-type]
 

@@ -308,7 +308,8 @@ class Borders:
 
     @property
     def title(self) -> str:
-        return f"{self.store.record.scenario}: where the pass rate falls through {100 * self.record.level:g} %"
+        rate = f"pass rate of {self.record.check}" if self.record.check else "pass rate"
+        return f"{self.store.record.scenario}: where the {rate} falls through {100 * self.record.level:g} %"
 
     def _check(self) -> None:
         """Raises StudyError: the points are not those of a study of borders. A study may come from anybody."""

@@ -67,6 +67,12 @@ class Row(Struct, kw_only=True):
         """Whether the run came to its end."""
         return self.status in _JUDGED
 
+    def verdict(self, check: str) -> bool | None:
+        """Whether the run passed a check; empty: all of them. None: that was not judged."""
+        if not check:
+            return self.passed
+        return self.checks[check].passed if check in self.checks else None
+
     @property
     def failed_checks(self) -> list[str]:
         return [name for name, check in self.checks.items() if check.passed is False]

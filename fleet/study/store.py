@@ -28,6 +28,7 @@ from stat import S_ISREG
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from fleet.study.errors import StudyError
+from fleet.study.measures import CHECK
 from fleet.study.record import NAME, AxisRecord, StudyRecord, read_record, write_record
 from fleet.study.row import STATUSES, CheckRow, Row
 from fleet.study.spec import LARGEST_SEED
@@ -120,6 +121,8 @@ class Store:
         names = Counter([*(axis.key for axis in record.axes), *(each.name for each in store.columns), "scenario"])
         if twice := next((name for name, count in names.items() if count > 1), None):
             raise StudyError(f"{directory / NAME} is damaged: it has two columns {twice[:60]}")
+        if record.check and record.check not in record.checks:
+            raise StudyError(f"{directory / NAME} is damaged: it has no check {record.check[:60]}")
         store._recover()
         return store
 
@@ -308,7 +311,7 @@ class Store:
     def rule(self) -> Rule | None:
         """When a point has enough seeds; None: no seed is added. Raises StudyError."""
         until = self.record.rules.until
-        return parse_until(until, self.record.columns) if until else None
+        return parse_until(until, self.record.every_column) if until else None
 
     @property
     def seeds(self) -> list[int]:
@@ -369,11 +372,13 @@ class Store:
                 raise broken from None
 
     def rows(self, numbers: Sequence[str] = (), *, checks: bool = False, details: bool = False) -> Iterator[Row]:
-        """All rows one by one, ordered by point and seed, so that their order does not tell who ran them. `checks`:
-        whether they have the verdicts of the checks. `details`: whether they have the key, the reason, the digest, and
-        who made them. Raises StudyError: the study is damaged, or holds more than a study writes."""
+        """All rows one by one, ordered by point and seed, so that their order does not tell who ran them. Whether a row
+        passed is what the check of the study says, if it has one. `checks`: whether they have the verdicts of the
+        checks. `details`: whether they have the key, the reason, the digest, and who made them. Raises StudyError: the
+        study is damaged, or holds more than a study writes."""
         names = self.record.checks if checks else []
-        wanted = ["point", "seed", "status", "passed", *(_DETAILS if details else ())]
+        passed_by = f"{CHECK}{self.record.check}" if self.record.check else "passed"
+        wanted = ["point", "seed", "status", passed_by, *(_DETAILS if details else ())]
         wanted += [f"{part}.{name}" for name in names for part in ("check", "value", "margin")]
         first, second = len(wanted) - 3 * len(names), len(wanted)
         wanted += numbers

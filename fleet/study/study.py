@@ -117,7 +117,7 @@ class Study:
         Raises:
             StudyError: there is no such measure, or the study is damaged.
         """
-        return summarise(self._store, find_columns(measures, self._store.record.columns))
+        return summarise(self._store, find_columns(measures, self._store.record.every_column))
 
     def compare(self, key: str, first: float | str, second: float | str, measure: str) -> PairedComparison:
         """Compare two values of a key run by run: at the same values of all other keys, and with the same seed.
@@ -135,7 +135,7 @@ class Study:
         frame = self._store.frame()
         values = frame["passed"]
         if measure != "passed":
-            (column,) = find_columns([measure], self._store.record.columns)
+            (column,) = find_columns([measure], self._store.record.every_column)
             values = frame[column.name].map(column.number).where(frame["status"] != FAILED)
         if missing := [value for value in (first, second) if value not in set(frame[key])]:
             raise StudyError(f"{key} has no value {missing[0]}; it has {', '.join(map(str, frame[key].unique()))}")

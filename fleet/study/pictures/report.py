@@ -18,7 +18,7 @@ from fleet.logs.topic_names import STAMP
 from fleet.pictures.page import Block, Heading, Listing, Mark, Table, Text, images, render, write_page
 from fleet.pictures.report import rest
 from fleet.study.pictures.gallery import draw
-from fleet.study.pictures.points import NOT_MADE, NOT_NEEDED, PASSED, Points, Quantity, factors, load, minus
+from fleet.study.pictures.points import NOT_MADE, NOT_NEEDED, Points, Quantity, factors, is_share, load, minus
 from fleet.study.row import Row
 from fleet.study.statistics import Estimate, compare, levels
 from fleet.study.store import Store
@@ -115,7 +115,7 @@ class _Rows:
             self.walls, self.wall_s = self.walls + 1, self.wall_s + wall_s
         if row.judged:
             counts = self.points.setdefault(row.point, [0, 0])
-            counts[0] += 1
+            counts[0] += row.passed is not None
             counts[1] += row.passed is True
             self.failed.update(row.failed_checks)
         else:
@@ -137,6 +137,7 @@ def _facts(store: Store, points: Points, rows: _Rows) -> list[tuple[str, Any]]:
         ("scenario", record.scenario),
         ("changed for every run", record.command or "nothing"),
         ("checks", ", ".join(record.checks)),
+        *([("passed means", f"passed {record.check}")] if record.check else []),
         ("points", len(points.keys)),
         ("seeds of each", listed),
         ("runs", f"{planned}, of which {rows.count} are made and {rows.without} have no result"),
@@ -185,21 +186,27 @@ def _some(values: Sequence[str]) -> str:
 
 
 def _results(points: Points) -> Table:
-    passed, *medians = (points.quantity(name) for name in points.numbers)
+    shown = [points.quantity(name) for name in points.numbers]
     headings = ["point", *(f"{each.name} [{each.unit}]" if each.unit else each.name for each in points.dimensions)]
-    headings += ["runs", "without result", "passed, 95 % interval", *(f"{each.what}, median" for each in medians)]
+    headings += [
+        "runs",
+        "without result",
+        *(f"{each.what}, {'95 % interval' if each.kind == 'share' else 'median'}" for each in shown),
+    ]
     rows: list[Sequence[Any]] = []
     for number, key in enumerate(points.keys[:MOST_POINTS]):
-        cell = passed.cells[key]
+        cell = shown[0].cells[key]
         varied = [f"{value:g}" if isinstance(value, float) else value for value in key]
         counts = [cell.runs - cell.lack.not_made, cell.lack.failed]
-        rows.append((number, *varied, *counts, _share(cell.estimate), *(_number(each, key) for each in medians)))
+        rows.append((number, *varied, *counts, *(_number(each, key) for each in shown)))
     rows += rest(len(points.keys) - len(rows), "which fleet.open_study has")
     return Table(headings, rows, "numbers")
 
 
 def _number(quantity: Quantity, key: tuple[float | str, ...]) -> str:
     cell = quantity.cells[key]
+    if quantity.kind == "share":
+        return _share(cell.estimate)
     have = len(cell.values)
     return _estimate(cell.estimate) + (f" (of {have} runs)" if cell.lack.without and have else "")
 
@@ -232,7 +239,7 @@ def _comparisons(points: Points) -> list[tuple[str, Table]]:
                 if not result.difference.runs:
                     continue
                 difference, smaller = _estimate(result.difference), f"{100 * result.better:.0f} %"
-                if name == PASSED:
+                if is_share(name):
                     only = [sum(a == win and b == 1 - win for a, b in zip(one, two, strict=True)) for win in (1.0, 0.0)]
                     difference, smaller = f"only {first}: {only[0]}, only {other}: {only[1]}", ""
                 p = f"{result.p:.2g}" if isfinite(result.p) else result.note

@@ -219,6 +219,8 @@ def search(
     if keep is not None and (out is not None or force):
         said = "--keep writes a file for each kind of failure"
         raise click.UsageError(f"{said}, so it cannot be used together with --out or --force")
+    if nemesis + episodes + liveness > 1:
+        raise click.UsageError("--nemesis, --episodes and --liveness each add another nemesis: give one of them")
     mode: NemesisMode = "liveness" if liveness else "episodes" if episodes else "swarm" if nemesis else None
     tried, modules = _tried(scenario, changes, mode)
     hunt = _Hunt(tried, check, keep, keep or place_of(tried, out, force=force))
@@ -328,10 +330,13 @@ def _print_search(
         say(f"none of {found.runs} runs fails {which}: at most {100 * found.most_failures:.2g} % of such runs do, "
             "with 95 % confidence")  # fmt: skip
     if (its := found.covered) is not None:
-        say(
-            f"{its.episodes} episodes in units of {its.unit_s:g} s ({its.stated_by}): each pattern of two isolations "
-            f"in three units was drawn with {its.two:.0%}, of three with {its.three:.0%}"
-        )
+        drawn, faults = (", ".join(f"{count} {kind}" for kind, count in of.items()) for of in (its.kinds, its.faults))
+        say(f"{its.episodes} episodes in units of {its.unit_s:g} s ({its.stated_by}): {drawn}; faults: {faults}")
+        if found.scenario is None and its.two is not None and its.three is not None:
+            say(
+                f"each pattern of two isolations in three units was drawn with {100 * its.two:.2g} %, of three with "
+                f"{100 * its.three:.2g} %"
+            )
     for name, seed in found.unstated.items():
         say(f"seed {seed} fails {name}, which {found.name} does not state; --check {name} looks for it", err=True)
     for one in found.reached:

@@ -135,10 +135,12 @@ class Reached:
 
 
 class Covered(Struct, frozen=True):
-    """The episodes of a search, and how likely they held given patterns."""
+    """The episodes of a search, what was drawn in them, and how likely they held given patterns."""
 
     episodes: int
+    kinds: dict[str, int]  # episodes: of `isolations`, of `splits`, and `mixed`
+    faults: dict[str, int]  # by kind
     unit_s: float
     stated_by: str  # what states the unit
-    two: float  # probability of a pattern of two vehicles that are cut off, each in a given unit of one episode
-    three: float
+    two: float | None  # probability of a pattern of two vehicles that are cut off, each in a given unit of one episode
+    three: float | None  # None: no partition is drawn

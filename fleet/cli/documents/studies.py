@@ -141,8 +141,9 @@ class FirstFailing(Struct):
     covered: Annotated[
         Covered | None,
         Meta(
-            description="Of episodes: their number, the unit [s] and what states it, and the probabilities that given "
-            "patterns of two and of three vehicles that are cut off were drawn."
+            description="Of episodes: their number, how many of each kind, the faults of each kind, the unit [s] and "
+            "what states it, and the probabilities that given patterns of two and of three vehicles that are cut off "
+            "were drawn; null: no partition is drawn."
         ),
     ]
 

@@ -125,7 +125,7 @@ def write(path: Path | None, suite: str, cases: Sequence[JUnitCase]) -> None:
     from netem.private_file import write_whole
 
     try:
-        write_whole(path, junit_text(suite, cases), 0o644)
+        write_whole(path, junit_text(suite, cases), 0o666)
     except OSError as error:
         raise FleetError(f"{path} cannot be written: {error.strerror}") from None
 

@@ -18,6 +18,7 @@ from fleet.cli.documents.output import give, json_is_asked, print_document
 from fleet.cli.junit import JUNIT
 from fleet.cli.study_options import Making, changing_options, least_options, making_options
 from fleet.cli.types import BUDGET, FILE, FOLDER, TIME, Whole
+from fleet.errors import printable
 from fleet.terminal.status_line import StatusLine
 from fleet.terminal.table import Piece, say
 
@@ -320,7 +321,7 @@ def _print_search(
         for failure in kept:
             since = f"first with seed {failure.from_seed}; " if failure.from_seed is not None else ""
             say(f"{failure.check}: {since}{failure.found}")
-            click.echo(failure.paste)  # whole, however narrow the terminal is
+            click.echo(printable(failure.paste))  # whole, however narrow the terminal is
         click.echo(path)
     elif found.runs and found.most_failures is None:
         missed = "; ".join(one.words for one in found.reached if not one.hits)
@@ -392,7 +393,7 @@ def _show_regressed(found: Sequence[Regressed]) -> None:
         say(f"{verdict}  {failure.file}: {one.got}"
             + ("" if one.same else f"; expected: {wanted}"))  # fmt: skip
         if not one.same:
-            click.echo(failure.paste)  # whole, however narrow the terminal is
+            click.echo(printable(failure.paste))  # whole, however narrow the terminal is
         elif one.differs:
             say("  its log differs from the one that this version of fleet made before: did a law or a plant change?")
     say(f"{sum(one.same for one in found)} of {len(found)} are as expected")

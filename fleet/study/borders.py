@@ -265,10 +265,11 @@ def border_plan(scenario: str, spec: BoundarySpec) -> Plan:
 
 
 def prepare_borders(
-    plan: Plan, spec: BoundarySpec, directory: Path, warn: Callable[[str], None] = lambda _: None
+    plan: Plan, spec: BoundarySpec, directory: Path | Iterable[Path], warn: Callable[[str], None] = lambda _: None
 ) -> tuple[Store, Modules]:
     """Check every point that may be run, and make the directory of the study. `plan`: the plan. The border is sought
-    along its last axis, see `parse_along`. `spec`: the settings of the study. The directory keeps them. `warn`: called
+    along its last axis, see `parse_along`. `spec`: the settings of the study. The directory keeps them. `directory`:
+    as for `prepare`. `warn`: called
     with a line of text for each check that cannot pass. Raises ScenarioError: with the mistakes of all points;
     StudyError: there cannot be such a study."""
     if not 0.0 < spec.level < 1.0:

@@ -71,7 +71,7 @@ class StudyRecord(msgspec.Struct, omit_defaults=True):
 
 def write_record(directory: Path, record: StudyRecord) -> None:
     """Write it. Raises OSError."""
-    write_whole(directory / NAME, msgspec.json.format(msgspec.json.encode(record), indent=1) + b"\n")
+    write_whole(directory / NAME, msgspec.json.format(msgspec.json.encode(record), indent=1) + b"\n", 0o666)
 
 
 def read_record(directory: Path) -> StudyRecord:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain, count
 from math import isnan
 from pathlib import Path
@@ -250,11 +250,10 @@ def sweep(
     return Study(store)
 
 
-def new_directory(scenario: str, out: Path = Path("studies")) -> Path:
-    """Where a new study of a scenario goes; the second one of the same second gets a number."""
+def new_directory(scenario: str, out: Path = Path("studies")) -> Iterator[Path]:
+    """Where a new study of a scenario may go, the best place first; the second one of the same second gets a number."""
     first = out / f"{Path(scenario).stem}-{time.strftime(STAMP, time.gmtime())}"
-    others = (first.with_name(f"{first.name}-{number}") for number in count(2))
-    return next(path for path in chain([first], others) if not path.exists())
+    return chain([first], (first.with_name(f"{first.name}-{number}") for number in count(2)))
 
 
 def _cell(value: float | str | Estimate) -> str:

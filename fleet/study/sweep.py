@@ -6,7 +6,7 @@ import re
 import shutil
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
@@ -80,12 +80,13 @@ class Progress:
 
 def prepare(
     plan: Plan,
-    directory: Path,
+    directory: Path | Iterable[Path],
     spec: StudySpec | None = None,
     border: BorderRecord | None = None,
     warn: Callable[[str], None] = lambda _: None,
 ) -> tuple[Store, Modules]:
-    """Check every point, and make the directory of the study. `spec`: the source of the plan; the directory keeps it.
+    """Check every point, and make the directory of the study. `directory`: of several the first one that is free is
+    taken. `spec`: the source of the plan; the directory keeps it.
     `border`: the object of the search, if the study is that of a border. `warn`: called with each check that cannot
     pass, in words. Returns the study, and the modules of laws that its runs need. Raises ScenarioError: with the
     mistakes of all points, each once; StudyError: two points are the same, or the directory cannot be made."""

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Literal, TextIO
 
 import click
 
+from fleet.errors import printable
+
 if TYPE_CHECKING:
     from rich.console import Console as Terminal
 
@@ -103,12 +105,18 @@ def say(text: str, *, err: bool = False) -> None:
     click.echo(fold(text, _width(stream) if stream.isatty() else None), err=err)
 
 
+def harmless(text: str) -> str:
+    """The same lines without control characters: a stranger's file may have put some into them for the terminal."""
+    return "\n".join(map(printable, text.split("\n")))
+
+
 def fold(text: str, width: int | None, indent: str = INDENT) -> str:
     """Lines folded between words; a word that is longer, a path for instance, stays whole.
 
     `width`: in characters; None: nothing is folded. `indent`: of the lines that go on, behind the indent of the line
     itself.
     """
+    text = harmless(text)
     if width is None:
         return text
     from textwrap import TextWrapper
@@ -188,9 +196,9 @@ def show(wanted: Sequence[TerminalColumn], title: str, terminal: Terminal, elsew
     terminal.print(Text(fold(title, most), "table.title"), soft_wrap=True)
     made = Table(box=None, pad_edge=False)
     for column in kept:
-        made.add_column(escape(column.heading), justify=column.justify, vertical="bottom", overflow="fold")
+        made.add_column(escape(harmless(column.heading)), justify=column.justify, vertical="bottom", overflow="fold")
     for row in zip(*(column.cells for column in kept), strict=True):
-        made.add_row(*map(escape, row))
+        made.add_row(*(escape(harmless(cell)) for cell in row))
     terminal.print(made)
     if left := [column.heading.replace("\n", " ") for column in wanted if column not in kept]:
         text = f"no room here for {', '.join(left)}: {elsewhere}"

@@ -119,7 +119,7 @@ class _Rows:
             counts[1] += row.passed is True
             self.failed.update(row.failed_checks)
         else:
-            self.unjudged.setdefault((row.status, row.reason), [0, row.point, row.seed])[0] += 1
+            self.unjudged.setdefault((row.status, row.reason[:_LONGEST]), [0, row.point, row.seed])[0] += 1
         self.first = self.first or (row.point, row.seed)
         if row.passed is not True:
             self.no_pass = self.no_pass or (row.point, row.seed)
@@ -254,7 +254,7 @@ _COMPARED = ("values", "of what", "pairs", "median difference, interval (level)"
 def _reasons(rows: _Rows) -> Table:
     most = sorted(rows.unjudged.items(), key=lambda item: -item[1][0])
     table: list[Sequence[Any]] = [
-        (Mark(False, status), count, f"point {point}, seed {seed}", printable(reason[:_LONGEST]))
+        (Mark(False, status), count, f"point {point}, seed {seed}", printable(reason))
         for (status, reason), (count, point, seed) in most[:MOST_REASONS]
     ]
     table += rest(len(most) - len(table), "reasons of fewer runs")

@@ -289,18 +289,22 @@ class Boundary:
         """One per combination of the other axes. Raises StudyError."""
         return self._borders.found()
 
-    def write_picture(self, trust: bool = False) -> Path:
+    def write_picture(self, trust: bool = False, formats: Sequence[str] = ("png",)) -> Path:
         """Draw the borders, with what theory says of them, as `border.png` in the study's directory.
 
         Args:
             trust: load modules, too, that are not installed.
+            formats: some of `png`, `svg` and `pdf`.
+
+        Returns:
+            The file of the first format.
 
         Raises:
             ScenarioError: a law may not be loaded.
             StudyError: there is too much for one picture, or the file cannot be written.
         """
         with trusting(trust):
-            return write_borders(self._borders, theory(self._borders))
+            return write_borders(self._borders, theory(self._borders), formats)[0]
 
 
 @takes(BoundarySpec)

@@ -15,7 +15,7 @@ from typing import Any
 from fleet.errors import printable
 from fleet.logs.reader import Tell
 from fleet.logs.topic_names import STAMP
-from fleet.pictures.page import Block, Heading, Listing, Mark, Table, Text, images, render, write_page
+from fleet.pictures.page import Block, Heading, Listing, Mark, Table, Text, from_here, images, render, write_page
 from fleet.pictures.report import rest
 from fleet.study.pictures.gallery import draw
 from fleet.study.pictures.points import NOT_MADE, NOT_NEEDED, Points, Quantity, factors, is_share, load, minus
@@ -44,7 +44,7 @@ def write(
 def page(store: Store, points: Points, log_scale: bool | None = None, share: Tell = lambda _: None) -> str:
     """The whole page as HTML. Raises StudyError: the study is damaged."""
     rows = _Rows(store)
-    directory = store.directory.resolve()
+    directory = from_here(store.directory)
     first, pictures = images(draw(points, log_scale, share))
     place = shlex.quote(str(directory))
     blocks: list[Block] = [Text(_verdict(rows.points), "verdict"), *([first] if first else [])]
@@ -72,7 +72,7 @@ def page(store: Store, points: Points, log_scale: bool | None = None, share: Tel
     blocks.append(Text("All rows: `fleet.open_study(...).to_pandas()`."))
     if store.points:
         blocks.append(Listing(store.points[0].scenario, "The scenario of point 0"))
-    return render(f"uuv-fleet: study {directory.name}", blocks)
+    return render(f"uuv-fleet: study {store.directory.resolve().name}", blocks)
 
 
 _BORDER = (
@@ -144,7 +144,7 @@ def _facts(store: Store, points: Points, rows: _Rows) -> list[tuple[str, Any]]:
         ("begun", _begun(store.directory)),
         ("wall time of the runs", cost),
         ("made by", "; ".join(f"{which}: {count} runs" for which, count in rows.made_by.items()) or record.made_by),
-        ("directory", str(store.directory.resolve())),
+        ("directory", str(from_here(store.directory))),
     ]  # fmt: skip
 
 
@@ -220,8 +220,8 @@ def _share(rate: Estimate) -> str:
 def _estimate(found: Estimate) -> str:
     if found.runs == 0:
         return "-"
-    interval = f"   {found.low:.3g}..{found.high:.3g} ({levels([found])})" if found.low < found.high else ""
-    return f"{found.value:.3g}{interval}"
+    interval = f"{found.low:.3g}..{found.high:.3g} ({levels([found])})"
+    return f"{found.value:.3g}" + (f"   {interval}" if found.low < found.high else "")
 
 
 def _comparisons(points: Points) -> list[tuple[str, Table]]:

@@ -19,7 +19,7 @@ from fleet.study.borders import Border, Borders, Tell, border_plan, find_borders
 from fleet.study.engine import engine_of, need_extra
 from fleet.study.errors import StudyError
 from fleet.study.given import BoundaryKeywords, SweepKeywords, keywords, takes
-from fleet.study.measures import find_columns
+from fleet.study.measures import CHECK, find_columns
 from fleet.study.one_run import A_STUDY
 from fleet.study.pictures.border import write_borders
 from fleet.study.plan import plan_of
@@ -132,8 +132,8 @@ class Study:
         """
         if key not in self.axes:
             raise StudyError(f"{key} is not varied; {', '.join(self.axes) or 'nothing'} is")
-        frame = self._store.frame()
-        values = frame["passed"]
+        frame, check = self._store.frame(), self._store.record.check
+        values = frame[f"{CHECK}{check}" if check else "passed"]
         if measure != "passed":
             (column,) = find_columns([measure], self._store.record.every_column)
             values = frame[column.name].map(column.number).where(frame["status"] != FAILED)

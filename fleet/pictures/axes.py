@@ -379,19 +379,19 @@ def legend_of(figure: Figure, entries: Sequence[tuple[str, Any, Any]]) -> None:
     marks_legend(figure, [Line2D([], [], color=c, linestyle=style, label=label) for label, c, style in entries])
 
 
-def marks_legend(figure: Figure, handles: Sequence[Artist]) -> None:
-    """One legend above all axes, in as few rows as fit."""
+def marks_legend(figure: Figure, handles: Sequence[Artist], *, below: bool = False) -> None:
+    """One legend above all axes, or below them, in as few rows as fit."""
     widths = [22.0 + 4.1 * len(str(handle.get_label())) for handle in handles]  # pt
 
     def needed(columns: int) -> float:
         rows = -(-len(widths) // columns)  # a legend is filled column by column
         return sum(max(widths[k : k + rows]) for k in range(0, len(widths), rows))
 
-    fitting = next((n for n in range(len(widths), 1, -1) if needed(n) <= 72.0 * COLUMN_IN), 1)
+    fitting = next((n for n in range(len(widths), 1, -1) if needed(n) <= 72.0 * figure.get_figwidth()), 1)
     fitting = -(-len(widths) // -(-len(widths) // fitting))  # rows of about the same length
     _grow(figure, LEGEND_PT * (-(-len(widths) // fitting) - 1))
     figure.legend(
-        handles=list(handles), loc="outside upper center", ncols=fitting,
+        handles=list(handles), loc="outside lower center" if below else "outside upper center", ncols=fitting,
         columnspacing=1.0, handlelength=1.8, handletextpad=0.5,
     )  # fmt: skip
 

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from fleet.palette import COLOURS
+from fleet.pictures.axes import marks_legend
 from fleet.pictures.style import COLUMN_IN, LABEL_PT, LEGEND_PT, NORMAL, PAGE_IN, STYLES, Provenance, panels, save
 from fleet.study.borders import Border, Borders, Run, Theory
 from fleet.study.errors import StudyError
@@ -185,8 +186,7 @@ def _legend(
     drawn = (end for one in every if (end := one.theory.reckoning) is not None)
     if any(end < len(borders.places) or not single for end in drawn):
         handles.append(Line2D([], [], color="0.3", linestyle=":", label="K τ ρ(A) = 1, τ: mean age under loss"))
-    columns = 2 if figure.get_figwidth() < PAGE_IN else 3
-    figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize=LABEL_PT + 0.5)
+    marks_legend(figure, handles, below=True)
 
 
 def _shunting(ones: Sequence[_One]) -> str:

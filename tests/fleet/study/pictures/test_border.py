@@ -108,6 +108,15 @@ def test_the_legend_shows_the_marks_that_are_drawn(per: list[str]) -> None:
     assert figure.get_figwidth() == COLUMN_IN
 
 
+@pytest.mark.parametrize("per", [[DELAY], [HOW], [DELAY, HOW]])
+def test_nothing_is_cut_off(per: list[str]) -> None:
+    borders = borders_of(per)
+    figure = draw_borders(borders, said(borders))
+    figure.draw_without_rendering()
+    box, (width, height) = figure.get_tightbbox(), figure.get_size_inches()
+    assert box.x0 >= 0.0 and box.y0 >= 0.0 and box.x1 <= width and box.y1 <= height
+
+
 def test_the_dots_of_a_value_are_nearer_to_it_than_to_the_next_one() -> None:
     borders = borders_of([DELAY])
     (ax,) = draw_borders(borders, said(borders)).axes

@@ -19,7 +19,7 @@ class Targets(NamedTuple):
     """What a fault concerns."""
 
     items: list[Any]
-    value: Callable[[list[Any], int], Any]  # the fault with some of the items, in a fleet of so many vehicles
+    value: Callable[[list[Any], int], Any]  # the fault with some of the items, in a fleet of a number of vehicles
 
 
 def targets(kind: str, value: Any, vehicles: int, seed: int, name: str) -> Targets | None:

@@ -30,11 +30,16 @@ def write_whole(path: Path, data: bytes, mode: int = 0o600) -> None:
         if part != path:  # not a device or a pipe
             os.fsync(file.fileno())
     if path.is_file():
-        folder = os.open(os.path.dirname(os.path.realpath(path)), os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(folder)  # its new name, too
-        finally:
-            os.close(folder)
+        sync_folder(Path(os.path.realpath(path)).parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Have the names of a folder's files on the disk. Raises OSError."""
+    number = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(number)
+    finally:
+        os.close(number)
 
 
 @contextmanager

@@ -10,6 +10,7 @@ import click
 
 from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_is_asked, print_document
+from fleet.cli.logs import FORMATS
 from fleet.cli.study_options import (
     OUT,
     Asked,
@@ -22,6 +23,7 @@ from fleet.cli.study_options import (
     spec_options,
     study_directory,
 )
+from fleet.cli.types import Words
 from fleet.study.spec import BoundarySpec, seconds
 from fleet.terminal.status_line import StatusLine
 from fleet.terminal.table import Piece, TerminalColumn, say, show, stdout
@@ -38,8 +40,10 @@ OUTSIDE = ("below", "above")
 @click.argument("scenario", metavar="SCENARIO|DIR", shell_complete=scenarios)
 @spec_options(BoundarySpec)
 @OUT
+@click.option("--format", "formats", type=Words(FORMATS), default="png", show_default=True,
+              help="Of the picture: some of png, svg, pdf.")  # fmt: skip
 @making_options("Print only the study's directory; failures go to stderr.")
-def boundary(scenario: str, asked: Asked[BoundarySpec], out: Path, how: Making) -> None:
+def boundary(scenario: str, asked: Asked[BoundarySpec], out: Path, formats: tuple[str, ...], how: Making) -> None:
     """Find where the pass rate of SCENARIO falls through a level, with few runs.
 
     Each run is placed where it tells most about the border, until the 95 % interval is narrow. With the directory of
@@ -66,7 +70,7 @@ def boundary(scenario: str, asked: Asked[BoundarySpec], out: Path, how: Making) 
     found = borders.found()
     if not (json_is_asked() or how.quiet):
         _show(borders, found)
-    picture = _picture(borders, how)
+    picture = _picture(borders, formats, how)
     if json_is_asked():
         from fleet.cli.documents.studies import boundary_document
 
@@ -117,20 +121,20 @@ def _run(borders: Borders, modules: Modules, timeout_s: float, how: Making) -> N
             raise
 
 
-def _picture(borders: Borders, how: Making) -> Path | None:
-    """Draw the borders; None if that fails, with a message."""
+def _picture(borders: Borders, formats: tuple[str, ...], how: Making) -> Path | None:
+    """Draw the borders; returns the first file, or None if that fails, with a message."""
     from fleet.study.borders import theory
     from fleet.study.errors import StudyError
     from fleet.study.pictures.border import write_borders
 
     try:
-        picture = write_borders(borders, theory(borders))
+        pictures = write_borders(borders, theory(borders), formats)
     except StudyError as error:  # the answer is there without it
         say(f"there is no picture: {error}", err=True)
         return None
     if not how.quiet:
-        say(str(picture), err=True)
-    return picture
+        say("\n".join(map(str, pictures)), err=True)
+    return pictures[0]
 
 
 def _pieces(line: StatusLine, progress: Progress, *, known: int, of: int) -> list[Piece]:

@@ -62,7 +62,7 @@ def of_study(store: Store) -> list[JUnitCase]:
     for row in summarise(store):
         name = ", ".join(f"{key}={value}" for key, value in row.values.items()) or store.record.scenario
         failed = round(row.passed.runs * (1 - row.passed.value)) if row.passed.runs else 0
-        failure = f"{failed} of {row.passed.runs} runs failed a check" if failed else ""
+        failure = f"{failed} of {row.passed.runs} runs failed {store.record.check or 'a check'}" if failed else ""
         error = "" if row.passed.runs else "no run has a result"
         cases.append(JUnitCase(name, failure, error, f"fleet sweep {store.directory}"))
     return [*cases, *(JUnitCase(one.name, "" if one.hits else one.words) for one in reached(store))]
@@ -125,7 +125,7 @@ def write(path: Path | None, suite: str, cases: Sequence[JUnitCase]) -> None:
     from netem.private_file import write_whole
 
     try:
-        write_whole(path, junit_text(suite, cases), 0o644)
+        write_whole(path, junit_text(suite, cases), 0o666)
     except OSError as error:
         raise FleetError(f"{path} cannot be written: {error.strerror}") from None
 

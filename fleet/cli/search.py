@@ -18,6 +18,7 @@ from fleet.cli.documents.output import give, json_is_asked, print_document
 from fleet.cli.junit import JUNIT
 from fleet.cli.study_options import Making, changing_options, least_options, making_options
 from fleet.cli.types import BUDGET, FILE, FOLDER, TIME, Whole
+from fleet.errors import printable
 from fleet.terminal.status_line import StatusLine
 from fleet.terminal.table import Piece, say
 
@@ -219,6 +220,8 @@ def search(
     if keep is not None and (out is not None or force):
         said = "--keep writes a file for each kind of failure"
         raise click.UsageError(f"{said}, so it cannot be used together with --out or --force")
+    if nemesis + episodes + liveness > 1:
+        raise click.UsageError("--nemesis, --episodes and --liveness each add another nemesis: give one of them")
     mode: NemesisMode = "liveness" if liveness else "episodes" if episodes else "swarm" if nemesis else None
     tried, modules = _tried(scenario, changes, mode)
     hunt = _Hunt(tried, check, keep, keep or place_of(tried, out, force=force))
@@ -318,7 +321,7 @@ def _print_search(
         for failure in kept:
             since = f"first with seed {failure.from_seed}; " if failure.from_seed is not None else ""
             say(f"{failure.check}: {since}{failure.found}")
-            click.echo(failure.paste)  # whole, however narrow the terminal is
+            click.echo(printable(failure.paste))  # whole, however narrow the terminal is
         click.echo(path)
     elif found.runs and found.most_failures is None:
         missed = "; ".join(one.words for one in found.reached if not one.hits)
@@ -328,10 +331,13 @@ def _print_search(
         say(f"none of {found.runs} runs fails {which}: at most {100 * found.most_failures:.2g} % of such runs do, "
             "with 95 % confidence")  # fmt: skip
     if (its := found.covered) is not None:
-        say(
-            f"{its.episodes} episodes in units of {its.unit_s:g} s ({its.stated_by}): each pattern of two isolations "
-            f"in three units was drawn with {its.two:.0%}, of three with {its.three:.0%}"
-        )
+        drawn, faults = (", ".join(f"{count} {kind}" for kind, count in of.items()) for of in (its.kinds, its.faults))
+        say(f"{its.episodes} episodes in units of {its.unit_s:g} s ({its.stated_by}): {drawn}; faults: {faults}")
+        if found.scenario is None and its.two is not None and its.three is not None:
+            say(
+                f"each pattern of two isolations in three units was drawn with {100 * its.two:.2g} %, of three with "
+                f"{100 * its.three:.2g} %"
+            )
     for name, seed in found.unstated.items():
         say(f"seed {seed} fails {name}, which {found.name} does not state; --check {name} looks for it", err=True)
     for one in found.reached:
@@ -387,7 +393,7 @@ def _show_regressed(found: Sequence[Regressed]) -> None:
         say(f"{verdict}  {failure.file}: {one.got}"
             + ("" if one.same else f"; expected: {wanted}"))  # fmt: skip
         if not one.same:
-            click.echo(failure.paste)  # whole, however narrow the terminal is
+            click.echo(printable(failure.paste))  # whole, however narrow the terminal is
         elif one.differs:
             say("  its log differs from the one that this version of fleet made before: did a law or a plant change?")
     say(f"{sum(one.same for one in found)} of {len(found)} are as expected")

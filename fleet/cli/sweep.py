@@ -148,7 +148,7 @@ def _columns(store: Store, spec: StudySpec) -> list[MeasureColumn]:
     from fleet.study.measures import find_columns
     from fleet.study.summary import DEFAULT
 
-    return find_columns(spec.measures or store.record.measures or DEFAULT, store.record.columns)
+    return find_columns(spec.measures or store.record.measures or DEFAULT, store.record.every_column)
 
 
 def _run(store: Store, spec: StudySpec, modules: Modules | None, how: Making) -> None:
@@ -213,30 +213,44 @@ def _pieces(line: StatusLine, progress: Progress) -> list[Piece]:
 
 
 def _show(store: Store, measures: list[MeasureColumn]) -> None:
+    from fleet.study.measures import CHECK
     from fleet.study.statistics import LEAST, levels
     from fleet.study.summary import judged_columns, summarise
 
-    measures = [*judged_columns(store.record.checks), *measures]
+    check = store.record.check
+    judged = judged_columns([check] if check else store.record.checks)
+    measures = list({measure.name: measure for measure in [*judged, *measures]}.values())
     rows = summarise(store, measures)
     columns = axis_columns(store.record.axes, [row.values for row in rows])
     columns.append(TerminalColumn("runs", [str(row.runs) for row in rows], 3))
     if any(row.failed for row in rows):
         columns.append(TerminalColumn("without\nresult", [str(row.failed) for row in rows], 0))
-    columns.append(TerminalColumn("passed\n95 % interval", [_share(row.passed) for row in rows], 0))
-    level = levels(found for row in rows for found in row.medians.values())
+    columns.append(
+        TerminalColumn(f"passed{check and ' '}{check}\n95 % interval", [_share(row.passed) for row in rows], 0)
+    )
+    medians = [found for row in rows for name, found in row.medians.items() if not name.startswith(CHECK)]
+    level = levels(medians)
     for rank, (name, unit) in enumerate(((measure.name, measure.unit) for measure in measures), start=4):
-        part, _, check = name.partition(".")
-        shown = {"value": f"{check}, judged", "margin": "its margin"}.get(part, name) if check else name
-        heading = f"{shown}\nmedian" + (f" [{unit}]" if unit else "")
-        columns.append(TerminalColumn(heading, [_number(row.medians[name], row.passed.runs) for row in rows], rank))
+        found = [row.medians[name] for row in rows]
+        if name.startswith(CHECK):
+            heading, cells = f"passed {name.removeprefix(CHECK)}\n95 % interval", [_share(rate) for rate in found]
+        else:
+            heading = f"{_words_of(name)}\nmedian" + (f" [{unit}]" if unit else "")
+            cells = [_number(one, row.runs - row.failed) for one, row in zip(found, rows, strict=True)]
+        columns.append(TerminalColumn(heading, cells, rank))
     counts = sorted({row.runs for row in rows}) or [0]
     seeds = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[0]}"
     title = f"{store.record.scenario}, {seeds} seeds per point" + (level and f"; medians with intervals of {level}")
     show(columns, title, stdout(), "fleet.open_study has all")
-    if any(0 < found.runs < LEAST for row in rows for found in row.medians.values()):
+    if any(0 < found.runs < LEAST for found in medians):
         say(f"A median of fewer than {LEAST} runs has no interval: none would hold the true median with 95 %.")
     show_reached(store)
     say(str(store.directory))
+
+
+def _words_of(name: str) -> str:
+    part, _, check = name.partition(".")
+    return {"value": f"{check}, judged", "margin": f"margin of {check}"}.get(part, name)
 
 
 def _share(rate: Estimate) -> str:

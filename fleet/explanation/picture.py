@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ from matplotlib.patches import Patch
 from fleet.explanation.evidence import ON_THE_WAY, TOPICS
 from fleet.explanation.why import Why
 from fleet.logs.open_log import Log, open_log
+from fleet.logs.records import Array
+from fleet.palette import COLOURS
 from fleet.pictures.runs import with_gaps
 from fleet.pictures.shades import shade
 from fleet.pictures.style import LABEL_PT, PAGE_IN, THIN, Provenance, format_of, legend, line, panels, save_as
@@ -77,6 +80,19 @@ def _colour(cause: str, causes: dict[str, None]) -> str:
     return "0.7" if cause == ON_THE_WAY else _CAUSES[list(causes).index(cause) % len(_CAUSES)]
 
 
+def _lanes(ax: Axes, series: Mapping[int, tuple[Array, Array]]) -> None:
+    """A lane for each vehicle, filled while its signal is 1: as lines they would hide each other."""
+    for k, (vehicle, (t, shown)) in enumerate(reversed([*series.items()])):
+        colour = COLOURS[(vehicle - 1) % len(COLOURS)]
+        ax.fill_between(t, k, k + 0.7 * shown, step="post", color=colour, alpha=0.4, linewidth=0, gid=f"lane-{vehicle}")
+        ax.plot(t, k + 0.7 * shown, color=colour, linewidth=THIN, drawstyle="steps-post", gid=f"step-{vehicle}")
+    ax.set_yticks(
+        [k + 0.35 for k in range(len(series))], [f"vehicle {i}" for i in reversed([*series])], fontsize=LABEL_PT
+    )
+    ax.set_ylim(-0.2, len(series))
+    ax.grid(axis="y", visible=False)
+
+
 def _draw_signal(ax: Axes, why: Why, log: Log) -> str:
     """Draw the first signal that the words name, of each vehicle; returns what it is, with its unit."""
     text = next((name for then in why.vehicles for name in then.signals), "")
@@ -84,7 +100,7 @@ def _draw_signal(ax: Axes, why: Why, log: Log) -> str:
     if name is None:
         return "no signal of the check in the log"
     group, _, field = name.name.partition(".")
-    unit = ""
+    unit, series = "", dict[int, tuple[Array, Array]]()
     for then in why.vehicles[:_MOST_VEHICLES]:
         topic = f"uuv/{then.vehicle}/{group}"
         if topic not in log or field not in log[topic] or not len(log[topic]):
@@ -92,5 +108,13 @@ def _draw_signal(ax: Axes, why: Why, log: Log) -> str:
         t, values = with_gaps(log[topic].t, log[topic][field].reshape(len(log[topic]), -1))
         shown = np.linalg.norm(values, axis=1) if name.absolute else values[:, 0]
         unit = log[topic].units[field]
-        line(ax, then.vehicle - 1, t, shown, f"vehicle {then.vehicle}", linewidth=THIN)
+        series[then.vehicle] = t, shown
+    known = [shown[np.isfinite(shown)] for _, shown in series.values()]
+    if known and all(np.isin(values, (0, 1)).all() for values in known):
+        _lanes(ax, series)
+        return text
+    whole = all((values == np.rint(values)).all() for values in known)
+    for vehicle, (t, shown) in series.items():
+        line(ax, vehicle - 1, t, shown, f"vehicle {vehicle}", linewidth=THIN,
+             drawstyle="steps-post" if whole else "default")  # fmt: skip
     return text + (f" [{unit}]" if unit not in ("", "1") else "")

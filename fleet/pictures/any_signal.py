@@ -26,7 +26,15 @@ from fleet.pictures.runs import NothingToDraw, Run, View, check_view
 from fleet.pictures.thresholds import Threshold, draw_thresholds
 from fleet.scenario.schema.checks import SignalCheck
 from fleet.scenario.sections.signal_checks import AskedOfSignal, SignalCheckError, ask
-from fleet.scenario.sections.signals import GROUPS, SignalName, SignalPlace, checked_signals, component, parse_name
+from fleet.scenario.sections.signals import (
+    GROUPS,
+    OF_THE_LAWS,
+    SignalName,
+    SignalPlace,
+    checked_signals,
+    component,
+    parse_name,
+)
 from netem.parsing import nearest
 
 MOST_AXES = 8  # components of a vector
@@ -47,6 +55,7 @@ class _Found(NamedTuple):
 def signals_of_checks(runs: Sequence[Run]) -> list[SignalName]:
     """The signals to draw if the user names none, at most MOST_UNASKED: those that a check names, and those of laws and
     plants that a check in Python has read, without errors that have a picture of their own and signals that no log has.
+    Of moored vehicles it has those of their laws, too.
     """
     found = [
         name
@@ -56,6 +65,7 @@ def signals_of_checks(runs: Sequence[Run]) -> list[SignalName]:
             run.scenario.spec.checks, (looked_at for verdict in run.verdicts for looked_at in verdict.signals)
         )
     ]
+    found += [SignalName(name) for run in runs if run.moored for name in _known(run, OF_THE_LAWS)]
     return [name for name in dict.fromkeys(found) if any(_find(run, name) for run in runs)][:MOST_UNASKED]
 
 
@@ -154,10 +164,10 @@ def _find(run: Run, name: SignalName) -> _Found | None:
     return None
 
 
-def _known(run: Run) -> list[str]:
+def _known(run: Run, groups: Sequence[str] = GROUPS) -> list[str]:
     return [
         f"{group}.{field}"
-        for group in GROUPS
+        for group in groups
         for i in run.log.vehicles[:1]
         if (topic := _topic(run, i, group)) is not None
         for field in topic.fields

@@ -20,7 +20,7 @@ from fleet.logs.fault_intervals import FaultInterval
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
 from fleet.pictures.runs import NothingToDraw, Run, View, first_words
-from fleet.pictures.shades import shade
+from fleet.pictures.shades import MOST_CHARACTERS, shade, words
 from fleet.pictures.style import (
     COLUMN_IN,
     LABEL_PT,
@@ -33,6 +33,7 @@ from fleet.pictures.style import (
     limit,
     panels,
 )
+from fleet.scenario.sections.vehicle_events import is_fault
 
 # --- failures: the times at which checks failed, marked on the axes over time
 
@@ -240,6 +241,8 @@ def _seen(values: Array, log: bool) -> Array:
 MOST_NAMED = len(COLOURS)  # lines that a legend names; more vehicles are a band
 FEW = 60  # samples that are shown as points too
 
+_RUN = 18  # characters of a run behind a fault
+
 Get = Callable[[Run, int], tuple[Array, Array] | None]
 
 
@@ -376,19 +379,19 @@ def legend_of(figure: Figure, entries: Sequence[tuple[str, Any, Any]]) -> None:
     marks_legend(figure, [Line2D([], [], color=c, linestyle=style, label=label) for label, c, style in entries])
 
 
-def marks_legend(figure: Figure, handles: Sequence[Artist]) -> None:
-    """One legend above all axes, in as few rows as fit."""
+def marks_legend(figure: Figure, handles: Sequence[Artist], *, below: bool = False) -> None:
+    """One legend above all axes, or below them, in as few rows as fit."""
     widths = [22.0 + 4.1 * len(str(handle.get_label())) for handle in handles]  # pt
 
     def needed(columns: int) -> float:
         rows = -(-len(widths) // columns)  # a legend is filled column by column
         return sum(max(widths[k : k + rows]) for k in range(0, len(widths), rows))
 
-    fitting = next((n for n in range(len(widths), 1, -1) if needed(n) <= 72.0 * COLUMN_IN), 1)
+    fitting = next((n for n in range(len(widths), 1, -1) if needed(n) <= 72.0 * figure.get_figwidth()), 1)
     fitting = -(-len(widths) // -(-len(widths) // fitting))  # rows of about the same length
     _grow(figure, LEGEND_PT * (-(-len(widths) // fitting) - 1))
     figure.legend(
-        handles=list(handles), loc="outside upper center", ncols=fitting,
+        handles=list(handles), loc="outside lower center" if below else "outside upper center", ncols=fitting,
         columnspacing=1.0, handlelength=1.8, handletextpad=0.5,
     )  # fmt: skip
 
@@ -414,14 +417,18 @@ def bounds(ax: Axes, values: Sequence[tuple[float, float]], what: str, unit: str
     return f"outside: {what}, {far} {unit}" if far else ""
 
 
+def _with_runs(fault: FaultInterval, labels: Sequence[str]) -> FaultInterval:
+    only = labels[0] if len(labels[0]) <= _RUN else f"…{labels[0][1 - _RUN :]}"  # the end tells runs apart
+    of = f" ({only if len(labels) == 1 else f'{len(labels)} runs'})"
+    what = fault.what if not is_fault(fault.what) else words(fault, MOST_CHARACTERS - len(of))
+    return fault._replace(id="f0", what=f"{what}{of}")
+
+
 def _shade(axes: Sequence[Axes], runs: Sequence[Run]) -> list[str]:
     whose: dict[FaultInterval, list[str]] = {}
     for run in runs:
         for fault in (*run.log.faults, *run.log.events):
             whose.setdefault(fault, []).append(run.label)
-    # A fault that not every run had is named with those that had it.
-    called = [
-        fault if len(labels) == len(runs) else fault._replace(what=f"{fault.what} ({', '.join(labels)})")
-        for fault, labels in whose.items()
-    ]
+    # A fault that not every run had is named with those that had it, which are never cut off.
+    called = [fault if len(labels) == len(runs) else _with_runs(fault, labels) for fault, labels in whose.items()]
     return shade(axes, called)

@@ -194,24 +194,14 @@ def peak_ages(run: Run, link: Link, edges: Array) -> Array:
     arrived, since the log does not have what was heard before. The age grows until something newer arrives, so that
     the largest of an interval is at its last tick, or at the tick before an arrival.
     """
-    ticks = int(run.log.run.get("ticks", 0))
-    count = min(round(run.log.end / run.tick_s) + 1, ticks) if ticks else round(run.log.end / run.tick_s) + 1
-    sent, due, fate, _ = fates_of(run, link)
-    good = fate == Cause.DELIVERED
-    arrived = np.rint(due[good] / run.tick_s).astype(np.int64)
-    order = np.argsort(arrived, kind="stable")
-    arrived = arrived[order]
-    heard = np.maximum.accumulate(np.rint(sent[good] / run.tick_s).astype(np.int64)[order])
-
+    arrived, heard = _arrivals(run, link)
+    begins, count = _first_ticks(run, edges)
     unheard = np.nan if run.log.begin else 0
 
     def age(at: Array) -> Array:
         known = np.searchsorted(arrived, at, "right")
         return at - np.where(known > 0, np.append(heard, 0)[known - 1], unheard)
 
-    near = np.ceil(edges / run.tick_s)  # the first tick from an edge on, but for a rounding
-    near = near - ((near - 1) * run.tick_s >= edges) + (near * run.tick_s < edges)
-    begins = np.clip(near, 0, count).astype(np.int64)
     first, behind = begins[:-1], begins[1:]
     some = behind > first
     found = np.full(len(edges) - 1, np.nan)
@@ -223,8 +213,50 @@ def peak_ages(run: Run, link: Link, edges: Array) -> Array:
     return found * run.tick_s
 
 
+def mean_ages(run: Run, link: Link, edges: Array) -> Array:
+    """The mean of the same over the ticks of each interval [s]."""
+    arrived, heard = _arrivals(run, link)
+    begins, _ = _first_ticks(run, edges)
+    at, known = np.append(0, arrived), np.append(0, heard)
+    until_arrival = np.append(0, np.cumsum(known[:-1] * np.diff(at)))  # the sum of what was known at each tick before
+
+    def until(tick: Array) -> Array:
+        place = np.maximum(np.searchsorted(at, tick, "left") - 1, 0)
+        total: Array = until_arrival[place] + known[place] * (tick - at[place])
+        return total
+
+    first, behind = begins[:-1], begins[1:]
+    ages = (behind * (behind - 1) - first * (first - 1)) / 2 - (until(behind) - until(first))
+    some = behind > first
+    if run.log.begin:
+        some &= first >= (arrived[0] if len(arrived) else np.inf)
+    found: Array = np.where(some, ages / np.maximum(behind - first, 1), np.nan) * run.tick_s
+    return found
+
+
+def _arrivals(run: Run, link: Link) -> tuple[Array, Array]:
+    """The ticks at which something arrived on a link, in order, and the newest tick that was heard of then."""
+    sent, due, fate, _ = fates_of(run, link)
+    good = fate == Cause.DELIVERED
+    arrived = np.rint(due[good] / run.tick_s).astype(np.int64)
+    order = np.argsort(arrived, kind="stable")
+    heard: Array = np.maximum.accumulate(np.rint(sent[good] / run.tick_s).astype(np.int64)[order])
+    return arrived[order], heard
+
+
+def _first_ticks(run: Run, edges: Array) -> tuple[Array, int]:
+    """The first tick from each edge [s] on, and the number of ticks that were started."""
+    ticks = int(run.log.run.get("ticks", 0))
+    count = min(round(run.log.end / run.tick_s) + 1, ticks) if ticks else round(run.log.end / run.tick_s) + 1
+    near = np.ceil(edges / run.tick_s)  # but for a rounding
+    near = near - ((near - 1) * run.tick_s >= edges) + (near * run.tick_s < edges)
+    first: Array = np.clip(near, 0, count).astype(np.int64)
+    return first, count
+
+
 def ages(runs: Sequence[Run], view: View) -> Figure:
-    """The oldest and the median link over time, and a row per link coloured by its age; peaks of short intervals."""
+    """The oldest and the median link over time, and a row per link coloured by its age. Of each short interval the
+    picture has the largest age, and of the median link the mean."""
     tables = [(run, links_between(run, view)) for run in runs]
     heights = [1.3, *(float(np.clip(_ROW_IN * len(links), 0.5, 4.0)) for _, links in tables)]
     figure, axes = over_time(1 + len(runs), runs, view, sum(heights) + 1.2 + 0.2 * len(runs), heights)
@@ -238,19 +270,20 @@ def ages(runs: Sequence[Run], view: View) -> Figure:
     low = low if np.isfinite(low) else 1e-3
     norm = LogNorm(low, max(float(finite.max()), 2.0 * low))
     middle = (edges[1:] + edges[:-1]) / 2
-    for r, table in enumerate(peaks):
-        known = np.isfinite(table).any(axis=0)
-        middling = np.nanmedian(table[:, known], axis=0)
+    for r, ((run, links), table) in enumerate(zip(tables, peaks, strict=True)):
+        means = np.array([mean_ages(run, link, edges) for link in links])
+        known = np.isfinite(means).any(axis=0)
+        middling = np.nanmedian(means[:, known], axis=0)
         for kind, values, style in (("oldest", np.nanmax(table[:, known], axis=0), "-"), ("median", middling, ":")):
             axes[0].plot(
                 middle[known], values, color=COLOURS[r % len(COLOURS)], linestyle=style, linewidth=THIN, gid=kind
             )
-    solid = ["oldest link"] if len(runs) == 1 else [f"{run.label}: oldest, solid" for run in runs]
+    solid = ["oldest link, peaks"] if len(runs) == 1 else [f"{run.label}: oldest, peaks" for run in runs]
     legend_of(
         figure,
         [
             *((name, COLOURS[r % len(COLOURS)], "-") for r, name in enumerate(solid)),
-            ("median link" if len(runs) == 1 else "median link, dotted", COLOURS[0] if len(runs) == 1 else "0.3", ":"),
+            ("median link, means", COLOURS[0] if len(runs) == 1 else "0.3", ":"),
         ],
     )
     axes[0].set_ylabel("age [s]")
@@ -260,9 +293,11 @@ def ages(runs: Sequence[Run], view: View) -> Figure:
     else:
         axes[0].set_ylim(0.0, None)
     for ax, (run, links), table in zip(axes[1:], tables, peaks, strict=True):
-        which = run.label if len(runs) > 1 else ""
+        which = ""
+        if len(runs) > 1:
+            ax.set_title(run.label, loc="left", fontsize=LABEL_PT)
         if len(links) > _MOST_LINKS:
-            which = f"{which}\n" * bool(which) + f"the {_MOST_NAMED} oldest of {len(links)}"
+            which = f"the {_MOST_NAMED} oldest of {len(links)}"
             order = np.argsort(-np.nan_to_num(np.nanmean(table, axis=1)), kind="stable")[:_MOST_NAMED]
             links, table = [links[k] for k in order], table[order]
         mesh = ax.pcolormesh(edges, np.arange(len(links) + 1) - 0.5, np.ma.masked_invalid(table), norm=norm,
@@ -272,14 +307,15 @@ def ages(runs: Sequence[Run], view: View) -> Figure:
         ax.set_ylabel(f"link\n{which}" if which else "link")
         ax.grid(False)
     bar = figure.colorbar(mesh, ax=axes[1:], location="right", aspect=18, pad=0.02)
-    bar.set_label("age [s]")
+    bar.set_label("age [s], peaks")
     plain_decades(bar.ax.yaxis)
-    finish(figure, axes, runs)
+    finish(figure, axes, runs, [f"peaks and means: of {edges[1] - edges[0]:.2g} s each"])
     return figure
 
 
 def _bins(tables: Sequence[tuple[Run, Sequence[Link]]], span: float) -> int:
-    """How many intervals: each holds a whole tooth of the usual length, or each tooth many of them."""
+    """How many intervals: each holds a tick, and a whole tooth of the usual length, or each tooth many of them."""
+    most = max(1, int(span / max(run.tick_s for run, _ in tables) + 1e-6))
     gaps = []
     for run, links in tables:
         for link in links:
@@ -288,5 +324,5 @@ def _bins(tables: Sequence[tuple[Run, Sequence[Link]]], span: float) -> int:
     together = np.concatenate(gaps) if gaps else np.empty(0)
     tooth = float(np.median(together)) if len(together) else 0.0
     if tooth > 8.0 * span / _BINS:
-        return 2 * _BINS
-    return max(1, min(_BINS, int(span / (2.0 * tooth)))) if tooth else _BINS
+        return min(2 * _BINS, most)
+    return max(1, min(_BINS, most, int(span / (2.0 * tooth)))) if tooth else min(_BINS, most)

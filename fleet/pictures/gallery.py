@@ -461,7 +461,7 @@ WHAT: dict[str, tuple[_Picture, ...]] = {
 # Those that are left out where everything is asked for, if they hold for none of the runs.
 _ONLY_IF: dict[str, Callable[[Run], bool]] = {
     "timing": lambda run: on_wall_clock(run) and not run.of_nodes,
-    **dict.fromkeys(("track", "error", "inputs"), lambda run: not run.of_nodes),
+    **dict.fromkeys(("track", "error", "inputs"), lambda run: not (run.of_nodes or run.moored)),
 }
 PER_RUN = frozenset({"links", "messages", "timing"})  # those that show one run only: of several, each has its own
 
@@ -487,7 +487,7 @@ def draw(
 def _each(
     what: Sequence[str], runs: Sequence[Run], view: View, share: Tell
 ) -> Iterator[tuple[str, str, Sequence[Run], Figure | str]]:
-    asked_for_all = set(what) == set(WHAT)
+    asked_for_all = {*what, *PER_RUN} >= set(WHAT)  # a report of several runs has those of one run elsewhere
     begun: set[str] = set()
     single = {picture[0]: (picture,) for pictures in WHAT.values() for picture in pictures}
     for number, kind in enumerate(what):

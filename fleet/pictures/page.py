@@ -78,6 +78,13 @@ class SectionImages(NamedTuple):
 Block = Heading | Text | Contents | Mark | Table | PageImage | SectionImages | Listing
 
 
+def from_here(path: Path) -> Path:
+    """A path for the reader of a page: from the folder in which the page is made, if it lies below that. A page for
+    others need not tell where this user keeps files."""
+    found = path.resolve()
+    return found.relative_to(Path.cwd()) if found.is_relative_to(Path.cwd()) else found
+
+
 def check_place(path: Path, *, force: bool) -> None:
     """Refuse a place that holds a file already. `force`: whether it shall be replaced. Raises FleetError if there is a
     file.

@@ -28,6 +28,7 @@ from fleet.pictures.page import (
     SectionImages,
     Table,
     Text,
+    from_here,
     images,
     render,
     write_page,
@@ -348,7 +349,7 @@ def page(runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> str:
 
 def _section(number: int, run: Run, found: RunResult, kinds: Sequence[str], view: View, share: Tell) -> list[Block]:
     log, scenario, result = run.log, run.scenario, found.result
-    name, path = run_name(log.path), log.path.resolve()
+    name, path = run_name(log.path), from_here(log.path)
     first, pictures = _pictures(kinds, [run], view, share, [] if number else telling(run))
     blocks: list[Block] = [Heading(name, 2, f"run-{number}")]
     if log.missing:
@@ -400,7 +401,7 @@ _SENT_BY_OTHERS = (
 
 
 def _facts(number: int, run: Run, found: RunResult) -> list[tuple[str, Any]]:
-    name, path = run_name(run.log.path), run.log.path.resolve()
+    name, path = run_name(run.log.path), from_here(run.log.path)
     facts = scenario_facts(run.scenario) if run.scenario is not None else []
     # The log holds simulated time only, so that it is the same each time.
     begun = begun_at(name)

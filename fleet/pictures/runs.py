@@ -89,6 +89,11 @@ class Run:
         """Whether it is of robots that are not ours, of which nothing is known but their packets."""
         return self.scenario is not None and bool(self.scenario.nodes)
 
+    @property
+    def moored(self) -> bool:
+        """Whether its vehicles stay where they are, so that it is about their agents alone."""
+        return self.scenario is not None and bool(self.scenario.spec.moored)
+
     @cached_property
     def verdicts(self) -> list[Verdict]:
         """The checks as the result beside the log has them; empty: there is none, or it is of another log."""
@@ -129,21 +134,29 @@ class Run:
 def load(
     paths: Sequence[Path], share: Callable[[float], None] = lambda _: None, most_held: int = MOST_HELD
 ) -> list[Run]:
-    """Read logs; each is called after its scenario, or its directory where those are equal. Of each at most `most_held`
-    bytes are held at once. Raises LogReadError if one of them cannot be read.
+    """Read logs; each is called after its scenario, its seed where those are equal, or else its directory. Of each at
+    most `most_held` bytes are held at once. Raises LogReadError if one of them cannot be read.
     """
     check_readable(paths)
     # Poses are states in another form.
     logs = [Opening(path, _WANTED, share, drawn=_DRAWN, most_held=most_held).read() for path in paths]
-    names = [log.run.get("scenario", "") or log.path.stem for log in logs]
-    often = Counter(names)
-    labels = [name if often[name] == 1 else run_name(log.path) for name, log in zip(names, logs, strict=True)]
     seen: Counter[str] = Counter()
     runs = []
-    for label, log in zip(labels, logs, strict=True):
+    for label, log in zip(labels_of(logs), logs, strict=True):
         seen[label] += 1
         runs.append(Run(log, label if seen[label] == 1 else f"{label} ({seen[label]})"))
     return runs
+
+
+def labels_of(logs: Sequence[Log]) -> list[str]:
+    """The name of each log in a legend, see `load`."""
+    names = [log.run.get("scenario", "") or log.path.stem for log in logs]
+    seeds = [f"{name}, seed {log.run.get('seed', '?')}" for name, log in zip(names, logs, strict=True)]
+    often = Counter([*names, *seeds])
+    return [
+        next((label for label in called if often[label] == 1), run_name(log.path))
+        for *called, log in zip(names, seeds, logs, strict=True)
+    ]
 
 
 _WANTED = [*(f"uuv/*/{group}" for group in GROUPS), "faults", "link/*"]

@@ -265,10 +265,11 @@ def border_plan(scenario: str, spec: BoundarySpec) -> Plan:
 
 
 def prepare_borders(
-    plan: Plan, spec: BoundarySpec, directory: Path, warn: Callable[[str], None] = lambda _: None
+    plan: Plan, spec: BoundarySpec, directory: Path | Iterable[Path], warn: Callable[[str], None] = lambda _: None
 ) -> tuple[Store, Modules]:
     """Check every point that may be run, and make the directory of the study. `plan`: the plan. The border is sought
-    along its last axis, see `parse_along`. `spec`: the settings of the study. The directory keeps them. `warn`: called
+    along its last axis, see `parse_along`. `spec`: the settings of the study. The directory keeps them. `directory`:
+    as for `prepare`. `warn`: called
     with a line of text for each check that cannot pass. Raises ScenarioError: with the mistakes of all points;
     StudyError: there cannot be such a study."""
     if not 0.0 < spec.level < 1.0:
@@ -308,7 +309,8 @@ class Borders:
 
     @property
     def title(self) -> str:
-        return f"{self.store.record.scenario}: where the pass rate falls through {100 * self.record.level:g} %"
+        rate = f"pass rate of {self.record.check}" if self.record.check else "pass rate"
+        return f"{self.store.record.scenario}: where the {rate} falls through {100 * self.record.level:g} %"
 
     def _check(self) -> None:
         """Raises StudyError: the points are not those of a study of borders. A study may come from anybody."""

@@ -152,7 +152,7 @@ class FailureFolder:
     def _write(self, path: Path, data: bytes) -> None:
         try:
             self.path.mkdir(parents=True, exist_ok=True)
-            write_whole(path, data, 0o644)
+            write_whole(path, data, 0o666)
         except OSError as error:
             raise StudyError(f"{path} cannot be written: {error.strerror}") from None
 

@@ -86,6 +86,7 @@ def _check(kind: Kind, key: str, text: str) -> None:
 class BoundaryKeywords(TypedDict, total=False):
     """The keywords of `fleet.boundary` that a spec declares; a test compares them with `BoundarySpec`."""
 
+    check: str | None
     level: float | None
     width: float | None
     seeds: int | str | Iterable[int] | None
@@ -104,6 +105,7 @@ class SweepKeywords(TypedDict, total=False):
     set: Mapping[str, object] | Iterable[str] | None
     net: str | Iterable[str] | None
     fault: str | Iterable[str] | None
+    check: str | None
     measures: str | Iterable[str] | None
     until: str | None
     most_seeds: int | None

@@ -145,6 +145,36 @@ SEPARATION = MeasureColumn("separation_min_m", "m")  # least distance of two veh
 MORE_IS_BETTER = frozenset({"packets_delivered", "sim_s", SEPARATION.name})  # of all others less is
 STANDING = (*(measure.column for measure in MEASURES.values()), SEPARATION)  # of every study
 
+# Of each check a study knows three numbers: `check.NAME` is 1 where a run passed it and 0 where it did not,
+# `value.NAME` is the number that it judged, and `margin.NAME` its distance from failing.
+
+CHECK = "check."  # of a column whose runs make a share, as those that passed
+_OF_CHECK = (CHECK, "value.", "margin.")
+# The checks that judge a number which changes with what is varied, and the units of the number and its margin.
+JUDGED = {
+    "formation_error": ("m", "m"), "consensus_error": ("m", "m"), "recovery_time": ("s", "m"),
+    "min_separation": ("m", "m"), "max_age": ("s", "s"),
+}  # fmt: skip
+
+
+def is_of_check(name: str) -> bool:
+    return name.startswith(_OF_CHECK)
+
+
+def columns_of_checks(checks: Iterable[str]) -> list[MeasureColumn]:
+    """The three columns that a study has of each of these checks."""
+    found = []
+    for name in checks:
+        of_value, of_margin = JUDGED.get(name, ("", ""))
+        largest = name in JUDGED and name != "min_separation"
+        found += [
+            MeasureColumn(f"{CHECK}{name}", ""),
+            MeasureColumn(f"value.{name}", of_value, missing_is_largest=largest),
+            MeasureColumn(f"margin.{name}", of_margin),
+        ]
+    return found
+
+
 # Measures by signal: `p95 |error.e|` is a number of every run, computed from the samples that its log would have.
 #
 # A signal is named as in `fleet.scenario.sections.signals`, `error.e_norm` for that of all vehicles; here it may also
@@ -184,7 +214,7 @@ class SignalMeasure:
 
 
 def is_signal(name: str) -> bool:
-    return " " in name.strip()
+    return " " in name.strip() and not is_of_check(name)
 
 
 def parse_signal(text: str) -> SignalMeasure:
@@ -231,14 +261,16 @@ def measures_of_checks(scenarios: Sequence[Scenario]) -> tuple[str, ...]:
 
 def more_is_better(name: str) -> bool:
     """Whether a larger number is the better one; of signals only if it is the least value, as of a distance."""
-    return parse_signal(name).how == "min" if is_signal(name) else name in MORE_IS_BETTER
+    if is_signal(name):
+        return parse_signal(name).how == "min"
+    return name in MORE_IS_BETTER or name.startswith((CHECK, "margin."))
 
 
 def check_name(name: str) -> None:
     """Raises StudyError: no study can have a measure of this name."""
     if is_signal(name):
         parse_signal(name)
-    else:
+    elif not is_of_check(name):  # the scenario says which checks there are
         find_columns([name])
 
 

@@ -161,7 +161,7 @@ def _part(row: Row) -> PartRow:
 
 def _write(file: Path, known: RareFile) -> None:
     try:
-        write_whole(file, msgspec.json.format(msgspec.json.encode(known), indent=1) + b"\n")
+        write_whole(file, msgspec.json.format(msgspec.json.encode(known), indent=1) + b"\n", 0o666)
     except OSError as error:
         raise StudyError(f"{file} cannot be written: {error.strerror}; choose another file with --out") from None
 

@@ -9,7 +9,7 @@ import msgspec
 from fleet.errors import printable
 from fleet.quantities import QuantityError
 from fleet.study.errors import StudyError
-from fleet.study.measures import MeasureColumn
+from fleet.study.measures import MeasureColumn, columns_of_checks
 from fleet.study.spec import MOST_ALLOWED, BoundarySpec, StudySpec, texts
 from fleet.study.values import Axis
 from netem.private_file import DamagedFile, read_json, write_whole
@@ -58,10 +58,20 @@ class StudyRecord(msgspec.Struct, omit_defaults=True):
         """The spec; of a study without one its defaults."""
         return self.spec or StudySpec(self.scenario)
 
+    @property
+    def check(self) -> str:
+        """The check that says whether a run passed; empty: all of them do."""
+        return self.rules.check if self.border is None else self.border.check
+
+    @property
+    def every_column(self) -> list[MeasureColumn]:
+        """The measures, and the numbers of each check."""
+        return [*self.columns, *columns_of_checks(self.checks)]
+
 
 def write_record(directory: Path, record: StudyRecord) -> None:
     """Write it. Raises OSError."""
-    write_whole(directory / NAME, msgspec.json.format(msgspec.json.encode(record), indent=1) + b"\n")
+    write_whole(directory / NAME, msgspec.json.format(msgspec.json.encode(record), indent=1) + b"\n", 0o666)
 
 
 def read_record(directory: Path) -> StudyRecord:

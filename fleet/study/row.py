@@ -67,6 +67,12 @@ class Row(Struct, kw_only=True):
         """Whether the run came to its end."""
         return self.status in _JUDGED
 
+    def verdict(self, check: str) -> bool | None:
+        """Whether the run passed a check; empty: all of them. None: that was not judged."""
+        if not check:
+            return self.passed
+        return self.checks[check].passed if check in self.checks else None
+
     @property
     def failed_checks(self) -> list[str]:
         return [name for name, check in self.checks.items() if check.passed is False]
@@ -129,10 +135,12 @@ class Reached:
 
 
 class Covered(Struct, frozen=True):
-    """The episodes of a search, and how likely they held given patterns."""
+    """The episodes of a search, what was drawn in them, and how likely they held given patterns."""
 
     episodes: int
+    kinds: dict[str, int]  # episodes: of `isolations`, of `splits`, and `mixed`
+    faults: dict[str, int]  # by kind
     unit_s: float
     stated_by: str  # what states the unit
-    two: float  # probability of a pattern of two vehicles that are cut off, each in a given unit of one episode
-    three: float
+    two: float | None  # probability of a pattern of two vehicles that are cut off, each in a given unit of one episode
+    three: float | None  # None: no partition is drawn

@@ -8,7 +8,7 @@ A run that fails a check which no run before has failed is repeated (`confirmed`
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from itertools import count
 from math import inf
@@ -32,17 +32,17 @@ from fleet.study.statistics import most_failures
 _SAVE_S = 2.0  # how often a search writes how far it is
 
 
-def covered(scenario: Scenario, runs: int) -> Covered | None:
-    """The episodes of so many runs of a scenario. None: its nemesis draws no episodes, or no partitions."""
+def covered(scenario: Scenario, seeds: Collection[int]) -> Covered | None:
+    """The episodes of a scenario's runs with some seeds. None: its nemesis draws no episodes."""
     nemesis = scenario.undrawn.nemesis
     if nemesis is None or nemesis.mode != "episodes":
         return None
-    if nemesis.pick is not None and all(pick.drawn != "partition" for pick in nemesis.pick):
-        return None
     plan, n = episodes.plan(nemesis, scenario.ground), scenario.vehicles
-    count = runs * len(plan.begins)
-    two, three = (episodes.chance(isolations, n, count) for isolations in (2, 3))
-    return Covered(count, plan.unit / 1e9, plan.origin, two, three)
+    count = len(seeds) * len(plan.begins)
+    cuts_off = nemesis.pick is None or any(pick.drawn == "partition" for pick in nemesis.pick)
+    two, three = (episodes.chance(isolations, n, count) if cuts_off else None for isolations in (2, 3))
+    kinds, faults = (dict(found.most_common()) for found in episodes.counted(nemesis, scenario.ground, seeds))
+    return Covered(count, kinds, faults, plan.unit / 1e9, plan.origin, two, three)
 
 
 @dataclass(slots=True)
@@ -206,15 +206,17 @@ class _Search:
         Without a folder runs that were under way with the first failing one count as well.
         """
         found = self.found
+        seeds = [*range(found.first_seed, self.next_seed)]
         if self._keep is None:
             for seed in sorted(self.waiting):
                 self._count(self.waiting[seed])
+                seeds.append(seed)
         if found.kinds:
             found.check = min(found.kinds, key=lambda check: found.kinds[check])
             found.seed = found.kinds[found.check]
             spec = scenario_of(self.task(found.seed)).spec
             found.scenario, found.triggered = self.scenario(found.seed), moments(spec.triggers, spec)
-        found.covered = covered(self._scenario, found.runs)
+        found.covered = covered(self._scenario, seeds)
         return found
 
     def scenario(self, seed: int) -> Scenario:

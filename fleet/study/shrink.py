@@ -1,7 +1,8 @@
 """Makes a scenario that fails a check as small as possible, so that it still fails.
 
-Runs are deterministic: a scenario that fails once fails each time. The steps are: leave out faults (`ddmin`), shorten
-the run, leave out the last vehicles, shorten each fault and make it milder. They repeat until no step helps any more.
+Runs are deterministic: a scenario that fails once fails each time. The steps are: leave out faults and triggers, and
+then vehicles, sides and links of each fault (`ddmin`); shorten the run, leave out the last vehicles, shorten each fault
+and make it milder. They repeat until no step helps any more.
 The candidates of one step run side by side. The smallest candidate that fails is taken, so the result does not depend
 on the number of workers.
 """
@@ -29,13 +30,17 @@ from fleet.study.modules import NO_MODULES, Modules
 from fleet.study.one_run import Task
 from fleet.study.plan import run_key
 from fleet.study.row import FAILED, Row
+from fleet.study.targets import Targets, narrower, targets
 from netem.parsing import NUMBER
 
 MOST_ROUNDS = 5  # over everything, and over each number
 _SHARES = (Fraction(1, 4), Fraction(1, 2), Fraction(3, 4), Fraction(9, 10))  # of a number that is made less
 TIMES = frozenset({"at", "for", "id"})
 # Kinds whose every number makes them stronger. (A smaller efficiency or saturation is stronger; others have none.)
-_MILDER = ("link", "noise", "bias", "dropout", "slow", "clock", "gust", "current", "wrench")
+_MILDER = (
+    *("link", "noise", "bias", "dropout", "slow", "clock", "gust", "current", "wrench"),
+    *("dvl", "compass", "fix"),
+)
 _MORE_IS_WORSE = ("delay", "loss", "duplicate", "corrupt", "reorder")  # words of a link's condition
 _NUMBER = re.compile(rf"(?<![\w.])({NUMBER.pattern})(?=\s*[^\W\d_]|\s*%|\s+[-+.\d]|\s*$)", re.ASCII)
 
@@ -62,7 +67,7 @@ class Shrinker:
         self._doing, self._left = "the run as it is", 1  # what is tried; runs that may still be made
         self._check = ""
         refuse(scenario, "a run of a study")
-        self._tree = tree_of(scenario)
+        self._tree, self._links = tree_of(scenario), scenario.graph.links
 
     def shrink(self, check: str | None = None, most_runs: int = 10_000) -> Shrunk:
         """Make the scenario smaller until no step helps, or `most_runs` runs were made. `check`: this check must still
@@ -74,7 +79,10 @@ class Shrinker:
         steps: list[str] = []
         for _ in range(MOST_ROUNDS):
             before = json.dumps(self._tree)
-            for step in (self._fewer_faults, self._shorter, self._fewer_vehicles, self._shorter_faults, self._milder):
+            for step in (
+                *(self._fewer_faults, self._fewer_targets, self._shorter),
+                *(self._fewer_vehicles, self._shorter_faults, self._milder),
+            ):
                 steps += step()
             if json.dumps(self._tree) == before:
                 break
@@ -94,14 +102,41 @@ class Shrinker:
         return check or failing[0]
 
     def _fewer_faults(self) -> Iterator[str]:
-        faults = self._tree.get("faults") or []
-        if not faults:
-            return
-        self._doing = "fewer faults"
-        left = ddmin(faults, lambda parts: self._fail([{**self._tree, "faults": part} for part in parts]))
-        if len(left) < len(faults):
-            self._tree["faults"] = left
-            yield f"{len(left)} of {len(faults)} faults are needed"
+        for key in ("faults", "triggers"):
+            faults, self._doing = self._tree.get(key) or [], f"fewer {key}"
+
+            def fails(parts: list[list[Tree]], key: str = key) -> list[bool]:
+                return self._fail([{**self._tree, key: part} for part in parts])
+
+            left = ddmin(faults, fails)
+            if len(left) < len(faults):
+                self._tree[key] = left
+                yield f"{len(left)} of {len(faults)} {key} are needed"
+
+    def _fewer_targets(self) -> Iterator[str]:
+        """Faults of fewer vehicles or links, and partitions that cut off fewer vehicles."""
+        for k, fault in enumerate(self._tree.get("faults") or []):
+            kind, name = _kind(fault), fault.get("id", k + 1)
+            self._doing = f"fault {name} of fewer targets"
+            if (found := _targets(self._tree, k)) is not None:
+
+                def made(part: list[Any], found: Targets = found, k: int = k, kind: str = kind) -> Tree:
+                    return _with_fault(self._tree, k, {kind: found.value(part, self._tree["vehicles"])})
+
+                def fails(parts: list[list[Any]], made: Callable[[list[Any]], Tree] = made) -> list[bool]:
+                    return self._fail([made(part) for part in parts]) if parts != [[]] else [False]
+
+                left = ddmin(found.items, fails)
+                if len(left) < len(found.items):
+                    self._tree = made(left)
+            tree: Tree | None = self._tree
+            while tree is not None:
+                self._tree = tree
+                links = [link for link in self._links if max(link) <= tree["vehicles"]]
+                less = narrower(kind, tree["faults"][k][kind], links)
+                tree = self._least([_with_fault(self._tree, k, {kind: value}) for value in less])
+            if (now := self._tree["faults"][k][kind]) != fault[kind]:
+                yield f"fault {name} is {kind} {_words(now)} instead of {_words(fault[kind])}"
 
     def _shorter(self) -> Iterator[str]:
         """A run that ends earlier, but not before its check begins: it would fail for that reason alone."""
@@ -148,7 +183,7 @@ class Shrinker:
     def _milder(self) -> Iterator[str]:
         for k in range(len(self._tree.get("faults") or [])):
             fault = self._tree["faults"][k]
-            kind = next(key for key in fault if key not in TIMES)
+            kind = _kind(fault)
             if kind not in _MILDER:
                 continue
             self._doing = f"fault {fault.get('id', k + 1)} milder"
@@ -208,6 +243,16 @@ def _found(row: Row, check: str) -> str:
     return "no finite value" if value is None or not isfinite(value) else f"{value:.4g}"
 
 
+def _kind(fault: Tree) -> str:
+    return next(key for key in fault if key not in TIMES)
+
+
+def _targets(tree: Tree, k: int) -> Targets | None:
+    fault = tree["faults"][k]
+    kind, name = _kind(fault), fault.get("id", f"f{k + 1}")
+    return targets(kind, fault[kind], tree["vehicles"], tree["seed"], name)
+
+
 def _with_fault(tree: Tree, k: int, changes: Tree) -> Tree:
     faults = [dict(fault) for fault in tree["faults"]]
     faults[k] |= changes
@@ -215,9 +260,14 @@ def _with_fault(tree: Tree, k: int, changes: Tree) -> Tree:
 
 
 def _without_vehicles(tree: Tree, n: int) -> Tree:
-    """The scenario with the first n vehicles; where something else names the others it is no valid scenario."""
+    """The scenario with the first n vehicles. If a fault concerns others alone, or something else names them, it is no
+    valid scenario."""
     made = deepcopy(tree)
     made["vehicles"] = n
+    for k, fault in enumerate(made.get("faults") or []):
+        kind, found = _kind(fault), _targets(tree, k)
+        if kind != "link" and found is not None and (left := [i for i in found.items if i <= n]):
+            fault[kind] = found.value(left, n) if kind == "partition" or left != found.items else fault[kind]
     if isinstance(offsets := (made.get("formation") or {}).get("offsets"), list):
         made["formation"]["offsets"] = offsets[:n]
     if isinstance(made.get("initial"), list):

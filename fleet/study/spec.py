@@ -49,6 +49,7 @@ class Option(NamedTuple):
 Time = Annotated[str, Kind.TIME]
 Seeds = Annotated[str, Kind.SEEDS]
 Values = Annotated[dict[str, str], Kind.VALUES]
+Check = Annotated[str, Option("The check that says whether a run passed; by default all of them do.", "NAME")]
 Set = Annotated[dict[str, str], Kind.VALUE, Option("What is changed in every run; {key} stands for what varies.")]
 Net = Annotated[list[str], Option("Conditions of links in every run; {key} stands for what varies.")]
 Fault = Annotated[list[str], Option("Faults of every run; {key} stands for what varies.")]
@@ -70,9 +71,11 @@ class StudySpec(msgspec.Struct, frozen=True, omit_defaults=True):
     set: Set = {}
     net: Net = []
     fault: Fault = []
+    check: Check = ""
     measures: Annotated[list[str], Kind.MEASURE, Option(
         "A column of the table; repeatable. An unknown name lists all measures. Texts such as 'p95 |error.e|' "
-        "measure a signal.", flag="--measure", later=True)] = []  # fmt: skip
+        "measure a signal; check.NAME is the share of runs that passed a check.",
+        flag="--measure", later=True)] = []  # fmt: skip
     until: Annotated[str, Kind.UNTIL, Option(
         "Add seeds to each point until its interval is this narrow, e.g. 'e_rms_m ±10 %'.")] = ""  # fmt: skip
     most_seeds: Annotated[int, Meta(ge=1, le=MOST_ALLOWED), Option(
@@ -115,6 +118,7 @@ class BoundarySpec(msgspec.Struct, frozen=True, kw_only=True):
 
     along: Annotated[str, Kind.ALONG, Option("The key and the range along which to look for the border.")] = ""
     per: Annotated[Values, Option("One border for each of these values; repeatable.")] = {}
+    check: Check = ""
     level: Annotated[float, Option("The pass rate at the border.", "RATE")] = 0.5
     width: Annotated[float, Option(
         "Stop when the interval of a border is this narrow, as a share of the range.", "SHARE")] = 0.1  # fmt: skip

@@ -14,13 +14,35 @@ from itertools import count, islice
 from typing import NamedTuple
 
 from fleet.study.errors import StudyError
-from fleet.study.measures import LONGEST_TEXT, STANDING, MeasureColumn, find_columns, is_signal, parse_signal
+from fleet.study.measures import (
+    CHECK,
+    LONGEST_TEXT,
+    STANDING,
+    MeasureColumn,
+    find_columns,
+    is_of_check,
+    is_signal,
+    parse_signal,
+)
 from fleet.study.row import Row
 from fleet.study.statistics import Estimate, median, pass_rate
 from netem.parsing import NUMBER
 
 _RULE = re.compile(rf"(?P<what>\S.*?)\s*(?:±|\+/?-)\s*(?P<number>{NUMBER.pattern})\s*(?P<unit>\S.*?)?", re.ASCII)
 _PASS = ("pass", "passed")
+
+
+def estimated(rows: Iterable[Row], column: MeasureColumn | None = None) -> Estimate:
+    """What some runs say of a column: the share that passed, if it is that of a check or none is given; else its
+    median."""
+    if column is None:
+        passed = [row.passed for row in rows if row.passed is not None]
+        return pass_rate(sum(passed), len(passed))
+    numbers = [column.number(row.number(column.name)) for row in rows if row.has_result]
+    if column.name.startswith(CHECK):
+        judged = [number for number in numbers if number == number]
+        return pass_rate(round(sum(judged)), len(judged))
+    return median(numbers)
 
 
 class Rule(NamedTuple):
@@ -37,10 +59,7 @@ class Rule(NamedTuple):
         return [] if self.column is None else [self.column.name]
 
     def estimate(self, rows: Iterable[Row]) -> Estimate:
-        judged = [row for row in rows if row.has_result]
-        if self.column is None:
-            return pass_rate(sum(row.passed is True for row in judged), len(judged))
-        return median([self.column.number(row.number(self.column.name)) for row in judged])
+        return estimated(rows, self.column)
 
     def met(self, found: Estimate) -> bool:
         margin = self.margin * abs(found.value) if self.relative else self.margin
@@ -54,27 +73,29 @@ def watched_by(text: str) -> list[str]:
 
 
 def parse_until(text: str, columns: Sequence[MeasureColumn]) -> Rule:
-    """`pass ±5 %`, `e_rms_m ±0.05 m`, `e_rms_m ±10 %`; `+-` is the same as `±`. `columns`: measures that there are.
-    Raises StudyError: it is none of them."""
+    """`pass ±5 %`, `check.max_age ±5 %`, `e_rms_m ±0.05 m`, `e_rms_m ±10 %`; `+-` is the same as `±`. `columns`:
+    measures that there are. Raises StudyError: it is none of them."""
     found = _parts(text)
     unit, margin = found["unit"] or "", float(found["number"])
     column = next(iter(find_columns(watched_by(text), columns)), None)
-    units = ("%", "") if column is None else ("%", "", column.unit)
+    share = column is None or column.name.startswith(CHECK)
+    units = ("%", "") if column is None or share else ("%", "", column.unit)
     if unit not in units:
         raise StudyError(f'"{text[:60]}": expected a margin in {" or ".join(filter(None, units))}, got "{unit[:20]}"')
     if unit == "%":
         margin /= 100.0
-    if not 0.0 < margin < (0.5 if column is None else float("inf")):
-        least = "above 0 and below 50 %" if column is None else "above 0"
+    if not 0.0 < margin < (0.5 if share else float("inf")):
+        least = "above 0 and below 50 %" if share else "above 0"
         raise StudyError(f'"{text[:60]}": expected a margin {least}')
-    return Rule(text.strip(), column, margin, column is not None and unit == "%")
+    return Rule(text.strip(), column, margin, not share and unit == "%")
 
 
 def check_until(text: str) -> None:
     """Raises StudyError: no study can have this rule."""
     unit = _parts(text)["unit"] or ""
-    signals = [MeasureColumn(str(parse_signal(name)), unit) for name in watched_by(text) if is_signal(name)]
-    parse_until(text, [*STANDING, *signals])
+    own = [MeasureColumn(str(parse_signal(name)), unit) for name in watched_by(text) if is_signal(name)]
+    own += [MeasureColumn(name, unit) for name in watched_by(text) if is_of_check(name)]
+    parse_until(text, [*STANDING, *own])
 
 
 def _parts(text: str) -> re.Match[str]:

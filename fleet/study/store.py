@@ -15,24 +15,29 @@ calls for. It is opened to be read only, and checked before it is used.
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
+import resource
 import shutil
 import sqlite3
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from stat import S_ISREG
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from fleet.study.errors import StudyError
+from fleet.study.measures import CHECK
 from fleet.study.record import NAME, AxisRecord, StudyRecord, read_record, write_record
 from fleet.study.row import STATUSES, CheckRow, Row
 from fleet.study.spec import LARGEST_SEED
 from fleet.study.stopping import Rule, parse_until, seed_sequence, seeds_needed
 from fleet.study.values import AxisValue
+from netem.private_file import part_of, sync_folder
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,6 +45,8 @@ if TYPE_CHECKING:
 FILE, _LOGS = "study.sqlite", "logs"
 MOST_BYTES = 2_000_000_000  # of the database: 3 million runs
 _MOST_POINT_BYTES = 200_000_000  # of the scenarios of all points
+_MOST_TEXTS = 400_000_000  # characters that are held at once
+_CHUNK = 10_000  # rows that are read before they become arrays
 _MOST_TEXT = 16_000_000  # bytes of one value
 _MOST_CELLS = 200_000_000  # that are read at once
 _AT_ONCE = 200  # columns of one condition, which SQLite nests
@@ -72,10 +79,16 @@ class Store:
 
     @classmethod
     def create(
-        cls, directory: Path, record: StudyRecord, points: Sequence[tuple[Mapping[str, AxisValue], str]]
+        cls,
+        directory: Path | Iterable[Path],
+        record: StudyRecord,
+        points: Sequence[tuple[Mapping[str, AxisValue], str]],
     ) -> Store:
-        """Make the directory of a new study. `points`: the values of each by key, and its whole scenario. Raises
-        StudyError: the directory is there already, or cannot be written."""
+        """Make the directory of a new study. `directory`: of several the first one that is free is taken. `points`: the
+        values of each by key, and its whole scenario. Raises StudyError: the directory is there already, or cannot be
+        written."""
+        others = iter([directory] if isinstance(directory, Path) else directory)
+        directory = next(others)
         store = cls(directory, record)
         size = sum(len(text) for _, text in points)
         if size > _MOST_POINT_BYTES:
@@ -85,25 +98,28 @@ class Store:
             (number, *(cell(axis, values[axis.key]) for axis in record.axes), text)
             for number, (values, text) in enumerate(points)
         ]
-        if directory.exists():
-            raise StudyError(f"{directory} is there already: choose another place")
         # Whoever is killed here leaves no half study: it gets its name when it is whole.
-        part = directory.with_name(f".{directory.name}.part")
+        part = part_of(directory)
         try:
-            shutil.rmtree(part, ignore_errors=True)
             part.mkdir(parents=True)
+            (part / FILE).touch()  # or SQLite would take rights from the group that the umask leaves
             with closing(sqlite3.connect(part / FILE)) as file, file:
                 for table in store._tables:
                     file.execute(table)
                 file.executemany(f"INSERT INTO points VALUES ({_places(2 + len(record.axes))})", rows)
             write_record(part, record)
-            part.rename(directory)
+            while not _renamed(part, directory):
+                if (other := next(others, None)) is None:
+                    raise StudyError(f"{directory} is there already: choose another place")
+                directory = other
+            sync_folder(directory.parent)
         except OSError as error:
             raise StudyError(f"cannot make the study {directory}: {error.strerror}") from None
         except sqlite3.Error as error:
             raise StudyError(f"cannot make the study {directory}: {error}") from None
         finally:
             shutil.rmtree(part, ignore_errors=True)
+        store = cls(directory, record)
         store._checked = True
         return store
 
@@ -120,6 +136,8 @@ class Store:
         names = Counter([*(axis.key for axis in record.axes), *(each.name for each in store.columns), "scenario"])
         if twice := next((name for name, count in names.items() if count > 1), None):
             raise StudyError(f"{directory / NAME} is damaged: it has two columns {twice[:60]}")
+        if record.check and record.check not in record.checks:
+            raise StudyError(f"{directory / NAME} is damaged: it has no check {record.check[:60]}")
         store._recover()
         return store
 
@@ -161,12 +179,15 @@ class Store:
                     end.seek(-min(journal.stat().st_size, len(_SUPER_JOURNAL)), os.SEEK_END)
                     if end.read() == _SUPER_JOURNAL:  # SQLite would delete a file that it names
                         raise StudyError(f"{journal} is damaged")
-                with closing(self._connect("rw")) as file:
-                    file.execute("BEGIN IMMEDIATE")
-                    file.rollback()
             except FileNotFoundError:
                 return
-            except (OSError, sqlite3.Error) as error:
+            except OSError as error:
+                raise StudyError(f"{journal} cannot be read: {error.strerror}") from None
+            try:
+                with _no_larger(self._file), closing(self._connect("rw")) as file:
+                    file.execute("BEGIN IMMEDIATE")
+                    file.rollback()
+            except (OSError, sqlite3.Error, StudyError) as error:
                 raise StudyError(
                     f"{self._file} was left in the middle of a batch, and cannot be mended: {error}"
                 ) from None
@@ -286,8 +307,15 @@ class Store:
                 raise StudyError(f"{self.directory} has {count} rows, too many to be read at once")
             yield from file.execute(f"SELECT {wanted} FROM {source} ORDER BY {order}")
 
-    def _read(self, wanted: str, source: str, order: str) -> list[tuple[Any, ...]]:
-        return list(self._each(wanted, source, order))
+    def _held(self, columns: Sequence[Column], source: str, order: str) -> Iterator[tuple[Any, ...]]:
+        """The rows of some columns, for a reader that keeps them all. Raises StudyError: their texts are too long."""
+        if texts := [name for name, kind, _ in columns if kind == "TEXT"]:
+            sizes = ", ".join(f'total(length("{self._sql[name]}"))' for name in texts)
+            with closing(self._connect("ro")) as file, self._errors():
+                size = sum(next(file.execute(f"SELECT {sizes} FROM {source}")))
+            if size > _MOST_TEXTS:
+                raise StudyError(f"{self.directory} has {size / 1e6:.0f} MB of texts, too many to be read at once")
+        yield from self._each(self._selected(column.name for column in columns), source, order)
 
     def log_of(self, point: int, seed: int) -> Path:
         """The run directory of one of its runs; it is there only if its log was kept."""
@@ -301,14 +329,14 @@ class Store:
     def points(self) -> list[StudyPoint]:
         """Every point. They are read once. Raises StudyError."""
         keys = [axis.key for axis in self.record.axes]
-        rows = self._read("*", "points", "point")
+        rows = self._held([Column("point", "INTEGER"), *self._axes, Column("scenario", "TEXT")], "points", "point")
         return [StudyPoint(number, dict(zip(keys, values, strict=True)), text) for number, *values, text in rows]
 
     @property
     def rule(self) -> Rule | None:
         """When a point has enough seeds; None: no seed is added. Raises StudyError."""
         until = self.record.rules.until
-        return parse_until(until, self.record.columns) if until else None
+        return parse_until(until, self.record.every_column) if until else None
 
     @property
     def seeds(self) -> list[int]:
@@ -369,11 +397,13 @@ class Store:
                 raise broken from None
 
     def rows(self, numbers: Sequence[str] = (), *, checks: bool = False, details: bool = False) -> Iterator[Row]:
-        """All rows one by one, ordered by point and seed, so that their order does not tell who ran them. `checks`:
-        whether they have the verdicts of the checks. `details`: whether they have the key, the reason, the digest, and
-        who made them. Raises StudyError: the study is damaged, or holds more than a study writes."""
+        """All rows one by one, ordered by point and seed, so that their order does not tell who ran them. Whether a row
+        passed is what the check of the study says, if it has one. `checks`: whether they have the verdicts of the
+        checks. `details`: whether they have the key, the reason, the digest, and who made them. Raises StudyError: the
+        study is damaged, or holds more than a study writes."""
         names = self.record.checks if checks else []
-        wanted = ["point", "seed", "status", "passed", *(_DETAILS if details else ())]
+        passed_by = f"{CHECK}{self.record.check}" if self.record.check else "passed"
+        wanted = ["point", "seed", "status", passed_by, *(_DETAILS if details else ())]
         wanted += [f"{part}.{name}" for name in names for part in ("check", "value", "margin")]
         first, second = len(wanted) - 3 * len(names), len(wanted)
         wanted += numbers
@@ -403,19 +433,22 @@ class Store:
 
         point, seed, key, *others = self.columns
         columns = [key, point, seed, *self._axes, *others]
-        wanted = self._selected(column.name for column in columns)
-        rows = self._read(wanted, "runs JOIN points USING (point)", "point, seed")
+        rows = self._held(columns, "runs JOIN points USING (point)", "point, seed")
+        types = [
+            np.int64 if name in ("point", "seed") else float if kind == "REAL" else object for name, kind, _ in columns
+        ]
+        chunks: list[list[Any]] = [[np.array([], of)] for of in types]
+        while some := list(islice(rows, _CHUNK)):
+            for chunk, of, values in zip(chunks, types, zip(*some, strict=True), strict=True):
+                chunk.append(np.array(values, of))
         data: dict[str, Any] = {}
-        for column, values in zip(columns, zip(*rows, strict=True) if rows else [()] * len(columns), strict=True):
-            if column.name in ("point", "seed"):
-                data[column.name] = np.array(values, np.int64)
-            elif column.kind == "REAL":
-                data[column.name] = np.array(values, float)
-            elif column.kind == "INTEGER":
-                truths = [None if value is None else bool(value) for value in values]
-                data[column.name] = np.array(truths, object if None in truths else bool)
-            else:
-                data[column.name] = list(values)
+        for column, chunk, of in zip(columns, chunks, types, strict=True):
+            found = np.concatenate(chunk)
+            chunk.clear()
+            if column.kind == "INTEGER" and of is object:
+                truths = [None if value is None else bool(value) for value in found]
+                found = np.array(truths, object if None in truths else bool)
+            data[column.name] = found.tolist() if column.kind == "TEXT" else found
         frame = pd.DataFrame(data, columns=[column.name for column in columns])
         frame.attrs["units"] = {column.name: column.unit for column in columns if column.unit}
         return frame
@@ -434,6 +467,30 @@ def _flat(row: Row, names: Sequence[str]) -> list[Any]:
 def cell(axis: AxisRecord, value: AxisValue) -> float | str | None:
     """A value as a table has it: a number in the axis' unit, or a word."""
     return value.text if axis.unit is None else value.number
+
+
+def _renamed(part: Path, directory: Path) -> bool:
+    """Give a directory its name, unless something has that name. Another program may do the same at this moment."""
+    try:
+        if directory.exists():
+            return False
+        part.rename(directory)
+    except OSError as error:
+        if error.errno in (errno.EEXIST, errno.ENOTEMPTY, errno.ENOTDIR):
+            return False
+        raise
+    return True
+
+
+@contextmanager
+def _no_larger(file: Path) -> Iterator[None]:
+    """Let no file become larger than this one is. A journal says how long the file was before, and may be anybody's."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (file.stat().st_size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def _places(count: int) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain, count
 from math import isnan
 from pathlib import Path
@@ -19,7 +19,7 @@ from fleet.study.borders import Border, Borders, Tell, border_plan, find_borders
 from fleet.study.engine import engine_of, need_extra
 from fleet.study.errors import StudyError
 from fleet.study.given import BoundaryKeywords, SweepKeywords, keywords, takes
-from fleet.study.measures import find_columns
+from fleet.study.measures import CHECK, find_columns
 from fleet.study.one_run import A_STUDY
 from fleet.study.pictures.border import write_borders
 from fleet.study.plan import plan_of
@@ -117,7 +117,7 @@ class Study:
         Raises:
             StudyError: there is no such measure, or the study is damaged.
         """
-        return summarise(self._store, find_columns(measures, self._store.record.columns))
+        return summarise(self._store, find_columns(measures, self._store.record.every_column))
 
     def compare(self, key: str, first: float | str, second: float | str, measure: str) -> PairedComparison:
         """Compare two values of a key run by run: at the same values of all other keys, and with the same seed.
@@ -132,10 +132,10 @@ class Study:
         """
         if key not in self.axes:
             raise StudyError(f"{key} is not varied; {', '.join(self.axes) or 'nothing'} is")
-        frame = self._store.frame()
-        values = frame["passed"]
+        frame, check = self._store.frame(), self._store.record.check
+        values = frame[f"{CHECK}{check}" if check else "passed"]
         if measure != "passed":
-            (column,) = find_columns([measure], self._store.record.columns)
+            (column,) = find_columns([measure], self._store.record.every_column)
             values = frame[column.name].map(column.number).where(frame["status"] != FAILED)
         if missing := [value for value in (first, second) if value not in set(frame[key])]:
             raise StudyError(f"{key} has no value {missing[0]}; it has {', '.join(map(str, frame[key].unique()))}")
@@ -250,11 +250,10 @@ def sweep(
     return Study(store)
 
 
-def new_directory(scenario: str, out: Path = Path("studies")) -> Path:
-    """Where a new study of a scenario goes; the second one of the same second gets a number."""
+def new_directory(scenario: str, out: Path = Path("studies")) -> Iterator[Path]:
+    """Where a new study of a scenario may go, the best place first; the second one of the same second gets a number."""
     first = out / f"{Path(scenario).stem}-{time.strftime(STAMP, time.gmtime())}"
-    others = (first.with_name(f"{first.name}-{number}") for number in count(2))
-    return next(path for path in chain([first], others) if not path.exists())
+    return chain([first], (first.with_name(f"{first.name}-{number}") for number in count(2)))
 
 
 def _cell(value: float | str | Estimate) -> str:
@@ -290,18 +289,22 @@ class Boundary:
         """One per combination of the other axes. Raises StudyError."""
         return self._borders.found()
 
-    def write_picture(self, trust: bool = False) -> Path:
+    def write_picture(self, trust: bool = False, formats: Sequence[str] = ("png",)) -> Path:
         """Draw the borders, with what theory says of them, as `border.png` in the study's directory.
 
         Args:
             trust: load modules, too, that are not installed.
+            formats: some of `png`, `svg` and `pdf`.
+
+        Returns:
+            The file of the first format.
 
         Raises:
             ScenarioError: a law may not be loaded.
             StudyError: there is too much for one picture, or the file cannot be written.
         """
         with trusting(trust):
-            return write_borders(self._borders, theory(self._borders))
+            return write_borders(self._borders, theory(self._borders), formats)[0]
 
 
 @takes(BoundarySpec)

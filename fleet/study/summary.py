@@ -6,16 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
-from fleet.study.measures import MeasureColumn, find_columns
+from fleet.study.measures import JUDGED, MeasureColumn, columns_of_checks, find_columns
 from fleet.study.row import PREFIX, Reached
-from fleet.study.statistics import Estimate, median, pass_rate
+from fleet.study.statistics import Estimate
+from fleet.study.stopping import estimated
 from fleet.study.store import Store
 
-# The checks that judge a number which changes with what is varied, and the units of the number and its margin.
-_JUDGED = {
-    "formation_error": ("m", "m"), "consensus_error": ("m", "m"), "recovery_time": ("s", "m"),
-    "min_separation": ("m", "m"), "max_age": ("s", "s"),
-}  # fmt: skip
 DEFAULT = ("formation_final_m", "age_p95_s", "loss_share")
 
 
@@ -25,32 +21,25 @@ class PointSummary:
     runs: int  # that were made
     failed: int  # of those, without a result
     passed: Estimate
-    medians: dict[str, Estimate]  # by measure
+    medians: dict[str, Estimate]  # by measure; of `check.NAME` the share of runs that passed it
 
 
 def judged_columns(checks: Sequence[str]) -> list[MeasureColumn]:
     """What the first of these checks judged, and by how much it passed; nothing if none of them judges a number."""
-    name = next((name for name in checks if name in _JUDGED), None)
-    if name is None:
-        return []
-    of_value, of_margin = _JUDGED[name]
-    return [
-        MeasureColumn(f"value.{name}", of_value, missing_is_largest=name != "min_separation"),
-        MeasureColumn(f"margin.{name}", of_margin),
-    ]
+    first = [name for name in checks if name in JUDGED][:1]
+    return columns_of_checks(first)[1:]
 
 
 def summarise(store: Store, measures: Sequence[MeasureColumn] = ()) -> list[PointSummary]:
     """The summary of each point that has a run, in the order of the points. `measures`: the measures to summarise.
     Empty: the measures of the study, or else `DEFAULT`. Raises StudyError: the study is damaged."""
-    chosen = list(measures) or find_columns(store.record.measures or DEFAULT, store.record.columns)
+    chosen = list(measures) or find_columns(store.record.measures or DEFAULT, store.record.every_column)
     found = []
     for number, each in groupby(store.rows([column.name for column in chosen]), lambda row: row.point):
         rows = list(each)
-        judged = [row for row in rows if row.has_result]
-        passed = pass_rate(sum(row.passed is True for row in judged), len(judged))
-        medians = {c.name: median([c.number(row.number(c.name)) for row in judged]) for c in chosen}
-        found.append(PointSummary(store.points[number].values, len(rows), len(rows) - len(judged), passed, medians))
+        failed = sum(not row.has_result for row in rows)
+        medians = {column.name: estimated(rows, column) for column in chosen}
+        found.append(PointSummary(store.points[number].values, len(rows), failed, estimated(rows), medians))
     return found
 
 

@@ -6,7 +6,7 @@ import re
 import shutil
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
@@ -21,7 +21,15 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy
 from fleet.study.engine import Engine, engine_of
 from fleet.study.errors import StudyError
-from fleet.study.measures import STANDING, MeasureColumn, find_columns, is_signal, measures_of_checks, signal_columns_of
+from fleet.study.measures import (
+    STANDING,
+    MeasureColumn,
+    columns_of_checks,
+    find_columns,
+    is_signal,
+    measures_of_checks,
+    signal_columns_of,
+)
 from fleet.study.modules import NO_MODULES, Modules, modules_of
 from fleet.study.one_run import A_STUDY, Task
 from fleet.study.plan import Plan, Point, run_key
@@ -34,7 +42,7 @@ from fleet.study.store import Store, StudyPoint
 from fleet.study.study_file import placed
 from fleet.study.summary import DEFAULT
 from netem.grammar import WORDS
-from netem.parsing import NUMBER
+from netem.parsing import NUMBER, nearest
 
 _WRITE_S, _WRITE_ROWS = 10.0, 1000  # rows wait at most so long, or until there are so many
 
@@ -44,8 +52,8 @@ class Progress:
     runs: int  # all of them
     made: int  # that have a row, also from before
     new: int = 0  # made by this program
-    judged: int = 0  # of those that are made: with a result
-    passed: int = 0  # of these
+    judged: int = 0  # runs with a verdict, also from before
+    passed: int = 0  # of the judged ones
     failed: int = 0  # of the new ones: without a result
     began: float = 0.0
     doing: str = "runs"  # what is made
@@ -60,9 +68,9 @@ class Progress:
     def passing(self) -> Estimate:
         return pass_rate(self.passed, self.judged)
 
-    def count(self, row: Row) -> None:
-        self.judged += row.has_result
-        self.passed += row.passed is True
+    def count(self, passed: bool | None) -> None:
+        self.judged += passed is not None
+        self.passed += passed is True
 
     @property
     def left_s(self) -> float:
@@ -72,12 +80,13 @@ class Progress:
 
 def prepare(
     plan: Plan,
-    directory: Path,
+    directory: Path | Iterable[Path],
     spec: StudySpec | None = None,
     border: BorderRecord | None = None,
     warn: Callable[[str], None] = lambda _: None,
 ) -> tuple[Store, Modules]:
-    """Check every point, and make the directory of the study. `spec`: the source of the plan; the directory keeps it.
+    """Check every point, and make the directory of the study. `directory`: of several the first one that is free is
+    taken. `spec`: the source of the plan; the directory keeps it.
     `border`: the object of the search, if the study is that of a border. `warn`: called with each check that cannot
     pass, in words. Returns the study, and the modules of laws that its runs need. Raises ScenarioError: with the
     mistakes of all points, each once; StudyError: two points are the same, or the directory cannot be made."""
@@ -86,7 +95,8 @@ def prepare(
         warn(text)
     first, path = scenarios[0], Path(plan.scenario)
     folder = path.parent.resolve() if path.exists() else None
-    measures, columns = declared(spec or StudySpec(plan.scenario), scenarios)
+    judged_by = "" if border is None else border.check
+    measures, columns = declared(spec or StudySpec(plan.scenario, check=judged_by), scenarios)
     record = StudyRecord(
         version=VERSION,
         scenario=first.name,
@@ -111,7 +121,8 @@ def prepare(
 
 
 def declared(spec: StudySpec, scenarios: Sequence[Scenario]) -> tuple[tuple[str, ...], list[MeasureColumn]]:
-    """The measures that the table shows, as columns are named, and all columns. Raises StudyError.
+    """The measures that the table shows, as columns are named, and all columns of measures. Raises StudyError: there
+    is no such check or measure.
 
     Where no measures are named, those of signals that checks of the scenarios are about stand behind the usual ones.
     """
@@ -121,9 +132,14 @@ def declared(spec: StudySpec, scenarios: Sequence[Scenario]) -> tuple[tuple[str,
     watched = watched_by(spec.until) if spec.until else []
     columns = [*STANDING, *signal_columns_of(filter(is_signal, (*measures, *watched)), scenarios)]
     columns += [MeasureColumn(PREFIX + name, "") for name in sometimes_names(scenarios)]
+    checks = check_names(scenarios)
+    if spec.check and spec.check not in checks:
+        hint = nearest(spec.check, checks) or f"there are {', '.join(checks)}"
+        raise StudyError(f'there is no check "{spec.check[:60]}"; {hint}')
+    every = [*columns, *columns_of_checks(checks)]
     if spec.until:
-        parse_until(spec.until, columns)
-    return tuple(column.name for column in find_columns(measures, columns)), columns
+        parse_until(spec.until, every)
+    return tuple(column.name for column in find_columns(measures, every)), columns
 
 
 def modules_again(store: Store) -> Modules:
@@ -213,7 +229,7 @@ class Work:
         def take(rows: list[Row]) -> None:
             for row in rows:
                 made.add((row.point, row.seed))
-                progress.count(row)
+                progress.count(row.verdict(self.store.record.check))
                 progress.failed += not row.has_result
             self._waiting += rows
             progress.made += len(rows)
@@ -238,7 +254,7 @@ def _make_missing(work: Work, like: Task) -> None:
     needed, done = store.needed(), set[tuple[int, int]]()
     for row in store.rows():
         done.add((row.point, row.seed))
-        progress.count(row)
+        progress.count(row.passed)
     progress.runs, progress.made = sum(needed.values()), len(done)
     while len(done) < progress.runs:
         made = work.make(_tasks(store, needed, frozenset(done), like))

@@ -102,7 +102,7 @@ def stdout() -> Terminal:
 def say(text: str, *, err: bool = False) -> None:
     """Print lines on stdout, or on stderr."""
     stream = sys.stderr if err else sys.stdout
-    click.echo(fold(harmless(text), _width(stream) if stream.isatty() else None), err=err)
+    click.echo(fold(text, _width(stream) if stream.isatty() else None), err=err)
 
 
 def fold(text: str, width: int | None, indent: str = INDENT) -> str:
@@ -111,6 +111,7 @@ def fold(text: str, width: int | None, indent: str = INDENT) -> str:
     `width`: in characters; None: nothing is folded. `indent`: of the lines that go on, behind the indent of the line
     itself.
     """
+    text = harmless(text)
     if width is None:
         return text
     from textwrap import TextWrapper
@@ -187,7 +188,7 @@ def show(wanted: Sequence[TerminalColumn], title: str, terminal: Terminal, elsew
     most = terminal.width if terminal.is_terminal else None
     kept = fitting(wanted, terminal.width)
     # Not the title of the Table: that is folded to the width of the columns.
-    terminal.print(Text(fold(harmless(title), most), "table.title"), soft_wrap=True)
+    terminal.print(Text(fold(title, most), "table.title"), soft_wrap=True)
     made = Table(box=None, pad_edge=False)
     for column in kept:
         made.add_column(escape(harmless(column.heading)), justify=column.justify, vertical="bottom", overflow="fold")

@@ -40,7 +40,10 @@ class PointRow(Struct):
     runs: int
     failed: Annotated[int, Meta(description="Without a result.")]
     passed: Annotated[Interval, Meta(description="Share, with its Wilson score interval.")]
-    medians: Annotated[dict[str, Interval], Meta(description="By measure, with exact intervals.")]
+    medians: Annotated[
+        dict[str, Interval],
+        Meta(description="By measure, with exact intervals; of `check.NAME` the share of runs that passed it."),
+    ]
 
 
 class SometimesReached(Struct):
@@ -58,6 +61,7 @@ class Swept(Struct):
     directory: str
     scenario: str
     seeds: Annotated[list[int], Meta(description="Seeds of every point; the first ones, if seeds are added.")]
+    check: Annotated[str, Meta(description="That says whether a run passed; empty: all of them do.")]
     units: Annotated[dict[str, str | None], Meta(description="By key and measure; empty: a plain number; null: words.")]
     missing: int
     points: list[PointRow]
@@ -87,6 +91,7 @@ class BoundaryFound(Struct):
     along: Annotated[str, Meta(description="The key along which the border is looked for.")]
     unit: str
     units: Annotated[dict[str, str | None], Meta(description="Of the other keys; null: their values are words.")]
+    check: Annotated[str, Meta(description="Whose pass rate it is; empty: that of all checks.")]
     level: float
     picture: Annotated[str | None, Meta(description="null: there is too much for one.")]
     borders: list[BorderFound]
@@ -136,8 +141,9 @@ class FirstFailing(Struct):
     covered: Annotated[
         Covered | None,
         Meta(
-            description="Of episodes: their number, the unit [s] and what states it, and the probabilities that given "
-            "patterns of two and of three vehicles that are cut off were drawn."
+            description="Of episodes: their number, how many of each kind, the faults of each kind, the unit [s] and "
+            "what states it, and the probabilities that given patterns of two and of three vehicles that are cut off "
+            "were drawn; null: no partition is drawn."
         ),
     ]
 
@@ -170,7 +176,7 @@ def swept(store: Store, measures: Sequence[MeasureColumn]) -> Swept:
                  {name: _interval(found) for name, found in row.medians.items()})
         for row in summarise(store, measures)
     ]  # fmt: skip
-    return Swept(str(store.directory), record.scenario, record.seeds, units, store.missing, points,
+    return Swept(str(store.directory), record.scenario, record.seeds, record.check, units, store.missing, points,
                  _sometimes(reached(store)))  # fmt: skip
 
 
@@ -184,9 +190,9 @@ def boundary_document(borders: Borders, found: Sequence[Border], picture: str | 
                     _interval(row.first), _interval(row.last), row.rising)
         for row in found
     ]  # fmt: skip
-    units = {axis.key: axis.unit for axis in store.record.axes[:-1]}
+    units, record = {axis.key: axis.unit for axis in store.record.axes[:-1]}, borders.record
     return BoundaryFound(str(store.directory), store.record.scenario, along.key, along.unit or "", units,
-                         borders.record.level, picture, rows, _sometimes(reached(store)))  # fmt: skip
+                         record.check, record.level, picture, rows, _sometimes(reached(store)))  # fmt: skip
 
 
 def less(found: Shrunk, before: Scenario, file: Path) -> Less:

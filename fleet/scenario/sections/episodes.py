@@ -26,6 +26,8 @@ unit at most.
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterable
 from math import factorial
 from typing import Any, NamedTuple
 
@@ -49,6 +51,7 @@ _ISOLATED = 1.0 / 3.0  # of the episodes: all faults cut off one vehicle each
 _SPLIT = 1.0 / 3.0  # of the episodes: the fleet is in two halves
 _ON, _COUNT, _ISOLATES, _KIND, _UNIT, _EIGHTH, _LENGTH, _TARGET, _WHO, _FORM = range(10)
 _GOOD, _WATCH, _WAIT, _NTH, _THEN, _MOVES = range(10, 16)
+_PURPOSES = 16  # of draws
 _OF_EPISODE = 10  # numbers of draws that an episode may use
 
 
@@ -93,6 +96,21 @@ def chance(isolations: int, vehicles: int, episodes: int) -> float:
 
 def draw(nemesis: NemesisSection, ground: Ground) -> tuple[list[FaultSection], list[TriggerSection]]:
     """The faults that the scenario's seed draws, in order of time; and those that wait for a report."""
+    work = _drawn(nemesis, ground)
+    return sorted(work.faults, key=lambda fault: fault.at), work.triggers
+
+
+def counted(nemesis: NemesisSection, ground: Ground, seeds: Iterable[int]) -> tuple[Counter[str], Counter[str]]:
+    """How many episodes of each kind and how many faults of each kind some seeds draw."""
+    of_episodes, of_faults = Counter[str](), Counter[str]()
+    for seed in seeds:
+        work = _drawn(nemesis, ground._replace(spec=ground.spec.model_copy(update={"seed": seed})))
+        of_episodes += work.of_episodes
+        of_faults += work.of_faults
+    return of_episodes, of_faults
+
+
+def _drawn(nemesis: NemesisSection, ground: Ground) -> _Drawn:
     picked = [pick.drawn for pick in nemesis.pick or ()] or KINDS
     among = [kind for kind in picked if kind and (ground.links or kind not in ("partition", "hold", "duplicate"))]
     draws = _Draws(ground.spec.seed)
@@ -102,7 +120,7 @@ def draw(nemesis: NemesisSection, ground: Ground) -> tuple[list[FaultSection], l
     work = _Drawn(nemesis, ground, draws, planned.unit, isolates="partition" in among)
     for number, begin in enumerate(planned.begins if kinds else ()):
         work.episode(number, begin, kinds, last=number == len(planned.begins) - 1)
-    return sorted(work.faults, key=lambda fault: fault.at), work.triggers
+    return work
 
 
 class _Draws(NamedTuple):
@@ -124,6 +142,7 @@ class _Drawn:
         self._taken = {fault.id for fault in ground.spec.faults} | {one.id for one in ground.spec.triggers}
         self.faults: list[FaultSection] = []
         self.triggers: list[TriggerSection] = []
+        self.of_episodes, self.of_faults = Counter[str](), Counter[str]()  # how many of each kind
 
     def episode(self, number: int, begin: int, kinds: list[str], *, last: bool) -> None:
         """Draw the faults of an episode that begins at a time [ns]."""
@@ -132,7 +151,9 @@ class _Drawn:
         while count < MOST_FAULTS and x >= sum(SHARES[n] for n in range(1, count + 1)):
             count += 1
         isolates = draws.share(first, _ISOLATES) < _ISOLATED and self._isolates
-        if self._isolates and not isolates and draws.share(first, _ISOLATES) < _ISOLATED + _SPLIT:
+        splits = self._isolates and not isolates and draws.share(first, _ISOLATES) < _ISOLATED + _SPLIT
+        self.of_episodes["isolations" if isolates else "splits" if splits else "mixed"] += 1
+        if splits:
             self._split(first, begin, [kind for kind in kinds if kind != "partition"])
             return
         side: list[int] = []  # of the partition that was drawn last
@@ -182,8 +203,12 @@ class _Drawn:
 
     def _shuffled(self, k: int) -> list[int]:
         """All vehicles, in a random order."""
-        vehicles = range(1, self._ground.spec.vehicles + 1)
-        return sorted(vehicles, key=lambda i: (self._draws.share(100 * k + i, _WHO), i))
+
+        def place(i: int) -> tuple[float, int]:
+            hundreds, rest = divmod(i - 1, 100)  # a number has room for a hundred vehicles
+            return self._draws.share(100 * k + rest + 1, _WHO + _PURPOSES * hundreds), i
+
+        return sorted(range(1, self._ground.spec.vehicles + 1), key=place)
 
     def _length(self, k: int, most: int) -> int:
         round_ns, whole = self._ground.round_ns, self._unit
@@ -223,6 +248,7 @@ class _Drawn:
         return {kind: numbers}
 
     def _add(self, k: int, body: dict[str, Any], at: int, lasts: int | None) -> None:
+        self.of_faults.update(body.keys())
         times = {"at": f"{at} ns"} | ({} if lasts is None else {"for": f"{lasts} ns"})
         self.faults.append(FaultSection.model_validate({"id": self._name(k), **times, **body}))
 
@@ -231,6 +257,7 @@ class _Drawn:
         draws, round_ns, topics = self._draws, self._ground.round_ns, self._nemesis.watch or []
         form = draws.among(4, k, _FORM)
         who = "others" if form == 3 and kind != "partition" else "itself"
+        self.of_faults[kind] += 1
         fault: dict[str, Any] = {kind: who}
         if kind == "partition":
             fault = {kind: "itself / others"}

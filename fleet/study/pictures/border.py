@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from math import isfinite
 from pathlib import Path
+from textwrap import fill
 from typing import Any, NamedTuple
 
 from matplotlib.axes import Axes
@@ -13,7 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from fleet.palette import COLOURS
-from fleet.pictures.style import LABEL_PT, LEGEND_PT, NORMAL, PAGE_IN, STYLES, Provenance, panels, save
+from fleet.pictures.axes import marks_legend
+from fleet.pictures.style import COLUMN_IN, LABEL_PT, LEGEND_PT, NORMAL, PAGE_IN, STYLES, Provenance, panels, save
 from fleet.study.borders import Border, Borders, Run, Theory
 from fleet.study.errors import StudyError
 from fleet.study.pictures.marks import axis_label, text
@@ -41,20 +43,20 @@ def draw_borders(borders: Borders, theories: Sequence[Theory]) -> Figure:
     varied = [axis for axis in per if len({one.border.values[axis.key] for one in every}) > 1]
     across = next((axis for axis in varied if axis.unit is not None), None)
     figure = _below_each_other(borders, every, varied) if across is None else _across(borders, every, varied, across)
-    figure.suptitle(text(borders.title, 120), fontsize=LEGEND_PT + 1)
+    figure.suptitle(fill(text(borders.title, 120), round(figure.get_figwidth() * 17)), fontsize=LEGEND_PT + 1)
     return figure
 
 
-def write_borders(borders: Borders, theories: Sequence[Theory]) -> Path:
-    """Draw a study of a border as `border.png` in its directory; see `draw_borders`. Returns the path. Raises
-    StudyError: as `draw_borders`, or the file cannot be written."""
+def write_borders(borders: Borders, theories: Sequence[Theory], formats: Sequence[str] = ("png",)) -> list[Path]:
+    """Draw a study of a border as `border.png`, or in other formats, in its directory; see `draw_borders`. Returns the
+    paths. Raises StudyError: as `draw_borders`, or a file cannot be written."""
     figure = draw_borders(borders, theories)
     stem = borders.store.directory / "border"
+    origin = Provenance(borders.title, (("scenario", borders.store.record.scenario),))
     try:
-        (path,) = save(figure, stem, origin=Provenance(borders.title, (("scenario", borders.store.record.scenario),)))
+        return save(figure, stem, formats, origin)
     except OSError as error:
-        raise StudyError(f"cannot write {stem}.png: {error.strerror}") from None
-    return path
+        raise StudyError(f"cannot write {stem}: {error.strerror}") from None
 
 
 def _across(borders: Borders, every: Sequence[_One], varied: Sequence[AxisRecord], across: AxisRecord) -> Figure:
@@ -63,19 +65,26 @@ def _across(borders: Borders, every: Sequence[_One], varied: Sequence[AxisRecord
     rows = _kinds(every, outer[1:])
     if len(rows) * len(columns) > MOST_PANELS:
         raise StudyError(f"these are {len(rows) * len(columns)} panels, and a picture has {MOST_PANELS} at most")
-    figure, axes = panels(len(rows), len(columns), PAGE_IN, 2.3 * len(rows) + 0.9)
+    width = PAGE_IN if len(columns) > 1 else COLUMN_IN
+    figure, axes = panels(len(rows), len(columns), width, 2.3 * len(rows) + 0.9)
     values = sorted({float(one.border.values[across.key]) for one in every})
     kinds = _kinds(every, [] if lines is across else [lines])
+    value_pt = (width / len(columns) - 0.6) * 72.0 / len(values)  # of a value to the next one
     for number, ax in enumerate(axes):
         row, column = divmod(number, len(columns))
         here = [one for one in every if _is(one, rows[row]) and _is(one, columns[column])]
         for k, kind in enumerate(kinds):
             line = sorted((one for one in here if _is(one, kind)), key=lambda one: one.border.values[across.key])
             shift = 0.16 * (k - (len(kinds) - 1) / 2)
-            _line(ax, borders, line, [values.index(float(one.border.values[across.key])) for one in line], k, shift)
+            colour = COLOURS[k % len(COLOURS)] if len(kinds) > 1 else "black"  # the dots of runs have colours, too
+            at = [values.index(float(one.border.values[across.key])) for one in line]
+            _line(ax, borders, line, at, k, shift, colour)
             if len(kinds) == 1:
-                for at, one in enumerate(line):
-                    _runs(ax, borders, one.runs, at)
+                for x, one in zip(at, line, strict=True):
+                    for place, away, shade in _stacked(one.runs, 4.0 / value_pt, 2.2 / value_pt, 0.45):
+                        ax.plot([x + away], [borders.places[place]], ".", color=shade, markersize=3)
+                    if x % 2:  # what stands beside a value belongs to it
+                        ax.axvspan(x - 0.5, x + 0.5, color="0.95", linewidth=0, zorder=0)
         ax.set_xticks(range(len(values)), [f"{value:g}" for value in values])
         ax.set_ylim(*_limits(borders))
         title = ", ".join(filter(None, (_words(borders, columns[column]), _words(borders, rows[row]))))
@@ -84,13 +93,17 @@ def _across(borders: Borders, every: Sequence[_One], varied: Sequence[AxisRecord
             ax.set_xlabel(axis_label(across))
         if column == 0:
             ax.set_ylabel(axis_label(borders.along))
-    _legend(borders, figure, kinds, every, single=len(kinds) == 1)
+    colour = "black" if len(kinds) == 1 else "0.3"
+    mark = _MARKS[0] if len(kinds) == 1 else "|"
+    border = Line2D([], [], color=colour, linewidth=NORMAL, marker=mark, markersize=4)
+    _legend(borders, figure, kinds, every, border, ("v", "^"))
     return figure
 
 
-def _line(ax: Axes, borders: Borders, line: Sequence[_One], at: Sequence[int], k: int, shift: float) -> None:
+def _line(
+    ax: Axes, borders: Borders, line: Sequence[_One], at: Sequence[int], k: int, shift: float, colour: str
+) -> None:
     bottom, top = borders.places[0], borders.places[-1]
-    colour = COLOURS[k % len(COLOURS)]
     x = [place + shift for place in at]
     y = [_clip(one.border, bottom, top) for one in line]
     low = [max(bottom, min(one.border.low, top)) for one in line]
@@ -111,14 +124,15 @@ def _line(ax: Axes, borders: Borders, line: Sequence[_One], at: Sequence[int], k
 def _below_each_other(borders: Borders, every: Sequence[_One], varied: Sequence[AxisRecord]) -> Figure:
     if len(every) > MOST_ROWS:
         raise StudyError(f"these are {len(every)} borders, and a picture has {MOST_ROWS} below each other at most")
-    figure, (ax,) = panels(1, 1, PAGE_IN, 0.45 * len(every) + 1.3)
+    figure, (ax,) = panels(1, 1, COLUMN_IN, 0.45 * len(every) + 1.5)
     bottom, top = borders.places[0], borders.places[-1]
     for row, one in enumerate(every):
         low, high = max(bottom, min(one.border.low, top)), min(top, max(one.border.high, bottom))
         ax.plot([low, high], [row, row], color="black", linewidth=2.0, solid_capstyle="butt")
         mark = {"above": ">", "below": "<"}.get(one.border.where, "o")
         face = "white" if one.theory.stable is False else "black"
-        ax.plot([_clip(one.border, bottom, top)], [row], mark, color="black", markerfacecolor=face, clip_on=False)
+        ax.plot([_clip(one.border, bottom, top)], [row], mark, color="black", markerfacecolor=face, markersize=4,
+                clip_on=False, zorder=4)  # fmt: skip
         if one.theory.reckoning is not None and one.theory.reckoning < len(borders.places):
             ax.plot([borders.places[one.theory.reckoning]] * 2, [row - 0.4, row + 0.4], ":", color="0.3")
         for place, away, colour in _stacked(one.runs, 0.17, 0.07, 0.45):
@@ -127,13 +141,9 @@ def _below_each_other(borders: Borders, every: Sequence[_One], varied: Sequence[
     ax.set_ylim(len(every) - 0.4, -0.6)
     ax.set_xlim(*_limits(borders))
     ax.set_xlabel(axis_label(borders.along))
-    _legend(borders, figure, [{}], every, single=True)
+    border = Line2D([], [], color="black", linewidth=2.0, marker="o", markersize=4)
+    _legend(borders, figure, [{}], every, border, ("<", ">"))
     return figure
-
-
-def _runs(ax: Axes, borders: Borders, runs: Sequence[Run], at: int) -> None:
-    for place, away, colour in _stacked(runs, 0.13, 0.05, 0.45):
-        ax.plot([at + away], [borders.places[place]], ".", color=colour, markersize=3)
 
 
 def _stacked(runs: Sequence[Run], first: float, step: float, last: float) -> Iterator[tuple[int, float, str]]:
@@ -145,8 +155,15 @@ def _stacked(runs: Sequence[Run], first: float, step: float, last: float) -> Ite
 
 
 def _legend(
-    borders: Borders, figure: Figure, kinds: Sequence[dict[str, float | str]], every: Sequence[_One], *, single: bool
+    borders: Borders,
+    figure: Figure,
+    kinds: Sequence[dict[str, float | str]],
+    every: Sequence[_One],
+    border: Line2D,
+    outside: tuple[str, str],
 ) -> None:
+    """Name what is drawn: `border` looks as the borders do, and `outside` are the marks below and above the range."""
+    single = len(kinds) == 1
     handles = [
         Line2D([], [], color=COLOURS[k % len(COLOURS)], linestyle=STYLES[k % len(STYLES)],
                marker=_MARKS[k % len(_MARKS)], markersize=4, label=_words(borders, kind))
@@ -157,17 +174,19 @@ def _legend(
             Line2D([], [], color=colour, linestyle="", marker=".", label=label)
             for colour, label in ((PASSED, "run that passed"), (FAILED, "run that failed"))
         ]
-    handles.append(Line2D([], [], color="black" if single else "0.3", linewidth=2.0, label="interval, 95 %"))
+    border.set_label("border and its interval, 95 %")
+    handles.append(border)
     grey: dict[str, Any] = {"color": "0.3", "linestyle": "", "markersize": 4}
     if any(one.theory.stable is False for one in every):
-        label = "hollow: the linear loop is unstable without loss"
+        label = "linear loop unstable without loss"
         handles.append(Line2D([], [], marker="o", markerfacecolor="white", label=label, **grey))
-    if any(one.border.where in ("above", "below") for one in every):
-        handles.append(Line2D([], [], marker="^", label="beyond the range", **grey))
+    for where, mark in zip(("below", "above"), outside, strict=True):
+        if any(one.border.where == where for one in every):
+            handles.append(Line2D([], [], marker=mark, label=f"{where} the range", **grey))
     drawn = (end for one in every if (end := one.theory.reckoning) is not None)
     if any(end < len(borders.places) or not single for end in drawn):
-        handles.append(Line2D([], [], color="0.3", linestyle=":", label="K τ ρ(A) = 1, τ with mean age under loss"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=LABEL_PT + 0.5)
+        handles.append(Line2D([], [], color="0.3", linestyle=":", label="K τ ρ(A) = 1, τ: mean age under loss"))
+    marks_legend(figure, handles, below=True)
 
 
 def _shunting(ones: Sequence[_One]) -> str:

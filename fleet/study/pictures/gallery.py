@@ -62,7 +62,17 @@ from fleet.study.pictures.marks import (
     text,
     used,
 )
-from fleet.study.pictures.points import PASSED, Cell, Points, Quantity, Value, factors, load, value_words
+from fleet.study.pictures.points import (
+    PASSED,
+    Cell,
+    Points,
+    Quantity,
+    Value,
+    factors,
+    is_share,
+    load,
+    value_words,
+)
 from fleet.study.statistics import Estimate
 from fleet.study.store import Store
 
@@ -472,7 +482,7 @@ def draw(points: Points, log_scale: bool | None = None, share: Tell = lambda _: 
     """The pictures of a study, the share that passed first, then the measures, then pairs of runs. `log_scale`: numbers
     have a logarithmic axis; None: numbers of a wide range have one. `share`: called before each picture with the share
     that is done."""
-    measures = [name for name in points.numbers if name != PASSED]
+    measures = [name for name in points.numbers if not is_share(name)]
     todo: list[tuple[str, str, Callable[[], Quantity], bool | None]] = []
     if points.product:
         todo = [(name, points.words(name), partial(points.quantity, name), log_scale) for name in points.numbers]

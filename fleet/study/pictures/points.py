@@ -15,7 +15,7 @@ import yaml
 
 from fleet.logs.records import Array
 from fleet.study.errors import StudyError
-from fleet.study.measures import MEASURES, find_columns
+from fleet.study.measures import CHECK, MEASURES, find_columns
 from fleet.study.plan import MOST_RUNS
 from fleet.study.statistics import Estimate, median, pass_rate
 from fleet.study.store import Store
@@ -25,6 +25,11 @@ PASSED = "passed"
 Value = float | str
 Key = tuple[Value, ...]  # of a point: the values of the dimensions
 NOT_NEEDED, NOT_MADE, NO_RESULT, MADE = range(4)  # the states of a run
+
+
+def is_share(name: str) -> bool:
+    """Whether a column says of each run if it passed."""
+    return name == PASSED or name.startswith(CHECK)
 
 
 class Lack(NamedTuple):
@@ -87,6 +92,7 @@ class Points:
     state: Array
     numbers: Mapping[str, Array]  # by column: `passed` as 0 or 1, and measures
     units: Mapping[str, str]  # of the measures
+    check: str = ""  # that says whether a run passed; empty: all do
     _known: dict[str, Quantity] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -97,13 +103,14 @@ class Points:
         return len(found) == prod(len(self.dimensions[k].values) for k in places)
 
     def words(self, name: str) -> str:
-        if name == PASSED:
-            return "runs that passed [%]"
+        if is_share(name):
+            check = self.check if name == PASSED else name.removeprefix(CHECK)
+            return f"runs that passed{check and ' '}{check} [%]"
         what = MEASURES[name].what if name in MEASURES else name
         return f"{what} [{self.units[name]}]" if self.units[name] else what
 
     def quantity(self, name: str) -> Quantity:
-        kind: Literal["share", "number"] = "share" if name == PASSED else "number"
+        kind: Literal["share", "number"] = "share" if is_share(name) else "number"
         if name not in self._known:  # intervals take a while
             rows = zip(self.keys, self.state, self.numbers[name], strict=True)
             cells = {key: _cell(kind, *row) for key, *row in rows}
@@ -150,7 +157,7 @@ def load(store: Store, measures: Sequence[str] = ()) -> Points:
     """The points of a study with some measures; none: those of the table of `fleet sweep`. Raises StudyError: there is
     no such measure, or the study is damaged."""
     asked = measures or store.record.measures or DEFAULT
-    columns = {column.name: column for column in find_columns(asked, store.record.columns)}
+    columns = {column.name: column for column in find_columns(asked, store.record.every_column)}
     axes, seeds = store.record.axes, store.seeds
     keys = tuple(tuple(point.values[axis.key] for axis in axes) for point in store.points)
     if len(set(keys)) < len(keys):
@@ -187,7 +194,7 @@ def load(store: Store, measures: Sequence[str] = ()) -> Points:
         for axis, some in zip(axes, varied, strict=True)
     )
     units = {name: column.unit for name, column in columns.items()}
-    return Points(dimensions, keys, state, numbers, units)
+    return Points(dimensions, keys, state, numbers, units, store.record.check)
 
 
 def minus(value: Value, first: Value) -> str:

@@ -15,10 +15,10 @@ from typing import Any
 from fleet.errors import printable
 from fleet.logs.reader import Tell
 from fleet.logs.topic_names import STAMP
-from fleet.pictures.page import Block, Heading, Listing, Mark, Table, Text, images, render, write_page
+from fleet.pictures.page import Block, Heading, Listing, Mark, Table, Text, from_here, images, render, write_page
 from fleet.pictures.report import rest
 from fleet.study.pictures.gallery import draw
-from fleet.study.pictures.points import NOT_MADE, NOT_NEEDED, PASSED, Points, Quantity, factors, load, minus
+from fleet.study.pictures.points import NOT_MADE, NOT_NEEDED, Points, Quantity, factors, is_share, load, minus
 from fleet.study.row import Row
 from fleet.study.statistics import Estimate, compare, levels
 from fleet.study.store import Store
@@ -44,7 +44,7 @@ def write(
 def page(store: Store, points: Points, log_scale: bool | None = None, share: Tell = lambda _: None) -> str:
     """The whole page as HTML. Raises StudyError: the study is damaged."""
     rows = _Rows(store)
-    directory = store.directory.resolve()
+    directory = from_here(store.directory)
     first, pictures = images(draw(points, log_scale, share))
     place = shlex.quote(str(directory))
     blocks: list[Block] = [Text(_verdict(rows.points), "verdict"), *([first] if first else [])]
@@ -72,7 +72,7 @@ def page(store: Store, points: Points, log_scale: bool | None = None, share: Tel
     blocks.append(Text("All rows: `fleet.open_study(...).to_pandas()`."))
     if store.points:
         blocks.append(Listing(store.points[0].scenario, "The scenario of point 0"))
-    return render(f"uuv-fleet: study {directory.name}", blocks)
+    return render(f"uuv-fleet: study {store.directory.resolve().name}", blocks)
 
 
 _BORDER = (
@@ -115,11 +115,11 @@ class _Rows:
             self.walls, self.wall_s = self.walls + 1, self.wall_s + wall_s
         if row.judged:
             counts = self.points.setdefault(row.point, [0, 0])
-            counts[0] += 1
+            counts[0] += row.passed is not None
             counts[1] += row.passed is True
             self.failed.update(row.failed_checks)
         else:
-            self.unjudged.setdefault((row.status, row.reason), [0, row.point, row.seed])[0] += 1
+            self.unjudged.setdefault((row.status, row.reason[:_LONGEST]), [0, row.point, row.seed])[0] += 1
         self.first = self.first or (row.point, row.seed)
         if row.passed is not True:
             self.no_pass = self.no_pass or (row.point, row.seed)
@@ -137,13 +137,14 @@ def _facts(store: Store, points: Points, rows: _Rows) -> list[tuple[str, Any]]:
         ("scenario", record.scenario),
         ("changed for every run", record.command or "nothing"),
         ("checks", ", ".join(record.checks)),
+        *([("passed means", f"passed {record.check}")] if record.check else []),
         ("points", len(points.keys)),
         ("seeds of each", listed),
         ("runs", f"{planned}, of which {rows.count} are made and {rows.without} have no result"),
         ("begun", _begun(store.directory)),
         ("wall time of the runs", cost),
         ("made by", "; ".join(f"{which}: {count} runs" for which, count in rows.made_by.items()) or record.made_by),
-        ("directory", str(store.directory.resolve())),
+        ("directory", str(from_here(store.directory))),
     ]  # fmt: skip
 
 
@@ -185,21 +186,27 @@ def _some(values: Sequence[str]) -> str:
 
 
 def _results(points: Points) -> Table:
-    passed, *medians = (points.quantity(name) for name in points.numbers)
+    shown = [points.quantity(name) for name in points.numbers]
     headings = ["point", *(f"{each.name} [{each.unit}]" if each.unit else each.name for each in points.dimensions)]
-    headings += ["runs", "without result", "passed, 95 % interval", *(f"{each.what}, median" for each in medians)]
+    headings += [
+        "runs",
+        "without result",
+        *(f"{each.what}, {'95 % interval' if each.kind == 'share' else 'median'}" for each in shown),
+    ]
     rows: list[Sequence[Any]] = []
     for number, key in enumerate(points.keys[:MOST_POINTS]):
-        cell = passed.cells[key]
+        cell = shown[0].cells[key]
         varied = [f"{value:g}" if isinstance(value, float) else value for value in key]
         counts = [cell.runs - cell.lack.not_made, cell.lack.failed]
-        rows.append((number, *varied, *counts, _share(cell.estimate), *(_number(each, key) for each in medians)))
+        rows.append((number, *varied, *counts, *(_number(each, key) for each in shown)))
     rows += rest(len(points.keys) - len(rows), "which fleet.open_study has")
     return Table(headings, rows, "numbers")
 
 
 def _number(quantity: Quantity, key: tuple[float | str, ...]) -> str:
     cell = quantity.cells[key]
+    if quantity.kind == "share":
+        return _share(cell.estimate)
     have = len(cell.values)
     return _estimate(cell.estimate) + (f" (of {have} runs)" if cell.lack.without and have else "")
 
@@ -213,8 +220,8 @@ def _share(rate: Estimate) -> str:
 def _estimate(found: Estimate) -> str:
     if found.runs == 0:
         return "-"
-    interval = f"   {found.low:.3g}..{found.high:.3g} ({levels([found])})" if found.low < found.high else ""
-    return f"{found.value:.3g}{interval}"
+    interval = f"{found.low:.3g}..{found.high:.3g} ({levels([found])})"
+    return f"{found.value:.3g}" + (f"   {interval}" if found.low < found.high else "")
 
 
 def _comparisons(points: Points) -> list[tuple[str, Table]]:
@@ -232,7 +239,7 @@ def _comparisons(points: Points) -> list[tuple[str, Table]]:
                 if not result.difference.runs:
                     continue
                 difference, smaller = _estimate(result.difference), f"{100 * result.better:.0f} %"
-                if name == PASSED:
+                if is_share(name):
                     only = [sum(a == win and b == 1 - win for a, b in zip(one, two, strict=True)) for win in (1.0, 0.0)]
                     difference, smaller = f"only {first}: {only[0]}, only {other}: {only[1]}", ""
                 p = f"{result.p:.2g}" if isfinite(result.p) else result.note
@@ -247,7 +254,7 @@ _COMPARED = ("values", "of what", "pairs", "median difference, interval (level)"
 def _reasons(rows: _Rows) -> Table:
     most = sorted(rows.unjudged.items(), key=lambda item: -item[1][0])
     table: list[Sequence[Any]] = [
-        (Mark(False, status), count, f"point {point}, seed {seed}", printable(reason[:_LONGEST]))
+        (Mark(False, status), count, f"point {point}, seed {seed}", printable(reason))
         for (status, reason), (count, point, seed) in most[:MOST_REASONS]
     ]
     table += rest(len(most) - len(table), "reasons of fewer runs")

@@ -7,6 +7,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from shutil import copytree
 
+import numpy as np
 import pytest
 from in_process_runs import recorded as run
 from msgspec import structs
@@ -19,8 +20,10 @@ from fleet.errors import FleetError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.explanation.no_return import HealingSearch, healed, remake, with_moments
+from fleet.explanation.picture import _lanes
 from fleet.explanation.why import Explanation, Question, Why, lines
 from fleet.logs.open_log import open_log
+from fleet.pictures.style import panels
 from fleet.repeat.resume import continuation
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.study.modules import NO_MODULES
@@ -203,6 +206,18 @@ def test_what_healing_leaves_of_a_scenario() -> None:
     assert found["checks"] == {"recovery_time": [{"fault": "every", "below": "1 s"}]}
     assert healed(tree, 0)["faults"] == []
     assert healed(tree, 3_500_000_000)["faults"][0] == tree["faults"][0] | {"id": "f1"}  # it is over by then
+
+
+def test_signals_that_are_true_or_false_have_lanes_of_their_own() -> None:
+    """Lines at 0 and 1 hid each other, and a step was a ramp."""
+    _, (ax,) = panels(1, 1)
+    t = np.array([0.0, 1.0, 2.0])
+    _lanes(ax, {3: (t, np.array([0.0, 1.0, 1.0])), 5: (t, np.array([0.0, 0.0, 1.0]))})
+    assert [label.get_text() for label in ax.get_yticklabels()] == ["vehicle 5", "vehicle 3"]
+    extents = {line.get_gid(): (min(line.get_ydata()), max(line.get_ydata())) for line in ax.lines}
+    assert extents["step-5"][1] < extents["step-3"][0]
+    assert {line.get_drawstyle() for line in ax.lines} == {"steps-post"}
+    assert len({line.get_color() for line in ax.lines}) == 2
 
 
 @pytest.mark.usefixtures("coarse")

@@ -30,7 +30,7 @@ from fleet.pictures import exchange, gallery
 from fleet.pictures.gallery import PER_RUN, WHAT, draw
 from fleet.pictures.report import _from_log, links_table, page
 from fleet.pictures.report import write as write_report
-from fleet.pictures.runs import NothingToDraw, Run, View, load, with_gaps
+from fleet.pictures.runs import NothingToDraw, Run, View, labels_of, load, with_gaps
 from fleet.pictures.style import panels, plain_decades
 from fleet.result.file import read_result
 from netem.fault_kinds import LOSSES, Cause
@@ -55,6 +55,7 @@ def directories(made: Alone, tmp_path_factory: pytest.TempPathFactory) -> dict[s
         "ideal": logged("ideal", "duration=1 s", "log={every: 10 ticks}"),
         "acoustic": logged("acoustic-80bps", "duration=20 s", "log={every: 50 ticks}"),
         "twenty": logged("paper", "vehicles=20", "duration=1 s", "log={every: 20 ticks}", "name=twenty"),
+        "moored": logged("election", "moored=true", "duration=4 s", "tick=100 ms", "faults=[]"),
         "mixed": logged(str(LAW), "duration=500 ms", "per_vehicle={'1,2,4': {controller: nboc}}", "name=mixed"),
     }  # fmt: skip
     whole = (found["faulty"] / "run.mcap").read_bytes()
@@ -294,6 +295,57 @@ def test_ages_are_those_of_the_result(name: str, runs: dict[str, Run], directori
         ages = exchange.peak_ages(run, link, (np.arange(ticks + 1) - 0.5) * run.tick_s)
         told = result[f"{link[0]}->{link[1]}"]
         assert (ages.mean(), ages.max()) == pytest.approx((told["mean_s"], told["max_s"]))
+
+
+@pytest.mark.parametrize("width", [1, 3, 7, 50])
+def test_the_mean_age_of_an_interval_is_that_of_its_ticks(width: int, runs: dict[str, Run]) -> None:
+    run = runs["faulty"]
+    ticks = min(round(run.log.end / run.tick_s) + 1, int(run.log.run["ticks"])) // width * width
+    edges = (np.arange(ticks + 1) - 0.5) * run.tick_s
+    for link in run.log.links:
+        each = exchange.peak_ages(run, link, edges)
+        means = exchange.mean_ages(run, link, edges[::width])
+        np.testing.assert_allclose(means, each.reshape(-1, width).mean(axis=1), atol=1e-9)
+
+
+@pytest.mark.parametrize("window", [(0.5, 0.9), (0.3, 1.0), (1.0, 3.0)])
+def test_no_interval_of_the_ages_is_shorter_than_a_tick(window: tuple[float, float], runs: dict[str, Run]) -> None:
+    """Such an interval held no tick, and was white: moored vehicles have ticks of 100 ms."""
+    figure = figure_of(runs["moored"], "ages", "ages", View(window=window))
+    mesh = figure.axes[1].collections[0].get_array()
+    assert mesh.size and not np.ma.getmaskarray(mesh).any()
+
+
+def test_the_ages_say_what_is_drawn(runs: dict[str, Run]) -> None:
+    figure = figure_of(runs["faulty"], "ages", "ages")
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["oldest link, peaks", "median link, means"]
+    assert "peaks and means: of " in figure.axes[1].get_xlabel()
+    assert figure.axes[-1].get_ylabel() == "age [s], peaks"
+
+
+def test_moored_vehicles_have_pictures_of_what_their_agents_do(runs: dict[str, Run]) -> None:
+    drawn = pictures(runs["moored"], list(WHAT))
+    assert list(drawn)[:3] == ["links", "messages", "ages"]
+    assert all(name.startswith("control.") for name in list(drawn)[3:]) and "control.leads" in drawn
+    assert next(iter(pictures([runs["moored"]], [kind for kind in WHAT if kind not in PER_RUN]))) == "ages"
+    assert not isinstance(pictures(runs["moored"], ["track"])["track"], str)  # who asks for it gets it
+
+
+def test_runs_that_are_compared_have_short_names_that_are_never_cut_off(directories: dict[str, Path]) -> None:
+    faulty = directories["faulty"]
+    same = load([faulty, faulty])
+    assert [run.label for run in same] == [run_name(faulty / "run.mcap"), f"{run_name(faulty / 'run.mcap')} (2)"]
+    (seed,) = (run.log.run["seed"] for run in same[:1])
+    other = load([faulty])[0]
+    other.log.run["seed"] = "77"
+    assert labels_of([same[0].log, other.log]) == [f"faulty, seed {seed}", "faulty, seed 77"]
+    shown = [Run(same[0].log, "a long name of a run-20261128-061251"), load([directories["one"]])[0]]
+    (ax,) = figure_of(shown, "formation", "formation").axes
+    names = [text.get_text() for text in ax.texts if text.get_gid() == "fault-name"]
+    assert names and all(name.endswith("-061251)") and len(name) <= 34 for name in names)
+    for ax, run in zip(figure_of(same, "ages", "ages").axes[1:3], same, strict=True):
+        assert ax.get_title(loc="left") == run.label
 
 
 def test_ledger_from_the_log_is_that_of_the_result(runs: dict[str, Run], directories: dict[str, Path]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from itertools import permutations, product
 from math import sqrt
 
@@ -14,6 +15,7 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections import episodes
 from fleet.scenario.sections.timeline import action
 from fleet.study.bare_run import bare_verdicts
+from netem import draws
 
 MOORED = """
 title: episodes
@@ -94,6 +96,33 @@ def test_a_vehicle_changes_sides_and_then_something_happens_to_it() -> None:
                 before, after = ({*str(fault.partition).partition(" ")[0].split(",")} for fault in (first, then))
                 found += before ^ after == {str(last.kill)}
     assert found >= 5
+
+
+@pytest.mark.parametrize("vehicles", [5, 100, 101, 250])
+def test_no_two_draws_of_an_order_are_the_same(vehicles: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The order of the vehicles in one fault says nothing about that in another one, however many they are."""
+    asked = Counter[tuple[int, ...]]()
+
+    def uniform(seed: int, purpose: str, number: int, what: int) -> float:
+        asked[number, what] += what % 16 == episodes._WHO
+        return draws.uniform(seed, purpose, number, what)
+
+    s = moored("graph={shape: path}", f"vehicles={vehicles}", "nemesis.watch=null", "agent.parameters.vehicles=5")
+    monkeypatch.setattr(episodes, "uniform", uniform)
+    assert s.undrawn.nemesis is not None
+    for seed in range(10):
+        asked.clear()
+        episodes.counted(s.undrawn.nemesis, s.ground, [seed])
+        assert max(asked.values()) == 1
+
+
+def test_what_some_seeds_draw_is_counted_by_kind() -> None:
+    s = moored("nemesis.watch=null")
+    assert s.undrawn.nemesis is not None
+    kinds, faults = episodes.counted(s.undrawn.nemesis, s.ground, range(1, 61))
+    assert kinds.total() == 60 * len(plan(s).begins) and set(kinds) == {"isolations", "splits", "mixed"}
+    drawn = [moored(f"seed={seed}", "nemesis.watch=null").spec.faults for seed in range(1, 61)]
+    assert faults == Counter(action(fault) for some in drawn for fault in some)
 
 
 def test_only_kinds_that_are_picked_are_drawn() -> None:

@@ -9,6 +9,7 @@ from random import Random
 from typing import Any
 
 import pytest
+from msgspec import structs
 from pandas.testing import assert_frame_equal
 from small_scenario import small_file as small_file
 from study_engine import Drawn, Here
@@ -18,10 +19,13 @@ from fleet.execution.stepped_run import run
 from fleet.scenario.text.overrides import NET, SET, Override
 from fleet.study.borders import Borders, find_borders, parse_along, prepare_borders, theory
 from fleet.study.errors import StudyError
+from fleet.study.one_run import Task
 from fleet.study.pictures.points import MADE, NOT_MADE, load
 from fleet.study.plan import Plan
 from fleet.study.record import BorderRecord
+from fleet.study.row import CheckRow, Row
 from fleet.study.spec import BoundarySpec
+from fleet.study.store import Store
 from fleet.study.study import Study
 from fleet.study.sweep import run_study
 from fleet.study.values import parse_axis
@@ -70,6 +74,26 @@ def test_borders_are_found_with_few_runs() -> None:
     assert first.runs <= 40  # of 60
     assert not borders.open()
     assert {row.seed for row in borders.rows()[0].values()} == set(range(1, first.runs + 1))  # each seed once
+
+
+class Live(Drawn):
+    """Every run fails its checks; one of them, `deaths`, only behind the border."""
+
+    def rows(self, task: Task) -> list[Row]:
+        (row,) = super().rows(task)
+        return [structs.replace(row, passed=False, status="check_failed", checks={"deaths": CheckRow(row.passed)})]
+
+
+def test_the_border_of_one_check_is_that_of_its_own_pass_rate() -> None:
+    axes = (parse_along("loss=0 %..95 %", 0.1),)
+    plan = Plan("small.yaml", (Override(NET, "* delay 100 ms loss {loss}"),), axes, seeds=tuple(range(1, 41)))
+    store, _ = prepare_borders(plan, BoundarySpec(check="deaths"), Path("live"))
+    find_borders(Borders(store), Live(breaks_at_40), quiet)
+    (border,) = Borders(Store.open(store.directory)).found()
+    assert border.low < 40.0 < border.high
+    assert "the pass rate of deaths falls" in Borders(store).title
+    with pytest.raises(StudyError, match='no check "death"; did you mean "deaths"'):
+        prepare_borders(plan, BoundarySpec(check="death"), Path("none"))
 
 
 def test_rows_do_not_depend_on_order_and_interruptions() -> None:

@@ -14,7 +14,7 @@ from fleet.execution.stepped_run import judged
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.sections.episodes import chance
 from fleet.study.one_run import Task
-from fleet.study.row import CheckRow, Row
+from fleet.study.row import CheckRow, Covered, Row
 from fleet.study.search import Searched, nemesis_of, search
 from fleet.study.statistics import most_failures
 
@@ -148,9 +148,16 @@ def test_a_search_with_episodes_says_what_began_faults_and_what_was_covered() ->
     assert covered is not None and (covered.episodes, covered.unit_s) == (found.runs, 2.0)
     assert covered.two == chance(2, 3, covered.episodes) > covered.three == chance(3, 3, covered.episodes)
 
+    assert sum(covered.kinds.values()) == covered.episodes
+    assert set(covered.faults) == {"partition", "pause"}
 
-@pytest.mark.parametrize("change", ["nemesis={mode: swarm, watch: null}", "nemesis.pick=[pause]"])
-def test_what_was_covered_is_said_of_isolations_alone(change: str) -> None:
-    text = EPISODES.replace(", watch: [control.leads above 0]", "")
-    found = search(parse_scenario(text, "e.yaml", [change]), Here(), lambda runs: None, most_runs=2)
-    assert found.covered is None
+
+def test_what_was_drawn_is_said_of_episodes_alone_and_the_chance_of_a_pattern_where_there_are_partitions() -> None:
+    def covered(change: str) -> Covered | None:
+        text = EPISODES.replace(", watch: [control.leads above 0]", "")
+        return search(parse_scenario(text, "e.yaml", [change]), Here(), lambda runs: None, most_runs=2).covered
+
+    assert covered("nemesis={mode: swarm, watch: null}") is None
+    pauses = covered("nemesis.pick=[pause]")
+    assert pauses is not None and (pauses.two, pauses.three) == (None, None)
+    assert pauses.kinds == {"mixed": 2} and set(pauses.faults) == {"pause"}

@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from small_scenario import small
-from study_engine import Here
+from study_engine import Here, Rows
 
+from fleet.errors import ScenarioError
 from fleet.execution.stepped_run import judged
+from fleet.quantities import vehicle_numbers
+from fleet.scenario.loading import parse_scenario
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.partitions import partition
+from fleet.scenario.sections.timeline import action, vehicles_of
+from fleet.study.one_run import Task
+from fleet.study.row import CheckRow, Row
 from fleet.study.shrink import Shrinker, ddmin, number_places
+from netem.grammar import parse_selector
 
 FAULTS = (
     "faults=["
@@ -47,6 +60,88 @@ def test_a_check_without_anything_to_judge_does_not_count() -> None:
     )
     assert len(found.scenario.spec.faults) == 1
     assert again.scenario == found.scenario
+
+
+class Judged(Here):
+    """Makes up whether the check `deaths` fails in a scenario, in place of running it. An invalid one fails to run."""
+
+    def __init__(self, fails: Callable[[Scenario], bool]) -> None:
+        super().__init__()
+        self._fails = fails
+
+    def rows(self, task: Task) -> Rows:
+        try:
+            failed = self._fails(parse_scenario(task.text, task.name))
+        except ScenarioError:
+            return [Row(key=task.key, seed=task.seed, status="failed")]
+        check = CheckRow(passed=not failed, value=1.0)
+        return [Row(key=task.key, seed=task.seed, status="check_failed" if failed else "pass", passed=not failed,
+                    checks={"deaths": check})]  # fmt: skip
+
+
+def least(fault: str, fails: Callable[[Scenario], bool], *changes: str) -> Any:
+    """What is left of a fault in a fleet of six."""
+    fleet = ("vehicles=6", "graph={shape: complete}", f"faults=[{{at: 0 s, {fault}}}]", *changes)
+    found = shrinker(*fleet, engine=Judged(fails)).shrink()
+    (left,) = found.scenario.spec.faults
+    return found, left
+
+
+@pytest.mark.parametrize(("kind", "needed"), [("kill", {1}), ("kill", {2, 5}), ("off", {3}), ("mute", {1, 4, 6})])
+def test_exactly_the_vehicles_that_a_failure_needs_are_left(kind: str, needed: set[int]) -> None:
+    def fails(s: Scenario) -> bool:
+        return any(needed <= {*vehicle_numbers(getattr(fault, kind))} for fault in s.spec.faults)
+
+    found, left = least(f"{kind}: 1-6", fails)
+    assert vehicle_numbers(getattr(left, kind)) == sorted(needed)
+    assert found.scenario.vehicles == max(needed)
+
+
+@pytest.mark.parametrize("needed", [{2}, {1, 3}])
+def test_also_of_a_fault_with_values_that_names_none(needed: set[int]) -> None:
+    def fails(s: Scenario) -> bool:
+        every = [*range(1, s.vehicles + 1)]
+        return any(needed <= {*(vehicles_of(fault) or every)} for fault in s.spec.faults)
+
+    _, left = least("noise: {position_noise: 1 cm}", fails, "name=x")
+    assert {*(vehicles_of(left) or range(1, 7))} >= needed
+    assert len(vehicles_of(left) or needed) == len(needed)
+
+
+@pytest.mark.parametrize("text", ["1,2 / 3,4 / 5,6", "halves", "majority", "1,2 / 3"])
+@pytest.mark.parametrize("link", [(1, 4), (3, 1)])
+def test_a_partition_cuts_off_no_more_vehicles_than_a_failure_needs(text: str, link: tuple[int, int]) -> None:
+    def fails(s: Scenario) -> bool:
+        cuts = [partition(str(f.partition), s.vehicles, s.spec.seed, f.id or "f1") for f in s.spec.faults]
+        return any(link in cut for cut in cuts)
+
+    if link not in partition(text, 6, 1, "f1"):
+        return
+    found, left = least(f'partition: "{text}"', fails)
+    assert left.partition in (f"isolate:{i}" for i in link)
+    assert found.scenario.vehicles == max(link)
+
+
+@pytest.mark.parametrize("text", ["*", "*->3", "2<->3"])
+@pytest.mark.parametrize("fault", ["down: '{}'", "hold: '{}'", "duplicate: {{links: '{}', after: 1 s}}",
+                                   "link: {{'{}': loss 30%}}"])  # fmt: skip
+def test_a_fault_of_links_is_left_on_the_one_that_a_failure_needs(fault: str, text: str) -> None:
+    def selectors(s: Scenario) -> list[str]:
+        values = [getattr(each, action(each)) for each in s.spec.faults]
+        return [one for value in values for one in ([value] if isinstance(value, str)
+                else [*value] if isinstance(value, dict) else [value.links])]  # fmt: skip
+
+    def fails(s: Scenario) -> bool:
+        return any(parse_selector(one).matches((2, 3)) for one in selectors(s))
+
+    found, _ = least(fault.format(text), fails)
+    assert selectors(found.scenario) == ["2->3"]
+    assert found.scenario.vehicles == 3
+
+
+def test_what_became_of_a_list_is_said() -> None:
+    found, _ = least("kill: '1,2,4'", lambda s: bool(s.spec.faults) and "2" in str(s.spec.faults[0].kill))
+    assert found.steps[:1] == ["fault 1 is kill 2 instead of 1,2,4"]
 
 
 def test_only_what_makes_a_fault_stronger_is_made_less() -> None:

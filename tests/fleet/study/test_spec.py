@@ -44,6 +44,7 @@ SPECS = st.builds(
     set=st.dictionaries(KEYS, TEXTS, max_size=3),
     net=st.lists(TEXTS, max_size=2),
     fault=st.lists(TEXTS, max_size=2),
+    check=st.sampled_from(["", "max_age"]),
     measures=st.lists(st.sampled_from(["e_rms_m", "tumbles"]), max_size=2),
     until=st.sampled_from(["", "pass ±5 %"]),
     most_seeds=st.integers(1, 10**6),
@@ -140,6 +141,7 @@ SWEEP: dict[str, tuple[list[str], Any, Any, Any]] = {
     "set": (["--set", "log={every: 2}"], {"log": {"every": 2}}, ["log={every: 2}"], {"log": "{every: 2}"}),
     "net": (["--net", "* loss 1%"], "* loss 1%", ["* loss 1%"], ["* loss 1%"]),
     "fault": (["--fault", "at 1s off 1"], ["at 1s off 1"], ["at 1s off 1"], ["at 1s off 1"]),
+    "check": (["--check", "max_age"], "max_age", "max_age", "max_age"),
     "measures": (["--measure", "e_rms_m"], "e_rms_m", "e_rms_m", ["e_rms_m"]),
     "until": (["--until", "pass ±5 %"], "pass ±5 %", "pass ±5 %", "pass ±5 %"),
     "most_seeds": (["--most-seeds", "20"], 20, 20, 20),
@@ -150,6 +152,7 @@ SWEEP: dict[str, tuple[list[str], Any, Any, Any]] = {
 BOUNDARY: dict[str, tuple[list[str], None, Any, Any]] = {
     "along": (["--along", "a=0..9"], None, "a=0..9", "a=0..9"),
     "per": (["--per", "b=1, 2"], None, {"b": [1, 2]}, {"b": "1, 2"}),
+    "check": (["--check", "max_age"], None, "max_age", "max_age"),
     "level": (["--level", "0.9"], None, 0.9, 0.9),
     "width": (["--width", "0.2"], None, 0.2, 0.2),
     "seeds": (["--seeds", "5..9"], None, [5, 6], "5,6,5"),

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.study.measures import STANDING
+from fleet.study.errors import StudyError
+from fleet.study.measures import STANDING, columns_of_checks
 from fleet.study.row import Row
+from fleet.study.statistics import pass_rate
 from fleet.study.stopping import check_until, parse_until, seed_sequence, seeds_needed
 
 
@@ -23,6 +26,18 @@ def test_rules_are_read() -> None:
     found = parse_until("e_rms_m +/- 10%", STANDING)
     assert (found.margin, found.relative) == (0.1, True)
     check_until("p95 error.e_norm ±0.1 m")
+    check_until("check.agreement ±5 %")
+    check_until("margin.agreement ±0.1 m")
+
+
+def test_the_share_that_passed_one_check_is_a_rule_like_that_of_all_checks() -> None:
+    rule = parse_until("check.live ±10 %", columns_of_checks(["live"]))
+    assert (rule.columns, rule.margin, rule.relative) == (["check.live"], 0.1, False)
+    some = [Row(seed=seed, status="check_failed", passed=False, numbers={"check.live": seed % 2}) for seed in range(20)]
+    unjudged = Row(seed=20, status="check_failed", passed=False)
+    assert rule.estimate([*some, unjudged]) == pass_rate(10, 20)
+    with pytest.raises(StudyError, match="below 50 %"):
+        parse_until("check.live ±60 %", columns_of_checks(["live"]))
 
 
 def test_a_point_that_is_known_gets_no_more_seeds_and_another_one_does() -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import shutil
+import struct
 import subprocess
 import sys
 from collections.abc import Callable
@@ -21,6 +23,7 @@ from refusals import check_refusals
 from tool import invoke
 
 import fleet
+from fleet.errors import printable
 from fleet.study.errors import StudyError
 from fleet.study.record import NAME, read_record
 from fleet.study.row import Row
@@ -164,6 +167,45 @@ def test_a_batch_in_which_a_program_was_killed_is_undone(store: Store) -> None:
     journal.write_bytes(left)
     assert_frame_equal(Store.open(store.directory).frame(), before)
     assert not journal.exists()
+
+
+@pytest.mark.parametrize("pages", [0x20000000, 0xFFFFFFFF])
+def test_a_journal_of_a_stranger_makes_no_file_larger(pages: int, store: Store) -> None:
+    """It says how many pages the database had before, up to 17.6 TB."""
+    file = store.directory / FILE
+    whole = file.read_bytes()
+    page, nonce = whole[:4096], 12345
+    check = nonce + sum(page[at] for at in range(len(page) - 200, 0, -200))
+    head = bytes.fromhex("d9d505f920a163d7") + struct.pack(">5I", 0xFFFFFFFF, nonce, pages, 512, 4096)
+    record = struct.pack(">I", 1) + page + struct.pack(">I", check & 0xFFFFFFFF)
+    (store.directory / f"{FILE}-journal").write_bytes(head.ljust(512, b"\0") + record)
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    with pytest.raises(StudyError, match="was left in the middle of a batch, and cannot be mended"):
+        Store.open(store.directory)
+    assert file.stat().st_size == len(whole)
+    assert resource.getrlimit(resource.RLIMIT_FSIZE) == limit
+
+
+def test_texts_that_are_too_much_together(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fleet.study.store._MOST_TEXTS", 3_000_000)
+    assert len(Store.open(store.directory).frame()) == 9
+    damage(store.directory, "UPDATE runs SET reason = printf('%.*c', 400000, 'x')")
+    with pytest.raises(StudyError, match="has 4 MB of texts, too many to be read at once"):
+        Store.open(store.directory).frame()
+    assert sum(1 for _ in Store.open(store.directory).rows(details=True)) == 9  # which are not held
+    damage(store.directory, "UPDATE points SET scenario = printf('%.*c', 1100000, 'x')")
+    with pytest.raises(StudyError, match="has 3 MB of texts"):
+        _ = Store.open(store.directory).points
+
+
+def test_no_terminal_obeys_the_words_of_sqlite(store: Store) -> None:
+    file = store.directory / FILE
+    file.write_bytes(file.read_bytes().replace(b"INTEGER PRIMARY KEY", b"INTEGER \x1b]0;hi\x07 KEY"))
+    with pytest.raises(StudyError) as caught:
+        Store.open(store.directory).frame()
+    assert printable(str(caught.value)) == str(caught.value)
+    for command in (*COMMANDS, ["export", "--csv", str(store.directory / "out")]):
+        assert "\x1b" not in invoke(*command, store.directory).output
 
 
 def test_names_that_differ_only_in_their_case_are_two(tmp_path: Path) -> None:

@@ -57,7 +57,7 @@ def test_two_studies_that_begin_in_one_second_have_two_directories(
     monkeypatch.setattr(time, "gmtime", lambda: time.struct_time((2026, 11, 22, 10, 15, 0, 6, 326, 0)))
     names = []
     for _ in range(3):
-        directory = new_directory("rough-sea", tmp_path)
+        directory = next(place for place in new_directory("rough-sea", tmp_path) if not place.exists())
         directory.mkdir()
         names.append(directory.name)
     assert names == ["rough-sea-20261122-101500", "rough-sea-20261122-101500-2", "rough-sea-20261122-101500-3"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import replace
 from math import inf, isnan
 from pathlib import Path
@@ -24,6 +25,7 @@ from fleet.scenario.text.overrides import NET, SET, Override
 from fleet.study import store as stores
 from fleet.study.errors import StudyError
 from fleet.study.plan import Plan
+from fleet.study.record import StudyRecord
 from fleet.study.spec import StudySpec
 from fleet.study.store import Store
 from fleet.study.study import Study, open_study
@@ -333,6 +335,44 @@ def test_a_folder_that_has_a_study_and_one_that_has_none(small_file: str, whole:
         prepare(plan(small_file), whole.directory)
     with pytest.raises(StudyError, match="it has no study"):
         open_study(tmp_path)
+
+
+def test_two_studies_that_are_made_in_one_place_at_once_are_two(
+    small_file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each is whole, whoever comes second gets the next place, and the names of both are on the disk."""
+    places, others, synced = [tmp_path / "study", tmp_path / "study-2"], list[Store](), list[list[bool]]()
+    write, sync = stores.write_record, stores.sync_folder
+
+    def meanwhile(part: Path, record: StudyRecord) -> None:
+        monkeypatch.setattr(stores, "write_record", write)
+        others.append(prepare(plan(small_file), places)[0])
+        write(part, record)
+
+    def noted(folder: Path) -> None:
+        synced.append([place.exists() for place in places])
+        sync(folder)
+
+    monkeypatch.setattr(stores, "write_record", meanwhile)
+    monkeypatch.setattr(stores, "sync_folder", noted)
+    store, _ = prepare(plan(small_file), places)
+    assert [others[0].directory, store.directory] == places
+    assert all(len(Store.open(place).points) == 4 for place in places)
+    assert synced == [[True, False], [True, True]]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["small.yaml", "study", "study-2"]
+
+
+@pytest.mark.parametrize("umask", [0o002, 0o022, 0o077])
+def test_all_files_of_a_study_have_the_rights_that_the_umask_leaves(
+    umask: int, small_file: str, tmp_path: Path
+) -> None:
+    before = os.umask(umask)
+    try:
+        store, _ = prepare(plan(small_file), tmp_path / "study")
+    finally:
+        os.umask(before)
+    modes = {path.name: path.stat().st_mode & 0o777 for path in store.directory.iterdir()}
+    assert modes == dict.fromkeys(["study.json", "study.sqlite"], 0o666 & ~umask)
 
 
 def test_a_study_that_is_ended_while_it_is_made_leaves_nothing(

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import io
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console as Terminal
 
-from fleet.terminal.table import TerminalColumn, columns, fitting, show, width
+from fleet.terminal.table import TerminalColumn, columns, fitting, say, show, width
 
 COLUMNS = [
     TerminalColumn("link", ["1->2", "2->1"], justify="left"),
@@ -48,6 +49,14 @@ def test_columns_are_left_out_by_rank() -> None:
 
 def test_brackets_are_no_markup() -> None:
     assert printed([TerminalColumn("[red]x", ["[/] y"])], 40) == ["[red]x", " [/] y"]
+
+
+def test_no_terminal_obeys_what_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    foreign = "a\x1b]0;x\x07b\x9bc\r"
+    say(f"{foreign}\n{foreign}")
+    assert capsys.readouterr().out == "a�]0;x�b�c�\n" * 2
+    shown = "\n".join(printed([TerminalColumn(foreign, [foreign])], 40))
+    assert "a�]0;x�b�c�" in shown and "\x1b" not in shown
 
 
 @given(st.integers(1, 60))

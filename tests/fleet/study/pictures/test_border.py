@@ -6,13 +6,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
+from matplotlib.lines import Line2D
 from small_scenario import small_file as small_file
 from study_engine import Drawn
 
+from fleet.pictures.style import COLUMN_IN
 from fleet.scenario.text.overrides import NET, SET, Override
 from fleet.study.borders import Borders, Theory, find_borders, parse_along, prepare_borders
 from fleet.study.errors import StudyError
-from fleet.study.pictures.border import PASSED, _stacked, draw_borders
+from fleet.study.pictures.border import PASSED, _stacked, draw_borders, write_borders
 from fleet.study.plan import Plan
 from fleet.study.spec import BoundarySpec
 from fleet.study.values import parse_axis
@@ -87,7 +89,45 @@ def test_a_stack_of_many_runs_has_a_dot_for_each() -> None:
 def test_the_legend_has_what_is_drawn_and_nothing_else() -> None:
     borders = borders_of([HOW])
     (legend,) = draw_borders(borders, [Theory(None, None, None)] * borders.count).legends
-    assert [text.get_text() for text in legend.get_texts()] == ["run that passed", "run that failed", "interval, 95 %"]
+    assert [text.get_text() for text in legend.get_texts()] == [
+        "run that passed", "run that failed", "border and its interval, 95 %",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("per", [[DELAY], [HOW], [DELAY, HOW]])
+def test_the_legend_shows_the_marks_that_are_drawn(per: list[str]) -> None:
+    borders = borders_of(per)
+    figure = draw_borders(borders, [Theory(None, None, None)] * borders.count)
+    (legend,) = figure.legends
+    named = {handle.get_marker() for handle in legend.legend_handles if isinstance(handle, Line2D)}
+    drawn = {line.get_marker() for ax in figure.axes for line in ax.lines}
+    assert drawn - {"None"} <= named
+    assert named - drawn <= {"|"}  # of an interval whose colour says which
+    single = [line for line in legend.legend_handles if line.get_label() == "border and its interval, 95 %"]
+    assert len(per) == 2 or single[0].get_color() == "black"
+    assert figure.get_figwidth() == COLUMN_IN
+
+
+@pytest.mark.parametrize("per", [[DELAY], [HOW], [DELAY, HOW]])
+def test_nothing_is_cut_off(per: list[str]) -> None:
+    borders = borders_of(per)
+    figure = draw_borders(borders, said(borders))
+    figure.draw_without_rendering()
+    box, (width, height) = figure.get_tightbbox(), figure.get_size_inches()
+    assert box.x0 >= 0.0 and box.y0 >= 0.0 and box.x1 <= width and box.y1 <= height
+
+
+def test_the_dots_of_a_value_are_nearer_to_it_than_to_the_next_one() -> None:
+    borders = borders_of([DELAY])
+    (ax,) = draw_borders(borders, said(borders)).axes
+    away = [abs(x - round(x)) for line in ax.lines if line.get_marker() == "." for x in line.get_xdata()]
+    assert 0.0 < max(away) <= 0.45 and sorted(away)[len(away) // 2] < 0.15
+
+
+def test_a_border_has_the_formats_that_are_asked_for() -> None:
+    borders = borders_of([HOW], run=False)
+    files = write_borders(borders, said(borders), ("svg", "pdf"))
+    assert [path.name for path in files] == ["border.svg", "border.pdf"] and all(path.is_file() for path in files)
 
 
 def test_keys_and_names_are_text_and_never_formulas() -> None:

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from math import inf
 from pathlib import Path
+from typing import Any
 
 import pytest
 from made_up_study import CONTROLLER, DELAY, LOSS, damage, made_up, usual, with_holes
+from msgspec.structs import replace
 
 from fleet.study.errors import StudyError
+from fleet.study.pictures.gallery import draw
 from fleet.study.pictures.points import PASSED, Lack, load
+from fleet.study.record import write_record
+from fleet.study.spec import StudySpec
+from fleet.study.statistics import pass_rate
 from fleet.study.store import Store
 from fleet.study.study import Study
 
@@ -58,6 +65,37 @@ def test_a_sample_is_no_product_and_its_pairs_are_one_cell(tmp_path: Path) -> No
     (cell,) = points.differences(2, "formation_final_m").cells.values()
     assert len(cell.values) == 15
     assert load(made_up(tmp_path / "grid", LOSS, DELAY, row=usual)).product
+
+
+def safe_and_not_always_live(values: Mapping[str, Any], seed: int) -> dict[str, Any]:
+    live = seed > 1
+    return {**usual(values, seed), "passed": live, "status": "pass" if live else "check_failed",
+            "check.deaths": True, "check.tumbled": live}  # fmt: skip
+
+
+def test_each_check_has_a_pass_rate_in_table_and_pictures(tmp_path: Path) -> None:
+    store = made_up(tmp_path / "s", LOSS, row=safe_and_not_always_live, seeds=4)
+    points, (row, *_) = load(store, ["check.deaths", "check.tumbled"]), Study(store).summary("check.deaths")
+    assert row.medians == {"check.deaths": pass_rate(4, 4)}
+    assert row.passed == pass_rate(3, 4)
+    deaths, tumbled = points.quantity("check.deaths"), points.quantity("check.tumbled")
+    assert (deaths.kind, deaths.what) == ("share", "runs that passed deaths [%]")
+    assert deaths.cells[(0.0,)].estimate == pass_rate(4, 4)
+    assert tumbled.cells == points.quantity(PASSED).cells
+    names = [picture.name for picture in draw(points)]
+    assert names == ["passed", "check.deaths", "check.tumbled"]
+
+
+def test_a_study_of_one_check_passes_where_that_check_does(tmp_path: Path) -> None:
+    store = made_up(tmp_path / "s", LOSS, row=safe_and_not_always_live, seeds=4)
+    record = replace(store.record, spec=StudySpec("small", check="deaths", until="pass ±20 %"))
+    judged = Store(store.directory, record)
+    assert [row.passed for row in judged.rows()] == [True] * 12
+    assert load(judged).quantity(PASSED).what == "runs that passed deaths [%]"
+    assert all(row.passed == pass_rate(4, 4) for row in Study(judged).summary())
+    write_record(store.directory, replace(record, spec=StudySpec("small", check="nosuch")))
+    with pytest.raises(StudyError, match="damaged: it has no check nosuch"):
+        Store.open(store.directory)
 
 
 def test_unknown_measures_are_said(tmp_path: Path) -> None:

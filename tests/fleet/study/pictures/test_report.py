@@ -45,6 +45,15 @@ def test_the_page_of_a_study_of_a_border_names_the_command_that_goes_on_with_it(
     assert "not made yet" not in said and "fleet sweep" not in said
 
 
+def test_paths_are_those_from_the_folder_of_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A page for others does not tell where its author keeps files."""
+    (tmp_path / "studies").mkdir()
+    store = made_up(tmp_path / "studies" / "s", LOSS, row=with_holes)
+    monkeypatch.chdir(tmp_path)
+    text = page_of(store, "formation_final_m")
+    assert str(tmp_path) not in text and "fleet sweep studies/s" in text
+
+
 def test_the_page_says_what_was_run_and_what_came_of_it(tmp_path: Path) -> None:
     store = made_up(tmp_path / "study-20261122-101500", LOSS, CONTROLLER, row=with_holes)
     said = words_of(page_of(store, "formation_final_m"))

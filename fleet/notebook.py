@@ -5,22 +5,30 @@ from __future__ import annotations
 from base64 import b64encode
 from collections.abc import Iterable, Sequence
 from html import escape
-from pathlib import Path
-from typing import Any
+from io import BytesIO
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MOST_ROWS = 60
-_SHOWN = {".png": "image/png", ".svg": "image/svg+xml"}
+DPI = 110
 
 
-class Pictures(list[Path]):
-    """The files of pictures, which a notebook shows."""
+class Pictures(dict[str, "Figure"]):
+    """Figures of matplotlib by the names of their pictures, to change and save; a notebook shows them."""
 
     def _repr_html_(self) -> str:
         return "\n".join(
-            f'<img alt="{escape(path.name)}" src="data:{kind};base64,{b64encode(path.read_bytes()).decode()}">'
-            for path in self
-            if (kind := _SHOWN.get(path.suffix)) and path.exists()
+            f'<img alt="{escape(name)}" src="data:image/png;base64,{b64encode(_png(figure)).decode()}">'
+            for name, figure in self.items()
         )
+
+
+def _png(figure: Figure) -> bytes:
+    file = BytesIO()
+    figure.savefig(file, format="png", dpi=DPI)
+    return file.getvalue()
 
 
 def html_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:

@@ -44,7 +44,19 @@ from fleet.pictures.axes import bounds as draw_bounds
 from fleet.pictures.beliefs import beliefs
 from fleet.pictures.exchange import FATES, fates_of, links_between, name_rows, rank
 from fleet.pictures.runs import NothingToDraw, Run, View, load, origin, with_gaps
-from fleet.pictures.style import COLUMN_IN, HEAVY, LABEL_PT, STYLES, THIN, panels, plain_decades, save_all
+from fleet.pictures.style import (
+    COLUMN_IN,
+    HEAVY,
+    LABEL_PT,
+    STYLES,
+    THIN,
+    Drawn,
+    figures,
+    panels,
+    plain_decades,
+    save_all,
+    words_of,
+)
 from fleet.pictures.thresholds import draw_thresholds, thresholds
 from fleet.result.file import ResultError, read_result
 from fleet.result.result import Spread, Timing
@@ -534,39 +546,52 @@ def write(
     """Draw into a folder, which is made if need be; returns the files. `tell` gets a sentence about each picture that
     could not be drawn. Raises FleetError if the folder cannot be written.
     """
-    drawn = _each(what, runs, view, share)
-    each = ((name, figure, partial(origin, of, title)) for name, title, of, figure in drawn)
-    return save_all(each, folder, formats, tell)
+    return save_all(_with_origins(_each(what, runs, view, share)), folder, formats, tell)
+
+
+def _with_origins(drawn: Iterable[tuple[str, str, Sequence[Run], Figure | str]]) -> Iterator[Drawn]:
+    for name, title, of, figure in drawn:
+        yield name, figure, partial(origin, of, title)
 
 
 def plot(
-    log: str | Path | Log, *what: str, folder: str | Path | None = None, formats: Sequence[str] = ("png",)
+    log: str | Path | Log,
+    what: str | Sequence[str] = (),
+    *,
+    out: str | Path | None = None,
+    format: str | Sequence[str] = "png",
 ) -> Pictures:
     """Draw pictures of a log, as `fleet plot` does.
 
+    Example:
+        >>> figure = fleet.plot("runs/latest", "error")["error"]
+        >>> figure.set_size_inches(3.5, 2.5)
+        >>> figure.savefig("error.pdf")
+
     Args:
         log: an MCAP file, a run directory, or a log that is open.
-        what: `track`, `error`, `inputs` or another word of `fleet plot --what`, or signals such as `state.z`; none:
-            all that the log has data for.
-        folder: of the pictures; None: `plots` beside the log.
-        formats: some of `png`, `svg` and `pdf`.
+        what: as `--what`: `track`, `error`, `inputs` or another word, or signals such as `state.z`, as a list or with
+            commas between them. Empty: all that the log has data for.
+        out: the folder into which they are written as well; None: no file is written.
+        format: of the files: `png`, `svg`, `pdf`, or several of them.
 
     Returns:
-        The files. A notebook shows them.
+        The figures by name. A notebook shows them.
 
     Raises:
         LogReadError: the log cannot be read.
         FleetError: there is no such picture or signal, it has no data, or the folder cannot be written.
     """
     path = log.path if isinstance(log, Log) else log_path(Path(log))
+    words = words_of(what)
     single = [name for pictures in WHAT.values() for name, *_ in pictures]
-    if strange := [word for word in what if word not in (*WHAT, *single) and parse_name(word) is None]:
+    if strange := [word for word in words if word not in (*WHAT, *single) and parse_name(word) is None]:
         raise FleetError(f"there is no picture {strange[0]!r}; expected some of {', '.join(WHAT)}, or a signal")
     runs = load([path])
-    check_signals(what, runs)
+    check_signals(words, runs)
     said: list[str] = []
-    place = path.parent / "plots" if folder is None else Path(folder)
-    drawn = write(what or list(WHAT), runs, View(), place, formats, said.append)
-    if what and said:
+    drawn = _with_origins(_each(words or list(WHAT), runs, View(), lambda _: None))
+    found = figures(drawn, None if out is None else Path(out), words_of(format), said.append)
+    if words and said:
         raise FleetError("; ".join(said))
-    return Pictures(drawn)
+    return Pictures(found)

@@ -127,15 +127,38 @@ def save(figure: Figure, stem: Path, formats: Sequence[str] = ("png",), origin: 
     return paths
 
 
+# Of a picture its name, the figure or why there is none, and what makes its origin.
+Drawn = tuple[str, Figure | str, Callable[[], Provenance]]
+
+
+def words_of(text: str | Sequence[str]) -> list[str]:
+    """A list that may be given as one text with commas, as on the command line."""
+    return [word.strip() for word in text.split(",")] if isinstance(text, str) else [*text]
+
+
+def figures(
+    drawn: Iterable[Drawn], folder: Path | None, formats: Sequence[str], tell: Callable[[str], None]
+) -> dict[str, Figure]:
+    """The figures by name, written into a folder as well, if there is one. The rest is as for `save_all`."""
+    every = [*drawn]
+    if folder is not None:
+        save_all(every, folder, formats, tell)
+    else:
+        for name, reason, _ in every:
+            if isinstance(reason, str):
+                tell(f"{name}: not drawn: {reason}")
+    return {name: figure for name, figure, _ in every if not isinstance(figure, str)}
+
+
 def save_all(
-    drawn: Iterable[tuple[str, Figure | str, Callable[[], Provenance]]],
+    drawn: Iterable[Drawn],
     folder: Path,
     formats: Sequence[str],
     tell: Callable[[str], None],
 ) -> list[Path]:
-    """Write pictures into a folder, which is made if need be; returns the files. `drawn`: of each its name, the figure
-    or why there is none, and what makes its origin. `tell`: called with a sentence about each that is not drawn. Raises
-    FleetError: the folder cannot be written."""
+    """Write pictures into a folder, which is made if need be; returns the files. `tell`: called with a sentence about
+    each that is not drawn. Raises FleetError: the folder cannot be written.
+    """
     paths: list[Path] = []
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -149,25 +149,32 @@ class Study:
             )
         return compare(table[first].tolist(), table[second].tolist())
 
-    def plot(self, *measures: str, folder: str | Path | None = None, formats: Sequence[str] = ("png",)) -> Pictures:
+    def plot(
+        self,
+        measure: str | Sequence[str] = (),
+        *,
+        out: str | Path | None = None,
+        format: str | Sequence[str] = "png",
+    ) -> Pictures:
         """Draw pictures of the pass rate and of some measures, as `fleet plot` does.
 
         Args:
-            measures: none: those of `fleet sweep`.
-            folder: of the pictures; None: `plots` in the directory of the study.
-            formats: some of `png`, `svg` and `pdf`.
+            measure: as `--measure`: one, or a list. Empty: those of `fleet sweep`.
+            out: the folder into which they are written as well; None: no file is written.
+            format: of the files: `png`, `svg`, `pdf`, or several of them.
 
         Returns:
-            The files. A notebook shows them.
+            The figures of matplotlib by name. A notebook shows them.
 
         Raises:
             StudyError: there is no such measure, or the study is damaged.
             FleetError: the folder cannot be written.
         """
-        from fleet.study.pictures.gallery import write  # here, since matplotlib takes a while to load
+        from fleet.pictures.style import words_of  # here, since matplotlib takes a while to load
+        from fleet.study.pictures.gallery import plot
 
-        place = self.directory / "plots" if folder is None else Path(folder)
-        return Pictures(write(self._store, measures, place, formats))
+        measures = [measure] if isinstance(measure, str) else measure
+        return Pictures(plot(self._store, measures, None if out is None else Path(out), words_of(format)))
 
     def rerun(self, point: int | Mapping[str, Any], seed: int, out: Path = Path("runs"), trust: bool = False) -> Result:
         """Make one of its runs again with its log; the digest is that of the row.

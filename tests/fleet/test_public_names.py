@@ -42,9 +42,13 @@ def test_a_run_in_a_notebook_can_be_drawn(tmp_path: Path) -> None:
     assert log.path.parent.samefile(result.directory)
     assert log.digest == result.digest == fleet.run("paper", set=changes).digest
     assert read_result(result.directory).digest == result.digest
-    drawn = fleet.plot(log, "formation", "state.z")
-    assert drawn == [log.path.parent / "plots" / "formation.png", log.path.parent / "plots" / "state.z.png"]
-    assert drawn._repr_html_().count('<img alt="formation.png" src="data:image/png;base64,iVBOR') == 1
+    drawn = fleet.plot(log, ["formation", "state.z"], out=tmp_path / "plots", format="svg")
+    assert sorted(path.name for path in (tmp_path / "plots").iterdir()) == ["formation.svg", "state.z.svg"]
+    assert drawn._repr_html_().count('<img alt="formation" src="data:image/png;base64,iVBOR') == 1
+    figure = fleet.plot(log.path.parent, "state.z")["state.z"]
+    figure.set_size_inches(3.5, 2.0)
+    figure.savefig(tmp_path / "z.pdf")
+    assert not (log.path.parent / "plots").exists()
     for what in ("formatoin!", "timing", "state.zz"):
         with pytest.raises(FleetError):
             fleet.plot(log, what)

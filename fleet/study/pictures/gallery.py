@@ -33,7 +33,9 @@ from fleet.pictures.style import (
     PAGE_IN,
     STYLES,
     TEXT_PT,
+    Drawn,
     Provenance,
+    figures,
     limit,
     panels,
     plain_decades,
@@ -533,13 +535,19 @@ def write(
     that passed; none: those of the table of `fleet sweep`. `tell`: called with a sentence about each picture that could
     not be drawn. Raises StudyError: there is no such measure, or the study is damaged; FleetError: the folder cannot be
     written."""
-    points = load(store, measures)
-    record = store.record
+    return save_all(_with_origins(store, measures, log_scale, share), folder, formats, tell)
+
+
+def plot(store: Store, measures: Sequence[str], folder: Path | None, formats: Sequence[str]) -> dict[str, Figure]:
+    """The figures by name, written into a folder as well, if there is one. The rest is as for `write`."""
+    return figures(_with_origins(store, measures, None, lambda _: None), folder, formats, lambda _: None)
+
+
+def _with_origins(store: Store, measures: Sequence[str], log_scale: bool | None, share: Tell) -> Iterator[Drawn]:
+    points, record = load(store, measures), store.record
     axes = ", ".join(axis.key for axis in record.axes) or "none"
     facts = ("scenario", record.scenario), ("axes", axes), ("seeds", str(len(record.seeds)))
-    drawn = draw(points, log_scale, share)
-    each = ((name, figure, partial(Provenance, title, facts)) for name, title, figure in drawn)
-    return save_all(each, folder, formats, tell)
+    return ((name, figure, partial(Provenance, title, facts)) for name, title, figure in draw(points, log_scale, share))
 
 
 def _slug(key: str) -> str:

@@ -198,7 +198,7 @@ class NetworkProcess(ABC, Generic[R]):
                 self._rounds.netem.faults = read_faults(request.get("faults"))
                 respond(msgpack.packb({"tick": self._rounds.tick}))
             case "absences":
-                # Of them, only when another agent takes over matters here: messages of the one before are refused.
+                # Only the takeover times matter here: messages from an agent's previous life are rejected.
                 self._rounds.lives = Lives(_absences(request.get("absences")))
                 respond(msgpack.packb({"tick": self._rounds.tick}))
             case "timing":

@@ -78,7 +78,7 @@ class FleetGroup(click.Group):
             if now := FORMER.get(args[0]):
                 raise click.UsageError(f"fleet {args[0]} is now: {now}", ctx)
             ours = ELSEWHERE.get(args[0])
-            hint = f"; here it is {ours}" if ours else f"; {nearest(args[0], VERBS) or 'fleet --help lists them'}"
+            hint = f"; use {ours}" if ours else f"; {nearest(args[0], VERBS) or 'fleet --help lists them'}"
             raise click.UsageError(f"there is no command {quoted(args[0])}{hint}", ctx)
         return super().resolve_command(ctx, args)
 

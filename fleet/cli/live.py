@@ -292,7 +292,7 @@ def status(run: str | None, watch: bool, every: bool) -> None:
     """Show the state of a live run.
 
     It prints the time, the processes that the run waits for, active faults with their ids, the fate of vehicles, and
-    the worst vehicles and links. "oldest news" is the greatest age of a vehicle's last message from a neighbour. e is
+    the worst vehicles and links. "oldest data" is the age of the stalest message that a vehicle still relies on. e is
     the consensus error. fleet info shows the log of a run.
 
     \b
@@ -412,7 +412,7 @@ def _fault(fault: FaultRow, status: RunStatus) -> str:
 
 
 def _vehicles(rows: list[VehicleRow]) -> Table:
-    table = _table("UUV", "state", "formation error", "e", "settled", "oldest news")
+    table = _table("UUV", "state", "formation error", "e", "settled", "oldest data")
     for row in rows:
         news = "-" if row.oldest_s is None else f"{row.oldest_s:.2f} s, of {row.oldest_of}"
         errors = ("-" if value is None else f"{value:.3f} m" for value in (row.formation_m, row.e_m))

@@ -174,8 +174,8 @@ def list_() -> None:
 
     terminal = stdout()
     table = Table(box=None, pad_edge=False)
-    for heading in ("scenario", "UUVs", "time", "expect", "what one learns"):
-        table.add_column(heading, no_wrap=heading != "what one learns")
+    for heading in ("scenario", "UUVs", "time", "expect", "what it shows"):
+        table.add_column(heading, no_wrap=heading != "what it shows")
     for group in GROUPS:
         table.add_row(Text(group, "bold"))
         for row in (row for row in scenarios if row.group == group):

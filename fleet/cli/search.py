@@ -451,7 +451,9 @@ def rare(
 def _rare_lines(found: RareFound) -> Iterator[str]:
     interval = f"{found.low:.2g} to " + ("?" if found.high is None else f"{found.high:.2g}")
     yield f"{found.scenario} fails {found.check} with probability {found.probability:.3g} ({interval}, 95 %)"
-    counting = "" if found.counting is None else f"; counting needs {found.counting:.2g} runs for such an interval"
+    counting = (
+        "" if found.counting is None else f"; plain Monte Carlo would need {found.counting:.2g} runs for this interval"
+    )
     yield f"{found.repeats} repeats cost as much as {found.runs:.3g} runs{counting}"
     if found.decided:
         yield (

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from fleet.study.study_file import NamedStudy
     from fleet.study.sweep import Progress
 
-_MOST_TOLD = 10  # logs that are not kept
+_MOST_TOLD = 10  # unsaved logs that are listed by name
 _HOW_TO_VARY = "--vary varies a key: --vary 'loss=0 %..60 %/20 %' --net '* loss {loss}' varies the loss of all links"
 
 

@@ -367,7 +367,7 @@ class Operator:
 
     def _clock(self, request: dict[str, Any]) -> dict[str, Any]:
         if self.scenario.nodes:
-            raise RefusedError("the time of robots that are not ours is the wall clock, which nobody holds")
+            raise RefusedError("cannot hold the time: external robots run in real time")
         match request.get("do"), request.get("value"):
             case "pause", _:
                 self.clock.pause(self.fleet.granted)

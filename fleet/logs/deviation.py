@@ -199,7 +199,7 @@ def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
     return ["  ".join(f"{cell:<{w}}" for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
 
 
-MOST_WAITING_BYTES = 64 << 20  # of them
+MOST_WAITING_BYTES = 64 << 20  # of unmatched messages that are held, per log
 _STEP = 4096  # messages that are compared at once
 MOST_WAITING = 50_000  # messages of one log without their other half; beyond that the oldest count as missing
 _NUMBERS = re.compile(r"(?<=/)\d+(-\d+)?")

@@ -336,7 +336,7 @@ _FORMS: dict[str, tuple[str, type[Sheet], str, tuple[str, ...], str]] = {
 
 
 def batched(sheets: Iterable[Sheet], most: int, most_bytes: float = inf) -> Iterator[list[Sheet]]:
-    """So many at a time, of no more bytes of messages, but one at least."""
+    """Group the sheets into batches of bounded number and size; a batch is never empty."""
     some: list[Sheet] = []
     size = 0
     for sheet in sheets:

@@ -131,7 +131,7 @@ def draw(runs: Sequence[Run], view: View, name: SignalName) -> Figure:
         _asked(ax, runs, own)
         _failed(ax, runs, own, shift)
     if shift is not None:
-        notes.append("lines are moved apart, so that none hides another")
+        notes.append("lines are offset for clarity")
     if found.meaning:
         notes = [*wrap(f"{name.name.partition('.')[2]}: {found.meaning}", _LINE)[:2], *notes]
     finish(figure, axes, runs, notes)

@@ -313,7 +313,7 @@ def draw_lines(
         if silent := [i for i in vehicles if i not in reported]:
             notes.append(f"{run.label + ': ' if by_run else ''}not reported by UUV {first_words(silent)}")
     if too_fast:
-        notes.append("shaded: oscillates too fast to be drawn; line: its mean")
+        notes.append("shading: range of a fast oscillation; line: its mean")
     if by_run:
         _legend_of_runs(figure, runs)
     elif len(entries) > 1:

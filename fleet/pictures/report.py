@@ -131,7 +131,7 @@ def _joined(numbers: Sequence[float | None], join: Callable[[list[float]], float
 
 
 def links_table(ledger: Mapping[str, Account], ages: Mapping[str, LinkAge]) -> Table:
-    """Packets and ages of all links, or of the links with the oldest news; `ledger` and `ages` as in a result."""
+    """Packets and ages of all links, or of the links with the oldest data; `ledger` and `ages` as in a result."""
     # What a modem never sent, because there were news, was not lost on the way.
     causes = sorted(
         {cause for account in ledger.values() for cause in account.lost}, key=lambda c: (c != Cause.REPLACED, c)
@@ -250,7 +250,7 @@ def conditions_note(scenario: Scenario) -> str:
         return "What an agent sends is heard at the same tick."
     if not scenario.spec.network.links:
         return "" if scenario.acoustic else "Every link is perfect: what an agent sends is heard at the next tick."
-    return "At the start. The last line that names a link holds for it; a link that no line names is perfect."
+    return "At the start. If several lines match a link, the last one applies; other links are ideal."
 
 
 def _words(value: Any) -> Any:

@@ -51,12 +51,12 @@ class WorldTiming(Struct):
 class VehicleTiming(Struct):
     """How one agent kept up."""
 
-    asked: Annotated[Count, Meta(description="To be answered.")]
+    asked: Annotated[Count, Meta(description="Ticks that needed an answer.")]
     missed: Count
     late: Count
     stale: Annotated[Count, Meta(description="With a command of an earlier tick.")]
-    longest: Annotated[Count, Meta(description="Missed in a row, at most.")]
-    silent: Annotated[Count, Meta(description="Taken for silent.")]
+    longest: Annotated[Count, Meta(description="Longest run of missed ticks.")]
+    silent: Annotated[Count, Meta(description="Ticks on which the agent counted as silent.")]
     response: Spread
     gap: Spread
 

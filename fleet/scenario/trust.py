@@ -66,7 +66,7 @@ TYPED = OverrideOrigin()
 
 
 def origin(file: Path) -> OverrideOrigin:
-    """That of the overrides in a file, which obeys the rules of a scenario's file."""
+    """The origin of overrides that are read from a file: they are trusted as little as a scenario file."""
     why = stranger(file)
     return OverrideOrigin(why, not why and file.parent.resolve() == Path().resolve())
 

@@ -79,7 +79,7 @@ class LocalEngine:
 
 @contextmanager
 def local_engine(workers: int) -> Iterator[LocalEngine]:
-    """So many workers on this machine, which end with the context. Raises RunBroken: so many cannot be."""
+    """A pool of workers on this machine, closed on exit. Raises RunBroken if they cannot be started."""
     with Workers(workers) as pool:
         yield LocalEngine(pool)
 

@@ -64,7 +64,9 @@ class RareFound(Struct, frozen=True):
     repeats: int
     levels: Annotated[tuple[float, ...], Meta(description="Margins of the stages, in the unit of the check.")]
     runs: Annotated[float, Meta(description="Cost, in whole runs.")]
-    counting: Annotated[float | None, Meta(description="Runs that counting needs for that interval; null: unknown.")]
+    counting: Annotated[
+        float | None, Meta(description="Runs that plain Monte Carlo needs for this interval; null: unknown.")
+    ]
     decided: Annotated[int, Meta(description="Repeats in which nothing that is drawn on the way made a difference.")]
 
 

@@ -65,7 +65,7 @@ class Searched:
 
     @property
     def most_failures(self) -> float | None:
-        """The share of such runs that fails at most, 95 % sure, since none of these did; None: that is not so.
+        """Upper 95 % bound on the failure rate if no run failed; None otherwise.
 
         If some run must reach a place and none did, they say nothing about runs that would.
         """

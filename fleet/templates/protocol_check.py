@@ -6,7 +6,7 @@ from fleet.checks.api import Facts, Failure, Tick, seconds
 
 
 class TheLawCheck:
-    """All vehicles count right, within some time after an agent ended or began."""  # the verdict shows this line
+    """All vehicles agree on the count within some time after an agent ended or began."""  # the verdict shows this line
 
     def __init__(self, facts: Facts, *, within: str = "5 s") -> None:
         # `facts` is what is known of the scenario: vehicles, duration, links, units of signals, ...

@@ -52,8 +52,8 @@ the JSON Schema of one document, with the type of each key.
 With `--json` a command prints exactly one JSON document on stdout. Progress, warnings and errors stay on stderr, and
 the exit status is the same as without. A command that fails before it has anything to say prints a
 [failure](#failedcommand) instead; only an option that there is not, as `--jsn`, leaves stdout empty. The end of a key
-is its unit: `at_s` is in seconds, `formation_m` in metres. Other units stand in brackets. What a key means is said
-where it stands first. A number that is not finite is `null`, since JSON has none. Later versions may add keys.
+is its unit: `at_s` is in seconds, `formation_m` in metres. Other units stand in brackets. Each key is explained
+where it first appears. A number that is not finite is `null`, since JSON has none. Later versions may add keys.
 
 ```sh
 fleet run paper --json 2>/dev/null | jq '.checks[] | select(.passed | not)'

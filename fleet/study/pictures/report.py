@@ -65,7 +65,7 @@ def page(store: Store, points: Points, log_scale: bool | None = None, share: Tel
         blocks += [Heading("In pairs", 2), Text(_IN_PAIRS)]
         blocks += [block for key, table in comparisons for block in (Heading(key), table)]
     reasons = _reasons(rows)
-    blocks += [Heading("Runs that came to no end", 2), reasons if reasons.rows else Text("There is none.")]
+    blocks += [Heading("Runs without a result", 2), reasons if reasons.rows else Text("None.")]
     blocks.append(Heading("How to make a run again", 2))
     if again := _again(directory, rows):
         blocks += [Text(_AGAIN), Listing(again)]

@@ -70,7 +70,7 @@ def test_a_former_verb_names_the_new_line() -> None:
         (["sweep", "paper", "network.links.*.loss=10%"], "is --set 'network.links.*.loss=10%'"),
         (["run", "paper", "--dry-run"], "fleet check SCENARIO judges a scenario without a run"),
         (["run", "paper", "--seeds", "3"], "fleet sweep SCENARIO --seeds 20"),
-        (["scenarios"], "here it is fleet list"),
+        (["scenarios"], "use fleet list"),
         (["help", "rnu"], 'did you mean "run"?'),
         (["run", "election", "--set", "agent.parameters.usee_s=3"], 'did you mean "lease_s"? its parameters: '),
     ],

@@ -57,13 +57,14 @@ def test_names_scenarios_and_beginnings(three: dict[str, Path], monkeypatch: pyt
     monkeypatch.chdir(three["a"].parent)
     for directory in (str(three["a"]), three["a"].name, "latest", "./latest", f"../a/{three['a'].name}"):
         assert find(directory).directory == three["a"], directory
+    assert find("paper").directory == three["a"]  # the only one here
+    monkeypatch.chdir("/")
     for name, count in (("paper", 2), ("pap", 3), ("", 3)):
         with pytest.raises(RemoteError, match=f"{count} live runs that '{name}' may mean; say which:") as caught:
             find(name)
         assert caught.value.status == 2
 
 
-@pytest.mark.parametrize("name", ["rough-sea", "a/b", "/", "/root/x", "x" * 5000, "a\0b", "*", "paper-disturbed-2"])
 def test_the_run_below_the_working_directory_is_meant(
     three: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -96,6 +97,7 @@ def test_one_run_elsewhere_is_shown_and_not_changed(tmp_path: Path, monkeypatch:
         assert find().directory == run
 
 
+@pytest.mark.parametrize("name", ["rough-sea", "a/b", "/", "/root/x", "x" * 5000, "a\0b", "*", "paper-disturbed-2"])
 def test_what_no_run_is_called(name: str, three: dict[str, Path]) -> None:
     with pytest.raises(RemoteError, match=r"no live run") as caught:
         find(name)

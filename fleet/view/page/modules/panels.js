@@ -1,7 +1,7 @@
 // What stands beside the picture: checks, faults, vehicles, links, and the commands that had an effect.
 import { LINKS } from "./colours.js";
 import { copyText } from "./copy.js";
-import { make, number, write } from "./dom.js";
+import { make, number, old, write } from "./dom.js";
 import { LinkList } from "./links.js";
 import { VehicleTable } from "./vehicles.js";
 import { Checks, Faults } from "./verdict.js";
@@ -68,7 +68,7 @@ export class Panels {
     const tau = COMMANDS.map(([, unit], k) => number(this.handlers.latest(`uuv/${i}/command.tau_${k}`, i), 1, unit));
     write(this.commanded, `commands: ${COMMANDS.map(([what], k) => `${what} ${tau[k]}`).join(", ")}`);
     for (const { src, link, text } of this.heardOf) {
-      write(text, `from ${src}: ${frame.links[link]}, ${frame.ages[link].toFixed(1)} s old`);
+      write(text, `from ${src}: ${frame.links[link]}, ${old(frame.ages[link], frame.since)}`);
       text.style.color = LINKS[frame.links[link]].colour;
     }
   }

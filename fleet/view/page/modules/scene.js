@@ -2,7 +2,7 @@
 import { Camera } from "./camera.js";
 import { LINKS, colour, hull } from "./colours.js";
 import { along, bent, distanceToLane, isLeft, lane, round } from "./geometry.js";
-import { fitted } from "./dom.js";
+import { fitted, old } from "./dom.js";
 import { axis, drawHull, drawnSize } from "./hull.js";
 import { Packets, drawCross } from "./packets.js";
 import { paint, place, pointsOf } from "./primitives.js";
@@ -419,9 +419,9 @@ export class Scene {
 
   linkTip(k) {
     const [src, dst] = this.setup.links[k];
-    const { links, ages } = this.now.frame;
+    const { links, ages, since } = this.now.frame;
     const [from, to] = [this.setup.names[src - 1], this.setup.names[dst - 1]];
-    return `link ${from} -> ${to}: ${LINKS[links[k]].says}; what ${to} knows of ${from} is ${ages[k].toFixed(1)} s old`;
+    return `link ${from} -> ${to}: ${LINKS[links[k]].says}; what ${to} knows of ${from} is ${old(ages[k], since)}`;
   }
 
   divide() {

@@ -96,7 +96,7 @@ export class VehicleTable {
 
   // The oldest news that a vehicle has of a neighbour: its age, and of whom.
   oldest(i, ages) {
-    const heard = (this.incoming.get(i) ?? []).map(([src, link]) => [ages[link], src]);
+    const heard = (this.incoming.get(i) ?? []).map(([src, link]) => [ages[link] ?? Infinity, src]);
     return heard.length ? heard.reduce((a, b) => (b[0] > a[0] ? b : a)) : [null, 0];
   }
 
@@ -116,7 +116,7 @@ export class VehicleTable {
       write(cells[0], number(error, 2, "m"));
       write(cells[1], number(place?.[6], 2, "m/s"));
       write(cells[2], number(place?.[3], 1, "m"));
-      write(cells[3], age == null ? "-" : `${age.toFixed(1)} s, of ${of}`);
+      write(cells[3], age == null ? "-" : `${age === Infinity ? `before ${frame.since.toFixed(1)} s` : `${age.toFixed(1)} s`}, of ${of}`);
       write(cells[4], state);
       row.signals = Object.fromEntries(this.columns.map((name) => [name, this.handlers.latest(name, i)]));
       row.more.forEach((cell, k) => write(cell, shown(row.signals[this.columns[k]])));

@@ -205,9 +205,10 @@ def test_a_drift(tmp_path: Path) -> None:
     assert all(one.from_snapshot for one in why.no_return.tried[1:])
 
 
-def test_a_push(why: Why) -> None:
+def test_a_push(why: Why, small_log: Path) -> None:
     assert (why.check, why.faults[0].id, why.faults[0].on) == ("formation_error", "push", True)
-    assert why.held_until_s == why.at_s == pytest.approx(1.65)
+    error = open_log(small_log, ["uuv/1/error"])["uuv/1/error"]
+    assert why.held_until_s == why.at_s == pytest.approx(error.t[error.formation_norm >= 5.5][0])
     found = why.no_return
     assert found.how == "bisected"
     assert found.passes_s is not None

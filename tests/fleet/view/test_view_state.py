@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from small_scenario import small
 
 from fleet.recorder.transforms import quaternion
+from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.view.view_state import MOST_PACKETS, SAMPLE_S, ViewState
 
@@ -219,3 +220,10 @@ def test_frames_of_no_vehicle_are_left_out(name: str) -> None:
     message.transforms.add(child_frame_id=name, translation=Vector3(), rotation=Quaternion(w=1.0))
     picture.transforms(1.0, message)
     assert picture.frame()["uuv"] == []
+
+
+def test_a_moored_fleet_follows_no_reference() -> None:
+    setup = ViewState(load_scenario("election", ["moored=true"])).setup()
+    assert setup["moored"] and setup["leaders"] == []
+    setup = ViewState(small()).setup()
+    assert not setup["moored"] and setup["leaders"]

@@ -7,6 +7,7 @@ import { VehicleTable } from "./vehicles.js";
 import { Checks, Faults } from "./verdict.js";
 
 const EVERY_MS = 250;
+const MOST_REPORTED = 4;
 const COMMANDS = [["surge", "N"], ["pitch", "N m"], ["yaw", "N m"]];
 const panel = (title, ...children) =>
   make("section", { class: "fleet-panel" }, make("h2", {}, title), ...children);
@@ -90,6 +91,13 @@ export class Panels {
       make("p", { class: "fleet-note" }, "What it hears of its neighbours:"),
       make("ul", {}, ...this.heardOf.map((one) => one.el)),
     );
+  }
+
+  // Of moored vehicles the table shows from the start what their agents report.
+  offer({ fleet }) {
+    const reported = Object.keys(fleet).filter((name) => name.startsWith("control."));
+    if (this.setup.moored && !this.offered && reported.length) this.table.setColumns(reported.slice(0, MOST_REPORTED));
+    this.offered = true;
   }
 
   writeCommands(commands) {

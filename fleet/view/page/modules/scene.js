@@ -414,7 +414,8 @@ export class Scene {
   vehicleTip(i) {
     const { errors, states } = this.now.frame;
     const error = errors[i - 1];
-    return `vehicle ${i}: ${error == null ? "-" : `${error.toFixed(2)} m`} off its place${states[i] ? `, ${states[i]}` : ""}`;
+    const off = this.setup.moored ? "moored" : `${error == null ? "-" : `${error.toFixed(2)} m`} off its place`;
+    return `vehicle ${i}: ${off}${states[i] ? `, ${states[i]}` : ""}`;
   }
 
   linkTip(k) {

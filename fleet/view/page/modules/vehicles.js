@@ -19,7 +19,7 @@ export class VehicleTable {
     this.rows = Array.from({ length: setup.vehicles }, (_, k) => this.row(k + 1));
     this.head = make("tr");
     this.body = make("tbody", {}, ...this.rows.map((row) => row.el));
-    const table = make("table", {}, make("thead", {}, this.head), this.body);
+    const table = make("table", { class: setup.moored ? "fleet-moored" : "" }, make("thead", {}, this.head), this.body);
     const add = make("input", {
       class: "fleet-signal", placeholder: "add a signal as a column ...", ariaLabel: "Signal to add as a column",
       onchange: () => {

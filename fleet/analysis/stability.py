@@ -225,14 +225,10 @@ def report(scenario: Scenario, found: Analysis) -> list[str]:
     reach = "" if found.unreached else "; links lead from there to all other vehicles" if len(followers) < n else ""
     low, high = found.eigenvalues[0], found.eigenvalues[-1]
     moored = scenario.spec.moored  # nothing is controlled
-    lines = (
-        [f"graph: {connected}; the vehicles are moored"]
-        if moored
-        else [
-            f"graph: {connected}; {who} the reference{reach}",
-            f"eigenvalues of L+B: {_number(low)} to {_number(high)}; spectral radius of A: {found.spectral_radius_A:.4g}",
-        ]
-    )
+    lines = [f"graph: {connected}; {'the vehicles are moored' if moored else f'{who} the reference{reach}'}"]
+    if not moored:
+        radius = f"{found.spectral_radius_A:.4g}"
+        lines.append(f"eigenvalues of L+B: {_number(low)} to {_number(high)}; spectral radius of A: {radius}")
     network, acoustic = scenario.spec.network, scenario.acoustic
     if acoustic is not None:
         talking = describe_turns(network, acoustic, n, scenario.tick_ns)

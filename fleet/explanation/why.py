@@ -325,16 +325,21 @@ def _messages(why: Why) -> Iterator[str]:
         yield f"    {_gap(gap, why)}"
 
 
-def _name(i: int, why: Why) -> str:
+def link_name(link: str, why: Why) -> str:
+    """A link such as `1->2`, with the names of nodes if it has some."""
+    return "->".join(why.nodes[int(i) - 1] if why.nodes else i for i in link.split("->"))
+
+
+def name_of(i: int, why: Why) -> str:
+    """A vehicle in words, or the name of a node."""
     return why.nodes[i - 1] if why.nodes else f"vehicle {i}"
 
 
 def _gap(gap: Gap, why: Why) -> str:
-    ends = [[int(i) for i in link.split("->")] for link in gap.links]
     if gap.cause == NOT_SENT:
         span = f"after {gap.from_s:g} s" if gap.goes_on else f"between {gap.from_s:g} and {gap.to_s:g} s"
-        return f"{_name(ends[0][0], why)} sent nothing {span}"
-    links = ["->".join(why.nodes[i - 1] if why.nodes else str(i) for i in link) for link in ends]
+        return f"{name_of(int(gap.links[0].partition('->')[0]), why)} sent nothing {span}"
+    links = [link_name(link, why) for link in gap.links]
     span = f"at {gap.from_s:g} s" if gap.from_s == gap.to_s else f"from {gap.from_s:g} to {gap.to_s:g} s"
     each = f"{gap.messages} message{'s' if gap.messages > 1 else ''}"
     on = ", and it went on" if gap.goes_on else ""
@@ -350,7 +355,7 @@ def _vehicles(why: Why) -> Iterator[str]:
 
 
 def _vehicle(then: VehicleThen, why: Why) -> Iterator[str]:
-    begin = f"  {_name(then.vehicle, why)}"
+    begin = f"  {name_of(then.vehicle, why)}"
     if then.life > 1:
         begin += f" (life {then.life}, since {then.life_since_s:g} s; it began without memory)"
     if then.silent_s is not None:
